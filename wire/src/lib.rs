@@ -1,1 +1,79 @@
-//! wire
+//! The FerroCNC protocol: Etherbone over UDP that cannot hurt you.
+//!
+//! This crate is linked by both ends, the firmware on the softcore and the driver in LinuxCNC, so a
+//! fact about the wire is written once and its rustdoc is the specification. It knows no sockets,
+//! no registers and no clocks; it has no dependencies, allocates nothing, and after a `new_checked`
+//! has said yes nothing in here can panic.
+//!
+//! | module | what it says |
+//! |---|---|
+//! | [`etherbone`] | packet and record layout; the whole datagram is checked before anything runs |
+//! | [`map`] | which address window means what |
+//! | [`describe`] | how a board says what it is |
+//! | [`board`] | the names behind it: the board information blob |
+//! | [`exchange`] | one command block out, one status block back, once per servo period |
+//! | [`state`] | the words for what the machine is doing and why it stopped |
+//! | [`refusal`] | every reason for which a datagram is dropped, each with its own counter |
+//! | [`units`] | step rate, acceleration, position and counts as types |
+//!
+//! Everything on the wire is big-endian 32-bit words. Inside, words are `u32` in the machine's own
+//! order: a transport converts once ([`words_from_bytes`], [`words_to_bytes`]), everyone else
+//! reads numbers.
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod board;
+pub mod describe;
+pub mod etherbone;
+pub mod exchange;
+pub mod map;
+pub mod refusal;
+pub mod state;
+pub mod units;
+
+pub use etherbone::{Packet, Record, ReplyWriter};
+pub use refusal::Refusal;
+pub use state::{FaultReason, State};
+
+/// Version of everything in this crate. Host and board must agree; unequal versions never arm.
+pub const WIRE_VERSION: u32 = 1;
+
+/// UDP port of the Etherbone server. LiteX's and Lcnc's default (CERN's would be 60368).
+pub const DEFAULT_PORT: u16 = 1234;
+
+/// TCP port of the debug console: telnet's.
+pub const CONSOLE_PORT: u16 = 23;
+
+/// Largest UDP payload in one Ethernet frame without fragments: 1500 - 20 (IPv4) - 8 (UDP).
+pub const MAX_PAYLOAD: usize = 1472;
+
+/// The same in 32-bit words.
+pub const MAX_WORDS: usize = MAX_PAYLOAD / 4;
+
+/// Converts a UDP payload into words. Refuses an empty, ragged (not whole words) or oversized one
+/// before looking at a single byte of it.
+pub fn words_from_bytes<'w>(bytes: &[u8], words: &'w mut [u32]) -> Result<&'w [u32], Refusal> {
+    if bytes.len() > MAX_PAYLOAD || bytes.len() / 4 > words.len() {
+        return Err(Refusal::Oversized);
+    }
+    if !bytes.len().is_multiple_of(4) {
+        return Err(Refusal::Ragged);
+    }
+    let (chunks, _) = bytes.as_chunks::<4>();
+    for (word, chunk) in words.iter_mut().zip(chunks) {
+        *word = u32::from_be_bytes(*chunk);
+    }
+    words.get(..chunks.len()).ok_or(Refusal::Oversized)
+}
+
+/// Converts words into the bytes of a UDP payload; returns how many bytes were written. Words that
+/// do not fit are left out, so give it `4 * words.len()` bytes.
+pub fn words_to_bytes(words: &[u32], bytes: &mut [u8]) -> usize {
+    let (chunks, _) = bytes.as_chunks_mut::<4>();
+    let mut written = 0;
+    for (chunk, word) in chunks.iter_mut().zip(words) {
+        *chunk = word.to_be_bytes();
+        written += 4;
+    }
+    written
+}

@@ -1,0 +1,285 @@
+//! The board information blob: the names behind the numbers.
+//!
+//! The gateware build writes it from `boards/*.toml` into a small ROM; the firmware hands it on
+//! unread; the host parses it here. Big-endian words:
+//!
+//! ```text
+//! word 0   "FBRD"
+//! word 1   blob version, 1
+//! word 2   total length in bytes, a multiple of 4
+//! word 3   CRC-32 (IEEE 802.3) of everything from word 4 on
+//! then entries: kind u8, channel u8, length u8, 0, then `length` bytes, zero-padded to a word
+//! ```
+//!
+//! Kinds nobody knows are skipped, so a newer board still describes itself to an older driver.
+
+/// "FBRD".
+pub const MAGIC: u32 = 0x4642_5244;
+/// Version of the layout above.
+pub const VERSION: u32 = 1;
+/// Bytes before the first entry.
+pub const HEADER_LEN: usize = 16;
+
+/// What an entry is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Name of the PCB.
+    Board,
+    /// Name of the configuration.
+    Configuration,
+    /// A stepgen channel's own name.
+    Stepgen,
+    /// An encoder channel's own name.
+    Encoder,
+    /// A PWM channel's own name.
+    Pwm,
+    /// An input's own name.
+    Input,
+    /// An output's own name.
+    Output,
+    /// Which header pins a channel uses; its first letter says the class (`s e p i o`).
+    Pins,
+    /// Default MAC address, 6 bytes.
+    Mac,
+    /// Default IPv4 address, 4 bytes.
+    Ipv4,
+    /// Default UDP port, 2 bytes, big-endian.
+    Port,
+}
+
+impl Kind {
+    /// The kind with this code, if this version knows it.
+    pub const fn from_code(code: u8) -> Option<Self> {
+        Some(match code {
+            1 => Kind::Board,
+            2 => Kind::Configuration,
+            3 => Kind::Stepgen,
+            4 => Kind::Encoder,
+            5 => Kind::Pwm,
+            6 => Kind::Input,
+            7 => Kind::Output,
+            8 => Kind::Pins,
+            10 => Kind::Mac,
+            11 => Kind::Ipv4,
+            12 => Kind::Port,
+            _ => return None,
+        })
+    }
+}
+
+/// One fact from the blob.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entry<'b> {
+    /// What it is about.
+    pub kind: Kind,
+    /// Which channel, where the kind has channels.
+    pub channel: u8,
+    /// The bytes: UTF-8 for names and pins.
+    pub value: &'b [u8],
+}
+
+/// Why a blob cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BlobError {
+    /// Shorter than its header, or than it says.
+    Truncated,
+    /// Does not begin with "FBRD".
+    Magic,
+    /// Another layout.
+    Version(u32),
+    /// The CRC does not fit the bytes.
+    Crc,
+    /// An entry reaches past the end.
+    Entry,
+}
+
+impl core::fmt::Display for BlobError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            BlobError::Truncated => {
+                f.write_str("the board information is cut short; rebuild the bitstream")
+            }
+            BlobError::Magic => {
+                f.write_str("the board carries no board information; rebuild the bitstream")
+            }
+            BlobError::Version(theirs) => {
+                write!(
+                    f,
+                    "the board information has layout {theirs}, this side knows {VERSION}; update it"
+                )
+            }
+            BlobError::Crc => {
+                f.write_str("the board information is damaged (CRC); rebuild the bitstream")
+            }
+            BlobError::Entry => {
+                f.write_str("an entry of the board information is cut short; rebuild the bitstream")
+            }
+        }
+    }
+}
+
+impl core::error::Error for BlobError {}
+
+/// A blob whose CRC and entries are all right.
+#[derive(Clone, Copy, Debug)]
+pub struct Blob<'b> {
+    entries: &'b [u8],
+}
+
+impl<'b> Blob<'b> {
+    /// Checks header, CRC and the extent of every entry. Bytes behind the blob are ignored.
+    pub fn new_checked(bytes: &'b [u8]) -> Result<Self, BlobError> {
+        let word = |at: usize| -> Result<u32, BlobError> {
+            let bytes = bytes.get(at..at + 4).and_then(|b| b.first_chunk::<4>());
+            bytes
+                .map(|b| u32::from_be_bytes(*b))
+                .ok_or(BlobError::Truncated)
+        };
+        if word(0)? != MAGIC {
+            return Err(BlobError::Magic);
+        }
+        if word(4)? != VERSION {
+            return Err(BlobError::Version(word(4)?));
+        }
+        let length = word(8)? as usize;
+        let entries = bytes.get(HEADER_LEN..length).ok_or(BlobError::Truncated)?;
+        if crc32(entries) != word(12)? {
+            return Err(BlobError::Crc);
+        }
+        let mut rest = entries;
+        while !rest.is_empty() {
+            rest = split_entry(rest).ok_or(BlobError::Entry)?.1;
+        }
+        Ok(Blob { entries })
+    }
+
+    /// The entries this version knows, in order.
+    pub fn entries(&self) -> impl Iterator<Item = Entry<'b>> + use<'b> {
+        let mut rest = self.entries;
+        core::iter::from_fn(move || {
+            let (raw, after) = split_entry(rest)?;
+            rest = after;
+            Some(raw)
+        })
+        .filter_map(|(code, channel, value)| {
+            Some(Entry {
+                kind: Kind::from_code(code)?,
+                channel,
+                value,
+            })
+        })
+    }
+
+    /// The text of the first entry of this kind and channel.
+    pub fn text(&self, kind: Kind, channel: u8) -> Option<&'b str> {
+        let entry = self
+            .entries()
+            .find(|e| e.kind == kind && e.channel == channel)?;
+        core::str::from_utf8(entry.value).ok()
+    }
+}
+
+type RawEntry<'b> = (u8, u8, &'b [u8]);
+
+fn split_entry(bytes: &[u8]) -> Option<(RawEntry<'_>, &[u8])> {
+    let (&[code, channel, length, _reserved], rest) = bytes.split_first_chunk::<4>()?;
+    let value = rest.get(..usize::from(length))?;
+    let rest = rest.get(usize::from(length).next_multiple_of(4)..)?;
+    Some(((code, channel, value), rest))
+}
+
+/// CRC-32 as Ethernet, zip and Python's `binascii.crc32` count it. Bit by bit: it runs once at start.
+pub fn crc32(bytes: &[u8]) -> u32 {
+    let mut crc = !0u32;
+    for byte in bytes {
+        crc ^= u32::from(*byte);
+        for _ in 0..8 {
+            crc = crc >> 1 ^ (0xedb8_8320 & (crc & 1).wrapping_neg());
+        }
+    }
+    !crc
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use std::vec::Vec;
+
+    fn blob(entries: &[(u8, u8, &[u8])]) -> Vec<u8> {
+        let mut body = Vec::new();
+        for (code, channel, value) in entries {
+            body.extend([*code, *channel, value.len() as u8, 0]);
+            body.extend_from_slice(value);
+            body.resize(body.len().next_multiple_of(4), 0);
+        }
+        let mut bytes = Vec::new();
+        for word in [
+            MAGIC,
+            VERSION,
+            (HEADER_LEN + body.len()) as u32,
+            crc32(&body),
+        ] {
+            bytes.extend(word.to_be_bytes());
+        }
+        bytes.extend(body);
+        bytes
+    }
+
+    #[test]
+    fn the_crc_is_the_one_everybody_else_computes() {
+        assert_eq!(crc32(b"123456789"), 0xcbf4_3926);
+    }
+
+    #[test]
+    fn names_come_back_and_unknown_kinds_are_skipped() {
+        let bytes = blob(&[
+            (1, 0, b"5a-75b-8.0"),
+            (200, 0, b"???"),
+            (3, 2, b"z"),
+            (12, 0, &[4, 210]),
+        ]);
+        let checked = Blob::new_checked(&bytes).unwrap();
+        assert_eq!(checked.text(Kind::Board, 0), Some("5a-75b-8.0"));
+        assert_eq!(checked.text(Kind::Stepgen, 2), Some("z"));
+        assert_eq!(checked.text(Kind::Stepgen, 1), None);
+        assert_eq!(checked.entries().count(), 3);
+    }
+
+    #[test]
+    fn any_flipped_bit_is_noticed() {
+        let good = blob(&[(1, 0, b"board"), (2, 0, b"mill6")]);
+        for bit in 0..good.len() * 8 {
+            let mut bad = good.clone();
+            bad[bit / 8] ^= 1 << (bit % 8);
+            assert!(Blob::new_checked(&bad).is_err(), "bit {bit}");
+        }
+    }
+
+    #[test]
+    fn every_prefix_is_refused() {
+        let good = blob(&[(1, 0, b"board")]);
+        for length in 0..good.len() {
+            assert!(
+                Blob::new_checked(&good[..length]).is_err(),
+                "{length} bytes"
+            );
+        }
+    }
+
+    #[test]
+    fn an_entry_reaching_past_the_end_is_refused_even_with_a_right_crc() {
+        let body = [3u8, 0, 200, 0];
+        let mut bytes = Vec::new();
+        for word in [
+            MAGIC,
+            VERSION,
+            (HEADER_LEN + body.len()) as u32,
+            crc32(&body),
+        ] {
+            bytes.extend(word.to_be_bytes());
+        }
+        bytes.extend(body);
+        assert_eq!(Blob::new_checked(&bytes).unwrap_err(), BlobError::Entry);
+    }
+}

@@ -1,0 +1,271 @@
+//! How a board says what it is: the first words of the describe window.
+//!
+//! ```text
+//!  0 magic "FCR1"            6 clock, Hz                       12 status block words
+//!  1 wire version            7 stepgens | encoders<<8 | pwms<<16   13 board blob words
+//!  2 ABI of the firmware     8 inputs | outputs<<8             14 state word
+//!  3 ABI of the gateware     9 features                        15 obstacles to arming
+//!  4 firmware version       10 boot id                         16..63 zero
+//!  5 gateware version       11 command block words             64.. the board blob
+//! ```
+
+use crate::{Refusal, exchange};
+
+/// "FCR1".
+pub const MAGIC: u32 = 0x4643_5231;
+/// Words before the board blob.
+pub const WORDS: usize = 16;
+/// Where the board blob begins, in words.
+pub const BLOB_AT: usize = 64;
+
+/// Obstacle to arming: gateware and firmware were built from different register maps.
+pub const OBSTACLE_ABI: u32 = 1 << 0;
+
+/// How many channels of each kind a board has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Channels {
+    /// Step generators, at most 16.
+    pub stepgens: u8,
+    /// Encoders, at most 16.
+    pub encoders: u8,
+    /// PWM outputs, at most 16.
+    pub pwms: u8,
+    /// Inputs, at most 32.
+    pub inputs: u8,
+    /// Outputs, at most 32.
+    pub outputs: u8,
+}
+
+impl Channels {
+    /// From the two `channels` words; refused when a count is beyond what any board can have.
+    pub const fn from_words(channels0: u32, channels1: u32) -> Result<Self, Refusal> {
+        let channels = Channels {
+            stepgens: channels0 as u8,
+            encoders: (channels0 >> 8) as u8,
+            pwms: (channels0 >> 16) as u8,
+            inputs: channels1 as u8,
+            outputs: (channels1 >> 8) as u8,
+        };
+        let most = exchange::MAX_CHANNELS as u8;
+        if channels.stepgens > most
+            || channels.encoders > most
+            || channels.pwms > most
+            || channels.inputs > 32
+            || channels.outputs > 32
+        {
+            return Err(Refusal::Value);
+        }
+        Ok(channels)
+    }
+
+    /// As the two `channels` words.
+    pub const fn to_words(self) -> [u32; 2] {
+        [
+            self.stepgens as u32 | (self.encoders as u32) << 8 | (self.pwms as u32) << 16,
+            self.inputs as u32 | (self.outputs as u32) << 8,
+        ]
+    }
+}
+
+/// What a board says of itself before anything else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Describe {
+    /// Version of this crate on the board.
+    pub wire_version: u32,
+    /// Hash of the register map the firmware was built for.
+    pub abi_firmware: u32,
+    /// Hash of the register map the gateware was built from.
+    pub abi_gateware: u32,
+    /// Major << 16 | minor << 8 | patch.
+    pub firmware_version: u32,
+    /// Major << 16 | minor << 8 | patch.
+    pub gateware_version: u32,
+    /// Clock of everything that counts clocks.
+    pub clock_hz: u32,
+    /// Channel counts.
+    pub channels: Channels,
+    /// Reserved, 0.
+    pub features: u32,
+    /// Changes with every start of the firmware.
+    pub boot_id: u32,
+    /// Words in the board blob behind it.
+    pub blob_words: u32,
+    /// As the first word of a status block.
+    pub state: exchange::StateWord,
+    /// Why the board will not arm at all ([`OBSTACLE_ABI`]); 0 if nothing is in the way.
+    pub obstacles: u32,
+}
+
+/// Why a describe block cannot be understood; it says what to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DescribeError {
+    /// Not a FerroCNC board.
+    Magic(u32),
+    /// Another version of the protocol.
+    Version {
+        /// This side's.
+        ours: u32,
+        /// The board's.
+        theirs: u32,
+    },
+    /// It contradicts itself.
+    Malformed,
+}
+
+impl core::fmt::Display for DescribeError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            DescribeError::Magic(found) => write!(
+                f,
+                "not a FerroCNC board: its first word is {found:#010x} instead of {MAGIC:#010x}; check the address, or flash the board"
+            ),
+            DescribeError::Version { ours, theirs } => write!(
+                f,
+                "device speaks wire version {theirs}, this driver {ours}; reflash the board or reinstall the driver"
+            ),
+            DescribeError::Malformed => {
+                f.write_str("the board's description contradicts itself; reflash the board")
+            }
+        }
+    }
+}
+
+impl core::error::Error for DescribeError {}
+
+impl Describe {
+    /// As the first words of the describe window.
+    pub fn to_words(&self) -> [u32; WORDS] {
+        let [channels0, channels1] = self.channels.to_words();
+        [
+            MAGIC,
+            self.wire_version,
+            self.abi_firmware,
+            self.abi_gateware,
+            self.firmware_version,
+            self.gateware_version,
+            self.clock_hz,
+            channels0,
+            channels1,
+            self.features,
+            self.boot_id,
+            exchange::command_words(self.channels) as u32,
+            exchange::status_words(self.channels) as u32,
+            self.blob_words,
+            self.state.to_word(),
+            self.obstacles,
+        ]
+    }
+
+    /// Reads and checks the first words of the describe window.
+    pub fn parse(words: &[u32; WORDS]) -> Result<Self, DescribeError> {
+        if words[0] != MAGIC {
+            return Err(DescribeError::Magic(words[0]));
+        }
+        if words[1] != crate::WIRE_VERSION {
+            return Err(DescribeError::Version {
+                ours: crate::WIRE_VERSION,
+                theirs: words[1],
+            });
+        }
+        let malformed = |_| DescribeError::Malformed;
+        let channels = Channels::from_words(words[7], words[8]).map_err(malformed)?;
+        let state = exchange::StateWord::from_word(words[14]).map_err(malformed)?;
+        let lengths_agree = words[11] as usize == exchange::command_words(channels)
+            && words[12] as usize == exchange::status_words(channels);
+        let blob_fits = words[13] <= (crate::map::DESCRIBE_LEN / 4) - BLOB_AT as u32;
+        if !lengths_agree || !blob_fits || words[6] == 0 {
+            return Err(DescribeError::Malformed);
+        }
+        Ok(Describe {
+            wire_version: words[1],
+            abi_firmware: words[2],
+            abi_gateware: words[3],
+            firmware_version: words[4],
+            gateware_version: words[5],
+            clock_hz: words[6],
+            channels,
+            features: words[9],
+            boot_id: words[10],
+            blob_words: words[13],
+            state,
+            obstacles: words[15],
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::state::{FaultReason, State};
+
+    fn describe() -> Describe {
+        Describe {
+            wire_version: crate::WIRE_VERSION,
+            abi_firmware: 1,
+            abi_gateware: 2,
+            firmware_version: 0x000100,
+            gateware_version: 0x000100,
+            clock_hz: 60_000_000,
+            channels: Channels {
+                stepgens: 6,
+                encoders: 6,
+                pwms: 6,
+                inputs: 12,
+                outputs: 12,
+            },
+            features: 0,
+            boot_id: 9,
+            blob_words: 100,
+            state: exchange::StateWord {
+                state: State::Disarmed,
+                reason: FaultReason::None,
+                position_trusted: true,
+                enabled: false,
+                session_yours: false,
+                bitten: false,
+                external_reset: false,
+                accepted: false,
+                link: true,
+            },
+            obstacles: OBSTACLE_ABI,
+        }
+    }
+
+    #[test]
+    fn a_description_survives_the_wire() {
+        assert_eq!(Describe::parse(&describe().to_words()), Ok(describe()));
+    }
+
+    #[test]
+    fn every_kind_of_wrong_board_is_told_apart() {
+        let good = describe().to_words();
+        let with = |at: usize, value| {
+            let mut words = good;
+            words[at] = value;
+            Describe::parse(&words)
+        };
+        assert_eq!(with(0, 0x4c63_6e01), Err(DescribeError::Magic(0x4c63_6e01)));
+        assert_eq!(
+            with(1, 3),
+            Err(DescribeError::Version {
+                ours: crate::WIRE_VERSION,
+                theirs: 3
+            })
+        );
+        for (at, value) in [
+            (6, 0),
+            (7, 17),
+            (8, 33),
+            (11, 24),
+            (12, 49),
+            (13, 5000),
+            (14, 99),
+        ] {
+            assert_eq!(
+                with(at, value),
+                Err(DescribeError::Malformed),
+                "word {at} = {value}"
+            );
+        }
+    }
+}

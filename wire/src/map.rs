@@ -1,0 +1,122 @@
+//! The address windows of the board. Byte addresses; every access is one aligned 32-bit word.
+//!
+//! ```text
+//! 0x0000_0000  describe   read    what this board is                       see `describe`
+//! 0x0001_0000  session    rw      who owns the motion
+//! 0x0002_0000  config     rw      timings, modes, limits; refused while armed unless live-safe
+//! 0x0003_0000  command    write   the exchange: one command block          see `exchange`
+//! 0x0004_0000  status     read    the last status block, and counters; reading changes nothing
+//! 0x0005_0000  log        read    the defmt ring
+//! 0x0006_0000  panic      read    what the firmware last died of
+//! 0xf000_0000  service    rw      raw CSRs: reads always, writes only disarmed and by the owner
+//! ```
+
+/// What the board is. Words as [`crate::describe::Describe`], then the board blob.
+pub const DESCRIBE: u32 = 0x0000_0000;
+/// Length of the describe window in bytes.
+pub const DESCRIBE_LEN: u32 = 0x2000;
+/// The board information blob ([`crate::board`]).
+pub const DESCRIBE_BLOB: u32 = DESCRIBE + 0x100;
+
+/// Who owns the motion.
+pub const SESSION: u32 = 0x0001_0000;
+/// Write a non-zero nonce to become the owner. Refused (`not-owner`) while somebody else is.
+pub const SESSION_ACQUIRE: u32 = SESSION;
+/// Reads as the session token for its owner, as 0 for everyone else.
+pub const SESSION_TOKEN: u32 = SESSION + 0x4;
+/// IPv4 address of the owner, 0 if none.
+pub const SESSION_OWNER_IP: u32 = SESSION + 0x8;
+/// UDP port of the owner, 0 if none.
+pub const SESSION_OWNER_PORT: u32 = SESSION + 0xc;
+/// Write the token to give the session back.
+pub const SESSION_RELEASE: u32 = SESSION + 0x10;
+/// The last accepted sequence number.
+pub const SESSION_LAST_SEQ: u32 = SESSION + 0x14;
+/// Write [`REBOOT_KEY`] to restart the firmware; only disarmed, only the owner or if nobody owns.
+pub const SESSION_REBOOT: u32 = SESSION + 0x18;
+/// Length of the session window in bytes.
+pub const SESSION_LEN: u32 = 0x1c;
+/// "RBOT".
+pub const REBOOT_KEY: u32 = 0x5242_4f54;
+
+/// Timings, modes, limits.
+pub const CONFIG: u32 = 0x0002_0000;
+/// Bytes from one channel's block to the next.
+pub const CONFIG_STRIDE: u32 = 0x40;
+/// Stepgen blocks: words as [`StepgenConfig`] numbers them.
+pub const CONFIG_STEPGEN: u32 = CONFIG;
+/// PWM blocks: 0 period, 1 mode.
+pub const CONFIG_PWM: u32 = CONFIG + 0x400;
+/// Encoder blocks: 0 mode, 1 filter.
+pub const CONFIG_ENCODER: u32 = CONFIG + 0x800;
+/// Board block: words as [`BoardConfig`] numbers them.
+pub const CONFIG_BOARD: u32 = CONFIG + 0xc00;
+/// Length of the config window in bytes.
+pub const CONFIG_LEN: u32 = 0x1000;
+
+/// Words of a stepgen's configuration block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum StepgenConfig {
+    /// Clocks STEP stays high, 1..=65535.
+    Steplen = 0,
+    /// Clocks STEP stays low at least, 1..=65535.
+    Stepspace = 1,
+    /// Clocks from a DIR edge to the next STEP rise, 0..=2^24-1.
+    Dirsetup = 2,
+    /// Clocks from STEP's fall to a DIR edge, 0..=2^24-1.
+    Dirhold = 3,
+    /// Deceleration of a soft stop, in the unit of [`crate::units::Accel`]; 0 stops at once.
+    StopAccel = 4,
+    /// Bit 0 inverts STEP, bit 1 inverts DIR.
+    Mode = 5,
+}
+
+/// Words in a stepgen's configuration block.
+pub const STEPGEN_CONFIG_WORDS: u32 = 6;
+/// Words in a PWM's configuration block.
+pub const PWM_CONFIG_WORDS: u32 = 2;
+/// Words in an encoder's configuration block.
+pub const ENCODER_CONFIG_WORDS: u32 = 2;
+
+/// Words of the board's configuration block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum BoardConfig {
+    /// Clocks without an accepted command until the watchdog bites.
+    WatchdogTimeout = 0,
+    /// Clocks a soft stop may take after a bite before the gate closes regardless.
+    WatchdogGrace = 1,
+    /// Output levels while the gate is closed, one bit per output.
+    GpioSafe = 2,
+    /// Output polarity, one bit per output; 1 inverts.
+    GpioInvert = 3,
+}
+
+/// Words in the board's configuration block.
+pub const BOARD_CONFIG_WORDS: u32 = 4;
+
+/// The exchange: a command block goes here, whole ([`crate::exchange`]).
+pub const COMMAND: u32 = 0x0003_0000;
+
+/// The last status block.
+pub const STATUS: u32 = 0x0004_0000;
+/// Frames received, frames sent, exchanges executed, then [`COUNTERS_REFUSED`].
+pub const COUNTERS: u32 = 0x0004_1000;
+/// One counter per [`crate::Refusal`], in its order.
+pub const COUNTERS_REFUSED: u32 = COUNTERS + 0xc;
+
+/// The log: +0 head (absolute index of the byte after the newest), +4 ring size, +8 boot id.
+pub const LOG: u32 = 0x0005_0000;
+/// The ring itself; byte `i` of the log lies at `i % size`, bytes packed big-endian into words.
+pub const LOG_RING: u32 = 0x0005_1000;
+
+/// The last panic: +0 how many since power-up, +4 length, then the text from [`PANIC_TEXT`].
+pub const PANIC: u32 = 0x0006_0000;
+/// Text of the last panic, [`PANIC_TEXT_LEN`] bytes, packed big-endian into words.
+pub const PANIC_TEXT: u32 = PANIC + 0x10;
+/// Longest panic text kept.
+pub const PANIC_TEXT_LEN: u32 = 256;
+
+/// Raw CSRs at the address they have on the board's own bus.
+pub const SERVICE: u32 = 0xf000_0000;

@@ -1,0 +1,93 @@
+//! Every reason for which the board drops a datagram. A refused datagram changes nothing.
+
+macro_rules! refusals {
+    ($($(#[doc = $doc:literal])+ $name:ident = $key:literal, $text:literal;)+) => {
+        /// Why a datagram was refused. The discriminant is its place among the refusal counters
+        /// ([`crate::map::COUNTERS_REFUSED`]).
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        #[repr(u8)]
+        pub enum Refusal { $($(#[doc = $doc])+ $name),+ }
+
+        impl Refusal {
+            /// All of them, in counter order.
+            pub const ALL: &'static [Refusal] = &[$(Refusal::$name),+];
+
+            /// Short name for counters, logs and pins: lower case with hyphens.
+            pub const fn key(self) -> &'static str {
+                match self { $(Refusal::$name => $key),+ }
+            }
+
+            /// One sentence for people.
+            pub const fn text(self) -> &'static str {
+                match self { $(Refusal::$name => $text),+ }
+            }
+        }
+    };
+}
+
+refusals! {
+    /// Shorter than a packet header, or a probe without payload.
+    Short = "short", "the datagram ends before its header does";
+    /// More than [`crate::MAX_PAYLOAD`] bytes.
+    Oversized = "oversized", "the datagram is longer than one frame can carry";
+    /// Not a whole number of 32-bit words.
+    Ragged = "ragged", "the datagram is not a whole number of 32-bit words";
+    /// Does not begin with `4e 6f`.
+    Magic = "magic", "the datagram is not Etherbone";
+    /// Etherbone version other than 1.
+    Version = "version", "the Etherbone version is not 1";
+    /// Address or port width other than 32 bits.
+    Width = "width", "address or port width is not 32 bits";
+    /// A probe reply: something answers us as if we had asked.
+    ProbeReply = "probe-reply", "a probe reply arrived, but the board never probes";
+    /// A record promises more words than the datagram holds.
+    Truncated = "truncated", "a record is longer than the datagram";
+    /// A record that neither writes nor reads: padding, or an empty packet.
+    Padded = "padded", "the datagram holds an empty record or padding";
+    /// Byte enable other than `0x0f`.
+    ByteEnable = "byte-enable", "only whole 32-bit words can be accessed";
+    /// A record flag other than `cyc` or `bca`: configuration space and FIFO accesses do not exist here.
+    RecordFlags = "record-flags", "the record asks for configuration space or FIFO access";
+    /// The answer would not fit one frame.
+    ReplyTooLong = "reply-too-long", "the answer would not fit one frame";
+    /// Address bits 1:0 are not zero.
+    Alignment = "alignment", "an address is not a multiple of 4";
+    /// Nothing lives there.
+    Unmapped = "unmapped", "an address belongs to no window";
+    /// A write to something that can only be read.
+    ReadOnly = "read-only", "a write goes to a read-only address";
+    /// A command block that is not exactly as long as this board's.
+    BlockLength = "block-length", "the command block has not this board's length";
+    /// Mixed with an exchange, or an exchange that is not alone in its datagram.
+    NotAlone = "not-alone", "an exchange must be alone in its datagram";
+    /// The sender does not own the session, or its token is wrong.
+    NotOwner = "not-owner", "the sender does not own the session";
+    /// Sequence number equal to the last accepted one.
+    Duplicate = "duplicate", "the sequence number was already executed";
+    /// Sequence number older than the last accepted one.
+    Stale = "stale", "the sequence number is older than the last executed one";
+    /// Only possible while the machine is disarmed.
+    Armed = "armed", "this cannot be changed while the machine is armed";
+    /// A value outside what the register can hold or the machine allows.
+    Value = "value", "a value is out of range";
+    /// A wrong IPv4 or UDP checksum.
+    Checksum = "checksum", "a checksum is wrong";
+}
+
+impl Refusal {
+    /// How many reasons there are: the number of refusal counters.
+    pub const COUNT: usize = Self::ALL.len();
+
+    /// The place of this reason among the refusal counters.
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+}
+
+impl core::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(self.text())
+    }
+}
+
+impl core::error::Error for Refusal {}

@@ -1,0 +1,76 @@
+//! What the machine is doing and why it stopped: the words host, firmware and operator share.
+
+macro_rules! wire_enum {
+    ($(#[$meta:meta])* $name:ident { $($(#[doc = $doc:literal])+ $variant:ident = $value:literal, $text:literal;)+ }) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        #[repr(u8)]
+        pub enum $name { $($(#[doc = $doc])+ $variant = $value),+ }
+
+        impl $name {
+            /// All values, in wire order.
+            pub const ALL: &'static [$name] = &[$($name::$variant),+];
+
+            /// The value with this wire code, if there is one.
+            pub const fn from_code(code: u8) -> Option<Self> {
+                match code { $($value => Some($name::$variant),)+ _ => None }
+            }
+
+            /// Its wire code.
+            pub const fn code(self) -> u8 {
+                self as u8
+            }
+
+            /// The word for people.
+            pub const fn text(self) -> &'static str {
+                match self { $($name::$variant => $text),+ }
+            }
+        }
+
+        impl core::fmt::Display for $name {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                f.write_str(self.text())
+            }
+        }
+    };
+}
+
+wire_enum! {
+    /// The safety state machine's states (`Boot -> Disarmed -> Armed -> Stopping -> Faulted -> Disarmed`).
+    State {
+        /// Firmware has not finished starting.
+        Boot = 0, "boot";
+        /// Outputs safe; waiting for a session, `enable` and a rising edge of `enable-request`.
+        Disarmed = 1, "disarmed";
+        /// Outputs live, commands executed.
+        Armed = 2, "armed";
+        /// A soft stop is running; then Disarmed or Faulted.
+        Stopping = 3, "stopping";
+        /// Outputs safe, reason latched; leaves by a full resync and a new rising edge only.
+        Faulted = 4, "faulted";
+    }
+}
+
+wire_enum! {
+    /// Why the machine stopped.
+    FaultReason {
+        /// It did not.
+        None = 0, "none";
+        /// No accepted command within the watchdog's timeout.
+        Watchdog = 1, "watchdog: no accepted command within the timeout";
+        /// The external reset pin was high.
+        ExternalReset = 2, "external reset pin";
+        /// The host took `enable` away.
+        HostDisable = 3, "host disabled";
+        /// The session was released or taken over.
+        SessionLost = 4, "session lost";
+        /// The Ethernet link went down.
+        LinkDown = 5, "link down";
+        /// The firmware panicked or trapped; the text is in the panic window.
+        FirmwareFault = 6, "firmware fault";
+        /// A job ran out of segments.
+        JobUnderrun = 7, "job underrun";
+        /// Gateware and firmware were built from different register maps.
+        AbiMismatch = 8, "ABI mismatch between gateware and firmware";
+    }
+}

@@ -1,0 +1,191 @@
+//! Numbers with units. Raw integers live here and in registers only.
+
+/// A signed step rate as the gateware counts it: one unit is `f_clk / 2^32` steps per second
+/// (0.014 steps/s at 60 MHz). Full scale is half the clock: a step every second clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct StepRate(pub i32);
+
+/// An acceleration limit as the gateware applies it every clock: one unit is `f_clk^2 / 2^56`
+/// steps/s^2 (0.05 steps/s^2 at 60 MHz). Zero means no limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Accel(pub u32);
+
+/// A stepgen's position: s32.32, pulses emitted in the upper half. It starts at half a step, so the
+/// DDS crosses half way between two steps and a rounding error never costs a pulse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Position(pub i64);
+
+/// A free-running 32-bit counter. It wraps, and nobody but [`Count::since`] subtracts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Count(pub u32);
+
+/// A duration or instant in clocks of the board.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Clocks(pub u64);
+
+/// `2^32`, the units in one step per clock.
+const TWO_32: f64 = 4_294_967_296.0;
+/// `2^56`.
+const TWO_56: f64 = 72_057_594_037_927_936.0;
+
+impl StepRate {
+    /// The fastest a stepgen is asked to go: just under half the clock.
+    pub const MAX: StepRate = StepRate(i32::MAX);
+
+    /// From steps per second, saturating at +-[`StepRate::MAX`]; NaN is 0.
+    pub fn from_hz(steps_per_second: f64, clock_hz: f64) -> Self {
+        let units = steps_per_second / clock_hz * TWO_32;
+        // `as` saturates and maps NaN to 0; i32::MIN would have no positive twin.
+        StepRate((units + half(units)) as i32).clamped()
+    }
+
+    /// In steps per second.
+    pub fn to_hz(self, clock_hz: f64) -> f64 {
+        f64::from(self.0) * clock_hz / TWO_32
+    }
+
+    fn clamped(self) -> Self {
+        StepRate(self.0.max(-i32::MAX))
+    }
+}
+
+impl Accel {
+    /// No limit: the rate jumps.
+    pub const UNLIMITED: Accel = Accel(0);
+
+    /// From steps/s^2. Zero or less, and NaN, mean "no limit"; anything else is at least one unit.
+    pub fn from_steps(steps_per_second2: f64, clock_hz: f64) -> Self {
+        if steps_per_second2.is_nan() || steps_per_second2 <= 0.0 {
+            return Accel::UNLIMITED;
+        }
+        let units = steps_per_second2 / (clock_hz * clock_hz) * TWO_56;
+        Accel(((units + 0.5) as u32).max(1))
+    }
+
+    /// In steps/s^2; `None` for no limit.
+    pub fn to_steps(self, clock_hz: f64) -> Option<f64> {
+        (self.0 != 0).then(|| f64::from(self.0) * clock_hz * clock_hz / TWO_56)
+    }
+}
+
+impl Position {
+    /// Where every stepgen wakes up: no pulses, half a step.
+    pub const ZERO: Position = Position(0x8000_0000);
+
+    /// From the two halves a status block carries.
+    pub const fn from_words(lo: u32, hi: u32) -> Self {
+        Position(((hi as i64) << 32) | lo as i64)
+    }
+
+    /// Pulses emitted, signed.
+    pub const fn pulses(self) -> i64 {
+        self.0 >> 32
+    }
+
+    /// Where the DDS stands, in steps, without the half-step bias.
+    pub fn steps(self) -> f64 {
+        // Split, so that a position beyond 2^52 still keeps its fraction's upper bits.
+        self.pulses() as f64 + (f64::from(self.0 as u32) / TWO_32 - 0.5)
+    }
+
+    /// How far this is from an earlier position, in steps; exact across the 2^63 wrap.
+    pub fn since(self, earlier: Position) -> f64 {
+        self.0.wrapping_sub(earlier.0) as f64 / TWO_32
+    }
+}
+
+impl Count {
+    /// How far the counter moved since `earlier`, right across its wrap as long as it moved less
+    /// than 2^31.
+    pub const fn since(self, earlier: Count) -> i32 {
+        self.0.wrapping_sub(earlier.0) as i32
+    }
+}
+
+impl Clocks {
+    /// From the two halves a block carries.
+    pub const fn from_words(lo: u32, hi: u32) -> Self {
+        Clocks(((hi as u64) << 32) | lo as u64)
+    }
+
+    /// Clocks in this many nanoseconds, rounded up: a timing is never shorter than asked.
+    pub fn from_nanos_ceil(nanos: u64, clock_hz: u32) -> Self {
+        let clocks = (u128::from(nanos) * u128::from(clock_hz)).div_ceil(1_000_000_000);
+        Clocks(u64::try_from(clocks).unwrap_or(u64::MAX))
+    }
+
+    /// In seconds.
+    pub fn to_seconds(self, clock_hz: f64) -> f64 {
+        self.0 as f64 / clock_hz
+    }
+}
+
+/// Half a unit with the sign of `x`: rounding without `std`.
+fn half(x: f64) -> f64 {
+    if x < 0.0 { -0.5 } else { 0.5 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CLOCK: f64 = 60e6;
+
+    #[test]
+    fn one_unit_of_rate_is_finer_than_the_design_asks() {
+        assert!(StepRate(1).to_hz(50e6) <= 0.012);
+        assert!(Accel(1).to_steps(50e6).unwrap() <= 0.1);
+    }
+
+    #[test]
+    fn a_rate_beyond_half_the_clock_saturates_and_keeps_its_sign() {
+        assert_eq!(StepRate::from_hz(1e9, CLOCK), StepRate::MAX);
+        assert_eq!(StepRate::from_hz(-1e9, CLOCK), StepRate(-i32::MAX));
+        assert_eq!(StepRate::from_hz(f64::NAN, CLOCK), StepRate(0));
+        assert_eq!(
+            StepRate::from_hz(f64::NEG_INFINITY, CLOCK),
+            StepRate(-i32::MAX)
+        );
+    }
+
+    #[test]
+    fn rates_survive_the_round_trip_at_the_edges() {
+        for units in [0, 1, -1, i32::MAX, -i32::MAX, 71_583] {
+            assert_eq!(
+                StepRate::from_hz(StepRate(units).to_hz(CLOCK), CLOCK),
+                StepRate(units)
+            );
+        }
+    }
+
+    #[test]
+    fn a_limit_of_zero_is_no_limit_and_a_tiny_one_is_still_a_limit() {
+        assert_eq!(Accel::from_steps(0.0, CLOCK), Accel::UNLIMITED);
+        assert_eq!(Accel::from_steps(1e-9, CLOCK), Accel(1));
+        assert_eq!(Accel::from_steps(f64::INFINITY, CLOCK), Accel(u32::MAX));
+    }
+
+    #[test]
+    fn a_position_counts_pulses_from_the_middle_of_a_step() {
+        assert_eq!(Position::ZERO.pulses(), 0);
+        assert_eq!(Position::ZERO.steps(), 0.0);
+        let back = Position::from_words(0x8000_0000, 0xffff_ffff);
+        assert_eq!((back.pulses(), back.steps()), (-1, -1.0));
+        assert_eq!(Position(i64::MIN).since(Position(i64::MAX)), 1.0 / TWO_32);
+    }
+
+    #[test]
+    fn a_count_differs_right_across_its_wrap() {
+        assert_eq!(Count(2).since(Count(u32::MAX)), 3);
+        assert_eq!(Count(u32::MAX).since(Count(2)), -3);
+        assert_eq!(Count(0x8000_0000).since(Count(0x7fff_ffff)), 1);
+    }
+
+    #[test]
+    fn a_timing_is_never_shorter_than_asked() {
+        assert_eq!(Clocks::from_nanos_ceil(1, 60_000_000), Clocks(1));
+        assert_eq!(Clocks::from_nanos_ceil(1_000, 60_000_000), Clocks(60));
+        assert_eq!(Clocks::from_nanos_ceil(1_001, 60_000_000), Clocks(61));
+        assert_eq!(Clocks::from_nanos_ceil(0, 60_000_000), Clocks(0));
+    }
+}
