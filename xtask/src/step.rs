@@ -1,0 +1,107 @@
+//! One step of work: a title while it runs, how long it took, and on failure the end of its log.
+
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fs::{self, File};
+use std::io::{IsTerminal, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// How much of a failed step's log is shown.
+const TAIL_LINES: usize = 30;
+
+/// Prints a heading.
+pub fn heading(text: &str) {
+    println!("\n== {text}");
+}
+
+/// Prints a line that something was found or needs no work.
+pub fn note(text: &str) {
+    println!("  - {text}");
+}
+
+/// Runs a command with its output in `target/logs/NAME.log`. `expect` is an honest guess such as
+/// "2 min", shown while it runs.
+pub fn run(name: &str, title: &str, expect: &str, command: &mut Command) -> Result<()> {
+    run_quietly(name, title, expect, command).map(drop)
+}
+
+/// As [`run`], and hands back what the command printed.
+pub fn run_quietly(name: &str, title: &str, expect: &str, command: &mut Command) -> Result<String> {
+    let log = log_path(name)?;
+    let out = File::create(&log).with_context(|| format!("cannot write {}", log.display()))?;
+    let program = command.get_program().to_string_lossy().into_owned();
+    let begun = Instant::now();
+    let mut child = command
+        .current_dir(crate::root())
+        .stdin(Stdio::null())
+        .stdout(out.try_clone()?)
+        .stderr(out)
+        .spawn()
+        .with_context(|| format!("cannot start `{program}` for: {title}"))?;
+    let spinner = spinner(title, expect);
+    let mut said = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        spinner.set_message(last_line(&log));
+        if !std::io::stderr().is_terminal() && said.elapsed() > Duration::from_secs(30) {
+            println!("    ... {title}: {:.0} s, {}", begun.elapsed().as_secs_f32(), last_line(&log));
+            said = Instant::now();
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    spinner.finish_and_clear();
+    let seconds = begun.elapsed().as_secs_f32();
+    if !status.success() {
+        println!("  x {title}  ({seconds:.1} s)");
+        println!("{}", indent(&tail(&log)));
+        bail!("{title}: `{program}` failed; the whole log is {}", log.display());
+    }
+    println!("  + {title}  ({seconds:.1} s)");
+    Ok(fs::read_to_string(&log).unwrap_or_default())
+}
+
+/// Where the log of a step goes.
+pub fn log_path(name: &str) -> Result<PathBuf> {
+    let folder = crate::target("logs");
+    fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    Ok(folder.join(format!("{name}.log")))
+}
+
+/// The last lines of a log.
+pub fn tail(log: &Path) -> String {
+    let text = fs::read(log).map(|b| String::from_utf8_lossy(&b).into_owned()).unwrap_or_default();
+    let lines: Vec<_> = text.lines().collect();
+    lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
+}
+
+fn spinner(title: &str, expect: &str) -> ProgressBar {
+    if !std::io::stderr().is_terminal() {
+        println!("  . {title} (about {expect})");
+    }
+    let bar = ProgressBar::new_spinner();
+    let style = ProgressStyle::with_template("  {spinner} {prefix} [{elapsed}] {wide_msg:.dim}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+    bar.set_prefix(format!("{title} (about {expect})"));
+    bar.enable_steady_tick(Duration::from_millis(120));
+    bar
+}
+
+fn last_line(log: &Path) -> String {
+    let mut end = String::new();
+    if let Ok(mut file) = File::open(log) {
+        let length = file.metadata().map_or(0, |m| m.len());
+        let _ = file.seek(SeekFrom::Start(length.saturating_sub(400)));
+        let mut bytes = Vec::new();
+        let _ = file.read_to_end(&mut bytes);
+        end = String::from_utf8_lossy(&bytes).into_owned();
+    }
+    end.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("").trim().chars().take(100).collect()
+}
+
+fn indent(text: &str) -> String {
+    text.lines().map(|l| format!("    | {l}")).collect::<Vec<_>>().join("\n")
+}

@@ -1,0 +1,150 @@
+//! The test pyramid, one line per level. Lower levels need nothing but Rust.
+
+use crate::{build, regen, setup, step, target};
+use anyhow::{Result, bail};
+use clap::{Args, ValueEnum};
+use std::process::Command;
+use std::time::Instant;
+
+/// Which levels to run.
+#[derive(Args, Default)]
+pub struct Options {
+    /// Levels to run; all when none is named.
+    #[arg(value_enum)]
+    levels: Vec<Level>,
+}
+
+/// A level of the pyramid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Level {
+    /// Arithmetic, parsing, every state and event: plain `cargo test`.
+    Unit,
+    /// The committed generated files are the ones the generators write.
+    Generated,
+    /// The cores at their pins, random stimulus.
+    Core,
+    /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
+    Soc,
+    /// LiteX's own client, ping and a console session.
+    Clients,
+    /// Real LinuxCNC, our driver, the simulated board.
+    Linuxcnc,
+}
+
+const ALL: &[Level] =
+    &[Level::Unit, Level::Generated, Level::Core, Level::Soc, Level::Clients, Level::Linuxcnc];
+
+/// Runs the levels and prints one line for each.
+pub fn run(options: &Options) -> Result<()> {
+    let levels = if options.levels.is_empty() { ALL } else { &options.levels };
+    if levels.iter().any(|level| *level != Level::Unit) {
+        setup::run(setup::Need::Everything)?;
+    }
+    let needs_board = |level: &Level| matches!(level, Level::Soc | Level::Clients | Level::Linuxcnc);
+    if levels.iter().any(needs_board) {
+        let parts = build::everything()?;
+        if levels.contains(&Level::Linuxcnc) {
+            build::install_driver()?;
+        }
+        drop(parts);
+    }
+    let mut lines = Vec::new();
+    let (mut passed, mut failed) = (0, 0);
+    for level in levels {
+        step::heading(&format!("test: {}", level.title()));
+        let begun = Instant::now();
+        let outcome = level.run();
+        let seconds = begun.elapsed().as_secs_f32();
+        match outcome {
+            Ok(count) => {
+                passed += count;
+                lines.push(format!("  ok      {:<60} {count:>5} tests  {seconds:>6.1} s", level.title()));
+            }
+            Err(error) => {
+                failed += 1;
+                lines.push(format!("  FAILED  {:<60}        {seconds:>9.1} s\n          {error:#}", level.title()));
+            }
+        }
+    }
+    step::heading("the pyramid");
+    println!("{}\n", lines.join("\n"));
+    println!("{passed} passed, {failed} failed");
+    if failed > 0 {
+        bail!("{failed} of {} levels failed; their logs are in target/logs", levels.len());
+    }
+    Ok(())
+}
+
+impl Level {
+    fn title(self) -> &'static str {
+        match self {
+            Level::Unit => "unit: arithmetic, parsing, every (state, event)",
+            Level::Generated => "generated: registers, memory map and PAC are fresh",
+            Level::Core => "core: RTL at its pins under random stimulus",
+            Level::Soc => "soc: Verilated board, release image, frames and faults",
+            Level::Clients => "clients: LiteX RemoteClient, ping, console",
+            Level::Linuxcnc => "linuxcnc: real LinuxCNC, our driver, simulated board",
+        }
+    }
+
+    /// Runs the level; says how many tests passed.
+    fn run(self) -> Result<usize> {
+        match self {
+            Level::Unit => cargo_tests("test-unit", "cargo test", "3 min", &["test", "--workspace"]),
+            Level::Generated => {
+                regen::generate(true)?;
+                abi_guard()?;
+                Ok(2)
+            }
+            Level::Core => {
+                let mut run = Command::new("bash");
+                run.arg("gateware/tests/run.sh");
+                let printed = step::run_quietly("test-core", "the cores at their pins", "2 min", &mut run)?;
+                let results: Vec<_> = printed.lines().filter(|l| l.starts_with("PASS")).collect();
+                for line in &results {
+                    println!("    {line}");
+                }
+                if results.is_empty() {
+                    bail!("no core test ran; see target/logs/test-core.log");
+                }
+                Ok(results.len())
+            }
+            Level::Soc => board_tests("soc", "10 min"),
+            Level::Clients => board_tests("clients", "2 min"),
+            Level::Linuxcnc => board_tests("linuxcnc", "10 min"),
+        }
+    }
+}
+
+/// The hand-written LinuxCNC bindings against LinuxCNC's own headers.
+fn abi_guard() -> Result<()> {
+    let mut compile = Command::new("gcc");
+    compile.args(["-Wall", "-Werror", "-I/usr/include/linuxcnc", "-c", "host/abi/abi.c", "-o", "/dev/null"]);
+    step::run("abi", "LinuxCNC's headers agree with our bindings", "1 s", &mut compile)
+}
+
+/// A test binary of the `tests` crate that needs the simulated board. One at a time: LinuxCNC's HAL
+/// is one per machine, and the simulator wants a core for itself.
+fn board_tests(name: &str, expect: &str) -> Result<usize> {
+    let arguments = [
+        "test", "--release", "--package", "ferrocnc-tests", "--features", "board", "--test", name, "--",
+        "--test-threads=1",
+    ];
+    cargo_tests(&format!("test-{name}"), &format!("tests against the simulated board: {name}"), expect, &arguments)
+}
+
+fn cargo_tests(name: &str, title: &str, expect: &str, arguments: &[&str]) -> Result<usize> {
+    let mut cargo = Command::new("cargo");
+    cargo.args(arguments);
+    cargo.env("FERROCNC_SOC", target(&format!("sim/{}", build::BOARD)));
+    cargo.env("FERROCNC_FIRMWARE", target("firmware/ferrocnc-firmware.elf"));
+    let printed = step::run_quietly(name, title, expect, &mut cargo)?;
+    let count = printed
+        .lines()
+        .filter_map(|line| line.strip_prefix("test result: ok. ")?.split_once(" passed")?.0.parse::<usize>().ok())
+        .sum();
+    if count == 0 {
+        bail!("{title}: no test ran");
+    }
+    Ok(count)
+}
