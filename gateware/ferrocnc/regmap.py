@@ -1,0 +1,283 @@
+"""The register map: the only place where an address is written by hand.
+
+Every board has this map. A channel owns a fixed page whether or not a board has the channel: absent ones read 0 and
+ignore writes. So there is one PAC, one `memory.x` and one firmware binary; `export.py` turns this file into
+`pac/soc.svd`, `pac/src/abi.rs`, `docs/registers.md` and the ABI number, and `banks.py` turns it into logic.
+
+A page is 0x800 bytes, a register one 32-bit word; within a page the order of the list is the order of the addresses.
+"""
+
+from dataclasses import dataclass, field as _f
+
+WIRE_LAYOUT = 1
+"""Version of the exchange's word layout (`wire::map`). Part of the ABI number: either changes, both refuse to arm."""
+
+# Memory -----------------------------------------------------------------------------------------------------------
+
+CSR_BASE = 0xF000_0000
+CSR_PAGE = 0x800
+CSR_ADDRESS_WIDTH = 16
+
+ROM = (0x0000_0000, 0xE000)  # 56 KiB, 28 EBR: the image; see design.md 8, "on-chip memory"
+RAM = (0x1000_0000, 0x6000)  # 24 KiB, 12 EBR: data, bss, stack
+ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
+BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
+ETHMAC_RX_SLOTS = 2
+ETHMAC_TX_SLOTS = 2
+ETHMAC_SLOT = 0x800
+
+# Channels ---------------------------------------------------------------------------------------------------------
+
+MAX_STEPGEN = 16
+MAX_ENCODER = 16
+MAX_PWM = 16
+MAX_IN = 32
+MAX_OUT = 32
+
+# LiteX's own pages, by LiteX's names ------------------------------------------------------------------------------
+
+LITEX_PAGES = {"ctrl": 0, "identifier_mem": 1, "timer0": 2, "ethmac": 3, "ethphy": 4}
+
+MAGIC = 0x4643_6E43  # "FCnC"
+
+# Keys of watchdog.control: words nobody writes by accident.
+ARM = 0x4152_4D31  # "ARM1"
+SOFT = 0x534F_4654  # "SOFT"
+STOP = 0x5354_4F50  # "STOP"
+CLEAR = 0x434C_5231  # "CLR1"
+
+
+@dataclass(frozen=True)
+class Field:
+    """Bits of a register. `values` maps names to (number, sentence) where the bits are an enumeration."""
+
+    name: str
+    lsb: int
+    width: int
+    doc: str
+    values: tuple = ()
+
+
+@dataclass(frozen=True)
+class Reg:
+    """One 32-bit word. `access` is "ro", "rw" or "wo" (a wo register reads 0)."""
+
+    name: str
+    access: str
+    doc: str
+    fields: tuple = ()
+    reset: int = 0
+
+
+@dataclass(frozen=True)
+class Bank:
+    """One page. Banks of the same `kind` have the same registers and share one register block in the PAC."""
+
+    name: str
+    page: int
+    kind: str
+    doc: str
+    regs: tuple = _f(default_factory=tuple)
+
+    @property
+    def base(self):
+        return CSR_BASE + self.page * CSR_PAGE
+
+    def offset(self, name):
+        return 4 * [r.name for r in self.regs].index(name)
+
+
+def _bit(name, lsb, doc):
+    return Field(name, lsb, 1, doc)
+
+
+# The pages --------------------------------------------------------------------------------------------------------
+
+IDENT = Bank("ident", 8, "ident", "Who the gateware is. Constant; read by firmware at boot before it trusts anything else.", (
+    Reg("magic", "ro", "Always 0x46436e43 (\"FCnC\"): this is FerroCNC gateware and this map applies."),
+    Reg("abi", "ro", "ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version. "
+        "Firmware compares it with its own; unequal never arms."),
+    Reg("gateware_version", "ro", "Gateware version: major in bits 31:16, minor in 15:8, patch in 7:0.", (
+        Field("patch", 0, 8, "Patch version, a count."),
+        Field("minor", 8, 8, "Minor version, a count."),
+        Field("major", 16, 16, "Major version, a count."),
+    )),
+    Reg("sys_clk_hz", "ro", "Frequency of the core clock in hertz; the unit of every time and rate in this map."),
+    Reg("channels0", "ro", "How many channels of motion this board has, one count per byte.", (
+        Field("stepgen", 0, 8, "Number of step generators."),
+        Field("encoder", 8, 8, "Number of encoder counters."),
+        Field("pwm", 16, 8, "Number of PWM generators."),
+    )),
+    Reg("channels1", "ro", "How many digital inputs and outputs this board has, one count per byte.", (
+        Field("inputs", 0, 8, "Number of general purpose inputs."),
+        Field("outputs", 8, 8, "Number of general purpose outputs."),
+    )),
+    Reg("features", "ro", "Optional parts present, one bit each. None is defined yet: reads 0."),
+    Reg("board_rom_words", "ro", "Length of the board info blob at 0x90000000 in 32-bit words."),
+))
+
+TIMEBASE = Bank("timebase", 9, "timebase", "The 64-bit wall clock and the two strobes that make all channels act on one clock.", (
+    Reg("now_lo", "ro", "Low word of the wall clock, in clocks since power-up, as caught by the last write to `snapshot`."),
+    Reg("now_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, as caught by the last write to `snapshot`."),
+    Reg("snapshot", "wo", "Writing any value catches the wall clock in `now_lo` and `now_hi`, both on the same clock."),
+    Reg("arrival_lo", "ro", "Low word of the wall clock, in clocks, when the frame now presented by the MAC was complete in its slot."),
+    Reg("arrival_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, when the frame now presented was complete in its slot."),
+    Reg("commit_at_lo", "rw", "Low word of the apply time, in clocks: the wall clock at which a timed commit happens."),
+    Reg("commit_at_hi", "rw", "High word of the apply time, in units of 2^32 clocks."),
+    Reg("strobe", "wo", "Makes things happen on one clock for all channels; bits may be written together.", (
+        _bit("commit", 0, "1: every staged command takes effect, one clock after this write."),
+        _bit("sample", 1, "1: every status word is caught, one clock after this write."),
+        _bit("commit_at", 2, "1: commit when the wall clock reaches `commit_at` (at once if that has passed). Replaces a pending one."),
+    )),
+    Reg("status", "ro", "What the timebase is waiting for.", (
+        _bit("pending", 0, "1: a timed commit is waiting for its clock."),
+    )),
+))
+
+WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no CPU.", (
+    Reg("timeout", "rw", "Clocks without a new token until the watchdog bites. 0 bites at once."),
+    Reg("grace", "rw", "Longest soft stop in clocks: when it has passed the gate closes whether or not the motors stand."),
+    Reg("token", "wo", "Feeds the watchdog if the value differs from the last one written; a repeat is ignored. A count, no unit."),
+    Reg("control", "wo", "Commands to the gate, each a key word; any other value is ignored.", (
+        Field("key", 0, 32, "Which command, as a key word.", (
+            ("arm", ARM, "Open the gate and wake the watchdog; only while closed, not bitten, no external reset latched or present."),
+            ("soft", SOFT, "Bring all step generators to rest, each at its stop_accel, then close the gate."),
+            ("stop", STOP, "Close the gate now."),
+            ("clear", CLEAR, "Forget a bite and an external reset; only while the gate is closed and the reset pin is low."),
+        )),
+    )),
+    Reg("status", "ro", "What the gate and the watchdog are doing now, one bit each.", (
+        _bit("gate", 0, "1: the gate is open, outputs are live."),
+        _bit("stopping", 1, "1: a soft stop is running."),
+        _bit("bitten", 2, "1: the watchdog has bitten. Latched; a token does not clear it."),
+        _bit("reset_latched", 3, "1: the external reset pin has been active. Latched."),
+        _bit("reset_pin", 4, "1: the external reset pin is active now."),
+        _bit("armed", 5, "1: the watchdog is awake and counting."),
+    )),
+    Reg("remaining", "ro", "Clocks left until the watchdog bites, if nothing feeds it."),
+    Reg("last_token", "ro", "The last token written. A count, no unit."),
+    Reg("bites", "ro", "How often the watchdog has bitten since power-up, a count."),
+))
+
+GPIO = Bank("gpio", 11, "gpio", "Digital inputs and outputs, one bit per pin. Outputs are set in `command.gpio_out`.", (
+    Reg("in_now", "ro", "Level of each input pin two clocks ago (synchronised), one bit per input."),
+    Reg("safe", "rw", "Level each output takes while the gate is closed, one bit per output, before inversion."),
+    Reg("invert_out", "rw", "1 inverts the output at the pin, one bit per output; applies to the safe level too."),
+    Reg("out_now", "ro", "Level each output pin carries now, one bit per output."),
+))
+
+LED = Bank("led", 12, "led", "The board's one LED.", (
+    Reg("pattern", "rw", "What the LED shows; blinking patterns repeat about once a second.", (
+        Field("select", 0, 3, "Which pattern, a number.", (
+            ("off", 0, "Dark."),
+            ("on", 1, "Lit."),
+            ("slow", 2, "One long blink per second."),
+            ("fast", 3, "Four blinks per second."),
+            ("double", 4, "Two short blinks per second."),
+        )),
+    )),
+))
+
+
+def _command():
+    regs = [
+        Reg("enables", "rw", "Which step generators follow their command and which encoders wait for an index; staged until the commit strobe.", (
+            Field("stepgen", 0, 16, "Bit n: step generator n follows its velocity; 0 brings it to rest at its stop_accel."),
+            Field("index", 16, 16, "Bit n: encoder n latches its count at the next index pulse; 0 clears its latched flag."),
+        )),
+        Reg("gpio_out", "rw", "Level of each output, one bit per output, before inversion; staged until the commit strobe."),
+    ]
+    for n in range(MAX_STEPGEN):
+        regs += [
+            Reg(f"stepgen{n}_velocity", "rw", f"Signed step rate of step generator {n}; one unit is f_clk / 2^32 steps per second. "
+                "Staged until the commit strobe; -2^31 is taken as -(2^31-1)."),
+            Reg(f"stepgen{n}_accel", "rw", f"Acceleration limit of step generator {n}; one unit is f_clk^2 / 2^56 steps per second squared, "
+                "0 is no limit. Staged until the commit strobe."),
+        ]
+    for n in range(MAX_PWM):
+        regs.append(Reg(f"pwm{n}_width", "rw", f"Width, enable and direction of PWM {n}. Staged until the commit strobe, applied at the next period edge.", (
+            Field("width", 0, 24, "Time the output is active in each period, in clocks; the period or more is 100 %."),
+            _bit("enable", 30, "1: the output works; 0: it rests at its inactive level."),
+            _bit("direction", 31, "Level of the direction output, where the board has one."),
+        )))
+    return tuple(regs)
+
+
+def _status():
+    regs = [
+        Reg("sample_lo", "ro", "Low word of the wall clock, in clocks, at the last sample strobe."),
+        Reg("sample_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, at the last sample strobe."),
+        Reg("gpio_in", "ro", "Level of each input at the last sample strobe, one bit per input."),
+        Reg("flags", "ro", "One bit per channel, at the last sample strobe.", (
+            Field("index", 0, 16, "Bit n: encoder n has latched its count at an index; stays until its arm bit goes 0."),
+            Field("limited", 16, 16, "Bit n: step generator n had to wait for its timing since the sample before."),
+        )),
+    ]
+    for n in range(MAX_STEPGEN):
+        regs += [
+            Reg(f"stepgen{n}_position_lo", "ro", f"Fraction of the position of step generator {n} at the last sample strobe, in 2^-32 steps, biased by half a step."),
+            Reg(f"stepgen{n}_position_hi", "ro", f"Pulses emitted by step generator {n} at the last sample strobe, in steps, signed."),
+            Reg(f"stepgen{n}_velocity", "ro", f"Step rate of step generator {n} at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."),
+        ]
+    for n in range(MAX_ENCODER):
+        regs += [
+            Reg(f"encoder{n}_count", "ro", f"Count of encoder {n} at the last sample strobe, in quadrature edges, signed."),
+            Reg(f"encoder{n}_latch", "ro", f"Count of encoder {n} at its last armed index, in quadrature edges, signed."),
+            Reg(f"encoder{n}_edge_time", "ro", f"Low word of the wall clock, in clocks, at the last counted edge of encoder {n}."),
+        ]
+    return tuple(regs)
+
+
+COMMAND = Bank("command", 14, "command", "Staged commands, contiguous: writing them changes nothing until the commit strobe.", _command())
+STATUS = Bank("status", 15, "status", "The last sample, contiguous: all words are of one clock, and reading changes nothing.", _status())
+
+STEPGEN_REGS = (
+    Reg("steplen", "rw", "Shortest time STEP stays active, in clocks, 16 bits; 0 is taken as 1.", (Field("clocks", 0, 16, "Time in clocks."),)),
+    Reg("stepspace", "rw", "Shortest time STEP stays inactive, in clocks, 16 bits; 0 is taken as 1.", (Field("clocks", 0, 16, "Time in clocks."),)),
+    Reg("dirsetup", "rw", "Shortest time from an edge of DIR to the next rise of STEP, in clocks, 24 bits.", (Field("clocks", 0, 24, "Time in clocks."),)),
+    Reg("dirhold", "rw", "Shortest time from the fall of STEP to an edge of DIR, in clocks, 24 bits.", (Field("clocks", 0, 24, "Time in clocks."),)),
+    Reg("stop_accel", "rw", "Deceleration of a soft stop; one unit is f_clk^2 / 2^56 steps per second squared, 0 stops at once."),
+    Reg("mode", "rw", "Polarity of the two pins, one bit each.", (
+        _bit("step_invert", 0, "1: STEP is active low."),
+        _bit("dir_invert", 1, "1: DIR is low for negative."),
+    )),
+)
+ENCODER_REGS = (
+    Reg("mode", "rw", "How edges are counted, a number; only 0 is defined.", (
+        Field("select", 0, 4, "Counting mode, a number.", (("x4", 0, "Quadrature, every edge of A and B."),)),
+    )),
+    Reg("filter", "rw", "How long a level of A, B or index must stay before it counts, in clocks, 0 to 255.", (Field("clocks", 0, 8, "Time in clocks."),)),
+    Reg("errors", "ro", "Illegal transitions (A and B changed on the same clock) since power-up, a count modulo 2^16."),
+)
+PWM_REGS = (
+    Reg("period", "rw", "Length of a period in clocks, 24 bits; 0 is off. Taken at the next period edge.", (Field("clocks", 0, 24, "Time in clocks."),)),
+    Reg("mode", "rw", "Polarity of the pin.", (_bit("invert", 0, "1: the output is active low."),)),
+)
+
+STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", f"Timing and polarity of step generator {n}. Set while the gate is closed.", STEPGEN_REGS) for n in range(MAX_STEPGEN))
+ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", f"Filter and errors of encoder {n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
+PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period and polarity of PWM {n}.", PWM_REGS) for n in range(MAX_PWM))
+
+BANKS = (IDENT, TIMEBASE, WATCHDOG, GPIO, LED, COMMAND, STATUS) + STEPGEN + ENCODER + PWM
+
+
+def check():
+    """Refuses a map that cannot be one: overlapping pages, duplicate names, fields that overlap, empty prose."""
+    pages = list(LITEX_PAGES.values()) + [b.page for b in BANKS]
+    assert len(set(pages)) == len(pages), "two banks on one page"
+    for bank in BANKS:
+        assert bank.doc.endswith("."), f"{bank.name}: describe it in a sentence"
+        assert 4 * len(bank.regs) <= CSR_PAGE, f"{bank.name}: does not fit its page"
+        names = [r.name for r in bank.regs]
+        assert len(set(names)) == len(names), f"{bank.name}: duplicate register name"
+        for reg in bank.regs:
+            assert reg.access in ("ro", "rw", "wo"), f"{bank.name}.{reg.name}: access"
+            assert reg.doc.endswith("."), f"{bank.name}.{reg.name}: describe it in a sentence"
+            used = 0
+            for f in reg.fields:
+                mask = ((1 << f.width) - 1) << f.lsb
+                assert f.doc.endswith(".") and mask < 1 << 32 and not used & mask, f"{bank.name}.{reg.name}.{f.name}"
+                used |= mask
+
+
+check()

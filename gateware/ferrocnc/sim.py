@@ -1,0 +1,171 @@
+"""The simulated board: the same SoC with its pins as plain ports, behind a PHY that speaks GMII bytes.
+
+`elaborate` writes Verilog for the module `sim`, whose ports are the same whatever the board. Nothing in it depends on a
+firmware image: the ROM is one public array (`manifest.json` names it) which the simulator fills from an ELF.
+"""
+
+import json
+import re
+from pathlib import Path
+
+from migen import ClockDomain, Signal
+from litex.gen import LiteXModule
+from litex.build.generic_platform import GenericPlatform, Pins
+from litex.build.sim import common as sim_common
+from litex.soc.interconnect import stream
+from litex.soc.interconnect.csr import CSRField, CSRStatus, CSRStorage
+from liteeth.common import eth_phy_description
+
+from . import regmap as rm, soc as ferro
+
+PORTS = (
+    ("sys_clk", 1), ("sys_rst", 1), ("eth_clk", 1),
+    ("gmii_rx_data", 8), ("gmii_rx_dv", 1), ("gmii_tx_data", 8), ("gmii_tx_en", 1),
+    ("step", rm.MAX_STEPGEN), ("dir", rm.MAX_STEPGEN),
+    ("enc_a", rm.MAX_ENCODER), ("enc_b", rm.MAX_ENCODER), ("enc_i", rm.MAX_ENCODER),
+    ("pwm_out", rm.MAX_PWM), ("gpio_in", rm.MAX_IN), ("gpio_out", rm.MAX_OUT),
+    ("ext_reset", 1), ("led", 1), ("gate", 1), ("cpu_freeze", 1),
+)
+
+
+class _Platform(GenericPlatform):
+    def __init__(self):
+        GenericPlatform.__init__(self, "SIM", [(name, 0, Pins(width)) for name, width in PORTS], name="sim")
+
+    def get_verilog(self, *args, special_overrides=None, **kwargs):
+        overrides = dict(sim_common.sim_special_overrides)
+        overrides.update(special_overrides or {})
+        return GenericPlatform.get_verilog(self, *args, special_overrides=overrides, **kwargs)
+
+
+class _CRG(LiteXModule):
+    def __init__(self, platform):
+        self.rst = Signal()
+        self.cd_sys = ClockDomain()
+        self.comb += [
+            self.cd_sys.clk.eq(platform.request("sys_clk")),
+            self.cd_sys.rst.eq(platform.request("sys_rst") | self.rst),
+        ]
+
+
+class GMIIPHY(LiteXModule):
+    """LiteEthPHYRGMII without its DDR pins: the same register stages, the same registers, a byte per clock.
+
+        eth_clk   _/‾\\_/‾\\_/‾\\_
+        rx_dv     __/‾‾‾‾‾‾‾‾‾\\     preamble and FCS included, as on the wire
+        rx_data   --X55X55Xd5X..
+    """
+
+    dw, tx_clk_freq, rx_clk_freq = 8, 125e6, 125e6
+
+    def __init__(self, platform):
+        self.crg = LiteXModule()
+        self.crg._reset = CSRStorage()
+        self.rx = LiteXModule()
+        self.rx.inband_status = CSRStatus(fields=[CSRField("link_status", 1), CSRField("clock_speed", 2), CSRField("duplex_status", 1)])
+        self.mdio = LiteXModule()
+        self.mdio._w = CSRStorage(fields=[CSRField("mdc", 1), CSRField("oe", 1), CSRField("w", 1)], name="w")
+        self.mdio._r = CSRStatus(fields=[CSRField("r", 1)], name="r")
+        self.cd_eth_rx = ClockDomain()
+        self.cd_eth_tx = ClockDomain()
+        self.sink = sink = stream.Endpoint(eth_phy_description(8))
+        self.source = source = stream.Endpoint(eth_phy_description(8))
+
+        # # #
+
+        clk = platform.request("eth_clk")
+        rx_data, rx_dv = platform.request("gmii_rx_data"), platform.request("gmii_rx_dv")
+        tx_data, tx_en = platform.request("gmii_tx_data"), platform.request("gmii_tx_en")
+        reset = self.crg._reset.storage
+        self.comb += [
+            self.cd_eth_rx.clk.eq(clk), self.cd_eth_tx.clk.eq(clk),
+            self.cd_eth_rx.rst.eq(reset), self.cd_eth_tx.rst.eq(reset),
+            self.rx.inband_status.fields.link_status.eq(1),
+            self.rx.inband_status.fields.clock_speed.eq(2),
+            self.rx.inband_status.fields.duplex_status.eq(1),
+            sink.ready.eq(1),
+        ]
+        self.sync.eth_tx += [tx_en.eq(sink.valid), tx_data.eq(sink.data)]  # the ODDR's register
+        data, valid, valid_was = (Signal(8), Signal(8)), (Signal(), Signal()), Signal()
+        self.sync.eth_rx += [
+            data[0].eq(rx_data), valid[0].eq(rx_dv),  # the IDDR's register
+            data[1].eq(data[0]), valid[1].eq(valid[0]), valid_was.eq(valid[1]),
+            source.valid.eq(valid[1]), source.data.eq(data[1]),
+        ]
+        self.comb += source.last.eq(~valid[1] & valid_was)
+
+
+class SimSoC(ferro.FerroSoC):
+    def __init__(self, board):
+        platform = _Platform()
+        ferro.FerroSoC.__init__(self, platform, board, _CRG(platform), lambda soc: GMIIPHY(platform))
+        self._freeze(platform.request("cpu_freeze"))
+        pads, channels = self.cores.pads, board.channels
+        for port, signal, count in (
+            ("step", pads.step, channels.stepgen), ("dir", pads.dir, channels.stepgen),
+            ("pwm_out", pads.pwm, channels.pwm), ("gpio_out", pads.outputs, channels.outputs),
+            ("led", pads.led, 1), ("gate", pads.gate, 1),
+        ):
+            self.comb += platform.request(port).eq(signal if count else 0)
+        for port, signal in (("enc_a", pads.enc_a), ("enc_b", pads.enc_b), ("enc_i", pads.enc_i), ("gpio_in", pads.inputs)):
+            self.comb += signal.eq(platform.request(port))
+        # The port is active high whatever the board: the pin's own polarity is put back before the core.
+        self.comb += pads.ext_reset.eq(platform.request("ext_reset") ^ int(board.ext_reset_active_low))
+
+    def _freeze(self, freeze):
+        """A hung CPU: its clock stops between edges and it asks the bus for nothing. Change `cpu_freeze` while sys_clk is low."""
+        params = self.cpu.cpu_params
+        clock = Signal(name="cpu_clk")
+        self.comb += clock.eq(self.crg.cd_sys.clk & ~freeze)
+        params["i_clk"] = clock
+        for bus, port in ((self.cpu.ibus, "iBus"), (self.cpu.dbus, "dBus")):
+            asks = Signal()
+            params[f"o_{port}Wishbone_CYC"] = asks
+            self.comb += bus.cyc.eq(asks & ~freeze)
+
+
+def elaborate(board, out):
+    """Writes sim.v, manifest.json, csr.csv and board.bin. Returns the manifest."""
+    out = Path(out).resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    soc = SimSoC(board)
+    soc.finalize()
+    top = soc.platform.get_verilog(soc, name="sim")
+    (out / "sim.v").write_text(_self_contained(top))
+    (out / "csr.csv").write_text(ferro.csr_csv(soc))
+    (out / "board.bin").write_bytes(soc.blob)
+    manifest = {
+        "top": "sim",
+        "board": board.name,
+        "verilog": [str(Path(source[0]).resolve()) for source in soc.platform.sources] + [str(out / "sim.v")],
+        "rom_signal": "rom",
+        "rom_verilator": "sim__DOT__rom",
+        "rom_words": rm.ROM[1] // 4,
+        "sys_clk_hz": board.sys_clk_hz,
+        "eth_clk_hz": 125_000_000,
+        "abi": f"0x{ferro.abi_number(soc):08x}",
+        "csr_csv": str(out / "csr.csv"),
+        "board_blob": str(out / "board.bin"),
+        "ports": dict(PORTS),
+    }
+    (out / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
+    return manifest
+
+
+def _self_contained(top):
+    """One file, no `$readmemh`: a shared library has no folder to read from. The ROM is left to the simulator."""
+    text = top.main_source
+    rom = re.compile(r"^(\(\*[^\n]*\*\)\s*)?reg \[31:0\] rom\[0:\d+\];", re.M)
+    assert len(rom.findall(text)) == 1, "sim.v: the ROM's array is not where it used to be"
+    text = rom.sub(lambda m: m.group(0)[:-1] + " /*verilator public_flat_rw*/;", text)
+
+    def inline(match):
+        file, memory = match.groups()
+        if memory == "rom":
+            return "rom[0] = 32'h0000006f; // waits for an image: jumps to itself"
+        words = top.data_files[file].split()
+        return "\n    ".join(f"{memory}[{i}] = 32'h{w};" for i, w in enumerate(words) if int(w, 16))
+
+    text = re.sub(r'\$readmemh\("([^"]+)", (\w+)\);', inline, text)
+    assert "$readmemh" not in text
+    return re.sub(r"^// (Date|LiteX sha1|Filename).*\n", "", text, flags=re.M)

@@ -1,0 +1,217 @@
+"""The SoC: LiteX's bus, VexRiscv, LiteEth's MAC, the board's description in a ROM, and the cores.
+
+One class builds both targets, so that what is simulated is what is synthesised. A target brings its platform, its clocks
+and its PHY (`sim.py`, `ecp5.py`); everything behind the PHY is here.
+"""
+
+import hashlib
+import random
+from pathlib import Path
+
+from migen import Memory, Signal
+from litex.soc.integration import soc as litex_soc
+from litex.soc.integration.soc import SoCRegion
+from litex.soc.integration.soc_core import SoCCore
+from litex.soc.interconnect import csr_bus, wishbone
+from litex.soc.interconnect.csr import CSRStatus
+
+from . import VERSION, banks, board as board_file, regmap as rm
+
+RTL = Path(__file__).resolve().parent.parent / "rtl"
+
+
+class _BankArray(csr_bus.CSRBankArray):
+    """LiteX's array of CSR banks, plus the fabric's own slave on the same bus."""
+
+    def get_buses(self):
+        return super().get_buses() + self.source.fabric_buses
+
+
+litex_soc.csr_bus.CSRBankArray = _BankArray
+
+
+class FerroSoC(SoCCore):
+    """`phy` is called after the CPU exists, with the SoC, and returns LiteEth's idea of a PHY."""
+
+    csr_map = rm.LITEX_PAGES
+    mem_map = {"ethmac": rm.ETHMAC[0]}
+
+    def __init__(self, platform, board, crg, phy, rom_init=None):
+        self.board = board
+        self.blob = board_file.blob(board)
+        self.fabric_buses = []
+        self.crg = crg
+        SoCCore.__init__(
+            self, platform, board.sys_clk_hz,
+            ident="FerroCNC {}.{}.{} ".format(*VERSION) + board.name,
+            cpu_type="vexriscv", cpu_variant="standard",
+            integrated_rom_size=rm.ROM[1],
+            # Random words: a constant ROM is optimised away, and ecpbram finds the image's place by this pattern.
+            integrated_rom_init=rom_init or random_words(rm.ROM[1] // 4),
+            integrated_sram_size=rm.RAM[1],
+            with_uart=False,
+            csr_address_width=rm.CSR_ADDRESS_WIDTH,
+            bus_timeout=None,  # its counter sits in the acknowledge path and costs 16 MHz
+        )
+        self.ethphy = phy(self)
+        self.add_ethernet(
+            phy=self.ethphy, data_width=32, with_timing_constraints=False,
+            nrxslots=rm.ETHMAC_RX_SLOTS, ntxslots=rm.ETHMAC_TX_SLOTS)
+        self._add_board_rom()
+        self._add_cores()
+
+    def _add_board_rom(self):
+        origin, size = rm.BOARD_ROM
+        words = board_file.blob_words(self.blob)
+        memory = Memory(32, size // 4, init=words + [0] * (size // 4 - len(words)), name="board_rom")
+        self.board_rom = wishbone.SRAM(memory, read_only=True, bus=wishbone.Interface(data_width=32, address_width=32, addressing="word"))
+        self.bus.add_slave("board_rom", self.board_rom.bus, SoCRegion(origin=origin, size=size, mode="r", cached=False))
+
+    def _add_cores(self):
+        for source in sorted(RTL.glob("*.sv")):
+            self.platform.add_source(str(source), "systemverilog")
+        self.cores = cores = banks.Cores(
+            self.board.channels, self.board.sys_clk_hz, len(self.blob) // 4, self.board.ext_reset_active_low)
+        self.fabric_buses.append(cores.bus)
+        fifo = self.ethmac.interface.sram.writer.stat_fifo
+        self.comb += [
+            cores.frame_done.eq(fifo.sink.valid),
+            cores.frame_slot.eq(fifo.sink.payload.slot),
+            cores.frame_pending.eq(fifo.source.valid),
+            cores.pending_slot.eq(fifo.source.payload.slot),
+        ]
+
+    def do_finalize(self):
+        check_map(self)
+        self.comb += self.cores.abi.eq(abi_number(self))
+        SoCCore.do_finalize(self)
+
+
+def random_words(count):
+    """The same words on every machine and in every run."""
+    rng = random.Random(0x4643_6E43)
+    return [rng.getrandbits(32) for _ in range(count)]
+
+
+# The map as built -------------------------------------------------------------------------------------------------
+
+def litex_banks(soc):
+    """LiteX's own pages as they were built, in `regmap` terms. LiteX documents few of its registers; the prose is ours."""
+    out = []
+    for name, page in rm.LITEX_PAGES.items():
+        region = soc.csr.regions[name]
+        regs = []
+        if not isinstance(region.obj, Memory):
+            for csr in region.obj:
+                if csr.size > 32:
+                    raise ValueError(f"{name}.{csr.name}: {csr.size} bits; LiteX splits such a register, and no half of it is atomic")
+                access = "ro" if isinstance(csr, CSRStatus) and not hasattr(csr, "r") else "rw"
+                prose = LITEX_PROSE.get((name, csr.name))
+                if prose is None:
+                    raise ValueError(f"{name}.{csr.name}: LiteX register without prose; add it to soc.LITEX_PROSE")
+                fields = tuple(
+                    rm.Field(f.name, f.offset, f.size, f"Part of {csr.name}.") for f in getattr(getattr(csr, "fields", None), "fields", ()))
+                regs.append(rm.Reg(csr.name, access, prose, fields))
+        out.append(rm.Bank(name, page, name, LITEX_DOC[name], tuple(regs)))
+    return out
+
+
+LITEX_DOC = {
+    "ctrl": "LiteX's system controller.",
+    "identifier_mem": "LiteX's identifier: one character per word, \"FerroCNC <version> <board>\", ended by 0.",
+    "timer0": "LiteX's timer: counts down in clocks.",
+    "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000.",
+    "ethphy": "LiteEth's PHY.",
+}
+
+LITEX_PROSE = {
+    ("ctrl", "reset"): "Bit 0 resets the whole SoC, bit 1 the CPU alone; one bit each, written 1.",
+    ("ctrl", "scratch"): "A word that does nothing; powers up as 0x12345678, no unit.",
+    ("ctrl", "bus_errors"): "Bus errors since reset, a count.",
+    ("timer0", "load"): "Value in clocks the timer starts from when enabled.",
+    ("timer0", "reload"): "Value in clocks the timer starts again from at 0; 0 is one shot.",
+    ("timer0", "en"): "1 runs the timer, one bit.",
+    ("timer0", "update_value"): "Writing it catches the timer in `value`, one bit.",
+    ("timer0", "value"): "The caught value of the timer in clocks.",
+    ("timer0", "ev_status"): "Level of the timer's event, one bit.",
+    ("timer0", "ev_pending"): "The timer has reached 0; write 1 to clear, one bit.",
+    ("timer0", "ev_enable"): "1 lets the event interrupt the CPU, one bit.",
+    ("ethmac", "sram_writer_slot"): "Receive slot of the frame now presented, a number.",
+    ("ethmac", "sram_writer_length"): "Length of the frame now presented, in bytes without FCS.",
+    ("ethmac", "sram_writer_errors"): "Frames dropped because no receive slot was free, a count.",
+    ("ethmac", "sram_writer_ev_status"): "Level: a frame is presented, one bit.",
+    ("ethmac", "sram_writer_ev_pending"): "A frame is presented; write 1 to give its slot back, one bit.",
+    ("ethmac", "sram_writer_ev_enable"): "1 lets a received frame interrupt the CPU, one bit.",
+    ("ethmac", "sram_reader_start"): "Writing it sends the frame in the chosen slot, one bit.",
+    ("ethmac", "sram_reader_ready"): "1: another frame can be queued, one bit.",
+    ("ethmac", "sram_reader_level"): "Frames queued for sending, a count.",
+    ("ethmac", "sram_reader_slot"): "Transmit slot to send, a number.",
+    ("ethmac", "sram_reader_length"): "Length of the frame to send, in bytes without FCS.",
+    ("ethmac", "sram_reader_ev_status"): "Level: a frame has been sent, one bit.",
+    ("ethmac", "sram_reader_ev_pending"): "A frame has been sent; write 1 to clear, one bit.",
+    ("ethmac", "sram_reader_ev_enable"): "1 lets a sent frame interrupt the CPU, one bit.",
+    ("ethmac", "preamble_crc"): "1: the MAC makes and checks preamble and FCS, one bit.",
+    ("ethmac", "rx_datapath_preamble_errors"): "Frames dropped for a wrong preamble, a count.",
+    ("ethmac", "rx_datapath_crc_errors"): "Frames dropped for a wrong FCS, a count.",
+    ("ethphy", "crg_reset"): "1 resets the PHY. Never write it: this PHY makes the FPGA's clock. One bit.",
+    ("ethphy", "rx_inband_status"): "What the PHY says about its link: bit 0 up, bits 2:1 speed (2 is 1000 Mbit/s), bit 3 full duplex.",
+    ("ethphy", "mdio_w"): "Lines to the PHY's management port: bit 0 clock, bit 1 output enable, bit 2 data.",
+    ("ethphy", "mdio_r"): "Data line from the PHY's management port, one bit.",
+}
+
+
+def check_map(soc):
+    """The built SoC has every region where `regmap` says it is: otherwise the PAC would lie."""
+    for name, (origin, size) in {"rom": rm.ROM, "sram": rm.RAM, "ethmac": rm.ETHMAC, "board_rom": rm.BOARD_ROM}.items():
+        region = soc.bus.regions[name]
+        assert (region.origin, region.size) == (origin, size), f"{name}: built at {region.origin:#x}, {region.size:#x} bytes"
+    assert soc.bus.regions["csr"].origin == rm.CSR_BASE
+    for name, page in rm.LITEX_PAGES.items():
+        assert soc.csr.regions[name].origin == rm.CSR_BASE + page * rm.CSR_PAGE, f"{name}: not on page {page}"
+
+
+def all_banks(soc):
+    """Every bank of the map in address order: LiteX's as built, ours with all channels present."""
+    return litex_banks(soc) + list(rm.BANKS)
+
+
+def normalised_map(soc):
+    """The map as text, one fact per line: what the ABI number is the hash of. Prose is not part of it."""
+    lines = [f"wire {rm.WIRE_LAYOUT}"]
+    lines += [f"memory {n} {o:08x} {s:x}" for n, (o, s) in (("rom", rm.ROM), ("ram", rm.RAM), ("ethmac", rm.ETHMAC), ("board_rom", rm.BOARD_ROM))]
+    for bank in all_banks(soc):
+        for i, reg in enumerate(bank.regs):
+            lines.append(f"{bank.base + 4 * i:08x} {bank.name}.{reg.name} {reg.access}")
+            for f in reg.fields:
+                lines.append(f"  {f.lsb}:{f.width} {f.name} " + " ".join(f"{n}={v}" for n, v, _ in f.values))
+    lines += [f"key {n} {k:08x}" for n, k in (("arm", rm.ARM), ("soft", rm.SOFT), ("stop", rm.STOP), ("clear", rm.CLEAR))]
+    return "\n".join(lines) + "\n"
+
+
+def abi_number(soc):
+    return int.from_bytes(hashlib.sha256(normalised_map(soc).encode()).digest()[:4], "big")
+
+
+def csr_csv(soc):
+    """The map as LiteX's RemoteClient reads it, with this board's channels only."""
+    present = {"stepgen": soc.board.channels.stepgen, "encoder": soc.board.channels.encoder, "pwm": soc.board.channels.pwm}
+    bases, registers = [], []
+    for bank in all_banks(soc):
+        if bank.kind in present and int(bank.name[len(bank.kind):]) >= present[bank.kind]:
+            continue
+        bases.append(f"csr_base,{bank.name},0x{bank.base:08x},,")
+        for i, reg in enumerate(bank.regs):
+            registers.append(f"csr_register,{bank.name}_{reg.name},0x{bank.base + 4 * i:08x},1,{'ro' if reg.access == 'ro' else 'rw'}")
+    tail = [
+        f"constant,config_clock_frequency,{soc.board.sys_clk_hz},,",
+        "constant,config_csr_data_width,32,,",
+        "constant,config_csr_alignment,32,,",
+        "constant,config_bus_standard,wishbone,,",
+        "constant,config_bus_data_width,32,,",
+        f"memory_region,rom,0x{rm.ROM[0]:08x},{rm.ROM[1]},cached",
+        f"memory_region,sram,0x{rm.RAM[0]:08x},{rm.RAM[1]},cached",
+        f"memory_region,ethmac,0x{rm.ETHMAC[0]:08x},{rm.ETHMAC[1]},io",
+        f"memory_region,board_rom,0x{rm.BOARD_ROM[0]:08x},{rm.BOARD_ROM[1]},io",
+        f"memory_region,csr,0x{rm.CSR_BASE:08x},{4 << rm.CSR_ADDRESS_WIDTH},io",
+    ]
+    return "# Generated by gateware/ferrocnc; do not edit.\n" + "\n".join(bases + registers + tail) + "\n"
