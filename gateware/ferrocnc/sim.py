@@ -168,4 +168,5 @@ def _self_contained(top):
 
     text = re.sub(r'\$readmemh\("([^"]+)", (\w+)\);', inline, text)
     assert "$readmemh" not in text
-    return re.sub(r"^// (Date|LiteX sha1|Filename).*\n", "", text, flags=re.M)
+    # No `timescale: the cores have none, and time is the simulator's affair.
+    return re.sub(r"^(// (Date|LiteX sha1|Filename)|`timescale).*\n", "", text, flags=re.M)
