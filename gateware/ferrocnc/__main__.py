@@ -20,23 +20,31 @@ def main(argv=None):
     p.add_argument("--board", required=True, help="boards/NAME.toml")
     p.add_argument("--out", required=True)
 
-    p = sub.add_parser("export", help="write pac/soc.svd, pac/src, memory.x and docs/registers.md")
+    p = sub.add_parser("export", help="write pac/soc.svd, pac/src/abi.rs, memory.x and docs/registers.md")
     p.add_argument("--root", default=str(ROOT), help="the tree to write into (default: this one)")
     p.add_argument("--check-out", metavar="DIR", help="the same as --root DIR: write into a scratch tree to compare with")
+
+    p = sub.add_parser("pac", help="make the PAC's lib.rs from the exported SVD")
+    p.add_argument("--svd", default=str(ROOT / "pac" / "soc.svd"))
     p.add_argument("--svd2rust", help="svd2rust 0.37.1 (default: target/tools/bin/svd2rust, then PATH)")
+    p.add_argument("--out", default=str(ROOT / "pac" / "src" / "lib.rs"))
 
     p = sub.add_parser("bitstream", help="synthesise, place, route and pack a board; a missed clock is a failed build")
     p.add_argument("--board", required=True, help="boards/NAME.toml")
     p.add_argument("--out", required=True)
-    p.add_argument("--firmware", help="image to put into the ROM: a flat binary")
+    p.add_argument("--firmware", help="image to put into the ROM: an ELF file or a flat binary")
     p.add_argument("--seed", type=int, default=1, help="nextpnr's seed")
+    p.add_argument("--json", help="write the report here")
+
+    p = sub.add_parser("bench", help="synthesise the cores and the named boards and say how big they are")
+    p.add_argument("--out", required=True)
     p.add_argument("--json", help="write the report here")
 
     args = parser.parse_args(argv)
     # LiteX logs to the root logger at INFO, in colours, hundreds of lines.
     logging.disable(logging.NOTSET if args.verbose else logging.WARNING)
     try:
-        return {"elaborate": _elaborate, "export": _export, "bitstream": _bitstream}[args.command](args)
+        return {"elaborate": _elaborate, "export": _export, "pac": _pac, "bitstream": _bitstream, "bench": _bench}[args.command](args)
     except BoardError as e:
         print(f"error: {e}", file=sys.stderr)
         return 1
@@ -57,15 +65,26 @@ def _elaborate(args):
 
 def _export(args):
     from . import export
-    root = Path(args.check_out or args.root)
-    for path in export.export(root, ROOT, args.svd2rust):
+    for path in export.export(Path(args.check_out or args.root), ROOT):
         print(path)
+    return 0
+
+
+def _pac(args):
+    from . import export
+    export.pac(args.svd, args.out, args.svd2rust or export.find_svd2rust(ROOT))
+    print(args.out)
     return 0
 
 
 def _bitstream(args):
     from . import build
     return build.bitstream(read_board(args.board), Path(args.out), args.firmware, args.seed, args.json)
+
+
+def _bench(args):
+    from . import build
+    return build.bench(ROOT, Path(args.out), args.json)
 
 
 if __name__ == "__main__":

@@ -13,8 +13,8 @@
 // clocks. steplen and stepspace 0 are read as 1, accel 0 as "no limit". Fastest: steplen = stepspace = 1, f_clk/2.
 //
 //   commit       _/‾\__________________     the command is taken at the end of this clock,
-//   target       ----X new ------------     the ramp pauses one clock to learn its direction,
-//   velocity     ------------X--X--X--X     and the velocity moves from then on, every clock.
+//   target       ----X new ------------     the ramp pauses for this clock and one more, to learn its
+//   velocity     -----------X--X--X--X      direction; the velocity moves from then on, every clock.
 //
 // `stop`, or enable = 0 at a commit, ramps to rest at `stop_accel`. `gate` = 0 makes STEP inactive on the next clock,
 // forgets target and velocity and keeps the position; DIR keeps its level, so that no edge disturbs the last pulse. After
@@ -59,7 +59,8 @@ module stepgen (
     logic [31:0] target  = 32'd0;
     logic [31:0] limit   = 32'd0;
 
-    wire take = commit & ~halt;
+    wire take  = commit & ~halt;
+    wire pause = fresh | take | (halt & ~halted);
 
     always_ff @(posedge clk) begin
         halted <= halt;
@@ -82,7 +83,7 @@ module stepgen (
         up   <= $signed(v[55:24]) < $signed(target);
         jump <= limit == 32'd0;
         if (~gate) v <= 56'd0;
-        else if (~fresh) v <= arrived ? {target, 24'd0} : moved[55:0];
+        else if (~pause) v <= arrived ? {target, 24'd0} : moved[55:0];
     end
 
     assign velocity_now = v[55:24];
@@ -139,7 +140,7 @@ module stepgen (
         if (turn) setup <= 1'b1;
         else if (fall) setup <= 1'b0;
 
-        stopped <= halt & halted & ~fresh & arrived & ~pulse_next;
+        stopped <= halt & halted & ~pause & arrived & ~pulse_next;
     end
 
     initial begin
