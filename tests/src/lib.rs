@@ -1,1 +1,557 @@
-//! ferrocnc-tests
+//! A board on the bench for the tests in this crate: the Verilated SoC with the release image, and a host that speaks the
+//! protocol the way the driver does.
+//!
+//! [`Machine`] arranges in one line what a test needs (started, acquired, armed) and asks one thing at a time. Where the
+//! board and the image come from is said by `FERROCNC_SOC` and `FERROCNC_FIRMWARE`, which `cargo xtask test` sets.
+
+use sim::edges;
+use sim::firmware::Image;
+use sim::rig::RIG_PORT;
+use sim::segment::{BOARD_PORT, HOST_IP};
+use sim::{Rig, exchange::Spread};
+use std::path::PathBuf;
+use wire::describe::{Channels, Describe};
+use wire::exchange::{Command, Status};
+use wire::state::State;
+use wire::units::{Accel, Clocks};
+use wire::{Refusal, map};
+
+/// UDP port of a host that owns nothing.
+pub const STRANGER: u16 = 50_505;
+
+/// One servo period, as everywhere in LinuxCNC's examples.
+const PERIOD_MS: u64 = 1;
+
+/// Step timing of the armed machine, ns: an ordinary drive's.
+const STEPLEN_NS: u64 = 1_000;
+const STEPSPACE_NS: u64 = 1_000;
+const DIRSETUP_NS: u64 = 2_000;
+const DIRHOLD_NS: u64 = 2_000;
+/// Deceleration of a soft stop, steps/s^2.
+pub const STOP_ACCEL: f64 = 1e8;
+/// Watchdog timeout, ns: five missed 1 kHz periods, hostmot2's default.
+const WATCHDOG_NS: u64 = 5_000_000;
+/// Longest soft stop, ns.
+const GRACE_NS: u64 = 10_000_000;
+
+/// A board with the release image, and the host that may own it.
+pub struct Machine {
+    rig: Rig,
+    describe: Describe,
+    token: u32,
+    sequence: u32,
+    image: Image,
+}
+
+/// A board and an image to run it with, from the environment.
+pub fn parts() -> (PathBuf, PathBuf) {
+    let from = |name: &str| {
+        let value = std::env::var_os(name);
+        PathBuf::from(
+            value
+                .unwrap_or_else(|| panic!("{name} is not set; run this as `cargo xtask test soc`")),
+        )
+    };
+    (from("FERROCNC_SOC"), from("FERROCNC_FIRMWARE"))
+}
+
+/// The seed of this run: `FERROCNC_SEED`, or one from the clock. Printed, and part of every message that depends on it.
+pub fn seed() -> u64 {
+    let given = std::env::var("FERROCNC_SEED")
+        .ok()
+        .and_then(|text| text.parse().ok());
+    let seed = given.unwrap_or_else(|| {
+        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+        now.map_or(1, |since| since.as_millis() as u64)
+    });
+    println!("FERROCNC_SEED={seed}");
+    seed
+}
+
+/// Bytes from hexadecimal digits; spaces are for the reader.
+pub fn hex(text: &str) -> Vec<u8> {
+    let digits: Vec<u8> = text
+        .chars()
+        .filter_map(|c| c.to_digit(16))
+        .map(|d| d as u8)
+        .collect();
+    digits
+        .chunks(2)
+        .map(|pair| pair[0] << 4 | pair[1])
+        .collect()
+}
+
+fn to_bytes(words: &[u32]) -> Vec<u8> {
+    words.iter().flat_map(|word| word.to_be_bytes()).collect()
+}
+
+fn to_words(bytes: &[u8]) -> Vec<u32> {
+    bytes
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|chunk| u32::from_be_bytes(*chunk))
+        .collect()
+}
+
+impl Machine {
+    /// A board that has just started.
+    pub fn start() -> Self {
+        let (soc, firmware) = parts();
+        Self::start_with(&soc, &firmware)
+    }
+
+    /// As [`Machine::start`], from these places.
+    pub fn start_with(soc: &std::path::Path, firmware: &std::path::Path) -> Self {
+        let mut rig = Rig::start(soc, firmware).unwrap_or_else(|error| panic!("{error}"));
+        let image = Image::read(firmware, rig.board.silicon().rom_words())
+            .unwrap_or_else(|error| panic!("{error}"));
+        let words = rig
+            .read_block(map::DESCRIBE, wire::describe::WORDS as u32)
+            .expect("the board describes itself");
+        let words = words.try_into().expect("as many words as were asked for");
+        let describe = Describe::parse(&words).unwrap_or_else(|error| panic!("{error}"));
+        Machine {
+            rig,
+            describe,
+            token: 0,
+            sequence: 0,
+            image,
+        }
+    }
+
+    /// A board that is armed by us and moves nothing.
+    pub fn armed() -> Self {
+        let mut machine = Self::start();
+        machine.make_ready();
+        machine
+    }
+
+    /// Acquires, configures and arms.
+    pub fn make_ready(&mut self) {
+        self.acquire();
+        self.configure();
+        let mut command = self.enabled_command();
+        self.rearm(&mut command);
+    }
+
+    /// Takes the session.
+    pub fn acquire(&mut self) {
+        self.write(map::SESSION_ACQUIRE, 0x1234_5678);
+        self.token = self.read(map::SESSION_TOKEN);
+        assert_ne!(self.token, 0, "the session was not granted");
+        self.sequence = self.read(map::SESSION_LAST_SEQ);
+    }
+
+    /// Writes step timings and watchdog of an ordinary machine, and tells the judge at the pins about them.
+    pub fn configure(&mut self) {
+        let clocks = |ns| Clocks::from_nanos_ceil(ns, self.describe.clock_hz).0;
+        let timing = edges::Timing {
+            steplen: clocks(STEPLEN_NS),
+            stepspace: clocks(STEPSPACE_NS),
+            dirsetup: clocks(DIRSETUP_NS),
+            dirhold: clocks(DIRHOLD_NS),
+        };
+        let (timeout, grace) = (clocks(WATCHDOG_NS) as u32, clocks(GRACE_NS) as u32);
+        let stop = Accel::from_steps(STOP_ACCEL, self.clock_hz());
+        for n in 0..u32::from(self.describe.channels.stepgens) {
+            let block = [
+                timing.steplen,
+                timing.stepspace,
+                timing.dirsetup,
+                timing.dirhold,
+            ]
+            .map(|c| c as u32);
+            let base = map::CONFIG_STEPGEN + n * map::CONFIG_STRIDE;
+            self.rig.write_words(base, &block);
+            self.rig
+                .write_words(base + 4 * map::StepgenConfig::StopAccel as u32, &[stop.0]);
+            self.rig.board.edges.set_timing(n as usize, timing);
+        }
+        self.rig.write_words(map::CONFIG_BOARD, &[timeout, grace]);
+        assert_eq!(
+            self.read(map::CONFIG_BOARD),
+            timeout,
+            "the watchdog's timeout was not taken"
+        );
+    }
+
+    /// A command that allows motion and asks for none.
+    pub fn enabled_command(&self) -> Command {
+        Command {
+            enable: true,
+            enable_request: true,
+            stepgen_enable: u16::MAX,
+            ..Command::default()
+        }
+    }
+
+    /// Asks to arm with a rising edge, and waits until it happened.
+    pub fn rearm(&mut self, command: &mut Command) {
+        for request in [false, false, true, true, true] {
+            command.enable_request = request;
+            self.exchange_and_wait(command);
+        }
+        let status = self.exchange_and_wait(command);
+        assert_eq!(
+            status.state.state,
+            State::Armed,
+            "arming failed: {:?}",
+            status.state
+        );
+        assert!(self.gate_open());
+    }
+
+    // ---- datagrams -----------------------------------------------------------------------------------------------------
+
+    /// Sends a datagram from our port and waits for its answer.
+    pub fn ask(&mut self, datagram: &[u8]) -> Option<Vec<u8>> {
+        self.ask_from(RIG_PORT, datagram)
+    }
+
+    /// Sends a datagram from this port and waits for its answer.
+    pub fn ask_from(&mut self, port: u16, datagram: &[u8]) -> Option<Vec<u8>> {
+        self.rig
+            .request((HOST_IP, port), BOARD_PORT, datagram)
+            .map(|reply| reply.payload)
+    }
+
+    /// As [`Machine::ask`], in words.
+    pub fn ask_words(&mut self, words: &[u32]) -> Option<Vec<u32>> {
+        self.ask(&to_bytes(words)).map(|bytes| to_words(&bytes))
+    }
+
+    /// Sends datagrams with nothing but the inter-frame gap between them; all answers.
+    pub fn ask_back_to_back(&mut self, datagrams: &[Vec<u8>]) -> Vec<Vec<u8>> {
+        self.rig.take_datagrams();
+        for datagram in datagrams {
+            self.rig.post((HOST_IP, RIG_PORT), BOARD_PORT, datagram);
+        }
+        self.rig.run_ms(1);
+        self.rig
+            .take_datagrams()
+            .into_iter()
+            .map(|(datagram, _)| datagram.payload)
+            .collect()
+    }
+
+    /// Sends a datagram and waits for nothing but the time to handle it.
+    pub fn tell_from(&mut self, port: u16, datagram: &[u8]) {
+        self.rig.post((HOST_IP, port), BOARD_PORT, datagram);
+        self.rig.run(4_000);
+        self.rig.take_datagrams();
+    }
+
+    /// Reads one word.
+    pub fn read(&mut self, address: u32) -> u32 {
+        self.rig
+            .read_word(address)
+            .unwrap_or_else(|| panic!("no answer to a read of {address:#010x}"))
+    }
+
+    /// Reads one word and says so: a plain read is no command and must not keep the watchdog quiet.
+    pub fn read_while_silent(&mut self, address: u32) -> u32 {
+        self.read(address)
+    }
+
+    /// Writes one word.
+    pub fn write(&mut self, address: u32, value: u32) {
+        self.rig.write_words(address, &[value]);
+    }
+
+    /// Everything a datagram could have changed: configuration, session, staged commands, gate.
+    pub fn registers(&mut self) -> Vec<u32> {
+        let mut addresses = vec![
+            map::SESSION_OWNER_IP,
+            map::SESSION_OWNER_PORT,
+            map::SESSION_LAST_SEQ,
+        ];
+        let channels = self.describe.channels;
+        let blocks = [
+            (
+                map::CONFIG_STEPGEN,
+                u32::from(channels.stepgens),
+                map::STEPGEN_CONFIG_WORDS,
+            ),
+            (
+                map::CONFIG_PWM,
+                u32::from(channels.pwms),
+                map::PWM_CONFIG_WORDS,
+            ),
+            (
+                map::CONFIG_ENCODER,
+                u32::from(channels.encoders),
+                map::ENCODER_CONFIG_WORDS,
+            ),
+            (map::CONFIG_BOARD, 1, map::BOARD_CONFIG_WORDS),
+        ];
+        for (base, count, words) in blocks {
+            for n in 0..count {
+                addresses.extend((0..words).map(|word| base + n * map::CONFIG_STRIDE + 4 * word));
+            }
+        }
+        // The command bank as the bus sees it: page 14, 50 words.
+        addresses.extend((0..50).map(|word| map::SERVICE + 14 * 0x800 + 4 * word));
+        let mut words = Vec::new();
+        for chunk in addresses.chunks(64) {
+            words.extend(self.rig.read_words(chunk).expect("an answer to a read"));
+        }
+        words.push(u32::from(self.gate_open()));
+        words
+    }
+
+    /// How many datagrams were refused for this reason.
+    pub fn refusals(&mut self, reason: Refusal) -> u32 {
+        self.read(map::COUNTERS_REFUSED + 4 * reason.index() as u32)
+    }
+
+    /// Text of the last panic.
+    pub fn panic_text(&mut self) -> String {
+        let length = self.read(map::PANIC + 4).min(map::PANIC_TEXT_LEN);
+        let words = self
+            .rig
+            .read_block(map::PANIC_TEXT, length.div_ceil(4))
+            .expect("the panic text");
+        String::from_utf8_lossy(&to_bytes(&words)[..length as usize]).into_owned()
+    }
+
+    // ---- the exchange ----------------------------------------------------------------------------------------------------
+
+    /// A command as the bytes of its datagram, token and sequence number as they stand in it.
+    pub fn command_bytes(&self, command: &Command) -> Vec<u8> {
+        let mut buffer = [0; wire::MAX_WORDS];
+        to_bytes(
+            command
+                .emit_request(self.describe.channels, &mut buffer)
+                .expect("room for the request"),
+        )
+    }
+
+    /// One exchange with the next sequence number.
+    pub fn exchange(&mut self, command: &mut Command) -> Status {
+        self.sequence = self.sequence.wrapping_add(1);
+        (command.token, command.sequence) = (self.token, self.sequence);
+        let bytes = self.command_bytes(command);
+        let reply = self
+            .rig
+            .exchange(&bytes)
+            .expect("an answer to the exchange");
+        let status = Status::parse_reply(&reply.words(), self.describe.channels);
+        let status =
+            status.unwrap_or_else(|error| panic!("the status block is malformed: {error}"));
+        assert_eq!(status.sequence, command.sequence);
+        status
+    }
+
+    /// One exchange, then the rest of the servo period.
+    pub fn exchange_and_wait(&mut self, command: &mut Command) -> Status {
+        let end = self.clock() + self.rig.clocks(std::time::Duration::from_millis(PERIOD_MS));
+        let status = self.exchange(command);
+        self.rig.run(end.saturating_sub(self.clock()));
+        status
+    }
+
+    /// Turnarounds of the last exchanges, clocks from the last request byte to the first reply byte.
+    pub fn turnarounds(&self, last: usize) -> Vec<u32> {
+        let all = &self.rig.meter.turnarounds;
+        all[all.len().saturating_sub(last)..].to_vec()
+    }
+
+    /// Smallest, median and largest of [`Machine::turnarounds`].
+    pub fn turnaround_spread(&self, last: usize) -> Spread {
+        Spread::of(&self.turnarounds(last)).unwrap_or_default()
+    }
+
+    // ---- time, pins, faults ------------------------------------------------------------------------------------------------
+
+    /// Clocks since power-up.
+    pub fn clock(&self) -> u64 {
+        self.rig.clock()
+    }
+
+    /// The board's clock, Hz.
+    pub fn clock_hz(&self) -> f64 {
+        f64::from(self.describe.clock_hz)
+    }
+
+    /// What the board has.
+    pub fn channels(&self) -> Channels {
+        self.describe.channels
+    }
+
+    /// Lets milliseconds of board time pass in silence.
+    pub fn run_millis(&mut self, millis: u64) {
+        self.rig.run_ms(millis);
+    }
+
+    /// Pulses at an axis' pins, signed.
+    pub fn pulses(&self, axis: usize) -> i64 {
+        self.rig.board.edges.channel(axis).count
+    }
+
+    /// Pulses at an axis' pins, either way.
+    pub fn edges(&self, axis: usize) -> u64 {
+        self.rig.board.edges.channel(axis).pulses
+    }
+
+    /// When an axis' STEP last rose.
+    pub fn last_step(&self, axis: usize) -> Option<u64> {
+        self.rig.board.edges.channel(axis).last_rise
+    }
+
+    /// Broken rules of step timing so far.
+    pub fn timing_violations(&self) -> u64 {
+        self.rig.board.edges.violation_count()
+    }
+
+    /// Clocks a soft stop from this command's rate takes.
+    pub fn soft_stop_clocks(&self, command: &Command, axis: usize) -> u64 {
+        let rate = command.stepgen[axis].0.to_hz(self.clock_hz()).abs();
+        (rate / STOP_ACCEL * self.clock_hz()).ceil() as u64
+    }
+
+    /// Whether outputs are live.
+    pub fn gate_open(&self) -> bool {
+        self.rig.pins().gate != 0
+    }
+
+    /// Levels at the general outputs.
+    pub fn outputs(&self) -> u32 {
+        self.rig.pins().gpio_out
+    }
+
+    /// Stops the CPU's clock; everything else runs on.
+    pub fn freeze_cpu(&mut self) {
+        self.rig.freeze_cpu(true);
+    }
+
+    /// Raises the external reset pin; how many clocks until the gate is closed.
+    pub fn external_reset_until_gate_closes(&mut self) -> u64 {
+        let raised = self.clock();
+        self.rig.ext_reset(true);
+        while self.gate_open() && self.clock() < raised + 1000 {
+            self.rig.run(1);
+        }
+        self.clock() - raised
+    }
+
+    /// A bit flips in the instruction memory: the next ping runs into an illegal instruction. Once the gate has closed the
+    /// memory is as it was, as after a soft error.
+    pub fn trap_cpu(&mut self) {
+        let mut broken = self.image.words.clone();
+        let (start, end) = symbol(&self.firmware(), "process_icmpv4");
+        for word in &mut broken[start / 4..end / 4] {
+            *word = 0;
+        }
+        self.rig.board.silicon().load_rom(&broken);
+        assert_eq!(self.rig.ping(), None, "a trapped CPU answers no ping");
+        assert!(!self.gate_open(), "the trap must have closed the gate");
+        let whole = self.image.words.clone();
+        self.rig.board.silicon().load_rom(&whole);
+    }
+
+    fn firmware(&self) -> PathBuf {
+        parts().1
+    }
+
+    /// Round trip of a ping in clocks.
+    pub fn ping(&mut self) -> Option<u64> {
+        self.rig.ping()
+    }
+
+    /// One session on the console.
+    pub fn console(&mut self, text: &str) -> String {
+        self.rig
+            .tcp_console(text)
+            .unwrap_or_else(|error| panic!("{error}"))
+    }
+}
+
+/// Address range of the first function whose name contains `part`.
+fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
+    use object::{Object, ObjectSymbol};
+    let bytes = std::fs::read(elf).unwrap_or_else(|error| panic!("{}: {error}", elf.display()));
+    let file =
+        object::File::parse(&*bytes).unwrap_or_else(|error| panic!("{}: {error}", elf.display()));
+    let found = file
+        .symbols()
+        .find(|s| s.size() > 0 && s.name().is_ok_and(|name| name.contains(part)));
+    let found = found.unwrap_or_else(|| panic!("{} has no function {part}", elf.display()));
+    (
+        found.address() as usize,
+        (found.address() + found.size()) as usize,
+    )
+}
+
+/// The simulator as a program of its own, behind real sockets; ends with the test.
+pub struct Simulator {
+    child: std::process::Child,
+    soc: PathBuf,
+    udp: std::net::SocketAddr,
+    console: std::net::SocketAddr,
+}
+
+impl Simulator {
+    /// Starts it on free ports with these further arguments and waits until the board answers.
+    pub fn start(arguments: &[&str]) -> Self {
+        use std::io::BufRead;
+        let (soc, firmware) = parts();
+        let udp = std::net::UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
+        let console =
+            std::net::TcpListener::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
+        let (udp, console) = (
+            udp.expect("a free UDP port"),
+            console.expect("a free TCP port"),
+        );
+        let program =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/release/ferrocnc-sim");
+        let mut child = std::process::Command::new(&program)
+            .arg("--soc")
+            .arg(&soc)
+            .arg("--firmware")
+            .arg(&firmware)
+            .args(["--udp", &udp.to_string(), "--console", &console.to_string()])
+            .args(arguments)
+            .stdout(std::process::Stdio::piped())
+            .stdin(std::process::Stdio::piped())
+            .spawn()
+            .unwrap_or_else(|error| panic!("{}: {error}", program.display()));
+        let stdout = child.stdout.take().expect("its output is piped");
+        let mut ready = String::new();
+        std::io::BufReader::new(stdout)
+            .read_line(&mut ready)
+            .expect("its first line");
+        assert!(
+            ready.contains("ready"),
+            "the simulator said {ready:?} instead of being ready"
+        );
+        Simulator {
+            child,
+            soc,
+            udp,
+            console,
+        }
+    }
+
+    /// Where its board's description lies.
+    pub fn soc(&self) -> &std::path::Path {
+        &self.soc
+    }
+
+    /// Where its board listens for datagrams.
+    pub fn udp(&self) -> std::net::SocketAddr {
+        self.udp
+    }
+
+    /// Where its board's console listens.
+    pub fn console(&self) -> std::net::SocketAddr {
+        self.console
+    }
+}
+
+impl Drop for Simulator {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,55 @@
+//! Other people's programs against the board: ping, a console session, LiteX's RemoteClient.
+
+use ferrocnc_tests::{Machine, Simulator};
+use std::path::Path;
+use std::process::Command;
+
+#[test]
+fn a_ping_is_answered() {
+    let mut machine = Machine::start();
+    let clocks = machine.ping().expect("an echo reply");
+    println!("ping: {clocks} clocks there and back");
+}
+
+#[test]
+fn a_console_session_answers_and_changes_nothing() {
+    let mut machine = Machine::start();
+    let before = machine.registers();
+    let heard = machine
+        .console("help\r\nstatus\r\nnet\r\nstepgen\r\nencoder\r\nwatchdog\r\nregs\r\nnonsense\r\n");
+    for word in ["status", "disarmed", "192.168.2.50"] {
+        assert!(
+            heard.to_lowercase().contains(word),
+            "the console never said {word:?}:\n{heard}"
+        );
+    }
+    assert_eq!(machine.registers(), before);
+}
+
+#[test]
+fn litex_remote_client_reads_the_identifier_and_a_status_word() {
+    let simulator = Simulator::start(&["--mode", "free"]);
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the workspace");
+    let csr_csv = simulator.soc().join("csr.csv");
+    let out = Command::new(root.join("target/venv/bin/python"))
+        .arg(root.join("tests/clients/remote_client.py"))
+        .arg(simulator.udp().to_string())
+        .arg(csr_csv)
+        .output()
+        .expect("the Python environment that `cargo xtask setup` makes");
+    let said = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(
+        out.status.success(),
+        "{said}\n{}",
+        String::from_utf8_lossy(&out.stderr)
+    );
+    let found = said
+        .lines()
+        .find(|line| line.starts_with('{'))
+        .expect("what it found");
+    let found: serde_json::Value = serde_json::from_str(found).expect("JSON");
+    let identifier = found["identifier"].as_str().unwrap_or_default();
+    assert!(identifier.contains("FerroCNC"), "identifier {identifier:?}");
+}
