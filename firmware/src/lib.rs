@@ -1,1 +1,73 @@
-//! ferrocnc-firmware
+//! The firmware's judgement, without its hands.
+//!
+//! Everything here decides and moves words; nothing here knows an address of the chip, waits, or
+//! asks what time it is. The board is behind [`cores::Board`], time is an argument, frames are
+//! words. So it runs on a PC, where the tests are, and on the softcore, where `src/soc` gives it
+//! registers.
+//!
+//! ```text
+//!   frame words --> net ----> exchange (hot) ---------+
+//!                    |                                |--> cores::Board --> registers
+//!                    +--> server (everything else) ---+
+//!                            |      |       |
+//!                         session  safety  config, describe, log, postmortem, service
+//! ```
+//!
+//! | module | what it does and refuses |
+//! |---|---|
+//! | [`cores`] | the board as the lib sees it: a trait |
+//! | [`net`] | recognises plain UDP to us and checks it; leaves everything else to the IP stack |
+//! | [`server`] | Etherbone: checks a whole datagram, then executes all of it or nothing |
+//! | [`exchange`] | the servo-period datagram: judge, stage, commit, sample, answer |
+//! | [`session`] | who owns the motion |
+//! | [`safety`] | the state machine: when outputs may be live |
+//! | [`config`] | which settings exist, their ranges, and which may change while armed |
+//! | [`describe`] | how the board says what it is |
+//! | [`service`] | which raw registers may be touched |
+//! | [`log`] | the ring `ferrocnc log` reads |
+//! | [`postmortem`] | what survives a panic |
+//! | [`console`] | a read-only window for a human with `telnet` |
+#![cfg_attr(not(test), no_std)]
+#![forbid(unsafe_code)]
+
+pub mod config;
+pub mod console;
+pub mod cores;
+pub mod describe;
+pub mod exchange;
+pub mod log;
+pub mod net;
+pub mod postmortem;
+pub mod safety;
+pub mod server;
+pub mod service;
+pub mod session;
+
+#[cfg(test)]
+mod fake;
+
+/// Major << 16 | minor << 8 | patch of this crate.
+pub const VERSION: u32 = version(env!("CARGO_PKG_VERSION"));
+
+/// "1.2.3" as a word. A version that is not three small numbers does not compile.
+const fn version(text: &str) -> u32 {
+    let bytes = text.as_bytes();
+    let (mut word, mut part, mut at) = (0u32, 0u32, 0);
+    while at < bytes.len() {
+        match bytes[at] {
+            b'.' => {
+                word = word << 8 | part;
+                part = 0;
+            }
+            digit => {
+                assert!(digit.is_ascii_digit());
+                part = part * 10 + (digit - b'0') as u32;
+                assert!(part < 256);
+            }
+        }
+        at += 1;
+    }
+    word << 8 | part
+}
+
+const _: () = assert!(version("1.2.3") == 0x01_02_03);

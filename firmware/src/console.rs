@@ -1,0 +1,502 @@
+//! A window for a human with `telnet` or `nc`: look, do not touch.
+//!
+//! Lines come in, text goes out. There is no command that changes anything, so the console needs no
+//! password and cannot stop a machine. A line too long, control bytes and telnet's option
+//! negotiation are swallowed without a word of damage.
+
+use crate::cores::{Board, LATCH_ENCODER, LATCH_STEPGEN, Setting};
+use crate::log;
+use crate::server::Server;
+use core::fmt::{self, Write};
+use wire::Refusal;
+use wire::map::{self, BoardConfig, StepgenConfig};
+use wire::units::{Position, StepRate};
+
+/// Longest line. The longest command with its argument is a quarter of this.
+pub const LINE_MAX: usize = 64;
+
+/// Greets whoever connects, and asks for the next line.
+pub const PROMPT: &str = "ferrocnc> ";
+
+const HELP: &str = "\
+help          this\r
+status        what the machine is doing, and why it stopped
+net           frames and refusals by reason
+regs [page]   the CSR pages, or the first words of one
+stepgen [n]   positions, rates, timings
+encoder [n]   counts
+watchdog      timeout, time left, bites
+log           where the log stands, and the last obituary
+quit          good bye
+";
+
+/// What a line means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ask {
+    /// The list of commands.
+    Help,
+    /// State, session, memory.
+    Status,
+    /// Frame and refusal counters.
+    Net,
+    /// All pages, or one.
+    Regs(Option<u8>),
+    /// All stepgens, or one.
+    Stepgen(Option<u8>),
+    /// All encoders, or one.
+    Encoder(Option<u8>),
+    /// The watchdog.
+    Watchdog,
+    /// Log and last panic.
+    Log,
+    /// Hang up.
+    Quit,
+    /// An empty line.
+    Nothing,
+    /// Anything else.
+    Unknown,
+}
+
+impl Ask {
+    /// Reads a line; never fails, only does not understand.
+    pub fn parse(line: &str) -> Ask {
+        let mut words = line.split_ascii_whitespace();
+        let Some(command) = words.next() else {
+            return Ask::Nothing;
+        };
+        let argument = words.next();
+        if words.next().is_some() {
+            return Ask::Unknown;
+        }
+        let number = match argument.map(str::parse::<u8>) {
+            None => None,
+            Some(Ok(number)) => Some(number),
+            Some(Err(_)) => return Ask::Unknown,
+        };
+        let ask = match command {
+            "regs" => return Ask::Regs(number),
+            "stepgen" => return Ask::Stepgen(number),
+            "encoder" => return Ask::Encoder(number),
+            "help" | "?" => Ask::Help,
+            "status" => Ask::Status,
+            "net" => Ask::Net,
+            "watchdog" => Ask::Watchdog,
+            "log" => Ask::Log,
+            "quit" | "exit" => Ask::Quit,
+            _ => Ask::Unknown,
+        };
+        if number.is_some() { Ask::Unknown } else { ask }
+    }
+}
+
+/// Collects bytes into lines.
+#[derive(Clone, Debug, Default)]
+pub struct Line {
+    text: heapless::String<LINE_MAX>,
+    too_long: bool,
+    telnet: u8,
+}
+
+impl Line {
+    /// Takes one byte; says what the line means when it is complete.
+    pub fn push(&mut self, byte: u8) -> Option<Ask> {
+        const IAC: u8 = 255;
+        const WILL: u8 = 251;
+        const DONT: u8 = 254;
+        if self.telnet > 0 {
+            // IAC WILL/WONT/DO/DONT option; any other IAC command is two bytes.
+            self.telnet = u8::from(self.telnet == 1 && (WILL..=DONT).contains(&byte)) * 2;
+            return None;
+        }
+        match byte {
+            IAC => self.telnet = 1,
+            b'\n' => {
+                let ask = if self.too_long {
+                    Ask::Unknown
+                } else {
+                    Ask::parse(&self.text)
+                };
+                *self = Line::default();
+                return Some(ask);
+            }
+            8 | 127 => {
+                self.text.pop();
+            }
+            b' '..=b'~' => self.too_long |= self.text.push(byte as char).is_err(),
+            _ => {}
+        }
+        None
+    }
+}
+
+/// What only the transport and the linker know.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Vitals {
+    /// Bytes of stack ever used, of how many.
+    pub stack: (u32, u32),
+    /// Frames the MAC dropped for want of a slot, a wrong preamble or a wrong CRC.
+    pub mac_errors: [u32; 3],
+}
+
+/// Answers. An error only means that the sink is full.
+pub fn answer<B: Board>(
+    ask: Ask,
+    server: &Server,
+    board: &mut B,
+    vitals: &Vitals,
+    out: &mut impl Write,
+) -> fmt::Result {
+    match ask {
+        Ask::Help => HELP.lines().try_for_each(|line| write!(out, "{line}\r\n")),
+        Ask::Status => status(server, board, vitals, out),
+        Ask::Net => net(server, vitals, out),
+        Ask::Regs(page) => regs(page, board, out),
+        Ask::Stepgen(only) => stepgen(only, server, board, out),
+        Ask::Encoder(only) => encoder(only, server, board, out),
+        Ask::Watchdog => watchdog(server, board, out),
+        Ask::Log => log(server, board, out),
+        Ask::Quit => write!(out, "bye\r\n"),
+        Ask::Nothing => Ok(()),
+        Ask::Unknown => write!(out, "? try help\r\n"),
+    }
+}
+
+fn status<B: Board>(
+    server: &Server,
+    board: &mut B,
+    vitals: &Vitals,
+    out: &mut impl Write,
+) -> fmt::Result {
+    let (ident, safety, gate) = (server.ident(), server.safety(), board.gate());
+    write!(
+        out,
+        "state    {}, reason {}\r\n",
+        safety.state(),
+        safety.reason()
+    )?;
+    write!(
+        out,
+        "gate     {}, positions {}\r\n",
+        if gate.open() { "open" } else { "closed" },
+        if safety.position_trusted() {
+            "trusted"
+        } else {
+            "not trusted"
+        },
+    )?;
+    match server.session().owner() {
+        Some(owner) => {
+            let [a, b, c, d] = owner.ip.to_be_bytes();
+            let last = server.session().last_sequence();
+            write!(
+                out,
+                "session  {a}.{b}.{c}.{d}:{}, last sequence {last}\r\n",
+                owner.port
+            )?;
+        }
+        None => write!(out, "session  free\r\n")?,
+    }
+    write!(
+        out,
+        "clock    {} Hz, now {}\r\n",
+        ident.clock_hz,
+        board.now()
+    )?;
+    write!(
+        out,
+        "abi      firmware {:08x}, gateware {:08x}\r\n",
+        server.abi(),
+        ident.abi
+    )?;
+    write!(
+        out,
+        "version  firmware {:06x}, gateware {:06x}\r\n",
+        crate::VERSION,
+        ident.version
+    )?;
+    let (used, size) = vitals.stack;
+    write!(
+        out,
+        "boot     {:#x}, stack {used} of {size} bytes\r\n",
+        server.boot_id()
+    )
+}
+
+fn net(server: &Server, vitals: &Vitals, out: &mut impl Write) -> fmt::Result {
+    let counters = server.counters();
+    write!(
+        out,
+        "frames in {}, out {}; exchanges {}; refused {}\r\n",
+        counters.frames_rx, counters.frames_tx, counters.exchanges, counters.refused_total
+    )?;
+    let [slots, preamble, crc] = vitals.mac_errors;
+    write!(
+        out,
+        "mac: no slot {slots}, preamble {preamble}, crc {crc}\r\n"
+    )?;
+    for (why, count) in Refusal::ALL.iter().zip(counters.refused) {
+        if count != 0 {
+            write!(out, "  {:<15}{count}\r\n", why.key())?;
+        }
+    }
+    Ok(())
+}
+
+fn regs<B: Board>(page: Option<u8>, board: &mut B, out: &mut impl Write) -> fmt::Result {
+    const PAGE: u32 = 0x800;
+    // 8 words say who a page is, 32 fit a screen.
+    let (pages, words) = match page {
+        Some(page) => (u32::from(page)..u32::from(page) + 1, 32),
+        None => (8..16, 8),
+    };
+    for page in pages {
+        let base = map::SERVICE + page * PAGE;
+        if !crate::service::readable(base) {
+            continue;
+        }
+        for word in 0..words {
+            if word % 8 == 0 {
+                write!(out, "{:08x}", base + word * 4)?;
+            }
+            write!(out, " {:08x}", board.csr_read(base + word * 4))?;
+            if word % 8 == 7 {
+                write!(out, "\r\n")?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn chosen(only: Option<u8>, count: u8) -> core::ops::Range<u8> {
+    match only {
+        Some(n) if n < count => n..n + 1,
+        Some(_) => 0..0,
+        None => 0..count,
+    }
+}
+
+fn stepgen<B: Board>(
+    only: Option<u8>,
+    server: &Server,
+    board: &mut B,
+    out: &mut impl Write,
+) -> fmt::Result {
+    for n in chosen(only, server.ident().channels.stepgens) {
+        let at = LATCH_STEPGEN + 3 * usize::from(n);
+        let position = Position::from_words(board.latched(at), board.latched(at + 1));
+        let rate = StepRate(board.latched(at + 2) as i32);
+        // Steps/s by integers: a softcore has no use for f64.
+        let hz = (i64::from(rate.0) * i64::from(server.ident().clock_hz)) >> 32;
+        write!(out, "{n:>2}: {} steps, {hz} steps/s", position.pulses())?;
+        if only.is_some() {
+            for (name, field) in [
+                ("steplen", StepgenConfig::Steplen),
+                ("stepspace", StepgenConfig::Stepspace),
+                ("dirsetup", StepgenConfig::Dirsetup),
+                ("dirhold", StepgenConfig::Dirhold),
+                ("stop-accel", StepgenConfig::StopAccel),
+                ("mode", StepgenConfig::Mode),
+            ] {
+                write!(
+                    out,
+                    "\r\n    {name} {}",
+                    board.setting(Setting::Stepgen(n, field))
+                )?;
+            }
+        }
+        write!(out, "\r\n")?;
+    }
+    Ok(())
+}
+
+fn encoder<B: Board>(
+    only: Option<u8>,
+    server: &Server,
+    board: &mut B,
+    out: &mut impl Write,
+) -> fmt::Result {
+    for n in chosen(only, server.ident().channels.encoders) {
+        let at = LATCH_ENCODER + 3 * usize::from(n);
+        let [count, latch, edge] = [0, 1, 2].map(|word| board.latched(at + word));
+        let (count, latch) = (count as i32, latch as i32);
+        write!(
+            out,
+            "{n:>2}: {count}, index at {latch}, last edge at {edge:#x}\r\n"
+        )?;
+    }
+    Ok(())
+}
+
+fn watchdog<B: Board>(server: &Server, board: &mut B, out: &mut impl Write) -> fmt::Result {
+    let gate = board.gate();
+    let timeout = board.setting(Setting::Board(BoardConfig::WatchdogTimeout));
+    let per_us = (server.ident().clock_hz / 1_000_000).max(1);
+    write!(
+        out,
+        "{}{}{}\r\n",
+        if gate.awake() { "awake" } else { "asleep" },
+        if gate.stopping() { ", stopping" } else { "" },
+        if gate.bitten() { ", has bitten" } else { "" },
+    )?;
+    write!(
+        out,
+        "external reset {}{}\r\n",
+        if gate.reset_pin() { "high" } else { "low" },
+        if gate.reset() { ", latched" } else { "" },
+    )?;
+    write!(
+        out,
+        "timeout {} us, left {} us\r\n",
+        timeout / per_us,
+        board.watchdog_left() / per_us
+    )
+}
+
+fn log<B: Board>(server: &Server, board: &mut B, out: &mut impl Write) -> fmt::Result {
+    let (head, size) = (board.log(log::Read::Head), board.log(log::Read::Size));
+    write!(
+        out,
+        "{head} bytes logged, the last {} kept; `ferrocnc log` decodes them\r\n",
+        head.min(size)
+    )?;
+    let deaths = board.panic(0);
+    let length = board.panic(4).min(map::PANIC_TEXT_LEN);
+    write!(
+        out,
+        "boot {:#x}, deaths since power-up {deaths}\r\n",
+        server.boot_id()
+    )?;
+    for offset in (0..length).step_by(4) {
+        let bytes = board
+            .panic(map::PANIC_TEXT - map::PANIC + offset)
+            .to_be_bytes();
+        for byte in bytes.iter().take((length - offset) as usize) {
+            let char = if (b' '..=b'~').contains(byte) {
+                *byte as char
+            } else {
+                '.'
+            };
+            out.write_char(char)?;
+        }
+    }
+    if length > 0 {
+        write!(out, "\r\n")?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fake::Rig;
+
+    fn ask(line: &[u8]) -> Vec<Ask> {
+        let mut collector = Line::default();
+        line.iter()
+            .filter_map(|byte| collector.push(*byte))
+            .collect()
+    }
+
+    fn said(line: &str) -> String {
+        let mut rig = Rig::new();
+        let mut out = String::new();
+        answer(
+            Ask::parse(line),
+            &rig.server,
+            &mut rig.board,
+            &Vitals::default(),
+            &mut out,
+        )
+        .unwrap();
+        out
+    }
+
+    #[test]
+    fn a_line_is_a_command_with_at_most_one_number() {
+        assert_eq!(ask(b"status\r\n"), [Ask::Status]);
+        assert_eq!(ask(b"  stepgen   3 \n"), [Ask::Stepgen(Some(3))]);
+        assert_eq!(
+            ask(b"stepgen\nencoder 255\nregs 14\n"),
+            [
+                Ask::Stepgen(None),
+                Ask::Encoder(Some(255)),
+                Ask::Regs(Some(14))
+            ]
+        );
+        assert_eq!(ask(b"\r\n"), [Ask::Nothing]);
+        assert_eq!(ask(b"statsu\x7f\x7fus\n"), [Ask::Status]);
+    }
+
+    #[test]
+    fn garbage_is_not_understood_and_the_next_line_is() {
+        for garbage in [
+            &b"reboot"[..],
+            b"stepgen 256",
+            b"stepgen -1",
+            b"status 1",
+            b"stepgen 1 2",
+            b"set x",
+            b"\xc3\xa9\x00\x01 1",
+            &[b'x'; 5000],
+        ] {
+            let mut line = garbage.to_vec();
+            line.extend(b"\nwatchdog\n");
+            assert_eq!(ask(&line).last(), Some(&Ask::Watchdog), "{garbage:?}");
+            assert_ne!(ask(&line).first(), Some(&Ask::Watchdog), "{garbage:?}");
+        }
+    }
+
+    #[test]
+    fn a_line_longer_than_the_limit_is_dropped_whole() {
+        let mut line = b"help".to_vec();
+        line.extend([b' '; LINE_MAX]);
+        line.extend(b"\nhelp\n");
+        assert_eq!(ask(&line), [Ask::Unknown, Ask::Help]);
+    }
+
+    #[test]
+    fn telnet_may_negotiate_all_it_wants() {
+        assert_eq!(ask(b"\xff\xfb\x1f\xff\xfd\x01\xff\xf1net\r\n"), [Ask::Net]);
+    }
+
+    #[test]
+    fn every_command_answers_and_none_changes_the_board() {
+        for line in [
+            "help",
+            "status",
+            "net",
+            "regs",
+            "regs 14",
+            "regs 200",
+            "stepgen",
+            "stepgen 5",
+            "stepgen 6",
+            "encoder",
+            "watchdog",
+            "log",
+            "quit",
+        ] {
+            let mut rig = Rig::new();
+            let before = rig.board.changes();
+            let mut out = String::new();
+            answer(
+                Ask::parse(line),
+                &rig.server,
+                &mut rig.board,
+                &Vitals::default(),
+                &mut out,
+            )
+            .unwrap();
+            assert_eq!(rig.board.changes(), before, "{line}");
+            assert!(
+                out.is_ascii() && out.replace("\r\n", "").find(['\r', '\n']).is_none(),
+                "{line}: {out:?}"
+            );
+        }
+        assert!(said("status").contains("disarmed"));
+        assert!(said("net").contains("refused 0"));
+        assert_eq!(said("stepgen").lines().count(), 6);
+        assert_eq!(said("stepgen 6"), "");
+        assert!(said("rm -rf").contains("try help"));
+    }
+}

@@ -1,0 +1,176 @@
+//! The board as the firmware's judgement sees it: a few verbs per gateware core.
+//!
+//! `src/soc` implements [`Board`] with registers, the tests with a notebook, the simulator with
+//! models. Word numbers of the `command` and `status` pages are the gateware's (`docs/registers.md`);
+//! `src/soc` asserts at compile time that they are the generated ones.
+
+use wire::describe::Channels;
+
+/// `command` page: stepgen enables 15:0, index arms 31:16.
+pub const STAGE_ENABLES: usize = 0;
+/// `command` page: first stepgen word; two per stepgen.
+pub const STAGE_STEPGEN: usize = 2;
+/// `command` page: first PWM word; one per PWM.
+pub const STAGE_PWM: usize = 34;
+
+/// `status` page: sample time, low and high.
+pub const LATCH_SAMPLE: usize = 0;
+/// `status` page: inputs, then index and rate-limit flags.
+pub const LATCH_INPUTS: usize = 2;
+/// `status` page: first stepgen word; three per stepgen.
+pub const LATCH_STEPGEN: usize = 4;
+/// `status` page: first encoder word; three per encoder.
+pub const LATCH_ENCODER: usize = 52;
+
+/// Strobe: what was staged takes effect, on every channel on one clock.
+pub const STROBE_COMMIT: u32 = 1 << 0;
+/// Strobe: everything is sampled, on one clock.
+pub const STROBE_SAMPLE: u32 = 1 << 1;
+/// Strobe: commit when the clock reaches `commit_at`; a time in the past is now.
+pub const STROBE_COMMIT_AT: u32 = 1 << 2;
+
+/// What the gateware says of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ident {
+    /// Hash of the register map the gateware was built from.
+    pub abi: u32,
+    /// Major << 16 | minor << 8 | patch.
+    pub version: u32,
+    /// Clock of everything that counts clocks.
+    pub clock_hz: u32,
+    /// How many channels of each kind.
+    pub channels: Channels,
+    /// Reserved, 0.
+    pub features: u32,
+    /// Words in the board information ROM.
+    pub blob_words: u32,
+}
+
+/// The watchdog's `status` register.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Gate(pub u32);
+
+impl Gate {
+    /// What a healthy armed machine reads: gate open, watchdog awake, nothing else.
+    pub const LIVE: Gate = Gate(Gate::OPEN | Gate::AWAKE);
+    const OPEN: u32 = 1 << 0;
+    const STOPPING: u32 = 1 << 1;
+    const BITTEN: u32 = 1 << 2;
+    const RESET: u32 = 1 << 3;
+    const RESET_PIN: u32 = 1 << 4;
+    const AWAKE: u32 = 1 << 5;
+
+    /// Outputs are live.
+    pub const fn open(self) -> bool {
+        self.0 & Self::OPEN != 0
+    }
+    /// A soft stop is running.
+    pub const fn stopping(self) -> bool {
+        self.0 & Self::STOPPING != 0
+    }
+    /// The latched bite.
+    pub const fn bitten(self) -> bool {
+        self.0 & Self::BITTEN != 0
+    }
+    /// The latched external reset.
+    pub const fn reset(self) -> bool {
+        self.0 & Self::RESET != 0
+    }
+    /// The external reset pin now.
+    pub const fn reset_pin(self) -> bool {
+        self.0 & Self::RESET_PIN != 0
+    }
+    /// The watchdog counts.
+    pub const fn awake(self) -> bool {
+        self.0 & Self::AWAKE != 0
+    }
+}
+
+/// Orders to the gate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Control {
+    /// Open the gate, wake the watchdog.
+    Arm,
+    /// Bring every stepgen to rest at its own deceleration, then close.
+    SoftStop,
+    /// Close now.
+    Close,
+    /// Forget a latched bite or reset; the gateware only obeys with the gate closed and the pin low.
+    Clear,
+}
+
+/// The status LED, told apart by blinking.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Led {
+    /// Dark.
+    Off = 0,
+    /// Armed.
+    On = 1,
+    /// Idle: nobody owns the motion.
+    Slow = 2,
+    /// Faulted.
+    Fast = 3,
+    /// A host owns the motion, not armed.
+    Double = 4,
+}
+
+/// A setting of the config window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Setting {
+    /// A stepgen's.
+    Stepgen(u8, wire::map::StepgenConfig),
+    /// A PWM's period in clocks.
+    PwmPeriod(u8),
+    /// A PWM's mode; bit 0 inverts.
+    PwmMode(u8),
+    /// An encoder's mode; 0 is x4.
+    EncoderMode(u8),
+    /// Clocks an encoder input must be stable.
+    EncoderFilter(u8),
+    /// The board's.
+    Board(wire::map::BoardConfig),
+}
+
+/// The board. Every method is one or two register accesses and cannot fail.
+pub trait Board {
+    /// The wall clock.
+    fn now(&mut self) -> u64;
+    /// The wall clock when the last frame had arrived, low word.
+    fn arrival_lo(&mut self) -> u32;
+    /// Its high word.
+    fn arrival_hi(&mut self) -> u32;
+    /// Stages a word of the `command` page.
+    fn stage(&mut self, word: usize, value: u32);
+    /// Reads a word of the `status` page.
+    fn latched(&mut self, word: usize) -> u32;
+    /// When a timed commit happens; `u64::MAX` is never.
+    fn commit_at(&mut self, at: u64);
+    /// Commit and sample ([`STROBE_COMMIT`], [`STROBE_SAMPLE`], [`STROBE_COMMIT_AT`]).
+    fn strobe(&mut self, strobes: u32);
+    /// Clocks until the watchdog bites.
+    fn watchdog_left(&mut self) -> u32;
+    /// Feeds the watchdog with a new token.
+    fn feed(&mut self, token: u32);
+    /// The gate.
+    fn gate(&mut self) -> Gate;
+    /// Orders the gate.
+    fn control(&mut self, order: Control);
+    /// Reads a setting.
+    fn setting(&mut self, which: Setting) -> u32;
+    /// Changes a setting; [`crate::config::check`] said yes.
+    fn set(&mut self, which: Setting, value: u32);
+    /// Reads a raw CSR; [`crate::service::readable`] said yes.
+    fn csr_read(&mut self, address: u32) -> u32;
+    /// Writes a raw CSR; [`crate::service::check_write`] said yes.
+    fn csr_write(&mut self, address: u32, value: u32);
+    /// Reads the board information ROM.
+    fn blob(&mut self, word: usize) -> u32;
+    /// Sets the status LED.
+    fn led(&mut self, pattern: Led);
+    /// Reads the log window's head or ring ([`crate::log::Ring`]).
+    fn log(&mut self, read: crate::log::Read) -> u32;
+    /// Reads the panic window, by byte offset.
+    fn panic(&mut self, offset: u32) -> u32;
+}

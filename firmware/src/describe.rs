@@ -1,0 +1,28 @@
+//! How the board says what it is: everything in `wire::describe`, put together from the parts.
+
+use crate::cores::Ident;
+use wire::describe::{Describe, OBSTACLE_ABI};
+use wire::exchange::StateWord;
+
+/// The describe block of this board in this state.
+pub fn describe(ident: &Ident, abi: u32, boot_id: u32, state: StateWord) -> Describe {
+    Describe {
+        wire_version: wire::WIRE_VERSION,
+        abi_firmware: abi,
+        abi_gateware: ident.abi,
+        firmware_version: crate::VERSION,
+        gateware_version: ident.version,
+        clock_hz: ident.clock_hz,
+        channels: ident.channels,
+        features: ident.features,
+        boot_id,
+        blob_words: ident.blob_words,
+        state,
+        obstacles: obstacles(ident, abi),
+    }
+}
+
+/// Why this board will not arm at all.
+pub const fn obstacles(ident: &Ident, abi: u32) -> u32 {
+    if ident.abi == abi { 0 } else { OBSTACLE_ABI }
+}

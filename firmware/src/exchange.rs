@@ -1,0 +1,292 @@
+//! The servo-period datagram: judged, staged, committed, sampled and answered, each word moved once.
+//!
+//! ```text
+//!   parse    net::Lane or the server        whose frame, whole, one record, our block's length
+//!   judge    session, sequence, gate        a refusal here has touched nothing
+//!   stage    command page, word by word     nothing takes effect before the commit
+//!   commit   one strobe: every channel on one clock; the same strobe samples every channel
+//!   copy     status page into the answer
+//! ```
+//!
+//! Five stages over contiguous windows: any of them can become a piece of gateware without the
+//! others noticing. The request is read through [`Request`] and answered through [`Reply`], so the same
+//! code runs on MAC slots and on slices.
+
+use crate::cores::{
+    Board, Control, LATCH_ENCODER, LATCH_INPUTS, LATCH_SAMPLE, LATCH_STEPGEN, STAGE_PWM,
+    STROBE_COMMIT, STROBE_COMMIT_AT, STROBE_SAMPLE,
+};
+use crate::safety::Event;
+use crate::server::Server;
+use crate::session::Peer;
+use wire::describe::Channels;
+use wire::exchange::{
+    COMMAND_STEPGEN, FLAG_APPLY_TIME, FLAG_ENABLE, FLAG_ENABLE_REQUEST, STATUS_ENCODER,
+    STATUS_STEPGEN, command_words, judge_sequence, status_words,
+};
+use wire::{Refusal, etherbone};
+
+const FLAGS_KNOWN: u32 = FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME;
+
+/// The command block's words, each once, in order.
+pub trait Request {
+    /// The next word.
+    fn next(&mut self) -> u32;
+    /// Asked after the last word, before anything takes effect: did all of it arrive as it was sent?
+    fn intact(&mut self) -> bool;
+}
+
+/// Takes the status block's words in order.
+pub trait Reply {
+    /// The next word.
+    fn put(&mut self, word: u32);
+}
+
+/// How long this board's blocks are, worked out once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Words of the command block.
+    pub command: usize,
+    /// Words of the status block.
+    pub status: usize,
+    stepgens: usize,
+    encoders: usize,
+    pwms: usize,
+}
+
+impl Shape {
+    /// This board's.
+    pub const fn new(channels: Channels) -> Self {
+        Shape {
+            command: command_words(channels),
+            status: status_words(channels),
+            stepgens: channels.stepgens as usize,
+            encoders: channels.encoders as usize,
+            pwms: channels.pwms as usize,
+        }
+    }
+}
+
+/// The words of an answer before its sequence number: header, padding, record header.
+pub const fn reply_head(shape: &Shape) -> [u32; 3] {
+    [
+        etherbone::HEADER,
+        0,
+        etherbone::BYTE_ENABLE | (shape.status as u32) << 8,
+    ]
+}
+
+/// Words of an answer before its status block.
+pub const REPLY_OVERHEAD: usize = 4;
+
+impl Server {
+    /// Executes one exchange. `request` delivers the command block; into `reply` go the sequence
+    /// number and the status block. On a refusal nothing took effect, whatever was put already.
+    #[inline(always)]
+    pub fn exchange<B: Board>(
+        &mut self,
+        board: &mut B,
+        peer: Peer,
+        request: &mut impl Request,
+        reply: &mut impl Reply,
+    ) -> Result<(), Refusal> {
+        // Judge.
+        let token = request.next();
+        let sequence = request.next();
+        let flags = request.next();
+        let apply = [request.next(), request.next()];
+        self.session.check(peer, token)?;
+        judge_sequence(sequence, self.session.last_sequence())?;
+        if flags & !FLAGS_KNOWN != 0 {
+            return Err(Refusal::Value);
+        }
+        let mut gate = board.gate();
+        let left = board.watchdog_left();
+
+        // Stage.
+        if self.commit_pending {
+            // A timed commit must not fire into half a block: from here on this command counts.
+            board.commit_at(u64::MAX);
+            self.commit_pending = false;
+        }
+        let shape = self.shape;
+        board.stage(0, request.next());
+        board.stage(1, request.next());
+        for word in 0..shape.stepgens {
+            board.stage(2 + word * COMMAND_STEPGEN, request.next());
+            board.stage(3 + word * COMMAND_STEPGEN, request.next());
+        }
+        for word in 0..shape.pwms {
+            board.stage(STAGE_PWM + word, request.next());
+        }
+        if !request.intact() {
+            return Err(Refusal::Checksum);
+        }
+
+        // Commit and sample.
+        let enable = flags & FLAG_ENABLE != 0;
+        let enable_request = flags & FLAG_ENABLE_REQUEST != 0;
+        if self.safety.steady(enable, enable_request, gate) && flags & FLAG_APPLY_TIME == 0 {
+            board.strobe(STROBE_COMMIT | STROBE_SAMPLE);
+        } else {
+            let at = (flags & FLAG_APPLY_TIME != 0).then_some(apply);
+            gate = self.decide(board, enable, enable_request, gate, at)?;
+        }
+        board.feed(sequence);
+        self.session.accept(sequence);
+        self.spoke = true;
+        self.counters.exchanges = self.counters.exchanges.wrapping_add(1);
+
+        // Answer. `session_yours` and `accepted` are true, or we were not here.
+        reply.put(sequence);
+        reply.put(self.state_word(gate) | STATE_ANSWER);
+        reply.put(sequence);
+        reply.put(board.arrival_lo());
+        reply.put(board.arrival_hi());
+        reply.put(board.latched(LATCH_SAMPLE));
+        reply.put(board.latched(LATCH_SAMPLE + 1));
+        reply.put(left);
+        reply.put(self.counters.refused_total);
+        reply.put(self.boot_id);
+        reply.put(0);
+        reply.put(board.latched(LATCH_INPUTS));
+        reply.put(board.latched(LATCH_INPUTS + 1));
+        for stepgen in 0..shape.stepgens {
+            let at = LATCH_STEPGEN + stepgen * STATUS_STEPGEN;
+            reply.put(board.latched(at));
+            reply.put(board.latched(at + 1));
+            reply.put(board.latched(at + 2));
+        }
+        for encoder in 0..shape.encoders {
+            let at = LATCH_ENCODER + encoder * STATUS_ENCODER;
+            reply.put(board.latched(at));
+            reply.put(board.latched(at + 1));
+            reply.put(board.latched(at + 2));
+        }
+        Ok(())
+    }
+
+    /// The servo periods in which something changes: arming, stopping, faults, timed commits.
+    #[cold]
+    #[inline(never)]
+    fn decide<B: Board>(
+        &mut self,
+        board: &mut B,
+        enable: bool,
+        request: bool,
+        gate: crate::cores::Gate,
+        apply: Option<[u32; 2]>,
+    ) -> Result<crate::cores::Gate, Refusal> {
+        let event = Event::Command {
+            enable,
+            request,
+            gate,
+        };
+        let (next, effects) = self.safety.step(event, board.now());
+        self.safety = next;
+        if effects.end_session {
+            // The bite came before this command: it is nobody's now.
+            self.obey(board, effects);
+            return Err(Refusal::NotOwner);
+        }
+        let arming = effects.order == Some(Control::Arm);
+        if arming {
+            // Outputs without motion take the command while the gate is still closed, so that they
+            // open with it; stepgens only listen with the gate open, so it is committed again.
+            board.strobe(STROBE_COMMIT);
+        }
+        self.obey(board, effects);
+        match apply {
+            Some([lo, hi]) if effects.execute && !arming => {
+                board.commit_at(u64::from(hi) << 32 | u64::from(lo));
+                board.strobe(STROBE_COMMIT_AT | STROBE_SAMPLE);
+                self.commit_pending = true;
+            }
+            Some(_) | None if effects.execute => board.strobe(STROBE_COMMIT | STROBE_SAMPLE),
+            Some(_) | None => board.strobe(STROBE_SAMPLE),
+        }
+        Ok(board.gate())
+    }
+}
+
+/// Bits of a state word that only an answer to an accepted command carries.
+pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;
+
+/// A command block in memory, already known to be whole.
+#[derive(Debug)]
+pub struct SliceRequest<'w>(pub &'w [u32]);
+
+impl Request for SliceRequest<'_> {
+    fn next(&mut self) -> u32 {
+        match self.0.split_first() {
+            Some((word, rest)) => {
+                self.0 = rest;
+                *word
+            }
+            None => 0, // the block has this board's length, so this does not happen
+        }
+    }
+
+    fn intact(&mut self) -> bool {
+        true
+    }
+}
+
+impl Reply for etherbone::ReplyWriter<'_> {
+    fn put(&mut self, word: u32) {
+        // The caller gave a buffer for the longest answer there is.
+        let _ = self.push(word);
+    }
+}
+
+/// An answer going straight into a transmit slot, behind the headers and [`reply_head`].
+#[derive(Debug)]
+pub struct SlotReply<'s, S> {
+    slot: &'s mut S,
+    index: usize,
+    carry: u32,
+}
+
+impl<'s, S: crate::net::Slot> SlotReply<'s, S> {
+    /// Writes everything of the frame that is the same in every answer of this lane.
+    pub fn prepare(slot: &mut S, lane_headers: impl FnOnce(&mut S), shape: &Shape) {
+        lane_headers(slot);
+        let head = reply_head(shape);
+        let mut carry = 0;
+        for (index, word) in head.into_iter().enumerate() {
+            slot.put(crate::net::PAYLOAD_WORD + index, carry << 16 | word >> 16);
+            carry = word;
+        }
+    }
+
+    /// Goes on behind what [`SlotReply::prepare`] wrote.
+    #[inline(always)]
+    pub fn resume(slot: &'s mut S, shape: &Shape) -> Self {
+        let [_, _, last] = reply_head(shape);
+        SlotReply {
+            slot,
+            index: crate::net::PAYLOAD_WORD + 3,
+            carry: last,
+        }
+    }
+
+    /// Writes the last half word.
+    #[inline(always)]
+    pub fn finish(self) {
+        self.slot.put(self.index, self.carry << 16);
+    }
+
+    /// Length of the answer's frame in bytes.
+    pub const fn frame_length(shape: &Shape) -> usize {
+        crate::net::HEADERS + (REPLY_OVERHEAD + shape.status) * 4
+    }
+}
+
+impl<S: crate::net::Slot> Reply for SlotReply<'_, S> {
+    #[inline(always)]
+    fn put(&mut self, word: u32) {
+        self.slot.put(self.index, self.carry << 16 | word >> 16);
+        self.index += 1;
+        self.carry = word;
+    }
+}

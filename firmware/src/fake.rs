@@ -1,0 +1,271 @@
+//! A board in a notebook: remembers what was written, answers what the test prepared.
+
+use crate::cores::*;
+use crate::server::Server;
+use crate::session::Peer;
+use crate::{log, postmortem};
+use std::collections::HashMap;
+use std::vec::Vec;
+use wire::describe::Channels;
+use wire::exchange::{Command, REQUEST_OVERHEAD, STATUS_MAX, Status};
+use wire::{MAX_WORDS, Refusal, map};
+
+pub const SIX: Channels = Channels {
+    stepgens: 6,
+    encoders: 6,
+    pwms: 6,
+    inputs: 12,
+    outputs: 12,
+};
+pub const ALICE: Peer = Peer {
+    ip: 0xc0a8_0201,
+    port: 40_000,
+};
+pub const BOB: Peer = Peer {
+    ip: 0xc0a8_0203,
+    port: 1234,
+};
+pub const ABI: u32 = 0xab1a_b1ab;
+pub const CLOCK: u32 = 60_000_000;
+
+/// Everything that could have been done to the machine.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Change {
+    Strobe(u32),
+    Feed(u32),
+    Order(Control),
+    Set(Setting, u32),
+    Csr(u32, u32),
+}
+
+#[derive(Clone, Debug)]
+pub struct Notebook {
+    pub now: u64,
+    pub staged: [u32; 50],
+    pub live: [u32; 50],
+    pub latched: [u32; 100],
+    pub commit_at: u64,
+    pub gate: u32,
+    pub pin: bool,
+    pub led: Led,
+    pub done: Vec<Change>,
+    settings: HashMap<String, u32>,
+    pub ring: log::Ring<64>,
+    pub record: postmortem::Record,
+}
+
+impl Notebook {
+    pub fn new() -> Self {
+        Notebook {
+            now: 1_000,
+            staged: [0; 50],
+            live: [0; 50],
+            latched: core::array::from_fn(|word| 0x1000 + word as u32),
+            commit_at: 0,
+            gate: 0,
+            pin: false,
+            led: Led::Off,
+            done: Vec::new(),
+            settings: HashMap::new(),
+            ring: log::Ring::new(),
+            record: postmortem::Record::EMPTY,
+        }
+    }
+
+    /// How often anything took effect; samples and staged words do not count.
+    pub fn changes(&self) -> usize {
+        self.done
+            .iter()
+            .filter(|change| **change != Change::Strobe(STROBE_SAMPLE))
+            .count()
+    }
+
+    pub fn bite(&mut self) {
+        self.gate = 0b00_0100;
+    }
+}
+
+impl Board for Notebook {
+    fn now(&mut self) -> u64 {
+        self.now
+    }
+    fn arrival_lo(&mut self) -> u32 {
+        self.now as u32
+    }
+    fn arrival_hi(&mut self) -> u32 {
+        (self.now >> 32) as u32
+    }
+    fn stage(&mut self, word: usize, value: u32) {
+        self.staged[word] = value;
+    }
+    fn latched(&mut self, word: usize) -> u32 {
+        self.latched[word]
+    }
+    fn commit_at(&mut self, at: u64) {
+        self.commit_at = at;
+    }
+    fn strobe(&mut self, strobes: u32) {
+        if strobes & STROBE_COMMIT != 0 {
+            self.live = self.staged;
+        }
+        self.done.push(Change::Strobe(strobes));
+    }
+    fn watchdog_left(&mut self) -> u32 {
+        300_000
+    }
+    fn feed(&mut self, token: u32) {
+        self.done.push(Change::Feed(token));
+    }
+    fn gate(&mut self) -> Gate {
+        Gate(self.gate | u32::from(self.pin) * 0b1_1000)
+    }
+    fn control(&mut self, order: Control) {
+        self.done.push(Change::Order(order));
+        match order {
+            Control::Arm if self.gate & 0b1100 == 0 && !self.pin => self.gate = Gate::LIVE.0,
+            Control::Arm => {}
+            Control::SoftStop => self.gate |= 0b10,
+            Control::Close => self.gate &= 0b1100,
+            Control::Clear if !self.pin => self.gate &= !0b1100,
+            Control::Clear => {}
+        }
+    }
+    fn setting(&mut self, which: Setting) -> u32 {
+        self.settings
+            .get(&format!("{which:?}"))
+            .copied()
+            .unwrap_or(0)
+    }
+    fn set(&mut self, which: Setting, value: u32) {
+        self.settings.insert(format!("{which:?}"), value);
+        self.done.push(Change::Set(which, value));
+    }
+    fn csr_read(&mut self, address: u32) -> u32 {
+        address ^ 0x5555_0000
+    }
+    fn csr_write(&mut self, address: u32, value: u32) {
+        self.done.push(Change::Csr(address, value));
+    }
+    fn blob(&mut self, word: usize) -> u32 {
+        0xb10b_0000 + word as u32
+    }
+    fn led(&mut self, pattern: Led) {
+        self.led = pattern;
+    }
+    fn log(&mut self, read: log::Read) -> u32 {
+        self.ring.read(read)
+    }
+    fn panic(&mut self, offset: u32) -> u32 {
+        self.record.word(offset)
+    }
+}
+
+/// A server on a notebook, and a host that talks to it.
+#[derive(Clone, Debug)]
+pub struct Rig {
+    pub server: Server,
+    pub board: Notebook,
+    pub sequence: u32,
+}
+
+impl Rig {
+    pub fn new() -> Self {
+        Rig::with_abi(ABI)
+    }
+
+    pub fn with_abi(gateware: u32) -> Self {
+        let ident = Ident {
+            abi: gateware,
+            version: 0x00_01_00,
+            clock_hz: CLOCK,
+            channels: SIX,
+            features: 0,
+            blob_words: 3,
+        };
+        let mut rig = Rig {
+            server: Server::new(ident, ABI, 9),
+            board: Notebook::new(),
+            sequence: 0,
+        };
+        rig.server.start(&mut rig.board, false);
+        rig
+    }
+
+    pub fn send_as(&mut self, peer: Peer, words: &[u32]) -> Result<Vec<u32>, Refusal> {
+        let mut reply = [0; MAX_WORDS];
+        self.server
+            .datagram(&mut self.board, words, peer, &mut reply)
+            .map(<[u32]>::to_vec)
+    }
+
+    pub fn send(&mut self, words: &[u32]) -> Result<Vec<u32>, Refusal> {
+        self.send_as(ALICE, words)
+    }
+
+    pub fn read_as(&mut self, peer: Peer, address: u32) -> Result<u32, Refusal> {
+        let reply = self.send_as(peer, &[0x4e6f_1044, 0, 0x000f_0001, 0x77, address])?;
+        assert_eq!(reply[..4], [0x4e6f_1044, 0, 0x000f_0100, 0x77]);
+        Ok(reply[4])
+    }
+
+    pub fn read(&mut self, address: u32) -> Result<u32, Refusal> {
+        self.read_as(ALICE, address)
+    }
+
+    pub fn write_as(&mut self, peer: Peer, address: u32, value: u32) -> Result<(), Refusal> {
+        let reply = self.send_as(peer, &[0x4e6f_1044, 0, 0x000f_0100, address, value])?;
+        assert!(reply.is_empty(), "a write was answered");
+        Ok(())
+    }
+
+    pub fn write(&mut self, address: u32, value: u32) -> Result<(), Refusal> {
+        self.write_as(ALICE, address, value)
+    }
+
+    pub fn acquire(&mut self) -> u32 {
+        self.write(map::SESSION_ACQUIRE, 7).unwrap();
+        self.sequence = 0;
+        self.read(map::SESSION_TOKEN).unwrap()
+    }
+
+    /// The next command, with Alice's token and everything enabled.
+    pub fn command(&mut self, enable: bool, enable_request: bool) -> Command {
+        self.sequence += 1;
+        Command {
+            token: self.server.session().token_for(ALICE),
+            sequence: self.sequence,
+            enable,
+            enable_request,
+            stepgen_enable: 0x3f,
+            ..Command::default()
+        }
+    }
+
+    pub fn exchange_as(&mut self, peer: Peer, command: &Command) -> Result<Status, Refusal> {
+        let mut buffer = [0; REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX];
+        let request = command.emit_request(SIX, &mut buffer).unwrap();
+        let reply = self.send_as(peer, request)?;
+        assert!(reply.len() <= 4 + STATUS_MAX);
+        Ok(Status::parse_reply(&reply, SIX).unwrap())
+    }
+
+    pub fn exchange(&mut self, enable: bool, request: bool) -> Result<Status, Refusal> {
+        let command = self.command(enable, request);
+        self.exchange_as(ALICE, &command)
+    }
+
+    /// A machine armed by Alice.
+    pub fn armed() -> Self {
+        let mut rig = Rig::new();
+        rig.arm();
+        rig
+    }
+
+    pub fn arm(&mut self) {
+        self.acquire();
+        self.exchange(true, false).unwrap();
+        self.exchange(true, true).unwrap();
+        let status = self.exchange(true, true).unwrap();
+        assert!(status.state.enabled, "{status:?}");
+    }
+}

@@ -1,0 +1,187 @@
+//! What survives a restart: how often the firmware started, and what it last died of.
+//!
+//! The record lies in RAM nobody clears. A checksum tells a record from whatever power-up left there.
+
+use core::fmt;
+use wire::map::{PANIC, PANIC_TEXT, PANIC_TEXT_LEN};
+
+const TEXT_LEN: usize = PANIC_TEXT_LEN as usize;
+
+/// The record. Plain words, so that any bit pattern is one, though hardly ever a valid one.
+#[derive(Clone, Debug)]
+#[repr(C)]
+pub struct Record {
+    check: u32,
+    boots: u32,
+    deaths: u32,
+    /// 1 between a death and the boot after it.
+    died: u32,
+    length: u32,
+    text: [u8; TEXT_LEN],
+}
+
+/// What the boot found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Boot {
+    /// Changes with every start.
+    pub id: u32,
+    /// The last run ended in a panic or trap.
+    pub crashed: bool,
+}
+
+impl Record {
+    /// After power-up.
+    pub const EMPTY: Record = Record {
+        check: 0,
+        boots: 0,
+        deaths: 0,
+        died: 0,
+        length: 0,
+        text: [0; TEXT_LEN],
+    };
+
+    /// Counts a start. A record that is none starts over; its first boot id comes from `seed`, so
+    /// that a board which lost power is not mistaken for the one before.
+    pub fn boot(&mut self, seed: u32) -> Boot {
+        if self.check != self.sum() {
+            *self = Record::EMPTY;
+            self.boots = seed << 16;
+        }
+        self.boots = self.boots.wrapping_add(1);
+        let boot = Boot {
+            id: self.boots,
+            crashed: self.died != 0,
+        };
+        self.died = 0;
+        self.check = self.sum();
+        boot
+    }
+
+    /// Writes the obituary. What does not fit is cut off.
+    pub fn die(&mut self, cause: fmt::Arguments<'_>) {
+        if self.check != self.sum() {
+            *self = Record::EMPTY;
+        }
+        self.deaths = self.deaths.wrapping_add(1);
+        self.died = 1;
+        self.length = 0;
+        self.text = [0; TEXT_LEN];
+        // `write_str` below cannot fail; a `Display` that does only shortens the text.
+        let _ = fmt::write(self, cause);
+        self.check = self.sum();
+    }
+
+    /// How often it died since power-up.
+    pub fn deaths(&self) -> u32 {
+        self.deaths
+    }
+
+    /// The last obituary, empty if there is none.
+    pub fn text(&self) -> &str {
+        let bytes = self.text.get(..self.length as usize).unwrap_or(&[]);
+        core::str::from_utf8(bytes).unwrap_or("(text damaged)")
+    }
+
+    /// A word of the panic window, by byte offset; 0 where nothing is.
+    pub fn word(&self, offset: u32) -> u32 {
+        match offset {
+            0 => self.deaths,
+            4 => self.length,
+            _ => offset
+                .checked_sub(PANIC_TEXT - PANIC)
+                .and_then(|at| self.text.as_chunks::<4>().0.get(at as usize / 4))
+                .map_or(0, |chunk| u32::from_be_bytes(*chunk)),
+        }
+    }
+
+    /// FNV-1a over everything but the sum, never 0: cleared memory is no record.
+    fn sum(&self) -> u32 {
+        let words = [self.boots, self.deaths, self.died, self.length];
+        let bytes = words.iter().flat_map(|word| word.to_le_bytes());
+        let hash = bytes
+            .chain(self.text.iter().copied())
+            .fold(0x811c_9dc5u32, |hash, byte| {
+                (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193)
+            });
+        hash.max(1)
+    }
+}
+
+impl fmt::Write for Record {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        for char in text.chars() {
+            let at = self.length as usize;
+            let Some(room) = self.text.get_mut(at..at + char.len_utf8()) else {
+                break;
+            };
+            char.encode_utf8(room);
+            self.length += char.len_utf8() as u32;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_boot_finds_no_crash_and_every_boot_has_another_id() {
+        let mut record = Record::EMPTY;
+        let first = record.boot(3);
+        assert_eq!(
+            first,
+            Boot {
+                id: 0x3_0001,
+                crashed: false
+            }
+        );
+        assert_eq!(record.boot(99).id, 0x3_0002);
+    }
+
+    #[test]
+    fn a_death_is_told_once_as_a_crash_and_stays_readable() {
+        let mut record = Record::EMPTY;
+        let _ = record.boot(0);
+        record.die(format_args!("panicked at {}", "x.rs:1"));
+        assert!(record.boot(0).crashed);
+        assert!(!record.boot(0).crashed);
+        assert_eq!((record.deaths(), record.text()), (1, "panicked at x.rs:1"));
+        assert_eq!((record.word(0), record.word(4)), (1, 18));
+        assert_eq!(record.word(0x10).to_be_bytes(), *b"pani");
+        assert_eq!((record.word(8), record.word(0x110)), (0, 0));
+    }
+
+    #[test]
+    fn garbage_is_no_record() {
+        let mut record = Record {
+            check: 5,
+            boots: 7,
+            deaths: 9,
+            died: 1,
+            length: 4_000_000,
+            text: [255; TEXT_LEN],
+        };
+        assert_eq!(
+            record.boot(0),
+            Boot {
+                id: 1,
+                crashed: false
+            }
+        );
+        assert_eq!((record.deaths(), record.text()), (0, ""));
+    }
+
+    #[test]
+    fn cleared_memory_is_no_record_either() {
+        assert_ne!(Record::EMPTY.check, Record::EMPTY.sum());
+    }
+
+    #[test]
+    fn a_long_text_is_cut_at_a_character() {
+        let mut record = Record::EMPTY;
+        let _ = record.boot(0);
+        record.die(format_args!("{}{}", "x".repeat(255), "\u{e9}tude"));
+        assert_eq!(record.text().len(), 255);
+    }
+}

@@ -1,0 +1,590 @@
+//! Etherbone that cannot hurt: a datagram is checked whole, then executed whole or not at all.
+//!
+//! [`Server::datagram`] is the way for every datagram; the servo-period exchange has a fast lane into
+//! [`Server::exchange`] that ends in the same code. Checking runs against a copy of the session and
+//! the state machine, so that a datagram which acquires the session may configure in the same breath.
+//!
+//! Answered are probes, reads and the exchange; a plain write is not. A refused datagram is counted by
+//! reason and nothing else.
+
+use crate::cores::{
+    Board, Control, Gate, Ident, LATCH_INPUTS, LATCH_SAMPLE, Led, STROBE_COMMIT, STROBE_SAMPLE,
+};
+use crate::exchange::{REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
+use crate::safety::{Effects, Event, Safety};
+use crate::session::{Peer, Session};
+use crate::{config, describe, log, service};
+use wire::etherbone::{self, Packet, Record, ReplyWriter};
+use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
+use wire::{MAX_WORDS, Refusal, map};
+
+/// 10 ms: nobody watches an idle machine faster than this, and a sample costs nothing.
+const IDLE_SAMPLE_PER_SECOND: u32 = 100;
+
+const WINDOW: u32 = 0x1000;
+const STATUS_WORDS_END: u32 = map::STATUS + 0x400;
+const COMMAND_END: u32 = map::COMMAND + WINDOW;
+const COUNTERS_END: u32 = map::COUNTERS + WINDOW;
+const LOG_END: u32 = map::LOG_RING + WINDOW;
+const PANIC_END: u32 = map::PANIC_TEXT + map::PANIC_TEXT_LEN;
+
+/// What the board counts about its mail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Counters {
+    /// Frames received, of any kind.
+    pub frames_rx: u32,
+    /// Frames sent, of any kind.
+    pub frames_tx: u32,
+    /// Exchanges executed.
+    pub exchanges: u32,
+    /// Datagrams refused.
+    pub refused_total: u32,
+    /// Datagrams refused, by reason.
+    pub refused: [u32; Refusal::COUNT],
+}
+
+/// The server's whole mind.
+#[derive(Clone, Debug)]
+pub struct Server {
+    pub(crate) ident: Ident,
+    pub(crate) shape: Shape,
+    pub(crate) abi: u32,
+    pub(crate) boot_id: u32,
+    pub(crate) session: Session,
+    pub(crate) safety: Safety,
+    pub(crate) counters: Counters,
+    /// A timed commit may still be waiting in gateware.
+    pub(crate) commit_pending: bool,
+    /// The owner spoke since the last [`Server::poll`].
+    pub(crate) spoke: bool,
+    /// Something was committed since the machine was last put to rest.
+    committed: bool,
+    sampled_at: u64,
+    restart: bool,
+}
+
+impl Server {
+    /// A server for this board, in state `Boot`. `abi` is the firmware's.
+    pub const fn new(ident: Ident, abi: u32, boot_id: u32) -> Self {
+        Server {
+            shape: Shape::new(ident.channels),
+            ident,
+            abi,
+            boot_id,
+            session: Session::new(),
+            safety: Safety::new(),
+            counters: Counters {
+                frames_rx: 0,
+                frames_tx: 0,
+                exchanges: 0,
+                refused_total: 0,
+                refused: [0; Refusal::COUNT],
+            },
+            commit_pending: false,
+            spoke: false,
+            committed: true,
+            sampled_at: 0,
+            restart: false,
+        }
+    }
+
+    /// Ends start-up: gate closed, machine at rest.
+    pub fn start<B: Board>(&mut self, board: &mut B, crashed: bool) {
+        let abi_fits = self.ident.abi == self.abi;
+        self.event(board, Event::Booted { abi_fits, crashed });
+        self.poll(board);
+    }
+
+    /// The gateware's identity.
+    pub fn ident(&self) -> &Ident {
+        &self.ident
+    }
+
+    /// This board's block lengths.
+    pub fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    /// The state machine.
+    pub fn safety(&self) -> &Safety {
+        &self.safety
+    }
+
+    /// The session.
+    pub fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// The counters.
+    pub fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    /// The counters, for the transport that counts frames.
+    pub fn counters_mut(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+
+    /// This start's number.
+    pub fn boot_id(&self) -> u32 {
+        self.boot_id
+    }
+
+    /// Firmware's ABI number.
+    pub fn abi(&self) -> u32 {
+        self.abi
+    }
+
+    /// Somebody entitled to asked for a restart.
+    pub fn wants_restart(&self) -> bool {
+        self.restart
+    }
+
+    /// Counts a refusal.
+    #[cold]
+    pub fn refuse(&mut self, why: Refusal) {
+        self.counters.refused_total = self.counters.refused_total.wrapping_add(1);
+        if let Some(count) = self.counters.refused.get_mut(why.index()) {
+            *count = count.wrapping_add(1);
+        }
+    }
+
+    /// Judges a datagram and executes it. What is to be sent back, if anything, is in `reply`.
+    pub fn datagram<'r, B: Board>(
+        &mut self,
+        board: &mut B,
+        words: &[u32],
+        peer: Peer,
+        reply: &'r mut [u32; MAX_WORDS],
+    ) -> Result<&'r [u32], Refusal> {
+        match self.serve(board, words, peer, reply) {
+            Ok(length) => Ok(reply.get(..length).unwrap_or(&[])),
+            Err(why) => {
+                self.refuse(why);
+                Err(why)
+            }
+        }
+    }
+
+    /// Looks after what happens without a datagram: the gate's own decisions, silent owners, the LED,
+    /// rest. To be called a few hundred times a second; cheap.
+    pub fn poll<B: Board>(&mut self, board: &mut B) {
+        let gate = board.gate();
+        self.event(board, Event::Gate(gate));
+        let now = board.now();
+        if core::mem::take(&mut self.spoke) {
+            self.session.heard(now);
+        }
+        if self.safety.at_rest() {
+            if self.session.silent(now, self.ident.clock_hz) {
+                self.session.kill();
+                self.event(board, Event::Lost);
+            }
+            if self.committed {
+                self.rest(board);
+            }
+            let period = u64::from(self.ident.clock_hz / IDLE_SAMPLE_PER_SECOND);
+            if self.session.owner().is_none() && now.wrapping_sub(self.sampled_at) >= period {
+                self.sampled_at = now;
+                board.strobe(STROBE_SAMPLE);
+            }
+        } else {
+            self.committed = true;
+        }
+        board.led(self.led());
+    }
+
+    /// What the machine is doing, to somebody who owns the session or does not.
+    fn state(&self, gate: Gate, session_yours: bool) -> StateWord {
+        StateWord {
+            state: self.safety.state(),
+            reason: self.safety.reason(),
+            position_trusted: self.safety.position_trusted(),
+            enabled: gate.open(),
+            session_yours,
+            bitten: gate.bitten(),
+            external_reset: gate.reset_pin(),
+            accepted: false,
+            // Whoever reads this got it over the link.
+            link: true,
+        }
+    }
+
+    /// The state word without the bits that depend on who asks ([`crate::exchange::STATE_ANSWER`]).
+    #[inline]
+    pub fn state_word(&self, gate: Gate) -> u32 {
+        self.state(gate, false).to_word()
+    }
+
+    /// Steps the state machine and does what it says.
+    pub(crate) fn event<B: Board>(&mut self, board: &mut B, event: Event) {
+        let (next, effects) = self.safety.step(event, board.now());
+        self.safety = next;
+        self.obey(board, effects);
+    }
+
+    /// Does what the state machine says, except the commit.
+    pub(crate) fn obey<B: Board>(&mut self, board: &mut B, effects: Effects) {
+        if effects.end_session {
+            self.session.kill();
+        }
+        if let Some(order) = effects.order {
+            board.control(order);
+            self.committed |= order == Control::Arm;
+        }
+    }
+
+    /// Commits an all-zero command, so that nothing stale waits behind a closed gate.
+    fn rest<B: Board>(&mut self, board: &mut B) {
+        if self.commit_pending {
+            board.commit_at(u64::MAX);
+            self.commit_pending = false;
+        }
+        for word in 0..crate::cores::STAGE_PWM + wire::exchange::MAX_CHANNELS {
+            board.stage(word, 0);
+        }
+        board.strobe(STROBE_COMMIT);
+        self.committed = false;
+    }
+
+    fn led(&self) -> Led {
+        use wire::State;
+        match self.safety.state() {
+            State::Boot => Led::Off,
+            State::Disarmed if self.session.owner().is_some() => Led::Double,
+            State::Disarmed => Led::Slow,
+            State::Armed | State::Stopping => Led::On,
+            State::Faulted => Led::Fast,
+        }
+    }
+
+    fn serve<B: Board>(
+        &mut self,
+        board: &mut B,
+        words: &[u32],
+        peer: Peer,
+        reply: &mut [u32; MAX_WORDS],
+    ) -> Result<usize, Refusal> {
+        let packet = Packet::new_checked(words)?;
+        if packet.is_probe() {
+            let mut writer = ReplyWriter::new(reply, etherbone::HEADER_PROBE_REPLY);
+            writer.extend(packet.body());
+            return Ok(writer.words().len());
+        }
+        if let Some(block) = self.find_exchange(&packet)? {
+            let mut writer = ReplyWriter::new(reply, etherbone::HEADER);
+            let [_, _, record] = reply_head(&self.shape);
+            writer.push(record);
+            self.exchange(board, peer, &mut SliceRequest(block), &mut writer)?;
+            debug_assert_eq!(writer.words().len(), REPLY_OVERHEAD + self.shape.status);
+            return Ok(if packet.no_reads() {
+                0
+            } else {
+                writer.words().len()
+            });
+        }
+        self.validate(board, &packet, peer)?;
+        if self.session.is_owner(peer) {
+            self.spoke = true;
+        }
+        let mut writer = ReplyWriter::new(reply, etherbone::HEADER);
+        for record in packet.records() {
+            self.execute(board, &record, peer);
+            if !record.reads.is_empty() && !packet.no_reads() {
+                writer.write_record(record.return_base, record.reads.len() as u8);
+                for address in record.reads {
+                    writer.push(self.read(board, *address, peer));
+                }
+            }
+        }
+        let length = writer.words().len();
+        Ok(if length > etherbone::HEADER_WORDS {
+            length
+        } else {
+            0
+        })
+    }
+
+    /// The command block, if this packet is an exchange; a refusal if it nearly is one.
+    fn find_exchange<'w>(&self, packet: &Packet<'w>) -> Result<Option<&'w [u32]>, Refusal> {
+        let touches = |record: &Record| {
+            let last = record
+                .write_base
+                .saturating_add(4 * record.writes.len() as u32);
+            !record.writes.is_empty() && record.write_base < COMMAND_END && last > map::COMMAND
+        };
+        if !packet.records().any(|record| touches(&record)) {
+            return Ok(None);
+        }
+        let mut records = packet.records();
+        let (Some(record), None) = (records.next(), records.next()) else {
+            return Err(Refusal::NotAlone);
+        };
+        if !record.reads.is_empty() {
+            return Err(Refusal::NotAlone);
+        }
+        if record.write_base != map::COMMAND || record.writes.len() != self.shape.command {
+            return Err(Refusal::BlockLength);
+        }
+        Ok(Some(record.writes))
+    }
+
+    /// Would every record do? Runs the writes against a copy of who owns and what state it is.
+    fn validate<B: Board>(
+        &self,
+        board: &mut B,
+        packet: &Packet,
+        peer: Peer,
+    ) -> Result<(), Refusal> {
+        let now = board.now();
+        let mut judge = Judge {
+            ident: &self.ident,
+            boot_id: self.boot_id,
+            session: self.session,
+            safety: self.safety,
+            peer,
+            now,
+        };
+        for record in packet.records() {
+            for (address, value) in writes_of(&record)? {
+                judge.write(address, value)?;
+            }
+            for address in record.reads {
+                check_read(*address)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn execute<B: Board>(&mut self, board: &mut B, record: &Record, peer: Peer) {
+        let Ok(writes) = writes_of(record) else {
+            return; // `validate` asked the same question
+        };
+        for (address, value) in writes {
+            match address {
+                map::SESSION_ACQUIRE => {
+                    let now = board.now();
+                    if self.session.acquire(peer, value, self.boot_id, now).is_ok() {
+                        self.event(board, Event::Acquired);
+                    }
+                }
+                map::SESSION_RELEASE => {
+                    if self.session.release(peer, value).is_ok() {
+                        self.event(board, Event::Lost);
+                    }
+                }
+                map::SESSION_REBOOT => self.restart = true,
+                map::SERVICE.. => board.csr_write(address, value),
+                _ => {
+                    if let Some(setting) = config::setting_at(address, self.ident.channels) {
+                        board.set(setting, value);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Reads a word that [`check_read`] allowed. Reading changes nothing.
+    fn read<B: Board>(&self, board: &mut B, address: u32, peer: Peer) -> u32 {
+        match address {
+            map::DESCRIBE..map::DESCRIBE_BLOB => self.describe_word(board, address / 4, peer),
+            map::DESCRIBE_BLOB..map::SESSION => {
+                let word = (address - map::DESCRIBE_BLOB) / 4;
+                if word < self.ident.blob_words {
+                    board.blob(word as usize)
+                } else {
+                    0
+                }
+            }
+            map::SESSION_TOKEN => self.session.token_for(peer),
+            map::SESSION_OWNER_IP => self.session.owner().map_or(0, |owner| owner.ip),
+            map::SESSION_OWNER_PORT => self
+                .session
+                .owner()
+                .map_or(0, |owner| u32::from(owner.port)),
+            map::SESSION_LAST_SEQ => self.session.last_sequence(),
+            map::CONFIG..map::COMMAND => config::setting_at(address, self.ident.channels)
+                .map_or(0, |setting| board.setting(setting)),
+            map::STATUS..map::COUNTERS => {
+                self.status_word(board, ((address - map::STATUS) / 4) as usize, peer)
+            }
+            map::COUNTERS..map::LOG => self.counter((address - map::COUNTERS) / 4),
+            map::LOG => board.log(log::Read::Head),
+            LOG_SIZE => board.log(log::Read::Size),
+            LOG_BOOT => self.boot_id,
+            map::LOG_RING..map::PANIC => {
+                board.log(log::Read::Ring(((address - map::LOG_RING) / 4) as usize))
+            }
+            map::PANIC..PANIC_END => board.panic(address - map::PANIC),
+            map::SERVICE.. => board.csr_read(address),
+            _ => 0,
+        }
+    }
+
+    fn describe_word<B: Board>(&self, board: &mut B, word: u32, peer: Peer) -> u32 {
+        let state = self.state(board.gate(), self.session.is_owner(peer));
+        let words = describe::describe(&self.ident, self.abi, self.boot_id, state).to_words();
+        words.get(word as usize).copied().unwrap_or(0)
+    }
+
+    /// A word of the last status block, for onlookers.
+    fn status_word<B: Board>(&self, board: &mut B, word: usize, peer: Peer) -> u32 {
+        let encoders_at = STATUS_HEAD + usize::from(self.ident.channels.stepgens) * STATUS_STEPGEN;
+        let end = encoders_at + usize::from(self.ident.channels.encoders) * STATUS_ENCODER;
+        match word {
+            0 => {
+                let gate = board.gate();
+                self.state(gate, self.session.is_owner(peer)).to_word()
+            }
+            1 => self.session.last_sequence(),
+            2 => board.arrival_lo(),
+            3 => board.arrival_hi(),
+            4 | 5 => board.latched(LATCH_SAMPLE + word - 4),
+            6 => board.watchdog_left(),
+            7 => self.counters.refused_total,
+            8 => self.boot_id,
+            10 | 11 => board.latched(LATCH_INPUTS + word - 10),
+            _ if word >= STATUS_HEAD && word < encoders_at => {
+                board.latched(crate::cores::LATCH_STEPGEN + word - STATUS_HEAD)
+            }
+            _ if word >= encoders_at && word < end => {
+                board.latched(crate::cores::LATCH_ENCODER + word - encoders_at)
+            }
+            _ => 0,
+        }
+    }
+
+    fn counter(&self, word: u32) -> u32 {
+        match word {
+            0 => self.counters.frames_rx,
+            1 => self.counters.frames_tx,
+            2 => self.counters.exchanges,
+            _ => self
+                .counters
+                .refused
+                .get(word as usize - 3)
+                .copied()
+                .unwrap_or(0),
+        }
+    }
+}
+
+const LOG_SIZE: u32 = map::LOG + 4;
+const LOG_BOOT: u32 = map::LOG + 8;
+
+/// Who would own and what state it would be, as a datagram's writes are gone through.
+struct Judge<'s> {
+    ident: &'s Ident,
+    boot_id: u32,
+    session: Session,
+    safety: Safety,
+    peer: Peer,
+    now: u64,
+}
+
+impl Judge<'_> {
+    fn write(&mut self, address: u32, value: u32) -> Result<(), Refusal> {
+        match address {
+            map::SESSION_ACQUIRE => {
+                self.session
+                    .acquire(self.peer, value, self.boot_id, self.now)?;
+                self.safety = self.safety.step(Event::Acquired, self.now).0;
+                Ok(())
+            }
+            map::SESSION_RELEASE => {
+                self.session.release(self.peer, value)?;
+                self.safety = self.safety.step(Event::Lost, self.now).0;
+                Ok(())
+            }
+            map::SESSION_REBOOT => {
+                if value != map::REBOOT_KEY {
+                    return Err(Refusal::Value);
+                }
+                if self.session.owner().is_some() {
+                    self.owner()?;
+                }
+                self.at_rest()
+            }
+            map::CONFIG..CONFIG_END => {
+                let setting =
+                    config::setting_at(address, self.ident.channels).ok_or(Refusal::Unmapped)?;
+                self.owner()?;
+                if !config::live_safe(setting) {
+                    self.at_rest()?;
+                }
+                config::check(setting, value, self.ident.channels, self.ident.clock_hz)
+            }
+            map::SERVICE.. => {
+                service::check_write(address, value, self.ident.channels, self.ident.clock_hz)?;
+                self.owner()?;
+                self.at_rest()
+            }
+            _ => {
+                check_read(address)?;
+                Err(Refusal::ReadOnly)
+            }
+        }
+    }
+
+    fn owner(&self) -> Result<(), Refusal> {
+        if self.session.is_owner(self.peer) {
+            Ok(())
+        } else {
+            Err(Refusal::NotOwner)
+        }
+    }
+
+    fn at_rest(&self) -> Result<(), Refusal> {
+        if self.safety.at_rest() {
+            Ok(())
+        } else {
+            Err(Refusal::Armed)
+        }
+    }
+}
+
+const CONFIG_END: u32 = map::CONFIG + map::CONFIG_LEN;
+const DESCRIBE_END: u32 = map::DESCRIBE + map::DESCRIBE_LEN;
+const SESSION_END: u32 = map::SESSION + map::SESSION_LEN;
+
+/// Is this an aligned address of a window? Inside a window, what is not there reads 0.
+fn check_read(address: u32) -> Result<(), Refusal> {
+    if !address.is_multiple_of(4) {
+        return Err(Refusal::Alignment);
+    }
+    match address {
+        map::DESCRIBE..DESCRIBE_END
+        | map::SESSION..SESSION_END
+        | map::CONFIG..CONFIG_END
+        | map::COMMAND..COMMAND_END
+        | map::STATUS..STATUS_WORDS_END
+        | map::COUNTERS..COUNTERS_END
+        | map::LOG..LOG_END
+        | map::PANIC..PANIC_END => Ok(()),
+        map::SERVICE.. if service::readable(address) => Ok(()),
+        _ => Err(Refusal::Unmapped),
+    }
+}
+
+/// Every written word with its address; refused when the base is crooked or runs past the end.
+fn writes_of<'w>(
+    record: &Record<'w>,
+) -> Result<impl Iterator<Item = (u32, u32)> + use<'w>, Refusal> {
+    let base = record.write_base;
+    if !record.writes.is_empty() {
+        if !base.is_multiple_of(4) {
+            return Err(Refusal::Alignment);
+        }
+        if base
+            .checked_add(4 * (record.writes.len() as u32 - 1))
+            .is_none()
+        {
+            return Err(Refusal::Unmapped);
+        }
+    }
+    let addresses = (0u32..).map(move |index| base.wrapping_add(4 * index));
+    Ok(addresses.zip(record.writes.iter().copied()))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,851 @@
+use super::*;
+use crate::cores::{STROBE_COMMIT_AT, Setting};
+use crate::fake::*;
+use proptest::prelude::*;
+use wire::exchange::{Command, PWM_ENABLE, Status};
+use wire::map::{BoardConfig, StepgenConfig};
+use wire::units::{Accel, Clocks, StepRate};
+use wire::{FaultReason, State};
+
+const HEADER: u32 = 0x4e6f_1044;
+
+// ---- Golden vectors (LiteEth, LiteX RemoteClient) ------------------------------------------------
+
+#[test]
+fn a_probe_is_echoed() {
+    let reply = Rig::new().send(&[0x4e6f_1144, 0, 0x1234_5678]);
+    assert_eq!(reply, Ok(vec![0x4e6f_1244, 0, 0x1234_5678]));
+}
+
+#[test]
+fn two_words_are_read_under_the_callers_own_return_address() {
+    let reply = Rig::new().send(&[HEADER, 0, 0x000f_0002, 0xdead_beef, 0x100, 0x104]);
+    assert_eq!(
+        reply,
+        Ok(vec![
+            HEADER,
+            0,
+            0x000f_0200,
+            0xdead_beef,
+            0xb10b_0000,
+            0xb10b_0001
+        ])
+    );
+}
+
+#[test]
+fn the_golden_write_lands_nowhere_because_that_address_is_read_only() {
+    let mut rig = Rig::new();
+    let reply = rig.send(&[HEADER, 0, 0x000f_0200, 0x20, 0x1122_3344, 0x5566_7788]);
+    assert_eq!(reply, Err(Refusal::ReadOnly));
+}
+
+#[test]
+fn a_write_is_executed_and_not_answered() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    let steplen = map::CONFIG_STEPGEN;
+    assert_eq!(
+        rig.send(&[HEADER, 0, 0x000f_0200, steplen, 60, 61]),
+        Ok(vec![])
+    );
+    assert_eq!(rig.read(steplen), Ok(60));
+    assert_eq!(rig.read(steplen + 4), Ok(61));
+}
+
+#[test]
+fn a_read_with_the_no_reads_flag_is_not_answered() {
+    let reply = Rig::new().send(&[0x4e6f_1444, 0, 0x000f_0001, 0x77, 0x100]);
+    assert_eq!(reply, Ok(vec![]));
+}
+
+#[test]
+fn an_empty_record_is_refused_and_harmless() {
+    assert_eq!(
+        Rig::new().send(&[HEADER, 0, 0x000f_0000, 0]),
+        Err(Refusal::Padded)
+    );
+}
+
+// ---- Behaviours on which LiteEth trips --------------------------------------------------------------
+
+#[test]
+fn the_answer_depends_on_no_port() {
+    // The transport answers to `peer`; the server must not care which port that is.
+    for port in [1, 1234, 65_535] {
+        assert!(Rig::new().read_as(Peer { port, ..BOB }, 0).is_ok());
+    }
+}
+
+#[test]
+fn version_and_widths_are_checked() {
+    let mut rig = Rig::new();
+    assert_eq!(
+        rig.send(&[0xdead_1044, 0, 0x000f_0001, 0, 0]),
+        Err(Refusal::Magic)
+    );
+    assert_eq!(
+        rig.send(&[0x4e6f_2044, 0, 0x000f_0001, 0, 0]),
+        Err(Refusal::Version)
+    );
+    assert_eq!(
+        rig.send(&[0x4e6f_1011, 0, 0x000f_0001, 0, 0]),
+        Err(Refusal::Width)
+    );
+    assert_eq!(rig.send(&[0x4e6f_1244, 0, 1]), Err(Refusal::ProbeReply));
+    assert_eq!(rig.server.counters().refused_total, 4);
+}
+
+#[test]
+fn partial_byte_enables_are_refused() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    let words = [HEADER, 0, 0x0003_0100, map::CONFIG_STEPGEN, 60];
+    assert_eq!(rig.send(&words), Err(Refusal::ByteEnable));
+}
+
+#[test]
+fn crooked_addresses_are_refused() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    for low in 1..4 {
+        assert_eq!(rig.read(low), Err(Refusal::Alignment));
+        assert_eq!(
+            rig.write(map::CONFIG_STEPGEN + low, 60),
+            Err(Refusal::Alignment)
+        );
+    }
+}
+
+#[test]
+fn an_address_in_no_window_is_refused_and_counted() {
+    let mut rig = Rig::new();
+    for address in [
+        0x2000,
+        0x0001_0020,
+        0x0007_0000,
+        0x8000_0000,
+        0xefff_fffc,
+        0xf002_0000,
+    ] {
+        assert_eq!(rig.read(address), Err(Refusal::Unmapped), "{address:#x}");
+    }
+    assert_eq!(
+        rig.read(map::COUNTERS_REFUSED + 4 * Refusal::Unmapped.index() as u32),
+        Ok(6)
+    );
+}
+
+#[test]
+fn a_record_may_write_and_read() {
+    let mut rig = Rig::new();
+    let reply = rig.send(&[
+        HEADER,
+        0,
+        0x000f_0101,
+        map::SESSION_ACQUIRE,
+        7,
+        0xaa,
+        map::SESSION_TOKEN,
+    ]);
+    let token = rig.server.session().token_for(ALICE);
+    assert_ne!(token, 0);
+    assert_eq!(reply, Ok(vec![HEADER, 0, 0x000f_0100, 0xaa, token]));
+}
+
+#[test]
+fn several_records_are_executed_in_order_and_answered_in_one_packet() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    let steplen = map::CONFIG_STEPGEN;
+    let reply = rig.send(&[
+        HEADER,
+        0,
+        0x000f_0001,
+        1,
+        steplen,
+        0x000f_0100,
+        steplen,
+        77,
+        0x000f_0001,
+        2,
+        steplen,
+    ]);
+    assert_eq!(
+        reply,
+        Ok(vec![HEADER, 0, 0x000f_0100, 1, 0, 0x000f_0100, 2, 77])
+    );
+}
+
+#[test]
+fn padding_behind_a_record_executes_nothing() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    let before = rig.board.changes();
+    assert_eq!(
+        rig.send(&[HEADER, 0, 0x000f_0100, map::CONFIG_STEPGEN, 60, 0]),
+        Err(Refusal::Padded)
+    );
+    assert_eq!(
+        rig.send(&[HEADER, 0, 0x000f_0001, 0, 0x100, 0]),
+        Err(Refusal::Padded)
+    );
+    assert_eq!(rig.board.changes(), before);
+}
+
+#[test]
+fn a_truncated_write_touches_nothing_and_the_next_datagram_is_itself() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    let before = rig.board.changes();
+    assert_eq!(
+        rig.send(&[HEADER, 0, 0x000f_0300, map::CONFIG_STEPGEN, 60]),
+        Err(Refusal::Truncated)
+    );
+    assert_eq!(rig.board.changes(), before);
+    assert_eq!(rig.read(0x100), Ok(0xb10b_0000));
+    assert_eq!(rig.board.changes(), before);
+}
+
+#[test]
+fn a_truncated_read_is_not_waited_for() {
+    let mut rig = Rig::new();
+    assert_eq!(
+        rig.send(&[HEADER, 0, 0x000f_0003, 0, 0x100]),
+        Err(Refusal::Truncated)
+    );
+    assert_eq!(rig.read(0x100), Ok(0xb10b_0000));
+}
+
+#[test]
+fn the_longest_read_fits_and_a_longer_answer_is_refused() {
+    let mut rig = Rig::new();
+    let mut words = vec![HEADER, 0, 0x000f_00ff, 5];
+    words.extend([0x100; 255]);
+    assert_eq!(rig.send(&words).unwrap().len(), 4 + 255);
+    words.extend([0x000f_00ff, 5]);
+    words.extend([0x100; 255]);
+    assert_eq!(rig.send(&words), Err(Refusal::Oversized));
+}
+
+#[test]
+fn an_empty_datagram_is_refused() {
+    assert_eq!(Rig::new().send(&[]), Err(Refusal::Short));
+}
+
+#[test]
+fn two_datagrams_back_to_back_are_two_datagrams() {
+    let mut rig = Rig::new();
+    assert_eq!(rig.read(0x100), Ok(0xb10b_0000));
+    assert_eq!(rig.read(0x104), Ok(0xb10b_0001));
+}
+
+proptest! {
+    #[test]
+    fn no_words_whatever_panic_or_change_anything_without_the_session(
+        words in proptest::collection::vec(prop_oneof![
+            any::<u32>(), Just(HEADER), Just(0x000f_0101), Just(0x000f_1900), Just(map::COMMAND),
+            Just(map::CONFIG), Just(map::SERVICE + 0x8000), Just(map::SESSION_RELEASE),
+        ], 0..40)
+    ) {
+        let mut rig = Rig::new();
+        let before = rig.board.changes();
+        let mut framed = vec![HEADER, 0];
+        framed.extend(&words);
+        for datagram in [&words, &framed] {
+            let _ = rig.send_as(BOB, datagram);
+        }
+        prop_assert!(rig.server.session().owner().is_some() || rig.board.changes() == before);
+        prop_assert!(rig.read(0x100).is_ok());
+    }
+}
+
+// ---- All or nothing ---------------------------------------------------------------------------------
+
+#[test]
+fn a_bad_last_word_stops_the_first_record_too() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    let before = rig.board.changes();
+    let steplen = map::CONFIG_STEPGEN;
+    for (bad, why) in [
+        ([0x000f_0100, 0x0007_0000, 1], Refusal::Unmapped),
+        ([0x000f_0100, map::STATUS, 1], Refusal::ReadOnly),
+        ([0x000f_0100, steplen, 0], Refusal::Value),
+        ([0x000f_0001, 0, 0x0007_0000], Refusal::Unmapped),
+    ] {
+        let words = [&[HEADER, 0, 0x000f_0100, steplen, 60], &bad[..]].concat();
+        assert_eq!(rig.send(&words), Err(why));
+    }
+    assert_eq!(rig.board.changes(), before);
+}
+
+#[test]
+fn a_write_that_runs_past_the_end_of_the_address_space_is_refused() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    let words = [HEADER, 0, 0x000f_0200, 0xffff_fffc, 1, 2];
+    assert_eq!(rig.send(&words), Err(Refusal::Unmapped));
+}
+
+#[test]
+fn one_datagram_may_acquire_and_configure() {
+    let mut rig = Rig::new();
+    let reply = rig.send(&[
+        HEADER,
+        0,
+        0x000f_0100,
+        map::SESSION_ACQUIRE,
+        7,
+        0x000f_0101,
+        map::CONFIG_STEPGEN,
+        60,
+        5,
+        map::CONFIG_STEPGEN,
+    ]);
+    assert_eq!(reply.unwrap().last(), Some(&60));
+}
+
+// ---- Who may what --------------------------------------------------------------------------------------
+
+#[test]
+fn a_stranger_reads_everything_and_changes_nothing() {
+    let mut rig = Rig::armed();
+    let token = rig.read(map::SESSION_TOKEN).unwrap();
+    let before = rig.board.changes();
+    for address in [
+        0,
+        map::STATUS,
+        map::COUNTERS,
+        map::CONFIG,
+        map::LOG,
+        map::PANIC,
+        map::SERVICE,
+    ] {
+        assert!(rig.read_as(BOB, address).is_ok(), "{address:#x}");
+    }
+    assert_eq!(rig.read_as(BOB, map::SESSION_TOKEN), Ok(0));
+    for (address, value) in [
+        (map::SESSION_ACQUIRE, 7),
+        (map::SESSION_RELEASE, token),
+        (map::SESSION_REBOOT, map::REBOOT_KEY),
+        (map::CONFIG_PWM, 3000),
+        (map::SERVICE + 11 * 0x800 + 4, 0),
+    ] {
+        assert_eq!(
+            rig.write_as(BOB, address, value),
+            Err(Refusal::NotOwner),
+            "{address:#x}"
+        );
+    }
+    let mut command = rig.command(true, true);
+    command.token = token;
+    assert_eq!(rig.exchange_as(BOB, &command), Err(Refusal::NotOwner));
+    assert_eq!(rig.board.changes(), before);
+}
+
+#[test]
+fn without_a_session_nobody_configures() {
+    assert_eq!(
+        Rig::new().write(map::CONFIG_STEPGEN, 60),
+        Err(Refusal::NotOwner)
+    );
+    assert_eq!(
+        Rig::new().write(map::SERVICE + 4, 1),
+        Err(Refusal::NotOwner)
+    );
+}
+
+#[test]
+fn a_wrong_token_releases_nothing() {
+    let mut rig = Rig::new();
+    let token = rig.acquire();
+    assert_eq!(
+        rig.write(map::SESSION_RELEASE, token ^ 1),
+        Err(Refusal::NotOwner)
+    );
+    assert_eq!(rig.write(map::SESSION_RELEASE, token), Ok(()));
+    assert_eq!(rig.read(map::SESSION_OWNER_IP), Ok(0));
+}
+
+#[test]
+fn everybody_sees_who_owns_it() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    assert_eq!(rig.read_as(BOB, map::SESSION_OWNER_IP), Ok(ALICE.ip));
+    assert_eq!(
+        rig.read_as(BOB, map::SESSION_OWNER_PORT),
+        Ok(u32::from(ALICE.port))
+    );
+}
+
+#[test]
+fn a_silent_owner_loses_an_idle_machine_after_three_seconds() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    rig.server.poll(&mut rig.board);
+    rig.board.now += 3 * u64::from(CLOCK) - 1;
+    rig.server.poll(&mut rig.board);
+    assert_eq!(
+        rig.write_as(BOB, map::SESSION_ACQUIRE, 7),
+        Err(Refusal::NotOwner)
+    );
+    rig.board.now += 1;
+    rig.server.poll(&mut rig.board);
+    assert_eq!(rig.write_as(BOB, map::SESSION_ACQUIRE, 7), Ok(()));
+}
+
+#[test]
+fn an_owner_that_keeps_talking_keeps_it() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    for _ in 0..10 {
+        rig.exchange(true, false).unwrap();
+        rig.server.poll(&mut rig.board);
+        rig.board.now += 2 * u64::from(CLOCK);
+        rig.server.poll(&mut rig.board);
+    }
+    assert!(rig.server.session().is_owner(ALICE));
+}
+
+#[test]
+fn a_restart_is_the_owners_or_nobodys_and_never_while_armed() {
+    let mut rig = Rig::armed();
+    assert_eq!(
+        rig.write(map::SESSION_REBOOT, map::REBOOT_KEY),
+        Err(Refusal::Armed)
+    );
+    let mut rig = Rig::new();
+    assert_eq!(rig.write(map::SESSION_REBOOT, 1), Err(Refusal::Value));
+    assert!(!rig.server.wants_restart());
+    assert_eq!(rig.write(map::SESSION_REBOOT, map::REBOOT_KEY), Ok(()));
+    assert!(rig.server.wants_restart());
+}
+
+// ---- Configuration ---------------------------------------------------------------------------------------
+
+#[test]
+fn while_armed_only_what_is_safe_live_can_change() {
+    let mut rig = Rig::armed();
+    for address in [
+        map::CONFIG_STEPGEN,
+        map::CONFIG_STEPGEN + 16,
+        map::CONFIG_STEPGEN + 20,
+        map::CONFIG_PWM + 4,
+        map::CONFIG_ENCODER + 4,
+        map::CONFIG_BOARD,
+        map::CONFIG_BOARD + 8,
+    ] {
+        assert_eq!(rig.write(address, 1), Err(Refusal::Armed), "{address:#x}");
+    }
+    assert_eq!(
+        rig.write(map::SERVICE + 16 * 0x800, 60),
+        Err(Refusal::Armed)
+    );
+    assert_eq!(rig.write(map::CONFIG_PWM, 3000), Ok(()));
+}
+
+#[test]
+fn a_setting_out_of_range_is_refused_and_the_old_one_stays() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    rig.write(map::CONFIG_STEPGEN, 60).unwrap();
+    assert_eq!(rig.write(map::CONFIG_STEPGEN, 65_536), Err(Refusal::Value));
+    assert_eq!(rig.read(map::CONFIG_STEPGEN), Ok(60));
+}
+
+#[test]
+fn a_setting_of_a_channel_that_is_not_there_is_refused() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    assert_eq!(
+        rig.write(map::CONFIG_STEPGEN + 6 * map::CONFIG_STRIDE, 1),
+        Err(Refusal::Unmapped)
+    );
+}
+
+#[test]
+fn acquiring_an_armed_machine_again_stops_it_and_configures_nothing_in_the_same_breath() {
+    let mut rig = Rig::armed();
+    let words = [
+        HEADER,
+        0,
+        0x000f_0100,
+        map::SESSION_ACQUIRE,
+        8,
+        0x000f_0100,
+        map::CONFIG_STEPGEN,
+        60,
+    ];
+    assert_eq!(rig.send(&words), Err(Refusal::Armed));
+    assert!(rig.server.safety().state() == State::Armed);
+    rig.write(map::SESSION_ACQUIRE, 8).unwrap();
+    assert_eq!(rig.server.safety().state(), State::Stopping);
+}
+
+#[test]
+fn raw_registers_are_readable_by_all_and_the_scratch_one_writable_by_the_owner() {
+    let mut rig = Rig::new();
+    assert_eq!(
+        rig.read(map::SERVICE + 0x800),
+        Ok((map::SERVICE + 0x800) ^ 0x5555_0000)
+    );
+    rig.acquire();
+    rig.write(map::SERVICE + 4, 5).unwrap();
+    assert_eq!(
+        rig.board.done.last(),
+        Some(&Change::Csr(map::SERVICE + 4, 5))
+    );
+    let watchdog_control = map::SERVICE + 10 * 0x800 + 12;
+    assert_eq!(
+        rig.write(watchdog_control, 0x4152_4d31),
+        Err(Refusal::ReadOnly)
+    );
+}
+
+// ---- The exchange ---------------------------------------------------------------------------------------
+
+#[test]
+fn an_exchange_commits_samples_feeds_and_answers() {
+    let mut rig = Rig::armed();
+    rig.board.done.clear();
+    rig.board.now = 0x1_2345_6789;
+    let mut command = rig.command(true, true);
+    command.stepgen[5] = (StepRate(-7), Accel(9));
+    command.pwm[5] = PWM_ENABLE | 100;
+    command.gpio_out = 0xa5;
+    let status = rig.exchange_as(ALICE, &command).unwrap();
+    assert_eq!(
+        rig.board.done,
+        [
+            Change::Strobe(STROBE_COMMIT | STROBE_SAMPLE),
+            Change::Feed(command.sequence)
+        ]
+    );
+    assert_eq!(rig.board.live[..2], [0x3f, 0xa5]);
+    assert_eq!(rig.board.live[12..14], [-7i32 as u32, 9]);
+    assert_eq!(rig.board.live[39], PWM_ENABLE | 100);
+    assert_eq!(status.sequence, command.sequence);
+    assert_eq!(status.arrival, Clocks(0x1_2345_6789));
+    assert_eq!(status.sample, Clocks::from_words(0x1000, 0x1001));
+    assert_eq!(
+        (status.gpio_in, status.boot_id, status.watchdog_left),
+        (0x1002, 9, 300_000)
+    );
+    assert_eq!(status.stepgen[5].1, StepRate(0x1000 + 4 + 17));
+    assert_eq!(status.encoder[5].edge_time, 0x1000 + 52 + 17);
+    assert!(status.state.accepted && status.state.session_yours && status.state.enabled);
+}
+
+#[test]
+fn a_command_block_of_another_length_is_refused() {
+    let mut rig = Rig::armed();
+    let before = rig.board.changes();
+    for count in [1, 24, 26, 55] {
+        let mut words = vec![HEADER, 0, 0x000f_0000 | count << 8, map::COMMAND];
+        words.extend(vec![0; count as usize]);
+        assert_eq!(rig.send(&words), Err(Refusal::BlockLength), "{count} words");
+    }
+    let mut words = vec![HEADER, 0, 0x000f_1900, map::COMMAND + 4];
+    words.extend([0; 25]);
+    assert_eq!(rig.send(&words), Err(Refusal::BlockLength));
+    words[3] = map::COMMAND - 4;
+    assert_eq!(rig.send(&words), Err(Refusal::BlockLength));
+    assert_eq!(rig.board.changes(), before);
+}
+
+#[test]
+fn an_exchange_shares_its_datagram_with_nothing() {
+    let mut rig = Rig::armed();
+    let command = rig.command(true, true);
+    let mut buffer = [0; 64];
+    let request = command.emit_request(SIX, &mut buffer).unwrap().to_vec();
+    let before = rig.board.changes();
+    let behind = [&request[..], &[0x000f_0001, 0, 0x100]].concat();
+    assert_eq!(rig.send(&behind), Err(Refusal::NotAlone));
+    let mut with_read = request.clone();
+    with_read[2] |= 1;
+    with_read.extend([0, 0x100]);
+    assert_eq!(rig.send(&with_read), Err(Refusal::NotAlone));
+    let ahead = [&[HEADER, 0, 0x000f_0001, 0, 0x100], &request[2..]].concat();
+    assert_eq!(rig.send(&ahead), Err(Refusal::NotAlone));
+    assert_eq!(rig.board.changes(), before);
+}
+
+#[test]
+fn repeated_old_and_foreign_sequences_are_dropped_and_never_feed() {
+    let mut rig = Rig::armed();
+    let good = rig.command(true, true);
+    rig.exchange_as(ALICE, &good).unwrap();
+    let before = rig.board.changes();
+    for (sequence, why) in [
+        (good.sequence, Refusal::Duplicate),
+        (good.sequence - 1, Refusal::Stale),
+        (good.sequence.wrapping_add(1 << 31), Refusal::Stale),
+    ] {
+        let command = Command { sequence, ..good };
+        assert_eq!(rig.exchange_as(ALICE, &command), Err(why));
+    }
+    let wrong_token = Command {
+        token: good.token ^ 1,
+        sequence: good.sequence + 1,
+        ..good
+    };
+    assert_eq!(rig.exchange_as(ALICE, &wrong_token), Err(Refusal::NotOwner));
+    assert_eq!(rig.board.changes(), before);
+}
+
+#[test]
+fn a_gap_in_the_sequence_is_fine_and_so_is_its_wrap() {
+    let mut rig = Rig::armed();
+    for sequence in [0x7fff_ffff, 0xffff_fffe, 0xffff_ffff, 0, 5] {
+        let command = Command {
+            sequence,
+            ..rig.command(true, true)
+        };
+        assert!(rig.exchange_as(ALICE, &command).is_ok(), "{sequence:#x}");
+    }
+}
+
+#[test]
+fn unknown_flags_are_refused() {
+    let mut rig = Rig::armed();
+    let command = rig.command(true, true);
+    let mut buffer = [0; 64];
+    let mut request = command.emit_request(SIX, &mut buffer).unwrap().to_vec();
+    request[6] |= 1 << 3;
+    assert_eq!(rig.send(&request), Err(Refusal::Value));
+}
+
+#[test]
+fn a_disarmed_machine_answers_samples_and_executes_nothing() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    rig.board.done.clear();
+    let mut command = rig.command(true, false);
+    command.stepgen[0].0 = StepRate(1000);
+    let status = rig.exchange_as(ALICE, &command).unwrap();
+    assert_eq!(
+        rig.board.done,
+        [Change::Strobe(STROBE_SAMPLE), Change::Feed(1)]
+    );
+    assert_eq!(rig.board.live, [0; 50]);
+    assert_eq!(
+        (status.state.state, status.state.enabled),
+        (State::Disarmed, false)
+    );
+}
+
+#[test]
+fn arming_commits_before_and_after_the_gate_opens() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    rig.exchange(true, false).unwrap();
+    rig.exchange(true, true).unwrap();
+    rig.board.done.clear();
+    let status = rig.exchange(true, true).unwrap();
+    assert_eq!(
+        rig.board.done[..3],
+        [
+            Change::Strobe(STROBE_COMMIT),
+            Change::Order(Control::Arm),
+            Change::Strobe(STROBE_COMMIT | STROBE_SAMPLE)
+        ]
+    );
+    assert_eq!(
+        (status.state.state, status.state.enabled),
+        (State::Armed, true)
+    );
+}
+
+#[test]
+fn an_apply_time_is_set_before_the_strobe_and_the_next_command_replaces_it() {
+    let mut rig = Rig::armed();
+    rig.board.done.clear();
+    let command = Command {
+        apply_at: Some(Clocks(0x5_0000_0007)),
+        ..rig.command(true, true)
+    };
+    rig.exchange_as(ALICE, &command).unwrap();
+    assert_eq!(rig.board.commit_at, 0x5_0000_0007);
+    assert_eq!(
+        rig.board.done[0],
+        Change::Strobe(STROBE_COMMIT_AT | STROBE_SAMPLE)
+    );
+    rig.exchange(true, true).unwrap();
+    assert_eq!(
+        rig.board.commit_at,
+        u64::MAX,
+        "an old apply time could fire into a half-staged block"
+    );
+}
+
+#[test]
+fn looking_at_the_status_changes_nothing_and_shows_the_last_exchange() {
+    let mut rig = Rig::armed();
+    let before = rig.board.done.len();
+    let words: Vec<u32> = (0..48)
+        .map(|word| rig.read_as(BOB, map::STATUS + 4 * word).unwrap())
+        .collect();
+    assert_eq!(rig.board.done.len(), before);
+    let status = Status::parse(&words, SIX).unwrap();
+    assert_eq!(status.sequence, rig.sequence);
+    assert!(!status.state.accepted && !status.state.session_yours && status.state.enabled);
+    assert_eq!(status.encoder[5].edge_time, 0x1000 + 52 + 17);
+    assert_eq!(rig.read_as(BOB, map::STATUS + 4 * 48), Ok(0));
+}
+
+#[test]
+fn an_exchange_with_the_no_reads_flag_is_executed_silently() {
+    let mut rig = Rig::armed();
+    let command = rig.command(true, true);
+    let mut buffer = [0; 64];
+    let mut request = command.emit_request(SIX, &mut buffer).unwrap().to_vec();
+    request[0] |= 0x400;
+    assert_eq!(rig.send(&request), Ok(vec![]));
+    assert_eq!(rig.server.session().last_sequence(), command.sequence);
+}
+
+// ---- Stops ----------------------------------------------------------------------------------------------
+
+#[test]
+fn a_bite_kills_the_session_and_recovery_needs_resync_and_edge() {
+    let mut rig = Rig::armed();
+    rig.board.bite();
+    assert_eq!(rig.exchange(true, true), Err(Refusal::NotOwner));
+    assert_eq!(rig.read(map::SESSION_OWNER_IP), Ok(0));
+    assert_eq!(rig.server.safety().reason(), FaultReason::Watchdog);
+    rig.acquire();
+    for _ in 0..3 {
+        let status = rig.exchange(true, true).unwrap();
+        assert_eq!(
+            (status.state.state, status.state.bitten),
+            (State::Faulted, true)
+        );
+    }
+    rig.exchange(true, false).unwrap();
+    rig.exchange(true, true).unwrap();
+    let status = rig.exchange(true, true).unwrap();
+    assert_eq!(
+        (status.state.state, status.state.bitten),
+        (State::Armed, false)
+    );
+}
+
+#[test]
+fn after_a_bite_another_host_may_take_over() {
+    let mut rig = Rig::armed();
+    rig.board.bite();
+    rig.server.poll(&mut rig.board);
+    assert_eq!(rig.write_as(BOB, map::SESSION_ACQUIRE, 5), Ok(()));
+}
+
+#[test]
+fn at_rest_nothing_stale_waits_behind_the_gate() {
+    let mut rig = Rig::armed();
+    let mut command = rig.command(true, true);
+    command.stepgen[0].0 = StepRate(1000);
+    rig.exchange_as(ALICE, &command).unwrap();
+    rig.server.poll(&mut rig.board);
+    assert_eq!(rig.board.live[2], 1000);
+    rig.board.bite();
+    rig.server.poll(&mut rig.board);
+    rig.server.poll(&mut rig.board);
+    assert_eq!(rig.board.live, [0; 50]);
+}
+
+#[test]
+fn releasing_the_session_of_an_armed_machine_stops_it_softly() {
+    let mut rig = Rig::armed();
+    let token = rig.read(map::SESSION_TOKEN).unwrap();
+    rig.write(map::SESSION_RELEASE, token).unwrap();
+    assert_eq!(
+        rig.board.done.last(),
+        Some(&Change::Order(Control::SoftStop))
+    );
+    assert_eq!(rig.server.safety().state(), State::Stopping);
+}
+
+#[test]
+fn a_board_of_another_abi_describes_itself_and_never_arms() {
+    let mut rig = Rig::with_abi(1);
+    rig.acquire();
+    for request in [false, true, true, false, true, true] {
+        let status = rig.exchange(true, request).unwrap();
+        assert_eq!(status.state.reason, FaultReason::AbiMismatch);
+        assert!(!status.state.enabled);
+    }
+    assert_eq!(rig.read(4 * 2), Ok(ABI));
+    assert_eq!(rig.read(4 * 3), Ok(1));
+    assert_eq!(rig.read(4 * 15), Ok(wire::describe::OBSTACLE_ABI));
+}
+
+// ---- Windows --------------------------------------------------------------------------------------------
+
+#[test]
+fn the_description_is_one_the_host_understands() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    let words: [u32; 16] = core::array::from_fn(|word| rig.read(4 * word as u32).unwrap());
+    let describe = wire::describe::Describe::parse(&words).unwrap();
+    assert_eq!(
+        (describe.channels, describe.clock_hz, describe.boot_id),
+        (SIX, CLOCK, 9)
+    );
+    assert_eq!(describe.firmware_version, crate::VERSION);
+    assert!(describe.state.session_yours && describe.obstacles == 0);
+    assert_eq!(rig.read(0xfc), Ok(0));
+    assert_eq!(rig.read(0x108), Ok(0xb10b_0002));
+    assert_eq!(rig.read(0x10c), Ok(0), "behind the blob");
+}
+
+#[test]
+fn counters_count() {
+    let mut rig = Rig::armed();
+    assert_eq!(rig.read(map::COUNTERS + 8), Ok(3));
+    let _ = rig.send(&[]);
+    assert_eq!(rig.read(map::COUNTERS_REFUSED), Ok(1));
+    assert_eq!(rig.exchange(true, true).unwrap().refused.0, 1);
+}
+
+#[test]
+fn log_and_obituary_can_be_read() {
+    let mut rig = Rig::new();
+    rig.board.ring.push(b"hello");
+    let _ = rig.board.record.boot(0);
+    rig.board.record.die(format_args!("boom"));
+    assert_eq!(rig.read(map::LOG), Ok(5));
+    assert_eq!(rig.read(map::LOG + 4), Ok(64));
+    assert_eq!(rig.read(map::LOG + 8), Ok(9));
+    assert_eq!(rig.read(map::LOG_RING).map(u32::to_be_bytes), Ok(*b"hell"));
+    assert_eq!(rig.read(map::PANIC), Ok(1));
+    assert_eq!(rig.read(map::PANIC + 4), Ok(4));
+    assert_eq!(
+        rig.read(map::PANIC_TEXT).map(u32::to_be_bytes),
+        Ok(*b"boom")
+    );
+}
+
+#[test]
+fn the_led_tells_the_states_apart() {
+    let mut rig = Rig::new();
+    assert_eq!(rig.board.led, Led::Slow);
+    rig.acquire();
+    rig.server.poll(&mut rig.board);
+    assert_eq!(rig.board.led, Led::Double);
+    rig.arm();
+    rig.server.poll(&mut rig.board);
+    assert_eq!(rig.board.led, Led::On);
+    rig.board.bite();
+    rig.server.poll(&mut rig.board);
+    assert_eq!(rig.board.led, Led::Fast);
+}
+
+#[test]
+fn only_the_board_settings_are_named_board() {
+    // The match in `config` has a wildcard over word numbers; this pins its last arm.
+    let setting = config::setting_at(map::CONFIG_BOARD + 12, SIX);
+    assert_eq!(setting, Some(Setting::Board(BoardConfig::GpioInvert)));
+    let setting = config::setting_at(map::CONFIG_STEPGEN + 20, SIX);
+    assert_eq!(setting, Some(Setting::Stepgen(0, StepgenConfig::Mode)));
+}

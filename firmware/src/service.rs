@@ -1,0 +1,151 @@
+//! Raw registers for people and for LiteX's own tools: everything can be read, little be written.
+//!
+//! No CSR of this SoC changes by being read. Written may be what configures and cannot move
+//! anything: never the gate, never the network, never the command page.
+
+use crate::config;
+use crate::cores::Setting;
+use wire::Refusal;
+use wire::describe::Channels;
+use wire::map::{self, BoardConfig, StepgenConfig};
+
+/// Bytes per CSR page.
+const PAGE: u32 = 0x800;
+/// LiteX's controller: word 1 is a scratch register, there to be written by tests.
+const SCRATCH: u32 = map::SERVICE + 4;
+const PAGE_GPIO: u32 = 11;
+const PAGE_LED: u32 = 12;
+const PAGE_STEPGEN: u32 = 16;
+const PAGE_ENCODER: u32 = 32;
+const PAGE_PWM: u32 = 48;
+/// Pages 0..=4 are LiteX's, 8..=12 and 14.. ours.
+const PAGES: u64 = 0x1f | 0x1f << 8 | !0 << 14;
+
+/// What a raw write means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Target {
+    Setting(Setting),
+    /// Cannot hurt, whatever the value.
+    Harmless,
+}
+
+/// Is there a register page at this address?
+pub const fn readable(address: u32) -> bool {
+    let offset = address.wrapping_sub(map::SERVICE);
+    offset < 64 * PAGE && PAGES >> (offset / PAGE) & 1 != 0
+}
+
+/// May this be written at all, and with this value? The caller has checked ownership and rest.
+pub fn check_write(
+    address: u32,
+    value: u32,
+    channels: Channels,
+    clock_hz: u32,
+) -> Result<(), Refusal> {
+    match target(address, channels)? {
+        Target::Setting(setting) => config::check(setting, value, channels, clock_hz),
+        Target::Harmless => Ok(()),
+    }
+}
+
+fn target(address: u32, channels: Channels) -> Result<Target, Refusal> {
+    if !readable(address) {
+        return Err(Refusal::Unmapped);
+    }
+    if address == SCRATCH {
+        return Ok(Target::Harmless);
+    }
+    let offset = address - map::SERVICE;
+    let (page, word) = (offset / PAGE, offset % PAGE / 4);
+    let channel = (page % 16) as u8;
+    let setting = match (page, word) {
+        (PAGE_LED, 0) => return Ok(Target::Harmless),
+        (PAGE_GPIO, 1) => Setting::Board(BoardConfig::GpioSafe),
+        (PAGE_GPIO, 2) => Setting::Board(BoardConfig::GpioInvert),
+        (PAGE_STEPGEN..PAGE_ENCODER, 0..6) if channel < channels.stepgens => {
+            let field = match word {
+                0 => StepgenConfig::Steplen,
+                1 => StepgenConfig::Stepspace,
+                2 => StepgenConfig::Dirsetup,
+                3 => StepgenConfig::Dirhold,
+                4 => StepgenConfig::StopAccel,
+                _ => StepgenConfig::Mode,
+            };
+            Setting::Stepgen(channel, field)
+        }
+        (PAGE_ENCODER..PAGE_PWM, 0) if channel < channels.encoders => Setting::EncoderMode(channel),
+        (PAGE_ENCODER..PAGE_PWM, 1) if channel < channels.encoders => {
+            Setting::EncoderFilter(channel)
+        }
+        (PAGE_PWM.., 0) if channel < channels.pwms => Setting::PwmPeriod(channel),
+        (PAGE_PWM.., 1) if channel < channels.pwms => Setting::PwmMode(channel),
+        _ => return Err(Refusal::ReadOnly),
+    };
+    Ok(Target::Setting(setting))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIX: Channels = Channels {
+        stepgens: 6,
+        encoders: 6,
+        pwms: 6,
+        inputs: 12,
+        outputs: 12,
+    };
+
+    fn write(page: u32, word: u32, value: u32) -> Result<(), Refusal> {
+        check_write(
+            map::SERVICE + page * PAGE + word * 4,
+            value,
+            SIX,
+            60_000_000,
+        )
+    }
+
+    #[test]
+    fn the_identifier_and_every_core_can_be_read() {
+        for page in [0, 1, 2, 3, 8, 9, 10, 11, 12, 14, 15, 16, 31, 32, 48, 63] {
+            assert!(readable(map::SERVICE + page * PAGE), "page {page}");
+        }
+        for page in [5, 6, 7, 13, 64, 1000] {
+            assert!(!readable(map::SERVICE + page * PAGE), "page {page}");
+        }
+        assert!(!readable(0x8000_0000) && !readable(0));
+    }
+
+    #[test]
+    fn nothing_that_opens_the_gate_moves_an_axis_or_cuts_the_network_can_be_written() {
+        for page in [1, 2, 3, 4, 8, 9, 10, 14, 15] {
+            for word in 0..64 {
+                assert_eq!(
+                    write(page, word, 0),
+                    Err(Refusal::ReadOnly),
+                    "page {page} word {word}"
+                );
+            }
+        }
+        assert_eq!(write(0, 0, 1), Err(Refusal::ReadOnly), "the SoC's reset");
+    }
+
+    #[test]
+    fn the_scratch_register_is_there_to_be_written() {
+        assert_eq!(write(0, 1, 0xffff_ffff), Ok(()));
+    }
+
+    #[test]
+    fn raw_settings_have_the_limits_of_the_config_window() {
+        assert_eq!(write(16, 0, 1), Ok(()));
+        assert_eq!(write(16, 0, 0), Err(Refusal::Value));
+        assert_eq!(
+            write(22, 0, 1),
+            Err(Refusal::ReadOnly),
+            "a stepgen the board does not have"
+        );
+        assert_eq!(write(11, 1, 0xfff), Ok(()));
+        assert_eq!(write(11, 1, 0x1000), Err(Refusal::Value));
+        assert_eq!(write(48, 0, 3000), Ok(()));
+    }
+}
