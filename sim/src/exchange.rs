@@ -1,0 +1,268 @@
+//! Recognises exchanges on the wire and measures them. Never judges one: that is the firmware's business.
+
+use std::collections::HashMap;
+
+use crate::gmii::Sent;
+use crate::segment::Endpoint;
+
+/// Bytes of an Etherbone packet header.
+const PACKET_HEADER: usize = 8;
+/// Where a first record's base write address stands.
+const BASE: usize = PACKET_HEADER + 4;
+/// Where the first written word stands.
+const WORDS: usize = BASE + 4;
+
+fn be32(bytes: &[u8], at: usize) -> Option<u32> {
+    bytes.get(at..at + 4).map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]]))
+}
+
+fn is_write(payload: &[u8]) -> bool {
+    payload.starts_with(&[0x4e, 0x6f]) && payload.get(PACKET_HEADER + 2).is_some_and(|wcount| *wcount != 0)
+}
+
+/// The datagram carries a command block (well-formed or not): an Etherbone write based at the COMMAND window.
+pub fn is_request(payload: &[u8]) -> bool {
+    is_write(payload) && be32(payload, BASE) == Some(wire::map::COMMAND)
+}
+
+/// Sequence number of a command block.
+pub fn sequence(payload: &[u8]) -> Option<u32> {
+    is_request(payload).then(|| be32(payload, WORDS + 4)).flatten()
+}
+
+/// The datagram asks for something that a board answers: reads, a probe or an exchange.
+pub fn wants_reply(payload: &[u8]) -> bool {
+    let probe = payload.get(2).is_some_and(|flags| flags & 1 != 0);
+    let mut records = payload.get(PACKET_HEADER..).unwrap_or_default();
+    let mut reads = false;
+    while let [_, _, wcount, rcount, rest @ ..] = records {
+        reads |= *rcount != 0;
+        // Each half that is there has a base address before its words.
+        let words = |count: u8| if count == 0 { 0 } else { 4 + 4 * usize::from(count) };
+        records = rest.get(words(*wcount) + words(*rcount)..).unwrap_or_default();
+    }
+    is_request(payload) || probe || reads
+}
+
+/// What the harness reads out of a status block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StatusHead {
+    /// Sequence number echoed.
+    pub sequence: u32,
+    /// The state word.
+    pub state: u32,
+    /// Clocks the watchdog had left when the command arrived.
+    pub watchdog_left: u32,
+}
+
+impl StatusHead {
+    /// Of a reply to the exchange numbered `sequence`.
+    pub fn parse(payload: &[u8], sequence: u32) -> Option<Self> {
+        (is_write(payload) && be32(payload, BASE) == Some(sequence) && be32(payload, WORDS + 4) == Some(sequence)).then_some(())?;
+        Some(StatusHead { sequence, state: be32(payload, WORDS)?, watchdog_left: be32(payload, WORDS + 6 * 4)? })
+    }
+
+    /// The gate was open.
+    pub fn enabled(&self) -> bool {
+        self.state >> 17 & 1 != 0
+    }
+}
+
+/// A request the board has been or is being fed.
+#[derive(Clone, Copy, Debug)]
+struct Pending {
+    id: u64,
+    sequence: Option<u32>,
+    wire_len: usize,
+    /// Times, once it has been fed in full.
+    fed: Option<Sent>,
+}
+
+/// How a request was answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Timing {
+    /// End of the last request byte to start of the first reply byte, sys clocks, rounded up.
+    pub turnaround: u64,
+    /// Start of the first request byte to end of the last reply byte, sys clocks, rounded up.
+    pub total: u64,
+    /// Request bytes on the wire, preamble and FCS included.
+    pub request_bytes: usize,
+    /// Reply bytes on the wire, preamble and FCS included.
+    pub reply_bytes: usize,
+}
+
+/// Smallest, middle and largest of some figures.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Spread {
+    /// Smallest.
+    pub min: u64,
+    /// Middle one, the lower of two.
+    pub median: u64,
+    /// Largest.
+    pub max: u64,
+}
+
+impl Spread {
+    /// Of a list; `None` when it is empty.
+    pub fn of(values: &[u32]) -> Option<Self> {
+        let mut sorted = values.to_vec();
+        sorted.sort_unstable();
+        Some(Spread {
+            min: u64::from(*sorted.first()?),
+            median: u64::from(sorted[(sorted.len() - 1) / 2]),
+            max: u64::from(*sorted.last()?),
+        })
+    }
+}
+
+/// Matches replies with requests and keeps the figures of exchanges.
+#[derive(Debug, Default)]
+pub struct Meter {
+    pending: HashMap<Endpoint, Vec<Pending>>,
+    /// Turnaround of every answered exchange in order, sys clocks.
+    pub turnarounds: Vec<u32>,
+    /// Exchanges fed to the board.
+    pub requested: u64,
+    /// Exchanges answered.
+    pub answered: u64,
+    /// Least the watchdog had left at the arrival of a command while the gate was open, sys clocks.
+    pub watchdog_margin: Option<u32>,
+    /// State word of the last status block.
+    pub last_state: Option<u32>,
+}
+
+impl Meter {
+    /// Requests remembered per sender; older ones were lost.
+    const REMEMBERED: usize = 8;
+
+    /// Frame `id` to the board is a datagram from `from`.
+    pub fn request(&mut self, id: u64, from: Endpoint, payload: &[u8], wire_len: usize) {
+        let sequence = sequence(payload);
+        self.requested += u64::from(sequence.is_some());
+        let list = self.pending.entry(from).or_default();
+        if list.len() == Self::REMEMBERED {
+            list.remove(0);
+        }
+        list.push(Pending { id, sequence, wire_len, fed: None });
+    }
+
+    /// A frame has been fed in full.
+    pub fn sent(&mut self, sent: Sent) {
+        for pending in self.pending.values_mut().flatten() {
+            if pending.id == sent.id {
+                pending.fed = Some(sent);
+            }
+        }
+    }
+
+    /// A datagram came for `to`, its bytes on the wire from tick `first` to `last`. Returns how it fits a request.
+    pub fn reply(
+        &mut self,
+        to: Endpoint,
+        payload: &[u8],
+        (first, last, wire_len): (u64, u64, usize),
+        clocks: impl Fn(u64) -> u64,
+    ) -> Option<Timing> {
+        let list = self.pending.get_mut(&to)?;
+        // An exchange by its sequence number; anything else is the answer to the last request before it.
+        let by_sequence = list
+            .iter()
+            .position(|p| p.sequence.is_some_and(|s| p.fed.is_some() && StatusHead::parse(payload, s).is_some()));
+        let before = |p: &Pending| p.sequence.is_none() && p.fed.is_some_and(|sent| sent.last <= first);
+        let at = by_sequence.or_else(|| list.iter().position(before))?;
+        let request = list.remove(at);
+        let sent = request.fed?;
+        let timing = Timing {
+            turnaround: clocks(first.saturating_sub(sent.last)),
+            total: clocks(last.saturating_sub(sent.first)),
+            request_bytes: request.wire_len,
+            reply_bytes: wire_len,
+        };
+        if let Some(head) = request.sequence.and_then(|s| StatusHead::parse(payload, s)) {
+            self.answered += 1;
+            self.turnarounds.push(timing.turnaround as u32);
+            self.last_state = Some(head.state);
+            if head.enabled() {
+                self.watchdog_margin = Some(self.watchdog_margin.map_or(head.watchdog_left, |m| m.min(head.watchdog_left)));
+            }
+        }
+        Some(timing)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::Ipv4Addr;
+
+    const ME: Endpoint = (Ipv4Addr::new(192, 168, 2, 1), 40000);
+
+    fn packet(words: &[u32]) -> Vec<u8> {
+        words.iter().flat_map(|w| w.to_be_bytes()).collect()
+    }
+
+    fn request(sequence: u32) -> Vec<u8> {
+        packet(&[0x4e6f_1044, 0, 0x000f_0300, wire::map::COMMAND, 0x1111, sequence, 1])
+    }
+
+    fn status(sequence: u32, state: u32, left: u32) -> Vec<u8> {
+        packet(&[0x4e6f_1044, 0, 0x000f_0700, sequence, state, sequence, 0, 0, 0, 0, left])
+    }
+
+    #[test]
+    fn tells_exchanges_from_other_datagrams() {
+        assert_eq!(sequence(&request(7)), Some(7));
+        let read = packet(&[0x4e6f_1044, 0, 0x000f_0001, 0, wire::map::COMMAND]);
+        let write = packet(&[0x4e6f_1044, 0, 0x000f_0100, wire::map::SESSION, 5]);
+        let probe = packet(&[0x4e6f_1144, 0]);
+        assert_eq!([&read, &write, &probe].map(|p| is_request(p)), [false; 3]);
+        let both = packet(&[0x4e6f_1044, 0, 0x000f_0100, wire::map::SESSION, 5, 0x000f_0001, 0, 0]);
+        let asked = [&read, &write, &probe, &request(1), &both].map(|p| wants_reply(p));
+        assert_eq!(asked, [true, false, true, true, true]);
+        assert!(!is_request(b"") && !wants_reply(b"Nope"));
+    }
+
+    fn fed(meter: &mut Meter, id: u64, payload: &[u8], first: u64, last: u64) {
+        meter.request(id, ME, payload, payload.len() + 54);
+        meter.sent(Sent { id, first, last });
+    }
+
+    #[test]
+    fn turnaround_is_last_byte_in_to_first_byte_out() {
+        let mut meter = Meter::default();
+        fed(&mut meter, 0, &request(5), 1000, 2000);
+        let timing = meter.reply(ME, &status(5, 1 << 17, 300), (4510, 6000, 200), |t| t.div_ceil(25)).unwrap();
+        assert_eq!((timing.turnaround, timing.total), (101, 200));
+        assert_eq!((timing.reply_bytes, timing.request_bytes), (200, 28 + 54));
+        assert_eq!((meter.requested, meter.answered, meter.watchdog_margin), (1, 1, Some(300)));
+    }
+
+    #[test]
+    fn a_lost_reply_does_not_shift_the_others() {
+        let mut meter = Meter::default();
+        fed(&mut meter, 0, &request(5), 0, 100);
+        fed(&mut meter, 1, &request(6), 1000, 1100);
+        let timing = meter.reply(ME, &status(6, 0, 10), (1200, 1300, 0), |t| t).unwrap();
+        assert_eq!(timing.turnaround, 100);
+        assert_eq!((meter.requested, meter.answered), (2, 1));
+        assert_eq!(meter.watchdog_margin, None, "a closed gate has no margin");
+    }
+
+    #[test]
+    fn plain_replies_are_matched_in_order_and_not_counted() {
+        let mut meter = Meter::default();
+        let read = packet(&[0x4e6f_1044, 0, 0x000f_0001, 0, 0]);
+        fed(&mut meter, 0, &read, 0, 100);
+        let answer = packet(&[0x4e6f_1044, 0, 0x000f_0100, 0, 0x4643_5231]);
+        assert_eq!(meter.reply(ME, &answer, (160, 200, 0), |t| t).unwrap().turnaround, 60);
+        assert_eq!(meter.answered, 0);
+        assert!(meter.reply(ME, &answer, (160, 200, 0), |t| t).is_none());
+        assert!(meter.reply((ME.0, 1), &answer, (160, 200, 0), |t| t).is_none());
+    }
+
+    #[test]
+    fn spread_of_a_list() {
+        assert_eq!(Spread::of(&[]), None);
+        assert_eq!(Spread::of(&[5, 1, 9, 7]), Some(Spread { min: 1, median: 5, max: 9 }));
+    }
+}

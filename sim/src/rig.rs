@@ -1,0 +1,592 @@
+//! A board on a bench, in process: what tests talk to.
+//!
+//! Every call that waits for the board advances simulated time until the answer is out or a bounded time has passed; nothing
+//! else moves time. So a test reads as a story with exact clocks:
+//!
+//! ```no_run
+//! # fn main() -> Result<(), sim::Error> {
+//! let mut rig = sim::Rig::start("target/sim/mill6".as_ref(), "firmware.elf".as_ref())?;
+//! let word = rig.read_word(wire::map::DESCRIBE);
+//! rig.freeze_cpu(true);
+//! rig.run_ms(10);
+//! assert_eq!(rig.pins().gate, 0);
+//! # Ok(()) }
+//! ```
+
+use std::net::Ipv4Addr;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use wire::etherbone;
+
+use crate::board::{Board, Stop, TraceWindow};
+use crate::edges::Recorder;
+use crate::error::Error;
+use crate::exchange::{Meter, Timing};
+use crate::firmware::Image;
+use crate::gmii;
+use crate::plant::Plant;
+use crate::report::{Counters, Report};
+use crate::segment::{BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Endpoint, HOST_IP, Segment};
+use crate::soc::{Manifest, Pins, Silicon, Soc};
+
+/// Source port of [`Rig::exchange`] and the register helpers.
+pub const RIG_PORT: u16 = 39_999;
+
+/// How to start a board. `Setup::new(..)` is right for most; change fields, then [`Rig::boot`].
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// Directory of `libferrocnc_soc.so` and `manifest.json`.
+    pub soc_dir: PathBuf,
+    /// Firmware image.
+    pub firmware: PathBuf,
+    /// Address at which the board is expected.
+    pub board_ip: Ipv4Addr,
+    /// The machine at its pins.
+    pub plant: Plant,
+    /// Waveforms of a window of time.
+    pub trace: Option<TraceWindow>,
+    /// Longest wait for the first answer, sys clocks. 3 000 000 are 50 ms of board time: start-up is a few.
+    pub boot_clocks: u64,
+}
+
+impl Setup {
+    /// The firmware `elf` on the SoC in `soc_dir`, an encoder on every motor.
+    pub fn new(soc_dir: &Path, elf: &Path) -> Self {
+        Setup {
+            soc_dir: soc_dir.into(),
+            firmware: elf.into(),
+            board_ip: BOARD_IP,
+            plant: Plant::direct(16),
+            trace: None,
+            boot_clocks: 3_000_000,
+        }
+    }
+}
+
+/// Frames to lose or spoil, counted down as they pass. The default harms nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Faults {
+    /// Frames towards the board to drop.
+    pub drop_to_board: u32,
+    /// Frames from the board to drop.
+    pub drop_from_board: u32,
+    /// Frames towards the board to send twice.
+    pub duplicate_to_board: u32,
+    /// Frames towards the board whose FCS to break.
+    pub corrupt_to_board: u32,
+}
+
+/// Counts one fault down; true when it strikes.
+fn strike(count: &mut u32) -> bool {
+    let hit = *count > 0;
+    *count -= u32::from(hit);
+    hit
+}
+
+/// A board's answer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Reply {
+    /// The UDP payload.
+    pub payload: Vec<u8>,
+    /// How long it took; `None` when it fits no request.
+    pub timing: Option<Timing>,
+}
+
+impl Reply {
+    /// The payload as big-endian words; a ragged end is dropped.
+    pub fn words(&self) -> Vec<u32> {
+        self.payload.chunks_exact(4).map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]])).collect()
+    }
+}
+
+/// Frames that passed the cable.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct FrameCounts {
+    /// Fed to the board.
+    pub to_board: u64,
+    /// Received from the board.
+    pub from_board: u64,
+    /// From the board, with a bad preamble, length or FCS.
+    pub malformed_from_board: u64,
+    /// Dropped by [`Faults`].
+    pub dropped: u64,
+}
+
+/// A board, its cable and the hosts on it.
+#[derive(Debug)]
+pub struct Rig<S = Soc> {
+    /// The board, its pins, edges and plant.
+    pub board: Board<S>,
+    /// The virtual Ethernet.
+    pub segment: Segment,
+    /// Measurements of exchanges.
+    pub meter: Meter,
+    /// Faults of the cable.
+    pub faults: Faults,
+    /// Frames passed.
+    pub frames: FrameCounts,
+    /// Longest wait for an answer to one datagram, sys clocks. The default is 60 000: a millisecond at 60 MHz.
+    pub patience: u64,
+    captured: Option<Vec<Vec<u8>>>,
+    inbox: Vec<(Datagram, Option<Timing>)>,
+    busy: Duration,
+    busy_clocks: u64,
+    next_poll: u64,
+    ping_seq: u16,
+}
+
+impl Rig<Soc> {
+    /// Start a board and wait until it answers. See [`Setup`] for more choices.
+    pub fn start(soc_dir: &Path, elf: &Path) -> Result<Self, Error> {
+        Self::boot(Setup::new(soc_dir, elf))
+    }
+
+    /// Start a board as `setup` says and wait until it answers UDP.
+    pub fn boot(setup: Setup) -> Result<Self, Error> {
+        let boot_clocks = setup.boot_clocks;
+        let mut rig = Self::power_up(setup)?;
+        rig.wait_ready(boot_clocks)?;
+        Ok(rig)
+    }
+
+    /// Start a board and return as soon as its reset is over.
+    pub fn power_up(setup: Setup) -> Result<Self, Error> {
+        let manifest = Manifest::read(&setup.soc_dir)?;
+        let mut soc = Soc::load(&setup.soc_dir, setup.trace.is_some())?;
+        let image = Image::read(&setup.firmware, soc.rom_words())?;
+        let mut board = Board::new(soc, manifest.sys_clk_hz, setup.plant);
+        if let Some(window) = setup.trace {
+            board.trace(window);
+        }
+        board.reset(|soc| soc.load_rom(&image.words));
+        Ok(Self::around(board, setup.board_ip))
+    }
+}
+
+impl<S: Silicon> Rig<S> {
+    /// Plug a cable into a board that is out of reset.
+    pub fn around(board: Board<S>, board_ip: Ipv4Addr) -> Self {
+        Rig {
+            board,
+            segment: Segment::new(board_ip),
+            meter: Meter::default(),
+            faults: Faults::default(),
+            frames: FrameCounts::default(),
+            patience: 60_000,
+            captured: None,
+            inbox: Vec::new(),
+            busy: Duration::ZERO,
+            busy_clocks: 0,
+            next_poll: 0,
+            ping_seq: 0,
+        }
+    }
+
+    /// Ask the board for its address and then for its first describe word until it answers both.
+    pub fn wait_ready(&mut self, clocks: u64) -> Result<(), Error> {
+        let (end, frames) = (self.clock() + clocks, self.frames.from_board);
+        // Ask every 20 000 clocks (a third of a millisecond): seldom enough not to fill the MAC of a CPU still starting.
+        let pause = 20_000;
+        while self.clock() < end {
+            if self.segment.board_mac().is_none() {
+                let frame = self.segment.arp_request(HOST_IP);
+                self.inject_frame(&frame);
+                let until = self.clock() + pause;
+                self.run_while(until, |rig| rig.segment.board_mac().is_none());
+            } else if self.read_word(wire::map::DESCRIBE).is_some() {
+                return Ok(());
+            }
+        }
+        Err(Error::Silent { ip: self.segment.board_ip(), clocks, frames: self.frames.from_board - frames })
+    }
+
+    // ---- time --------------------------------------------------------------------------------------------------------
+
+    /// Sys clocks since power-up.
+    pub fn clock(&self) -> u64 {
+        self.board.clock()
+    }
+
+    /// Let `clocks` sys clocks pass.
+    pub fn run(&mut self, clocks: u64) {
+        let until = self.clock() + clocks;
+        self.run_while(until, |_| true);
+    }
+
+    /// Let milliseconds of board time pass.
+    pub fn run_ms(&mut self, ms: u64) {
+        self.run(self.clocks(Duration::from_millis(ms)));
+    }
+
+    /// A duration in sys clocks.
+    pub fn clocks(&self, time: Duration) -> u64 {
+        self.board.clockwork().clocks_in_ns(time.as_nanos() as u64)
+    }
+
+    /// Run to the sys clock `until`, or as long as `wanted` says after each frame; true when time ran out.
+    pub fn run_while(&mut self, until: u64, mut wanted: impl FnMut(&mut Self) -> bool) -> bool {
+        while self.clock() < until {
+            if self.advance(until) && !wanted(self) {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Run to the sys clock `until` or to the end of the next frame from the board, whichever comes first, and let the
+    /// segment do its work. True when something may have changed on the segment.
+    pub fn advance(&mut self, until: u64) -> bool {
+        self.flush();
+        let tcp = self.segment.has_connections();
+        // TCP timers are milliseconds; a poll each 1000 clocks is plenty.
+        let until = if tcp { until.min(self.clock() + 1000) } else { until };
+        let (before, started) = (self.clock(), Instant::now());
+        let stop = self.board.run_until(until);
+        self.busy += started.elapsed();
+        self.busy_clocks += self.clock() - before;
+        while let Some(sent) = self.board.take_sent() {
+            self.meter.sent(sent);
+        }
+        while let Some(transfer) = self.board.take_transfer() {
+            self.frames.from_board += 1;
+            if strike(&mut self.faults.drop_from_board) {
+                self.frames.dropped += 1;
+                continue;
+            }
+            match gmii::decode(&transfer.wire) {
+                Ok(frame) => {
+                    if let Some(captured) = &mut self.captured {
+                        captured.push(frame.to_vec());
+                    }
+                    self.segment.receive(frame, transfer.first, transfer.last);
+                }
+                Err(_) => self.frames.malformed_from_board += 1,
+            }
+        }
+        if stop == Stop::Frame || (tcp && self.clock() >= self.next_poll) {
+            self.next_poll = self.clock() + 1000;
+            let clockwork = self.board.clockwork();
+            self.segment.poll(clockwork.microseconds(self.board.now()));
+            while let Some(datagram) = self.segment.take_datagram() {
+                let times = (datagram.first, datagram.last, datagram.wire_len);
+                let timing = self.meter.reply(datagram.to, &datagram.payload, times, |ticks| clockwork.clocks(ticks));
+                self.inbox.push((datagram, timing));
+            }
+            self.flush();
+            return true;
+        }
+        false
+    }
+
+    /// Frames of the segment's own stack go out.
+    fn flush(&mut self) {
+        while let Some(frame) = self.segment.take_frame() {
+            self.inject_frame(&frame);
+        }
+    }
+
+    /// Simulated sys clocks per second of the machine's time, in thousands, over everything run so far.
+    pub fn kcycles_per_second(&self) -> f64 {
+        self.busy_clocks as f64 / self.busy.as_secs_f64().max(1e-9) / 1e3
+    }
+
+    // ---- frames ------------------------------------------------------------------------------------------------------
+
+    /// Send a frame (destination MAC .. payload) to the board; preamble, padding and FCS are added. `None` when a fault
+    /// dropped it.
+    pub fn inject_frame(&mut self, frame: &[u8]) -> Option<u64> {
+        if strike(&mut self.faults.drop_to_board) {
+            self.frames.dropped += 1;
+            return None;
+        }
+        let mut wire = gmii::encode(frame);
+        if strike(&mut self.faults.duplicate_to_board) {
+            self.inject_wire(wire.clone());
+        }
+        if strike(&mut self.faults.corrupt_to_board)
+            && let Some(last) = wire.last_mut()
+        {
+            *last ^= 0xff;
+        }
+        Some(self.inject_wire(wire))
+    }
+
+    /// Send bytes exactly as given: the caller is the PHY. For runts, bad checksums and worse.
+    pub fn inject_wire(&mut self, wire: Vec<u8>) -> u64 {
+        self.frames.to_board += 1;
+        self.board.feed(wire)
+    }
+
+    /// Keep every well-formed frame from the board from now on.
+    pub fn capture_frames(&mut self) {
+        self.captured.get_or_insert_default();
+    }
+
+    /// The frames kept since the last call.
+    pub fn take_frames(&mut self) -> Vec<Vec<u8>> {
+        self.captured.as_mut().map(std::mem::take).unwrap_or_default()
+    }
+
+    // ---- UDP ---------------------------------------------------------------------------------------------------------
+
+    /// Put a datagram on the wire and return at once.
+    pub fn post(&mut self, from: Endpoint, port: u16, payload: &[u8]) {
+        let frame = self.segment.udp(from, port, payload);
+        let wire_len = frame.len().max(gmii::MIN_FRAME) + 8 + 4;
+        if let Some(id) = self.inject_frame(&frame) {
+            self.meter.request(id, from, payload, wire_len);
+        }
+    }
+
+    /// Datagrams from the board that nobody has taken.
+    pub fn take_datagrams(&mut self) -> Vec<(Datagram, Option<Timing>)> {
+        std::mem::take(&mut self.inbox)
+    }
+
+    /// Send a datagram from any host and wait for the board's answer to it, at most [`Self::patience`] clocks.
+    pub fn request(&mut self, from: Endpoint, port: u16, payload: &[u8]) -> Option<Reply> {
+        self.inbox.retain(|(datagram, _)| datagram.to != from);
+        self.post(from, port, payload);
+        let until = self.clock() + self.patience;
+        self.run_while(until, |rig| !rig.inbox.iter().any(|(datagram, _)| datagram.to == from));
+        let at = self.inbox.iter().position(|(datagram, _)| datagram.to == from)?;
+        let (datagram, timing) = self.inbox.remove(at);
+        Some(Reply { payload: datagram.payload, timing })
+    }
+
+    /// Send a payload to the board's Etherbone port from the default host's `src_port`; the payload of the answer.
+    pub fn send_udp(&mut self, src_port: u16, payload: &[u8]) -> Option<Vec<u8>> {
+        self.request((HOST_IP, src_port), BOARD_PORT, payload).map(|reply| reply.payload)
+    }
+
+    /// One exchange (or any other Etherbone datagram), with its timing.
+    pub fn exchange(&mut self, payload: &[u8]) -> Option<Reply> {
+        self.request((HOST_IP, RIG_PORT), BOARD_PORT, payload)
+    }
+
+    /// One exchange as LinuxCNC makes it: send, take the reply, and let the rest of the servo period pass.
+    pub fn servo_period(&mut self, payload: &[u8], period_clocks: u64) -> Option<Reply> {
+        let end = self.clock() + period_clocks;
+        let reply = self.exchange(payload);
+        self.run_while(end, |_| true);
+        reply
+    }
+
+    /// Read words over Etherbone, at most 255; `None` when the board does not answer as asked.
+    pub fn read_words(&mut self, addresses: &[u32]) -> Option<Vec<u32>> {
+        let count = u8::try_from(addresses.len()).ok()?;
+        let mut words = vec![etherbone::HEADER, 0, etherbone::BYTE_ENABLE | u32::from(count), 0];
+        words.extend(addresses);
+        let reply = self.exchange(&bytes(&words))?.words();
+        // Packet header, record header, return base.
+        (reply.len() == 4 + addresses.len()).then(|| reply[4..].to_vec())
+    }
+
+    /// Read one word over Etherbone.
+    pub fn read_word(&mut self, address: u32) -> Option<u32> {
+        self.read_words(&[address]).map(|words| words[0])
+    }
+
+    /// Read `count` consecutive words over Etherbone.
+    pub fn read_block(&mut self, base: u32, count: u32) -> Option<Vec<u32>> {
+        let mut words = Vec::new();
+        while (words.len() as u32) < count {
+            let at = words.len() as u32;
+            let addresses: Vec<u32> = (at..count.min(at + 64)).map(|i| base + 4 * i).collect();
+            words.extend(self.read_words(&addresses)?);
+        }
+        Some(words)
+    }
+
+    /// Write words over Etherbone (no answer is expected: writes have none), and give the board a tenth of a millisecond.
+    pub fn write_words(&mut self, base: u32, values: &[u32]) {
+        let mut words = vec![etherbone::HEADER, 0, etherbone::BYTE_ENABLE | (values.len() as u32 & 0xff) << 8, base];
+        words.extend(values);
+        self.post((HOST_IP, RIG_PORT), BOARD_PORT, &bytes(&words));
+        self.run(6000);
+    }
+
+    // ---- ICMP and TCP --------------------------------------------------------------------------------------------------
+
+    /// Ping the board; round trip in sys clocks, request's first byte to reply's first byte.
+    pub fn ping(&mut self) -> Option<u64> {
+        self.ping_seq += 1;
+        let (ident, seq_no) = (0x4643, self.ping_seq);
+        let frame = self.segment.echo_request(HOST_IP, ident, seq_no, b"FerroCNC");
+        let started = self.board.now();
+        self.inject_frame(&frame);
+        let mut answer = None;
+        let until = self.clock() + self.patience;
+        self.run_while(until, |rig| {
+            answer = rig.segment.take_echo().filter(|e| (e.ident, e.seq_no, &e.payload[..]) == (ident, seq_no, b"FerroCNC"));
+            answer.is_none()
+        });
+        answer.map(|echo| self.board.clockwork().clocks(echo.first - started))
+    }
+
+    /// Run until a TCP connection to the board is up.
+    pub fn tcp_connect(&mut self, port: u16) -> Result<Connection, Error> {
+        let connection = self.segment.connect(port);
+        self.next_poll = 0;
+        let until = self.clock() + 20 * self.patience;
+        while self.clock() < until && !self.segment.established(connection) {
+            self.advance(until);
+        }
+        if self.segment.established(connection) {
+            Ok(connection)
+        } else {
+            self.segment.drop_connection(connection);
+            Err(Error::Tcp { port })
+        }
+    }
+
+    /// Send text and gather what comes back until the board has been silent for a millisecond of its time (at most 50).
+    pub fn tcp_talk(&mut self, connection: Connection, text: &str) -> String {
+        let mut out = text.as_bytes();
+        let mut heard = Vec::new();
+        let quiet = self.clocks(Duration::from_millis(1));
+        let end = self.clock() + 50 * quiet;
+        let mut last = self.clock();
+        while self.clock() < end && self.clock() < last + quiet {
+            let sent = self.segment.send(connection, out);
+            out = &out[sent..];
+            self.next_poll = 0;
+            self.advance(self.clock() + 500);
+            let bytes = self.segment.recv(connection);
+            if !bytes.is_empty() || !out.is_empty() {
+                last = self.clock();
+            }
+            heard.extend(bytes);
+        }
+        String::from_utf8_lossy(&heard).into_owned()
+    }
+
+    /// One session on the debug console: connect, say `text`, return everything the board said, hang up.
+    pub fn tcp_console(&mut self, text: &str) -> Result<String, Error> {
+        let connection = self.tcp_connect(CONSOLE_PORT)?;
+        let heard = self.tcp_talk(connection, text);
+        self.segment.close(connection);
+        self.run(self.clocks(Duration::from_millis(1)));
+        self.segment.drop_connection(connection);
+        Ok(heard)
+    }
+
+    // ---- pins --------------------------------------------------------------------------------------------------------
+
+    /// All pins as they stand.
+    pub fn pins(&self) -> &Pins {
+        self.board.pins()
+    }
+
+    /// Stop or start the CPU's clock.
+    pub fn freeze_cpu(&mut self, frozen: bool) {
+        self.board.freeze_cpu(frozen);
+    }
+
+    /// Drive the external reset pin.
+    pub fn ext_reset(&mut self, high: bool) {
+        self.board.ext_reset(high);
+    }
+
+    /// Drive the general inputs.
+    pub fn gpio_in(&mut self, levels: u32) {
+        self.board.gpio_in(levels);
+    }
+
+    /// Stream every step into a file; [`Self::finish`] closes it.
+    pub fn record_edges(&mut self, path: &Path) -> Result<(), Error> {
+        let recorder = Recorder::create(path, self.board.clockwork().sys_hz)?;
+        self.board.edges.record(recorder);
+        Ok(())
+    }
+
+    /// Close edge and waveform files.
+    pub fn finish(&mut self) -> Result<u64, Error> {
+        self.board.finish()
+    }
+
+    /// Everything worth reporting. Asks the board for its own counters, which takes a little simulated time; a board that
+    /// is dead or frozen leaves them out.
+    pub fn report(&mut self) -> Report {
+        let own = Counters::read(self);
+        Report::of(self, own)
+    }
+}
+
+fn bytes(words: &[u32]) -> Vec<u8> {
+    words.iter().flat_map(|w| w.to_be_bytes()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::board::tests::Toy;
+
+    /// The toy sends every frame back as it is: an ARP request seen from the other side.
+    fn rig() -> Rig<Toy> {
+        let mut board = Board::new(Toy::default(), 60_000_000, Plant::direct(1));
+        board.reset(|_| {});
+        Rig::around(board, BOARD_IP)
+    }
+
+    #[test]
+    fn frames_go_round_and_are_captured() {
+        let mut rig = rig();
+        rig.capture_frames();
+        rig.inject_frame(&[0x5a; 100]);
+        rig.run(1000);
+        assert_eq!(rig.take_frames(), [vec![0x5a; 100]]);
+        assert_eq!((rig.frames.to_board, rig.frames.from_board), (1, 1));
+    }
+
+    #[test]
+    fn faults_strike_as_often_as_told() {
+        let mut rig = rig();
+        rig.capture_frames();
+        rig.faults = Faults { drop_to_board: 1, drop_from_board: 1, duplicate_to_board: 1, corrupt_to_board: 1 };
+        for n in 0..4 {
+            rig.inject_frame(&[n; 60]);
+            rig.run(1000);
+        }
+        // 0 dropped on the way in; of 1 and its twin the first is dropped on the way back, the other has a bad FCS.
+        assert_eq!(rig.take_frames(), [vec![2; 60], vec![3; 60]]);
+        assert_eq!((rig.frames.dropped, rig.frames.malformed_from_board), (2, 1));
+        assert_eq!(rig.faults, Faults::default());
+    }
+
+    #[test]
+    fn a_silent_board_is_an_error_that_says_so() {
+        let mut board = Board::new(Toy::default(), 60_000_000, Plant::default());
+        board.silicon().mute = true;
+        board.reset(|_| {});
+        let mut rig = Rig::around(board, BOARD_IP);
+        let error = rig.wait_ready(100_000).unwrap_err().to_string();
+        assert!(error.contains("192.168.2.50") && error.contains("100000 clocks"), "{error}");
+    }
+
+    #[test]
+    fn datagrams_arrive_with_their_timing() {
+        let mut rig = rig();
+        // Sent "from the board" to a host's port, the echo is a datagram of the board.
+        let from = (HOST_IP, 777);
+        let frame = rig.segment.udp((BOARD_IP, BOARD_PORT), 777, b"hello");
+        rig.inject_frame(&frame);
+        rig.run(1000);
+        let (datagram, timing) = rig.take_datagrams().remove(0);
+        // The toy does not swap addresses: it is for the board's own address.
+        assert_eq!((datagram.to, &datagram.payload[..]), ((BOARD_IP, from.1), &b"hello"[..]));
+        assert_eq!(timing, None);
+        assert!(rig.send_udp(5, b"nothing comes back to us").is_none());
+    }
+
+    #[test]
+    fn time_passes_exactly() {
+        let mut rig = rig();
+        let start = rig.clock();
+        rig.run(12_345);
+        rig.run_ms(2);
+        assert_eq!(rig.clock() - start, 12_345 + 120_000);
+        assert!(rig.kcycles_per_second() > 0.0);
+    }
+}

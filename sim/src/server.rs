@@ -1,0 +1,650 @@
+//! The simulated board behind real sockets: UDP and a TCP console on loopback, two ways of passing time, a control channel.
+//!
+//! ```text
+//! lockstep   host    |cmd|......computes......|cmd|......computes......|cmd|
+//!            board   |== one servo period ==|   |== one servo period ==|
+//!                        `-> reply leaves at once, while the rest of the period is still being simulated
+//! ```
+//!
+//! *Lockstep*: simulated time stands still until the host sends an exchange, then advances by exactly one servo period. So
+//! LinuxCNC sees a board with a perfect clock, however slow the machine. Other datagrams advance time until their answer is
+//! out. A host that falls silent in the middle of a session must be seen as dead: after [`Options::silence`] of the machine's
+//! time the board runs on by itself for [`Options::orphan_clocks`].
+//!
+//! *Free*: time runs as fast as it can, or paced.
+//!
+//! Nothing here looks into a datagram further than to tell an exchange from the rest.
+
+use std::collections::HashMap;
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
+use std::time::{Duration, Instant};
+
+use crate::exchange::{Spread, is_request, wants_reply};
+use crate::rig::Rig;
+use crate::segment::{BOARD_PORT, CONSOLE_PORT, Connection, HOST_IP, Nat};
+use crate::soc::Silicon;
+
+/// How simulated time passes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mode {
+    /// One servo period per exchange.
+    Lockstep {
+        /// The servo period in sys clocks.
+        period: u64,
+    },
+    /// By itself; at most `pace` sys clocks per second of the machine's time.
+    Free {
+        /// `None` is as fast as it goes.
+        pace: Option<f64>,
+    },
+}
+
+/// Where to listen and how to behave.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Loopback address that stands for the board's Etherbone port.
+    pub udp: SocketAddr,
+    /// Loopback address that stands for the board's console port.
+    pub console: Option<SocketAddr>,
+    /// Loopback address that takes control commands, a line each.
+    pub control: Option<SocketAddr>,
+    /// Take control commands from stdin too.
+    pub stdin: bool,
+    /// Time.
+    pub mode: Mode,
+    /// Lockstep: silence of the host, in the machine's time, after which the board runs on by itself.
+    pub silence: Duration,
+    /// Lockstep: how far it then runs, sys clocks. Enough for every watchdog and soft stop; not so much that a forgotten
+    /// simulator keeps a core busy for ever.
+    pub orphan_clocks: u64,
+    /// Where `stats` and the end of the run write the report.
+    pub report: Option<PathBuf>,
+}
+
+/// What the outside world did.
+enum Event {
+    Datagram(SocketAddr, Vec<u8>),
+    Opened(u64, TcpStream),
+    Typed(u64, Vec<u8>),
+    Closed(u64),
+    Command(String, Option<TcpStream>),
+}
+
+struct Console {
+    stream: TcpStream,
+    connection: Connection,
+    waiting: Vec<u8>,
+    ended: bool,
+}
+
+/// A rig being served.
+pub struct Server<S> {
+    rig: Rig<S>,
+    options: Options,
+    udp: UdpSocket,
+    console_address: Option<SocketAddr>,
+    control_address: Option<SocketAddr>,
+    events: Receiver<Event>,
+    nat: Nat<SocketAddr>,
+    consoles: HashMap<u64, Console>,
+    stop: Arc<AtomicBool>,
+    quit: bool,
+    /// Sys clock at which the present servo period ends.
+    period_end: u64,
+    /// When the host last made an exchange, and whether the silence since has been acted on.
+    last_exchange: Option<Instant>,
+    /// Lockstep: the board runs by itself until this sys clock.
+    orphan_until: u64,
+}
+
+/// Sys clocks simulated between two looks at the outside world when time runs by itself: about a millisecond of the
+/// machine's time.
+const SLICE: u64 = 1000;
+
+impl<S: Silicon> Server<S> {
+    /// Open the sockets. `stop` ends [`Self::run`] when somebody (a signal handler) sets it.
+    pub fn bind(rig: Rig<S>, options: Options, stop: Arc<AtomicBool>) -> std::io::Result<Self> {
+        let (sender, events) = channel();
+        let udp = UdpSocket::bind(options.udp)?;
+        let console = options.console.map(TcpListener::bind).transpose()?;
+        let control = options.control.map(TcpListener::bind).transpose()?;
+        let console_address = console.as_ref().map(TcpListener::local_addr).transpose()?;
+        let control_address = control.as_ref().map(TcpListener::local_addr).transpose()?;
+        let reader = udp.try_clone()?;
+        let to = sender.clone();
+        std::thread::spawn(move || read_datagrams(&reader, &to));
+        if let Some(listener) = console {
+            let to = sender.clone();
+            std::thread::spawn(move || accept_consoles(&listener, &to));
+        }
+        if let Some(listener) = control {
+            let to = sender.clone();
+            std::thread::spawn(move || {
+                for stream in listener.incoming().flatten() {
+                    let to = to.clone();
+                    std::thread::spawn(move || read_commands(BufReader::new(&stream), Some(&stream), &to));
+                }
+            });
+        }
+        if options.stdin {
+            std::thread::spawn(move || read_commands(std::io::stdin().lock(), None, &sender));
+        }
+        let period_end = rig.clock();
+        Ok(Server {
+            rig,
+            options,
+            udp,
+            console_address,
+            control_address,
+            events,
+            nat: Nat::default(),
+            consoles: HashMap::new(),
+            stop,
+            quit: false,
+            period_end,
+            last_exchange: None,
+            orphan_until: 0,
+        })
+    }
+
+    /// The line that tells scripts where everything is; printed when the board answers.
+    pub fn ready_line(&self) -> String {
+        let mode = match self.options.mode {
+            Mode::Lockstep { period } => format!("lockstep period={period}"),
+            Mode::Free { pace: None } => "free".into(),
+            Mode::Free { pace: Some(pace) } => format!("free pace={pace}"),
+        };
+        let address = |a: Option<SocketAddr>| a.map_or("-".into(), |a| a.to_string());
+        format!(
+            "ready udp={} console={} control={} sys_clk_hz={} mode={mode}",
+            address(self.udp.local_addr().ok()),
+            address(self.console_address),
+            address(self.control_address),
+            self.rig.board.clockwork().sys_hz,
+        )
+    }
+
+    /// Serve until told to stop; gives the rig back for its report.
+    pub fn run(mut self) -> Rig<S> {
+        while !self.quit && !self.stop.load(Ordering::Relaxed) {
+            match self.options.mode {
+                Mode::Lockstep { period } => self.lockstep(period),
+                Mode::Free { pace } => self.free(pace),
+            }
+        }
+        self.rig
+    }
+
+    fn lockstep(&mut self, period: u64) {
+        let silent = self.last_exchange.is_some_and(|at| at.elapsed() >= self.options.silence);
+        if silent {
+            self.last_exchange = None;
+            self.orphan_until = self.rig.clock() + self.options.orphan_clocks;
+            eprintln!("sim: no exchange for {:?}, the board runs on by itself", self.options.silence);
+        }
+        let event = if self.rig.clock() < self.orphan_until {
+            self.pass(self.rig.clock() + SLICE);
+            self.events.try_recv().map_err(|e| e == TryRecvError::Disconnected)
+        } else {
+            let until_silence =
+                self.last_exchange.map(|at| self.options.silence.saturating_sub(at.elapsed())).unwrap_or(Duration::MAX);
+            // A fifth of a second at most: signals are looked at in between.
+            let wait = until_silence.min(Duration::from_millis(200));
+            self.events.recv_timeout(wait).map_err(|e| e == RecvTimeoutError::Disconnected)
+        };
+        match event {
+            Ok(Event::Datagram(sender, payload)) if is_request(&payload) => {
+                // A period starts where the last one ended, unless time has been moved by something else since.
+                let start = self.rig.clock().max(self.period_end);
+                self.pass(start);
+                self.period_end = start + period;
+                self.orphan_until = 0;
+                self.post(sender, &payload);
+                self.pass(self.period_end);
+                self.last_exchange = Some(Instant::now());
+            }
+            Ok(Event::Datagram(sender, payload)) => {
+                let port = self.post(sender, &payload);
+                let patience = if wants_reply(&payload) { self.rig.patience } else { self.rig.patience / 10 };
+                let until = self.rig.clock() + patience;
+                while self.rig.clock() < until && !self.pass_frame(until).contains(&port) {}
+            }
+            Ok(event) => {
+                self.handle(event);
+                self.settle_consoles();
+            }
+            Err(disconnected) => self.quit |= disconnected,
+        }
+    }
+
+    fn free(&mut self, pace: Option<f64>) {
+        let (clock, started) = (self.rig.clock(), Instant::now());
+        loop {
+            match self.events.try_recv() {
+                Ok(Event::Datagram(sender, payload)) => {
+                    self.post(sender, &payload);
+                }
+                Ok(event) => self.handle(event),
+                Err(TryRecvError::Empty) => break,
+                Err(TryRecvError::Disconnected) => {
+                    self.quit = true;
+                    break;
+                }
+            }
+        }
+        self.pass(clock + SLICE);
+        if let Some(pace) = pace {
+            let due = Duration::from_secs_f64((self.rig.clock() - clock) as f64 / pace.max(1.0));
+            std::thread::sleep(due.saturating_sub(started.elapsed()));
+        }
+    }
+
+    /// Put a datagram of the outside world on the segment; the virtual port it comes from there.
+    fn post(&mut self, sender: SocketAddr, payload: &[u8]) -> u16 {
+        let port = self.nat.port(sender);
+        self.rig.post((HOST_IP, port), BOARD_PORT, payload);
+        port
+    }
+
+    /// Let time pass to the sys clock `until`, sending on whatever leaves the board as it leaves.
+    fn pass(&mut self, until: u64) {
+        while self.rig.clock() < until && !self.stop.load(Ordering::Relaxed) {
+            self.pass_frame(until);
+        }
+    }
+
+    /// Let time pass to the next frame or `until`. Returns the virtual ports that datagrams went to.
+    fn pass_frame(&mut self, until: u64) -> Vec<u16> {
+        // Slices keep signals and consoles alive in long waits.
+        let until = until.min(self.rig.clock() + 20 * SLICE);
+        if !self.rig.advance(until) {
+            return Vec::new();
+        }
+        let mut ports = Vec::new();
+        for (datagram, _) in self.rig.take_datagrams() {
+            ports.push(datagram.to.1);
+            if let Some(sender) = self.nat.sender(datagram.to.1) {
+                // A host that is gone refuses the datagram; the board would not know either.
+                let _ = self.udp.send_to(&datagram.payload, sender);
+            }
+        }
+        self.pump_consoles();
+        ports
+    }
+
+    fn handle(&mut self, event: Event) {
+        match event {
+            Event::Datagram(sender, payload) => {
+                self.post(sender, &payload);
+            }
+            Event::Opened(id, stream) => {
+                let connection = self.rig.segment.connect(CONSOLE_PORT);
+                self.consoles.insert(id, Console { stream, connection, waiting: Vec::new(), ended: false });
+            }
+            Event::Typed(id, bytes) => {
+                if let Some(console) = self.consoles.get_mut(&id) {
+                    console.waiting.extend(bytes);
+                }
+            }
+            Event::Closed(id) => {
+                if let Some(console) = self.consoles.get_mut(&id) {
+                    console.ended = true;
+                }
+            }
+            Event::Command(line, answer) => {
+                let text = self.command(&line);
+                match answer {
+                    Some(mut stream) => {
+                        let _ = writeln!(stream, "{text}");
+                    }
+                    None => eprintln!("{text}"),
+                }
+            }
+        }
+        self.pump_consoles();
+    }
+
+    /// Bytes both ways between real console connections and the segment. True while something moved.
+    fn pump_consoles(&mut self) -> bool {
+        let segment = &mut self.rig.segment;
+        let mut moved = false;
+        self.consoles.retain(|_, console| {
+            let sent = segment.send(console.connection, &console.waiting);
+            console.waiting.drain(..sent);
+            let heard = segment.recv(console.connection);
+            moved |= sent != 0 || !heard.is_empty();
+            let broken = !heard.is_empty() && console.stream.write_all(&heard).is_err();
+            if console.ended && console.waiting.is_empty() && segment.unsent(console.connection) == 0 {
+                segment.close(console.connection);
+            }
+            let over = broken || segment.closed(console.connection);
+            if over {
+                let _ = console.stream.shutdown(std::net::Shutdown::Both);
+                segment.drop_connection(console.connection);
+            }
+            !over
+        });
+        moved
+    }
+
+    /// Lockstep: give the board time in small slices until the consoles have been quiet for half a millisecond of its time,
+    /// at most 20 ms.
+    fn settle_consoles(&mut self) {
+        let ms = self.rig.clocks(Duration::from_millis(1));
+        let end = self.rig.clock() + 20 * ms;
+        let mut last = self.rig.clock();
+        while !self.consoles.is_empty() && self.rig.clock() < end && self.rig.clock() < last + ms / 2 {
+            self.pass_frame(self.rig.clock() + SLICE / 2);
+            let busy = self.consoles.values().any(|c| !c.waiting.is_empty());
+            if self.pump_consoles() || busy {
+                last = self.rig.clock();
+            }
+        }
+    }
+
+    /// One control command; see `help`.
+    fn command(&mut self, line: &str) -> String {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let number = |text: &str| match text.strip_prefix("0x") {
+            Some(hex) => u64::from_str_radix(hex, 16).ok(),
+            None => text.parse().ok(),
+        };
+        let level = |text: Option<&&str>| text.map_or(Some(1), |t| number(t));
+        let rest = words.get(1);
+        match words.first().copied().unwrap_or_default() {
+            "" => String::new(),
+            "help" => "freeze-cpu [0|1], ext-reset [0|1], gpio-in MASK, ping, run CLOCKS, run-ms MS, drop-to-board N, \
+                       drop-from-board N, pins, counts, stats, report, quit"
+                .into(),
+            "freeze-cpu" => match level(rest) {
+                Some(on) => {
+                    self.rig.freeze_cpu(on != 0);
+                    format!("ok cpu_freeze={}", u8::from(on != 0))
+                }
+                None => "error: freeze-cpu takes 0 or 1".into(),
+            },
+            "ext-reset" => match level(rest) {
+                Some(on) => {
+                    self.rig.ext_reset(on != 0);
+                    format!("ok ext_reset={}", u8::from(on != 0))
+                }
+                None => "error: ext-reset takes 0 or 1".into(),
+            },
+            "gpio-in" => match rest.and_then(|t| number(t)) {
+                Some(mask) => {
+                    self.rig.gpio_in(mask as u32);
+                    format!("ok gpio_in={mask:#010x}")
+                }
+                None => "error: gpio-in takes a mask".into(),
+            },
+            "run" | "run-ms" => match rest.and_then(|t| number(t)) {
+                Some(n) => {
+                    let ms = self.rig.clocks(Duration::from_millis(1));
+                    let clocks = if words[0] == "run" { n } else { n * ms };
+                    self.pass(self.rig.clock() + clocks);
+                    format!("ok clock={}", self.rig.clock())
+                }
+                None => "error: run takes a number of clocks, run-ms of milliseconds".into(),
+            },
+            "drop-to-board" | "drop-from-board" => match rest.and_then(|t| number(t)) {
+                Some(n) if words[0] == "drop-to-board" => {
+                    self.rig.faults.drop_to_board = n as u32;
+                    format!("ok drop_to_board={n}")
+                }
+                Some(n) => {
+                    self.rig.faults.drop_from_board = n as u32;
+                    format!("ok drop_from_board={n}")
+                }
+                None => "error: how many frames?".into(),
+            },
+            "ping" => match self.rig.ping() {
+                Some(clocks) => format!("ok ping={clocks} clocks"),
+                None => "error: no answer".into(),
+            },
+            "pins" => {
+                let p = self.rig.pins();
+                format!(
+                    "ok clock={} gate={} step={:#06x} dir={:#06x} pwm={:#06x} gpio_out={:#010x} gpio_in={:#010x} led={}",
+                    self.rig.clock(),
+                    p.gate,
+                    p.step,
+                    p.dir,
+                    p.pwm_out,
+                    p.gpio_out,
+                    p.gpio_in,
+                    p.led
+                )
+            }
+            "counts" => {
+                let counts = self.rig.board.edges.counts().map(|n| n.to_string());
+                format!("ok clock={} counts={}", self.rig.clock(), counts.join(","))
+            }
+            "stats" => {
+                let meter = &self.rig.meter;
+                let spread = Spread::of(&meter.turnarounds).unwrap_or_default();
+                format!(
+                    "ok clock={} kcycles_per_second={:.0} exchanges={} answered={} turnaround={}/{}/{} violations={} frames={}/{}",
+                    self.rig.clock(),
+                    self.rig.kcycles_per_second(),
+                    meter.requested,
+                    meter.answered,
+                    spread.min,
+                    spread.median,
+                    spread.max,
+                    self.rig.board.edges.violation_count(),
+                    self.rig.frames.to_board,
+                    self.rig.frames.from_board
+                )
+            }
+            "report" => match self.options.report.clone() {
+                Some(path) => match self.rig.report().write(&path) {
+                    Ok(()) => format!("ok report={}", path.display()),
+                    Err(e) => format!("error: {e}"),
+                },
+                None => "error: started without --report".into(),
+            },
+            "quit" => {
+                self.quit = true;
+                "ok".into()
+            }
+            other => format!("error: no command {other:?}; try help"),
+        }
+    }
+}
+
+fn read_datagrams(udp: &UdpSocket, to: &Sender<Event>) {
+    let mut buffer = vec![0; 65536];
+    loop {
+        match udp.recv_from(&mut buffer) {
+            Ok((n, sender)) => {
+                if to.send(Event::Datagram(sender, buffer[..n].to_vec())).is_err() {
+                    return;
+                }
+            }
+            // Linux reports a peer's closed port on the next receive; that is the peer's affair.
+            Err(e) if matches!(e.kind(), ErrorKind::ConnectionRefused | ErrorKind::Interrupted) => {}
+            Err(e) => {
+                eprintln!("sim: UDP: {e}");
+                return;
+            }
+        }
+    }
+}
+
+fn accept_consoles(listener: &TcpListener, to: &Sender<Event>) {
+    for (id, stream) in (0..).zip(listener.incoming().flatten()) {
+        let Ok(mut reader) = stream.try_clone() else { continue };
+        if to.send(Event::Opened(id, stream)).is_err() {
+            return;
+        }
+        let to = to.clone();
+        std::thread::spawn(move || {
+            let mut buffer = [0; 4096];
+            loop {
+                match reader.read(&mut buffer) {
+                    Ok(0) | Err(_) => {
+                        let _ = to.send(Event::Closed(id));
+                        return;
+                    }
+                    Ok(n) => {
+                        if to.send(Event::Typed(id, buffer[..n].to_vec())).is_err() {
+                            return;
+                        }
+                    }
+                }
+            }
+        });
+    }
+}
+
+fn read_commands(lines: impl BufRead, answer: Option<&TcpStream>, to: &Sender<Event>) {
+    for line in lines.lines().map_while(Result::ok) {
+        let answer = answer.and_then(|stream| stream.try_clone().ok());
+        if to.send(Event::Command(line, answer)).is_err() {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::board::Board;
+    use crate::plant::Plant;
+    use crate::soc::{ETH, Pins, SYS};
+
+    /// Silicon that answers every UDP frame as a board would: addresses and ports exchanged, the payload echoed. It stores
+    /// the frame and sends the answer when the frame has ended.
+    #[derive(Default)]
+    struct Echo {
+        incoming: Vec<u8>,
+        outgoing: Vec<u8>,
+        at: usize,
+    }
+
+    impl Echo {
+        fn answer(wire: &[u8]) -> Vec<u8> {
+            let Ok(frame) = crate::gmii::decode(wire) else { return vec![] };
+            let mut frame = frame.to_vec();
+            match (frame[12], frame[13]) {
+                (8, 6) if frame[21] == 1 => {
+                    // ARP: a reply from 10:e2:d5:00:00:01.
+                    frame[21] = 2;
+                    let asked: [u8; 20] = frame[22..42].try_into().unwrap();
+                    frame[32..42].copy_from_slice(&asked[..10]);
+                    frame[22..28].copy_from_slice(&[0x10, 0xe2, 0xd5, 0, 0, 1]);
+                    frame[28..32].copy_from_slice(&asked[16..]);
+                }
+                (8, 0) if frame[23] == 17 => {
+                    let (src, dst): ([u8; 4], [u8; 4]) =
+                        (frame[26..30].try_into().unwrap(), frame[30..34].try_into().unwrap());
+                    frame[26..30].copy_from_slice(&dst);
+                    frame[30..34].copy_from_slice(&src);
+                    let ports: [u8; 4] = frame[34..38].try_into().unwrap();
+                    frame[34..36].copy_from_slice(&ports[2..]);
+                    frame[36..38].copy_from_slice(&ports[..2]);
+                }
+                _ => return vec![],
+            }
+            crate::gmii::encode(&frame)
+        }
+    }
+
+    impl Silicon for Echo {
+        fn rise(&mut self, pins: &mut Pins, clocks: u32, _: u64) {
+            if clocks & SYS != 0 {
+                pins.gate = 1;
+            }
+            if clocks & ETH != 0 {
+                if pins.gmii_rx_dv != 0 {
+                    self.incoming.push(pins.gmii_rx_data);
+                } else if !self.incoming.is_empty() {
+                    self.outgoing = Self::answer(&std::mem::take(&mut self.incoming));
+                    self.at = 0;
+                }
+                let byte = self.outgoing.get(self.at).copied();
+                self.at += 1;
+                (pins.gmii_tx_en, pins.gmii_tx_data) = (byte.is_some().into(), byte.unwrap_or(0));
+            }
+        }
+    }
+
+    /// A served echo board; the thread gives its rig back when the flag is set.
+    fn serve(mode: Mode) -> (SocketAddr, SocketAddr, Arc<AtomicBool>, std::thread::JoinHandle<Rig<Echo>>) {
+        let mut board = Board::new(Echo::default(), 60_000_000, Plant::default());
+        board.reset(|_| {});
+        let rig = Rig::around(board, crate::segment::BOARD_IP);
+        let any: SocketAddr = "127.0.0.1:0".parse().unwrap();
+        let options = Options {
+            udp: any,
+            console: None,
+            control: Some(any),
+            stdin: false,
+            mode,
+            silence: Duration::from_secs(60),
+            orphan_clocks: 1000,
+            report: None,
+        };
+        let stop = Arc::new(AtomicBool::new(false));
+        let server = Server::bind(rig, options, stop.clone()).unwrap();
+        let (udp, control) = (server.udp.local_addr().unwrap(), server.control_address.unwrap());
+        assert!(server.ready_line().starts_with(&format!("ready udp={udp} console=- control={control} sys_clk_hz=60000000")));
+        (udp, control, stop, std::thread::spawn(move || server.run()))
+    }
+
+    fn client(to: SocketAddr) -> UdpSocket {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        socket.connect(to).unwrap();
+        socket
+    }
+
+    fn talk(socket: &UdpSocket, payload: &[u8]) -> Vec<u8> {
+        socket.send(payload).unwrap();
+        let mut buffer = [0; 2048];
+        let n = socket.recv(&mut buffer).unwrap();
+        buffer[..n].to_vec()
+    }
+
+    fn exchange(sequence: u32) -> Vec<u8> {
+        [0x4e6f_1044, 0, 0x000f_0300, wire::map::COMMAND, 1, sequence, 0].iter().flat_map(|w: &u32| w.to_be_bytes()).collect()
+    }
+
+    #[test]
+    fn lockstep_gives_each_exchange_one_period() {
+        let (udp, control, stop, thread) = serve(Mode::Lockstep { period: 5000 });
+        let (a, b) = (client(udp), client(udp));
+        for n in 0..10 {
+            assert_eq!(talk(&a, &exchange(n)), exchange(n));
+        }
+        // Another host's question is answered to it and not to the first.
+        assert_eq!(talk(&b, b"No exchange at all"), b"No exchange at all");
+        assert_eq!(talk(&a, &exchange(11)), exchange(11));
+        let mut stream = TcpStream::connect(control).unwrap();
+        writeln!(stream, "ext-reset 1\nfrobnicate\nquit").unwrap();
+        let answers: Vec<_> = BufReader::new(stream).lines().take(3).map(Result::unwrap).collect();
+        assert_eq!((answers[0].as_str(), answers[2].as_str()), ("ok ext_reset=1", "ok"));
+        assert!(answers[1].contains("frobnicate"));
+        let rig = thread.join().unwrap();
+        let question = rig.clock() - 32 - 11 * 5000;
+        assert!((60..=6000).contains(&question), "{question}");
+        assert_eq!(rig.meter.requested, 11);
+        assert_eq!(rig.pins().ext_reset, 1);
+        assert!(!stop.load(Ordering::Relaxed));
+    }
+
+    #[test]
+    fn free_runs_by_itself_and_stops_when_told() {
+        let (udp, _, stop, thread) = serve(Mode::Free { pace: None });
+        assert_eq!(talk(&client(udp), b"hello"), b"hello");
+        stop.store(true, Ordering::Relaxed);
+        let rig = thread.join().unwrap();
+        assert_eq!(rig.frames.from_board, 1);
+        assert!(rig.clock() > 32);
+    }
+}

@@ -1,0 +1,231 @@
+//! The Verilated SoC behind its C ABI: pins in, pins out, one rising clock edge at a time.
+//!
+//! The only file of this crate with `unsafe`: it calls a shared library made by `sim/verilator/build.sh`. It knows no
+//! frames and no time; [`crate::board`] does.
+
+use std::ffi::{CString, c_char, c_int, c_void};
+use std::path::{Path, PathBuf};
+
+use libloading::Library;
+use serde::Deserialize;
+
+use crate::error::Error;
+
+/// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
+const SHIM_ABI: u32 = 2;
+
+/// Bit of the sys clock in [`Silicon::rise`].
+pub const SYS: u32 = 1;
+/// Bit of the 125 MHz Ethernet clock in [`Silicon::rise`].
+pub const ETH: u32 = 2;
+
+/// Every pin of the simulated board: inputs first, then outputs as they stand after the last clock edge.
+///
+/// Field order and widths are those of `struct Pins` in `verilator/shim.cpp`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Pins {
+    /// In: levels at the general inputs, bit n = input n.
+    pub gpio_in: u32,
+    /// In: encoder phase A, bit n = encoder n.
+    pub enc_a: u16,
+    /// In: encoder phase B.
+    pub enc_b: u16,
+    /// In: encoder index.
+    pub enc_i: u16,
+    /// In: byte from the PHY.
+    pub gmii_rx_data: u8,
+    /// In: byte from the PHY is valid.
+    pub gmii_rx_dv: u8,
+    /// In: the external reset pin; high stops the machine.
+    pub ext_reset: u8,
+    /// In: high stops the CPU's clock and nothing else.
+    pub cpu_freeze: u8,
+    /// In: synchronous reset of the whole SoC.
+    pub sys_rst: u8,
+    #[doc(hidden)]
+    pub reserved_in: u8,
+    /// Out: levels at the general outputs.
+    pub gpio_out: u32,
+    /// Out: STEP pins, bit n = stepgen n.
+    pub step: u16,
+    /// Out: DIR pins.
+    pub dir: u16,
+    /// Out: PWM pins.
+    pub pwm_out: u16,
+    /// Out: byte to the PHY.
+    pub gmii_tx_data: u8,
+    /// Out: byte to the PHY is valid.
+    pub gmii_tx_en: u8,
+    /// Out: the status LED.
+    pub led: u8,
+    /// Out: the output gate; 1 = outputs live.
+    pub gate: u8,
+    #[doc(hidden)]
+    pub reserved_out: u16,
+}
+
+const _: () = assert!(size_of::<Pins>() == 32);
+
+/// Anything that behaves as the board's digital part at its pins: the Verilated SoC, or a few lines of Rust in a test.
+pub trait Silicon {
+    /// One rising edge of the clocks in `clocks` ([`SYS`], [`ETH`] or both), with the inputs of `pins` stable before it;
+    /// leaves the outputs in `pins`. `time_ps` is used by waveforms only.
+    fn rise(&mut self, pins: &mut Pins, clocks: u32, time_ps: u64);
+
+    /// Start writing waveforms to `file`.
+    fn trace_open(&mut self, file: &Path) -> Result<(), Error> {
+        Err(Error::NoTrace { path: file.into() })
+    }
+
+    /// Finish the waveform file.
+    fn trace_close(&mut self) {}
+}
+
+/// What the gateware elaboration says about the SoC (`manifest.json`).
+#[derive(Clone, Debug, Deserialize)]
+pub struct Manifest {
+    /// Frequency of the sys clock, Hz.
+    pub sys_clk_hz: u64,
+    /// Name of the board configuration.
+    #[serde(default)]
+    pub board: Option<String>,
+}
+
+impl Manifest {
+    /// Read `manifest.json` of a SoC directory.
+    pub fn read(soc_dir: &Path) -> Result<Self, Error> {
+        let path = soc_dir.join("manifest.json");
+        let text = std::fs::read(&path).map_err(|source| Error::Read { path: path.clone(), source })?;
+        serde_json::from_slice(&text).map_err(|source| Error::Manifest { path, source })
+    }
+}
+
+type RiseFn = unsafe extern "C" fn(*mut c_void, *mut Pins, u32, u64);
+type RomWriteFn = unsafe extern "C" fn(*mut c_void, u32, u32);
+type WordsFn = unsafe extern "C" fn(*mut c_void) -> u32;
+type RamReadFn = unsafe extern "C" fn(*mut c_void, u32) -> u32;
+type TraceOpenFn = unsafe extern "C" fn(*mut c_void, *const c_char) -> c_int;
+type HandleFn = unsafe extern "C" fn(*mut c_void);
+
+/// A Verilated SoC: gateware, with the firmware in its ROM array.
+pub struct Soc {
+    handle: *mut c_void,
+    rise: RiseFn,
+    rom_write: RomWriteFn,
+    rom_words: WordsFn,
+    ram_words: WordsFn,
+    ram_read: RamReadFn,
+    trace_open: TraceOpenFn,
+    trace_close: HandleFn,
+    free: HandleFn,
+    path: PathBuf,
+    // Last: the code above lives in it.
+    _library: Library,
+}
+
+impl std::fmt::Debug for Soc {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Soc").field("path", &self.path).finish_non_exhaustive()
+    }
+}
+
+// SAFETY: the model has its own Verilator context and no thread-local state; it is used by one thread at a time (`&mut`).
+unsafe impl Send for Soc {}
+
+impl Soc {
+    /// Load the SoC of `soc_dir`: the fast model, or with `trace` the slower one that can write waveforms.
+    pub fn load(soc_dir: &Path, trace: bool) -> Result<Self, Error> {
+        let name = if trace { "libferrocnc_soc_trace.so" } else { "libferrocnc_soc.so" };
+        let path = soc_dir.join(name);
+        // A bare name would be searched in system directories.
+        let path = std::path::absolute(&path).unwrap_or(path);
+        let err = |source| Error::Load { path: path.clone(), source };
+        // SAFETY: the library is ours (build.sh); its initialisers are Verilator's and touch nothing outside it. The symbols
+        // have the types given in shim.cpp, which the ABI version confirms before any other call.
+        unsafe {
+            let library = Library::new(&path).map_err(err)?;
+            let version = library.get::<unsafe extern "C" fn() -> u32>(b"fc_abi_version").map_err(err)?;
+            let theirs = version();
+            if theirs != SHIM_ABI {
+                return Err(Error::ShimAbi { path: path.clone(), theirs, ours: SHIM_ABI });
+            }
+            let new = *library.get::<unsafe extern "C" fn() -> *mut c_void>(b"fc_new").map_err(err)?;
+            let soc = Soc {
+                rise: *library.get(b"fc_rise").map_err(err)?,
+                rom_write: *library.get(b"fc_rom_write").map_err(err)?,
+                rom_words: *library.get(b"fc_rom_words").map_err(err)?,
+                ram_words: *library.get(b"fc_ram_words").map_err(err)?,
+                ram_read: *library.get(b"fc_ram_read").map_err(err)?,
+                trace_open: *library.get(b"fc_trace_open").map_err(err)?,
+                trace_close: *library.get(b"fc_trace_close").map_err(err)?,
+                free: *library.get(b"fc_free").map_err(err)?,
+                handle: new(),
+                path,
+                _library: library,
+            };
+            Ok(soc)
+        }
+    }
+
+    /// Words the ROM array holds.
+    pub fn rom_words(&mut self) -> usize {
+        // SAFETY: `handle` came from fc_new of the same library and is alive until drop. So below.
+        unsafe { (self.rom_words)(self.handle) as usize }
+    }
+
+    /// Put `words` at the start of the ROM; what does not fit is an error of the caller ([`crate::firmware`] checks).
+    ///
+    /// The model runs its `initial` blocks (which may load the elaborated ROM) at the first clock edge, so call this after
+    /// it. [`crate::board::Board::reset`] does.
+    pub fn load_rom(&mut self, words: &[u32]) {
+        let room = self.rom_words();
+        for (i, word) in words.iter().enumerate().take(room) {
+            // SAFETY: index within the array, see above.
+            unsafe { (self.rom_write)(self.handle, i as u32, *word) }
+        }
+    }
+
+    /// The on-chip RAM as it stands; empty when the manifest does not name it. A write-back in the CPU's data cache may be
+    /// missing (VexRiscv writes through, so it is not).
+    pub fn ram(&mut self) -> Vec<u32> {
+        // SAFETY: as above; indices within the count the model gives.
+        unsafe {
+            let n = (self.ram_words)(self.handle);
+            (0..n).map(|i| (self.ram_read)(self.handle, i)).collect()
+        }
+    }
+}
+
+impl Silicon for Soc {
+    #[inline]
+    fn rise(&mut self, pins: &mut Pins, clocks: u32, time_ps: u64) {
+        // SAFETY: `pins` has the layout of the shim's struct and is borrowed for the call only.
+        unsafe { (self.rise)(self.handle, pins, clocks, time_ps) }
+    }
+
+    fn trace_open(&mut self, file: &Path) -> Result<(), Error> {
+        let bad = || Error::NoTrace { path: self.path.clone() };
+        let name = CString::new(file.as_os_str().as_encoded_bytes()).map_err(|_| bad())?;
+        // SAFETY: `name` is a NUL-terminated string that outlives the call.
+        match unsafe { (self.trace_open)(self.handle, name.as_ptr()) } {
+            0 => Ok(()),
+            _ => Err(bad()),
+        }
+    }
+
+    fn trace_close(&mut self) {
+        // SAFETY: see `rom_words`.
+        unsafe { (self.trace_close)(self.handle) }
+    }
+}
+
+impl Drop for Soc {
+    fn drop(&mut self) {
+        // SAFETY: last use of the handle; the library is still loaded (fields drop after this).
+        unsafe {
+            (self.trace_close)(self.handle);
+            (self.free)(self.handle);
+        }
+    }
+}

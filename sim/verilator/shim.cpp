@@ -1,0 +1,212 @@
+// The one C++ file of the simulator: a Verilated SoC behind a C ABI small enough to read in one sitting.
+//
+// It knows clocks, pins, the firmware ROM and the waveform file. It knows no frames, no time modes and no boards: those
+// live in Rust (sim/src), which loads the library made from this file at run time, so that building the Rust side needs no
+// FPGA tool. `Pins` is mirrored by `sim/src/soc.rs`; change both, and ABI_VERSION with them.
+//
+// build.sh defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM (array in the root), FC_RAM (likewise, optional),
+// FC_CLOCKS with a generated fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or FC_TRACE_VCD.
+
+#include <cstdint>
+#include <cstdio>
+#include <cstring>
+#include <memory>
+
+#include "verilated.h"
+#include FC_HEADER
+#include FC_ROOT_HEADER
+#if defined(FC_CLOCKS)
+#include "fc_clocks.h"
+#endif
+#if defined(FC_TRACE_FST)
+#include "verilated_fst_c.h"
+using Trace = VerilatedFstC;
+#elif defined(FC_TRACE_VCD)
+#include "verilated_vcd_c.h"
+using Trace = VerilatedVcdC;
+#endif
+
+namespace {
+constexpr uint32_t ABI_VERSION = 2;
+constexpr uint32_t SYS = 1, ETH = 2;
+
+struct Pins {
+    // in
+    uint32_t gpio_in;
+    uint16_t enc_a, enc_b, enc_i;
+    uint8_t gmii_rx_data, gmii_rx_dv;
+    uint8_t ext_reset, cpu_freeze, sys_rst, reserved_in;
+    // out
+    uint32_t gpio_out;
+    uint16_t step, dir, pwm_out;
+    uint8_t gmii_tx_data, gmii_tx_en;
+    uint8_t led, gate;
+    uint16_t reserved_out;
+};
+static_assert(sizeof(Pins) == 32, "mirrored in sim/src/soc.rs");
+
+struct Soc {
+    VerilatedContext context;
+    std::unique_ptr<FC_MODEL> model;
+#if defined(FC_TRACE_FST) || defined(FC_TRACE_VCD)
+    std::unique_ptr<Trace> trace;
+#endif
+
+    Soc() {
+        context.randReset(0);
+#if defined(FC_TRACE_FST) || defined(FC_TRACE_VCD)
+        context.traceEverOn(true);
+#endif
+        model = std::make_unique<FC_MODEL>(&context, "soc");
+    }
+
+    bool tracing() const {
+#if defined(FC_TRACE_FST) || defined(FC_TRACE_VCD)
+        return trace && trace->isOpen();
+#else
+        return false;
+#endif
+    }
+
+    void dump(uint64_t time_ps) {
+#if defined(FC_TRACE_FST) || defined(FC_TRACE_VCD)
+        if (tracing()) trace->dump(time_ps);
+#else
+        (void)time_ps;
+#endif
+    }
+
+    void drive(const Pins& p) {
+        FC_MODEL& m = *model;
+        m.gpio_in = p.gpio_in;
+        m.enc_a = p.enc_a;
+        m.enc_b = p.enc_b;
+        m.enc_i = p.enc_i;
+        m.gmii_rx_data = p.gmii_rx_data;
+        m.gmii_rx_dv = p.gmii_rx_dv;
+        m.ext_reset = p.ext_reset;
+        m.cpu_freeze = p.cpu_freeze;
+        m.sys_rst = p.sys_rst;
+    }
+
+    void sample(Pins& p) {
+        FC_MODEL& m = *model;
+        p.gpio_out = m.gpio_out;
+        p.step = m.step;
+        p.dir = m.dir;
+        p.pwm_out = m.pwm_out;
+        p.gmii_tx_data = m.gmii_tx_data;
+        p.gmii_tx_en = m.gmii_tx_en;
+        p.led = m.led;
+        p.gate = m.gate;
+    }
+};
+}  // namespace
+
+extern "C" {
+
+uint32_t fc_abi_version() { return ABI_VERSION; }
+
+void* fc_new() { return new Soc(); }
+
+void fc_free(void* soc) { delete static_cast<Soc*>(soc); }
+
+// One rising edge of the clocks named in `clocks` (bit 0 sys, bit 1 eth), at time_ps.
+//
+// Nothing in the SoC listens to a falling edge, so a clock's way down needs no evaluation of its own: it is folded into the
+// next call (or, where build.sh found Verilator's memory of the clock level, that memory is set to low). The waveform build
+// draws both edges properly.
+void fc_rise(void* handle, Pins* pins, uint32_t clocks, uint64_t time_ps) {
+    Soc& soc = *static_cast<Soc*>(handle);
+    FC_MODEL& m = *soc.model;
+    if (soc.tracing()) {
+        // Falls of this same set first, a picosecond's grace before the rise.
+        if (clocks & SYS) m.sys_clk = 0;
+        if (clocks & ETH) m.eth_clk = 0;
+        m.eval();
+        soc.dump(time_ps - 1);
+        soc.drive(*pins);
+        if (clocks & SYS) m.sys_clk = 1;
+        if (clocks & ETH) m.eth_clk = 1;
+        m.eval();
+        soc.dump(time_ps);
+        soc.sample(*pins);
+        return;
+    }
+    soc.drive(*pins);
+#if defined(FC_CLOCKS)
+    auto* root = m.rootp;
+    if (clocks & SYS) {
+        m.sys_clk = 1;
+        FC_SYS_LOW(root)
+    }
+    if (clocks & ETH) {
+        m.eth_clk = 1;
+        FC_ETH_LOW(root)
+    }
+    m.eval();
+#else
+    // Evaluate low only when a clock that must rise now is still high; lower every clock while at it.
+    if (((clocks & SYS) && m.sys_clk) || ((clocks & ETH) && m.eth_clk)) {
+        m.sys_clk = 0;
+        m.eth_clk = 0;
+        m.eval();
+    }
+    m.sys_clk = (clocks & SYS) ? 1 : 0;
+    m.eth_clk = (clocks & ETH) ? 1 : 0;
+    m.eval();
+#endif
+    soc.sample(*pins);
+}
+
+uint32_t fc_rom_words(void* handle) {
+    return static_cast<uint32_t>(sizeof(static_cast<Soc*>(handle)->model->rootp->FC_ROM) / 4);
+}
+
+void fc_rom_write(void* handle, uint32_t index, uint32_t word) {
+    static_cast<Soc*>(handle)->model->rootp->FC_ROM[index] = word;
+}
+
+// On-chip RAM, for stack watermarks. Zero words when the manifest does not name it.
+uint32_t fc_ram_words(void* handle) {
+#if defined(FC_RAM)
+    return static_cast<uint32_t>(sizeof(static_cast<Soc*>(handle)->model->rootp->FC_RAM) / 4);
+#else
+    (void)handle;
+    return 0;
+#endif
+}
+
+uint32_t fc_ram_read(void* handle, uint32_t index) {
+#if defined(FC_RAM)
+    return static_cast<Soc*>(handle)->model->rootp->FC_RAM[index];
+#else
+    (void)handle, (void)index;
+    return 0;
+#endif
+}
+
+// 0: opened; 1: this library was built without a waveform writer.
+int fc_trace_open(void* handle, const char* path) {
+#if defined(FC_TRACE_FST) || defined(FC_TRACE_VCD)
+    Soc& soc = *static_cast<Soc*>(handle);
+    soc.trace = std::make_unique<Trace>();
+    soc.model->trace(soc.trace.get(), 99);
+    soc.trace->open(path);
+    return 0;
+#else
+    (void)handle, (void)path;
+    return 1;
+#endif
+}
+
+void fc_trace_close(void* handle) {
+#if defined(FC_TRACE_FST) || defined(FC_TRACE_VCD)
+    Soc& soc = *static_cast<Soc*>(handle);
+    if (soc.trace) soc.trace->close();
+#else
+    (void)handle;
+#endif
+}
+
+}  // extern "C"
