@@ -1,1 +1,48 @@
-//! ferrocnc
+//! FerroCNC on the host.
+//!
+//! Built as a `cdylib` this crate is the realtime module `ferrocnc.so` that `loadrt ferrocnc
+//! boards=192.168.2.50` loads into LinuxCNC. Built as an `rlib` it is everything the tool and the tests
+//! need. Neither needs LinuxCNC to build or link.
+//!
+//! | module | what it is for |
+//! |---|---|
+//! | [`module`] | what `loadrt` finds: parameters, entry points |
+//! | [`fence`] | a panic stops the machine, not the process |
+//! | [`driver`] | one board in the servo thread: read, write, session, state; the timing model |
+//! | [`blocks`] | one function block each: pins, units, policy; also the list of pins |
+//! | [`settings`] | parameters on their way to the board |
+//! | [`link`] | the socket in the servo thread |
+//! | [`client`] | the socket everywhere else: blocking requests, board identity, session |
+//! | [`address`] | `IP[:port]` |
+//! | [`hal`] | typed pins, the real HAL, a HAL in a `Vec` |
+//!
+//! # Pins of a board
+//!
+//! Functions `ferrocnc.<n>.read` and `ferrocnc.<n>.write`: `read` first and `write` last in the servo
+//! thread. Board-wide, as `ferrocnc.<n>.<name>`:
+//!
+//! | name | | |
+//! |---|---|---|
+//! | `enable` | bit in | the machine may move; falling stops it softly |
+//! | `enable-request` | bit in | a rising edge arms, if `enable` is true and nothing is in the way |
+//! | `enabled` | bit out | armed, outputs live; for the E-stop chain |
+//! | `state` | u32 out | [`wire::State`]: 0 boot, 1 disarmed, 2 armed, 3 stopping, 4 faulted |
+//! | `fault-reason` | u32 out | [`wire::FaultReason`]: why it stopped last |
+//! | `position-trusted` | bit out | no pulse was cut off since it was armed, and the board answers |
+//! | `refused-total` | u32 out | datagrams the board refused since it started |
+//! | `io-error` | bit param | the board was given up, or the driver halted; cleared by arming |
+//!
+//! then [`blocks::packets`], [`blocks::watchdog`], [`blocks::wallclock`], and per channel
+//! [`blocks::stepgen`], [`blocks::encoder`], [`blocks::pwm`], [`blocks::gpio`], with the board's own name
+//! for the channel where it has one and two digits where not.
+#![deny(unsafe_op_in_unsafe_fn)]
+
+pub mod address;
+pub mod blocks;
+pub mod client;
+pub mod driver;
+pub mod fence;
+pub mod hal;
+pub mod link;
+pub mod module;
+pub mod settings;

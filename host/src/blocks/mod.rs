@@ -1,0 +1,74 @@
+//! One function block per file, each with the same verbs: `export` its pins, `configure` the board,
+//! take what was sampled, make the next command. A block knows units and policy of its kind and no
+//! socket.
+
+pub mod arming;
+pub mod encoder;
+pub mod gpio;
+pub mod packets;
+pub mod pwm;
+pub mod stepgen;
+pub mod wallclock;
+pub mod watchdog;
+
+use wire::units::Clocks;
+
+/// The servo period in the units blocks think in.
+#[derive(Clone, Copy, Debug)]
+pub struct Period {
+    /// Its nominal length.
+    pub seconds: f64,
+    /// The same in clocks of the board.
+    pub clocks: Clocks,
+    /// The board's clock.
+    pub clock_hz: f64,
+}
+
+impl Period {
+    /// From what HAL passes to a function. Never 0, whatever HAL passes.
+    pub fn new(nanos: i64, clock_hz: u32) -> Self {
+        let nanos = nanos.clamp(1_000, 10_000_000_000);
+        Period {
+            seconds: nanos as f64 * 1e-9,
+            clocks: Clocks((nanos as u128 * u128::from(clock_hz) / 1_000_000_000) as u64),
+            clock_hz: f64::from(clock_hz),
+        }
+    }
+}
+
+/// What the board does between a sample and the next one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outlook {
+    /// It executes the command the sample answered.
+    Commanded,
+    /// It comes to rest by itself.
+    Stopping,
+    /// Its gate is closed: nothing moves.
+    Still,
+}
+
+/// How well the present is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Feedback {
+    /// The last command was answered.
+    Fresh,
+    /// One answer is missing; the model bridges it.
+    Bridged,
+    /// More than one is missing; feedback is frozen.
+    Frozen,
+}
+
+/// A division that cannot be one by zero: scales this small are a missing `setp`, not a machine.
+pub(crate) fn scale_or_one(scale: f64) -> f64 {
+    if scale.is_nan() || scale.abs() < 1e-20 {
+        1.0
+    } else {
+        scale
+    }
+}
+
+/// A time parameter as a register of `bits` bits.
+pub(crate) fn nanos_to_register(nanos: u32, clock_hz: f64, least: u32, bits: u32) -> u32 {
+    let clocks = Clocks::from_nanos_ceil(u64::from(nanos), clock_hz as u32).0;
+    (clocks.min((1u64 << bits) - 1) as u32).max(least)
+}

@@ -1,0 +1,134 @@
+//! `packet-error*`: hostmot2's leaky bucket, and how long `read` waits.
+//!
+//! | name | | |
+//! |---|---|---|
+//! | `packet-error` | bit out | the last answer did not come in time |
+//! | `packet-error-level` | s32 out | rises by `-increment` per missing answer, falls by `-decrement` per good one |
+//! | `packet-error-exceeded` | bit out | the level has reached `packet-error-limit`: the board is given up until it answers again |
+//! | `packet-error-total` | u32 out | missing answers since load |
+//! | `packet-read-timeout` | s32 param | 0 or less: 80 % of the period; below 100: percent of the period; else ns. Never below 100 us |
+
+use crate::hal::{ExportError, Exporter, Out, Param};
+use std::time::Duration;
+
+/// The counters and their parameters.
+#[derive(Debug)]
+pub struct Packets {
+    error: Out<bool>,
+    level: Out<i32>,
+    exceeded: Out<bool>,
+    total: Out<u32>,
+    limit: Param<i32>,
+    increment: Param<i32>,
+    decrement: Param<i32>,
+    read_timeout: Param<i32>,
+}
+
+impl Packets {
+    /// Exports the pins; the prefix is the board's.
+    pub fn export(hal: &mut Exporter<'_>) -> Result<Self, ExportError> {
+        Ok(Packets {
+            error: hal.output("packet-error")?,
+            level: hal.output("packet-error-level")?,
+            exceeded: hal.output("packet-error-exceeded")?,
+            total: hal.output("packet-error-total")?,
+            limit: hal.param("packet-error-limit", 10)?,
+            increment: hal.param("packet-error-increment", 2)?,
+            decrement: hal.param("packet-error-decrement", 1)?,
+            read_timeout: hal.param("packet-read-timeout", 80)?,
+        })
+    }
+
+    /// An answer came in time.
+    pub fn good(&self) {
+        self.error.set(false);
+        let level = self.level.get().saturating_sub(self.decrement.get().max(0));
+        self.level.set(level.max(0));
+    }
+
+    /// An answer is missing; `true` when that was one too many.
+    #[must_use]
+    pub fn missing(&self) -> bool {
+        self.error.set(true);
+        self.total.set(self.total.get().wrapping_add(1));
+        let limit = self.limit.get().max(1);
+        let level = self.level.get().saturating_add(self.increment.get().max(0));
+        self.level.set(level.min(limit));
+        let exceeded = level >= limit;
+        if exceeded {
+            self.exceeded.set(true);
+        }
+        exceeded
+    }
+
+    /// The board answers again: start with an empty bucket.
+    pub fn recovered(&self) {
+        self.error.set(false);
+        self.level.set(0);
+        self.exceeded.set(false);
+    }
+
+    /// How long `read` may wait in a period of this length.
+    pub fn patience(&self, period_ns: i64) -> Duration {
+        Duration::from_nanos(patience_ns(self.read_timeout.get(), period_ns))
+    }
+}
+
+/// hostmot2's meaning of `packet-read-timeout`.
+fn patience_ns(timeout: i32, period_ns: i64) -> u64 {
+    let percent = |percent: i64| period_ns.max(0) * percent / 100;
+    let wanted = match timeout {
+        ..=0 => percent(80),
+        1..100 => percent(i64::from(timeout)),
+        100.. => i64::from(timeout),
+    };
+    // 100 us: less than that no network stack can promise.
+    wanted.max(100_000) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hal::fake::FakeHal;
+
+    #[test]
+    fn the_read_timeout_means_what_it_means_in_hostmot2() {
+        for (timeout, period, expected) in [
+            (80, 1_000_000, 800_000),
+            (0, 1_000_000, 800_000),
+            (-5, 1_000_000, 800_000),
+            (50, 1_000_000, 500_000),
+            (99, 1_000_000, 990_000),
+            (100, 1_000_000, 100_000),
+            (300_000, 1_000_000, 300_000),
+            (10, 100_000, 100_000),
+            (2_000_000_000, 1_000_000, 2_000_000_000),
+        ] {
+            assert_eq!(patience_ns(timeout, period), expected, "{timeout}");
+        }
+    }
+
+    #[test]
+    fn the_fifth_missing_answer_in_a_row_is_one_too_many() {
+        let mut hal = FakeHal::new();
+        let packets = Packets::export(&mut Exporter::new(&mut hal, "b")).unwrap();
+        for _ in 0..4 {
+            assert!(!packets.missing());
+        }
+        assert!(packets.missing());
+        assert!(hal.get::<bool>("b.packet-error-exceeded"));
+        assert_eq!(hal.get::<u32>("b.packet-error-total"), 5);
+    }
+
+    #[test]
+    fn one_missing_answer_in_three_never_adds_up() {
+        let mut hal = FakeHal::new();
+        let packets = Packets::export(&mut Exporter::new(&mut hal, "b")).unwrap();
+        for _ in 0..1000 {
+            assert!(!packets.missing());
+            packets.good();
+            packets.good();
+        }
+        assert_eq!(hal.get::<i32>("b.packet-error-level"), 0);
+    }
+}

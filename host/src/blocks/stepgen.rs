@@ -1,0 +1,592 @@
+//! `stepgen.<nn>`: a position or velocity command in, STEP and DIR out, and the truth about what was
+//! emitted back.
+//!
+//! | pin | | |
+//! |---|---|---|
+//! | `position-cmd` | float in | followed while `control-type` is false |
+//! | `velocity-cmd` | float in | followed while `control-type` is true |
+//! | `control-type` | bit in | 0 position, 1 velocity; may change while moving |
+//! | `enable` | bit in | false: ramps to rest at `maxaccel` |
+//! | `counts` | s32 out | pulses emitted, as sampled |
+//! | `position-fb` | float out | predicted to the end of the period, sub-step |
+//! | `velocity-fb` | float out | the velocity there |
+//! | `rate-limited` | bit out | more was asked than the step timing allows |
+//!
+//! Parameters, all read/write: `position-scale` (steps per unit), `maxvel`, `maxaccel` (0: no limit),
+//! `steplen`, `stepspace`, `dirsetup`, `dirhold` (ns), `step-invert`, `dir-invert`. The timings and
+//! inversions reach the board while it is disarmed.
+//!
+//! # The position loop
+//!
+//! hostmot2's, on a plant that is a true ramp. The command at period *k* says where to be at its end.
+//! Feed-forward is the command's own velocity; `seconds_to_match` is how long the fabric's
+//! acceleration limit takes to get there; the error expected at that moment is corrected with gain
+//! 0.5 per period, or by ramping whichever way makes it smaller when matching takes longer than a
+//! period. The result stays within reach of one period at `maxaccel`, so a board that hears nothing
+//! further holds a velocity that was meant.
+
+use super::{Feedback, Outlook, Period, nanos_to_register, scale_or_one};
+use crate::hal::{ExportError, Exporter, In, Out, Param};
+use motion::Ramp;
+use motion::ramp::VELOCITY_FRACTION;
+use wire::map::STEPGEN_CONFIG_WORDS;
+use wire::units::{Accel, Position, StepRate};
+
+/// 5 us: every driver on the market manages that; fast ones are told so with `setp`.
+const DEFAULT_STEP_NS: u32 = 5_000;
+/// 20 us: the slowest opto-coupled inputs we know of.
+const DEFAULT_DIR_NS: u32 = 20_000;
+
+/// One stepgen.
+#[derive(Debug)]
+pub struct Stepgen {
+    position_cmd: In<f64>,
+    velocity_cmd: In<f64>,
+    enable: In<bool>,
+    control_type: In<bool>,
+    counts: Out<i32>,
+    position_fb: Out<f64>,
+    velocity_fb: Out<f64>,
+    rate_limited: Out<bool>,
+    position_scale: Param<f64>,
+    maxvel: Param<f64>,
+    maxaccel: Param<f64>,
+    steplen: Param<u32>,
+    stepspace: Param<u32>,
+    dirsetup: Param<u32>,
+    dirhold: Param<u32>,
+    step_invert: Param<bool>,
+    dir_invert: Param<bool>,
+
+    track: Track,
+    /// The stepgen as predicted for the next command; its position counts from `track`.
+    ramp: Ramp,
+    /// `position-cmd` of the last period.
+    last_cmd: f64,
+    /// What was asked last.
+    sent: Target,
+    /// The step timing as the board has it, in clocks per step.
+    clocks_per_step: f64,
+    /// The host had to clamp.
+    clamped: bool,
+}
+
+/// What goes into the command block for one stepgen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Target {
+    /// Not ramping to rest.
+    pub enable: bool,
+    /// Velocity to move towards.
+    pub rate: StepRate,
+    /// By at most this per clock.
+    pub accel: Accel,
+}
+
+impl Stepgen {
+    /// Exports the pins.
+    pub fn export(hal: &mut Exporter<'_>) -> Result<Self, ExportError> {
+        Ok(Stepgen {
+            position_cmd: hal.input("position-cmd")?,
+            velocity_cmd: hal.input("velocity-cmd")?,
+            enable: hal.input("enable")?,
+            control_type: hal.input("control-type")?,
+            counts: hal.output("counts")?,
+            position_fb: hal.output("position-fb")?,
+            velocity_fb: hal.output("velocity-fb")?,
+            rate_limited: hal.output("rate-limited")?,
+            position_scale: hal.param("position-scale", 1.0)?,
+            maxvel: hal.param("maxvel", 0.0)?,
+            maxaccel: hal.param("maxaccel", 1.0)?,
+            steplen: hal.param("steplen", DEFAULT_STEP_NS)?,
+            stepspace: hal.param("stepspace", DEFAULT_STEP_NS)?,
+            dirsetup: hal.param("dirsetup", DEFAULT_DIR_NS)?,
+            dirhold: hal.param("dirhold", DEFAULT_DIR_NS)?,
+            step_invert: hal.param("step-invert", false)?,
+            dir_invert: hal.param("dir-invert", false)?,
+            track: Track::default(),
+            ramp: Ramp::default(),
+            last_cmd: 0.0,
+            sent: Target::default(),
+            clocks_per_step: 1.0,
+            clamped: false,
+        })
+    }
+
+    /// This channel's configuration block.
+    pub fn configure(&mut self, clock_hz: f64) -> [u32; STEPGEN_CONFIG_WORDS as usize] {
+        let steplen = nanos_to_register(self.steplen.get(), clock_hz, 1, 16);
+        let stepspace = nanos_to_register(self.stepspace.get(), clock_hz, 1, 16);
+        self.clocks_per_step = f64::from(steplen) + f64::from(stepspace);
+        [
+            steplen,
+            stepspace,
+            nanos_to_register(self.dirsetup.get(), clock_hz, 0, 24),
+            nanos_to_register(self.dirhold.get(), clock_hz, 0, 24),
+            self.stop_accel(clock_hz).0,
+            u32::from(self.step_invert.get()) | u32::from(self.dir_invert.get()) << 1,
+        ]
+    }
+
+    /// Takes what the board sampled, predicts it to the next command and publishes it.
+    pub fn sampled(
+        &mut self,
+        position: Position,
+        rate: StepRate,
+        limited: bool,
+        outlook: Outlook,
+        period: Period,
+    ) {
+        self.track.update(position);
+        self.ramp = match outlook {
+            Outlook::Commanded => Ramp::predict(
+                position,
+                rate,
+                self.sent.rate,
+                self.sent.accel,
+                period.clocks,
+            ),
+            Outlook::Stopping => Ramp::predict(
+                position,
+                rate,
+                StepRate(0),
+                self.stop_accel(period.clock_hz),
+                period.clocks,
+            ),
+            Outlook::Still => Ramp {
+                position: position.0,
+                ..Ramp::default()
+            },
+        };
+        self.counts.set(self.track.pulses() as i32);
+        self.rate_limited.set(limited || self.clamped);
+        self.publish(period.clock_hz);
+    }
+
+    /// One answer is missing: the board is assumed to do what it was last told.
+    pub fn bridge(&mut self, period: Period) {
+        self.ramp.advance(period.clocks.0);
+        self.publish(period.clock_hz);
+    }
+
+    /// The fabric was reset: it counts from nothing, the machine stands where it stood.
+    pub fn rebase(&mut self) {
+        self.track.rebase();
+    }
+
+    /// What to ask for in the coming period. Not `live`: nothing, whatever the pins say.
+    pub fn command(&mut self, live: bool, feedback: Feedback, period: Period) -> Target {
+        let scale = scale_or_one(self.position_scale.get());
+        let cmd = self.position_cmd.get();
+        let feed_forward = (cmd - self.last_cmd) / period.seconds * scale;
+        self.last_cmd = cmd;
+        self.clamped = false;
+        if !live || !self.enable.get() {
+            self.sent = Target {
+                accel: self.stop_accel(period.clock_hz),
+                ..Target::default()
+            };
+            return self.sent;
+        }
+
+        let accel = non_negative(self.maxaccel.get() * scale.abs());
+        let now = Motion {
+            position: self.steps(),
+            velocity: velocity_hz(&self.ramp, period.clock_hz),
+        };
+        let wanted = if self.control_type.get() {
+            self.velocity_cmd.get() * scale
+        } else if feedback == Feedback::Frozen {
+            // Two answers missing: where it is, is not known, so only how fast it should go is.
+            within_reach(feed_forward, now.velocity, accel, period.seconds)
+        } else {
+            approach(now, cmd * scale, feed_forward, accel, period.seconds)
+        };
+        let rate = StepRate::from_hz(self.clamp(wanted, scale, period.clock_hz), period.clock_hz);
+        self.sent = Target {
+            enable: true,
+            rate,
+            accel: Accel::from_steps(accel, period.clock_hz),
+        };
+        self.sent
+    }
+
+    /// Limits a rate to `maxvel` and to what the step timing allows.
+    fn clamp(&mut self, wanted: f64, scale: f64, clock_hz: f64) -> f64 {
+        let physical = clock_hz / self.clocks_per_step;
+        self.clamped = wanted.abs() > physical;
+        let limit = match non_negative(self.maxvel.get() * scale.abs()) {
+            0.0 => physical,
+            maxvel => maxvel.min(physical),
+        };
+        // NaN from a pin is "stand still", not "anything".
+        if wanted.is_nan() {
+            return 0.0;
+        }
+        wanted.clamp(-limit, limit)
+    }
+
+    fn stop_accel(&self, clock_hz: f64) -> Accel {
+        let scale = scale_or_one(self.position_scale.get());
+        Accel::from_steps(self.maxaccel.get() * scale.abs(), clock_hz)
+    }
+
+    /// Predicted position in steps.
+    fn steps(&self) -> f64 {
+        self.track.steps(self.ramp.position)
+    }
+
+    fn publish(&self, clock_hz: f64) {
+        let scale = scale_or_one(self.position_scale.get());
+        self.position_fb.set(self.steps() / scale);
+        self.velocity_fb
+            .set(velocity_hz(&self.ramp, clock_hz) / scale);
+    }
+}
+
+/// A 32.32 register followed for ever: its wraps and the board's restarts do not show.
+#[derive(Clone, Copy, Debug, Default)]
+struct Track {
+    /// The register as last sampled; `None` before the first sample and after a reset.
+    last: Option<Position>,
+    /// The same without wraps, in the register's unit, half-step bias included.
+    total: i128,
+}
+
+impl Track {
+    fn update(&mut self, position: Position) {
+        self.total = match self.last {
+            Some(last) => self.total + i128::from(position.0.wrapping_sub(last.0)),
+            // First contact takes the board's count as it is: positions survive this program.
+            // After a reset `total` holds the whole steps to go on from.
+            None => self.total + i128::from(position.0),
+        };
+        self.last = Some(position);
+    }
+
+    fn rebase(&mut self) {
+        if self.last.take().is_some() {
+            // Whole pulses only: the fraction is where the new phase begins.
+            self.total = (self.total >> 32) << 32;
+        }
+    }
+
+    fn pulses(&self) -> i64 {
+        (self.total >> 32) as i64
+    }
+
+    /// Steps at `register`, somewhere near the last sample.
+    fn steps(&self, register: i64) -> f64 {
+        let last = self.last.map_or(register, |position| position.0);
+        let here = self.total + i128::from(register.wrapping_sub(last));
+        let fraction = (here & 0xffff_ffff) as f64 / 4_294_967_296.0;
+        (here >> 32) as f64 + (fraction - 0.5)
+    }
+}
+
+/// Where something is and how fast, in steps.
+#[derive(Clone, Copy, Debug)]
+struct Motion {
+    position: f64,
+    velocity: f64,
+}
+
+/// The rate that brings `now` to `target` at the end of the period, or as near as `accel` lets it.
+fn approach(now: Motion, target: f64, feed_forward: f64, accel: f64, period: f64) -> f64 {
+    let velocity_error = now.velocity - feed_forward;
+    let to_match = if accel > 0.0 {
+        velocity_error.abs() / accel
+    } else {
+        0.0
+    };
+    let travelled = 0.5 * (now.velocity + feed_forward) * to_match;
+    // The command is for the end of this period; at the match it will be this much further.
+    let target_then = target + feed_forward * (to_match - period);
+    let error = now.position + travelled - target_then;
+    if to_match < period {
+        let wanted = feed_forward - 0.5 * error / period;
+        return within_reach(wanted, now.velocity, accel, period);
+    }
+    let towards = -velocity_error.signum() * accel;
+    // Ramping away from the match for one period moves the meeting point by about this much.
+    let detour = -2.0 * towards * period * to_match;
+    let ramp = if (error + 2.0 * detour).abs() < error.abs() {
+        -towards
+    } else {
+        towards
+    };
+    now.velocity + ramp * period
+}
+
+fn within_reach(wanted: f64, velocity: f64, accel: f64, period: f64) -> f64 {
+    if accel > 0.0 && !wanted.is_nan() {
+        wanted.clamp(velocity - accel * period, velocity + accel * period)
+    } else {
+        wanted
+    }
+}
+
+fn velocity_hz(ramp: &Ramp, clock_hz: f64) -> f64 {
+    let unit = clock_hz / (1u64 << (32 + VELOCITY_FRACTION)) as f64;
+    ramp.velocity as f64 * unit
+}
+
+fn non_negative(value: f64) -> f64 {
+    if value.is_nan() { 0.0 } else { value.abs() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hal::fake::FakeHal;
+    use proptest::prelude::*;
+    use wire::units::Clocks;
+
+    const CLOCK: u32 = 60_000_000;
+
+    /// A stepgen, its HAL, and a fabric that executes what it asks, exact to the clock.
+    struct Bench {
+        hal: FakeHal,
+        stepgen: Stepgen,
+        fabric: Ramp,
+        period: Period,
+    }
+
+    impl Bench {
+        fn new(scale: f64, maxaccel: f64) -> Self {
+            let mut hal = FakeHal::new();
+            let mut stepgen = Stepgen::export(&mut Exporter::new(&mut hal, "s")).unwrap();
+            hal.set("s.enable", true);
+            hal.set("s.position-scale", scale);
+            hal.set("s.maxaccel", maxaccel);
+            hal.set("s.steplen", 500u32);
+            hal.set("s.stepspace", 500u32);
+            stepgen.configure(f64::from(CLOCK));
+            let mut bench = Bench {
+                hal,
+                stepgen,
+                fabric: Ramp::default(),
+                period: Period::new(1_000_000, CLOCK),
+            };
+            bench.settle(1);
+            bench
+        }
+
+        /// One servo period: read, then write as LinuxCNC commands `position`.
+        fn step(&mut self, position: f64) -> Target {
+            let (sampled, rate) = (Position(self.fabric.position), self.fabric.rate());
+            self.stepgen
+                .sampled(sampled, rate, false, Outlook::Commanded, self.period);
+            self.hal.set("s.position-cmd", position);
+            // The prediction of this read is for the next command, one period on; the fabric is
+            // there when the command it was made from has run.
+            let target = self
+                .stepgen
+                .command(true, Feedback::Fresh, self.period);
+            self.run(target);
+            target
+        }
+
+        fn settle(&mut self, periods: usize) {
+            let position = self.hal.get("s.position-cmd");
+            for _ in 0..periods {
+                self.step(position);
+            }
+        }
+
+        /// The command reaches the board, which had been following the previous one until now.
+        fn run(&mut self, target: Target) {
+            self.fabric.advance(self.period.clocks.0);
+            self.fabric.target = target.rate;
+            self.fabric.accel = target.accel;
+        }
+
+        fn pulses(&self) -> i64 {
+            Position(self.fabric.position).pulses()
+        }
+    }
+
+    /// A trapezoid from 0 to `distance` as the trajectory planner would sample it.
+    fn trapezoid(distance: f64, velocity: f64, accel: f64) -> impl Iterator<Item = f64> {
+        let (mut at, mut speed) = (0.0f64, 0.0f64);
+        let step = 0.001;
+        core::iter::from_fn(move || {
+            let left = distance - at;
+            if left <= 0.0 {
+                return None;
+            }
+            let brake = (2.0 * accel * left).sqrt();
+            speed = (speed + accel * step).min(velocity).min(brake);
+            at = (at + speed.max(accel * step) * step).min(distance);
+            Some(at)
+        })
+    }
+
+    #[test]
+    fn a_move_ends_with_exactly_the_commanded_pulses() {
+        let mut bench = Bench::new(800.0, 600.0);
+        for position in trapezoid(10.0, 25.0, 300.0) {
+            bench.step(position);
+        }
+        bench.settle(100);
+        assert_eq!(bench.pulses(), 8000);
+        assert_eq!(bench.fabric.velocity, 0);
+    }
+
+    #[test]
+    fn in_motion_the_pulses_stay_within_one_step_and_one_period_of_the_command() {
+        let mut bench = Bench::new(800.0, 600.0);
+        let mut worst = 0.0f64;
+        let mut commanded = 0.0;
+        for position in trapezoid(10.0, 25.0, 300.0) {
+            let velocity: f64 = bench.hal.get("s.velocity-fb");
+            let allowed = 1.0 + velocity.abs() * 800.0 * 0.001;
+            let off = (bench.pulses() as f64 - commanded * 800.0).abs();
+            assert!(off <= allowed, "{off} steps at {velocity}/s");
+            worst = worst.max(off / allowed);
+            commanded = position;
+            bench.step(position);
+        }
+        assert!(worst > 0.0);
+    }
+
+    #[test]
+    fn the_prediction_is_what_the_fabric_then_does() {
+        let mut bench = Bench::new(800.0, 600.0);
+        for position in trapezoid(5.0, 25.0, 300.0) {
+            let target = bench.stepgen.sent;
+            let sampled = bench.fabric;
+            bench.step(position);
+            let steps = bench.stepgen.steps();
+            let there = Ramp::predict(
+                Position(sampled.position),
+                sampled.rate(),
+                target.rate,
+                target.accel,
+                Clocks(60_000),
+            );
+            assert_eq!(steps, Position(there.position).steps());
+            // Sampling drops the velocity's fraction: up to 1/2^32 step per clock.
+            assert!((steps - Position(bench.fabric.position).steps()).abs() < 2e-3);
+        }
+    }
+
+    #[test]
+    fn a_negative_scale_reverses_the_motor_not_the_feedback() {
+        let mut bench = Bench::new(-400.0, 1000.0);
+        for position in trapezoid(2.0, 10.0, 300.0) {
+            bench.step(position);
+        }
+        bench.settle(100);
+        assert_eq!(bench.pulses(), -800);
+        assert!((bench.hal.get::<f64>("s.position-fb") - 2.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn control_type_switches_while_moving() {
+        let mut bench = Bench::new(100.0, 1000.0);
+        bench.hal.set("s.control-type", true);
+        bench.hal.set("s.velocity-cmd", 10.0);
+        bench.settle(50);
+        assert!((bench.hal.get::<f64>("s.velocity-fb") - 10.0).abs() < 1e-3);
+        let here = bench.hal.get::<f64>("s.position-fb").ceil();
+        bench.hal.set("s.control-type", false);
+        bench.hal.set("s.position-cmd", here);
+        bench.settle(200);
+        assert_eq!(bench.pulses(), (here * 100.0) as i64);
+    }
+
+    #[test]
+    fn a_rate_beyond_the_step_timing_is_clamped_and_said() {
+        let mut bench = Bench::new(1000.0, 0.0);
+        bench.hal.set("s.control-type", true);
+        bench.hal.set("s.velocity-cmd", 5000.0);
+        let target = bench.step(0.0);
+        bench.step(0.0);
+        // 500 ns + 500 ns: one step per microsecond.
+        assert_eq!(target.rate, StepRate::from_hz(1e6, f64::from(CLOCK)));
+        assert!(bench.hal.get::<bool>("s.rate-limited"));
+    }
+
+    #[test]
+    fn maxvel_holds_in_both_directions() {
+        let mut bench = Bench::new(100.0, 0.0);
+        bench.hal.set("s.maxvel", 3.0);
+        bench.hal.set("s.control-type", true);
+        for (asked, given) in [(50.0, 300.0), (-50.0, -300.0), (f64::NAN, 0.0)] {
+            bench.hal.set("s.velocity-cmd", asked);
+            let rate = bench.step(0.0).rate;
+            assert_eq!(rate, StepRate::from_hz(given, f64::from(CLOCK)));
+        }
+    }
+
+    #[test]
+    fn disabled_or_not_live_asks_for_rest() {
+        let mut bench = Bench::new(100.0, 1000.0);
+        bench.hal.set("s.position-cmd", 5.0);
+        let period = bench.period;
+        let command = bench.stepgen.command(false, Feedback::Fresh, period);
+        assert_eq!((command.enable, command.rate), (false, StepRate(0)));
+        bench.hal.set("s.enable", false);
+        let command = bench.stepgen.command(true, Feedback::Fresh, period);
+        assert_eq!((command.enable, command.rate), (false, StepRate(0)));
+    }
+
+    #[test]
+    fn a_fabric_reset_does_not_move_the_position() {
+        let mut bench = Bench::new(100.0, 1000.0);
+        for position in trapezoid(1.0, 10.0, 300.0) {
+            bench.step(position);
+        }
+        bench.settle(100);
+        bench.stepgen.rebase();
+        bench.fabric = Ramp::default();
+        bench.settle(3);
+        assert_eq!(bench.hal.get::<i32>("s.counts"), 100);
+        assert!((bench.hal.get::<f64>("s.position-fb") - 1.0).abs() < 1e-6);
+        // And it goes on from there.
+        bench.hal.set("s.position-cmd", 1.5);
+        bench.settle(300);
+        assert_eq!(bench.hal.get::<i32>("s.counts"), 150);
+        assert_eq!(bench.pulses(), 50);
+    }
+
+    #[test]
+    fn the_count_goes_on_when_the_register_wraps() {
+        let mut track = Track::default();
+        track.update(Position(i64::MAX - 5));
+        track.update(Position(i64::MIN + 5));
+        assert_eq!(track.pulses(), 1 << 31);
+        assert!((track.steps(i64::MIN + 5) - 2_147_483_647.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn timings_in_nanoseconds_become_clocks_rounded_up() {
+        let mut bench = Bench::new(1.0, 1.0);
+        bench.hal.set("s.steplen", 0u32);
+        bench.hal.set("s.stepspace", 1001u32);
+        bench.hal.set("s.dirsetup", u32::MAX);
+        bench.hal.set("s.dirhold", 0u32);
+        bench.hal.set("s.dir-invert", true);
+        let words = bench.stepgen.configure(f64::from(CLOCK));
+        assert_eq!(words[..4], [1, 61, 0x00ff_ffff, 0]);
+        assert_eq!(words[5], 2);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn any_jump_of_the_command_ends_on_its_pulse(
+            steps in -3000..3000i64,
+            scale in prop_oneof![Just(1.0), Just(-37.5), 10.0..4000.0f64],
+            maxaccel in prop_oneof![Just(0.0), 2000.0..50_000.0f64],
+        ) {
+            let mut bench = Bench::new(scale, maxaccel / scale.abs());
+            bench.hal.set("s.maxvel", 4000.0 / scale.abs());
+            bench.hal.set("s.position-cmd", steps as f64 / scale);
+            bench.settle(6000);
+            prop_assert_eq!(bench.pulses(), steps);
+            prop_assert_eq!(bench.fabric.velocity, 0);
+        }
+    }
+}

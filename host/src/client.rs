@@ -1,0 +1,400 @@
+//! Talking to a board outside the servo thread: ordinary blocking requests with retries.
+//!
+//! `loadrt` gets to know a board and takes its session through here, the tool reads through here.
+//! Every request carries a tag that comes back with the words read, so a late answer to an earlier
+//! try is never taken for the present one. A datagram that writes and reads is executed whole or not
+//! at all, so an answer to its reads is the receipt for its writes.
+
+use crate::address::Address;
+use std::io;
+use std::net::UdpSocket;
+use std::time::{Duration, Instant};
+use wire::board::{Blob, BlobError};
+use wire::describe::{self, Describe, DescribeError};
+use wire::{MAX_PAYLOAD, MAX_WORDS, Packet, ReplyWriter, etherbone, map};
+
+/// How long one try waits: some hundred times a healthy board's answer, short enough that a lost
+/// packet is not felt.
+const TRY: Duration = Duration::from_millis(200);
+/// How long to go on trying. A board needs well under a second from power-up to its first answer; a
+/// simulated one may take a few.
+pub const PATIENCE: Duration = Duration::from_secs(4);
+/// Words read per request. Far below the 255 of a record: the answer stays a short frame.
+const CHUNK: usize = 128;
+
+/// Why a request failed; it says what to do.
+#[derive(Debug)]
+pub enum ClientError {
+    /// The socket itself.
+    Socket(Address, io::Error),
+    /// No answer.
+    Silent {
+        /// Whose.
+        address: Address,
+        /// How long.
+        waited: Duration,
+        /// What the network said meanwhile, if anything.
+        hint: Option<io::Error>,
+    },
+    /// It is no board of ours, or of another version.
+    Describe(Address, DescribeError),
+    /// Its board information is unreadable.
+    Blob(Address, BlobError),
+    /// Gateware and firmware disagree.
+    Abi {
+        /// Whose.
+        address: Address,
+        /// The number the firmware was built for.
+        firmware: u32,
+        /// The number the gateware was built from.
+        gateware: u32,
+    },
+    /// Somebody else drives it.
+    Owned {
+        /// Which board.
+        address: Address,
+        /// By whom.
+        owner: std::net::SocketAddrV4,
+    },
+    /// It answers, but will not give its session.
+    NoSession(Address),
+}
+
+impl core::fmt::Display for ClientError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            ClientError::Socket(address, error) => write!(
+                f,
+                "cannot send to {address}: {error}; check that this computer has an address in the board's network"
+            ),
+            ClientError::Silent {
+                address,
+                waited,
+                hint,
+            } => {
+                write!(
+                    f,
+                    "no answer from {address} for {:.1} s; check power, cable and the board's address (ping {})",
+                    waited.as_secs_f64(),
+                    address.socket.ip()
+                )?;
+                match hint {
+                    Some(error) => write!(f, "; the network says: {error}"),
+                    None => Ok(()),
+                }
+            }
+            ClientError::Describe(address, error) => write!(f, "{address}: {error}"),
+            ClientError::Blob(address, error) => write!(f, "{address}: {error}"),
+            ClientError::Abi {
+                address,
+                firmware,
+                gateware,
+            } => write!(
+                f,
+                "{address}: the firmware was built for register map {firmware:#010x}, the gateware is {gateware:#010x}; flash a matching pair"
+            ),
+            ClientError::Owned { address, owner } => write!(
+                f,
+                "{address} is driven by {owner}; stop LinuxCNC there, or wait until its watchdog has ended that session"
+            ),
+            ClientError::NoSession(address) => write!(
+                f,
+                "{address} answers but gives no session; look at its console (ferrocnc console {})",
+                address.socket.ip()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for ClientError {}
+
+/// What a board is: its description and the names behind it.
+#[derive(Clone, Debug)]
+pub struct Identity {
+    /// Versions, counts, clock, state.
+    pub describe: Describe,
+    /// The board blob, checked; read it with [`Identity::blob`].
+    blob: Vec<u8>,
+}
+
+impl Identity {
+    /// Puts one together; refused when the blob is unreadable.
+    pub fn new(describe: Describe, blob: Vec<u8>) -> Result<Self, BlobError> {
+        Blob::new_checked(&blob)?;
+        Ok(Identity { describe, blob })
+    }
+
+    /// The names.
+    pub fn blob(&self) -> Blob<'_> {
+        // Checked in `new`; nothing changes it since.
+        Blob::new_checked(&self.blob).expect("a checked blob")
+    }
+}
+
+/// A socket to one board.
+#[derive(Debug)]
+pub struct Client {
+    address: Address,
+    socket: UdpSocket,
+    tag: u32,
+    patience: Duration,
+}
+
+impl Client {
+    /// Opens a socket; sends nothing yet.
+    pub fn open(address: &Address) -> Result<Self, ClientError> {
+        let socket = UdpSocket::bind("0.0.0.0:0").and_then(|socket| {
+            socket.connect(address.socket)?;
+            Ok(socket)
+        });
+        let socket = socket.map_err(|error| ClientError::Socket(address.clone(), error))?;
+        Ok(Client {
+            address: address.clone(),
+            // Any start will do; it only has to differ between programs following each other.
+            tag: nonce(),
+            socket,
+            patience: PATIENCE,
+        })
+    }
+
+    /// Gives up after this long instead of [`PATIENCE`].
+    #[must_use]
+    pub fn with_patience(mut self, patience: Duration) -> Self {
+        self.patience = patience;
+        self
+    }
+
+    /// Who is asked.
+    pub fn address(&self) -> &Address {
+        &self.address
+    }
+
+    /// The socket, for the servo thread to go on with: the session belongs to its port.
+    pub fn into_socket(self) -> UdpSocket {
+        self.socket
+    }
+
+    /// Reads these words.
+    pub fn read(&mut self, addresses: &[u32]) -> Result<Vec<u32>, ClientError> {
+        let mut words = Vec::with_capacity(addresses.len());
+        for chunk in addresses.chunks(CHUNK) {
+            words.extend(self.transact(&[], chunk)?);
+        }
+        Ok(words)
+    }
+
+    /// Reads `count` consecutive words.
+    pub fn read_from(&mut self, base: u32, count: usize) -> Result<Vec<u32>, ClientError> {
+        let addresses: Vec<u32> = (0..count as u32).map(|i| base + 4 * i).collect();
+        self.read(&addresses)
+    }
+
+    /// Writes words and reads others in one datagram: the answer proves that both happened.
+    pub fn write_then_read(
+        &mut self,
+        base: u32,
+        words: &[u32],
+        addresses: &[u32],
+    ) -> Result<Vec<u32>, ClientError> {
+        self.transact(&[(base, words)], addresses)
+    }
+
+    /// Reads and checks what the board is.
+    pub fn identify(&mut self) -> Result<Identity, ClientError> {
+        let words = self.read_from(map::DESCRIBE, describe::WORDS)?;
+        let head = words.first_chunk::<{ describe::WORDS }>();
+        let describe = head.ok_or(DescribeError::Malformed).and_then(Describe::parse);
+        let describe =
+            describe.map_err(|error| ClientError::Describe(self.address.clone(), error))?;
+        let words = self.read_from(map::DESCRIBE_BLOB, describe.blob_words as usize)?;
+        let mut bytes = vec![0; words.len() * 4];
+        wire::words_to_bytes(&words, &mut bytes);
+        Identity::new(describe, bytes)
+            .map_err(|error| ClientError::Blob(self.address.clone(), error))
+    }
+
+    /// Refuses a board that would never arm.
+    pub fn check(&self, identity: &Identity) -> Result<(), ClientError> {
+        let describe = &identity.describe;
+        if describe.abi_firmware != describe.abi_gateware
+            || describe.obstacles & describe::OBSTACLE_ABI != 0
+        {
+            return Err(ClientError::Abi {
+                address: self.address.clone(),
+                firmware: describe.abi_firmware,
+                gateware: describe.abi_gateware,
+            });
+        }
+        Ok(())
+    }
+
+    /// Takes the session; its token and the sequence number the board has seen last.
+    pub fn acquire(&mut self) -> Result<Session, ClientError> {
+        let before = Instant::now();
+        let patience = core::mem::replace(&mut self.patience, TRY * 3);
+        let result = loop {
+            // A refused acquisition is a dropped datagram, so silence here and an answer to the
+            // question for the owner together mean "somebody else's".
+            let asked = self.write_then_read(map::SESSION_ACQUIRE, &[nonce()], &SESSION_WORDS);
+            if let Ok(words) = &asked
+                && let Some(session) = Session::from_words(words)
+            {
+                break Ok(session);
+            }
+            let owner = self.read(&[map::SESSION_OWNER_IP, map::SESSION_OWNER_PORT]);
+            if before.elapsed() < patience {
+                continue;
+            }
+            break Err(match owner.as_deref() {
+                Ok([ip, port]) if *ip != 0 => ClientError::Owned {
+                    address: self.address.clone(),
+                    owner: std::net::SocketAddrV4::new((*ip).into(), *port as u16),
+                },
+                Ok(_) => ClientError::NoSession(self.address.clone()),
+                Err(_) => asked
+                    .err()
+                    .unwrap_or_else(|| ClientError::NoSession(self.address.clone())),
+            });
+        };
+        self.patience = patience;
+        result
+    }
+
+    fn transact(
+        &mut self,
+        writes: &[(u32, &[u32])],
+        reads: &[u32],
+    ) -> Result<Vec<u32>, ClientError> {
+        self.tag = self.tag.wrapping_add(1);
+        let mut words = [0; MAX_WORDS];
+        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+        for (base, words) in writes {
+            let fits = request.write_record(*base, words.len() as u8) && request.extend(words);
+            debug_assert!(fits, "a request beyond one frame");
+        }
+        request.read_record(self.tag, reads);
+        let mut bytes = [0; MAX_PAYLOAD];
+        let length = wire::words_to_bytes(request.words(), &mut bytes);
+
+        let start = Instant::now();
+        let mut hint = None;
+        while start.elapsed() < self.patience {
+            match self.socket.send(&bytes[..length]) {
+                // Refused is the answer to the try before: keep trying, it may be starting.
+                Err(error) if error.kind() != io::ErrorKind::ConnectionRefused => {
+                    return Err(ClientError::Socket(self.address.clone(), error));
+                }
+                Err(error) => hint = Some(error),
+                Ok(_) => {}
+            }
+            match self.answer(reads.len(), Instant::now() + TRY) {
+                Ok(Some(words)) => return Ok(words),
+                Ok(None) => {}
+                Err(error) => {
+                    hint = Some(error);
+                    std::thread::sleep(TRY);
+                }
+            }
+        }
+        Err(ClientError::Silent {
+            address: self.address.clone(),
+            waited: start.elapsed(),
+            hint,
+        })
+    }
+
+    fn answer(&self, count: usize, deadline: Instant) -> io::Result<Option<Vec<u32>>> {
+        let mut bytes = [0; MAX_PAYLOAD];
+        let mut words = [0; MAX_WORDS];
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            self.socket.set_read_timeout(Some(left))?;
+            let length = match self.socket.recv(&mut bytes) {
+                Ok(length) => length,
+                Err(error)
+                    if matches!(
+                        error.kind(),
+                        io::ErrorKind::WouldBlock
+                            | io::ErrorKind::TimedOut
+                            | io::ErrorKind::Interrupted
+                    ) =>
+                {
+                    continue;
+                }
+                Err(error) => return Err(error),
+            };
+            if let Some(answer) = wire::words_from_bytes(&bytes[..length], &mut words)
+                .ok()
+                .and_then(|words| single_record(words))
+                && answer.0 == self.tag
+                && answer.1.len() == count
+            {
+                return Ok(Some(answer.1.to_vec()));
+            }
+        }
+    }
+}
+
+/// Base and words of a datagram that is one write record, as every answer is.
+pub(crate) fn single_record(words: &[u32]) -> Option<(u32, &[u32])> {
+    let packet = Packet::new_checked(words).ok()?;
+    let mut records = packet.records();
+    match (records.next(), records.next()) {
+        (Some(record), None) => Some((record.write_base, record.writes)),
+        _ => None,
+    }
+}
+
+/// What [`Session::from_words`] understands, in this order.
+pub(crate) const SESSION_WORDS: [u32; 6] = [
+    map::SESSION_TOKEN,
+    map::SESSION_LAST_SEQ,
+    // Of the describe block: wire version, both channel words, boot id.
+    map::DESCRIBE + 4,
+    map::DESCRIBE + 4 * 7,
+    map::DESCRIBE + 4 * 8,
+    map::DESCRIBE + 4 * 10,
+];
+
+/// A session just taken, and what is needed to know that the board is still the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Session {
+    /// Goes into every command.
+    pub token: u32,
+    /// The last sequence number the board accepted.
+    pub last_sequence: u32,
+    /// The board's wire version.
+    pub wire_version: u32,
+    /// The board's channel words.
+    pub channels: [u32; 2],
+    /// The firmware's boot id.
+    pub boot_id: u32,
+}
+
+impl Session {
+    pub(crate) fn from_words(words: &[u32]) -> Option<Session> {
+        match *words {
+            [token, last_sequence, wire_version, channels0, channels1, boot_id] if token != 0 => {
+                Some(Session {
+                    token,
+                    last_sequence,
+                    wire_version,
+                    channels: [channels0, channels1],
+                    boot_id,
+                })
+            }
+            _ => None,
+        }
+    }
+}
+
+/// Something that is never 0 and hardly ever twice the same.
+pub fn nonce() -> u32 {
+    let now = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .unwrap_or_default();
+    (now.subsec_nanos() ^ (now.as_secs() as u32).rotate_left(20) ^ std::process::id()) | 1
+}

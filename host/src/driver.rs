@@ -1,0 +1,695 @@
+//! One board in the servo thread: `ferrocnc.<n>.read` and `ferrocnc.<n>.write`.
+//!
+//! # Timing
+//!
+//! `write` computes the targets for the coming period and sends the exchange. The board commits
+//! them and samples everything on the same clock, and its answer travels back while the thread sleeps.
+//! The next `read` normally finds it waiting, so a servo period costs one datagram each way and no
+//! round trip. What it finds is one period old; `motion` knows the ramp exactly, so position and
+//! velocity are predicted forward by that period before HAL sees them.
+//!
+//! ```text
+//!   servo thread   R ctrl W               R ctrl W               R ctrl W
+//!   to the board          \                      \                      \
+//!   board                  * commit+sample        *                      *
+//!   back                    \____ waits ____/      \____ waits ____/
+//!   feedback                                ^ = sample + one period of ramp: valid at the next *
+//! ```
+//!
+//! # When an answer does not come
+//!
+//! `read` waits for it until `packet-read-timeout`, then goes on. One missing answer is bridged by
+//! the model: whether the command or its answer was lost, the board holds a velocity meant for this
+//! moment. From the second on, feedback stands still and so does the position loop's opinion: only
+//! the command's own velocity is passed on. The leaky bucket decides when the board is given up:
+//! `enabled` falls, `io-error` rises, and the driver asks for the session again ten times a second.
+//! Answers to earlier commands are recognised by their sequence number and dropped.
+//!
+//! # When a board comes back
+//!
+//! A new session is configured from the parameters again and starts disarmed; arming needs `enable`
+//! and a new rising edge of `enable-request`. Positions are the board's and survive. If its clock
+//! went backwards the fabric was reset, counts began anew, and the difference is kept here: HAL's
+//! position does not jump.
+//!
+//! Nothing in here allocates, locks or blocks, and nothing but [`Link`] makes a system call.
+
+use crate::address::Address;
+use crate::blocks::arming::ArmRequest;
+use crate::blocks::encoder::Encoder;
+use crate::blocks::gpio;
+use crate::blocks::packets::Packets;
+use crate::blocks::pwm::Pwm;
+use crate::blocks::stepgen::Stepgen;
+use crate::blocks::wallclock::Wallclock;
+use crate::blocks::watchdog::Watchdog;
+use crate::blocks::{Feedback, Outlook, Period};
+use crate::client::{Identity, SESSION_WORDS, Session, single_record};
+use crate::hal::{Backend, ExportError, Exporter, In, Level, Line, Messenger, Out, Param};
+use crate::link::Link;
+use crate::settings::{Disarmed, Periods, Sync};
+use std::time::Instant;
+use wire::board::Kind;
+use wire::describe::Channels;
+use wire::exchange::{COMMAND_MAX, Command, MAX_CHANNELS, REQUEST_OVERHEAD, Status};
+use wire::{FaultReason, MAX_WORDS, ReplyWriter, State, etherbone, map};
+
+/// 100 ms between two requests for the session: a board that starts is found soon, one that is off
+/// costs next to nothing.
+const ACQUIRE_NS: i64 = 100_000_000;
+/// Tags of our requests lie up here, exchange answers are told apart by their length anyway.
+const TAG_BASE: u32 = 0xfe00_0000;
+/// Tries after which settings without a receipt are worth a message: 5 x 20 periods.
+const REFUSED_TRIES: u32 = 5;
+
+/// Whether the board is ours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// Asking for the session; so many periods until the next time.
+    Acquiring {
+        wait: u32,
+        tag: u32,
+        announced: bool,
+    },
+    /// Exchanging.
+    Online { token: u32 },
+}
+
+/// The board-wide pins.
+#[derive(Debug)]
+struct Pins {
+    enable: In<bool>,
+    enable_request: In<bool>,
+    enabled: Out<bool>,
+    fault_reason: Out<u32>,
+    state: Out<u32>,
+    position_trusted: Out<bool>,
+    refused_total: Out<u32>,
+    io_error: Param<bool>,
+}
+
+/// A board and everything HAL sees of it.
+pub struct Driver {
+    index: usize,
+    address: Address,
+    link: Link,
+    channels: Channels,
+    clock_hz: u32,
+    boot_id: u32,
+    say: Messenger,
+
+    pins: Pins,
+    packets: Packets,
+    watchdog: Watchdog,
+    wallclock: Wallclock,
+    stepgens: Vec<Stepgen>,
+    encoders: Vec<Encoder>,
+    pwms: Vec<Pwm>,
+    inputs: Vec<gpio::Input>,
+    outputs: Vec<gpio::Output>,
+
+    phase: Phase,
+    arm: ArmRequest,
+    disarmed_settings: Sync<Disarmed>,
+    periods: Sync<Periods>,
+    settings_refused_said: bool,
+    tag: u32,
+    sequence: u32,
+    /// The command just sent awaits its answer.
+    awaiting: bool,
+    /// Answers missing in a row.
+    missing: u32,
+    /// An answer came in this session: the board has seen our `enable-request` low.
+    answered: bool,
+    state: State,
+    reason: FaultReason,
+    live: bool,
+}
+
+impl Driver {
+    /// Exports everything this board has as `ferrocnc.<index>.*`. The link must be the one whose
+    /// port owns the session.
+    pub fn export(
+        backend: &mut dyn Backend,
+        index: usize,
+        address: Address,
+        identity: &Identity,
+        link: Link,
+        say: Messenger,
+    ) -> Result<Self, ExportError> {
+        let describe = &identity.describe;
+        let channels = describe.channels;
+        let blob = identity.blob();
+        let names = |kind, class: &str, longest: &str, count: u8| {
+            let room = crate::hal::NAME_MAX - format!("ferrocnc.{index}.{class}..{longest}").len();
+            channel_names((0..count).map(|n| blob.text(kind, n)), room)
+        };
+        let mut hal = Exporter::new(backend, format!("ferrocnc.{index}"));
+        let pins = Pins {
+            enable: hal.input("enable")?,
+            enable_request: hal.input("enable-request")?,
+            enabled: hal.output("enabled")?,
+            fault_reason: hal.output("fault-reason")?,
+            state: hal.output("state")?,
+            position_trusted: hal.output("position-trusted")?,
+            refused_total: hal.output("refused-total")?,
+            io_error: hal.param("io-error", false)?,
+        };
+        let packets = Packets::export(&mut hal)?;
+        let watchdog = Watchdog::export(&mut hal)?;
+        let wallclock = Wallclock::export(&mut hal)?;
+        let stepgens = each(
+            &mut hal,
+            "stepgen",
+            names(Kind::Stepgen, "stepgen", "position-scale", channels.stepgens),
+            |hal, _| Stepgen::export(hal),
+        )?;
+        let encoders = each(
+            &mut hal,
+            "encoder",
+            names(Kind::Encoder, "encoder", "velocity-rpm", channels.encoders),
+            |hal, _| Encoder::export(hal),
+        )?;
+        let has_direction = |n: usize| {
+            blob.entries().any(|entry| {
+                entry.kind == Kind::Pins
+                    && usize::from(entry.channel) == n
+                    && entry.value.first() == Some(&b'p')
+                    && entry.value.windows(4).any(|text| text == b"dir=")
+            })
+        };
+        let pwms = each(
+            &mut hal,
+            "pwm",
+            names(Kind::Pwm, "pwm", "invert-output", channels.pwms),
+            |hal, n| Pwm::export(hal, has_direction(n)),
+        )?;
+        let inputs = each(
+            &mut hal,
+            "gpio",
+            names(Kind::Input, "gpio", "in-not", channels.inputs),
+            |hal, _| gpio::Input::export(hal),
+        )?;
+        let outputs = each(
+            &mut hal,
+            "gpio",
+            names(Kind::Output, "gpio", "invert", channels.outputs),
+            |hal, _| gpio::Output::export(hal),
+        )?;
+        Ok(Driver {
+            index,
+            address,
+            link,
+            channels,
+            clock_hz: describe.clock_hz,
+            boot_id: describe.boot_id,
+            say,
+            pins,
+            packets,
+            watchdog,
+            wallclock,
+            stepgens,
+            encoders,
+            pwms,
+            inputs,
+            outputs,
+            // Loading took seconds, longer than an idle session lives: begin by asking again.
+            phase: Phase::Acquiring {
+                wait: 0,
+                tag: 0,
+                announced: false,
+            },
+            arm: ArmRequest::default(),
+            disarmed_settings: Sync::default(),
+            periods: Sync::default(),
+            settings_refused_said: false,
+            tag: 0,
+            sequence: 0,
+            awaiting: false,
+            missing: 0,
+            answered: false,
+            state: describe.state.state,
+            // What it stopped for before us is the board's past, not an event.
+            reason: describe.state.reason,
+            live: false,
+        })
+    }
+
+    /// Collects the answer to the last command and publishes what it says.
+    pub fn read(&mut self, period_ns: i64) {
+        let period = Period::new(period_ns, self.clock_hz);
+        let mut deadline = Instant::now();
+        if self.awaiting {
+            deadline += self.packets.patience(period_ns);
+        }
+        match self.collect(deadline) {
+            Some(status) => self.answered(&status, period),
+            None if self.awaiting => self.unanswered(period),
+            None => {}
+        }
+        self.awaiting = false;
+    }
+
+    /// Sends what is wanted of the board in the coming period.
+    pub fn write(&mut self, period_ns: i64) {
+        let period = Period::new(period_ns, self.clock_hz);
+        match self.phase {
+            Phase::Online { token } => {
+                let settled = self.send_settings(period.clock_hz);
+                self.send_command(token, settled, period);
+            }
+            Phase::Acquiring {
+                wait: 0,
+                announced,
+                ..
+            } => {
+                // Keeps following its pins, so that nothing jumps later.
+                let _ = self.make_command(0, false, period);
+                let tag = self.send_acquire();
+                self.phase = Phase::Acquiring {
+                    wait: u32::try_from(ACQUIRE_NS / period_ns.max(1)).unwrap_or(1),
+                    tag,
+                    announced,
+                };
+            }
+            Phase::Acquiring {
+                wait,
+                tag,
+                announced,
+            } => {
+                let _ = self.make_command(0, false, period);
+                self.phase = Phase::Acquiring {
+                    wait: wait - 1,
+                    tag,
+                    announced,
+                };
+            }
+        }
+    }
+
+    /// Something in the servo thread went wrong beyond repair: nothing is sent from here on and the
+    /// board's watchdog stops the machine.
+    pub fn halt(&mut self) {
+        self.pins.enabled.set(false);
+        self.pins.io_error.set(true);
+        self.pins.position_trusted.set(false);
+        self.live = false;
+    }
+
+    /// The session's token, to give it back with.
+    pub fn token(&self) -> Option<u32> {
+        match self.phase {
+            Phase::Online { token } => Some(token),
+            Phase::Acquiring { .. } => None,
+        }
+    }
+
+    /// Gives the session back, if there is one. One datagram: if it is lost the watchdog does it.
+    pub fn release(&mut self) {
+        if let Some(token) = self.token() {
+            let mut words = [0; 8];
+            let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+            if request.write_record(map::SESSION_RELEASE, 1) && request.push(token) {
+                // Nothing to be done about a network that is gone.
+                let _ = self.link.send(request.words());
+            }
+        }
+    }
+
+    /// Receives until the answer to the last command is there or the deadline has passed; whatever
+    /// else arrives is seen to on the way.
+    fn collect(&mut self, deadline: Instant) -> Option<Status> {
+        let status_words = wire::exchange::status_words(self.channels);
+        while let Some(words) = self.link.receive(deadline) {
+            let Some((base, payload)) = single_record(words) else {
+                continue;
+            };
+            if payload.len() == status_words {
+                if self.awaiting
+                    && base == self.sequence
+                    && let Ok(status) = Status::parse_reply(words, self.channels)
+                {
+                    return Some(status);
+                }
+            } else if let [_] = payload {
+                let _ = self.disarmed_settings.receipt(base) || self.periods.receipt(base);
+            } else if payload.len() == SESSION_WORDS.len()
+                && let Phase::Acquiring { tag, announced, .. } = self.phase
+                && base == tag
+                && tag != 0
+            {
+                let session = Session::from_words(payload);
+                self.acquired(session, announced);
+            }
+        }
+        None
+    }
+
+    fn acquired(&mut self, session: Option<Session>, announced: bool) {
+        let Some(session) = session else {
+            return self.announce_once("the board gives no session; another program drives it");
+        };
+        if session.wire_version != wire::WIRE_VERSION
+            || session.channels != self.channels.to_words()
+        {
+            return self.announce_once(
+                "another board or firmware answers at this address; restart LinuxCNC to use it",
+            );
+        }
+        if session.boot_id != self.boot_id {
+            self.boot_id = session.boot_id;
+            self.error(format_args!(
+                "the board has restarted; enable again when the machine is in order"
+            ));
+        } else if announced {
+            self.info(format_args!("the board answers again"));
+        }
+        self.sequence = session.last_sequence;
+        self.phase = Phase::Online {
+            token: session.token,
+        };
+        self.disarmed_settings.forget();
+        self.periods.forget();
+        self.settings_refused_said = false;
+        self.arm.forget();
+        self.answered = false;
+        self.missing = 0;
+        self.packets.recovered();
+    }
+
+    fn answered(&mut self, status: &Status, period: Period) {
+        self.packets.good();
+        self.missing = 0;
+        self.answered = true;
+        self.arm.accepted(status.sequence);
+        if !self.wallclock.sampled(status.sample, period.clock_hz) {
+            for stepgen in &mut self.stepgens {
+                stepgen.rebase();
+            }
+            for encoder in &mut self.encoders {
+                encoder.rebase();
+            }
+        }
+        self.follow_state(status, period.clock_hz);
+
+        let outlook = match (status.state.enabled, status.state.state) {
+            (true, State::Armed) => Outlook::Commanded,
+            (true, State::Boot | State::Disarmed | State::Stopping | State::Faulted) => {
+                Outlook::Stopping
+            }
+            (false, _) => Outlook::Still,
+        };
+        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
+            let (position, rate) = status.stepgen[n];
+            let limited = status.rate_limited >> n & 1 != 0;
+            stepgen.sampled(position, rate, limited, outlook, period);
+        }
+        for (n, encoder) in self.encoders.iter_mut().enumerate() {
+            let latched = status.index_latched >> n & 1 != 0;
+            encoder.sampled(&status.encoder[n], latched, status.sample, period);
+        }
+        for (n, input) in self.inputs.iter().enumerate() {
+            input.sampled(status.gpio_in >> n & 1 != 0);
+        }
+    }
+
+    fn follow_state(&mut self, status: &Status, clock_hz: f64) {
+        let word = status.state;
+        let armed = word.state == State::Armed && word.enabled;
+        if armed && !self.live {
+            self.watchdog.armed();
+            self.pins.io_error.set(false);
+        }
+        self.watchdog
+            .sampled(word.bitten, status.watchdog_left, armed, clock_hz);
+        self.pins.enabled.set(armed);
+        self.pins.state.set(u32::from(word.state.code()));
+        self.pins.fault_reason.set(u32::from(word.reason.code()));
+        self.pins.position_trusted.set(word.position_trusted);
+        self.pins.refused_total.set(status.refused.0);
+        self.live = armed;
+        self.state = word.state;
+        if word.reason != self.reason {
+            self.reason = word.reason;
+            match word.reason {
+                FaultReason::None => {}
+                FaultReason::HostDisable => self.info(format_args!("{}", word.reason)),
+                FaultReason::Watchdog
+                | FaultReason::ExternalReset
+                | FaultReason::SessionLost
+                | FaultReason::LinkDown
+                | FaultReason::FirmwareFault
+                | FaultReason::JobUnderrun
+                | FaultReason::AbiMismatch => self.error(format_args!(
+                    "the board stopped the machine: {}; remove the cause, then enable again",
+                    word.reason
+                )),
+            }
+        }
+    }
+
+    fn unanswered(&mut self, period: Period) {
+        self.missing = self.missing.saturating_add(1);
+        if self.missing == 1 && self.live {
+            for stepgen in &mut self.stepgens {
+                stepgen.bridge(period);
+            }
+        }
+        if !self.packets.missing() {
+            return;
+        }
+        // Nobody who is not answered for this long may believe the machine is still driven.
+        self.pins.enabled.set(false);
+        self.pins.position_trusted.set(false);
+        self.pins.io_error.set(true);
+        let was_live = core::mem::replace(&mut self.live, false);
+        if was_live {
+            self.reason = FaultReason::LinkDown;
+            self.pins
+                .fault_reason
+                .set(u32::from(FaultReason::LinkDown.code()));
+        }
+        self.error(format_args!(
+            "{} answers missing in a row; check cable and power of the board",
+            self.missing
+        ));
+        self.phase = Phase::Acquiring {
+            wait: 0,
+            tag: 0,
+            announced: true,
+        };
+    }
+
+    /// Sends settings the board lacks; `true` when it lacks none.
+    fn send_settings(&mut self, clock_hz: f64) -> bool {
+        let mut words = [0; MAX_WORDS];
+        let mut periods = Periods::default();
+        for (word, pwm) in periods.0.iter_mut().zip(&self.pwms) {
+            *word = pwm.period(clock_hz);
+        }
+        let tag = self.next_tag();
+        if let Some(request) = self.periods.due(&periods, self.channels, tag, &mut words) {
+            // Unsent is unanswered: it is due again.
+            let _ = self.link.send(request);
+        }
+        let at_rest = match self.state {
+            State::Disarmed | State::Faulted => !self.live,
+            State::Boot | State::Armed | State::Stopping => false,
+        };
+        if !at_rest {
+            return false;
+        }
+        let wanted = self.gather(clock_hz);
+        let tag = self.next_tag();
+        if let Some(request) = self
+            .disarmed_settings
+            .due(&wanted, self.channels, tag, &mut words)
+        {
+            let _ = self.link.send(request);
+        }
+        let refused = self.disarmed_settings.tries().max(self.periods.tries()) > REFUSED_TRIES;
+        if refused && !self.settings_refused_said {
+            self.settings_refused_said = true;
+            self.error(format_args!(
+                "the board refuses its settings and cannot be enabled; compare versions with ferrocnc describe {}",
+                self.address.text
+            ));
+        }
+        self.disarmed_settings.settled(&wanted) && self.periods.settled(&periods)
+    }
+
+    fn gather(&mut self, clock_hz: f64) -> Disarmed {
+        let mut wanted = Disarmed {
+            watchdog: self.watchdog.configure(clock_hz),
+            ..Disarmed::default()
+        };
+        for (words, stepgen) in wanted.stepgen.iter_mut().zip(&mut self.stepgens) {
+            *words = stepgen.configure(clock_hz);
+        }
+        for (words, encoder) in wanted.encoder.iter_mut().zip(&self.encoders) {
+            *words = encoder.configure(clock_hz);
+        }
+        for (word, pwm) in wanted.pwm_mode.iter_mut().zip(&self.pwms) {
+            *word = pwm.mode();
+        }
+        for (n, output) in self.outputs.iter().enumerate() {
+            wanted.gpio_invert |= u32::from(output.inverted()) << n;
+        }
+        wanted
+    }
+
+    fn send_command(&mut self, token: u32, settled: bool, period: Period) {
+        self.sequence = self.sequence.wrapping_add(1);
+        let command = self.make_command(token, settled, period);
+        let mut words = [0; REQUEST_OVERHEAD + COMMAND_MAX];
+        if let Some(request) = command.emit_request(self.channels, &mut words) {
+            // Unsent is unanswered, and the next `read` counts it; it does not wait for it though.
+            if !self.link.send(request) {
+                self.unanswered(period);
+            } else {
+                self.awaiting = true;
+            }
+        }
+    }
+
+    fn make_command(&mut self, token: u32, settled: bool, period: Period) -> Command {
+        let enable = self.pins.enable.get();
+        let ready = enable && settled && self.answered;
+        let mut command = Command {
+            token,
+            sequence: self.sequence,
+            enable,
+            enable_request: self.arm.flag(
+                self.pins.enable_request.get(),
+                ready || (self.live && enable),
+                self.sequence,
+            ),
+            ..Command::default()
+        };
+        let live = self.live && enable;
+        let feedback = match self.missing {
+            0 => Feedback::Fresh,
+            1 => Feedback::Bridged,
+            2.. => Feedback::Frozen,
+        };
+        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
+            let target = stepgen.command(live, feedback, period);
+            command.stepgen[n] = (target.rate, target.accel);
+            command.stepgen_enable |= u16::from(target.enable) << n;
+        }
+        for (n, encoder) in self.encoders.iter().enumerate() {
+            command.index_arm |= u16::from(encoder.command()) << n;
+        }
+        for (word, pwm) in command.pwm.iter_mut().zip(&self.pwms) {
+            *word = pwm.command(period.clock_hz);
+        }
+        for (n, output) in self.outputs.iter().enumerate() {
+            command.gpio_out |= u32::from(output.command()) << n;
+        }
+        command
+    }
+
+    fn send_acquire(&mut self) -> u32 {
+        let tag = self.next_tag();
+        let mut words = [0; 16];
+        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+        let fits = request.write_record(map::SESSION_ACQUIRE, 1)
+            && request.push(tag)
+            && request.read_record(tag, &SESSION_WORDS);
+        debug_assert!(fits, "an acquisition is 13 words");
+        // Unsent is unanswered: it is due again in a moment.
+        let _ = self.link.send(request.words());
+        tag
+    }
+
+    fn next_tag(&mut self) -> u32 {
+        self.tag = self.tag.wrapping_add(1);
+        TAG_BASE | (self.tag & 0x00ff_ffff).max(1)
+    }
+
+    fn announce_once(&mut self, what: &str) {
+        if let Phase::Acquiring {
+            wait,
+            tag,
+            announced: false,
+        } = self.phase
+        {
+            self.phase = Phase::Acquiring {
+                wait,
+                tag,
+                announced: true,
+            };
+            self.error(format_args!("{what}"));
+        }
+    }
+
+    fn error(&self, what: core::fmt::Arguments<'_>) {
+        self.tell(Level::Error, what);
+    }
+
+    fn info(&self, what: core::fmt::Arguments<'_>) {
+        self.tell(Level::Info, what);
+    }
+
+    fn tell(&self, level: Level, what: core::fmt::Arguments<'_>) {
+        let line = Line::format(format_args!(
+            "board {} ({}): {what}",
+            self.index, self.address.text
+        ));
+        (self.say)(level, line.as_c_str());
+    }
+}
+
+/// One block per name, under `class.name`.
+fn each<T>(
+    hal: &mut Exporter<'_>,
+    class: &str,
+    names: Vec<String>,
+    mut export: impl FnMut(&mut Exporter<'_>, usize) -> Result<T, ExportError>,
+) -> Result<Vec<T>, ExportError> {
+    let each = names.iter().enumerate();
+    each.map(|(n, name)| export(&mut hal.under(&format!("{class}.{name}")), n))
+        .collect()
+}
+
+/// What channels are called: the board's names where they make good HAL names of at most `room`
+/// characters, two digits otherwise.
+fn channel_names<'n>(names: impl Iterator<Item = Option<&'n str>>, room: usize) -> Vec<String> {
+    let mut result: Vec<String> = Vec::with_capacity(MAX_CHANNELS);
+    for (n, name) in names.enumerate() {
+        let good = name.filter(|name| {
+            !name.is_empty()
+                && name.len() <= room
+                && name
+                    .bytes()
+                    .all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
+                // Digits alone could be taken for another channel's number.
+                && !name.bytes().all(|b| b.is_ascii_digit())
+                && !result.iter().any(|known| known == name)
+        });
+        result.push(good.map_or_else(|| format!("{n:02}"), str::to_owned));
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_channel_is_called_what_the_board_calls_it_if_hal_can_bear_that() {
+        let names = [
+            Some("x"),
+            None,
+            Some("Y"),
+            Some("spindle-on"),
+            Some("x"),
+            Some("3"),
+        ];
+        assert_eq!(
+            channel_names(names.into_iter(), 9),
+            ["x", "01", "02", "03", "04", "05"]
+        );
+        assert_eq!(channel_names([Some("spindle-on")].into_iter(), 10), ["spindle-on"]);
+    }
+}

@@ -1,0 +1,155 @@
+//! A HAL in a `Vec`: for tests, and for looking at what a board would export.
+
+use super::{Backend, Direction, Level, Messenger, Type, Value};
+use core::ffi::{CStr, c_void};
+use core::ptr::NonNull;
+use std::sync::{Arc, Mutex};
+
+/// One exported pin or parameter.
+struct Entry {
+    name: String,
+    ty: Type,
+    direction: Direction,
+    /// Where our side looks for the pointer; null for a parameter.
+    slot: *mut *mut c_void,
+    value: *mut c_void,
+}
+
+/// The fake.
+#[derive(Default)]
+pub struct FakeHal {
+    entries: Vec<Entry>,
+    /// Never moved: pins point into the boxes.
+    memory: Vec<Box<[u64]>>,
+    said: Arc<Mutex<Vec<String>>>,
+}
+
+// SAFETY: the pointers go to heap memory this value owns; accesses are volatile on both sides.
+unsafe impl Send for FakeHal {}
+
+impl FakeHal {
+    /// An empty HAL.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Names with type and direction, in order of export.
+    pub fn list(&self) -> impl Iterator<Item = (&str, Type, Direction)> {
+        self.entries
+            .iter()
+            .map(|entry| (entry.name.as_str(), entry.ty, entry.direction))
+    }
+
+    /// The value of a pin or parameter.
+    ///
+    /// # Panics
+    /// When there is none of that name and type: in a test that is a failure.
+    #[track_caller]
+    pub fn get<T: Value>(&self, name: &str) -> T {
+        let value = self.find(name, T::TYPE).value;
+        // SAFETY: `value` points into `memory` at a value of this type.
+        unsafe { T::from_raw(value.cast::<T::Raw>().read_volatile()) }
+    }
+
+    /// Sets a pin or parameter, as `setp` or a signal would.
+    ///
+    /// # Panics
+    /// As [`FakeHal::get`].
+    #[track_caller]
+    pub fn set<T: Value>(&self, name: &str, value: T) {
+        let at = self.find(name, T::TYPE).value;
+        // SAFETY: as in `get`.
+        unsafe { at.cast::<T::Raw>().write_volatile(value.to_raw()) }
+    }
+
+    /// Moves a pin's value elsewhere, as linking it to a signal does.
+    ///
+    /// # Panics
+    /// When there is no such pin.
+    pub fn relink(&mut self, name: &str) {
+        let fresh = self.cell();
+        let entry = self
+            .entries
+            .iter_mut()
+            .find(|entry| entry.name == name && !entry.slot.is_null())
+            .expect("no such pin");
+        entry.value = fresh;
+        // SAFETY: the slot lies in `memory`.
+        unsafe { entry.slot.write_volatile(fresh) };
+    }
+
+    /// A messenger whose messages [`FakeHal::said`] returns.
+    pub fn messenger(&self) -> Messenger {
+        let said = Arc::clone(&self.said);
+        Box::new(move |level, text| {
+            let text = text.to_string_lossy();
+            if let Ok(mut said) = said.lock() {
+                said.push(match level {
+                    Level::Error => format!("error: {text}"),
+                    Level::Info => format!("info: {text}"),
+                });
+            }
+        })
+    }
+
+    /// Takes everything said since the last call.
+    pub fn said(&self) -> Vec<String> {
+        self.said
+            .lock()
+            .map(|mut said| core::mem::take(&mut *said))
+            .unwrap_or_default()
+    }
+
+    #[track_caller]
+    fn find(&self, name: &str, ty: Type) -> &Entry {
+        let entry = self.entries.iter().find(|entry| entry.name == name);
+        let entry = entry.unwrap_or_else(|| panic!("nothing is called {name}"));
+        assert_eq!(entry.ty, ty, "the type of {name}");
+        entry
+    }
+
+    fn cell(&mut self) -> *mut c_void {
+        self.memory.push(vec![0; 1].into_boxed_slice());
+        let cell = self.memory.last_mut().expect("just pushed");
+        cell.as_mut_ptr().cast()
+    }
+
+    fn add(&mut self, entry: Entry) -> i32 {
+        if self.entries.iter().any(|known| known.name == entry.name) {
+            return -libc::EINVAL;
+        }
+        self.entries.push(entry);
+        0
+    }
+}
+
+impl Backend for FakeHal {
+    fn allocate(&mut self, bytes: usize) -> Option<NonNull<u8>> {
+        self.memory
+            .push(vec![0; bytes.div_ceil(8).max(1)].into_boxed_slice());
+        NonNull::new(self.memory.last_mut()?.as_mut_ptr().cast())
+    }
+
+    fn pin(&mut self, name: &CStr, ty: Type, direction: Direction, slot: *mut *mut c_void) -> i32 {
+        let value = self.cell();
+        // SAFETY: `slot` came from `allocate`.
+        unsafe { slot.write_volatile(value) };
+        self.add(Entry {
+            name: name.to_string_lossy().into_owned(),
+            ty,
+            direction,
+            slot,
+            value,
+        })
+    }
+
+    fn param(&mut self, name: &CStr, ty: Type, direction: Direction, value: *mut c_void) -> i32 {
+        self.add(Entry {
+            name: name.to_string_lossy().into_owned(),
+            ty,
+            direction,
+            slot: core::ptr::null_mut(),
+            value,
+        })
+    }
+}

@@ -1,0 +1,403 @@
+//! HAL with types: pins and parameters that know their value, direction and name.
+//!
+//! HAL keeps a *pointer* per pin in shared memory and re-points it whenever a signal is linked, so a
+//! pin's slot is read again at every access. Other processes write those values while we look:
+//! every access is volatile and a `bit` is read as a byte, never as a Rust `bool`.
+//!
+//! Where HAL comes from is a [`Backend`]: the real one ([`ffi`]) or a `Vec` ([`fake`]).
+
+pub mod fake;
+pub mod ffi;
+pub mod real;
+
+use core::ffi::{CStr, c_void};
+use core::marker::PhantomData;
+use core::ptr::NonNull;
+use std::ffi::CString;
+
+/// The longest name we give anything: HAL_NAME_LEN (47) less the `.tmax-increased` and similar
+/// suffixes HAL itself appends to functions, and what design.md promises.
+pub const NAME_MAX: usize = 41;
+
+/// Types of values, with HAL's codes (`hal_type_t`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(i32)]
+pub enum Type {
+    /// `hal_bit_t`.
+    Bit = 1,
+    /// `hal_float_t`.
+    Float = 2,
+    /// `hal_s32_t`.
+    S32 = 3,
+    /// `hal_u32_t`.
+    U32 = 4,
+}
+
+/// Directions, with HAL's codes (`hal_pin_dir_t`, `hal_param_dir_t`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(i32)]
+pub enum Direction {
+    /// Pin: we read it.
+    In = 16,
+    /// Pin: we write it.
+    Out = 32,
+    /// Pin: both sides write it.
+    Io = 48,
+    /// Parameter: `setp` is refused.
+    ReadOnly = 64,
+    /// Parameter: `setp` sets it.
+    ReadWrite = 192,
+}
+
+/// How loud a message is, with RTAPI's codes (`msg_level_t`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(i32)]
+pub enum Level {
+    /// Reaches the operator's screen.
+    Error = 1,
+    /// Log only, at the default level of LinuxCNC.
+    Info = 3,
+}
+
+/// Why something could not be exported.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ExportError {
+    /// What was to be exported.
+    pub name: String,
+    /// Negative errno.
+    pub errno: i32,
+}
+
+impl core::fmt::Display for ExportError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(
+            f,
+            "HAL refused to export {} ({}); is another component using the name, or HAL memory full?",
+            self.name,
+            std::io::Error::from_raw_os_error(-self.errno)
+        )
+    }
+}
+
+impl std::error::Error for ExportError {}
+
+/// Somewhere pins can be exported to.
+pub trait Backend {
+    /// Zeroed memory that lives as long as the component, aligned to 8 bytes.
+    fn allocate(&mut self, bytes: usize) -> Option<NonNull<u8>>;
+    /// Makes a pin; the backend stores the pointer to its value in `slot`.
+    fn pin(&mut self, name: &CStr, ty: Type, direction: Direction, slot: *mut *mut c_void) -> i32;
+    /// Makes a parameter whose value is `value`.
+    fn param(&mut self, name: &CStr, ty: Type, direction: Direction, value: *mut c_void) -> i32;
+}
+
+/// Says something to the operator. Must not allocate: it is called from the servo thread.
+pub type Messenger = Box<dyn Fn(Level, &CStr) + Send>;
+
+mod sealed {
+    pub trait Sealed {}
+}
+
+/// A value HAL knows.
+pub trait Value: sealed::Sealed + Copy {
+    /// Its HAL type.
+    const TYPE: Type;
+    /// Its layout in shared memory.
+    type Raw: Copy;
+    /// From shared memory.
+    fn from_raw(raw: Self::Raw) -> Self;
+    /// To shared memory.
+    fn to_raw(self) -> Self::Raw;
+}
+
+macro_rules! value {
+    ($ty:ty, $raw:ty, $code:ident, $from:expr, $to:expr) => {
+        impl sealed::Sealed for $ty {}
+        impl Value for $ty {
+            const TYPE: Type = Type::$code;
+            type Raw = $raw;
+            fn from_raw(raw: $raw) -> Self {
+                $from(raw)
+            }
+            fn to_raw(self) -> $raw {
+                $to(self)
+            }
+        }
+    };
+}
+// Any byte but 0 is true: a C program may have stored something else than 1.
+value!(bool, u8, Bit, |raw| raw != 0, u8::from);
+value!(f64, f64, Float, |raw| raw, |value| value);
+value!(i32, i32, S32, |raw| raw, |value| value);
+value!(u32, u32, U32, |raw| raw, |value| value);
+
+/// Direction marker: we read.
+#[derive(Clone, Copy, Debug)]
+pub struct Input;
+/// Direction marker: we write.
+#[derive(Clone, Copy, Debug)]
+pub struct Output;
+/// Direction marker: both.
+#[derive(Clone, Copy, Debug)]
+pub struct Both;
+
+/// A pin.
+#[derive(Debug)]
+pub struct Pin<T: Value, D> {
+    slot: NonNull<*mut T::Raw>,
+    direction: PhantomData<D>,
+}
+
+/// A pin we read.
+pub type In<T> = Pin<T, Input>;
+/// A pin we write.
+pub type Out<T> = Pin<T, Output>;
+/// A pin both sides write.
+pub type Io<T> = Pin<T, Both>;
+
+impl<T: Value, D> Pin<T, D> {
+    /// The value right now.
+    pub fn get(&self) -> T {
+        // SAFETY: the slot lies in backend memory that outlives us, and HAL keeps a valid pointer
+        // to a value of this type in it from the moment the pin exists.
+        unsafe { T::from_raw(self.slot.as_ptr().read_volatile().read_volatile()) }
+    }
+
+    fn store(&self, value: T) {
+        // SAFETY: as in `get`.
+        unsafe {
+            self.slot
+                .as_ptr()
+                .read_volatile()
+                .write_volatile(value.to_raw());
+        }
+    }
+}
+
+impl<T: Value> Pin<T, Output> {
+    /// Sets the value.
+    pub fn set(&self, value: T) {
+        self.store(value);
+    }
+}
+
+impl<T: Value> Pin<T, Both> {
+    /// Sets the value.
+    pub fn set(&self, value: T) {
+        self.store(value);
+    }
+}
+
+/// A parameter.
+#[derive(Debug)]
+pub struct Param<T: Value> {
+    value: NonNull<T::Raw>,
+}
+
+impl<T: Value> Param<T> {
+    /// The value right now.
+    pub fn get(&self) -> T {
+        // SAFETY: the value lies in backend memory that outlives us.
+        unsafe { T::from_raw(self.value.as_ptr().read_volatile()) }
+    }
+
+    /// Sets the value.
+    pub fn set(&self, value: T) {
+        // SAFETY: as in `get`.
+        unsafe { self.value.as_ptr().write_volatile(value.to_raw()) }
+    }
+}
+
+// SAFETY: both are addresses in shared memory that every access goes through volatile; HAL itself
+// gives no more than that to any two threads.
+unsafe impl<T: Value, D> Send for Pin<T, D> {}
+// SAFETY: as above.
+unsafe impl<T: Value> Send for Param<T> {}
+
+/// Exports pins and parameters under one prefix.
+pub struct Exporter<'b> {
+    backend: &'b mut dyn Backend,
+    prefix: String,
+}
+
+impl<'b> Exporter<'b> {
+    /// Everything will be called `prefix.something`.
+    pub fn new(backend: &'b mut dyn Backend, prefix: impl Into<String>) -> Self {
+        Exporter {
+            backend,
+            prefix: prefix.into(),
+        }
+    }
+
+    /// The same one level down.
+    pub fn under(&mut self, name: &str) -> Exporter<'_> {
+        let prefix = format!("{}.{name}", self.prefix);
+        Exporter {
+            backend: self.backend,
+            prefix,
+        }
+    }
+
+    /// A pin we read.
+    pub fn input<T: Value>(&mut self, name: &str) -> Result<In<T>, ExportError> {
+        self.pin(name, Direction::In)
+    }
+
+    /// A pin we write.
+    pub fn output<T: Value>(&mut self, name: &str) -> Result<Out<T>, ExportError> {
+        self.pin(name, Direction::Out)
+    }
+
+    /// A pin both sides write, with the value it begins with.
+    pub fn both<T: Value>(&mut self, name: &str, initial: T) -> Result<Io<T>, ExportError> {
+        let pin: Io<T> = self.pin(name, Direction::Io)?;
+        pin.set(initial);
+        Ok(pin)
+    }
+
+    /// A parameter the user sets, with its default.
+    pub fn param<T: Value>(&mut self, name: &str, initial: T) -> Result<Param<T>, ExportError> {
+        self.parameter(name, Direction::ReadWrite, initial)
+    }
+
+    /// A parameter only we set.
+    pub fn readonly<T: Value>(&mut self, name: &str, initial: T) -> Result<Param<T>, ExportError> {
+        self.parameter(name, Direction::ReadOnly, initial)
+    }
+
+    fn pin<T: Value, D>(
+        &mut self,
+        name: &str,
+        direction: Direction,
+    ) -> Result<Pin<T, D>, ExportError> {
+        let (text, name) = self.full_name(name)?;
+        let slot = self.memory::<*mut T::Raw>(&text)?;
+        let result = self
+            .backend
+            .pin(&name, T::TYPE, direction, slot.as_ptr().cast());
+        check(text, result)?;
+        Ok(Pin {
+            slot,
+            direction: PhantomData,
+        })
+    }
+
+    fn parameter<T: Value>(
+        &mut self,
+        name: &str,
+        direction: Direction,
+        initial: T,
+    ) -> Result<Param<T>, ExportError> {
+        let (text, name) = self.full_name(name)?;
+        let value = self.memory::<T::Raw>(&text)?;
+        let result = self
+            .backend
+            .param(&name, T::TYPE, direction, value.as_ptr().cast());
+        check(text, result)?;
+        let param = Param { value };
+        param.set(initial);
+        Ok(param)
+    }
+
+    fn full_name(&self, name: &str) -> Result<(String, CString), ExportError> {
+        let text = format!("{}.{name}", self.prefix);
+        let refused = |text: &str| ExportError {
+            name: text.to_owned(),
+            errno: -libc::ENAMETOOLONG,
+        };
+        if text.len() > NAME_MAX {
+            return Err(refused(&text));
+        }
+        let name = CString::new(text.as_str()).map_err(|_| refused(&text))?;
+        Ok((text, name))
+    }
+
+    fn memory<T>(&mut self, name: &str) -> Result<NonNull<T>, ExportError> {
+        let memory = self.backend.allocate(size_of::<T>());
+        memory.map(NonNull::cast).ok_or_else(|| ExportError {
+            name: name.to_owned(),
+            errno: -libc::ENOMEM,
+        })
+    }
+}
+
+fn check(name: String, result: i32) -> Result<(), ExportError> {
+    if result < 0 {
+        return Err(ExportError {
+            name,
+            errno: result,
+        });
+    }
+    Ok(())
+}
+
+/// A line of text on the stack, for messages from the servo thread. What does not fit is left out.
+pub struct Line {
+    bytes: [u8; 256],
+    used: usize,
+}
+
+impl Line {
+    /// Formats a message.
+    pub fn format(arguments: core::fmt::Arguments<'_>) -> Self {
+        let mut line = Line {
+            bytes: [0; 256],
+            used: 0,
+        };
+        // `write_str` below never fails; what is cut is cut.
+        let _ = core::fmt::write(&mut line, arguments);
+        line
+    }
+
+    /// As C likes it.
+    pub fn as_c_str(&self) -> &CStr {
+        CStr::from_bytes_until_nul(&self.bytes).unwrap_or(c"")
+    }
+}
+
+impl core::fmt::Write for Line {
+    fn write_str(&mut self, text: &str) -> core::fmt::Result {
+        // The last byte stays 0.
+        let room = self.bytes.len() - 1 - self.used;
+        let taken = text.len().min(room);
+        self.bytes[self.used..self.used + taken].copy_from_slice(&text.as_bytes()[..taken]);
+        self.used += taken;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use fake::FakeHal;
+
+    #[test]
+    fn a_name_beyond_41_characters_is_refused_before_hal_sees_it() {
+        let mut hal = FakeHal::new();
+        let mut exporter = Exporter::new(&mut hal, "ferrocnc.0");
+        let refused = exporter
+            .output::<bool>("stepgen.a-name-nobody-would-give-a-channel.position-fb")
+            .unwrap_err();
+        assert_eq!(refused.errno, -libc::ENAMETOOLONG);
+    }
+
+    #[test]
+    fn any_byte_but_zero_is_true() {
+        assert!(bool::from_raw(0x80) && !bool::from_raw(0));
+    }
+
+    #[test]
+    fn a_pin_follows_hal_when_it_is_linked_to_a_signal() {
+        let mut hal = FakeHal::new();
+        let pin: In<f64> = Exporter::new(&mut hal, "x").input("y").unwrap();
+        hal.relink("x.y");
+        hal.set("x.y", 2.5);
+        assert_eq!(pin.get(), 2.5);
+    }
+
+    #[test]
+    fn a_line_that_is_too_long_is_cut_not_overrun() {
+        let line = Line::format(format_args!("{:>500}", 1));
+        assert_eq!(line.as_c_str().to_bytes().len(), 255);
+    }
+}

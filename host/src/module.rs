@@ -1,0 +1,230 @@
+//! The realtime module: what `loadrt ferrocnc boards=...` finds in `ferrocnc.so`.
+//!
+//! `rtapi_app` looks up `rtapi_app_main`, `rtapi_app_exit`, and per module parameter a pair of words
+//! saying its type and where it lives. C makes those with macros; here they are spelled out.
+
+use crate::address::{self, Address};
+use crate::client::{Client, ClientError};
+use crate::driver::Driver;
+use crate::fence::{Fenced, install_quiet_hook};
+use crate::hal::ffi::Api;
+use crate::hal::real::{Component, messenger, print};
+use crate::hal::{ExportError, Level};
+use crate::link::Link;
+use core::ffi::{CStr, c_char, c_int, c_long, c_void};
+use core::sync::atomic::{AtomicPtr, Ordering};
+use std::ffi::CString;
+
+/// A pointer-sized word `rtapi_app` reads by name.
+#[repr(transparent)]
+pub struct Word(*const c_void);
+// SAFETY: never written after the program starts, and what it points to is a static.
+unsafe impl Sync for Word {}
+
+macro_rules! exported {
+    ($name:ident, $value:expr) => {
+        #[unsafe(no_mangle)]
+        #[allow(non_upper_case_globals, missing_docs)]
+        pub static $name: Word = Word($value.cast());
+    };
+}
+
+static BOARDS: AtomicPtr<c_char> = AtomicPtr::new(core::ptr::null_mut());
+
+// RTAPI_MP_STRING(boards, "...") and the usual declarations.
+exported!(rtapi_info_type_boards, c"s".as_ptr());
+exported!(rtapi_info_address_boards, (&raw const BOARDS));
+exported!(
+    rtapi_info_description_boards,
+    c"Boards to drive: IP[:port][,IP[:port]...], at most 4".as_ptr()
+);
+exported!(rtapi_info_license, c"GPL".as_ptr());
+exported!(
+    rtapi_info_description,
+    c"FerroCNC: motion on Colorlight ECP5 boards".as_ptr()
+);
+
+/// Everything alive between load and unload. Dropped in this order: functions and pins first, then
+/// the drivers they refer to.
+struct Loaded {
+    component: Component,
+    // Boxed: HAL holds their addresses.
+    boards: Vec<Box<Fenced>>,
+}
+
+static LOADED: AtomicPtr<Loaded> = AtomicPtr::new(core::ptr::null_mut());
+
+/// Why `loadrt` fails.
+enum LoadError {
+    Address(address::AddressError),
+    Client(ClientError),
+    Export(ExportError),
+    Hal(&'static str, i32),
+}
+
+impl core::fmt::Display for LoadError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            LoadError::Address(error) => error.fmt(f),
+            LoadError::Client(error) => error.fmt(f),
+            LoadError::Export(error) => error.fmt(f),
+            LoadError::Hal(what, errno) => write!(
+                f,
+                "{what} failed ({})",
+                std::io::Error::from_raw_os_error(-errno)
+            ),
+        }
+    }
+}
+
+impl LoadError {
+    fn errno(&self) -> c_int {
+        match self {
+            LoadError::Address(_) => -libc::EINVAL,
+            LoadError::Client(error) => match error {
+                ClientError::Silent { .. } => -libc::ETIMEDOUT,
+                ClientError::Socket(_, error) => -error.raw_os_error().unwrap_or(libc::EIO),
+                ClientError::Describe(..) | ClientError::Blob(..) | ClientError::Abi { .. } => {
+                    -libc::EPROTO
+                }
+                ClientError::Owned { .. } | ClientError::NoSession(_) => -libc::EBUSY,
+            },
+            LoadError::Export(error) => error.errno,
+            LoadError::Hal(_, errno) => *errno,
+        }
+    }
+}
+
+/// `loadrt` calls this after setting the parameters.
+#[unsafe(no_mangle)]
+pub extern "C" fn rtapi_app_main() -> c_int {
+    let api = match Api::load() {
+        Ok(api) => api,
+        // Without HAL there is nowhere else to say it.
+        Err(missing) => {
+            eprintln!("ferrocnc: this process has no {missing:?}; load it with loadrt");
+            return -libc::ENOSYS;
+        }
+    };
+    install_quiet_hook(move |text| print(&api, Level::Error, text));
+    let result = std::panic::catch_unwind(|| load(api));
+    match result {
+        Ok(Ok(loaded)) => {
+            LOADED.store(Box::into_raw(Box::new(loaded)), Ordering::Release);
+            0
+        }
+        Ok(Err(error)) => {
+            say(&api, &error.to_string());
+            error.errno()
+        }
+        // The hook has said where.
+        Err(_) => -libc::EFAULT,
+    }
+}
+
+/// `unloadrt`, and LinuxCNC's end.
+#[unsafe(no_mangle)]
+pub extern "C" fn rtapi_app_exit() {
+    let loaded = LOADED.swap(core::ptr::null_mut(), Ordering::AcqRel);
+    if loaded.is_null() {
+        return;
+    }
+    // SAFETY: `rtapi_app_main` put a box there, and the swap made us the only one to take it.
+    let mut loaded = unsafe { Box::from_raw(loaded) };
+    // Nothing may unwind out of here; the hook has said what happened.
+    let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        for board in &mut loaded.boards {
+            board.release();
+        }
+    }));
+    drop(loaded);
+}
+
+fn load(api: Api) -> Result<Loaded, LoadError> {
+    let boards = address::parse_list(&parameter(&BOARDS)).map_err(LoadError::Address)?;
+    // Talk to the boards first: if one is missing HAL has never heard of us.
+    let clients = boards
+        .iter()
+        .map(connect)
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(LoadError::Client)?;
+    let component =
+        Component::new(api, c"ferrocnc").map_err(|errno| LoadError::Hal("hal_init", errno))?;
+    let mut loaded = Loaded {
+        component,
+        boards: Vec::new(),
+    };
+    for (index, (address, (client, identity))) in boards.into_iter().zip(clients).enumerate() {
+        let link = Link::new(client.into_socket())
+            .map_err(|error| LoadError::Client(ClientError::Socket(address.clone(), error)))?;
+        let driver = Driver::export(
+            &mut loaded.component,
+            index,
+            address,
+            &identity,
+            link,
+            messenger(api),
+        )
+        .map_err(LoadError::Export)?;
+        loaded
+            .boards
+            .push(Box::new(Fenced::new(driver, messenger(api))));
+        if let Some(board) = loaded.boards.last_mut() {
+            functions(&loaded.component, index, board).map_err(LoadError::Export)?;
+        }
+    }
+    let ready = loaded.component.ready();
+    ready.map_err(|errno| LoadError::Hal("hal_ready", errno))?;
+    Ok(loaded)
+}
+
+/// Gets to know a board and takes its session.
+fn connect(address: &Address) -> Result<(Client, crate::client::Identity), ClientError> {
+    let mut client = Client::open(address)?;
+    let identity = client.identify()?;
+    client.check(&identity)?;
+    client.acquire()?;
+    Ok((client, identity))
+}
+
+fn functions(component: &Component, index: usize, board: &mut Fenced) -> Result<(), ExportError> {
+    let argument: *mut Fenced = board;
+    for (name, function) in [
+        ("read", read as crate::hal::ffi::Funct),
+        ("write", write as crate::hal::ffi::Funct),
+    ] {
+        let name = CString::new(format!("ferrocnc.{index}.{name}")).unwrap_or_default();
+        // SAFETY: both functions take a `Fenced`; the box outlives the component in `Loaded`.
+        unsafe { component.function(&name, function, argument.cast())? };
+    }
+    Ok(())
+}
+
+unsafe extern "C" fn read(board: *mut c_void, period_ns: c_long) {
+    // SAFETY: HAL passes back what `functions` registered, and calls from one thread at a time.
+    let board = unsafe { &mut *board.cast::<Fenced>() };
+    board.read(i64::from(period_ns));
+}
+
+unsafe extern "C" fn write(board: *mut c_void, period_ns: c_long) {
+    // SAFETY: as in `read`.
+    let board = unsafe { &mut *board.cast::<Fenced>() };
+    board.write(i64::from(period_ns));
+}
+
+fn parameter(value: &AtomicPtr<c_char>) -> String {
+    let text = value.load(Ordering::Relaxed);
+    if text.is_null() {
+        return String::new();
+    }
+    // SAFETY: `rtapi_app` stored a C string it never frees.
+    unsafe { CStr::from_ptr(text) }
+        .to_string_lossy()
+        .into_owned()
+}
+
+fn say(api: &Api, text: &str) {
+    if let Ok(text) = CString::new(text) {
+        print(api, Level::Error, &text);
+    }
+}

@@ -1,0 +1,215 @@
+//! Parameters on their way to the board's config window, and the proof that they arrived.
+//!
+//! Everything the board refuses to change while armed travels in one datagram, executed whole or not
+//! at all, whose last record reads a word back: that answer is the receipt. PWM periods may change
+//! under way and travel by themselves.
+
+use wire::describe::Channels;
+use wire::exchange::MAX_CHANNELS;
+use wire::map;
+use wire::{ReplyWriter, etherbone};
+
+/// Periods between two tries. A receipt takes one; a refused datagram is never answered.
+const RETRY_PERIODS: u32 = 20;
+
+/// Values that go to the config window together.
+pub trait Group: Copy + PartialEq {
+    /// Appends the records that write them; `false` when they do not fit.
+    #[must_use]
+    fn emit(&self, channels: Channels, request: &mut ReplyWriter<'_>) -> bool;
+}
+
+/// What may only change while the machine is disarmed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Disarmed {
+    /// Per stepgen, in register order.
+    pub stepgen: [[u32; map::STEPGEN_CONFIG_WORDS as usize]; MAX_CHANNELS],
+    /// Per encoder.
+    pub encoder: [[u32; map::ENCODER_CONFIG_WORDS as usize]; MAX_CHANNELS],
+    /// Per PWM: its mode.
+    pub pwm_mode: [u32; MAX_CHANNELS],
+    /// Watchdog timeout and grace.
+    pub watchdog: [u32; 2],
+    /// Which outputs are inverted.
+    pub gpio_invert: u32,
+}
+
+impl Default for Disarmed {
+    fn default() -> Self {
+        Disarmed {
+            stepgen: [[0; map::STEPGEN_CONFIG_WORDS as usize]; MAX_CHANNELS],
+            encoder: [[0; map::ENCODER_CONFIG_WORDS as usize]; MAX_CHANNELS],
+            pwm_mode: [0; MAX_CHANNELS],
+            watchdog: [0; 2],
+            gpio_invert: 0,
+        }
+    }
+}
+
+impl Group for Disarmed {
+    fn emit(&self, channels: Channels, request: &mut ReplyWriter<'_>) -> bool {
+        let mut record = |base: u32, words: &[u32]| {
+            request.write_record(base, words.len() as u8) && request.extend(words)
+        };
+        let at = |window: u32, channel: usize| window + channel as u32 * map::CONFIG_STRIDE;
+        let mut fits = true;
+        for (n, words) in self.stepgen[..channels.stepgens.into()].iter().enumerate() {
+            fits &= record(at(map::CONFIG_STEPGEN, n), words);
+        }
+        for (n, words) in self.encoder[..channels.encoders.into()].iter().enumerate() {
+            fits &= record(at(map::CONFIG_ENCODER, n), words);
+        }
+        for (n, word) in self.pwm_mode[..channels.pwms.into()].iter().enumerate() {
+            fits &= record(at(map::CONFIG_PWM, n) + 4, &[*word]);
+        }
+        fits &= record(map::CONFIG_BOARD, &self.watchdog);
+        fits & record(
+            map::CONFIG_BOARD + 4 * map::BoardConfig::GpioInvert as u32,
+            &[self.gpio_invert],
+        )
+    }
+}
+
+/// PWM periods.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Periods(pub [u32; MAX_CHANNELS]);
+
+impl Group for Periods {
+    fn emit(&self, channels: Channels, request: &mut ReplyWriter<'_>) -> bool {
+        let mut fits = true;
+        for (n, word) in self.0[..channels.pwms.into()].iter().enumerate() {
+            let base = map::CONFIG_PWM + n as u32 * map::CONFIG_STRIDE;
+            fits &= request.write_record(base, 1) && request.push(*word);
+        }
+        fits
+    }
+}
+
+/// One group on its way.
+#[derive(Clone, Copy, Debug)]
+pub struct Sync<G> {
+    arrived: Option<G>,
+    in_flight: Option<(u32, G)>,
+    age: u32,
+    tries: u32,
+}
+
+impl<G> Default for Sync<G> {
+    fn default() -> Self {
+        Sync {
+            arrived: None,
+            in_flight: None,
+            age: 0,
+            tries: 0,
+        }
+    }
+}
+
+impl<G: Group> Sync<G> {
+    /// The board has exactly this.
+    pub fn settled(&self, wanted: &G) -> bool {
+        self.arrived.as_ref() == Some(wanted)
+    }
+
+    /// Whether this period's datagram is due, and if so puts it into `words`.
+    pub fn due<'w>(
+        &mut self,
+        wanted: &G,
+        channels: Channels,
+        tag: u32,
+        words: &'w mut [u32],
+    ) -> Option<&'w [u32]> {
+        if self.settled(wanted) {
+            return None;
+        }
+        if self.in_flight.is_some() {
+            self.age += 1;
+            if self.age < RETRY_PERIODS {
+                return None;
+            }
+        }
+        let mut request = ReplyWriter::new(words, etherbone::HEADER);
+        let fits = wanted.emit(channels, &mut request)
+            && request.read_record(tag, &[map::SESSION_LAST_SEQ]);
+        debug_assert!(fits, "settings beyond one frame");
+        let length = request.words().len();
+        self.in_flight = Some((tag, *wanted));
+        self.age = 0;
+        self.tries = self.tries.saturating_add(1);
+        words.get(..length)
+    }
+
+    /// A receipt came; `true` if it was for this group.
+    pub fn receipt(&mut self, tag: u32) -> bool {
+        match self.in_flight {
+            Some((expected, group)) if expected == tag => {
+                self.arrived = Some(group);
+                self.in_flight = None;
+                self.tries = 0;
+                true
+            }
+            Some(_) | None => false,
+        }
+    }
+
+    /// How often this was tried without a receipt.
+    pub fn tries(&self) -> u32 {
+        self.tries
+    }
+
+    /// A new session: what the board has, is not known.
+    pub fn forget(&mut self) {
+        *self = Sync::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wire::{MAX_WORDS, Packet};
+
+    const MOST: Channels = Channels {
+        stepgens: 16,
+        encoders: 16,
+        pwms: 16,
+        inputs: 32,
+        outputs: 32,
+    };
+
+    #[test]
+    fn the_largest_board_is_configured_in_one_datagram() {
+        let mut words = [0; MAX_WORDS];
+        let request = Sync::default()
+            .due(&Disarmed::default(), MOST, 7, &mut words)
+            .unwrap();
+        let packet = Packet::new_checked(request).unwrap();
+        let written: usize = packet.records().map(|record| record.writes.len()).sum();
+        assert_eq!(written, 16 * 6 + 16 * 2 + 16 + 3);
+        assert_eq!(packet.records().last().unwrap().return_base, 7);
+    }
+
+    #[test]
+    fn what_got_no_receipt_is_sent_again_and_what_got_one_is_not() {
+        let mut words = [0; MAX_WORDS];
+        let (mut sync, wanted) = (Sync::default(), Periods([1; MAX_CHANNELS]));
+        assert!(sync.due(&wanted, MOST, 1, &mut words).is_some());
+        for _ in 1..RETRY_PERIODS {
+            assert!(sync.due(&wanted, MOST, 2, &mut words).is_none());
+        }
+        assert!(sync.due(&wanted, MOST, 3, &mut words).is_some());
+        assert!(!sync.receipt(1));
+        assert!(sync.receipt(3) && sync.settled(&wanted));
+        assert!(sync.due(&wanted, MOST, 4, &mut words).is_none());
+    }
+
+    #[test]
+    fn a_change_under_way_is_sent_after_the_receipt_for_what_was_before() {
+        let mut words = [0; MAX_WORDS];
+        let mut sync = Sync::default();
+        let _ = sync.due(&Periods([1; MAX_CHANNELS]), MOST, 1, &mut words);
+        sync.receipt(1);
+        let changed = Periods([2; MAX_CHANNELS]);
+        assert!(sync.due(&changed, MOST, 2, &mut words).is_some());
+        assert!(!sync.settled(&changed));
+    }
+}

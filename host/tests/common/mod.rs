@@ -1,0 +1,731 @@
+//! A board made of `wire` and `motion` behind a real UDP socket on loopback.
+//!
+//! It knows the session, the state machine's outline, the watchdog and exact ramps; it has no timing
+//! of pulses and no gateware. Enough to drive the driver and whole LinuxCNC, and, being a program, able to
+//! lie: every knob in [`Knobs`] is a way a real board or network goes wrong.
+//!
+//! Time is either the wall clock or, in lockstep, one servo period per exchange.
+#![allow(dead_code)]
+
+use motion::Ramp;
+use motion::ramp::COMMIT_CLOCKS;
+use std::collections::HashMap;
+use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::{Duration, Instant};
+use wire::board;
+use wire::describe::{self, Channels, Describe};
+use wire::exchange::{self, Command, EncoderStatus, StateWord, Status};
+use wire::units::{Accel, Clocks, Count, Position, StepRate};
+use wire::{
+    FaultReason, MAX_PAYLOAD, MAX_WORDS, Packet, Refusal, ReplyWriter, State, etherbone, map,
+};
+
+pub const CLOCK_HZ: u32 = 60_000_000;
+pub const ABI: u32 = 0xfe44_0c4c;
+
+/// The `mill6` board's names.
+pub const MILL6: &[(u8, u8, &str)] = &[
+    (1, 0, "fake"),
+    (2, 0, "mill6"),
+    (3, 0, "x"),
+    (3, 1, "y"),
+    (3, 2, "z"),
+    (3, 3, "a"),
+    (3, 4, "b"),
+    (3, 5, "c"),
+    (4, 0, "x"),
+    (4, 1, "y"),
+    (4, 2, "z"),
+    (4, 3, "a"),
+    (4, 4, "b"),
+    (4, 5, "spindle"),
+    (5, 0, "spindle"),
+    (5, 1, "coolant"),
+    (5, 2, "laser"),
+    (5, 3, "fan"),
+    (5, 4, "aux-0"),
+    (5, 5, "aux-1"),
+    (6, 0, "limit-x"),
+    (6, 1, "limit-y"),
+    (6, 2, "limit-z"),
+    (6, 3, "home-x"),
+    (6, 4, "home-y"),
+    (6, 5, "home-z"),
+    (6, 6, "probe"),
+    (6, 7, "door"),
+    (7, 0, "drive-enable"),
+    (7, 1, "spindle-on"),
+    (7, 2, "spindle-reverse"),
+    (7, 3, "mist"),
+    (7, 4, "flood"),
+    (7, 5, "brake"),
+    (7, 6, "lamp"),
+    (8, 0, "sstep=j1:0 dir=j1:1"),
+];
+
+/// Where the board's time comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Time {
+    /// The wall clock.
+    Wall,
+    /// So many clocks pass from one exchange to the next, whatever the wall says.
+    Lockstep(u64),
+}
+
+/// Ways to go wrong, and what goes in at the pins.
+#[derive(Clone, Debug, Default)]
+pub struct Knobs {
+    /// Swallow so many datagrams before looking at them.
+    pub drop_requests: u32,
+    /// Execute, but do not answer so many exchanges.
+    pub drop_replies: u32,
+    /// Answer every exchange twice.
+    pub duplicate_replies: bool,
+    /// Hold every answer back by one exchange.
+    pub late_by_one: bool,
+    /// Answer this long after execution.
+    pub delay: Duration,
+    /// Be silent altogether: the cable is out.
+    pub unplugged: bool,
+    /// The external reset pin.
+    pub external_reset: bool,
+    /// Levels of the inputs.
+    pub gpio_in: u32,
+    /// Encoder 0 has an index pulse at this count.
+    pub index_at: Option<i32>,
+    /// Say this instead of our wire version.
+    pub wire_version: Option<u32>,
+    /// Say this as the gateware's ABI.
+    pub abi_gateware: Option<u32>,
+    /// Say this as the magic.
+    pub magic: Option<u32>,
+    /// Damage the board information.
+    pub bad_blob: bool,
+    /// Somebody who does not let go.
+    pub foreign_owner: Option<SocketAddrV4>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Axis {
+    ramp: Ramp,
+    /// Clocks until a commit reaches the ramp.
+    hold: u64,
+    next: (StepRate, Accel),
+}
+
+impl Axis {
+    fn commit(&mut self, rate: StepRate, accel: Accel) {
+        self.next = (rate, accel);
+        self.hold = COMMIT_CLOCKS;
+        self.ramp.target = self.ramp.rate();
+        self.ramp.accel = Accel::UNLIMITED;
+    }
+
+    fn advance(&mut self, clocks: u64) {
+        let held = clocks.min(self.hold);
+        if held > 0 {
+            let step = i64::from(self.ramp.rate().0);
+            self.ramp.position = self.ramp.position.wrapping_add(step * held as i64);
+            self.hold -= held;
+        }
+        if self.hold == 0 {
+            (self.ramp.target, self.ramp.accel) = self.next;
+            self.ramp.advance(clocks - held);
+        }
+    }
+
+    fn pulses(&self) -> i64 {
+        Position(self.ramp.position).pulses()
+    }
+}
+
+/// The board's mind. Tests look at it through [`FakeBoard::look`].
+#[derive(Debug)]
+pub struct Mind {
+    pub knobs: Knobs,
+    pub channels: Channels,
+    time: Time,
+    started: Instant,
+    pub now: u64,
+    pub boot_id: u32,
+    pub state: State,
+    pub reason: FaultReason,
+    pub gate: bool,
+    pub bitten: bool,
+    reset_latched: bool,
+    pub owner: Option<SocketAddr>,
+    token: u32,
+    last_sequence: u32,
+    request: Option<bool>,
+    edge: bool,
+    axes: [Axis; exchange::MAX_CHANNELS],
+    fed: u64,
+    bitten_at: u64,
+    /// Config window: byte address to word.
+    pub config: HashMap<u32, u32>,
+    /// The last command executed.
+    pub command: Command,
+    /// Exchanges executed.
+    pub exchanges: u32,
+    /// Datagrams seen of any kind.
+    pub datagrams: u32,
+    pub refused: u32,
+    latch: Option<i32>,
+    held_back: Option<Vec<u32>>,
+    names: Vec<(u8, u8, String)>,
+    last_status: Status,
+}
+
+impl Mind {
+    fn new(channels: Channels, time: Time, names: &[(u8, u8, &str)]) -> Self {
+        let empty = [0; exchange::STATUS_MAX];
+        let last_status =
+            Status::parse(&empty[..exchange::status_words(channels)], channels).unwrap();
+        Mind {
+            knobs: Knobs::default(),
+            channels,
+            time,
+            started: Instant::now(),
+            now: 1000,
+            boot_id: 1,
+            state: State::Disarmed,
+            reason: FaultReason::None,
+            gate: false,
+            bitten: false,
+            reset_latched: false,
+            owner: None,
+            token: 0,
+            last_sequence: 0,
+            request: None,
+            edge: false,
+            axes: [Axis::default(); exchange::MAX_CHANNELS],
+            fed: 0,
+            bitten_at: 0,
+            config: HashMap::new(),
+            command: Command::default(),
+            exchanges: 0,
+            datagrams: 0,
+            refused: 0,
+            latch: None,
+            held_back: None,
+            names: names
+                .iter()
+                .map(|(kind, channel, text)| (*kind, *channel, (*text).to_owned()))
+                .collect(),
+            last_status,
+        }
+    }
+
+    /// Pulses of one stepgen since power-up.
+    pub fn pulses(&self, stepgen: usize) -> i64 {
+        self.axes[stepgen].pulses()
+    }
+
+    /// Whether any stepgen moves.
+    pub fn moving(&self) -> bool {
+        self.axes.iter().any(|axis| axis.ramp.velocity != 0)
+    }
+
+    /// The firmware starts again; the fabric goes on.
+    pub fn reboot(&mut self) {
+        self.boot_id += 1;
+        self.close(State::Faulted, FaultReason::FirmwareFault);
+        self.owner = None;
+    }
+
+    /// Everything starts again.
+    pub fn power_cycle(&mut self) {
+        self.reboot();
+        self.reason = FaultReason::None;
+        self.state = State::Disarmed;
+        self.now = 1000;
+        self.started = Instant::now();
+        self.axes = [Axis::default(); exchange::MAX_CHANNELS];
+        self.bitten = false;
+    }
+
+    /// Lets time pass by the clock the board lives by.
+    fn tick(&mut self, exchange: bool) {
+        let now = match self.time {
+            Time::Wall => {
+                1000 + (self.started.elapsed().as_nanos() * u128::from(CLOCK_HZ) / 1_000_000_000)
+                    as u64
+            }
+            Time::Lockstep(clocks) => self.now + if exchange { clocks } else { 0 },
+        };
+        self.advance(now.saturating_sub(self.now));
+    }
+
+    /// Lets so many clocks pass.
+    pub fn advance(&mut self, clocks: u64) {
+        let end = self.now + clocks;
+        let timeout = u64::from(self.setting(map::CONFIG_BOARD).max(60));
+        if self.gate && !self.bitten {
+            let bites_at = self.fed + timeout;
+            if end > bites_at {
+                self.run(bites_at.saturating_sub(self.now));
+                self.bitten = true;
+                self.bitten_at = bites_at;
+                self.owner = None;
+                self.stop(FaultReason::Watchdog);
+            }
+        }
+        self.run(end - self.now);
+        let grace = u64::from(self.setting(map::CONFIG_BOARD + 4));
+        if self.state == State::Stopping
+            && (!self.moving() || (self.bitten && self.now > self.bitten_at + grace))
+        {
+            let next = match self.reason {
+                FaultReason::HostDisable => State::Disarmed,
+                _ => State::Faulted,
+            };
+            self.close(next, self.reason);
+        }
+        if self.knobs.external_reset && self.gate {
+            self.reset_latched = true;
+            self.close(State::Faulted, FaultReason::ExternalReset);
+        }
+    }
+
+    fn run(&mut self, clocks: u64) {
+        for axis in &mut self.axes {
+            axis.advance(clocks);
+        }
+        self.now += clocks;
+    }
+
+    fn stop(&mut self, reason: FaultReason) {
+        self.state = State::Stopping;
+        self.reason = reason;
+        self.request = None;
+        for n in 0..exchange::MAX_CHANNELS {
+            let accel = self.setting(map::CONFIG_STEPGEN + n as u32 * map::CONFIG_STRIDE + 16);
+            self.axes[n].commit(StepRate(0), Accel(accel));
+        }
+    }
+
+    fn close(&mut self, state: State, reason: FaultReason) {
+        self.state = state;
+        self.reason = reason;
+        self.gate = false;
+        self.request = None;
+        for axis in &mut self.axes {
+            axis.ramp.velocity = 0;
+            axis.commit(StepRate(0), Accel::UNLIMITED);
+        }
+    }
+
+    fn setting(&self, address: u32) -> u32 {
+        self.config.get(&address).copied().unwrap_or(0)
+    }
+
+    fn serve(&mut self, words: &[u32], from: SocketAddr) -> Result<Option<Vec<u32>>, Refusal> {
+        let packet = Packet::new_checked(words)?;
+        let record = packet.records().next().ok_or(Refusal::Short)?;
+        if record.write_base == map::COMMAND && !record.writes.is_empty() {
+            self.tick(true);
+            return self.exchange(record.writes, from).map(Some);
+        }
+        self.tick(false);
+        for record in packet.records() {
+            for (n, _) in record.writes.iter().enumerate() {
+                self.may_write(record.write_base + 4 * n as u32, from)?;
+            }
+        }
+        let mut buffer = vec![0; MAX_WORDS];
+        let mut writer = ReplyWriter::new(&mut buffer, etherbone::HEADER);
+        for record in packet.records() {
+            for (n, word) in record.writes.iter().enumerate() {
+                self.write(record.write_base + 4 * n as u32, *word, from)?;
+            }
+            if !record.reads.is_empty() {
+                writer.write_record(record.return_base, record.reads.len() as u8);
+                for address in record.reads {
+                    writer.push(self.read(*address, from));
+                }
+            }
+        }
+        let used = writer.words().len();
+        buffer.truncate(used);
+        Ok((used > etherbone::HEADER_WORDS).then_some(buffer))
+    }
+
+    fn may_write(&self, address: u32, from: SocketAddr) -> Result<(), Refusal> {
+        let owner = self.owner == Some(from);
+        match address {
+            map::SESSION_ACQUIRE => {
+                let free = self.owner.is_none_or(|owner| owner == from);
+                if free && self.knobs.foreign_owner.is_none() {
+                    Ok(())
+                } else {
+                    Err(Refusal::NotOwner)
+                }
+            }
+            map::SESSION_RELEASE if owner => Ok(()),
+            map::CONFIG..map::COMMAND if owner => {
+                let live_safe =
+                    (0x400..0x800).contains(&(address & 0xfff)) && address & 0x3c == 0;
+                if self.gate && !live_safe {
+                    Err(Refusal::Armed)
+                } else {
+                    Ok(())
+                }
+            }
+            map::SESSION_RELEASE | map::CONFIG..map::COMMAND => Err(Refusal::NotOwner),
+            _ => Err(Refusal::ReadOnly),
+        }
+    }
+
+    fn write(&mut self, address: u32, word: u32, from: SocketAddr) -> Result<(), Refusal> {
+        match address {
+            map::SESSION_ACQUIRE => {
+                if self.state == State::Armed {
+                    self.stop(FaultReason::SessionLost);
+                }
+                self.owner = Some(from);
+                self.token = word ^ 0x5a5a_0000 ^ self.boot_id;
+                self.last_sequence = 0;
+                self.request = None;
+            }
+            map::SESSION_RELEASE => {
+                if word != self.token {
+                    return Err(Refusal::NotOwner);
+                }
+                if self.state == State::Armed {
+                    self.stop(FaultReason::SessionLost);
+                }
+                self.owner = None;
+            }
+            _ => {
+                self.config.insert(address, word);
+            }
+        }
+        Ok(())
+    }
+
+    fn read(&mut self, address: u32, from: SocketAddr) -> u32 {
+        let foreign = self.knobs.foreign_owner.map(SocketAddr::V4);
+        let owner = foreign.or(self.owner).and_then(|owner| match owner {
+            SocketAddr::V4(owner) => Some(owner),
+            SocketAddr::V6(_) => None,
+        });
+        match address {
+            map::DESCRIBE..map::DESCRIBE_BLOB => {
+                let words = self.describe().to_words();
+                let mut word = words.get(address as usize / 4).copied().unwrap_or(0);
+                match address / 4 {
+                    0 => word = self.knobs.magic.unwrap_or(word),
+                    1 => word = self.knobs.wire_version.unwrap_or(word),
+                    _ => {}
+                }
+                word
+            }
+            map::DESCRIBE_BLOB..map::SESSION => {
+                let blob = self.blob();
+                let at = (address - map::DESCRIBE_BLOB) as usize;
+                blob.get(at..at + 4)
+                    .map_or(0, |b| u32::from_be_bytes(b.try_into().unwrap()))
+            }
+            map::SESSION_TOKEN if self.owner == Some(from) => self.token,
+            map::SESSION_OWNER_IP => owner.map_or(0, |owner| (*owner.ip()).into()),
+            map::SESSION_OWNER_PORT => owner.map_or(0, |owner| owner.port().into()),
+            map::SESSION_LAST_SEQ => self.last_sequence,
+            map::CONFIG..map::COMMAND => self.setting(address),
+            map::STATUS..map::COUNTERS => {
+                let mut words = [0; exchange::STATUS_MAX];
+                let words = self.last_status.emit(self.channels, &mut words).unwrap();
+                let at = (address - map::STATUS) as usize / 4;
+                words.get(at).copied().unwrap_or(0)
+            }
+            _ => 0,
+        }
+    }
+
+    fn exchange(&mut self, words: &[u32], from: SocketAddr) -> Result<Vec<u32>, Refusal> {
+        let command = Command::parse(words, self.channels)?;
+        if self.owner != Some(from) || command.token != self.token {
+            return Err(Refusal::NotOwner);
+        }
+        exchange::judge_sequence(command.sequence, self.last_sequence)?;
+        let left = (self.fed + u64::from(self.setting(map::CONFIG_BOARD)))
+            .saturating_sub(self.now) as u32;
+        // Sampled on the clock of the commit: before it takes effect.
+        let mut stepgen = [(Position::ZERO, StepRate(0)); exchange::MAX_CHANNELS];
+        let mut encoder = [EncoderStatus::default(); exchange::MAX_CHANNELS];
+        for (n, axis) in self.axes.iter().enumerate() {
+            stepgen[n] = (Position(axis.ramp.position), axis.ramp.rate());
+            encoder[n].count = Count(axis.pulses() as u32);
+            encoder[n].edge_time = self.now as u32;
+        }
+        self.follow_index(&command);
+        if let Some(at) = self.latch {
+            encoder[0].latch = Count(at as u32);
+        }
+        self.decide(&command);
+        if self.state == State::Armed {
+            for (n, axis) in self.axes.iter_mut().enumerate() {
+                let (rate, accel) = command.stepgen[n];
+                if command.stepgen_enable >> n & 1 != 0 {
+                    axis.commit(rate, accel);
+                } else {
+                    axis.commit(StepRate(0), accel);
+                }
+            }
+        }
+        self.fed = self.now;
+        self.last_sequence = command.sequence;
+        self.exchanges += 1;
+        self.command = command;
+        let status = Status {
+            state: self.state_word(true),
+            sequence: command.sequence,
+            arrival: Clocks(self.now),
+            sample: Clocks(self.now),
+            watchdog_left: left,
+            refused: Count(self.refused),
+            boot_id: self.boot_id,
+            link: 0,
+            gpio_in: self.knobs.gpio_in,
+            index_latched: u16::from(self.latch.is_some()),
+            rate_limited: 0,
+            stepgen,
+            encoder,
+        };
+        self.last_status = status;
+        let mut block = [0; exchange::STATUS_MAX];
+        let block = status.emit(self.channels, &mut block).unwrap();
+        let mut buffer = vec![0; MAX_WORDS];
+        let mut writer = ReplyWriter::new(&mut buffer, etherbone::HEADER);
+        writer.write_record(command.sequence, block.len() as u8);
+        writer.extend(block);
+        let used = writer.words().len();
+        buffer.truncate(used);
+        Ok(buffer)
+    }
+
+    fn follow_index(&mut self, command: &Command) {
+        if command.index_arm & 1 == 0 {
+            self.latch = None;
+        } else if let Some(at) = self.knobs.index_at
+            && self.latch.is_none()
+            && self.axes[0].pulses() >= i64::from(at)
+        {
+            self.latch = Some(at);
+        }
+    }
+
+    /// The firmware's rules: seen low, then high, then one more command.
+    fn decide(&mut self, command: &Command) {
+        let edge = self.request == Some(false) && command.enable_request;
+        self.request = match (self.request, command.enable_request) {
+            (_, false) => Some(false),
+            (None, true) => None,
+            (Some(_), true) => Some(true),
+        };
+        match self.state {
+            State::Armed if !command.enable => self.stop(FaultReason::HostDisable),
+            State::Disarmed | State::Faulted if edge => {
+                if !self.knobs.external_reset {
+                    self.state = State::Disarmed;
+                    self.bitten = false;
+                    self.reset_latched = false;
+                    self.edge = true;
+                    return;
+                }
+            }
+            State::Disarmed if self.edge && command.enable_request && command.enable => {
+                if !self.knobs.external_reset && !self.bitten {
+                    self.state = State::Armed;
+                    self.reason = FaultReason::None;
+                    self.gate = true;
+                }
+            }
+            State::Boot
+            | State::Disarmed
+            | State::Armed
+            | State::Stopping
+            | State::Faulted => {}
+        }
+        self.edge = false;
+    }
+
+    fn state_word(&self, answer: bool) -> StateWord {
+        StateWord {
+            state: self.state,
+            reason: self.reason,
+            position_trusted: true,
+            enabled: self.gate,
+            session_yours: answer,
+            bitten: self.bitten,
+            external_reset: self.knobs.external_reset,
+            accepted: answer,
+            link: true,
+        }
+    }
+
+    fn describe(&self) -> Describe {
+        let abi_gateware = self.knobs.abi_gateware.unwrap_or(ABI);
+        Describe {
+            wire_version: wire::WIRE_VERSION,
+            abi_firmware: ABI,
+            abi_gateware,
+            firmware_version: 0x0000_0100,
+            gateware_version: 0x0000_0100,
+            clock_hz: CLOCK_HZ,
+            channels: self.channels,
+            features: 0,
+            boot_id: self.boot_id,
+            blob_words: self.blob().len() as u32 / 4,
+            state: self.state_word(false),
+            obstacles: if abi_gateware == ABI {
+                0
+            } else {
+                describe::OBSTACLE_ABI
+            },
+        }
+    }
+
+    fn blob(&self) -> Vec<u8> {
+        let mut body = Vec::new();
+        for (kind, channel, text) in &self.names {
+            body.extend([*kind, *channel, text.len() as u8, 0]);
+            body.extend_from_slice(text.as_bytes());
+            body.resize(body.len().next_multiple_of(4), 0);
+        }
+        let crc = board::crc32(&body) ^ u32::from(self.knobs.bad_blob);
+        let mut bytes = Vec::new();
+        for word in [
+            board::MAGIC,
+            board::VERSION,
+            (board::HEADER_LEN + body.len()) as u32,
+            crc,
+        ] {
+            bytes.extend(word.to_be_bytes());
+        }
+        bytes.extend(body);
+        bytes
+    }
+}
+
+/// A running fake board. Dropping it ends its thread.
+pub struct FakeBoard {
+    pub address: SocketAddrV4,
+    mind: Arc<Mutex<Mind>>,
+    stop: Arc<AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl FakeBoard {
+    /// `mill6` on a free port.
+    pub fn mill6(time: Time) -> Self {
+        Self::start("127.0.0.1:0", time)
+    }
+
+    /// `mill6` at an address.
+    pub fn start(address: &str, time: Time) -> Self {
+        let channels = Channels {
+            stepgens: 6,
+            encoders: 6,
+            pwms: 6,
+            inputs: 12,
+            outputs: 12,
+        };
+        let socket = UdpSocket::bind(address).expect("a free UDP port");
+        let SocketAddr::V4(address) = socket.local_addr().expect("its address") else {
+            panic!("IPv4 only");
+        };
+        let mind = Arc::new(Mutex::new(Mind::new(channels, time, MILL6)));
+        let stop = Arc::new(AtomicBool::new(false));
+        let thread = std::thread::spawn({
+            let (mind, stop) = (Arc::clone(&mind), Arc::clone(&stop));
+            move || run(&socket, &mind, &stop)
+        });
+        FakeBoard {
+            address,
+            mind,
+            stop,
+            thread: Some(thread),
+        }
+    }
+
+    /// The board's mind, to look at or to tamper with.
+    pub fn look(&self) -> MutexGuard<'_, Mind> {
+        self.mind.lock().expect("the board's thread is well")
+    }
+
+    /// Its address as `boards=` takes it.
+    pub fn text(&self) -> String {
+        self.address.to_string()
+    }
+}
+
+impl Drop for FakeBoard {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn run(socket: &UdpSocket, mind: &Mutex<Mind>, stop: &AtomicBool) {
+    socket
+        .set_read_timeout(Some(Duration::from_millis(20)))
+        .expect("a timeout");
+    let mut bytes = [0; MAX_PAYLOAD + 1];
+    let mut words = [0; MAX_WORDS];
+    while !stop.load(Ordering::Relaxed) {
+        let Ok((length, from)) = socket.recv_from(&mut bytes) else {
+            // An idle board's time passes, too.
+            let mut mind = mind.lock().expect("the test is well");
+            if mind.time == Time::Wall {
+                mind.tick(false);
+            }
+            continue;
+        };
+        let mut mind = mind.lock().expect("the test is well");
+        if mind.knobs.unplugged {
+            continue;
+        }
+        mind.datagrams += 1;
+        if mind.knobs.drop_requests > 0 {
+            mind.knobs.drop_requests -= 1;
+            continue;
+        }
+        let exchanges = mind.exchanges;
+        let served = wire::words_from_bytes(&bytes[..length], &mut words)
+            .and_then(|words| mind.serve(words, from));
+        let reply = match served {
+            Ok(reply) => reply,
+            Err(_) => {
+                mind.refused += 1;
+                continue;
+            }
+        };
+        let Some(mut reply) = reply else { continue };
+        let mut copies = 1;
+        if mind.exchanges != exchanges {
+            if mind.knobs.drop_replies > 0 {
+                mind.knobs.drop_replies -= 1;
+                continue;
+            }
+            if mind.knobs.late_by_one {
+                let Some(before) = mind.held_back.replace(reply) else {
+                    continue;
+                };
+                reply = before;
+            }
+            copies += usize::from(mind.knobs.duplicate_replies);
+        }
+        let delay = mind.knobs.delay;
+        drop(mind);
+        std::thread::sleep(delay);
+        let mut out = [0; MAX_PAYLOAD];
+        let length = wire::words_to_bytes(&reply, &mut out);
+        for _ in 0..copies {
+            let _ = socket.send_to(&out[..length], from);
+        }
+    }
+}
