@@ -32,14 +32,28 @@ pub fn exchange(parts: &build::Parts) -> Result<()> {
     std::fs::create_dir_all(target("reports"))?;
     let mut bench = Command::new("cargo");
     bench
-        .args(["run", "--quiet", "--release", "--package", "ferrocnc-tests", "--bin", "bench-exchange", "--"])
+        .args([
+            "run",
+            "--quiet",
+            "--release",
+            "--package",
+            "ferrocnc-tests",
+            "--bin",
+            "bench-exchange",
+            "--",
+        ])
         .arg("--soc")
         .arg(&parts.soc)
         .arg("--firmware")
         .arg(&parts.firmware)
         .arg("--report")
         .arg(target("reports/exchange.json"));
-    let printed = step::run_quietly("bench-exchange", "exchange with the simulated board", "1 min", &mut bench)?;
+    let printed = step::run_quietly(
+        "bench-exchange",
+        "exchange with the simulated board",
+        "1 min",
+        &mut bench,
+    )?;
     println!("{}", printed.trim_end());
     Ok(())
 }
@@ -49,10 +63,24 @@ fn gateware() -> Result<()> {
     step::heading("bench: gateware");
     std::fs::create_dir_all(target("reports"))?;
     let mut bench = build::gateware("bench");
-    bench.arg("--out").arg(target("gateware/bench")).arg("--json").arg(target("reports/gateware.json"));
-    let printed = step::run_quietly("bench-gateware", "synthesise the cores and the boards", "15 min", &mut bench)?;
-    let table: Vec<_> = printed.lines().filter(|line| line.starts_with('|')).collect();
+    bench
+        .arg("--out")
+        .arg(target("gateware/bench"))
+        .arg("--json")
+        .arg(target("reports/gateware.json"));
+    let printed = step::run_quietly(
+        "bench-gateware",
+        "synthesise the cores and the boards",
+        "15 min",
+        &mut bench,
+    )?;
+    let table: Vec<_> = printed
+        .lines()
+        .filter(|line| line.starts_with('|'))
+        .collect();
     println!("{}", table.join("\n"));
     let report = target("reports/gateware.json");
-    std::fs::metadata(&report).with_context(|| format!("no report at {}", report.display())).map(drop)
+    std::fs::metadata(&report)
+        .with_context(|| format!("no report at {}", report.display()))
+        .map(drop)
 }

@@ -33,7 +33,12 @@ pub fn everything() -> Result<Parts> {
 pub fn firmware() -> Result<PathBuf> {
     let mut build = Command::new("bash");
     build.arg("firmware/build.sh");
-    step::run("firmware", "build the firmware (Rust, riscv32im, no_std)", "1 min", &mut build)?;
+    step::run(
+        "firmware",
+        "build the firmware (Rust, riscv32im, no_std)",
+        "1 min",
+        &mut build,
+    )?;
     Ok(target("firmware/ferrocnc-firmware.elf"))
 }
 
@@ -41,19 +46,52 @@ pub fn firmware() -> Result<PathBuf> {
 pub fn simulated_board(board: &str) -> Result<PathBuf> {
     let elaborated = target(&format!("gateware/sim-{board}"));
     let mut elaborate = gateware("elaborate");
-    elaborate.args(["--target", "sim", "--board", &format!("boards/{board}.toml"), "--out"]).arg(&elaborated);
-    step::run("elaborate", &format!("elaborate {board} (LiteX)"), "10 s", &mut elaborate)?;
+    elaborate
+        .args([
+            "--target",
+            "sim",
+            "--board",
+            &format!("boards/{board}.toml"),
+            "--out",
+        ])
+        .arg(&elaborated);
+    step::run(
+        "elaborate",
+        &format!("elaborate {board} (LiteX)"),
+        "10 s",
+        &mut elaborate,
+    )?;
     let mut verilate = Command::new("bash");
-    verilate.arg("sim/verilator/build.sh").arg(&elaborated).arg(board);
-    step::run("verilate", &format!("verilate {board}"), "2 min", &mut verilate)?;
+    verilate
+        .arg("sim/verilator/build.sh")
+        .arg(&elaborated)
+        .arg(board);
+    step::run(
+        "verilate",
+        &format!("verilate {board}"),
+        "2 min",
+        &mut verilate,
+    )?;
     Ok(target(&format!("sim/{board}")))
 }
 
 /// The driver, the tool and the simulator's front end.
 pub fn host() -> Result<()> {
     let mut build = Command::new("cargo");
-    build.args(["build", "--release", "--package", "ferrocnc", "--package", "ferrocnc-sim"]);
-    step::run("host", "build the driver, the tool and the simulator (Rust)", "2 min", &mut build)
+    build.args([
+        "build",
+        "--release",
+        "--package",
+        "ferrocnc",
+        "--package",
+        "ferrocnc-sim",
+    ]);
+    step::run(
+        "host",
+        "build the driver, the tool and the simulator (Rust)",
+        "2 min",
+        &mut build,
+    )
 }
 
 /// Makes `loadrt ferrocnc` find the driver just built.
@@ -69,17 +107,26 @@ pub fn install_driver() -> Result<()> {
             step::note("driver: already installed");
             return Ok(());
         }
-        bail!("installing the driver needs root; run\n\n  sudo {command}\n\nand start this command again");
+        bail!(
+            "installing the driver needs root; run\n\n  sudo {command}\n\nand start this command again"
+        );
     }
     let mut install = Command::new("install");
     install.args(["-m", "644"]).arg(&built).arg(&module);
-    step::run("install-driver", "install the driver for loadrt", "1 s", &mut install)
+    step::run(
+        "install-driver",
+        "install the driver for loadrt",
+        "1 s",
+        &mut install,
+    )
 }
 
 /// A call of the gateware's Python side.
 pub fn gateware(subcommand: &str) -> Command {
     let mut command = Command::new(setup::python());
-    command.env("PYTHONPATH", root().join("gateware")).args(["-m", "ferrocnc", subcommand]);
+    command
+        .env("PYTHONPATH", root().join("gateware"))
+        .args(["-m", "ferrocnc", subcommand]);
     command
 }
 
@@ -98,7 +145,12 @@ pub fn bitstream(options: &BitstreamOptions) -> Result<()> {
     setup::run(setup::Need::Gateware)?;
     setup::riscv_core()?;
     step::heading("bitstream");
-    let name = options.board.file_stem().context("the board needs a file name")?.to_string_lossy().into_owned();
+    let name = options
+        .board
+        .file_stem()
+        .context("the board needs a file name")?
+        .to_string_lossy()
+        .into_owned();
     let image = firmware()?;
     std::fs::create_dir_all(target("reports"))?;
     let mut build = gateware("bitstream");
@@ -111,8 +163,16 @@ pub fn bitstream(options: &BitstreamOptions) -> Result<()> {
         .arg(image)
         .args(["--seed", &options.seed.to_string(), "--json"])
         .arg(target("reports/bitstream.json"));
-    let printed = step::run_quietly("bitstream", &format!("synthesise, place and route {name}"), "15 min", &mut build)?;
+    let printed = step::run_quietly(
+        "bitstream",
+        &format!("synthesise, place and route {name}"),
+        "15 min",
+        &mut build,
+    )?;
     let summary: Vec<_> = printed.lines().rev().take(12).collect();
-    println!("{}", summary.into_iter().rev().collect::<Vec<_>>().join("\n"));
+    println!(
+        "{}",
+        summary.into_iter().rev().collect::<Vec<_>>().join("\n")
+    );
     Ok(())
 }

@@ -17,7 +17,9 @@ pub struct Options {
 /// Sets up, builds, runs, draws.
 pub fn run(options: &Options) -> Result<()> {
     println!("FerroCNC demo: LinuxCNC cuts a program through the simulated board.");
-    println!("The first run installs and builds everything, about 15 minutes on two cores; later ones take 5.");
+    println!(
+        "The first run installs and builds everything, about 15 minutes on two cores; later ones take 5."
+    );
     setup::run(setup::Need::Everything)?;
     let parts = build::everything()?;
     build::install_driver()?;
@@ -27,12 +29,29 @@ pub fn run(options: &Options) -> Result<()> {
     std::fs::create_dir_all(&out)?;
     std::fs::create_dir_all(target("reports"))?;
     let mut demo = Command::new("bash");
-    demo.arg("tests/demo/run.sh").arg(&parts.soc).arg(&parts.firmware).arg(&out);
-    step::run("demo", "LinuxCNC homes and runs the program in lockstep", "5 min", &mut demo)?;
+    demo.arg("tests/demo/run.sh")
+        .arg(&parts.soc)
+        .arg(&parts.firmware)
+        .arg(&out);
+    step::run(
+        "demo",
+        "LinuxCNC homes and runs the program in lockstep",
+        "5 min",
+        &mut demo,
+    )?;
 
     let mut report = Command::new(setup::python());
-    report.arg("tests/demo/report.py").arg(&out).arg("--json").arg(target("reports/demo.json"));
-    let printed = step::run_quietly("demo-report", "rebuild the path from the pin edges", "20 s", &mut report)?;
+    report
+        .arg("tests/demo/report.py")
+        .arg(&out)
+        .arg("--json")
+        .arg(target("reports/demo.json"));
+    let printed = step::run_quietly(
+        "demo-report",
+        "rebuild the path from the pin edges",
+        "20 s",
+        &mut report,
+    )?;
     println!("\n{}", printed.trim_end());
     let picture = out.join("path.png");
     std::fs::metadata(&picture).with_context(|| format!("no picture at {}", picture.display()))?;

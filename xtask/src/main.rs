@@ -68,7 +68,9 @@ fn main() -> std::process::ExitCode {
 
 /// The root of the checkout, wherever it lies.
 pub fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace")
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("xtask lies in the workspace")
 }
 
 /// A path below `target`.

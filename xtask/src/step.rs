@@ -48,7 +48,11 @@ pub fn run_quietly(name: &str, title: &str, expect: &str, command: &mut Command)
         }
         spinner.set_message(last_line(&log));
         if !std::io::stderr().is_terminal() && said.elapsed() > Duration::from_secs(30) {
-            println!("    ... {title}: {:.0} s, {}", begun.elapsed().as_secs_f32(), last_line(&log));
+            println!(
+                "    ... {title}: {:.0} s, {}",
+                begun.elapsed().as_secs_f32(),
+                last_line(&log)
+            );
             said = Instant::now();
         }
         std::thread::sleep(Duration::from_millis(100));
@@ -58,7 +62,10 @@ pub fn run_quietly(name: &str, title: &str, expect: &str, command: &mut Command)
     if !status.success() {
         println!("  x {title}  ({seconds:.1} s)");
         println!("{}", indent(&tail(&log)));
-        bail!("{title}: `{program}` failed; the whole log is {}", log.display());
+        bail!(
+            "{title}: `{program}` failed; the whole log is {}",
+            log.display()
+        );
     }
     println!("  + {title}  ({seconds:.1} s)");
     Ok(fs::read_to_string(&log).unwrap_or_default())
@@ -73,7 +80,9 @@ pub fn log_path(name: &str) -> Result<PathBuf> {
 
 /// The last lines of a log.
 pub fn tail(log: &Path) -> String {
-    let text = fs::read(log).map(|b| String::from_utf8_lossy(&b).into_owned()).unwrap_or_default();
+    let text = fs::read(log)
+        .map(|b| String::from_utf8_lossy(&b).into_owned())
+        .unwrap_or_default();
     let lines: Vec<_> = text.lines().collect();
     lines[lines.len().saturating_sub(TAIL_LINES)..].join("\n")
 }
@@ -99,9 +108,19 @@ fn last_line(log: &Path) -> String {
         let _ = file.read_to_end(&mut bytes);
         end = String::from_utf8_lossy(&bytes).into_owned();
     }
-    end.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("").trim().chars().take(100).collect()
+    end.lines()
+        .rev()
+        .find(|l| !l.trim().is_empty())
+        .unwrap_or("")
+        .trim()
+        .chars()
+        .take(100)
+        .collect()
 }
 
 fn indent(text: &str) -> String {
-    text.lines().map(|l| format!("    | {l}")).collect::<Vec<_>>().join("\n")
+    text.lines()
+        .map(|l| format!("    | {l}"))
+        .collect::<Vec<_>>()
+        .join("\n")
 }

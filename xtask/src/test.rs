@@ -31,16 +31,27 @@ enum Level {
     Linuxcnc,
 }
 
-const ALL: &[Level] =
-    &[Level::Unit, Level::Generated, Level::Core, Level::Soc, Level::Clients, Level::Linuxcnc];
+const ALL: &[Level] = &[
+    Level::Unit,
+    Level::Generated,
+    Level::Core,
+    Level::Soc,
+    Level::Clients,
+    Level::Linuxcnc,
+];
 
 /// Runs the levels and prints one line for each.
 pub fn run(options: &Options) -> Result<()> {
-    let levels = if options.levels.is_empty() { ALL } else { &options.levels };
+    let levels = if options.levels.is_empty() {
+        ALL
+    } else {
+        &options.levels
+    };
     if levels.iter().any(|level| *level != Level::Unit) {
         setup::run(setup::Need::Everything)?;
     }
-    let needs_board = |level: &Level| matches!(level, Level::Soc | Level::Clients | Level::Linuxcnc);
+    let needs_board =
+        |level: &Level| matches!(level, Level::Soc | Level::Clients | Level::Linuxcnc);
     if levels.iter().any(needs_board) {
         let parts = build::everything()?;
         if levels.contains(&Level::Linuxcnc) {
@@ -58,11 +69,17 @@ pub fn run(options: &Options) -> Result<()> {
         match outcome {
             Ok(count) => {
                 passed += count;
-                lines.push(format!("  ok      {:<60} {count:>5} tests  {seconds:>6.1} s", level.title()));
+                lines.push(format!(
+                    "  ok      {:<60} {count:>5} tests  {seconds:>6.1} s",
+                    level.title()
+                ));
             }
             Err(error) => {
                 failed += 1;
-                lines.push(format!("  FAILED  {:<60}        {seconds:>9.1} s\n          {error:#}", level.title()));
+                lines.push(format!(
+                    "  FAILED  {:<60}        {seconds:>9.1} s\n          {error:#}",
+                    level.title()
+                ));
             }
         }
     }
@@ -70,7 +87,10 @@ pub fn run(options: &Options) -> Result<()> {
     println!("{}\n", lines.join("\n"));
     println!("{passed} passed, {failed} failed");
     if failed > 0 {
-        bail!("{failed} of {} levels failed; their logs are in target/logs", levels.len());
+        bail!(
+            "{failed} of {} levels failed; their logs are in target/logs",
+            levels.len()
+        );
     }
     Ok(())
 }
@@ -90,7 +110,9 @@ impl Level {
     /// Runs the level; says how many tests passed.
     fn run(self) -> Result<usize> {
         match self {
-            Level::Unit => cargo_tests("test-unit", "cargo test", "3 min", &["test", "--workspace"]),
+            Level::Unit => {
+                cargo_tests("test-unit", "cargo test", "3 min", &["test", "--workspace"])
+            }
             Level::Generated => {
                 regen::generate(true)?;
                 abi_guard()?;
@@ -99,7 +121,8 @@ impl Level {
             Level::Core => {
                 let mut run = Command::new("bash");
                 run.arg("gateware/tests/run.sh");
-                let printed = step::run_quietly("test-core", "the cores at their pins", "2 min", &mut run)?;
+                let printed =
+                    step::run_quietly("test-core", "the cores at their pins", "2 min", &mut run)?;
                 let results: Vec<_> = printed.lines().filter(|l| l.starts_with("PASS")).collect();
                 for line in &results {
                     println!("    {line}");
@@ -119,29 +142,64 @@ impl Level {
 /// The hand-written LinuxCNC bindings against LinuxCNC's own headers.
 fn abi_guard() -> Result<()> {
     let mut compile = Command::new("gcc");
-    compile.args(["-Wall", "-Werror", "-I/usr/include/linuxcnc", "-c", "host/abi/abi.c", "-o", "/dev/null"]);
-    step::run("abi", "LinuxCNC's headers agree with our bindings", "1 s", &mut compile)
+    compile.args([
+        "-Wall",
+        "-Werror",
+        "-I/usr/include/linuxcnc",
+        "-c",
+        "host/abi/abi.c",
+        "-o",
+        "/dev/null",
+    ]);
+    step::run(
+        "abi",
+        "LinuxCNC's headers agree with our bindings",
+        "1 s",
+        &mut compile,
+    )
 }
 
 /// A test binary of the `tests` crate that needs the simulated board. One at a time: LinuxCNC's HAL
 /// is one per machine, and the simulator wants a core for itself.
 fn board_tests(name: &str, expect: &str) -> Result<usize> {
     let arguments = [
-        "test", "--release", "--package", "ferrocnc-tests", "--features", "board", "--test", name, "--",
+        "test",
+        "--release",
+        "--package",
+        "ferrocnc-tests",
+        "--features",
+        "board",
+        "--test",
+        name,
+        "--",
         "--test-threads=1",
     ];
-    cargo_tests(&format!("test-{name}"), &format!("tests against the simulated board: {name}"), expect, &arguments)
+    cargo_tests(
+        &format!("test-{name}"),
+        &format!("tests against the simulated board: {name}"),
+        expect,
+        &arguments,
+    )
 }
 
 fn cargo_tests(name: &str, title: &str, expect: &str, arguments: &[&str]) -> Result<usize> {
     let mut cargo = Command::new("cargo");
     cargo.args(arguments);
     cargo.env("FERROCNC_SOC", target(&format!("sim/{}", build::BOARD)));
-    cargo.env("FERROCNC_FIRMWARE", target("firmware/ferrocnc-firmware.elf"));
+    cargo.env(
+        "FERROCNC_FIRMWARE",
+        target("firmware/ferrocnc-firmware.elf"),
+    );
     let printed = step::run_quietly(name, title, expect, &mut cargo)?;
     let count = printed
         .lines()
-        .filter_map(|line| line.strip_prefix("test result: ok. ")?.split_once(" passed")?.0.parse::<usize>().ok())
+        .filter_map(|line| {
+            line.strip_prefix("test result: ok. ")?
+                .split_once(" passed")?
+                .0
+                .parse::<usize>()
+                .ok()
+        })
         .sum();
     if count == 0 {
         bail!("{title}: no test ran");
