@@ -98,7 +98,7 @@ pub fn host() -> Result<()> {
 pub fn install_driver() -> Result<()> {
     let built = target("release/libferrocnc.so");
     let module = Path::new(MODULES).join("ferrocnc.so");
-    let command = format!("install -m 644 {} {}", built.display(), module.display());
+    let command = format!("cp --remove-destination {} {}", built.display(), module.display());
     if !Path::new(MODULES).exists() {
         bail!("{MODULES} does not exist: LinuxCNC is not installed; run `cargo xtask setup`");
     }
@@ -111,8 +111,8 @@ pub fn install_driver() -> Result<()> {
             "installing the driver needs root; run\n\n  sudo {command}\n\nand start this command again"
         );
     }
-    let mut install = Command::new("install");
-    install.args(["-m", "644"]).arg(&built).arg(&module);
+    let mut install = Command::new("cp");
+    install.arg("--remove-destination").arg(&built).arg(&module);
     step::run(
         "install-driver",
         "install the driver for loadrt",

@@ -28,8 +28,8 @@ pub fn run(options: &Options) -> Result<()> {
     let out = target("demo");
     std::fs::create_dir_all(&out)?;
     std::fs::create_dir_all(target("reports"))?;
-    let mut demo = Command::new("bash");
-    demo.arg("tests/demo/run.sh")
+    let mut demo = Command::new("python3");
+    demo.arg("tests/demo/run.py")
         .arg(&parts.soc)
         .arg(&parts.firmware)
         .arg(&out);

@@ -1,0 +1,193 @@
+#!/usr/bin/env python3
+"""The path LinuxCNC commanded and the path counted from the STEP/DIR edges at the pins, laid over each other.
+
+    report.py OUT --json REPORT.json
+
+Reads what run.py left in OUT; writes OUT/path.png, OUT/path.svg and the report, prints a table, and fails when the pins
+disagree with the firmware's counts, an axis does not stand on its step at rest, or is further off in motion than one step
+plus the way of one servo period.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+AXES = "xyz"
+EDGE = np.dtype([("clock", "<u8"), ("count", "<i4"), ("channel", "u1"), ("forward", "u1"), ("zero", "<u2")])
+# The command of servo period k is for its end; what was sampled there is read two rows later.
+ROWS_TO_ARRIVAL = 2
+
+
+def load(out):
+    samples = np.genfromtxt(out / "samples.csv", delimiter=",", names=True)
+    edges = np.fromfile(out / "edges.bin", EDGE, offset=16)
+    simulator = json.loads((out / "sim.json").read_text())
+    result = json.loads((out / "result.json").read_text())
+    return samples, edges, simulator, result
+
+
+class Pins:
+    """Counts at the pins at any clock."""
+
+    def __init__(self, edges):
+        self.axes = []
+        for n in range(len(AXES)):
+            own = edges[edges["channel"] == n]
+            self.axes.append((own["clock"].astype(np.int64), own["count"].astype(np.int64)))
+
+    def at(self, n, clocks):
+        times, counts = self.axes[n]
+        return np.concatenate(([0], counts))[np.searchsorted(times, clocks, side="right")]
+
+
+def clock_offset(pins, clocks, counts):
+    """The harness counts clocks from power-up, the board from the end of its reset. Finds the difference that makes the
+    pins agree with every count the firmware reported, and says how many still disagree."""
+    best = min(range(0, 300), key=lambda offset: sum(disagreements(pins, clocks + offset, counts)))
+    return best, sum(disagreements(pins, clocks + best, counts))
+
+
+def disagreements(pins, clocks, counts):
+    return [int(np.count_nonzero(pins.at(n, clocks) != counts[n])) for n in range(len(AXES))]
+
+
+def analyse(samples, edges, simulator, result):
+    pins = Pins(edges)
+    scales = [axis["scale"] for axis in result["axes"]]
+    clocks = (samples["ticks_msb"].astype(np.int64) << 32) + samples["ticks_lsb"].astype(np.int64)
+    fresh = np.flatnonzero(np.diff(clocks, prepend=-1) > 0)
+    counts = [samples[f"{axis}_counts"].astype(np.int64) for axis in AXES]
+    offset, unequal = clock_offset(pins, clocks[fresh], [c[fresh] for c in counts])
+    arrival = clocks + offset
+
+    report = {"axes": [], "samples_compared": int(fresh.size), "samples_pins_differ_from_counts": unequal}
+    deviations = []
+    rows = np.arange(1, len(samples) - ROWS_TO_ARRIVAL)
+    # Before the machine is on, LinuxCNC's commanded position follows the feedback; nothing to compare.
+    rows = rows[samples["machine_on"][rows] > 0]
+    for n, axis in enumerate(AXES):
+        command = samples[f"{axis}_cmd"] * scales[n]
+        there = pins.at(n, arrival[rows + ROWS_TO_ARRIVAL])
+        deviation = there - command[rows]
+        allowed = 1.0 + np.abs(command[rows] - command[rows - 1])
+        deviations.append(deviation)
+        at_pins = simulator["axes"][n]["pulses_at_pins"] if n < len(simulator["axes"]) else 0
+        firmware = simulator["axes"][n]["firmware_counts"] if n < len(simulator["axes"]) else 0
+        report["axes"].append(
+            {
+                "name": axis,
+                "pulses_at_pins": at_pins,
+                "firmware_counts": firmware,
+                "pulses_total": simulator["axes"][n]["pulses_total"] if n < len(simulator["axes"]) else 0,
+                "deviation_at_rest_steps": int(at_pins - round(command[-1])),
+                "deviation_max_steps": float(np.max(np.abs(deviation))),
+                "deviation_over_allowed_max": float(np.max(np.abs(deviation) / allowed)),
+                "speed_max_steps_per_s": float(np.max(np.abs(np.diff(command)))) * 1000,
+            }
+        )
+    exchange = simulator["exchange"]
+    report["exchange"] = {key: exchange[key] for key in ("turnaround_cycles", "frames_lost", "frames_refused")}
+    report["exchange"]["count"] = exchange["answered"]
+    report["watchdog"] = {"margin_min_ms": simulator["watchdog"]["margin_min_ms"]}
+    report["step_timing_violations"] = simulator["timing_violations"]
+    report["sys_clk_hz"] = simulator["sys_clk_hz"]
+    report["kcycles_per_second"] = simulator["kcycles_per_second"]
+    report["machine_seconds"] = simulator["clocks"] / simulator["sys_clk_hz"]
+    report["program"] = Path(result["program"]).name
+    return report, pins, deviations, arrival, rows, scales
+
+
+def draw(out, samples, pins, deviations, arrival, rows, scales, report):
+    moments = np.unique(np.concatenate([times for times, _ in pins.axes[:2]]))
+    x, y = (pins.at(n, moments) / scales[n] for n in (0, 1))
+    on = samples["machine_on"] > 0
+    figure, (path, zoom, error) = plt.subplots(1, 3, figsize=(17, 6), width_ratios=(1.1, 1, 1.1), layout="constrained")
+    figure.suptitle(
+        f"FerroCNC: {report['program']} cut by LinuxCNC on the simulated board, "
+        f"{sum(a['pulses_total'] for a in report['axes'])} pulses at the pins"
+    )
+    for panel in (path, zoom):
+        panel.plot(samples["x_cmd"][on], samples["y_cmd"][on], color="#c9d1d9", linewidth=5, label="commanded by LinuxCNC")
+        panel.plot(x, y, color="#d6336c", linewidth=1, drawstyle="default", label="counted from STEP/DIR edges")
+        panel.set(xlabel="X, mm", ylabel="Y, mm", aspect="equal")
+        panel.grid(color="#eeeeee")
+    path.set_title("the whole path")
+    path.legend(loc="upper right", fontsize=8)
+    # A twentieth of the path's width around its middle pulse: single steps become visible.
+    reach = max(np.ptp(x), np.ptp(y)) / 40
+    centre = len(moments) // 2
+    zoom.set(xlim=(x[centre] - reach, x[centre] + reach), ylim=(y[centre] - reach, y[centre] + reach))
+    zoom.set_title(f"magnified 20 times (one step is {1000 / scales[0]:g} um)")
+    seconds = (arrival[rows + ROWS_TO_ARRIVAL] - arrival[rows[0]]) / report["sys_clk_hz"]
+    for axis, deviation in zip(AXES, deviations):
+        error.plot(seconds, deviation, linewidth=0.8, label=axis.upper())
+    error.set(xlabel="machine time, s", ylabel="pins minus command at its due time, steps")
+    error.set_title("deviation")
+    error.legend(fontsize=8)
+    error.grid(color="#eeeeee")
+    figure.savefig(out / "path.png", dpi=110)
+    figure.savefig(out / "path.svg")
+
+
+def table(report):
+    print("| axis | pulses at the pins | firmware's count | at rest, steps off | in motion, steps off (max) | of allowed |")
+    print("|---|---|---|---|---|---|")
+    for axis in report["axes"]:
+        print(
+            f"| {axis['name'].upper()} | {axis['pulses_at_pins']} | {axis['firmware_counts']} "
+            f"| {axis['deviation_at_rest_steps']} | {axis['deviation_max_steps']:.2f} "
+            f"| {100 * axis['deviation_over_allowed_max']:.0f} % |"
+        )
+    turnaround, exchange = report["exchange"]["turnaround_cycles"], report["exchange"]
+    print(
+        f"{exchange['count']} exchanges: turnaround {turnaround['min']} / {turnaround['median']} / {turnaround['max']} "
+        f"clocks (min/median/max), {exchange['frames_lost']} frames lost, {exchange['frames_refused']} refused; "
+        f"watchdog margin at least {report['watchdog']['margin_min_ms']:.2f} ms; "
+        f"{report['machine_seconds']:.1f} s of machine time at {report['kcycles_per_second']:.0f} kclocks/s"
+    )
+
+
+def verdict(report):
+    """Everything that must hold, as sentences when it does not."""
+    for axis in report["axes"]:
+        name = axis["name"].upper()
+        if axis["pulses_at_pins"] != axis["firmware_counts"]:
+            yield f"{name}: {axis['pulses_at_pins']} pulses at the pins, but the firmware counts {axis['firmware_counts']}"
+        if axis["deviation_at_rest_steps"] != 0:
+            yield f"{name}: {axis['deviation_at_rest_steps']} steps off at rest"
+        if axis["deviation_over_allowed_max"] > 1.0:
+            yield f"{name}: {axis['deviation_max_steps']:.2f} steps off in motion, more than one step and one period's way"
+    if report["samples_pins_differ_from_counts"]:
+        yield f"{report['samples_pins_differ_from_counts']} reported counts differ from the pins at their clock"
+    if report["step_timing_violations"]:
+        yield f"{report['step_timing_violations']} violations of the step timing"
+    if not sum(axis["pulses_total"] for axis in report["axes"]):
+        yield "nothing moved"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--json", type=Path, required=True)
+    options = parser.parse_args()
+    samples, edges, simulator, result = load(options.out)
+    report, pins, deviations, arrival, rows, scales = analyse(samples, edges, simulator, result)
+    draw(options.out, samples, pins, deviations, arrival, rows, scales, report)
+    options.json.parent.mkdir(parents=True, exist_ok=True)
+    options.json.write_text(json.dumps(report, indent=2) + "\n")
+    table(report)
+    wrong = list(verdict(report))
+    for sentence in wrong:
+        print(f"WRONG: {sentence}")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
