@@ -54,9 +54,13 @@ class FerroSoC(SoCCore):
             bus_timeout=None,  # its counter sits in the acknowledge path and costs 16 MHz
         )
         self.ethphy = phy(self)
+        # Slots in network order: the exchange is 32-bit big-endian words, and VexRiscv has no byte swap. LiteX asks the
+        # CPU for the slots' order; nothing else does.
+        self.cpu.endianness, order = "big", self.cpu.endianness
         self.add_ethernet(
             phy=self.ethphy, data_width=32, with_timing_constraints=False,
             nrxslots=rm.ETHMAC_RX_SLOTS, ntxslots=rm.ETHMAC_TX_SLOTS)
+        self.cpu.endianness = order
         self._add_board_rom()
         self._add_cores()
 
