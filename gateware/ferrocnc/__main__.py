@@ -16,7 +16,8 @@ def main(argv=None):
     sub = parser.add_subparsers(dest="command", required=True)
 
     p = sub.add_parser("elaborate", help="write the Verilog of a board and what belongs to it")
-    p.add_argument("--target", choices=("sim", "board"), required=True)
+    p.add_argument("--target", choices=("sim", "board", "cores"), required=True,
+                   help="sim: the SoC with plain ports; board: the SoC on its FPGA; cores: cores and banks behind a bare CSR bus")
     p.add_argument("--board", required=True, help="boards/NAME.toml")
     p.add_argument("--out", required=True)
 
@@ -56,6 +57,10 @@ def _elaborate(args):
         from . import sim
         sim.elaborate(board, args.out)
         print(f"{args.out}/sim.v: {board.name}, {board.sys_clk_hz / 1e6:g} MHz")
+    elif args.target == "cores":
+        from . import sim
+        sim.elaborate_cores(board, args.out)
+        print(f"{args.out}/cores.v: {board.name}, {board.sys_clk_hz / 1e6:g} MHz")
     else:
         from . import build
         build.elaborate(board, args.out)

@@ -2,21 +2,21 @@
 
 The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on LiteX's CSR bus carries pages 8 and up:
 
-    bus  --> write pipeline --> staging and settings registers --> cores
-         <-- dat_r <-- live words | status window | shadow RAM     <-- cores
+    bus  --> write pipeline --> staging and settings registers, shadow RAM --> cores
+         <-- live words | status window | shadow RAM                       <-- cores
 
 * Writes land one clock after the bus cycle, so that address decoding stays out of the cores' timing. The CPU cannot tell:
   its next access is two clocks later.
 * The status window is a copy of every live word, caught by the sample strobe, behind one read multiplexer.
-* Channel settings and staged commands are read back from a small shadow RAM; reading back the flip-flops themselves would
-  cost more multiplexers than the cores have logic.
+* Channel settings and staged commands are read back, as written, from one block RAM; reading back the flip-flops themselves
+  would cost more multiplexers than the cores have logic.
 * Registers of absent channels are never created: they read 0 and ignore writes.
 """
 
 from functools import reduce
 from operator import or_
 
-from migen import Array, Case, Cat, If, Instance, Memory, Replicate, Signal
+from migen import Array, Cat, Constant, If, Instance, Memory, Mux, READ_FIRST, Replicate, Signal
 from litex.gen import LiteXModule
 from litex.soc.interconnect import csr_bus
 
@@ -27,7 +27,13 @@ _WORD_BITS = _PAGE_WORDS.bit_length() - 1
 
 
 class FabricBus(LiteXModule):
-    """Decodes pages 8 and up. `storage`, `pulse` and `live` create registers; `shadow` makes a range readable."""
+    """Decodes pages 8 and up. `storage`, `pulse` and `live` create registers; `shadow` makes a range of them readable.
+
+    A read has one clock. Words are read in groups of eight; a group that is not addressed holds its register in reset, so
+    that putting the groups together is an OR, and half of the multiplexer is behind the register.
+    """
+
+    GROUP = 8
 
     def __init__(self):
         self.bus = csr_bus.Interface(data_width=32, address_width=rm.CSR_ADDRESS_WIDTH)
@@ -37,9 +43,9 @@ class FabricBus(LiteXModule):
         self.data = Signal(32, reset_less=True)
         self._we_word = Signal(_WORD_BITS, reset_less=True)
         self._we_page = Signal(rm.CSR_ADDRESS_WIDTH - _WORD_BITS, reset_less=True)
-        self._hits = {}
+        self._decoded = {}
         self._live = {}
-        self._groups = []
+        self._shadowed = []
 
         # # #
 
@@ -50,15 +56,15 @@ class FabricBus(LiteXModule):
             self._we_page.eq(self.page),
         ]
 
+    def _is(self, kind, value, number):
+        """`value == number`, decoded once for everybody who asks."""
+        if (kind, number) not in self._decoded:
+            hit = self._decoded[kind, number] = Signal(name=f"{kind}_{number}")
+            self.comb += hit.eq(value == number)
+        return self._decoded[kind, number]
+
     def _written(self, page, word):
-        """A signal: this register is being written. Page and word are decoded once each and shared."""
-        def hit(kind, value, number, gate):
-            key = (kind, number)
-            if key not in self._hits:
-                self._hits[key] = Signal()
-                self.comb += self._hits[key].eq((value == number) & gate)
-            return self._hits[key]
-        return hit("page", self._we_page, page, self.we) & hit("word", self._we_word, word, 1)
+        return self._is("we_page", Cat(self._we_page, self.we), page | 1 << len(self._we_page)) & self._is("we_word", self._we_word, word)
 
     def pulse(self, bank, name):
         """High for one clock when the register is written; `self.data` is what was written."""
@@ -74,37 +80,43 @@ class FabricBus(LiteXModule):
 
     def live(self, bank, name, value):
         """Makes `value` readable as this register."""
-        self._live.setdefault(bank.page, {})[bank.offset(name) // 4] = value
+        self._live[bank.page, bank.offset(name) // 4] = value
 
-    def shadow(self, name, first_page, pages, words, holes=()):
-        """A RAM behind `words` registers on each of `pages` pages, so that what was written can be read. `holes` are
-        words with a live value of their own."""
-        bits = max(1, (words - 1).bit_length())
-        memory = Memory(32, pages << bits, name=name)
-        read, write = memory.get_port(async_read=True), memory.get_port(write_capable=True)
-        self.specials += memory, read, write
-        page_r, page_w = Signal(7), Signal(7)
-        hit = Signal()
-        self.comb += [
-            page_r.eq(self.page - first_page),
-            page_w.eq(self._we_page - first_page),
-            read.adr.eq(Cat(self.word[:bits], page_r)),
-            write.adr.eq(Cat(self._we_word[:bits], page_w)),
-            write.dat_w.eq(self.data),
-            write.we.eq(self.we & (page_w < pages) & (self._we_word < words)),
-            hit.eq((page_r < pages) & (self.word < words) & reduce(lambda a, w: a & (self.word != w), holes, 1)),
-        ]
-        self._groups.append((hit, read.dat_r))
+    def shadow(self, page, pages, first, words):
+        """What was written to these words of these pages can be read back, from one block RAM for all of them."""
+        if pages and words:
+            self._shadowed.append((page, pages, first, words))
+
+    def _shadow_index(self, page, word):
+        """Channel settings: six bits of page, three of word. Staged commands: their own page, below the first of those."""
+        return Mux(page == rm.COMMAND.page, word[:6], Cat(word[:3], page[:6]))
 
     def do_finalize(self):
-        for page, words in self._live.items():
-            hit, value = Signal(), Signal(32)
-            self.comb += [
-                hit.eq(self.page == page),
-                Case(self.word, {**{w: value.eq(v) for w, v in words.items()}, "default": value.eq(0)}),
-            ]
-            self._groups.append((hit, value))
-        self.sync += self.bus.dat_r.eq(reduce(or_, [Replicate(h, 32) & v for h, v in self._groups]))
+        parts = []
+        words = sorted(self._live.items(), key=lambda item: item[0])
+        for start in range(0, len(words), self.GROUP):
+            group = [(self._is("page", self.page, page) & self._is("word", self.word, word), value)
+                     for (page, word), value in words[start:start + self.GROUP]]
+            part = Signal(32, reset_less=True)
+            self.sync += part.eq(reduce(or_, [Replicate(hit, 32) & value for hit, value in group]))
+            parts.append(part)
+
+        memory = Memory(32, 512, init=[0] * 512, name="shadow")
+        read, write = memory.get_port(mode=READ_FIRST), memory.get_port(write_capable=True, mode=READ_FIRST)
+        self.specials += memory, read, write
+        within = [Signal(), Signal()]
+        for hit, page, word in ((within[0], self.page, self.word), (within[1], self._we_page, self._we_word)):
+            self.comb += hit.eq(reduce(or_, [
+                (page >= p) & (page < p + n) & (word >= first) & (word < first + count) for p, n, first, count in self._shadowed], 0))
+        shadowed = Signal()
+        self.sync += shadowed.eq(within[0])
+        self.comb += [
+            read.adr.eq(self._shadow_index(self.page, self.word)),
+            write.adr.eq(self._shadow_index(self._we_page, self._we_word)),
+            write.dat_w.eq(self.data),
+            write.we.eq(self.we & within[1]),
+            self.bus.dat_r.eq(reduce(or_, parts) | Replicate(shadowed, 32) & read.dat_r),
+        ]
 
 
 class Pads:
@@ -150,10 +162,10 @@ class Cores(LiteXModule):
         commit, sample = self.commit, self.sample
         window = {0: now[:32], 1: now[32:]}
         enables = fabric.storage(rm.COMMAND, "enables")
-        flags_index = Signal(16)
-        flags_limited = Signal(16)
+        flags_index = [Signal() for _ in range(channels.encoder)] + [Constant(0, 1)] * (16 - channels.encoder)
+        flags_limited = [Signal() for _ in range(channels.stepgen)] + [Constant(0, 1)] * (16 - channels.stepgen)
         window[2] = self._gpio(fabric, clk, gate, commit, channels)
-        window[3] = Cat(flags_index, flags_limited)
+        window[3] = Cat(*flags_index, *flags_limited)
 
         stopped = [
             self._stepgen(fabric, clk, n, gate, stop, commit, sample, enables[n], flags_limited[n], window)
@@ -170,13 +182,11 @@ class Cores(LiteXModule):
             self.sync += If(sample, caught.eq(live))
             fabric.live(rm.STATUS, rm.STATUS.regs[word].name, caught)
 
-        fabric.shadow("command_shadow", rm.COMMAND.page, 1, len(rm.COMMAND.regs) if channels.pwm else 2 + 2 * channels.stepgen)
-        if channels.stepgen:
-            fabric.shadow("stepgen_shadow", rm.STEPGEN[0].page, channels.stepgen, len(rm.STEPGEN_REGS))
-        if channels.encoder:
-            fabric.shadow("encoder_shadow", rm.ENCODER[0].page, channels.encoder, 2)
-        if channels.pwm:
-            fabric.shadow("pwm_shadow", rm.PWM[0].page, channels.pwm, len(rm.PWM_REGS))
+        fabric.shadow(rm.COMMAND.page, 1, 0, 2 + 2 * channels.stepgen)
+        fabric.shadow(rm.COMMAND.page, 1, rm.COMMAND.offset("pwm0_width") // 4, channels.pwm)
+        fabric.shadow(rm.STEPGEN[0].page, channels.stepgen, 0, len(rm.STEPGEN_REGS))
+        fabric.shadow(rm.ENCODER[0].page, channels.encoder, 0, 2)
+        fabric.shadow(rm.PWM[0].page, channels.pwm, 0, len(rm.PWM_REGS))
 
     def _timebase(self, fabric, clk, rst):
         b = rm.TIMEBASE

@@ -71,19 +71,24 @@ module stepgen (
     end
 
     // ---- velocity: s32.24, moves towards target by at most limit per clock ------------------------------------------
+    // In the clock after a new target the adder adds nothing, so that its comparison tells where the target lies.
     logic [55:0] v = 56'd0;
     logic        up = 1'b0;   // v is below target
     logic        jump = 1'b1; // no limit
 
-    wire [56:0] moved   = {v[55], v} + ({25'd0, limit} ^ {57{~up}}) + {56'd0, ~up};
+    wire        down    = ~up & ~fresh;
+    wire [56:0] moved   = {v[55], v} + ({25'd0, limit & {32{~fresh}}} ^ {57{down}}) + {56'd0, down};
     wire        below   = $signed(moved[56:24]) < $signed({target[31], target});
     wire        arrived = jump | (up ^ below);  // this move would reach or pass the target
 
     always_ff @(posedge clk) begin
-        up   <= $signed(v[55:24]) < $signed(target);
+        if (fresh) up <= below;
         jump <= limit == 32'd0;
         if (~gate) v <= 56'd0;
-        else if (~pause) v <= arrived ? {target, 24'd0} : moved[55:0];
+        else if (~pause) begin
+            v[55:24] <= arrived ? target : moved[55:24];
+            v[23:0]  <= arrived ? 24'd0 : moved[23:0];
+        end
     end
 
     assign velocity_now = v[55:24];
