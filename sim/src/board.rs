@@ -457,7 +457,7 @@ pub(crate) mod tests {
     use crate::gmii::encode;
 
     /// Silicon in Rust: sends every received byte back four Ethernet clocks later, steps channel 0 every 10 sys clocks
-    /// with DIR from input 0, shows input 1 at output 1, closes its gate on ext_reset, and counts a 7-of-20 PWM.
+    /// backward unless input 0 is high, shows input 1 at output 1, closes its gate on ext_reset, and counts a 7-of-20 PWM.
     #[derive(Debug, Default)]
     pub(crate) struct Toy {
         delay: [(u8, u8); 4],
@@ -480,7 +480,7 @@ pub(crate) mod tests {
                 }
                 self.clock += 1;
                 pins.gate = u8::from(pins.ext_reset == 0);
-                pins.dir = (pins.gpio_in & 1) as u16;
+                pins.dir = (!pins.gpio_in & 1) as u16;
                 pins.step = u16::from(self.clock % 10 >= 5) & u16::from(pins.gate);
                 pins.gpio_out = pins.gpio_in & 2;
                 pins.pwm_out = u16::from(self.clock % 20 < 7) << 2;

@@ -143,7 +143,7 @@ pub struct EdgeWatch {
     gate: bool,
     /// Channels whose STEP is active low at the pin.
     step_inverted: u16,
-    /// Channels whose DIR is high for backward at the pin.
+    /// Channels whose DIR is low for backward at the pin.
     dir_inverted: u16,
     violations: Vec<Violation>,
     violation_count: u64,
@@ -192,7 +192,8 @@ impl EdgeWatch {
         self.channels[n].timing = timing;
     }
 
-    /// Polarity at the pins, one bit per channel: STEP active low, DIR high for backward. Set it before the board runs.
+    /// Polarity at the pins, one bit per channel, as in the stepgens' mode registers: STEP active low instead of high, DIR
+    /// low for backward instead of high. Set it before the channels move.
     pub fn set_polarity(&mut self, step_inverted: u16, dir_inverted: u16) {
         self.step = self.step ^ self.step_inverted ^ step_inverted;
         self.dir = self.dir ^ self.dir_inverted ^ dir_inverted;
@@ -260,7 +261,7 @@ impl EdgeWatch {
                 self.dir_edge(clock, n, step & old_step & bit != 0, closed_now);
             }
             if step & !old_step & bit != 0 {
-                let ahead = dir & bit != 0;
+                let ahead = dir & bit == 0;
                 if ahead {
                     forward |= bit;
                 } else {
@@ -438,14 +439,14 @@ mod tests {
     fn exact_timing_is_no_violation() {
         let mut w = watch(T);
         w.change(100, 0, 1, true);
-        assert_eq!(w.change(111, 1, 1, true), (1, 0));
+        assert_eq!(w.change(111, 1, 1, true), (0, 1));
         w.change(116, 0, 1, true);
         w.change(123, 1, 1, true);
         w.change(128, 0, 1, true);
         w.change(141, 0, 0, true);
-        assert_eq!(w.change(152, 1, 0, true), (0, 1));
+        assert_eq!(w.change(152, 1, 0, true), (1, 0));
         assert_eq!(w.violations(), []);
-        assert_eq!((w.channel(0).count, w.channel(0).pulses, w.channel(0).reversals), (1, 3, 2));
+        assert_eq!((w.channel(0).count, w.channel(0).pulses, w.channel(0).reversals), (-1, 3, 2));
         assert_eq!(w.channel(0).shortest, Shortest { steplen: 5, stepspace: 7, dirsetup: 11, dirhold: 13 });
     }
 
@@ -497,17 +498,17 @@ mod tests {
         let mut w = EdgeWatch::default();
         w.set_polarity(2, 2);
         w.change(0, 2, 2, true);
-        assert_eq!(w.change(10, 0, 2, true), (0, 2));
+        assert_eq!(w.change(10, 0, 2, true), (2, 0));
         w.change(20, 2, 0, true);
-        assert_eq!(w.change(30, 0, 0, true), (2, 0));
+        assert_eq!(w.change(30, 0, 0, true), (0, 2));
         assert_eq!((w.channel(1).count, w.channel(1).pulses), (0, 2));
     }
 
     #[test]
     fn all_channels_step_in_one_clock() {
         let mut w = EdgeWatch::default();
-        w.change(0, 0, 0x00ff, true);
-        assert_eq!(w.change(50, 0xffff, 0x00ff, true), (0x00ff, 0xff00));
+        w.change(0, 0, 0xff00, true);
+        assert_eq!(w.change(50, 0xffff, 0xff00, true), (0x00ff, 0xff00));
         assert_eq!(w.pulses(), 16);
         assert_eq!(w.counts()[15], -1);
     }
@@ -529,8 +530,8 @@ mod tests {
         w.keep_steps();
         w.record(Recorder::new(Box::new(shared.clone()), Path::new("memory"), 60_000_000));
         for i in 0..100 {
-            w.change(10 * i + 1, 3, 1, true);
-            w.change(10 * i + 5, 0, 1, true);
+            w.change(10 * i + 1, 3, 2, true);
+            w.change(10 * i + 5, 0, 2, true);
         }
         assert_eq!(w.finish_recording().unwrap(), 200);
         let (hz, steps) = read_file(&shared.0.lock().unwrap()).unwrap();

