@@ -203,7 +203,9 @@ impl Client {
     pub fn identify(&mut self) -> Result<Identity, ClientError> {
         let words = self.read_from(map::DESCRIBE, describe::WORDS)?;
         let head = words.first_chunk::<{ describe::WORDS }>();
-        let describe = head.ok_or(DescribeError::Malformed).and_then(Describe::parse);
+        let describe = head
+            .ok_or(DescribeError::Malformed)
+            .and_then(Describe::parse);
         let describe =
             describe.map_err(|error| ClientError::Describe(self.address.clone(), error))?;
         let words = self.read_from(map::DESCRIBE_BLOB, describe.blob_words as usize)?;
@@ -377,15 +379,20 @@ pub struct Session {
 impl Session {
     pub(crate) fn from_words(words: &[u32]) -> Option<Session> {
         match *words {
-            [token, last_sequence, wire_version, channels0, channels1, boot_id] if token != 0 => {
-                Some(Session {
-                    token,
-                    last_sequence,
-                    wire_version,
-                    channels: [channels0, channels1],
-                    boot_id,
-                })
-            }
+            [
+                token,
+                last_sequence,
+                wire_version,
+                channels0,
+                channels1,
+                boot_id,
+            ] if token != 0 => Some(Session {
+                token,
+                last_sequence,
+                wire_version,
+                channels: [channels0, channels1],
+                boot_id,
+            }),
             _ => None,
         }
     }

@@ -161,7 +161,12 @@ impl Driver {
         let stepgens = each(
             &mut hal,
             "stepgen",
-            names(Kind::Stepgen, "stepgen", "position-scale", channels.stepgens),
+            names(
+                Kind::Stepgen,
+                "stepgen",
+                "position-scale",
+                channels.stepgens,
+            ),
             |hal, _| Stepgen::export(hal),
         )?;
         let encoders = each(
@@ -259,9 +264,7 @@ impl Driver {
                 self.send_command(token, settled, period);
             }
             Phase::Acquiring {
-                wait: 0,
-                announced,
-                ..
+                wait: 0, announced, ..
             } => {
                 // Keeps following its pins, so that nothing jumps later.
                 let _ = self.make_command(0, false, period);
@@ -690,6 +693,9 @@ mod tests {
             channel_names(names.into_iter(), 9),
             ["x", "01", "02", "03", "04", "05"]
         );
-        assert_eq!(channel_names([Some("spindle-on")].into_iter(), 10), ["spindle-on"]);
+        assert_eq!(
+            channel_names([Some("spindle-on")].into_iter(), 10),
+            ["spindle-on"]
+        );
     }
 }

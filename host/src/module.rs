@@ -203,13 +203,19 @@ fn functions(component: &Component, index: usize, board: &mut Fenced) -> Result<
 unsafe extern "C" fn read(board: *mut c_void, period_ns: c_long) {
     // SAFETY: HAL passes back what `functions` registered, and calls from one thread at a time.
     let board = unsafe { &mut *board.cast::<Fenced>() };
-    board.read(i64::from(period_ns));
+    board.read(nanos(period_ns));
 }
 
 unsafe extern "C" fn write(board: *mut c_void, period_ns: c_long) {
     // SAFETY: as in `read`.
     let board = unsafe { &mut *board.cast::<Fenced>() };
-    board.write(i64::from(period_ns));
+    board.write(nanos(period_ns));
+}
+
+/// C's `long` is 32 bits on small machines.
+#[allow(clippy::useless_conversion)]
+fn nanos(period_ns: c_long) -> i64 {
+    i64::from(period_ns)
 }
 
 fn parameter(value: &AtomicPtr<c_char>) -> String {

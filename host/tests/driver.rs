@@ -79,8 +79,7 @@ impl Rig {
     /// Runs a ramped move of `distance` with x enabled.
     fn travel(&mut self, distance: f64, periods: usize) {
         let start: f64 = self.hal.get("ferrocnc.0.stepgen.x.position-fb");
-        self.hal
-            .set("ferrocnc.0.stepgen.x.position-cmd", start);
+        self.hal.set("ferrocnc.0.stepgen.x.position-cmd", start);
         self.run(1);
         self.hal.set("ferrocnc.0.stepgen.x.enable", true);
         self.run(2);
@@ -122,9 +121,9 @@ fn every_name_is_lower_case_with_hyphens_and_at_most_41_characters() {
     let rig = Rig::new();
     let mut count = 0;
     for (name, _, _) in rig.hal.list() {
-        let good = name.bytes().all(|b| {
-            b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-' || b == b'.'
-        });
+        let good = name
+            .bytes()
+            .all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-' || b == b'.');
         assert!(good && name.len() <= 41, "{name}");
         count += 1;
     }
@@ -439,7 +438,10 @@ fn the_margin_is_what_the_watchdog_had_left() {
     let mut rig = Rig::armed();
     rig.run(10);
     // 5 ms less one period.
-    assert_eq!(rig.hal.get::<u32>("ferrocnc.0.watchdog.margin-ns"), 4_000_000);
+    assert_eq!(
+        rig.hal.get::<u32>("ferrocnc.0.watchdog.margin-ns"),
+        4_000_000
+    );
     assert_eq!(
         rig.hal.get::<u32>("ferrocnc.0.watchdog.margin-ns-min"),
         4_000_000

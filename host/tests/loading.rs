@@ -58,7 +58,10 @@ fn an_unreachable_board_is_named_with_how_long_it_was_tried() {
     let silent = port.local_addr().unwrap().to_string();
     let start = Instant::now();
     let message = connect(&silent).unwrap_err();
-    says(&message, &[&silent, "no answer", "0.", "check power, cable"]);
+    says(
+        &message,
+        &[&silent, "no answer", "0.", "check power, cable"],
+    );
     assert!(start.elapsed() < Duration::from_secs(5));
     drop(port);
     let message = connect(&silent).unwrap_err();
@@ -71,7 +74,10 @@ fn a_wrong_abi_is_told_with_both_numbers() {
         abi_gateware: Some(0x1234_5678),
         ..Knobs::default()
     });
-    says(&message, &["0xfe440c4c", "0x12345678", "flash a matching pair"]);
+    says(
+        &message,
+        &["0xfe440c4c", "0x12345678", "flash a matching pair"],
+    );
 }
 
 #[test]

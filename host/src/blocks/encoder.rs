@@ -104,16 +104,14 @@ impl Encoder {
         self.count.set(counts as i32);
         self.position.set(counts as f64 / scale);
 
-        let edge = Clocks(now.0.wrapping_sub(u64::from(
-            (now.0 as u32).wrapping_sub(status.edge_time),
-        )));
-        let per_second = self.speed.update(
-            moved,
-            edge,
-            now,
-            self.vel_timeout.get(),
-            period.clock_hz,
-        ) / scale;
+        let edge = Clocks(
+            now.0
+                .wrapping_sub(u64::from((now.0 as u32).wrapping_sub(status.edge_time))),
+        );
+        let per_second =
+            self.speed
+                .update(moved, edge, now, self.vel_timeout.get(), period.clock_hz)
+                / scale;
         self.velocity.set(per_second);
         self.velocity_rpm.set(per_second * 60.0);
     }

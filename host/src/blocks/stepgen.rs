@@ -379,9 +379,7 @@ mod tests {
             self.hal.set("s.position-cmd", position);
             // The prediction of this read is for the next command, one period on; the fabric is
             // there when the command it was made from has run.
-            let target = self
-                .stepgen
-                .command(true, Feedback::Fresh, self.period);
+            let target = self.stepgen.command(true, Feedback::Fresh, self.period);
             self.run(target);
             target
         }

@@ -130,9 +130,15 @@ impl Backend for FakeHal {
         NonNull::new(self.memory.last_mut()?.as_mut_ptr().cast())
     }
 
-    fn pin(&mut self, name: &CStr, ty: Type, direction: Direction, slot: *mut *mut c_void) -> i32 {
+    unsafe fn pin(
+        &mut self,
+        name: &CStr,
+        ty: Type,
+        direction: Direction,
+        slot: *mut *mut c_void,
+    ) -> i32 {
         let value = self.cell();
-        // SAFETY: `slot` came from `allocate`.
+        // SAFETY: the caller's promise: `slot` came from `allocate`.
         unsafe { slot.write_volatile(value) };
         self.add(Entry {
             name: name.to_string_lossy().into_owned(),
@@ -143,7 +149,13 @@ impl Backend for FakeHal {
         })
     }
 
-    fn param(&mut self, name: &CStr, ty: Type, direction: Direction, value: *mut c_void) -> i32 {
+    unsafe fn param(
+        &mut self,
+        name: &CStr,
+        ty: Type,
+        direction: Direction,
+        value: *mut c_void,
+    ) -> i32 {
         self.add(Entry {
             name: name.to_string_lossy().into_owned(),
             ty,

@@ -86,9 +86,27 @@ pub trait Backend {
     /// Zeroed memory that lives as long as the component, aligned to 8 bytes.
     fn allocate(&mut self, bytes: usize) -> Option<NonNull<u8>>;
     /// Makes a pin; the backend stores the pointer to its value in `slot`.
-    fn pin(&mut self, name: &CStr, ty: Type, direction: Direction, slot: *mut *mut c_void) -> i32;
+    ///
+    /// # Safety
+    /// `slot` must come from this backend's [`Backend::allocate`], with room for a pointer.
+    unsafe fn pin(
+        &mut self,
+        name: &CStr,
+        ty: Type,
+        direction: Direction,
+        slot: *mut *mut c_void,
+    ) -> i32;
     /// Makes a parameter whose value is `value`.
-    fn param(&mut self, name: &CStr, ty: Type, direction: Direction, value: *mut c_void) -> i32;
+    ///
+    /// # Safety
+    /// `value` must come from this backend's [`Backend::allocate`], with room for a `ty`.
+    unsafe fn param(
+        &mut self,
+        name: &CStr,
+        ty: Type,
+        direction: Direction,
+        value: *mut c_void,
+    ) -> i32;
 }
 
 /// Says something to the operator. Must not allocate: it is called from the servo thread.
@@ -272,9 +290,11 @@ impl<'b> Exporter<'b> {
     ) -> Result<Pin<T, D>, ExportError> {
         let (text, name) = self.full_name(name)?;
         let slot = self.memory::<*mut T::Raw>(&text)?;
-        let result = self
-            .backend
-            .pin(&name, T::TYPE, direction, slot.as_ptr().cast());
+        // SAFETY: `memory` asked the backend for a pointer's room.
+        let result = unsafe {
+            self.backend
+                .pin(&name, T::TYPE, direction, slot.as_ptr().cast())
+        };
         check(text, result)?;
         Ok(Pin {
             slot,
@@ -290,9 +310,11 @@ impl<'b> Exporter<'b> {
     ) -> Result<Param<T>, ExportError> {
         let (text, name) = self.full_name(name)?;
         let value = self.memory::<T::Raw>(&text)?;
-        let result = self
-            .backend
-            .param(&name, T::TYPE, direction, value.as_ptr().cast());
+        // SAFETY: `memory` asked the backend for a `T::Raw`'s room, which is `T::TYPE`'s.
+        let result = unsafe {
+            self.backend
+                .param(&name, T::TYPE, direction, value.as_ptr().cast())
+        };
         check(text, result)?;
         let param = Param { value };
         param.set(initial);

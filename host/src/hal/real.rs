@@ -66,15 +66,25 @@ impl Backend for Component {
         Some(memory)
     }
 
-    fn pin(&mut self, name: &CStr, ty: Type, direction: Direction, slot: *mut *mut c_void) -> i32 {
-        // SAFETY: `slot` lies in `hal_malloc` memory, zeroed, as HAL insists.
-        unsafe {
-            (self.api.hal_pin_new)(name.as_ptr(), ty as i32, direction as i32, slot, self.id)
-        }
+    unsafe fn pin(
+        &mut self,
+        name: &CStr,
+        ty: Type,
+        direction: Direction,
+        slot: *mut *mut c_void,
+    ) -> i32 {
+        // SAFETY: the caller's promise: `slot` lies in `hal_malloc` memory, zeroed, as HAL insists.
+        unsafe { (self.api.hal_pin_new)(name.as_ptr(), ty as i32, direction as i32, slot, self.id) }
     }
 
-    fn param(&mut self, name: &CStr, ty: Type, direction: Direction, value: *mut c_void) -> i32 {
-        // SAFETY: `value` lies in `hal_malloc` memory of that type's size.
+    unsafe fn param(
+        &mut self,
+        name: &CStr,
+        ty: Type,
+        direction: Direction,
+        value: *mut c_void,
+    ) -> i32 {
+        // SAFETY: the caller's promise: `value` lies in `hal_malloc` memory of that type's size.
         unsafe {
             (self.api.hal_param_new)(name.as_ptr(), ty as i32, direction as i32, value, self.id)
         }

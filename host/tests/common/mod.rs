@@ -365,8 +365,7 @@ impl Mind {
             }
             map::SESSION_RELEASE if owner => Ok(()),
             map::CONFIG..map::COMMAND if owner => {
-                let live_safe =
-                    (0x400..0x800).contains(&(address & 0xfff)) && address & 0x3c == 0;
+                let live_safe = (0x400..0x800).contains(&(address & 0xfff)) && address & 0x3c == 0;
                 if self.gate && !live_safe {
                     Err(Refusal::Armed)
                 } else {
@@ -449,8 +448,8 @@ impl Mind {
             return Err(Refusal::NotOwner);
         }
         exchange::judge_sequence(command.sequence, self.last_sequence)?;
-        let left = (self.fed + u64::from(self.setting(map::CONFIG_BOARD)))
-            .saturating_sub(self.now) as u32;
+        let left =
+            (self.fed + u64::from(self.setting(map::CONFIG_BOARD))).saturating_sub(self.now) as u32;
         // Sampled on the clock of the commit: before it takes effect.
         let mut stepgen = [(Position::ZERO, StepRate(0)); exchange::MAX_CHANNELS];
         let mut encoder = [EncoderStatus::default(); exchange::MAX_CHANNELS];
@@ -542,11 +541,7 @@ impl Mind {
                     self.gate = true;
                 }
             }
-            State::Boot
-            | State::Disarmed
-            | State::Armed
-            | State::Stopping
-            | State::Faulted => {}
+            State::Boot | State::Disarmed | State::Armed | State::Stopping | State::Faulted => {}
         }
         self.edge = false;
     }

@@ -1,0 +1,188 @@
+//! `ferrocnc describe`: everything a board says of itself.
+
+use anyhow::Result;
+use ferrocnc::client::{Client, Identity};
+use serde_json::{Value, json};
+use std::io::Write;
+use wire::board::Kind;
+use wire::describe::OBSTACLE_ABI;
+
+pub(crate) fn run(client: &mut Client, as_json: bool) -> Result<()> {
+    let identity = client.identify()?;
+    let mut out = std::io::stdout().lock();
+    if as_json {
+        writeln!(out, "{:#}", to_json(&identity))?;
+    } else {
+        write!(out, "{}", to_text(&identity))?;
+    }
+    Ok(())
+}
+
+/// Names of one kind's channels, with their header pins.
+fn channels(identity: &Identity, kind: Kind, class: char, count: u8) -> Vec<(String, String)> {
+    let blob = identity.blob();
+    let pins = |n: u8| {
+        let mut of_class = blob.entries().filter(|entry| {
+            entry.kind == Kind::Pins
+                && entry.channel == n
+                && entry.value.first().copied() == Some(class as u8)
+        });
+        let text = of_class
+            .next()
+            .and_then(|entry| std::str::from_utf8(&entry.value[1..]).ok());
+        text.unwrap_or("").to_owned()
+    };
+    (0..count)
+        .map(|n| {
+            let name = blob.text(kind, n).unwrap_or("");
+            (name.to_owned(), pins(n))
+        })
+        .collect()
+}
+
+fn classes(identity: &Identity) -> [(&'static str, Vec<(String, String)>); 5] {
+    let counts = identity.describe.channels;
+    [
+        (
+            "stepgen",
+            channels(identity, Kind::Stepgen, 's', counts.stepgens),
+        ),
+        (
+            "encoder",
+            channels(identity, Kind::Encoder, 'e', counts.encoders),
+        ),
+        ("pwm", channels(identity, Kind::Pwm, 'p', counts.pwms)),
+        ("input", channels(identity, Kind::Input, 'i', counts.inputs)),
+        (
+            "output",
+            channels(identity, Kind::Output, 'o', counts.outputs),
+        ),
+    ]
+}
+
+pub(crate) fn version(word: u32) -> String {
+    format!("{}.{}.{}", word >> 16, word >> 8 & 0xff, word & 0xff)
+}
+
+fn network(identity: &Identity) -> (Option<String>, Option<String>, Option<u16>) {
+    let blob = identity.blob();
+    let value = |kind| {
+        blob.entries()
+            .find(|entry| entry.kind == kind)
+            .map(|entry| entry.value)
+    };
+    let mac = value(Kind::Mac).map(|bytes| {
+        let parts: Vec<String> = bytes.iter().map(|b| format!("{b:02x}")).collect();
+        parts.join(":")
+    });
+    let ip = value(Kind::Ipv4).map(|bytes| {
+        let parts: Vec<String> = bytes.iter().map(u8::to_string).collect();
+        parts.join(".")
+    });
+    let port = value(Kind::Port).and_then(|bytes| bytes.try_into().ok().map(u16::from_be_bytes));
+    (mac, ip, port)
+}
+
+fn to_json(identity: &Identity) -> Value {
+    let describe = &identity.describe;
+    let blob = identity.blob();
+    let (mac, ip, port) = network(identity);
+    let mut value = json!({
+        "board": blob.text(Kind::Board, 0),
+        "configuration": blob.text(Kind::Configuration, 0),
+        "wire_version": describe.wire_version,
+        "abi_firmware": describe.abi_firmware,
+        "abi_gateware": describe.abi_gateware,
+        "firmware_version": version(describe.firmware_version),
+        "gateware_version": version(describe.gateware_version),
+        "clock_hz": describe.clock_hz,
+        "boot_id": describe.boot_id,
+        "state": describe.state.state.text(),
+        "fault_reason": describe.state.reason.text(),
+        "enabled": describe.state.enabled,
+        "position_trusted": describe.state.position_trusted,
+        "bitten": describe.state.bitten,
+        "external_reset": describe.state.external_reset,
+        "obstacles": describe.obstacles,
+        "default_mac": mac,
+        "default_ip": ip,
+        "default_port": port,
+    });
+    for (class, list) in classes(identity) {
+        value[class] = list
+            .into_iter()
+            .map(|(name, pins)| json!({ "name": name, "pins": pins }))
+            .collect();
+    }
+    value
+}
+
+fn to_text(identity: &Identity) -> String {
+    use std::fmt::Write;
+    let describe = &identity.describe;
+    let blob = identity.blob();
+    let mut text = String::new();
+    let mut line = |name: &str, value: String| {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "{name:<10} {value}");
+    };
+    line(
+        "board",
+        format!(
+            "{}, configuration {}",
+            blob.text(Kind::Board, 0).unwrap_or("unnamed"),
+            blob.text(Kind::Configuration, 0).unwrap_or("unnamed")
+        ),
+    );
+    line(
+        "versions",
+        format!(
+            "firmware {}, gateware {}, wire {}",
+            version(describe.firmware_version),
+            version(describe.gateware_version),
+            describe.wire_version
+        ),
+    );
+    line(
+        "abi",
+        if describe.abi_firmware == describe.abi_gateware {
+            format!("{:#010x}", describe.abi_firmware)
+        } else {
+            format!(
+                "firmware {:#010x}, gateware {:#010x}: flash a matching pair",
+                describe.abi_firmware, describe.abi_gateware
+            )
+        },
+    );
+    line(
+        "clock",
+        format!("{} MHz", f64::from(describe.clock_hz) / 1e6),
+    );
+    line("boot id", format!("{:#010x}", describe.boot_id));
+    let state = &describe.state;
+    let mut doing = state.state.text().to_owned();
+    if state.reason != wire::FaultReason::None {
+        doing += &format!(", stopped by {}", state.reason);
+    }
+    if describe.obstacles & OBSTACLE_ABI != 0 {
+        doing += ", will not arm: ABI mismatch";
+    }
+    line("state", doing);
+    if let (Some(mac), Some(ip), Some(port)) = network(identity) {
+        line("default", format!("{ip}:{port}, MAC {mac}"));
+    }
+    for (class, list) in classes(identity) {
+        for (n, (name, pins)) in list.into_iter().enumerate() {
+            let head = if n == 0 {
+                format!("{class} ")
+            } else {
+                String::new()
+            };
+            line(
+                &head,
+                format!("{n:>2}  {name:<16} {pins}").trim_end().to_owned(),
+            );
+        }
+    }
+    text
+}

@@ -1,0 +1,141 @@
+//! `ferrocnc log`: the firmware's defmt frames out of the board's ring, as text.
+//!
+//! The firmware stores numbers; the texts are in its ELF. A ring that has gone round begins in the
+//! middle of a frame: frames end with a zero byte, so the decoder finds the next one by itself.
+
+use anyhow::{Context, Result, bail, ensure};
+use defmt_decoder::{DecodeError, Table};
+use ferrocnc::client::Client;
+use serde_json::json;
+use std::io::Write;
+use std::path::Path;
+use std::time::Duration;
+use wire::map;
+
+/// More than any board's ring: a size beyond this is no size.
+const RING_MOST: u32 = 4096;
+
+pub(crate) fn run(client: &mut Client, elf: &Path, follow: bool, as_json: bool) -> Result<()> {
+    let bytes = std::fs::read(elf).with_context(|| {
+        format!(
+            "cannot read {}; name the firmware's ELF with --elf",
+            elf.display()
+        )
+    })?;
+    let table = Table::parse(&bytes)
+        .with_context(|| format!("{} holds no usable log texts", elf.display()))?;
+    let Some(table) = table else {
+        bail!(
+            "{} has no .defmt section; is it the firmware?",
+            elf.display()
+        );
+    };
+    let mut decoder = table.new_stream_decoder();
+    let mut reader = Reader::default();
+    loop {
+        let (fresh, lost) = reader.fetch(client)?;
+        if lost > 0 && follow {
+            eprintln!("ferrocnc: {lost} bytes of log were overwritten before they could be read");
+        }
+        decoder.received(&fresh);
+        let mut out = std::io::stdout().lock();
+        loop {
+            match decoder.decode() {
+                Ok(frame) if as_json => writeln!(
+                    out,
+                    "{}",
+                    json!({
+                        "level": frame.level().map(|level| level.as_str()),
+                        "timestamp": frame.display_timestamp().map(|t| t.to_string()),
+                        "text": frame.display_message().to_string(),
+                    })
+                )?,
+                Ok(frame) => writeln!(out, "{}", frame.display(false))?,
+                Err(DecodeError::UnexpectedEof) => break,
+                // Half a frame where the ring was cut.
+                Err(DecodeError::Malformed) => {}
+            }
+        }
+        out.flush()?;
+        if !follow {
+            return Ok(());
+        }
+        std::thread::sleep(Duration::from_millis(500));
+    }
+}
+
+/// Where the last look ended.
+#[derive(Default)]
+struct Reader {
+    seen: Option<u32>,
+}
+
+impl Reader {
+    /// What is new since the last call, and how many bytes were lost in between.
+    fn fetch(&mut self, client: &mut Client) -> Result<(Vec<u8>, u32)> {
+        let head = client.read(&[map::LOG, map::LOG + 4])?;
+        let [head, size] = head[..] else {
+            bail!("the board's log window makes no sense");
+        };
+        ensure!(
+            size.is_power_of_two() && (4..=RING_MOST).contains(&size),
+            "the board keeps no log (its ring is {size} bytes)"
+        );
+        let words = client.read_from(map::LOG_RING, size as usize / 4)?;
+        let after = client.read(&[map::LOG])?[0];
+        let mut ring = vec![0; size as usize];
+        wire::words_to_bytes(&words, &mut ring);
+        Ok(self.take(&ring, head, after))
+    }
+
+    /// Of the ring as read while the head went from `head` to `after`: what may be believed.
+    fn take(&mut self, ring: &[u8], head: u32, after: u32) -> (Vec<u8>, u32) {
+        let size = ring.len() as u32;
+        let written = after.wrapping_sub(head).min(size);
+        // Everything older than this was, or may have been, overwritten meanwhile. A head below the
+        // size after start-up cannot be told from a wrapped one; zeros decode to nothing.
+        let believable = size - written;
+        let available = believable.min(if self.seen.is_none() && head < size {
+            head
+        } else {
+            size
+        });
+        let wanted = self.seen.map_or(available, |seen| head.wrapping_sub(seen));
+        let taken = wanted.min(available);
+        self.seen = Some(head);
+        let bytes = (0..taken)
+            .map(|n| ring[(head.wrapping_sub(taken).wrapping_add(n) % size) as usize])
+            .collect();
+        (bytes, wanted - taken)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_young_ring_is_read_from_its_start() {
+        let mut reader = Reader::default();
+        assert_eq!(reader.take(b"abc.....", 3, 3), (b"abc".to_vec(), 0));
+        assert_eq!(reader.take(b"abcde...", 5, 5), (b"de".to_vec(), 0));
+    }
+
+    #[test]
+    fn a_ring_that_went_round_is_unrolled() {
+        let mut reader = Reader::default();
+        assert_eq!(reader.take(b"ijcdefgh", 10, 10), (b"cdefghij".to_vec(), 0));
+    }
+
+    #[test]
+    fn what_was_overwritten_while_reading_is_not_believed() {
+        let mut reader = Reader::default();
+        assert_eq!(reader.take(b"ijklefgh", 10, 12), (b"efghij".to_vec(), 0));
+    }
+
+    #[test]
+    fn what_was_missed_is_counted() {
+        let mut reader = Reader { seen: Some(0) };
+        assert_eq!(reader.take(b"ijklmnop", 16, 16), (b"ijklmnop".to_vec(), 8));
+    }
+}

@@ -1,0 +1,119 @@
+//! `ferrocnc`: looks at a board from the command line. It takes no session and changes nothing, so it
+//! may be used while LinuxCNC drives the board.
+
+mod console;
+mod describe;
+mod log;
+mod watch;
+
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand};
+use ferrocnc::address::{self, Address};
+use ferrocnc::client::Client;
+use std::process::ExitCode;
+
+/// Look at a FerroCNC board.
+#[derive(Parser)]
+#[command(name = "ferrocnc", version)]
+struct Arguments {
+    /// Answer in JSON.
+    #[arg(long, global = true)]
+    json: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// What the board is: versions, channels and their names, clock, state.
+    Describe {
+        /// IP[:port] of the board.
+        #[arg(value_name = "ADDR")]
+        address: String,
+    },
+    /// What it is doing: state, positions, inputs, counters. No session is taken.
+    Watch {
+        /// IP[:port] of the board.
+        #[arg(value_name = "ADDR")]
+        address: String,
+        /// Show it once and end.
+        #[arg(long)]
+        once: bool,
+        /// Milliseconds between two looks.
+        #[arg(long, default_value_t = 200, value_name = "MS")]
+        interval: u64,
+    },
+    /// The firmware's log.
+    Log {
+        /// IP[:port] of the board.
+        #[arg(value_name = "ADDR")]
+        address: String,
+        /// The firmware's ELF file: it holds the texts.
+        #[arg(
+            long,
+            value_name = "FILE",
+            default_value = "target/firmware/ferrocnc-firmware.elf"
+        )]
+        elf: std::path::PathBuf,
+        /// Keep showing what is added.
+        #[arg(long, short)]
+        follow: bool,
+    },
+    /// The board's debug console.
+    Console {
+        /// IP[:port] of the console; the port is telnet's if not given.
+        #[arg(value_name = "ADDR")]
+        address: String,
+        /// Run one command and end.
+        #[arg(short, long, value_name = "COMMAND")]
+        command: Option<String>,
+    },
+}
+
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        // Whoever reads from us has closed the pipe: nothing to complain about.
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("ferrocnc: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> Result<()> {
+    let json = arguments.json;
+    match &arguments.command {
+        Command::Describe { address } => describe::run(&mut open(address)?, json),
+        Command::Watch {
+            address,
+            once,
+            interval,
+        } => watch::run(&mut open(address)?, *once, *interval, json),
+        Command::Log {
+            address,
+            elf,
+            follow,
+        } => log::run(&mut open(address)?, elf, *follow, json),
+        Command::Console { address, command } => {
+            let address = parse(address, wire::CONSOLE_PORT)?;
+            console::run(&address, command.as_deref(), json)
+        }
+    }
+}
+
+fn parse(text: &str, port: u16) -> Result<Address> {
+    Ok(address::parse(text, port)?)
+}
+
+fn open(text: &str) -> Result<Client> {
+    let address = parse(text, wire::DEFAULT_PORT)?;
+    Client::open(&address).context("no socket")
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error
+        .downcast_ref::<std::io::Error>()
+        .is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe)
+}

@@ -1,0 +1,224 @@
+//! `ferrocnc watch`: the status window, again and again. Reading it changes nothing on the board.
+
+use anyhow::{Context, Result};
+use ferrocnc::client::{Client, Identity};
+use serde_json::{Value, json};
+use std::io::Write;
+use std::time::Duration;
+use wire::board::Kind;
+use wire::exchange::{Status, status_words};
+use wire::units::Clocks;
+use wire::{Refusal, map};
+
+/// Clears the screen and goes home; what every terminal since 1978 understands.
+const HOME: &str = "\x1b[2J\x1b[H";
+/// Frames received, sent, exchanges.
+const PLAIN_COUNTERS: usize = 3;
+
+pub(crate) fn run(client: &mut Client, once: bool, interval: u64, as_json: bool) -> Result<()> {
+    let identity = client.identify()?;
+    loop {
+        let look = Look::take(client, &identity)?;
+        let mut out = std::io::stdout().lock();
+        if as_json {
+            writeln!(out, "{}", look.to_json(&identity))?;
+        } else {
+            let home = if once { "" } else { HOME };
+            write!(out, "{home}{}", look.to_text(&identity))?;
+        }
+        out.flush()?;
+        if once {
+            return Ok(());
+        }
+        std::thread::sleep(Duration::from_millis(interval));
+    }
+}
+
+struct Look {
+    status: Status,
+    counters: Vec<u32>,
+    owner: Option<std::net::SocketAddrV4>,
+}
+
+impl Look {
+    fn take(client: &mut Client, identity: &Identity) -> Result<Look> {
+        let channels = identity.describe.channels;
+        let words = client.read_from(map::STATUS, status_words(channels))?;
+        let status = Status::parse(&words, channels)
+            .context("the board's status makes no sense; compare versions with describe")?;
+        let counters = client.read_from(map::COUNTERS, PLAIN_COUNTERS + Refusal::COUNT)?;
+        let owner = client.read(&[map::SESSION_OWNER_IP, map::SESSION_OWNER_PORT])?;
+        let owner = match owner[..] {
+            [ip, port] if ip != 0 => Some(std::net::SocketAddrV4::new(ip.into(), port as u16)),
+            _ => None,
+        };
+        Ok(Look {
+            status,
+            counters,
+            owner,
+        })
+    }
+
+    fn refusals(&self) -> impl Iterator<Item = (&'static str, u32)> {
+        let counts = self.counters.iter().skip(PLAIN_COUNTERS);
+        Refusal::ALL
+            .iter()
+            .zip(counts)
+            .filter(|(_, count)| **count != 0)
+            .map(|(reason, count)| (reason.key(), *count))
+    }
+
+    fn to_json(&self, identity: &Identity) -> Value {
+        let channels = identity.describe.channels;
+        let clock = f64::from(identity.describe.clock_hz);
+        let status = &self.status;
+        let blob = identity.blob();
+        let name = |kind, n: usize| blob.text(kind, n as u8).unwrap_or("").to_owned();
+        let stepgens: Vec<Value> = status.stepgen[..channels.stepgens.into()]
+            .iter()
+            .enumerate()
+            .map(|(n, (position, rate))| {
+                json!({
+                    "name": name(Kind::Stepgen, n),
+                    "pulses": position.pulses(),
+                    "position": position.steps(),
+                    "rate_hz": rate.to_hz(clock),
+                    "rate_limited": status.rate_limited >> n & 1 != 0,
+                })
+            })
+            .collect();
+        let encoders: Vec<Value> = status.encoder[..channels.encoders.into()]
+            .iter()
+            .enumerate()
+            .map(|(n, encoder)| {
+                json!({
+                    "name": name(Kind::Encoder, n),
+                    "count": encoder.count.0 as i32,
+                    "latch": encoder.latch.0 as i32,
+                })
+            })
+            .collect();
+        let inputs: Vec<Value> = (0..usize::from(channels.inputs))
+            .map(|n| json!({ "name": name(Kind::Input, n), "level": status.gpio_in >> n & 1 != 0 }))
+            .collect();
+        json!({
+            "state": status.state.state.text(),
+            "fault_reason": status.state.reason.text(),
+            "enabled": status.state.enabled,
+            "position_trusted": status.state.position_trusted,
+            "bitten": status.state.bitten,
+            "external_reset": status.state.external_reset,
+            "owner": self.owner.map(|owner| owner.to_string()),
+            "sequence": status.sequence,
+            "sample_clock": status.sample.0,
+            "sample_seconds": status.sample.to_seconds(clock),
+            "boot_id": status.boot_id,
+            "stepgen": stepgens,
+            "encoder": encoders,
+            "input": inputs,
+            "frames_rx": self.counters.first(),
+            "frames_tx": self.counters.get(1),
+            "exchanges": self.counters.get(2),
+            "refused": self.refusals().map(|(key, count)| (key.to_owned(), count.into())).collect::<serde_json::Map<_, _>>(),
+        })
+    }
+
+    fn to_text(&self, identity: &Identity) -> String {
+        use std::fmt::Write;
+        let channels = identity.describe.channels;
+        let clock = f64::from(identity.describe.clock_hz);
+        let blob = identity.blob();
+        let status = &self.status;
+        let word = status.state;
+        let mut text = String::new();
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{}{}{}{}{}",
+            word.state,
+            if word.enabled { ", outputs live" } else { "" },
+            match word.reason {
+                wire::FaultReason::None => String::new(),
+                reason => format!(", stopped last by: {reason}"),
+            },
+            if word.bitten { ", watchdog bitten" } else { "" },
+            if word.external_reset {
+                ", external reset"
+            } else {
+                ""
+            },
+        );
+        let _ = writeln!(
+            text,
+            "session {}, sequence {}, sampled at {:.3} s, positions {}",
+            self.owner
+                .map_or("nobody's".to_owned(), |owner| format!("of {owner}")),
+            status.sequence,
+            Clocks(status.sample.0).to_seconds(clock),
+            if word.position_trusted {
+                "trusted"
+            } else {
+                "not trusted"
+            },
+        );
+        let mut counted = String::new();
+        for (key, count) in self.refusals() {
+            let _ = write!(counted, ", refused {key} {count}");
+        }
+        let _ = writeln!(
+            text,
+            "frames in {}, out {}, exchanges {}{counted}",
+            self.counters[0], self.counters[1], self.counters[2]
+        );
+        let _ = writeln!(
+            text,
+            "\n{:<20} {:>14} {:>16} {:>14}",
+            "stepgen", "pulses", "position", "steps/s"
+        );
+        let name = |kind, n: usize| format!("{n:>2} {}", blob.text(kind, n as u8).unwrap_or(""));
+        for (n, (position, rate)) in status.stepgen[..channels.stepgens.into()]
+            .iter()
+            .enumerate()
+        {
+            let limited = if status.rate_limited >> n & 1 != 0 {
+                " limited"
+            } else {
+                ""
+            };
+            let _ = writeln!(
+                text,
+                "{:<20} {:>14} {:>16.3} {:>14.1}{limited}",
+                name(Kind::Stepgen, n),
+                position.pulses(),
+                position.steps(),
+                rate.to_hz(clock)
+            );
+        }
+        let _ = writeln!(text, "\n{:<20} {:>14} {:>16}", "encoder", "count", "index");
+        for (n, encoder) in status.encoder[..channels.encoders.into()]
+            .iter()
+            .enumerate()
+        {
+            let latched = if status.index_latched >> n & 1 != 0 {
+                (encoder.latch.0 as i32).to_string()
+            } else {
+                "-".to_owned()
+            };
+            let _ = writeln!(
+                text,
+                "{:<20} {:>14} {latched:>16}",
+                name(Kind::Encoder, n),
+                encoder.count.0 as i32
+            );
+        }
+        let levels: Vec<String> = (0..usize::from(channels.inputs))
+            .map(|n| {
+                let name = blob.text(Kind::Input, n as u8);
+                let name = name.map_or_else(|| format!("{n:02}"), str::to_owned);
+                format!("{name}={}", status.gpio_in >> n & 1)
+            })
+            .collect();
+        let _ = writeln!(text, "\ninputs  {}", levels.join(" "));
+        text
+    }
+}
