@@ -72,7 +72,18 @@ impl Rig {
     fn run(&mut self, periods: usize) {
         for _ in 0..periods {
             self.driver.read(PERIOD_NS);
+            let (seen, unplugged) = {
+                let board = self.board.look();
+                (board.datagrams, board.knobs.unplugged)
+            };
             self.driver.write(PERIOD_NS);
+            // A knob turned before the board has seen this command would hit the wrong one.
+            for _ in 0..if unplugged { 0 } else { 100 } {
+                if self.board.look().datagrams != seen {
+                    break;
+                }
+                std::thread::sleep(Duration::from_micros(20));
+            }
         }
     }
 
@@ -263,13 +274,14 @@ fn from_the_second_missing_answer_on_feedback_stands_still() {
     rig.hal.set("ferrocnc.0.stepgen.x.velocity-cmd", 10.0);
     rig.hal.set("ferrocnc.0.stepgen.x.enable", true);
     rig.run(100);
-    rig.hal.set("ferrocnc.0.packet-read-timeout", 2_000_000);
     rig.board.look().knobs.drop_replies = 3;
     let mut positions = vec![rig.position()];
-    for _ in 0..4 {
+    for timeout in [200_000_000, 100_000, 100_000, 100_000] {
+        rig.hal.set("ferrocnc.0.packet-read-timeout", timeout);
         rig.run(1);
         positions.push(rig.position());
     }
+    rig.hal.set("ferrocnc.0.packet-read-timeout", 200_000_000);
     assert!(positions[1] > positions[0]);
     assert!((positions[2] - positions[1] - 0.01).abs() < 1e-6, "bridged");
     assert_eq!(positions[2], positions[3], "frozen");
