@@ -1,0 +1,25 @@
+//! Link arguments of the image. The memory map is the repository's generated `memory.x`.
+
+use std::env;
+use std::path::Path;
+
+/// Stack budget in bytes; the linker refuses an image that leaves less. Measured use is in the
+/// console's `status`.
+const STACK: u32 = 6 * 1024;
+
+fn main() {
+    println!("cargo:rerun-if-changed=build.rs");
+    let target = env::var("TARGET").unwrap_or_default();
+    if env::var_os("CARGO_FEATURE_SOC").is_none() || !target.starts_with("riscv32") {
+        return;
+    }
+    let manifest = env::var("CARGO_MANIFEST_DIR").unwrap_or_default();
+    let root = Path::new(&manifest).parent().unwrap_or(Path::new("."));
+    println!("cargo:rerun-if-changed={}", root.join("memory.x").display());
+    println!("cargo:rustc-link-search={}", root.display());
+    // riscv-rt evaluates ORIGIN(REGION_TEXT) when it reads link.x: memory.x has to come first.
+    for script in ["memory.x", "link.x", "defmt.x"] {
+        println!("cargo:rustc-link-arg-bins=-T{script}");
+    }
+    println!("cargo:rustc-link-arg-bins=--defsym=_hart_stack_size={STACK}");
+}

@@ -1,0 +1,331 @@
+//! The only code that names the PAC: registers behind [`firmware::cores::Board`], the MAC's slots,
+//! what survives a restart, and start-up.
+
+mod hal;
+mod logger;
+mod mac;
+mod postmortem;
+mod stack;
+
+pub use mac::{Mac, TxSlot};
+pub use postmortem::restart;
+pub use stack::{check as check_stack, used as stack_used};
+
+use crate::app::{Memory, SocketMemory};
+use core::ptr::{read_volatile, write_volatile};
+use firmware::cores::{self, Board, Control, Gate, Ident, Led, Setting};
+use firmware::net::Us;
+use firmware::{log, postmortem as record};
+use litex_pac::{Peripherals, abi};
+use smoltcp::time::Instant;
+use wire::board::{Blob, Kind};
+use wire::describe::Channels;
+use wire::map::{BoardConfig, StepgenConfig};
+
+/// The register map this image was built for.
+pub const ABI: u32 = abi::ABI;
+
+// The lib numbers the words of two pages by itself, because it must not know this crate.
+const _: () = {
+    assert!(abi::COMMAND_ENABLES == cores::STAGE_ENABLES);
+    assert!(abi::COMMAND_STEPGEN == cores::STAGE_STEPGEN);
+    assert!(abi::COMMAND_PWM == cores::STAGE_PWM);
+    assert!(abi::STATUS_SAMPLE_LO == cores::LATCH_SAMPLE);
+    assert!(abi::STATUS_GPIO_IN == cores::LATCH_INPUTS);
+    assert!(abi::STATUS_STEPGEN == cores::LATCH_STEPGEN);
+    assert!(abi::STATUS_ENCODER == cores::LATCH_ENCODER);
+    assert!(abi::STROBE_COMMIT == cores::STROBE_COMMIT);
+    assert!(abi::STROBE_SAMPLE == cores::STROBE_SAMPLE);
+    assert!(abi::STROBE_COMMIT_AT == cores::STROBE_COMMIT_AT);
+    assert!(abi::CSR_BASE as u32 == wire::map::SERVICE);
+    assert!(abi::STEPGEN_MAX == wire::exchange::MAX_CHANNELS);
+};
+
+/// 192.168.2.50, as Lcnc; for a board whose ROM names none.
+const FALLBACK_IP: u32 = 0xc0a8_0232;
+/// Locally administered; for a board whose ROM names none.
+const FALLBACK_MAC: [u8; 6] = [0x12, 0xe2, 0xd5, 0, 0, 1];
+/// 5 ms, hostmot2's default: five missed periods of a 1 kHz servo thread.
+const WATCHDOG_PER_SECOND: u32 = 200;
+
+/// What start-up found, for [`crate::app::App`].
+pub struct Parts {
+    /// Registers.
+    pub soc: Soc,
+    /// The MAC.
+    pub mac: Mac,
+    /// Buffers.
+    pub memory: &'static mut Memory,
+    /// Boot id, and whether the last run died.
+    pub boot: record::Boot,
+    /// The gateware's identity.
+    pub ident: Ident,
+    /// Our addresses.
+    pub us: Us,
+}
+
+/// The registers.
+pub struct Soc {
+    p: Peripherals,
+}
+
+static mut MEMORY: Memory = Memory::new();
+static mut SOCKETS: SocketMemory = SocketMemory::new();
+
+/// The sockets' memory; to be asked for once.
+pub fn sockets() -> &'static mut SocketMemory {
+    // SAFETY: called once, by `App::new`.
+    unsafe { &mut *(&raw mut SOCKETS) }
+}
+
+/// Brings the machine into a safe state, then finds out where it is. Called once, first thing.
+pub fn start() -> Parts {
+    // SAFETY: called once, from the entry point, before anybody else exists; the panic handler and the
+    // trap handler steal what they need again, and never come back.
+    let mut soc = Soc {
+        p: unsafe { Peripherals::steal() },
+    };
+    soc.control(Control::Close);
+    stack::paint();
+    let boot = postmortem::boot(soc.now_lo());
+    let ident = soc.ident();
+    soc.defaults(&ident);
+    // SAFETY: as above; the only reference to MEMORY there ever is.
+    let memory = unsafe { &mut *(&raw mut MEMORY) };
+    let us = addresses(&ident);
+    Parts {
+        soc,
+        mac: Mac::new(),
+        memory,
+        boot,
+        ident,
+        us,
+    }
+}
+
+/// smoltcp's time.
+pub fn instant(soc: &mut Soc) -> Instant {
+    let per_us = u64::from((soc.p.ident.sys_clk_hz().read().bits() / 1_000_000).max(1));
+    Instant::from_micros((soc.now() / per_us) as i64)
+}
+
+/// MAC, IP and port from the board information ROM.
+fn addresses(ident: &Ident) -> Us {
+    let mut us = Us {
+        mac: FALLBACK_MAC,
+        ip: FALLBACK_IP,
+        port: wire::DEFAULT_PORT,
+    };
+    let mut bytes = [0; abi::BOARD_ROM_SIZE];
+    let words = ident.blob_words.min(abi::BOARD_ROM_SIZE as u32 / 4) as usize;
+    for (index, chunk) in bytes
+        .as_chunks_mut::<4>()
+        .0
+        .iter_mut()
+        .take(words)
+        .enumerate()
+    {
+        *chunk = blob_word(index).to_be_bytes();
+    }
+    let Ok(blob) = Blob::new_checked(&bytes) else {
+        return us;
+    };
+    for entry in blob.entries() {
+        match entry.kind {
+            Kind::Mac => us.mac = entry.value.try_into().unwrap_or(us.mac),
+            Kind::Ipv4 => us.ip = entry.value.try_into().map_or(us.ip, u32::from_be_bytes),
+            Kind::Port => us.port = entry.value.try_into().map_or(us.port, u16::from_be_bytes),
+            Kind::Board
+            | Kind::Configuration
+            | Kind::Stepgen
+            | Kind::Encoder
+            | Kind::Pwm
+            | Kind::Input
+            | Kind::Output
+            | Kind::Pins => {}
+        }
+    }
+    us
+}
+
+fn blob_word(word: usize) -> u32 {
+    if word >= abi::BOARD_ROM_SIZE / 4 {
+        return 0;
+    }
+    // SAFETY: inside the ROM, aligned.
+    unsafe { read_volatile((abi::BOARD_ROM_BASE as *const u32).add(word)) }
+}
+
+impl Soc {
+    /// Low word of the wall clock.
+    #[inline(always)]
+    pub fn now_lo(&mut self) -> u32 {
+        self.p.timebase.snapshot().write(|w| unsafe { w.bits(1) });
+        self.p.timebase.now_lo().read().bits()
+    }
+
+    fn ident(&self) -> Ident {
+        let ident = &self.p.ident;
+        let channels0 = ident.channels0().read().bits();
+        let channels1 = ident.channels1().read().bits();
+        Ident {
+            abi: if ident.magic().read().bits() == abi::IDENT_MAGIC {
+                ident.abi().read().bits()
+            } else {
+                !ABI
+            },
+            version: ident.gateware_version().read().bits(),
+            clock_hz: ident.sys_clk_hz().read().bits(),
+            // Counts no board can have: describe none, so that nobody drives them.
+            channels: Channels::from_words(channels0, channels1).unwrap_or_default(),
+            features: ident.features().read().bits(),
+            blob_words: ident.board_rom_words().read().bits(),
+        }
+    }
+
+    /// What a board is before a host configures it: slow enough for any drive, watchful.
+    fn defaults(&mut self, ident: &Ident) {
+        let per_us = ident.clock_hz / 1_000_000;
+        for n in 0..ident.channels.stepgens {
+            // 5 us pulses, 20 us around a change of direction: slower than the slowest driver chip's data sheet.
+            self.set(Setting::Stepgen(n, StepgenConfig::Steplen), 5 * per_us);
+            self.set(Setting::Stepgen(n, StepgenConfig::Stepspace), 5 * per_us);
+            self.set(Setting::Stepgen(n, StepgenConfig::Dirsetup), 20 * per_us);
+            self.set(Setting::Stepgen(n, StepgenConfig::Dirhold), 20 * per_us);
+        }
+        self.set(
+            Setting::Board(BoardConfig::WatchdogTimeout),
+            ident.clock_hz / WATCHDOG_PER_SECOND,
+        );
+        // 1 s: longer than any soft stop a machine can be asked to make.
+        self.set(Setting::Board(BoardConfig::WatchdogGrace), ident.clock_hz);
+    }
+
+    fn setting_address(which: Setting) -> usize {
+        let (base, channel, word) = match which {
+            Setting::Stepgen(n, field) => (abi::CSR_STEPGEN0, n, field as usize),
+            Setting::PwmPeriod(n) => (abi::CSR_PWM0, n, 0),
+            Setting::PwmMode(n) => (abi::CSR_PWM0, n, 1),
+            Setting::EncoderMode(n) => (abi::CSR_ENCODER0, n, 0),
+            Setting::EncoderFilter(n) => (abi::CSR_ENCODER0, n, 1),
+            Setting::Board(BoardConfig::WatchdogTimeout) => (abi::CSR_WATCHDOG, 0, 0),
+            Setting::Board(BoardConfig::WatchdogGrace) => (abi::CSR_WATCHDOG, 0, 1),
+            Setting::Board(BoardConfig::GpioSafe) => (abi::CSR_GPIO, 0, 1),
+            Setting::Board(BoardConfig::GpioInvert) => (abi::CSR_GPIO, 0, 2),
+        };
+        base + usize::from(channel) * abi::CSR_PAGE + word * 4
+    }
+}
+
+impl Board for Soc {
+    fn now(&mut self) -> u64 {
+        let lo = self.now_lo();
+        u64::from(self.p.timebase.now_hi().read().bits()) << 32 | u64::from(lo)
+    }
+
+    #[inline(always)]
+    fn arrival_lo(&mut self) -> u32 {
+        self.p.timebase.arrival_lo().read().bits()
+    }
+
+    #[inline(always)]
+    fn arrival_hi(&mut self) -> u32 {
+        self.p.timebase.arrival_hi().read().bits()
+    }
+
+    #[inline(always)]
+    fn stage(&mut self, word: usize, value: u32) {
+        // SAFETY: the lib counts words of the command page, whose layout is asserted above; nothing
+        // behind it is a register.
+        unsafe { write_volatile((abi::CSR_COMMAND as *mut u32).add(word), value) }
+    }
+
+    #[inline(always)]
+    fn latched(&mut self, word: usize) -> u32 {
+        // SAFETY: as `stage`, for the status page; reading has no side effect.
+        unsafe { read_volatile((abi::CSR_STATUS as *const u32).add(word)) }
+    }
+
+    fn commit_at(&mut self, at: u64) {
+        let timebase = &self.p.timebase;
+        // Never first, so that no half of an old time and half of a new one can be due.
+        timebase
+            .commit_at_hi()
+            .write(|w| unsafe { w.bits(u32::MAX) });
+        timebase
+            .commit_at_lo()
+            .write(|w| unsafe { w.bits(at as u32) });
+        timebase
+            .commit_at_hi()
+            .write(|w| unsafe { w.bits((at >> 32) as u32) });
+    }
+
+    #[inline(always)]
+    fn strobe(&mut self, strobes: u32) {
+        self.p
+            .timebase
+            .strobe()
+            .write(|w| unsafe { w.bits(strobes) });
+    }
+
+    #[inline(always)]
+    fn watchdog_left(&mut self) -> u32 {
+        self.p.watchdog.remaining().read().bits()
+    }
+
+    #[inline(always)]
+    fn feed(&mut self, token: u32) {
+        self.p.watchdog.token().write(|w| unsafe { w.bits(token) });
+    }
+
+    #[inline(always)]
+    fn gate(&mut self) -> Gate {
+        Gate(self.p.watchdog.status().read().bits())
+    }
+
+    fn control(&mut self, order: Control) {
+        let key = match order {
+            Control::Arm => abi::KEY_ARM,
+            Control::SoftStop => abi::KEY_SOFT,
+            Control::Close => abi::KEY_STOP,
+            Control::Clear => abi::KEY_CLEAR,
+        };
+        self.p.watchdog.control().write(|w| unsafe { w.bits(key) });
+    }
+
+    fn setting(&mut self, which: Setting) -> u32 {
+        // SAFETY: a register of the map, aligned; reading has no side effect.
+        unsafe { read_volatile(Self::setting_address(which) as *const u32) }
+    }
+
+    fn set(&mut self, which: Setting, value: u32) {
+        // SAFETY: a register of the map, aligned; the lib checked the value.
+        unsafe { write_volatile(Self::setting_address(which) as *mut u32, value) }
+    }
+
+    fn csr_read(&mut self, address: u32) -> u32 {
+        // SAFETY: `service::readable` said this is a register page, where every word can be read.
+        unsafe { read_volatile(address as usize as *const u32) }
+    }
+
+    fn csr_write(&mut self, address: u32, value: u32) {
+        // SAFETY: `service::check_write` said this register may be written by whoever asked.
+        unsafe { write_volatile(address as usize as *mut u32, value) }
+    }
+
+    fn blob(&mut self, word: usize) -> u32 {
+        blob_word(word)
+    }
+
+    fn led(&mut self, pattern: Led) {
+        hal::StatusLed::new(&self.p.led).show(pattern);
+    }
+
+    fn log(&mut self, read: log::Read) -> u32 {
+        logger::read(read)
+    }
+
+    fn panic(&mut self, offset: u32) -> u32 {
+        postmortem::word(offset)
+    }
+}

@@ -1,0 +1,85 @@
+//! Dying well: close the gate, write down why, start again.
+//!
+//! The gate goes first, by one store, before anything that could fail a second time.
+
+use super::logger;
+use core::arch::asm;
+use core::fmt;
+use core::mem::MaybeUninit;
+use core::panic::PanicInfo;
+use firmware::postmortem::{Boot, Record};
+use litex_pac::{Ident, Timebase, Watchdog, abi};
+use riscv::register::{mcause, mepc, mtval};
+
+#[unsafe(link_section = ".uninit.record")]
+static mut RECORD: MaybeUninit<Record> = MaybeUninit::uninit();
+
+fn record() -> &'static mut Record {
+    // SAFETY: any bit pattern is a `Record`; its checksum says whether it is one. One hart, and no caller
+    // keeps the reference.
+    unsafe { (*(&raw mut RECORD)).assume_init_mut() }
+}
+
+/// Counts this start.
+pub fn boot(seed: u32) -> Boot {
+    record().boot(seed)
+}
+
+/// A word of the panic window.
+pub fn word(offset: u32) -> u32 {
+    record().word(offset)
+}
+
+/// Microseconds since power-up, for log stamps.
+pub fn microseconds() -> u64 {
+    // SAFETY: reads, and a snapshot that everybody who wants the time takes anew.
+    let (timebase, ident) = unsafe { (Timebase::steal(), Ident::steal()) };
+    timebase.snapshot().write(|w| unsafe { w.bits(1) });
+    let now = u64::from(timebase.now_hi().read().bits()) << 32
+        | u64::from(timebase.now_lo().read().bits());
+    now / u64::from((ident.sys_clk_hz().read().bits() / 1_000_000).max(1))
+}
+
+/// Starts the firmware again. The gateware keeps its positions and its clock.
+pub fn restart() -> ! {
+    close_gate();
+    // SAFETY: the reset vector; everything is initialised anew from there. Interrupts were never enabled.
+    unsafe { asm!("fence.i", "jr zero", options(noreturn)) }
+}
+
+fn close_gate() {
+    // SAFETY: one store to a register that only ever closes the gate with this key.
+    let watchdog = unsafe { Watchdog::steal() };
+    watchdog
+        .control()
+        .write(|w| unsafe { w.bits(abi::KEY_STOP) });
+}
+
+fn die(cause: fmt::Arguments<'_>) -> ! {
+    close_gate();
+    record().die(cause);
+    if !logger::busy() {
+        defmt::error!("died: {=str}", record().text());
+    }
+    restart()
+}
+
+#[panic_handler]
+fn panic(info: &PanicInfo<'_>) -> ! {
+    die(format_args!("{info}"))
+}
+
+#[unsafe(export_name = "ExceptionHandler")]
+fn exception(_frame: &riscv_rt::TrapFrame) -> ! {
+    die(format_args!(
+        "trap: cause {} at {:#010x}, address {:#010x}",
+        mcause::read().code(),
+        mepc::read(),
+        mtval::read()
+    ))
+}
+
+#[unsafe(export_name = "DefaultHandler")]
+fn interrupt() -> ! {
+    die(format_args!("an interrupt, and nobody enabled one"))
+}

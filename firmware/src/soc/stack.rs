@@ -1,0 +1,60 @@
+//! How deep the stack went: painted at start, looked at later.
+
+use core::arch::asm;
+use core::ptr::{read_volatile, write_volatile};
+
+const PAINT: u32 = 0x5afe_57ac;
+/// Words at the bottom that must never be touched; below them lies what must survive a restart.
+const GUARD: usize = 8;
+
+unsafe extern "C" {
+    static mut __estack: u32;
+    static mut __sstack: u32;
+}
+
+fn bounds() -> (*mut u32, *mut u32) {
+    // The linker's names: `__estack` is the lower end.
+    (&raw mut __estack, &raw mut __sstack)
+}
+
+/// Paints everything below the present frame.
+pub fn paint() {
+    let (low, _) = bounds();
+    let sp: usize;
+    // SAFETY: reads a register.
+    unsafe { asm!("mv {}, sp", out(reg) sp, options(nomem, nostack)) };
+    let mut at = low;
+    // 128 bytes of respect for this function's own frame.
+    while (at as usize) < sp - 128 {
+        // SAFETY: between the end of all variables and the stack pointer: nobody's.
+        unsafe {
+            write_volatile(at, PAINT);
+            at = at.add(1);
+        }
+    }
+}
+
+/// Bytes ever used, and bytes there are.
+pub fn used() -> (u32, u32) {
+    let (low, high) = bounds();
+    let mut at = low;
+    // SAFETY: inside the stack region.
+    while at < high && unsafe { read_volatile(at) } == PAINT {
+        at = unsafe { at.add(1) };
+    }
+    (
+        (high as usize - at as usize) as u32,
+        (high as usize - low as usize) as u32,
+    )
+}
+
+/// Panics when the stack came too close to its end: rather a restart than a corrupted record.
+#[inline]
+pub fn check() {
+    let (low, _) = bounds();
+    // SAFETY: inside the stack region.
+    let touched = (0..GUARD).any(|word| unsafe { read_volatile(low.add(word)) } != PAINT);
+    if touched {
+        panic!("stack overflow");
+    }
+}
