@@ -19,6 +19,9 @@ if [ -z "${VERILATOR:-}" ]; then
 fi
 
 failed=0
+if [ -z "$only" ] || [ "$only" = board ]; then
+    "$root/target/venv/bin/python" "$here/board_test.py" || failed=1
+fi
 for bench in "$here"/*.cpp; do
     core=$(basename "$bench" .cpp)
     [ -z "$only" ] || [ "$only" = "$core" ] || continue
