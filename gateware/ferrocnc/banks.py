@@ -37,8 +37,11 @@ class FabricBus(LiteXModule):
 
     def __init__(self):
         self.bus = csr_bus.Interface(data_width=32, address_width=rm.CSR_ADDRESS_WIDTH)
-        self.word = self.bus.adr[:_WORD_BITS]
-        self.page = self.bus.adr[_WORD_BITS:]
+        # The word address as the bus master gives it, whether or not it means us: `bus.adr` is the same one behind the
+        # bridge's state, and half a clock later. Reading has no side effect, so a read that was not meant harms nobody.
+        self.adr = Signal(rm.CSR_ADDRESS_WIDTH)
+        self.word = self.adr[:_WORD_BITS]
+        self.page = self.adr[_WORD_BITS:]
         self.we = Signal()
         self.data = Signal(32, reset_less=True)
         self._we_word = Signal(_WORD_BITS, reset_less=True)

@@ -183,7 +183,7 @@ def elaborate_cores(board, out):
     bus, pads = cores.bus, cores.pads
     ports = {
         "clk": cores.cd_sys.clk, "rst": cores.cd_sys.rst, "abi": cores.abi,
-        "adr": bus.adr, "we": bus.we, "dat_w": bus.dat_w, "dat_r": bus.dat_r,
+        "adr": cores.fabric.adr, "we": bus.we, "dat_w": bus.dat_w, "dat_r": bus.dat_r,
         "frame_done": cores.frame_done, "frame_slot": cores.frame_slot,
         "frame_pending": cores.frame_pending, "pending_slot": cores.pending_slot,
         **{name: getattr(pads, name) for name in vars(pads)},

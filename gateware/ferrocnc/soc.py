@@ -87,7 +87,10 @@ class FerroSoC(SoCCore):
 
     def do_finalize(self):
         check_map(self)
-        self.comb += self.cores.abi.eq(abi_number(self))
+        self.comb += [
+            self.cores.abi.eq(abi_number(self)),
+            self.cores.fabric.adr.eq(self.csr_bridge.wishbone.adr),
+        ]
         SoCCore.do_finalize(self)
 
 
