@@ -27,7 +27,7 @@ use crate::firmware::Image;
 use crate::gmii;
 use crate::plant::Plant;
 use crate::report::{Counters, Report};
-use crate::segment::{BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Endpoint, HOST_IP, Segment};
+use crate::segment::{BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, Segment};
 use crate::soc::{Manifest, Pins, Silicon, Soc};
 
 /// Source port of [`Rig::exchange`] and the register helpers.
@@ -126,7 +126,8 @@ pub struct Rig<S = Soc> {
     pub faults: Faults,
     /// Frames passed.
     pub frames: FrameCounts,
-    /// Longest wait for an answer to one datagram, sys clocks. The default is 60 000: a millisecond at 60 MHz.
+    /// Longest wait for an answer to one datagram, sys clocks. The default is 120 000, 2 ms at 60 MHz: the longest read
+    /// (255 words) takes the firmware one.
     pub patience: u64,
     captured: Option<Vec<Vec<u8>>>,
     inbox: Vec<(Datagram, Option<Timing>)>,
@@ -173,7 +174,7 @@ impl<S: Silicon> Rig<S> {
             meter: Meter::default(),
             faults: Faults::default(),
             frames: FrameCounts::default(),
-            patience: 60_000,
+            patience: 120_000,
             captured: None,
             inbox: Vec::new(),
             busy: Duration::ZERO,
@@ -414,12 +415,15 @@ impl<S: Silicon> Rig<S> {
         self.ping_seq += 1;
         let (ident, seq_no) = (0x4643, self.ping_seq);
         let frame = self.segment.echo_request(HOST_IP, ident, seq_no, b"FerroCNC");
+        // Answers to earlier pings may still lie about.
+        while self.segment.take_echo().is_some() {}
         let started = self.board.now();
         self.inject_frame(&frame);
         let mut answer = None;
         let until = self.clock() + self.patience;
         self.run_while(until, |rig| {
-            answer = rig.segment.take_echo().filter(|e| (e.ident, e.seq_no, &e.payload[..]) == (ident, seq_no, b"FerroCNC"));
+            let ours = |e: &Echo| (e.ident, e.seq_no, &e.payload[..]) == (ident, seq_no, b"FerroCNC");
+            answer = std::iter::from_fn(|| rig.segment.take_echo()).find(ours);
             answer.is_none()
         });
         answer.map(|echo| self.board.clockwork().clocks(echo.first - started))
