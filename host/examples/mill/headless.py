@@ -29,6 +29,8 @@ PROGRAM = os.path.abspath(os.environ.get("FERROCNC_PROGRAM", os.path.join(HERE, 
 OUT = os.path.abspath(os.environ.get("FERROCNC_OUT", "."))
 PATIENCE = float(os.environ.get("FERROCNC_PATIENCE", "120"))
 AXES = "xyz"
+# Servo periods in which something must have happened.
+MOST_PERIODS = 3000
 # As record.hal wires the sampler; the first column is the sample's number.
 COLUMNS = (
     ["period"]
@@ -78,10 +80,9 @@ class Machine:
                 self.heard.append(text)
 
     def progress(self):
-        """Something that changes while anything at all is going on."""
+        """What changes while LinuxCNC is getting on with it."""
         stat = self.stat
         return (
-            samples_size(),
             stat.task_state,
             stat.interp_state,
             stat.motion_line,
@@ -90,26 +91,42 @@ class Machine:
             tuple(stat.homed[:3]),
         )
 
-    def wait(self, condition, what, keep_on=True):
-        last, since = None, time.time()
+    def wait(self, condition, what, keep_on=True, again=None):
+        """Until the condition holds. Gives up when the board's time stands still for PATIENCE, or when it passes without
+        anything happening. `again` repeats a request that may have been overheard."""
+        seen, since = (self.progress(), periods()), time.time()
+        change, change_at = periods(), time.time()
+        asked = time.time()
         while True:
             self.poll()
             if condition(self.stat):
                 return
             if keep_on and self.stat.task_state != linuxcnc.STATE_ON:
                 raise GiveUp(4, f"the machine dropped out while waiting until {what}")
-            now = self.progress()
-            if now != last:
-                last, since = now, time.time()
-            elif time.time() - since > PATIENCE:
-                raise GiveUp(3, f"nothing happened for {PATIENCE:.0f} s while waiting until {what}")
+            now = (self.progress(), periods())
+            if now[0] != seen[0]:
+                change, change_at = periods(), time.time()
+            if now != seen:
+                seen, since = now, time.time()
+            if time.time() - since > PATIENCE:
+                raise GiveUp(3, f"the board's time stood still for {PATIENCE:.0f} s while waiting until {what}")
+            if periods() - change > MOST_PERIODS and time.time() - change_at > 30:
+                raise GiveUp(3, f"nothing happened for {MOST_PERIODS} servo periods while waiting until {what}")
+            if again and time.time() - asked > 15:
+                again()
+                asked = time.time()
             time.sleep(0.02)
 
     def run(self):
         command = self.command
         self.come_up()
-        command.state(linuxcnc.STATE_ESTOP_RESET)
-        self.wait(lambda s: s.task_state >= linuxcnc.STATE_ESTOP_RESET, "the board is armed", keep_on=False)
+        self.leave_estop()
+        self.wait(
+            lambda s: s.task_state >= linuxcnc.STATE_ESTOP_RESET,
+            "the board is armed",
+            keep_on=False,
+            again=self.leave_estop,
+        )
         command.state(linuxcnc.STATE_ON)
         self.wait(lambda s: s.task_state == linuxcnc.STATE_ON, "the machine is on", keep_on=False)
         print("armed, machine on", flush=True)
@@ -124,15 +141,18 @@ class Machine:
         self.wait(lambda s: s.task_mode == linuxcnc.MODE_AUTO, "automatic mode")
         command.program_open(PROGRAM)
         self.wait(lambda s: s.file == PROGRAM, "the program is open")
-        started = samples_size()
         command.auto(linuxcnc.AUTO_RUN, 0)
-        self.wait(lambda s: s.interp_state != linuxcnc.INTERP_IDLE or samples_size() > started + 20000, "the program starts")
+        self.wait(lambda s: s.interp_state != linuxcnc.INTERP_IDLE, "the program starts")
         print(f"running {os.path.basename(PROGRAM)}", flush=True)
         self.wait(
             lambda s: s.interp_state == linuxcnc.INTERP_IDLE and s.inpos and s.exec_state == linuxcnc.EXEC_DONE,
             "the program ends",
         )
         self.rest()
+
+    def leave_estop(self):
+        self.command.state(linuxcnc.STATE_ESTOP)
+        self.command.state(linuxcnc.STATE_ESTOP_RESET)
 
     def rest(self):
         """Until the recording shows a quarter of a second of standing still."""
@@ -162,6 +182,11 @@ def samples_size():
         return os.path.getsize(SAMPLES)
     except OSError:
         return 0
+
+
+def periods():
+    """Servo periods recorded, roughly: a line is about 90 bytes."""
+    return samples_size() // 90
 
 
 def parse(line):

@@ -15,9 +15,12 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 MODULE = "/usr/lib/linuxcnc/modules/ferrocnc.so"
+SHIPPED = "/usr/share/doc/linuxcnc/examples/sample-configs/sim/axis/rose_engine"
+DEFAULT_PROGRAM = os.path.join(HERE, "programs/rcone_short.ngc")
 # HAL's and LinuxCNC's shared memory. What a crash left behind holds a locked mutex and hangs everything after it.
 KEYS = ("0x48414c32", "0x48484c34", "0x00000064")
 
@@ -25,7 +28,7 @@ KEYS = ("0x48414c32", "0x48484c34", "0x00000064")
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--board", default="127.0.0.1:1234", help="IP[:port] of the board")
-    parser.add_argument("--program", default=os.path.join(HERE, "programs/rcone_short.ngc"), help="G-code to run")
+    parser.add_argument("--program", default=DEFAULT_PROGRAM, help="G-code to run")
     parser.add_argument("--out", default="target/mill", help="directory for config, samples.csv, result.json")
     parser.add_argument("--module", help="libferrocnc.so to link as the realtime module (root)")
     parser.add_argument("--lockstep", action="store_true", help="the board's time passes with the exchanges: wait for them")
@@ -33,6 +36,22 @@ def arguments():
     parser.add_argument("--timeout", type=float, default=3600, help="seconds of the wall clock for everything")
     parser.add_argument("--patience", type=float, default=120, help="seconds without progress")
     return parser.parse_args()
+
+
+def shipped_program(config):
+    """The shipped subroutine the default program calls. Machines that install no documentation (dpkg's path-exclude) do not have
+    it; then it is fetched out of the same package."""
+    if os.path.exists(os.path.join(SHIPPED, "rcone.ngc")):
+        return
+    print("no rcone.ngc on this machine (documentation excluded?); taking it out of the package linuxcnc-uspace")
+    with tempfile.TemporaryDirectory() as directory:
+        os.chmod(directory, 0o777)
+        done = subprocess.run(["apt-get", "download", "linuxcnc-uspace"], cwd=directory)
+        packages = [name for name in os.listdir(directory) if name.endswith(".deb")]
+        if done.returncode or not packages:
+            sys.exit("cannot download linuxcnc-uspace; name another program with --program")
+        subprocess.run(["dpkg-deb", "-x", packages[0], "x"], cwd=directory, check=True)
+        shutil.copy(os.path.join(directory, "x", SHIPPED.lstrip("/"), "rcone.ngc"), os.path.join(config, "programs"))
 
 
 def set_value(text, key, value):
@@ -53,7 +72,10 @@ def configure(options, out):
     machine = set_value(machine, "BOARD", options.board)
     if options.lockstep:
         machine = set_value(machine, "PACKET_READ_TIMEOUT", 2_000_000_000)
+        # user-request-enable is up for this long by the wall clock; a servo period may take a quarter of a second.
+        machine = re.sub(r"(?m)(^\[EMCIO\]\n(?:#.*\n)*CYCLE_TIME = ).*$", r"\g<1>2.0", machine)
     if options.patient:
+        machine = set_value(machine, "PACKET_READ_TIMEOUT", 100_000_000)
         machine = set_value(machine, "WATCHDOG_NS", 500_000_000)
         machine = set_value(machine, "FERROR", 20)
         machine = set_value(machine, "MIN_FERROR", 20)
@@ -93,6 +115,8 @@ def main():
     if not os.path.exists(MODULE):
         sys.exit(f"no {MODULE}; give --module target/release/libferrocnc.so once, as root")
     ini = configure(options, out)
+    if options.program == DEFAULT_PROGRAM:
+        shipped_program(os.path.dirname(ini))
     sweep()
     environment = dict(
         os.environ,

@@ -1,0 +1,104 @@
+//! The tool `ferrocnc` against a fake board.
+
+mod common;
+
+use common::{FakeBoard, Time};
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpListener;
+use std::process::{Command, Output};
+
+fn tool(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_ferrocnc"))
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn answer(arguments: &[&str]) -> String {
+    let output = tool(arguments);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments:?}: {error}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn complaint(arguments: &[&str]) -> String {
+    let output = tool(arguments);
+    assert!(!output.status.success(), "{arguments:?} succeeded");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+fn board() -> FakeBoard {
+    FakeBoard::mill6(Time::Lockstep(60_000))
+}
+
+#[test]
+fn describe_tells_names_versions_and_state() {
+    let board = board();
+    let text = answer(&["describe", &board.text()]);
+    for part in [
+        "configuration mill6",
+        "0xfe440c4c",
+        "60 MHz",
+        "disarmed",
+        "spindle-on",
+    ] {
+        assert!(text.contains(part), "{part} missing in:\n{text}");
+    }
+    let json = answer(&["--json", "describe", &board.text()]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["clock_hz"], 60_000_000);
+    assert_eq!(json["stepgen"].as_array().unwrap().len(), 6);
+    assert_eq!(json["stepgen"][0]["name"], "x");
+    assert_eq!(json["stepgen"][0]["pins"], "step=j1:0 dir=j1:1");
+}
+
+#[test]
+fn watch_shows_the_status_without_taking_the_session() {
+    let board = board();
+    let text = answer(&["watch", "--once", &board.text()]);
+    assert!(text.contains("session nobody's"), "{text}");
+    assert!(text.contains("limit-x=0"), "{text}");
+    let json = answer(&["watch", "--once", "--json", &board.text()]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["state"], "boot");
+    assert!(board.look().owner.is_none());
+    assert_eq!(board.look().exchanges, 0);
+}
+
+#[test]
+fn a_board_without_a_log_and_a_file_without_texts_are_told_apart() {
+    let board = board();
+    let this = std::env::current_exe().unwrap();
+    let said = complaint(&["log", &board.text(), "--elf", this.to_str().unwrap()]);
+    assert!(said.contains("is it the firmware?"), "{said}");
+    let said = complaint(&["log", &board.text(), "--elf", "/nowhere.elf"]);
+    assert!(said.contains("--elf"), "{said}");
+}
+
+#[test]
+fn a_wrong_address_is_told_in_one_sentence() {
+    let said = complaint(&["describe", "127.0.0.1:port"]);
+    assert!(said.contains("is not IP[:port]"), "{said}");
+    assert_eq!(said.lines().count(), 1, "{said}");
+}
+
+#[test]
+fn one_console_command_gives_its_answer_without_prompts() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let server = std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        stream.write_all(b"ferrocnc> ").unwrap();
+        let mut line = String::new();
+        BufReader::new(stream.try_clone().unwrap())
+            .read_line(&mut line)
+            .unwrap();
+        stream
+            .write_all(b"state disarmed\r\nuptime 3 s\r\nferrocnc> ")
+            .unwrap();
+        line
+    });
+    let text = answer(&["console", &address, "-c", "status"]);
+    assert_eq!(text, "state disarmed\nuptime 3 s\n");
+    assert_eq!(server.join().unwrap(), "status\r\n");
+}
