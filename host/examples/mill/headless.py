@@ -29,6 +29,8 @@ PROGRAM = os.path.abspath(os.environ.get("FERROCNC_PROGRAM", os.path.join(HERE, 
 OUT = os.path.abspath(os.environ.get("FERROCNC_OUT", "."))
 PATIENCE = float(os.environ.get("FERROCNC_PATIENCE", "120"))
 AXES = "xyz"
+# The position loop halves what is left every period: 80 periods after the last command nothing can be left.
+STILL_PERIODS = 80
 # Servo periods in which something must have happened.
 MOST_PERIODS = 3000
 # As record.hal wires the sampler; the first column is the sample's number.
@@ -155,14 +157,14 @@ class Machine:
         self.command.state(linuxcnc.STATE_ESTOP_RESET)
 
     def rest(self):
-        """Until the recording shows a quarter of a second of standing still."""
+        """Until the recording shows STILL_PERIODS of standing still."""
         last, since = None, None
         deadline = time.time() + PATIENCE
         while time.time() < deadline:
             self.poll()
-            rows = last_rows(300)
-            if len(rows) >= 250:
-                here = [tuple(row[1:10]) for row in rows[-250:]]
+            rows = last_rows(STILL_PERIODS)
+            if len(rows) >= STILL_PERIODS:
+                here = [tuple(row[1:10]) for row in rows]
                 commands_still = len({row[:3] for row in here}) == 1
                 counts_still = len({row[6:9] for row in here}) == 1
                 if commands_still and counts_still:

@@ -448,6 +448,25 @@ mod tests {
     }
 
     #[test]
+    fn ten_percent_more_acceleration_than_the_planner_is_headroom_enough() {
+        for maxaccel in [330.0, 450.0, 3000.0, 0.0] {
+            let mut bench = Bench::new(800.0, maxaccel);
+            let mut commanded = 0.0;
+            let mut worst = 0.0f64;
+            for position in trapezoid(10.0, 25.0, 300.0) {
+                let velocity: f64 = bench.hal.get("s.velocity-fb");
+                let off = (bench.pulses() as f64 - commanded * 800.0).abs();
+                worst = worst.max(off / (1.0 + velocity.abs() * 0.8));
+                commanded = position;
+                bench.step(position);
+            }
+            assert!(worst < 1.0, "{worst} of the allowed at {maxaccel}");
+            bench.settle(100);
+            assert_eq!(bench.pulses(), 8000, "{maxaccel}");
+        }
+    }
+
+    #[test]
     fn the_prediction_is_what_the_fabric_then_does() {
         let mut bench = Bench::new(800.0, 600.0);
         for position in trapezoid(5.0, 25.0, 300.0) {
