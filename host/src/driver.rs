@@ -423,8 +423,11 @@ impl Driver {
             self.watchdog.armed();
             self.pins.io_error.set(false);
         }
+        // When the command that armed arrived the watchdog was still asleep: what it had left means
+        // something from the next one on.
+        let awake = armed && self.live;
         self.watchdog
-            .sampled(word.bitten, status.watchdog_left, armed, clock_hz);
+            .sampled(word.bitten, status.watchdog_left, awake, clock_hz);
         self.pins.enabled.set(armed);
         self.pins.state.set(u32::from(word.state.code()));
         self.pins.fault_reason.set(u32::from(word.reason.code()));

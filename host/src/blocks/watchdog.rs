@@ -55,9 +55,9 @@ impl Watchdog {
     }
 
     /// Takes what the board says. The margin means something only while it is awake.
-    pub fn sampled(&self, bitten: bool, left: u32, armed: bool, clock_hz: f64) {
+    pub fn sampled(&self, bitten: bool, left: u32, awake: bool, clock_hz: f64) {
         self.has_bitten.set(bitten);
-        if armed {
+        if awake {
             let nanos = (f64::from(left) / clock_hz * 1e9) as u32;
             self.margin.set(nanos);
             self.margin_min.set(nanos.min(self.margin_min.get()));

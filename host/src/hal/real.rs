@@ -98,7 +98,7 @@ pub fn print(api: &Api, level: Level, text: &CStr) {
     unsafe { (api.rtapi_print_msg)(level as i32, c"ferrocnc: %s\n".as_ptr(), text.as_ptr()) };
 }
 
-/// [`print`] as a [`Messenger`].
+/// [`print()`] as a [`Messenger`].
 pub fn messenger(api: Api) -> Messenger {
     Box::new(move |level, text| print(&api, level, text))
 }
