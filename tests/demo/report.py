@@ -95,7 +95,10 @@ def analyse(samples, edges, simulator, result):
     exchange = simulator["exchange"]
     report["exchange"] = {key: exchange[key] for key in ("turnaround_cycles", "frames_lost", "frames_refused")}
     report["exchange"]["count"] = exchange["answered"]
-    report["watchdog"] = {"margin_min_ms": simulator["watchdog"]["margin_min_ms"]}
+    # The margin of the command that armed the board is that of a watchdog still asleep.
+    armed = (samples["enabled"] > 0) & (np.roll(samples["enabled"], 2) > 0)
+    margins = samples["margin_ns"][armed]
+    report["watchdog"] = {"margin_min_ms": float(np.min(margins)) / 1e6 if margins.size else None}
     report["step_timing_violations"] = simulator["timing_violations"]
     report["sys_clk_hz"] = simulator["sys_clk_hz"]
     report["kcycles_per_second"] = simulator["kcycles_per_second"]
@@ -108,30 +111,37 @@ def draw(out, samples, pins, deviations, arrival, rows, scales, report):
     moments = np.unique(np.concatenate([times for times, _ in pins.axes[:2]]))
     x, y = (pins.at(n, moments) / scales[n] for n in (0, 1))
     on = samples["machine_on"] > 0
-    figure, (path, zoom, error) = plt.subplots(1, 3, figsize=(17, 6), width_ratios=(1.1, 1, 1.1), layout="constrained")
+    figure = plt.figure(figsize=(17, 6.4), layout="constrained")
+    grid = figure.add_gridspec(len(AXES), 3, width_ratios=(1, 1, 1.1))
+    path, zoom = figure.add_subplot(grid[:, 0]), figure.add_subplot(grid[:, 1])
     figure.suptitle(
         f"FerroCNC: {report['program']} cut by LinuxCNC on the simulated board, "
         f"{sum(a['pulses_total'] for a in report['axes'])} pulses at the pins"
     )
-    for panel in (path, zoom):
-        panel.plot(samples["x_cmd"][on], samples["y_cmd"][on], color="#c9d1d9", linewidth=5, label="commanded by LinuxCNC")
-        panel.plot(x, y, color="#d6336c", linewidth=1, drawstyle="default", label="counted from STEP/DIR edges")
+    for panel, width in ((path, 5), (zoom, 2)):
+        panel.plot(samples["x_cmd"][on], samples["y_cmd"][on], color="#adb5bd", linewidth=width, label="commanded by LinuxCNC")
+        panel.plot(x, y, color="#d6336c", linewidth=1, label="counted from STEP/DIR edges")
         panel.set(xlabel="X, mm", ylabel="Y, mm", aspect="equal")
         panel.grid(color="#eeeeee")
     path.set_title("the whole path")
-    path.legend(loc="upper right", fontsize=8)
-    # A twentieth of the path's width around its middle pulse: single steps become visible.
-    reach = max(np.ptp(x), np.ptp(y)) / 40
+    path.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=9, frameon=False)
+    # A hundredth of the path's width around its middle pulse: single steps become visible.
+    reach = max(np.ptp(x), np.ptp(y)) / 200
     centre = len(moments) // 2
+    path.plot(x[centre], y[centre], marker="s", markersize=9, markerfacecolor="none", color="#1c7ed6")
     zoom.set(xlim=(x[centre] - reach, x[centre] + reach), ylim=(y[centre] - reach, y[centre] + reach))
-    zoom.set_title(f"magnified 20 times (one step is {1000 / scales[0]:g} um)")
+    zoom.set_title(f"the blue square, 100 times larger; one step is {1000 / scales[0]:g} µm")
     seconds = (arrival[rows + ROWS_TO_ARRIVAL] - arrival[rows[0]]) / report["sys_clk_hz"]
-    for axis, deviation in zip(AXES, deviations):
-        error.plot(seconds, deviation, linewidth=0.8, label=axis.upper())
-    error.set(xlabel="machine time, s", ylabel="pins minus command at its due time, steps")
-    error.set_title("deviation")
-    error.legend(fontsize=8)
-    error.grid(color="#eeeeee")
+    panel = None
+    for n, (axis, deviation) in enumerate(zip(AXES, deviations)):
+        panel = figure.add_subplot(grid[n, 2], sharex=panel)
+        panel.axhspan(-1, 1, color="#ebfbee")
+        panel.plot(seconds, deviation, ",", color="#1c7ed6")
+        panel.set(ylabel=f"{axis.upper()}, steps", ylim=(-1.2, 1.2))
+        panel.grid(color="#dddddd")
+        if n == 0:
+            panel.set_title("pins minus command, every servo period (green: one step)")
+    panel.set_xlabel("machine time, s")
     figure.savefig(out / "path.png", dpi=110)
     figure.savefig(out / "path.svg")
 

@@ -425,11 +425,11 @@ impl Machine {
         self.rig.freeze_cpu(true);
     }
 
-    /// Raises the external reset pin; how many clocks until the gate is closed.
-    pub fn external_reset_until_gate_closes(&mut self) -> u64 {
+    /// Raises the external reset pin; how many clocks until the gate is closed and every output at its safe level.
+    pub fn external_reset_until_safe(&mut self) -> u64 {
         let raised = self.clock();
         self.rig.ext_reset(true);
-        while self.gate_open() && self.clock() < raised + 1000 {
+        while (self.gate_open() || self.outputs() != 0) && self.clock() < raised + 1000 {
             self.rig.run(1);
         }
         self.clock() - raised
@@ -439,7 +439,7 @@ impl Machine {
     /// memory is as it was, as after a soft error.
     pub fn trap_cpu(&mut self) {
         let mut broken = self.image.words.clone();
-        let (start, end) = symbol(&self.firmware(), "process_icmpv4");
+        let (start, end) = symbol(&self.firmware(), "icmpv4");
         for word in &mut broken[start / 4..end / 4] {
             *word = 0;
         }
@@ -531,6 +531,14 @@ impl Simulator {
             udp,
             console,
         }
+    }
+
+    /// Ends it as SIGTERM does, so that it writes its report, and waits until it has.
+    pub fn finish(&mut self) {
+        let _ = std::process::Command::new("kill")
+            .arg(self.child.id().to_string())
+            .status();
+        let _ = self.child.wait();
     }
 
     /// Where its board's description lies.

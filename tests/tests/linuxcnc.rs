@@ -1,1 +1,264 @@
-//! Placeholder
+//! Real LinuxCNC, our driver as `loadrt` finds it, the simulated board in lockstep.
+//!
+//! HAL exists once per machine, so these tests run one after the other and not beside a LinuxCNC session.
+
+use ferrocnc_tests::Simulator;
+use sim::edges::{Step, read_file};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// The mill's watchdog timeout and its soft stop from full speed (60 mm/s at 1600 mm/s^2), seconds.
+const WATCHDOG: f64 = 5e-3;
+const SOFT_STOP: f64 = 60.0 / 1600.0;
+/// Clocks in a servo period at the board's 60 MHz.
+const PERIOD: u64 = 60_000;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the workspace")
+}
+
+fn out(name: &str) -> PathBuf {
+    let folder = root().join("target/linuxcnc").join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("a folder for the run");
+    folder
+}
+
+/// Runs a HAL file without LinuxCNC; what it said.
+fn halrun(name: &str, hal: &str) -> String {
+    let folder = out(name);
+    let file = folder.join("test.hal");
+    std::fs::write(&file, hal).expect("the HAL file");
+    let done = Command::new("timeout")
+        .args(["-k", "5", "120", "halrun"])
+        .arg(&file)
+        .env("RTAPI_UID", "1000")
+        .env(
+            "RTAPI_FIFO_PATH",
+            format!("/tmp/ferrocnc_test_fifo_{}", std::process::id()),
+        )
+        .stdin(Stdio::null())
+        .output()
+        .expect("halrun, which `cargo xtask setup` installs");
+    format!(
+        "{}{}",
+        String::from_utf8_lossy(&done.stdout),
+        String::from_utf8_lossy(&done.stderr)
+    )
+}
+
+#[test]
+fn loadrt_says_in_one_sentence_what_is_wrong_with_its_parameters() {
+    let said = halrun("malformed", "loadrt ferrocnc boards=not-an-address:99999\n");
+    let sentence = said.lines().find(|line| line.contains("not-an-address"));
+    let sentence = sentence.unwrap_or_else(|| panic!("nobody named the address:\n{said}"));
+    assert!(
+        sentence.contains("boards"),
+        "it should name the parameter: {sentence}"
+    );
+}
+
+#[test]
+fn loadrt_names_a_board_that_does_not_answer() {
+    let said = halrun("unreachable", "loadrt ferrocnc boards=127.0.0.1:9\n");
+    let sentence = said.lines().find(|line| line.contains("127.0.0.1:9"));
+    assert!(sentence.is_some(), "nobody named the board:\n{said}");
+}
+
+#[test]
+fn loadrt_shows_the_boards_own_names_as_pins() {
+    let simulator = Simulator::start(&["--mode", "free"]);
+    let said = halrun(
+        "pins",
+        &format!("loadrt ferrocnc boards={}\nshow pin\n", simulator.udp()),
+    );
+    for pin in [
+        "ferrocnc.0.stepgen.x.position-cmd",
+        "ferrocnc.0.encoder.spindle.index-enable",
+        "ferrocnc.0.enable-request",
+    ] {
+        assert!(said.contains(pin), "no pin {pin}:\n{said}");
+    }
+}
+
+/// The mill on a simulated board.
+fn mill(simulator: &Simulator, program: &Path, out: &Path) -> Child {
+    let log = std::fs::File::create(out.join("run.log")).expect("a log");
+    Command::new("python3")
+        .arg(root().join("host/examples/mill/run.py"))
+        .args([
+            "--board",
+            &simulator.udp().to_string(),
+            "--lockstep",
+            "--program",
+        ])
+        .arg(program)
+        .arg("--out")
+        .arg(out)
+        .stdin(Stdio::null())
+        .stdout(log.try_clone().expect("its log"))
+        .stderr(log)
+        .spawn()
+        .expect("python3")
+}
+
+fn log_of(out: &Path) -> String {
+    std::fs::read_to_string(out.join("run.log")).unwrap_or_default()
+}
+
+/// The last whole line of the recording, as numbers.
+fn last_sample(out: &Path) -> Option<Vec<f64>> {
+    let text = std::fs::read_to_string(out.join("samples.raw")).ok()?;
+    let (whole, _) = text.rsplit_once('\n')?;
+    whole
+        .lines()
+        .next_back()?
+        .split_whitespace()
+        .map(|field| field.parse().ok())
+        .collect()
+}
+
+#[test]
+fn killing_linuxcnc_mid_move_stops_the_machine_and_a_new_start_moves_nothing_by_itself() {
+    let first = out("killed");
+    let (edges, report) = (first.join("edges.bin"), first.join("sim.json"));
+    let mut simulator = Simulator::start(&[
+        "--mode",
+        "lockstep",
+        "--silence-ms",
+        "2000",
+        "--edges",
+        &edges.display().to_string(),
+        "--report",
+        &report.display().to_string(),
+    ]);
+    let mut linuxcnc = mill(
+        &simulator,
+        &root().join("tests/linuxcnc/there_and_back.ngc"),
+        &first,
+    );
+
+    // Until X has gone 5 mm: at full speed by then.
+    let deadline = Instant::now() + Duration::from_secs(300);
+    let at_speed = loop {
+        match last_sample(&first) {
+            Some(sample) if sample[1] > 5.0 => break sample,
+            _ if Instant::now() > deadline => panic!("the move never began:\n{}", log_of(&first)),
+            _ => std::thread::sleep(Duration::from_millis(50)),
+        }
+    };
+    assert!(
+        at_speed[1] < 19.0,
+        "the move was over before it could be interrupted"
+    );
+    let killed = Command::new("pkill")
+        .args(["-9", "-x", "rtapi_app"])
+        .status();
+    assert!(
+        killed.is_ok_and(|status| status.success()),
+        "there was no rtapi_app to kill"
+    );
+    // The board notices by itself: two seconds of silence, then its own time goes on.
+    std::thread::sleep(Duration::from_secs(8));
+    let _ = Command::new("kill")
+        .args(["-INT", &linuxcnc.id().to_string()])
+        .status();
+    let _ = linuxcnc.wait();
+    let last = last_sample(&first).expect("the recording");
+    let last_seen = last[15] as u64 * (1 << 32) + last[14] as u64;
+
+    // LinuxCNC comes back. It has to ask for the machine again, and nothing moves before that.
+    let second = out("restarted");
+    let done = mill(
+        &simulator,
+        &root().join("tests/linuxcnc/short.ngc"),
+        &second,
+    )
+    .wait();
+    assert!(
+        done.is_ok_and(|status| status.success()),
+        "the second run failed:\n{}",
+        log_of(&second)
+    );
+    simulator.finish();
+
+    let (hz, steps) =
+        read_file(&std::fs::read(&edges).expect("the recorded edges")).expect("an edge file");
+    let bound = last_seen + 3 * PERIOD + ((WATCHDOG + SOFT_STOP) * hz as f64) as u64;
+    let gap = steps
+        .windows(2)
+        .max_by_key(|pair| pair[1].clock - pair[0].clock)
+        .expect("steps");
+    let [before, after]: [Step; 2] = gap.try_into().expect("a pair");
+    assert!(
+        before.clock <= bound,
+        "the last step came {:.1} ms after the last status LinuxCNC saw",
+        (before.clock - last_seen) as f64 / hz as f64 * 1e3
+    );
+    let x_when_stopped = steps
+        .iter()
+        .rfind(|s| s.clock <= before.clock && s.channel == 0)
+        .map(|s| s.count);
+    let x_when_moving = steps
+        .iter()
+        .find(|s| s.clock >= after.clock && s.channel == 0)
+        .map(|s| s.count);
+    let (stopped, moving) = (
+        x_when_stopped.expect("X moved"),
+        x_when_moving.expect("X moved again"),
+    );
+    assert_eq!(
+        (stopped - moving).abs(),
+        1,
+        "X went on from where it stood, step by step"
+    );
+
+    // The second program ends where it began: at the place the first one was stopped.
+    let report = std::fs::read_to_string(&report).expect("the simulator's report");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    for axis in report["axes"].as_array().expect("axes") {
+        assert_eq!(axis["pulses_at_pins"], axis["firmware_counts"], "{axis}");
+    }
+    assert_eq!(
+        report["axes"][0]["pulses_at_pins"], stopped,
+        "no step was lost or invented on the way"
+    );
+    assert_eq!(report["timing_violations"], 0);
+}
+
+#[test]
+fn linuxcnc_cuts_the_demo_program_and_the_pins_agree() {
+    let folder = out("demo");
+    let (soc, firmware) = ferrocnc_tests::parts();
+    let log = folder.join("demo.log");
+    let file = std::fs::File::create(&log).expect("a log");
+    let run = Command::new("python3")
+        .arg(root().join("tests/demo/run.py"))
+        .args([&soc, &firmware, &folder])
+        .stdin(Stdio::null())
+        .stdout(file.try_clone().expect("its log"))
+        .stderr(file)
+        .status();
+    let said = std::fs::read_to_string(&log).unwrap_or_default();
+    assert!(
+        run.is_ok_and(|status| status.success()),
+        "the run failed:\n{said}"
+    );
+    let report = Command::new(root().join("target/venv/bin/python"))
+        .arg(root().join("tests/demo/report.py"))
+        .arg(&folder)
+        .arg("--json")
+        .arg(folder.join("demo.json"))
+        .output()
+        .expect("the Python environment");
+    let said = String::from_utf8_lossy(&report.stdout).into_owned();
+    println!("{said}");
+    assert!(
+        report.status.success(),
+        "{said}\n{}",
+        String::from_utf8_lossy(&report.stderr)
+    );
+}

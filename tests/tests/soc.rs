@@ -555,7 +555,7 @@ fn the_external_reset_pin_needs_no_cpu() {
     }
     machine.freeze_cpu();
     assert!(machine.gate_open());
-    let clocks = machine.external_reset_until_gate_closes();
+    let clocks = machine.external_reset_until_safe();
     assert!(
         clocks <= 4,
         "it took {clocks} clocks from the pin to safe outputs"
