@@ -237,9 +237,9 @@ impl Command {
         head.copy_from_slice(&[
             self.token,
             self.sequence,
-            u32::from(self.enable) * FLAG_ENABLE
-                | u32::from(self.enable_request) * FLAG_ENABLE_REQUEST
-                | u32::from(self.apply_at.is_some()) * FLAG_APPLY_TIME,
+            (u32::from(self.enable) * FLAG_ENABLE)
+                | (u32::from(self.enable_request) * FLAG_ENABLE_REQUEST)
+                | (u32::from(self.apply_at.is_some()) * FLAG_APPLY_TIME),
             apply as u32,
             (apply >> 32) as u32,
             u32::from(self.stepgen_enable) | u32::from(self.index_arm) << 16,
