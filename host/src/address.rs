@@ -45,23 +45,21 @@ pub enum AddressError {
 impl core::fmt::Display for AddressError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            AddressError::None => {
-                f.write_str("no board named; say loadrt ferrocnc boards=192.168.2.50")
-            }
+            AddressError::None => f.write_str("no board named; say boards=192.168.2.50"),
             AddressError::TooMany(count) => write!(
                 f,
-                "boards= names {count} boards, {MAX_BOARDS} is the most; load fewer"
+                "{count} boards named, {MAX_BOARDS} is the most; name fewer"
             ),
             AddressError::Empty(text) => write!(
                 f,
-                "boards=\"{text}\" has an empty entry; write IP[:port] separated by single commas"
+                "\"{text}\" has an empty entry; write IP[:port] separated by single commas"
             ),
             AddressError::Port(text) => write!(
                 f,
                 "\"{text}\" is not IP[:port]: the port must be a number from 1 to 65535"
             ),
             AddressError::Twice(text) => {
-                write!(f, "boards= names \"{text}\" twice; name every board once")
+                write!(f, "\"{text}\" is named twice; name every board once")
             }
             AddressError::Unresolved(text, why) => write!(
                 f,

@@ -65,7 +65,7 @@ enum LoadError {
 impl core::fmt::Display for LoadError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            LoadError::Address(error) => error.fmt(f),
+            LoadError::Address(error) => write!(f, "parameter boards: {error}"),
             LoadError::Client(error) => error.fmt(f),
             LoadError::Export(error) => error.fmt(f),
             LoadError::Hal(what, errno) => write!(

@@ -21,6 +21,8 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 MODULE = "/usr/lib/linuxcnc/modules/ferrocnc.so"
 SHIPPED = "/usr/share/doc/linuxcnc/examples/sample-configs/sim/axis/rose_engine"
 DEFAULT_PROGRAM = os.path.join(HERE, "programs/rcone_short.ngc")
+# What LinuxCNC asks "still running, restart it?" about.
+LOCK = "/tmp/linuxcnc.lock"
 # HAL's and LinuxCNC's shared memory. What a crash left behind holds a locked mutex and hangs everything after it.
 KEYS = ("0x48414c32", "0x48484c34", "0x00000064")
 
@@ -85,10 +87,18 @@ def configure(options, out):
     return path
 
 
+def alive(name):
+    """Whether a program of that name runs; one that has ended and waits to be reaped does not."""
+    listed = subprocess.run(["ps", "-C", name, "-o", "stat="], stdout=subprocess.PIPE, text=True).stdout
+    return any(not state.startswith("Z") for state in listed.split())
+
+
 def sweep():
     """Removes what a LinuxCNC that crashed left behind; one that runs is left alone and we are not started."""
-    if subprocess.run(["pgrep", "-x", "rtapi_app"], stdout=subprocess.DEVNULL).returncode == 0:
+    if alive("rtapi_app"):
         sys.exit("LinuxCNC or another HAL session is running; end it first")
+    if os.path.exists(LOCK):
+        os.remove(LOCK)
     for key in KEYS:
         subprocess.run(["ipcrm", "-M", key], stderr=subprocess.DEVNULL)
 
