@@ -5,59 +5,38 @@ use firmware::console::{self, Ask, Vitals};
 use firmware::exchange::SlotReply;
 use firmware::net::{self, Class, Datagram, Lane, Us};
 use firmware::server::Server;
-use heapless::String;
+use firmware::text::Sink as _;
 use smoltcp::iface::{Config, Interface, SocketHandle, SocketSet};
-use smoltcp::socket::udp;
+use smoltcp::socket::tcp;
 use smoltcp::time::Instant;
-use smoltcp::wire::{EthernetAddress, HardwareAddress, IpAddress, IpCidr, IpEndpoint, Ipv4Address};
-use wire::{CONSOLE_PORT, MAX_WORDS, Refusal};
+use smoltcp::wire::{EthernetAddress, HardwareAddress, IpCidr, Ipv4Address};
+use wire::{CONSOLE_PORT, Refusal};
 
 /// Longest answer of a console command, in bytes: sixteen encoders.
 const CONSOLE_TEXT: usize = 1280;
 /// A thousand chores a second: TCP timers and the LED are in no hurry, a bite should be told soon.
 const CHORES_PER_SECOND: u32 = 1000;
+/// 10 ms between two looks at TCP's timers.
+const CHORES_PER_STACK: u8 = 10;
 
-/// Memory for sockets and datagrams; one of it, in `.bss`.
+/// Memory for sockets; one of it, in `.bss`.
 pub struct Memory {
-    request: [u32; MAX_WORDS],
-    reply: [u32; MAX_WORDS],
     tcp_rx: [u8; 128],
     tcp_tx: [u8; CONSOLE_TEXT],
-    udp_rx: [u8; wire::MAX_PAYLOAD],
-    udp_tx: [u8; wire::MAX_PAYLOAD],
 }
 
 impl Memory {
     /// Before anybody uses it.
     pub const fn new() -> Self {
         Memory {
-            request: [0; MAX_WORDS],
-            reply: [0; MAX_WORDS],
             tcp_rx: [0; 128],
             tcp_tx: [0; CONSOLE_TEXT],
-            udp_rx: [0; wire::MAX_PAYLOAD],
-            udp_tx: [0; wire::MAX_PAYLOAD],
         }
     }
 }
 
 /// What sockets are made of besides bytes; not all zeros, so it lies in `.data` and costs ROM.
-pub struct SocketMemory {
-    sockets: [smoltcp::iface::SocketStorage<'static>; 2],
-    udp_rx: [udp::PacketMetadata; 1],
-    udp_tx: [udp::PacketMetadata; 1],
-}
-
-impl SocketMemory {
-    /// Before anybody uses it.
-    pub const fn new() -> Self {
-        SocketMemory {
-            sockets: [smoltcp::iface::SocketStorage::EMPTY; 2],
-            udp_rx: [udp::PacketMetadata::EMPTY; 1],
-            udp_tx: [udp::PacketMetadata::EMPTY; 1],
-        }
-    }
-}
+pub type SocketMemory = [smoltcp::iface::SocketStorage<'static>; 1];
 
 /// Everything that runs.
 pub struct App {
@@ -67,10 +46,9 @@ pub struct App {
     us: Us,
     lane: Option<Lane>,
     stack: Stack,
-    request: &'static mut [u32; MAX_WORDS],
-    reply: &'static mut [u32; MAX_WORDS],
     chores_at: u32,
     chores_every: u32,
+    stack_in: u8,
     told: wire::State,
 }
 
@@ -78,7 +56,7 @@ pub struct App {
 struct Stack {
     interface: Interface,
     sockets: SocketSet<'static>,
-    etherbone: SocketHandle,
+    console: SocketHandle,
     line: console::Line,
     greeted: bool,
 }
@@ -104,20 +82,11 @@ impl App {
                 ident.abi
             );
         }
-        let stack = Stack::new(
-            &mut mac,
-            &us,
-            soc::sockets(),
-            Buffers {
-                tcp_rx: &mut memory.tcp_rx,
-                tcp_tx: &mut memory.tcp_tx,
-                udp_rx: &mut memory.udp_rx,
-                udp_tx: &mut memory.udp_tx,
-            },
-        );
+        let stack = Stack::new(&mut mac, &us, &mut memory.tcp_rx, &mut memory.tcp_tx);
         App {
             chores_at: soc.now_lo(),
             chores_every: ident.clock_hz / CHORES_PER_SECOND,
+            stack_in: CHORES_PER_STACK,
             told: server.safety().state(),
             soc,
             mac,
@@ -125,12 +94,11 @@ impl App {
             us,
             lane: None,
             stack,
-            request: &mut memory.request,
-            reply: &mut memory.reply,
         }
     }
 
     /// The loop.
+    #[unsafe(link_section = ".trap.hot.run")]
     pub fn run(mut self) -> ! {
         loop {
             if self.mac.pending() {
@@ -216,25 +184,28 @@ impl App {
         }
         let count = datagram.length / 4;
         let (frame, _) = self.mac.frame();
-        for (index, word) in self.request.iter_mut().take(count).enumerate() {
-            *word = net::payload_word(&frame, index);
+        for (index, word) in self.mac.input.words().iter_mut().take(count).enumerate() {
+            *word = net::payload_word(&frame, datagram.options, index);
         }
         Ok(count)
     }
 
     fn datagram(&mut self, datagram: &Datagram, count: usize) {
-        let words = self.request.get(..count).unwrap_or(&[]);
+        let Mac { input, output, .. } = &mut self.mac;
+        let words = input.words().get(..count).unwrap_or(&[]);
         let before = self.server.counters().exchanges;
-        let Ok(reply) = self
+        let served = self
             .server
-            .datagram(&mut self.soc, words, datagram.peer, self.reply)
-        else {
+            .datagram(&mut self.soc, words, datagram.peer, output.words());
+        let Ok(reply) = served else {
             return;
         };
-        if !reply.is_empty() {
+        let reply = reply.len();
+        if reply != 0 {
             let mut slot = self.mac.slot();
-            net::emit_headers(&mut slot, &self.us, datagram, reply.len() * 4);
-            let length = net::emit_payload(&mut slot, reply);
+            net::emit_headers(&mut slot, &self.us, datagram, reply * 4);
+            let words = self.mac.output.words().get(..reply).unwrap_or(&[]);
+            let length = net::emit_payload(&mut slot, words);
             self.mac.send(length);
             self.server.counters_mut().frames_tx += 1;
         }
@@ -273,6 +244,7 @@ impl App {
     }
 
     #[inline(never)]
+    #[unsafe(link_section = ".trap.hot.chores")]
     fn chores(&mut self) {
         self.server.poll(&mut self.soc);
         let state = self.server.safety().state();
@@ -285,8 +257,13 @@ impl App {
             );
         }
         soc::check_stack();
-        if self.stack.due(&mut self.soc) {
-            self.stack_poll();
+        // A hundredth of a second is fine enough for TCP's timers.
+        self.stack_in = self.stack_in.wrapping_sub(1);
+        if self.stack_in == 0 {
+            self.stack_in = CHORES_PER_STACK;
+            if self.stack.busy() {
+                self.stack_poll();
+            }
         }
     }
 
@@ -296,7 +273,6 @@ impl App {
         self.stack
             .interface
             .poll(now, &mut self.mac, &mut self.stack.sockets);
-        self.etherbone_socket();
         self.console();
         self.stack
             .interface
@@ -306,49 +282,71 @@ impl App {
         counters.frames_tx = counters.frames_tx.wrapping_add(sent);
     }
 
-    /// Etherbone in frames that are not plain: IP options, broadcast.
-    fn etherbone_socket(&mut self) {
+    fn console(&mut self) {
         let socket = self
             .stack
             .sockets
-            .get_mut::<udp::Socket>(self.stack.etherbone);
-        let Ok((bytes, meta)) = socket.recv() else {
-            return;
-        };
-        let IpAddress::Ipv4(ip) = meta.endpoint.addr;
-        let peer = firmware::session::Peer {
-            ip: ip.to_bits(),
-            port: meta.endpoint.port,
-        };
-        let words = match wire::words_from_bytes(bytes, self.request) {
-            Ok(words) => words,
-            Err(why) => return self.server.refuse(why),
-        };
-        let Ok(reply) = self.server.datagram(&mut self.soc, words, peer, self.reply) else {
-            return;
-        };
-        if reply.is_empty() {
+            .get_mut::<tcp::Socket>(self.stack.console);
+        if !socket.is_open() {
+            self.stack.line = console::Line::default();
+            self.stack.greeted = false;
+            // Listening on a closed socket at a fixed port cannot fail.
+            let _ = socket.listen(CONSOLE_PORT);
             return;
         }
-        let mut to = udp::UdpMetadata::from(IpEndpoint::new(meta.endpoint.addr, peer.port));
-        to.local_address = Some(Ipv4Address::from_bits(self.us.ip).into());
-        if let Ok(buffer) = socket.send(reply.len() * 4, to) {
-            wire::words_to_bytes(reply, buffer);
+        if socket.may_send() && !self.stack.greeted {
+            self.stack.greeted = socket.send_slice(console::PROMPT.as_bytes()).is_ok();
+        }
+        // One line at a time, and only into an empty buffer: so no answer is cut off.
+        while socket.can_recv() && socket.send_queue() == 0
+            || socket.can_recv() && !self.stack.greeted
+        {
+            let line = &mut self.stack.line;
+            let ask = socket
+                .recv(|bytes| {
+                    let mut ask = None;
+                    let mut used = 0;
+                    for byte in bytes.iter() {
+                        used += 1;
+                        ask = line.push(*byte);
+                        if ask.is_some() {
+                            break;
+                        }
+                    }
+                    (used, ask)
+                })
+                .unwrap_or(None);
+            let Some(ask) = ask else { continue };
+            let vitals = Vitals {
+                stack: soc::stack_used(),
+                mac_errors: self.mac.errors(),
+            };
+            console::answer(ask, &self.server, &mut self.soc, &vitals, &mut Sink(socket));
+            if ask == Ask::Quit {
+                socket.close();
+                return;
+            }
+            Sink(socket).put(console::PROMPT.as_bytes());
+        }
+        if socket.state() == tcp::State::CloseWait {
+            // They hung up.
+            socket.close();
         }
     }
-
-    fn console(&mut self) {}
 }
 
-struct Buffers {
-    tcp_rx: &'static mut [u8],
-    tcp_tx: &'static mut [u8],
-    udp_rx: &'static mut [u8],
-    udp_tx: &'static mut [u8],
+/// The console's text goes straight into the socket.
+struct Sink<'a, 's>(&'a mut tcp::Socket<'s>);
+
+impl firmware::text::Sink for Sink<'_, '_> {
+    fn put(&mut self, text: &[u8]) {
+        // Too long an answer is cut off.
+        let _ = self.0.send_slice(text);
+    }
 }
 
 impl Stack {
-    fn new(mac: &mut Mac, us: &Us, storage: &'static mut SocketMemory, buffers: Buffers) -> Self {
+    fn new(mac: &mut Mac, us: &Us, rx: &'static mut [u8], tx: &'static mut [u8]) -> Self {
         let address = HardwareAddress::Ethernet(EthernetAddress(us.mac));
         let mut interface = Interface::new(Config::new(address), mac, Instant::ZERO);
         interface.update_ip_addrs(|addresses| {
@@ -356,27 +354,28 @@ impl Stack {
             let ip = Ipv4Address::from_bits(us.ip);
             let _ = addresses.push(IpCidr::new(ip.into(), 24));
         });
-        let mut sockets = SocketSet::new(storage.sockets.as_mut_slice());
-        let _ = (buffers.tcp_rx, buffers.tcp_tx);
-        let mut udp = udp::Socket::new(
-            udp::PacketBuffer::new(storage.udp_rx.as_mut_slice(), buffers.udp_rx),
-            udp::PacketBuffer::new(storage.udp_tx.as_mut_slice(), buffers.udp_tx),
-        );
-        // Binding a fresh socket to a port that is not 0 cannot fail.
-        let _ = udp.bind(us.port);
-        let etherbone = sockets.add(udp);
+        let mut sockets = SocketSet::new(soc::sockets().as_mut_slice());
+        let tcp = tcp::Socket::new(tcp::SocketBuffer::new(rx), tcp::SocketBuffer::new(tx));
+        let console = sockets.add(tcp);
         let mut stack = Stack {
             interface,
             sockets,
-            etherbone,
+            console,
             line: console::Line::default(),
             greeted: false,
         };
+        let _ = stack
+            .sockets
+            .get_mut::<tcp::Socket>(console)
+            .listen(CONSOLE_PORT);
         stack
     }
 
-    /// Is a timer of the stack due? Nobody connected means no timers, and no division either.
-    fn due(&mut self, _soc: &mut Soc) -> bool {
-        false
+    /// Is somebody on the console, so that the stack's timers matter?
+    fn busy(&mut self) -> bool {
+        !self
+            .sockets
+            .get_mut::<tcp::Socket>(self.console)
+            .is_listening()
     }
 }

@@ -15,6 +15,7 @@ const TIMEOUT_MIN_PER_SECOND: u32 = 10_000;
 const TIMEOUT_MAX_SECONDS: u64 = 10;
 
 /// The setting at this byte address of the config window, if this board has it.
+#[inline(never)]
 pub fn setting_at(address: u32, channels: Channels) -> Option<Setting> {
     let offset = address.checked_sub(map::CONFIG)?;
     let channel = (offset % 0x400 / map::CONFIG_STRIDE) as u8;
@@ -67,6 +68,7 @@ pub const fn live_safe(setting: Setting) -> bool {
 }
 
 /// Is `value` one this setting can have on this board?
+#[inline(never)]
 pub fn check(
     setting: Setting,
     value: u32,

@@ -7,10 +7,9 @@
 use crate::cores::{Board, LATCH_ENCODER, LATCH_STEPGEN, Setting};
 use crate::log;
 use crate::server::Server;
-use core::fmt::{self, Write};
+use crate::text::{Out, Sink};
 use wire::Refusal;
 use wire::map::{self, BoardConfig, StepgenConfig};
-use wire::units::{Position, StepRate};
 
 /// Longest line. The longest command with its argument is a quarter of this.
 pub const LINE_MAX: usize = 64;
@@ -18,17 +17,17 @@ pub const LINE_MAX: usize = 64;
 /// Greets whoever connects, and asks for the next line.
 pub const PROMPT: &str = "ferrocnc> ";
 
-const HELP: &str = "\
-help          this\r
-status        what the machine is doing, and why it stopped
-net           frames and refusals by reason
-regs [page]   the CSR pages, or the first words of one
-stepgen [n]   positions, rates, timings
-encoder [n]   counts
-watchdog      timeout, time left, bites
-log           where the log stands, and the last obituary
-quit          good bye
-";
+const HELP: [&str; 9] = [
+    "help          this",
+    "status        what the machine is doing, and why it stopped",
+    "net           frames and refusals by reason",
+    "regs [page]   the CSR pages, or the first words of one",
+    "stepgen [n]   positions, rates, timings",
+    "encoder [n]   counts",
+    "watchdog      timeout, time left, bites",
+    "log           where the log stands, and the last obituary",
+    "quit          good bye",
+];
 
 /// What a line means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -138,111 +137,103 @@ pub struct Vitals {
     pub mac_errors: [u32; 3],
 }
 
-/// Answers. An error only means that the sink is full.
+/// Answers into `out`; what does not fit there is lost.
 pub fn answer<B: Board>(
     ask: Ask,
     server: &Server,
     board: &mut B,
     vitals: &Vitals,
-    out: &mut impl Write,
-) -> fmt::Result {
+    out: &mut dyn Sink,
+) {
+    let mut out = Out(out);
     match ask {
-        Ask::Help => HELP.lines().try_for_each(|line| write!(out, "{line}\r\n")),
-        Ask::Status => status(server, board, vitals, out),
-        Ask::Net => net(server, vitals, out),
-        Ask::Regs(page) => regs(page, board, out),
-        Ask::Stepgen(only) => stepgen(only, server, board, out),
-        Ask::Encoder(only) => encoder(only, server, board, out),
-        Ask::Watchdog => watchdog(server, board, out),
-        Ask::Log => log(server, board, out),
-        Ask::Quit => write!(out, "bye\r\n"),
-        Ask::Nothing => Ok(()),
-        Ask::Unknown => write!(out, "? try help\r\n"),
+        Ask::Help => {
+            for line in HELP {
+                out.text(line).end();
+            }
+        }
+        Ask::Status => status(server, board, vitals, &mut out),
+        Ask::Net => net(server, vitals, &mut out),
+        Ask::Regs(page) => regs(page, board, &mut out),
+        Ask::Stepgen(only) => stepgen(only, server, board, &mut out),
+        Ask::Encoder(only) => encoder(only, server, board, &mut out),
+        Ask::Watchdog => watchdog(server, board, &mut out),
+        Ask::Log => log(server, board, &mut out),
+        Ask::Quit => out.text("bye").end(),
+        Ask::Nothing => {}
+        Ask::Unknown => out.text("? try help").end(),
     }
 }
 
-fn status<B: Board>(
-    server: &Server,
-    board: &mut B,
-    vitals: &Vitals,
-    out: &mut impl Write,
-) -> fmt::Result {
+fn status<B: Board>(server: &Server, board: &mut B, vitals: &Vitals, out: &mut Out) {
     let (ident, safety, gate) = (server.ident(), server.safety(), board.gate());
-    write!(
-        out,
-        "state    {}, reason {}\r\n",
-        safety.state(),
-        safety.reason()
-    )?;
-    write!(
-        out,
-        "gate     {}, positions {}\r\n",
-        if gate.open() { "open" } else { "closed" },
-        if safety.position_trusted() {
-            "trusted"
-        } else {
-            "not trusted"
-        },
-    )?;
+    out.text("state    ").text(safety.state().text());
+    out.text(", reason ").text(safety.reason().text()).end();
+    out.text("gate     ").either(gate.open(), "open", "closed");
+    out.text(", positions ")
+        .either(safety.position_trusted(), "trusted", "not trusted")
+        .end();
+    out.text("session  ");
     match server.session().owner() {
         Some(owner) => {
-            let [a, b, c, d] = owner.ip.to_be_bytes();
-            let last = server.session().last_sequence();
-            write!(
-                out,
-                "session  {a}.{b}.{c}.{d}:{}, last sequence {last}\r\n",
-                owner.port
-            )?;
+            for (place, byte) in owner.ip.to_be_bytes().into_iter().enumerate() {
+                out.text(if place == 0 { "" } else { "." })
+                    .number(byte.into());
+            }
+            out.text(":").number(owner.port.into());
+            out.text(", last sequence ")
+                .number(server.session().last_sequence())
+                .end();
         }
-        None => write!(out, "session  free\r\n")?,
+        None => out.text("free").end(),
     }
-    write!(
-        out,
-        "clock    {} Hz, now {}\r\n",
-        ident.clock_hz,
-        board.now()
-    )?;
-    write!(
-        out,
-        "abi      firmware {:08x}, gateware {:08x}\r\n",
-        server.abi(),
-        ident.abi
-    )?;
-    write!(
-        out,
-        "version  firmware {:06x}, gateware {:06x}\r\n",
-        crate::VERSION,
-        ident.version
-    )?;
+    let now = board.now();
+    out.text("clock    ")
+        .number(ident.clock_hz)
+        .text(" Hz, now 0x");
+    out.hex((now >> 32) as u32).hex(now as u32).end();
+    out.text("abi      firmware ")
+        .hex(server.abi())
+        .text(", gateware ")
+        .hex(ident.abi)
+        .end();
+    out.text("version  firmware ")
+        .hex(crate::VERSION)
+        .text(", gateware ")
+        .hex(ident.version)
+        .end();
     let (used, size) = vitals.stack;
-    write!(
-        out,
-        "boot     {:#x}, stack {used} of {size} bytes\r\n",
-        server.boot_id()
-    )
+    out.text("boot     ").hex(server.boot_id());
+    out.text(", stack ")
+        .number(used)
+        .text(" of ")
+        .number(size)
+        .text(" bytes")
+        .end();
 }
 
-fn net(server: &Server, vitals: &Vitals, out: &mut impl Write) -> fmt::Result {
+fn net(server: &Server, vitals: &Vitals, out: &mut Out) {
     let counters = server.counters();
-    write!(
-        out,
-        "frames in {}, out {}; exchanges {}; refused {}\r\n",
-        counters.frames_rx, counters.frames_tx, counters.exchanges, counters.refused_total
-    )?;
+    out.text("frames in ")
+        .number(counters.frames_rx)
+        .text(", out ")
+        .number(counters.frames_tx);
+    out.text("; exchanges ").number(counters.exchanges);
+    out.text("; refused ").number(counters.refused_total).end();
     let [slots, preamble, crc] = vitals.mac_errors;
-    write!(
-        out,
-        "mac: no slot {slots}, preamble {preamble}, crc {crc}\r\n"
-    )?;
+    out.text("mac: no slot ")
+        .number(slots)
+        .text(", preamble ")
+        .number(preamble);
+    out.text(", crc ").number(crc).end();
     for (why, count) in Refusal::ALL.iter().zip(counters.refused) {
         if count != 0 {
-            write!(out, "  {:<15}{count}\r\n", why.key())?;
+            out.text("  ").text(why.key()).text(" ").number(count).end();
         }
     }
-    Ok(())
 }
 
-fn regs<B: Board>(page: Option<u8>, board: &mut B, out: &mut impl Write) -> fmt::Result {
+fn regs<B: Board>(page: Option<u8>, board: &mut B, out: &mut Out) {
     const PAGE: u32 = 0x800;
     // 8 words say who a page is, 32 fit a screen.
     let (pages, words) = match page {
@@ -256,15 +247,14 @@ fn regs<B: Board>(page: Option<u8>, board: &mut B, out: &mut impl Write) -> fmt:
         }
         for word in 0..words {
             if word % 8 == 0 {
-                write!(out, "{:08x}", base + word * 4)?;
+                out.hex(base + word * 4);
             }
-            write!(out, " {:08x}", board.csr_read(base + word * 4))?;
+            out.text(" ").hex(board.csr_read(base + word * 4));
             if word % 8 == 7 {
-                write!(out, "\r\n")?;
+                out.end();
             }
         }
     }
-    Ok(())
 }
 
 fn chosen(only: Option<u8>, count: u8) -> core::ops::Range<u8> {
@@ -275,19 +265,19 @@ fn chosen(only: Option<u8>, count: u8) -> core::ops::Range<u8> {
     }
 }
 
-fn stepgen<B: Board>(
-    only: Option<u8>,
-    server: &Server,
-    board: &mut B,
-    out: &mut impl Write,
-) -> fmt::Result {
+fn stepgen<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut Out) {
     for n in chosen(only, server.ident().channels.stepgens) {
         let at = LATCH_STEPGEN + 3 * usize::from(n);
-        let position = Position::from_words(board.latched(at), board.latched(at + 1));
-        let rate = StepRate(board.latched(at + 2) as i32);
+        // The upper word of a position counts pulses.
+        let pulses = board.latched(at + 1) as i32;
+        let rate = board.latched(at + 2) as i32;
         // Steps/s by integers: a softcore has no use for f64.
-        let hz = (i64::from(rate.0) * i64::from(server.ident().clock_hz)) >> 32;
-        write!(out, "{n:>2}: {} steps, {hz} steps/s", position.pulses())?;
+        let hz = (i64::from(rate) * i64::from(server.ident().clock_hz)) >> 32;
+        out.number(n.into())
+            .text(": ")
+            .signed(pulses)
+            .text(" steps, ");
+        out.signed(hz as i32).text(" steps/s");
         if only.is_some() {
             for (name, field) in [
                 ("steplen", StepgenConfig::Steplen),
@@ -297,92 +287,64 @@ fn stepgen<B: Board>(
                 ("stop-accel", StepgenConfig::StopAccel),
                 ("mode", StepgenConfig::Mode),
             ] {
-                write!(
-                    out,
-                    "\r\n    {name} {}",
-                    board.setting(Setting::Stepgen(n, field))
-                )?;
+                out.text("\r\n    ").text(name).text(" ");
+                out.number(board.setting(Setting::Stepgen(n, field)));
             }
         }
-        write!(out, "\r\n")?;
+        out.end();
     }
-    Ok(())
 }
 
-fn encoder<B: Board>(
-    only: Option<u8>,
-    server: &Server,
-    board: &mut B,
-    out: &mut impl Write,
-) -> fmt::Result {
+fn encoder<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut Out) {
     for n in chosen(only, server.ident().channels.encoders) {
         let at = LATCH_ENCODER + 3 * usize::from(n);
         let [count, latch, edge] = [0, 1, 2].map(|word| board.latched(at + word));
-        let (count, latch) = (count as i32, latch as i32);
-        write!(
-            out,
-            "{n:>2}: {count}, index at {latch}, last edge at {edge:#x}\r\n"
-        )?;
+        out.number(n.into()).text(": ").signed(count as i32);
+        out.text(", index at ").signed(latch as i32);
+        out.text(", last edge at 0x").hex(edge).end();
     }
-    Ok(())
 }
 
-fn watchdog<B: Board>(server: &Server, board: &mut B, out: &mut impl Write) -> fmt::Result {
+fn watchdog<B: Board>(server: &Server, board: &mut B, out: &mut Out) {
     let gate = board.gate();
     let timeout = board.setting(Setting::Board(BoardConfig::WatchdogTimeout));
     let per_us = (server.ident().clock_hz / 1_000_000).max(1);
-    write!(
-        out,
-        "{}{}{}\r\n",
-        if gate.awake() { "awake" } else { "asleep" },
-        if gate.stopping() { ", stopping" } else { "" },
-        if gate.bitten() { ", has bitten" } else { "" },
-    )?;
-    write!(
-        out,
-        "external reset {}{}\r\n",
-        if gate.reset_pin() { "high" } else { "low" },
-        if gate.reset() { ", latched" } else { "" },
-    )?;
-    write!(
-        out,
-        "timeout {} us, left {} us\r\n",
-        timeout / per_us,
-        board.watchdog_left() / per_us
-    )
+    out.either(gate.awake(), "awake", "asleep");
+    out.either(gate.stopping(), ", stopping", "");
+    out.either(gate.bitten(), ", has bitten", "").end();
+    out.text("external reset ")
+        .either(gate.reset_pin(), "high", "low");
+    out.either(gate.reset(), ", latched", "").end();
+    out.text("timeout ")
+        .number(timeout / per_us)
+        .text(" us, left ");
+    out.number(board.watchdog_left() / per_us).text(" us").end();
 }
 
-fn log<B: Board>(server: &Server, board: &mut B, out: &mut impl Write) -> fmt::Result {
+fn log<B: Board>(server: &Server, board: &mut B, out: &mut Out) {
     let (head, size) = (board.log(log::Read::Head), board.log(log::Read::Size));
-    write!(
-        out,
-        "{head} bytes logged, the last {} kept; `ferrocnc log` decodes them\r\n",
-        head.min(size)
-    )?;
-    let deaths = board.panic(0);
+    out.number(head)
+        .text(" bytes logged, the last ")
+        .number(head.min(size));
+    out.text(" kept; `ferrocnc log` decodes them").end();
     let length = board.panic(4).min(map::PANIC_TEXT_LEN);
-    write!(
-        out,
-        "boot {:#x}, deaths since power-up {deaths}\r\n",
-        server.boot_id()
-    )?;
+    out.text("boot ").hex(server.boot_id());
+    out.text(", deaths since power-up ")
+        .number(board.panic(0))
+        .end();
     for offset in (0..length).step_by(4) {
         let bytes = board
             .panic(map::PANIC_TEXT - map::PANIC + offset)
             .to_be_bytes();
-        for byte in bytes.iter().take((length - offset) as usize) {
-            let char = if (b' '..=b'~').contains(byte) {
-                *byte as char
-            } else {
-                '.'
-            };
-            out.write_char(char)?;
-        }
+        out.ascii(
+            bytes
+                .get(..(length - offset).min(4) as usize)
+                .unwrap_or(&bytes),
+        );
     }
     if length > 0 {
-        write!(out, "\r\n")?;
+        out.end();
     }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -406,8 +368,7 @@ mod tests {
             &mut rig.board,
             &Vitals::default(),
             &mut out,
-        )
-        .unwrap();
+        );
         out
     }
 
@@ -485,8 +446,7 @@ mod tests {
                 &mut rig.board,
                 &Vitals::default(),
                 &mut out,
-            )
-            .unwrap();
+            );
             assert_eq!(rig.board.changes(), before, "{line}");
             assert!(
                 out.is_ascii() && out.replace("\r\n", "").find(['\r', '\n']).is_none(),

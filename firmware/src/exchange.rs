@@ -14,7 +14,7 @@
 
 use crate::cores::{
     Board, Control, LATCH_ENCODER, LATCH_INPUTS, LATCH_SAMPLE, LATCH_STEPGEN, STAGE_PWM,
-    STROBE_COMMIT, STROBE_COMMIT_AT, STROBE_SAMPLE,
+    STAGE_STEPGEN, STROBE_COMMIT, STROBE_COMMIT_AT, STROBE_SAMPLE,
 };
 use crate::safety::Event;
 use crate::server::Server;
@@ -28,10 +28,17 @@ use wire::{Refusal, etherbone};
 
 const FLAGS_KNOWN: u32 = FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME;
 
-/// The command block's words, each once, in order.
+/// The command block's words, each once, in order. They are taken and put by the handful: on the
+/// softcore a word loaded and used at once costs two clocks more than one loaded earlier.
 pub trait Request {
     /// The next word.
-    fn next(&mut self) -> u32;
+    fn take1(&mut self) -> [u32; 1];
+    /// The next two words.
+    fn take2(&mut self) -> [u32; 2];
+    /// The next four words.
+    fn take4(&mut self) -> [u32; 4];
+    /// The next seven words.
+    fn take7(&mut self) -> [u32; 7];
     /// Asked after the last word, before anything takes effect: did all of it arrive as it was sent?
     fn intact(&mut self) -> bool;
 }
@@ -91,10 +98,7 @@ impl Server {
         reply: &mut impl Reply,
     ) -> Result<(), Refusal> {
         // Judge.
-        let token = request.next();
-        let sequence = request.next();
-        let flags = request.next();
-        let apply = [request.next(), request.next()];
+        let [token, sequence, flags, apply_lo, apply_hi, enables, outputs] = request.take7();
         self.session.check(peer, token)?;
         judge_sequence(sequence, self.session.last_sequence())?;
         if flags & !FLAGS_KNOWN != 0 {
@@ -105,19 +109,35 @@ impl Server {
 
         // Stage.
         if self.commit_pending {
-            // A timed commit must not fire into half a block: from here on this command counts.
-            board.commit_at(u64::MAX);
-            self.commit_pending = false;
+            self.forget_timed(board);
         }
         let shape = self.shape;
-        board.stage(0, request.next());
-        board.stage(1, request.next());
-        for word in 0..shape.stepgens {
-            board.stage(2 + word * COMMAND_STEPGEN, request.next());
-            board.stage(3 + word * COMMAND_STEPGEN, request.next());
+        board.stage(0, enables);
+        board.stage(1, outputs);
+        let mut at = STAGE_STEPGEN;
+        for _ in 0..shape.stepgens / 2 {
+            let [a, b, c, d] = request.take4();
+            board.stage(at, a);
+            board.stage(at + 1, b);
+            board.stage(at + 2, c);
+            board.stage(at + 3, d);
+            at += 2 * COMMAND_STEPGEN;
         }
-        for word in 0..shape.pwms {
-            board.stage(STAGE_PWM + word, request.next());
+        if shape.stepgens % 2 != 0 {
+            let [a, b] = request.take2();
+            board.stage(at, a);
+            board.stage(at + 1, b);
+        }
+        let mut at = STAGE_PWM;
+        for _ in 0..shape.pwms / 2 {
+            let [a, b] = request.take2();
+            board.stage(at, a);
+            board.stage(at + 1, b);
+            at += 2;
+        }
+        if shape.pwms % 2 != 0 {
+            let [a] = request.take1();
+            board.stage(at, a);
         }
         if !request.intact() {
             return Err(Refusal::Checksum);
@@ -129,7 +149,7 @@ impl Server {
         if self.safety.steady(enable, enable_request, gate) && flags & FLAG_APPLY_TIME == 0 {
             board.strobe(STROBE_COMMIT | STROBE_SAMPLE);
         } else {
-            let at = (flags & FLAG_APPLY_TIME != 0).then_some(apply);
+            let at = (flags & FLAG_APPLY_TIME != 0).then_some([apply_lo, apply_hi]);
             gate = self.decide(board, enable, enable_request, gate, at)?;
         }
         board.feed(sequence);
@@ -138,32 +158,34 @@ impl Server {
         self.counters.exchanges = self.counters.exchanges.wrapping_add(1);
 
         // Answer. `session_yours` and `accepted` are true, or we were not here.
+        let [arrival_lo, arrival_hi] = [board.arrival_lo(), board.arrival_hi()];
+        let [sample_lo, sample_hi] = [board.latched(LATCH_SAMPLE), board.latched(LATCH_SAMPLE + 1)];
+        let [inputs, marks] = [board.latched(LATCH_INPUTS), board.latched(LATCH_INPUTS + 1)];
+        let state = self.state_word(gate) | STATE_ANSWER;
         reply.put(sequence);
-        reply.put(self.state_word(gate) | STATE_ANSWER);
+        reply.put(state);
         reply.put(sequence);
-        reply.put(board.arrival_lo());
-        reply.put(board.arrival_hi());
-        reply.put(board.latched(LATCH_SAMPLE));
-        reply.put(board.latched(LATCH_SAMPLE + 1));
+        reply.put(arrival_lo);
+        reply.put(arrival_hi);
+        reply.put(sample_lo);
+        reply.put(sample_hi);
         reply.put(left);
         reply.put(self.counters.refused_total);
         reply.put(self.boot_id);
         reply.put(0);
-        reply.put(board.latched(LATCH_INPUTS));
-        reply.put(board.latched(LATCH_INPUTS + 1));
-        for stepgen in 0..shape.stepgens {
-            let at = LATCH_STEPGEN + stepgen * STATUS_STEPGEN;
-            reply.put(board.latched(at));
-            reply.put(board.latched(at + 1));
-            reply.put(board.latched(at + 2));
-        }
-        for encoder in 0..shape.encoders {
-            let at = LATCH_ENCODER + encoder * STATUS_ENCODER;
-            reply.put(board.latched(at));
-            reply.put(board.latched(at + 1));
-            reply.put(board.latched(at + 2));
-        }
+        reply.put(inputs);
+        reply.put(marks);
+        copy(board, reply, LATCH_STEPGEN, shape.stepgens);
+        copy(board, reply, LATCH_ENCODER, shape.encoders);
         Ok(())
+    }
+
+    /// A timed commit must not fire into half a block: from here on the new command counts.
+    #[cold]
+    #[inline(never)]
+    fn forget_timed<B: Board>(&mut self, board: &mut B) {
+        board.commit_at(u64::MAX);
+        self.commit_pending = false;
     }
 
     /// The servo periods in which something changes: arming, stopping, faults, timed commits.
@@ -209,6 +231,43 @@ impl Server {
     }
 }
 
+/// Copies the three words of each of `count` channels into the answer, two channels at a time.
+#[inline(always)]
+fn copy(board: &mut impl Board, reply: &mut impl Reply, mut at: usize, count: usize) {
+    for _ in 0..count / 2 {
+        let (a, b, c) = (
+            board.latched(at),
+            board.latched(at + 1),
+            board.latched(at + 2),
+        );
+        let (d, e, f) = (
+            board.latched(at + 3),
+            board.latched(at + 4),
+            board.latched(at + 5),
+        );
+        reply.put(a);
+        reply.put(b);
+        reply.put(c);
+        reply.put(d);
+        reply.put(e);
+        reply.put(f);
+        at += 2 * STATUS_STEPGEN;
+    }
+    if count % 2 != 0 {
+        let (a, b, c) = (
+            board.latched(at),
+            board.latched(at + 1),
+            board.latched(at + 2),
+        );
+        reply.put(a);
+        reply.put(b);
+        reply.put(c);
+    }
+}
+
+// Stepgens and encoders are copied alike.
+const _: () = assert!(STATUS_STEPGEN == STATUS_ENCODER);
+
 /// Bits of a state word that only an answer to an accepted command carries.
 pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;
 
@@ -216,15 +275,33 @@ pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;
 #[derive(Debug)]
 pub struct SliceRequest<'w>(pub &'w [u32]);
 
-impl Request for SliceRequest<'_> {
-    fn next(&mut self) -> u32 {
-        match self.0.split_first() {
-            Some((word, rest)) => {
+impl SliceRequest<'_> {
+    fn next<const N: usize>(&mut self) -> [u32; N] {
+        match self.0.split_first_chunk() {
+            Some((words, rest)) => {
                 self.0 = rest;
-                *word
+                *words
             }
-            None => 0, // the block has this board's length, so this does not happen
+            None => [0; N], // the block has this board's length, so this does not happen
         }
+    }
+}
+
+impl Request for SliceRequest<'_> {
+    fn take1(&mut self) -> [u32; 1] {
+        self.next()
+    }
+
+    fn take2(&mut self) -> [u32; 2] {
+        self.next()
+    }
+
+    fn take4(&mut self) -> [u32; 4] {
+        self.next()
+    }
+
+    fn take7(&mut self) -> [u32; 7] {
+        self.next()
     }
 
     fn intact(&mut self) -> bool {

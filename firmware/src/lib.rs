@@ -26,6 +26,7 @@
 //! | [`service`] | which raw registers may be touched |
 //! | [`log`] | the ring `ferrocnc log` reads |
 //! | [`postmortem`] | what survives a panic |
+//! | [`text`] | text in pieces, without `core::fmt` |
 //! | [`console`] | a read-only window for a human with `telnet` |
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
@@ -42,6 +43,7 @@ pub mod safety;
 pub mod server;
 pub mod service;
 pub mod session;
+pub mod text;
 
 #[cfg(test)]
 mod fake;

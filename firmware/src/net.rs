@@ -1,8 +1,8 @@
 //! Recognises the frames the Etherbone server wants without an IP stack, and checks them whole.
 //!
-//! Plain UDP to our address and port, IPv4 without options or fragments: that is every frame of a
-//! servo period. Everything else (ARP, ping, TCP, IP options, broadcast) is [`Class::Other`] and goes
-//! to smoltcp. A frame that is ours but damaged is refused here with its reason.
+//! UDP to our address and port in one IPv4 packet, with IP options or without: that is every frame
+//! Etherbone comes in. Everything else (ARP, ping, TCP, fragments, broadcast) is [`Class::Other`] and
+//! goes to smoltcp. A frame that is ours but damaged is refused here with its reason.
 //!
 //! Frames are read as big-endian words as the MAC's slots deliver them. The UDP payload begins at
 //! byte 42, half way into word 10:
@@ -22,11 +22,15 @@ pub const FRAME_MIN: usize = 60;
 /// Word the payload begins in the middle of.
 pub const PAYLOAD_WORD: usize = 10;
 
+/// Ethertype, IP version 4 and a header of five words, as they lie in the upper bytes of word 3.
 const ETHERTYPE_IPV4_IHL5: u32 = 0x0008_0045;
+const ETHERTYPE_IPV4: u32 = ETHERTYPE_IPV4_IHL5 >> 4;
 const PROTOCOL_UDP: u32 = 17;
 /// More-fragments flag, fragment offset and the reserved bit; don't-fragment may be either.
 const FRAGMENT: u32 = 0xbfff;
 const IP_HEADER: usize = 20;
+/// IHL is four bits: at most fifteen words, five of which are no options.
+const OPTIONS_MAX: usize = 10;
 const UDP_HEADER: usize = 8;
 const ETHERNET_HEADER: usize = 14;
 
@@ -73,56 +77,70 @@ pub struct Datagram {
     pub mac: (u16, u32),
     /// Payload length in bytes.
     pub length: usize,
+    /// Words of IP options: the payload lies that much further behind.
+    pub options: usize,
 }
 
 /// Looks at a frame of `length` bytes.
 pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
     let [mac0, mac1] = mac_words(us.mac);
-    let words: [u32; PAYLOAD_WORD + 1] = core::array::from_fn(|index| frame.word(index));
-    let [w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10] = words;
+    let [w0, w1, w2, w3, w4, w5, w6, w7, w8] = core::array::from_fn(|index| frame.word(index));
     let destination = (w7 << 16) | (w8 >> 16);
+    let options = (w3 >> 8 & 0xf).wrapping_sub(5) as usize;
     let recognised = length >= HEADERS
         && w0 == mac0
         && w1 >> 16 == mac1 >> 16
-        && w3 >> 8 == ETHERTYPE_IPV4_IHL5
+        && w3 >> 12 == ETHERTYPE_IPV4
+        && options <= OPTIONS_MAX
         && w5 & 0xff == PROTOCOL_UDP
         && w5 >> 16 & FRAGMENT == 0
-        && destination == us.ip
-        && w9 >> 16 == u32::from(us.port);
-    if !recognised {
+        && destination == us.ip;
+    // From here on, words count from the last one of the IP header.
+    let ports = frame.word(8 + options);
+    let lengths = frame.word(9 + options);
+    let checksum = frame.word(10 + options);
+    if !recognised || lengths >> 16 != u32::from(us.port) {
         return Class::Other;
     }
-    let ip_sum = [w3 & 0xffff, w4, w5, w6, w7, w8 & 0xffff_0000];
-    if fold(ip_sum.iter().fold(0, |sum, word| add(sum, *word))) != 0xffff {
+    let mut ip_sum = add(add(add(add(w3 & 0xffff, w4), w5), w6), w7);
+    for index in 8..8 + options {
+        ip_sum = add(ip_sum, frame.word(index));
+    }
+    if fold(add(ip_sum, ports & 0xffff_0000)) != 0xffff {
         return Class::Refused(Refusal::Checksum);
     }
     let ip_length = (w4 >> 16) as usize;
-    let udp_length = (w9 & 0xffff) as usize;
+    let udp_length = (lengths & 0xffff) as usize;
     let consistent = udp_length >= UDP_HEADER
-        && ip_length == udp_length + IP_HEADER
+        && ip_length == udp_length + IP_HEADER + 4 * options
         && length >= ip_length + ETHERNET_HEADER
         // Padding is for short frames; anything else that is longer than it says is not from a stack.
         && (length == ip_length + ETHERNET_HEADER || length <= FRAME_MIN);
     if !consistent {
         return Class::Refused(Refusal::Truncated);
     }
-    let payload = udp_length - UDP_HEADER;
-    if w10 >> 16 != 0 && !udp_checksum_fits(frame, &words, udp_length) {
-        return Class::Refused(Refusal::Checksum);
+    if checksum >> 16 != 0 {
+        let pseudo = add(add(w6 & 0xffff, w7), w8 & 0xffff_0000);
+        let pseudo = add(pseudo, PROTOCOL_UDP + udp_length as u32);
+        if !udp_checksum_fits(frame, 8 + options, pseudo, udp_length) {
+            return Class::Refused(Refusal::Checksum);
+        }
     }
     Class::Ours(Datagram {
         peer: Peer {
             ip: w6 << 16 | w7 >> 16,
-            port: w8 as u16,
+            port: ports as u16,
         },
         mac: (w1 as u16, w2),
-        length: payload,
+        length: udp_length - UDP_HEADER,
+        options,
     })
 }
 
 /// A payload word: two halves of two frame words.
-pub fn payload_word(frame: &impl Frame, index: usize) -> u32 {
-    frame.word(PAYLOAD_WORD + index) << 16 | frame.word(PAYLOAD_WORD + 1 + index) >> 16
+pub fn payload_word(frame: &impl Frame, options: usize, index: usize) -> u32 {
+    let at = PAYLOAD_WORD + options + index;
+    frame.word(at) << 16 | frame.word(at + 1) >> 16
 }
 
 /// Writes the eleven words before and around the first payload half: `to` is answered. UDP checksum
@@ -224,18 +242,16 @@ impl Lane {
     /// nothing against the frame: the long way round finds out what it is.
     #[inline(always)]
     pub fn open<'f, F: Frame>(&self, frame: &'f F, length: usize) -> Option<Command<'f, F>> {
-        let macs = frame.word(0) ^ self.macs[0]
-            | frame.word(1) ^ self.macs[1]
-            | frame.word(2) ^ self.macs[2];
-        let (w3, w4, w5, w6) = (frame.word(3), frame.word(4), frame.word(5), frame.word(6));
+        let (w0, w1, w2, w3) = (frame.word(0), frame.word(1), frame.word(2), frame.word(3));
+        let (w4, w5, w6, w7) = (frame.word(4), frame.word(5), frame.word(6), frame.word(7));
+        let (w8, w9, w10) = (frame.word(8), frame.word(9), frame.word(PAYLOAD_WORD));
+        let macs = w0 ^ self.macs[0] | w1 ^ self.macs[1] | w2 ^ self.macs[2];
         let shape = w3 >> 8 ^ ETHERTYPE_IPV4_IHL5
             | w4 >> 16 ^ self.ip_length
             | w5 & (FRAGMENT << 16 | 0xff) ^ PROTOCOL_UDP
             | w6 & 0xffff ^ self.source_high
             | length as u32 ^ self.ip_length + ETHERNET_HEADER as u32;
-        let tail = frame.word(7) ^ self.tail[0]
-            | frame.word(8) ^ self.tail[1]
-            | frame.word(9) ^ self.tail[2];
+        let tail = w7 ^ self.tail[0] | w8 ^ self.tail[1] | w9 ^ self.tail[2];
         if macs | shape | tail != 0 {
             return None;
         }
@@ -245,7 +261,6 @@ impl Lane {
         if fold(ip_sum) != 0xffff {
             return None;
         }
-        let w10 = frame.word(PAYLOAD_WORD);
         let mut command = Command {
             frame,
             index: PAYLOAD_WORD,
@@ -255,11 +270,10 @@ impl Lane {
             udp_sum: self.udp_sum,
             checksum: w10 >> 16,
         };
-        let header = command.next() ^ wire::etherbone::HEADER;
-        let _padding = command.next();
-        let record = command.next() ^ self.record;
-        let base = command.next() ^ wire::map::COMMAND;
-        (header | record | base == 0).then_some(command)
+        let [header, _padding, record, base] = command.take4();
+        let difference =
+            header ^ wire::etherbone::HEADER | record ^ self.record | base ^ wire::map::COMMAND;
+        (difference == 0).then_some(command)
     }
 }
 
@@ -281,17 +295,51 @@ pub struct Command<'f, F> {
     checksum: u32,
 }
 
-impl<F: Frame> crate::exchange::Request for Command<'_, F> {
+impl<F: Frame> Command<'_, F> {
     #[inline(always)]
-    fn next(&mut self) -> u32 {
+    fn load(&mut self) -> u32 {
         self.index += 1;
-        let word = self.frame.word(self.index);
+        self.frame.word(self.index)
+    }
+
+    #[inline(always)]
+    fn combine(&mut self, word: u32) -> u32 {
         let high = word >> 16;
         self.high = self.high.wrapping_add(high);
         self.low = self.low.wrapping_add(word);
         let payload = self.carry << 16 | high;
         self.carry = word;
         payload
+    }
+}
+
+/// Loads first, uses later: see [`crate::exchange::Request`].
+macro_rules! take {
+    ($self:ident, $($word:ident),+) => {{
+        $(let $word = $self.load();)+
+        [$($self.combine($word)),+]
+    }};
+}
+
+impl<F: Frame> crate::exchange::Request for Command<'_, F> {
+    #[inline(always)]
+    fn take1(&mut self) -> [u32; 1] {
+        take!(self, a)
+    }
+
+    #[inline(always)]
+    fn take2(&mut self) -> [u32; 2] {
+        take!(self, a, b)
+    }
+
+    #[inline(always)]
+    fn take4(&mut self) -> [u32; 4] {
+        take!(self, a, b, c, d)
+    }
+
+    #[inline(always)]
+    fn take7(&mut self) -> [u32; 7] {
+        take!(self, a, b, c, d, e, f, g)
     }
 
     #[inline(always)]
@@ -312,30 +360,17 @@ impl<F: Frame> crate::exchange::Request for Command<'_, F> {
 
 use crate::exchange::Request as _;
 
-fn udp_checksum_fits(
-    frame: &impl Frame,
-    words: &[u32; PAYLOAD_WORD + 1],
-    udp_length: usize,
-) -> bool {
-    let [.., w6, w7, w8, w9, w10] = words;
-    let mut sum = PROTOCOL_UDP + udp_length as u32;
-    for word in [w6 & 0xffff, *w7, *w8, *w9] {
-        sum = add(sum, word);
-    }
-    // From the checksum field on: the upper half of word 10 and then the payload.
-    let bytes = udp_length - 6;
+/// Sums the UDP part, which begins in the lower half of word `start`.
+fn udp_checksum_fits(frame: &impl Frame, start: usize, pseudo: u32, udp_length: usize) -> bool {
+    let mut sum = add(pseudo, frame.word(start) & 0xffff);
+    let bytes = udp_length - 2;
     for index in 0..bytes / 4 {
-        sum = add(sum, frame.word(PAYLOAD_WORD + index));
+        sum = add(sum, frame.word(start + 1 + index));
     }
     let rest = bytes % 4;
     if rest != 0 {
         let keep = !(u32::MAX >> (8 * rest));
-        let last = if bytes < 4 {
-            *w10
-        } else {
-            frame.word(PAYLOAD_WORD + bytes / 4)
-        };
-        sum = add(sum, last & keep);
+        sum = add(sum, frame.word(start + 1 + bytes / 4) & keep);
     }
     fold(sum) == 0xffff
 }

@@ -2,7 +2,7 @@
 //!
 //! The record lies in RAM nobody clears. A checksum tells a record from whatever power-up left there.
 
-use core::fmt;
+use crate::text::{Out, Sink};
 use wire::map::{PANIC, PANIC_TEXT, PANIC_TEXT_LEN};
 
 const TEXT_LEN: usize = PANIC_TEXT_LEN as usize;
@@ -58,7 +58,7 @@ impl Record {
     }
 
     /// Writes the obituary. What does not fit is cut off.
-    pub fn die(&mut self, cause: fmt::Arguments<'_>) {
+    pub fn die(&mut self, cause: impl FnOnce(&mut Out)) {
         if self.check != self.sum() {
             *self = Record::EMPTY;
         }
@@ -66,8 +66,7 @@ impl Record {
         self.died = 1;
         self.length = 0;
         self.text = [0; TEXT_LEN];
-        // `write_str` below cannot fail; a `Display` that does only shortens the text.
-        let _ = fmt::write(self, cause);
+        cause(&mut Out(self));
         self.check = self.sum();
     }
 
@@ -77,9 +76,8 @@ impl Record {
     }
 
     /// The last obituary, empty if there is none.
-    pub fn text(&self) -> &str {
-        let bytes = self.text.get(..self.length as usize).unwrap_or(&[]);
-        core::str::from_utf8(bytes).unwrap_or("(text damaged)")
+    pub fn text(&self) -> &[u8] {
+        self.text.get(..self.length as usize).unwrap_or(&[])
     }
 
     /// A word of the panic window, by byte offset; 0 where nothing is.
@@ -107,17 +105,15 @@ impl Record {
     }
 }
 
-impl fmt::Write for Record {
-    fn write_str(&mut self, text: &str) -> fmt::Result {
-        for char in text.chars() {
-            let at = self.length as usize;
-            let Some(room) = self.text.get_mut(at..at + char.len_utf8()) else {
+impl Sink for Record {
+    fn put(&mut self, text: &[u8]) {
+        for byte in text {
+            let Some(place) = self.text.get_mut(self.length as usize) else {
                 break;
             };
-            char.encode_utf8(room);
-            self.length += char.len_utf8() as u32;
+            *place = *byte;
+            self.length += 1;
         }
-        Ok(())
     }
 }
 
@@ -143,10 +139,15 @@ mod tests {
     fn a_death_is_told_once_as_a_crash_and_stays_readable() {
         let mut record = Record::EMPTY;
         let _ = record.boot(0);
-        record.die(format_args!("panicked at {}", "x.rs:1"));
+        record.die(|out| {
+            out.text("panicked at ").text("x.rs:").number(1);
+        });
         assert!(record.boot(0).crashed);
         assert!(!record.boot(0).crashed);
-        assert_eq!((record.deaths(), record.text()), (1, "panicked at x.rs:1"));
+        assert_eq!(
+            (record.deaths(), record.text()),
+            (1, &b"panicked at x.rs:1"[..])
+        );
         assert_eq!((record.word(0), record.word(4)), (1, 18));
         assert_eq!(record.word(0x10).to_be_bytes(), *b"pani");
         assert_eq!((record.word(8), record.word(0x110)), (0, 0));
@@ -169,7 +170,7 @@ mod tests {
                 crashed: false
             }
         );
-        assert_eq!((record.deaths(), record.text()), (0, ""));
+        assert_eq!((record.deaths(), record.text()), (0, &b""[..]));
     }
 
     #[test]
@@ -178,10 +179,13 @@ mod tests {
     }
 
     #[test]
-    fn a_long_text_is_cut_at_a_character() {
+    fn a_long_text_is_cut_off() {
         let mut record = Record::EMPTY;
         let _ = record.boot(0);
-        record.die(format_args!("{}{}", "x".repeat(255), "\u{e9}tude"));
-        assert_eq!(record.text().len(), 255);
+        record.die(|out| {
+            out.text(&"x".repeat(300));
+        });
+        assert_eq!(record.text().len(), TEXT_LEN);
+        assert!(record.boot(0).crashed);
     }
 }

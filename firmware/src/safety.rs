@@ -155,6 +155,12 @@ impl Safety {
         }
     }
 
+    /// Armed, and the gate agrees: looking at it changes nothing.
+    #[inline]
+    pub fn running(&self, gate: Gate) -> bool {
+        matches!(self.state, State::Armed) && gate.0 == Gate::LIVE.0
+    }
+
     /// Would this command in this state only be executed, with nothing to decide? The exchange asks
     /// this first; [`Safety::step`] would return the same machine and `execute`.
     #[inline]

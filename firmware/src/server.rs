@@ -170,6 +170,9 @@ impl Server {
     /// rest. To be called a few hundred times a second; cheap.
     pub fn poll<B: Board>(&mut self, board: &mut B) {
         let gate = board.gate();
+        if self.safety.running(gate) {
+            return;
+        }
         self.event(board, Event::Gate(gate));
         let now = board.now();
         if core::mem::take(&mut self.spoke) {
@@ -188,8 +191,6 @@ impl Server {
                 self.sampled_at = now;
                 board.strobe(STROBE_SAMPLE);
             }
-        } else {
-            self.committed = true;
         }
         board.led(self.led());
     }
@@ -231,6 +232,7 @@ impl Server {
         if let Some(order) = effects.order {
             board.control(order);
             self.committed |= order == Control::Arm;
+            board.led(self.led());
         }
     }
 

@@ -48,6 +48,7 @@ pub fn check_write(
     }
 }
 
+#[inline(never)]
 fn target(address: u32, channels: Channels) -> Result<Target, Refusal> {
     if !readable(address) {
         return Err(Refusal::Unmapped);

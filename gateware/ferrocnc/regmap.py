@@ -18,8 +18,8 @@ CSR_BASE = 0xF000_0000
 CSR_PAGE = 0x800
 CSR_ADDRESS_WIDTH = 16
 
-ROM = (0x0000_0000, 0xE000)  # 56 KiB, 28 EBR: the image; see design.md 8, "on-chip memory"
-RAM = (0x1000_0000, 0x6000)  # 24 KiB, 12 EBR: data, bss, stack
+ROM = (0x0000_0000, 0x10800)  # 66 KiB, 33 EBR: the image; smoltcp's TCP alone is 16 KiB without compressed instructions
+RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: data, bss, 6 KiB of stack
 ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
 BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
 ETHMAC_RX_SLOTS = 2

@@ -3,7 +3,7 @@
 //! for the one comparison that decides whether a board may arm.
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version.
-pub const ABI: u32 = 0x6871c947;
+pub const ABI: u32 = 0x6e40fd04;
 /// Version of the exchange's word layout this map was made for.
 pub const WIRE_LAYOUT: u32 = 1;
 /// What `ident.magic` reads: "FCnC".
@@ -11,11 +11,11 @@ pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
 pub const ROM_BASE: usize = 0x00000000;
 /// Bytes of the image.
-pub const ROM_SIZE: usize = 0xe000;
+pub const ROM_SIZE: usize = 0x10800;
 /// First byte of data, bss and stack.
 pub const RAM_BASE: usize = 0x10000000;
 /// Bytes of data, bss and stack.
-pub const RAM_SIZE: usize = 0x6000;
+pub const RAM_SIZE: usize = 0x3800;
 /// First byte of the MAC's slots: receive, then transmit.
 pub const ETHMAC_BASE: usize = 0x80000000;
 /// Bytes of the MAC's slots: receive, then transmit.

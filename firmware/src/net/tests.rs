@@ -108,6 +108,7 @@ fn plain_udp_to_our_port_is_ours_with_and_without_checksum() {
                 peer: ALICE,
                 mac: (0x0203, 0x0405_0607),
                 length: length as usize,
+                options: 0,
             };
             assert_eq!(look(&frame), Class::Ours(expected), "{length}");
         }
@@ -119,7 +120,7 @@ fn payload_words_are_the_payload() {
     let payload: Vec<u8> = (0..40).collect();
     let frame = Bytes(udp_frame(&payload, true));
     for (index, chunk) in payload.chunks(4).enumerate() {
-        assert_eq!(payload_word(&frame, index).to_be_bytes(), *chunk);
+        assert_eq!(payload_word(&frame, 0, index).to_be_bytes(), *chunk);
     }
 }
 
@@ -130,7 +131,7 @@ fn what_is_not_plain_udp_to_us_is_left_to_the_stack() {
         ("broadcast", with(0, 0xff)),
         ("ARP", with(13, 6)),
         ("IPv6", with(14, 0x65)),
-        ("IP options", with(14, 0x46)),
+        ("an IP header too short to be one", with(14, 0x44)),
         ("more fragments", with(20, 0x20)),
         ("a fragment's tail", with(21, 1)),
         ("ICMP", with(23, 1)),
@@ -183,6 +184,34 @@ fn lengths_that_contradict_each_other_are_refused() {
 }
 
 #[test]
+fn ip_options_are_stepped_over() {
+    for options in 1..=10usize {
+        let payload: Vec<u8> = (0..20).collect();
+        let mut frame = udp_frame(&payload, true);
+        frame[14] = 0x45 + options as u8;
+        frame[17] += 4 * options as u8;
+        // Eight no-operations, an end of list, and rubbish behind it.
+        frame.splice(
+            34..34,
+            (0..4 * options).map(|at| [1, 1, 1, 1, 1, 1, 1, 1, 0, 0xee][at.min(9)]),
+        );
+        frame[24..26].fill(0);
+        let sum = checksum(&frame[14..34 + 4 * options]);
+        frame[24..26].copy_from_slice(&sum.to_be_bytes());
+        let Class::Ours(datagram) = look(&frame) else {
+            panic!("{options}: {:?}", look(&frame));
+        };
+        assert_eq!(
+            (datagram.options, datagram.length, datagram.peer),
+            (options, 20, ALICE)
+        );
+        assert_eq!(payload_word(&Bytes(frame.clone()), options, 1), 0x0405_0607);
+        frame[34] ^= 4;
+        assert_eq!(look(&frame), Class::Refused(Refusal::Checksum));
+    }
+}
+
+#[test]
 fn ethernet_padding_is_no_payload() {
     let mut frame = udp_frame(&[1, 2, 3, 4], true);
     frame.resize(FRAME_MIN, 0xee);
@@ -219,6 +248,7 @@ fn our_answers_satisfy_our_own_checks_seen_from_the_other_side() {
         },
         mac: (0x10e2, 0xd500_0001),
         length: 8,
+        options: 0,
     };
     assert_eq!(seen, Class::Ours(expected));
     assert_eq!(
@@ -275,7 +305,7 @@ fn down_the_lane(rig: &mut Rig, frame: Vec<u8>) -> Option<Result<Vec<u32>, Refus
     let length = SlotReply::<Words>::frame_length(&shape);
     assert_eq!(length, frame.0.len() - 2);
     Some(Ok((0..(length - HEADERS) / 4)
-        .map(|index| payload_word(&frame, index))
+        .map(|index| payload_word(&frame, 0, index))
         .collect()))
 }
 
@@ -368,7 +398,7 @@ proptest! {
         let lane = lane();
         let mut command = lane.open(&frame, frame.0.len()).unwrap();
         for word in &payload[4..] {
-            prop_assert_eq!(command.next(), *word);
+            prop_assert_eq!(command.take1(), [*word]);
         }
         prop_assert!(command.intact());
     }

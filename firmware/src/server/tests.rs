@@ -813,7 +813,9 @@ fn log_and_obituary_can_be_read() {
     let mut rig = Rig::new();
     rig.board.ring.push(b"hello");
     let _ = rig.board.record.boot(0);
-    rig.board.record.die(format_args!("boom"));
+    rig.board.record.die(|out| {
+        out.text("boom");
+    });
     assert_eq!(rig.read(map::LOG), Ok(5));
     assert_eq!(rig.read(map::LOG + 4), Ok(64));
     assert_eq!(rig.read(map::LOG + 8), Ok(9));

@@ -10,6 +10,7 @@ use firmware::net::{Frame, Slot};
 use litex_pac::{Ethmac, abi};
 use smoltcp::phy::{Device, DeviceCapabilities, Medium, RxToken, TxToken};
 use smoltcp::time::Instant;
+use wire::MAX_WORDS;
 
 /// Longest frame, without FCS.
 const FRAME_MAX: usize = 1514;
@@ -40,25 +41,55 @@ impl Slot for TxSlot {
     }
 }
 
+/// A datagram as words for the server, or a frame as bytes for the IP stack; never both at once.
+pub struct Buffer([u32; FRAME_MAX.div_ceil(4)]);
+
+impl Buffer {
+    /// As words of a datagram.
+    pub fn words(&mut self) -> &mut [u32; MAX_WORDS] {
+        const { assert!(FRAME_MAX >= MAX_WORDS * 4) };
+        match self.0.first_chunk_mut() {
+            Some(words) => words,
+            None => unreachable!(), // asserted above
+        }
+    }
+
+    fn bytes(&mut self) -> &mut [u8] {
+        // SAFETY: the same memory; bytes have no alignment and no invalid values.
+        unsafe { core::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), FRAME_MAX) }
+    }
+}
+
 /// The MAC.
 pub struct Mac {
     regs: Ethmac,
-    /// A frame waiting for the IP stack, copied out of its slot.
-    stack_frame: &'static mut [u8; FRAME_MAX],
+    /// What came in and does not fit the lane.
+    pub input: &'static mut Buffer,
+    /// What goes out of the server or the IP stack.
+    pub output: &'static mut Buffer,
+    /// Length of the frame in `input` that waits for the IP stack.
     stack_length: usize,
     sent: u32,
 }
 
-static mut STACK_FRAME: [u8; FRAME_MAX] = [0; FRAME_MAX];
+static mut INPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
+static mut OUTPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
 
 impl Mac {
     /// The one MAC there is.
     pub fn new() -> Self {
-        // SAFETY: `super::start` calls this once; nobody else touches the MAC or the buffer.
-        let (regs, stack_frame) = unsafe { (Ethmac::steal(), &mut *(&raw mut STACK_FRAME)) };
+        // SAFETY: `super::start` calls this once; nobody else touches the MAC or the buffers.
+        let (regs, input, output) = unsafe {
+            (
+                Ethmac::steal(),
+                &mut *(&raw mut INPUT),
+                &mut *(&raw mut OUTPUT),
+            )
+        };
         Mac {
             regs,
-            stack_frame,
+            input,
+            output,
             stack_length: 0,
             sent: 0,
         }
@@ -125,15 +156,9 @@ impl Mac {
     pub fn take_for_stack(&mut self) {
         let (frame, length) = self.frame();
         let length = length.min(FRAME_MAX);
-        for (index, chunk) in self
-            .stack_frame
-            .chunks_mut(4)
-            .take(length.div_ceil(4))
-            .enumerate()
-        {
-            for (byte, from) in chunk.iter_mut().zip(frame.word(index).to_be_bytes()) {
-                *byte = from;
-            }
+        // The slot's words are big-endian; the stack wants bytes in their order.
+        for (index, word) in self.input.0.iter_mut().take(length.div_ceil(4)).enumerate() {
+            *word = frame.word(index).swap_bytes();
         }
         self.stack_length = length;
         self.release();
@@ -180,14 +205,18 @@ impl Device for Mac {
     fn receive(&mut self, _now: Instant) -> Option<(Received<'_>, Transmit<'_>)> {
         let length = core::mem::take(&mut self.stack_length);
         let bytes = self
-            .stack_frame
+            .input
+            .bytes()
             .get(..length)
             .filter(|bytes| !bytes.is_empty())?;
-        Some((Received(bytes), Transmit(&self.regs, &mut self.sent)))
+        Some((
+            Received(bytes),
+            Transmit(&self.regs, &mut self.sent, self.output),
+        ))
     }
 
     fn transmit(&mut self, _now: Instant) -> Option<Transmit<'_>> {
-        Some(Transmit(&self.regs, &mut self.sent))
+        Some(Transmit(&self.regs, &mut self.sent, self.output))
     }
 
     fn capabilities(&self) -> DeviceCapabilities {
@@ -209,34 +238,24 @@ impl RxToken for Received<'_> {
 }
 
 /// A frame from the IP stack.
-pub struct Transmit<'a>(&'a Ethmac, &'a mut u32);
-
-static mut TRANSMIT: [u8; FRAME_MAX] = [0; FRAME_MAX];
+pub struct Transmit<'a>(&'a Ethmac, &'a mut u32, &'a mut Buffer);
 
 impl TxToken for Transmit<'_> {
     fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, length: usize, f: F) -> R {
-        // SAFETY: a token borrows the one `Mac`, so there is one token, and `consume` ends with it.
-        let buffer = unsafe { &mut *(&raw mut TRANSMIT) };
+        let Transmit(regs, sent, buffer) = self;
         let length = length.min(FRAME_MAX);
-        let bytes = buffer.get_mut(..length).unwrap_or(&mut []);
-        let result = f(bytes);
-        while self.0.sram_reader_level().read().bits() != 0 {}
+        let result = f(buffer.bytes().get_mut(..length).unwrap_or(&mut []));
+        while regs.sram_reader_level().read().bits() != 0 {}
         let mut slot = Mac::tx(COMMON);
-        for (index, chunk) in bytes.chunks(4).enumerate() {
-            let mut word = [0; 4];
-            for (to, byte) in word.iter_mut().zip(chunk) {
-                *to = *byte;
-            }
-            slot.put(index, u32::from_be_bytes(word));
+        for (index, word) in buffer.0.iter().take(length.div_ceil(4)).enumerate() {
+            slot.put(index, word.swap_bytes());
         }
-        self.0
-            .sram_reader_slot()
+        regs.sram_reader_slot()
             .write(|w| unsafe { w.bits(COMMON as u32) });
-        self.0
-            .sram_reader_length()
+        regs.sram_reader_length()
             .write(|w| unsafe { w.bits(length as u32) });
-        self.0.sram_reader_start().write(|w| unsafe { w.bits(1) });
-        *self.1 += 1;
+        regs.sram_reader_start().write(|w| unsafe { w.bits(1) });
+        *sent += 1;
         result
     }
 }

@@ -70,7 +70,7 @@ pub struct Soc {
 }
 
 static mut MEMORY: Memory = Memory::new();
-static mut SOCKETS: SocketMemory = SocketMemory::new();
+static mut SOCKETS: SocketMemory = [smoltcp::iface::SocketStorage::EMPTY; 1];
 
 /// The sockets' memory; to be asked for once.
 pub fn sockets() -> &'static mut SocketMemory {

@@ -4,10 +4,10 @@
 
 use super::logger;
 use core::arch::asm;
-use core::fmt;
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
 use firmware::postmortem::{Boot, Record};
+use firmware::text::Out;
 use litex_pac::{Ident, Timebase, Watchdog, abi};
 use riscv::register::{mcause, mepc, mtval};
 
@@ -55,31 +55,40 @@ fn close_gate() {
         .write(|w| unsafe { w.bits(abi::KEY_STOP) });
 }
 
-fn die(cause: fmt::Arguments<'_>) -> ! {
+fn die(cause: impl FnOnce(&mut Out)) -> ! {
     close_gate();
     record().die(cause);
     if !logger::busy() {
-        defmt::error!("died: {=str}", record().text());
+        defmt::error!("died: {=[u8]:a}", record().text());
     }
     restart()
 }
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
-    die(format_args!("{info}"))
+    die(|out| {
+        // The message would bring all of `core::fmt` into the image, 5 KiB; file and line say which panic
+        // it was.
+        out.text("panic");
+        if let Some(at) = info.location() {
+            out.text(" at ").text(at.file()).text(":").number(at.line());
+        }
+    })
 }
 
 #[unsafe(export_name = "ExceptionHandler")]
 fn exception(_frame: &riscv_rt::TrapFrame) -> ! {
-    die(format_args!(
-        "trap: cause {} at {:#010x}, address {:#010x}",
-        mcause::read().code(),
-        mepc::read(),
-        mtval::read()
-    ))
+    die(|out| {
+        out.text("trap: cause ")
+            .number(mcause::read().code() as u32);
+        out.text(" at 0x").hex(mepc::read() as u32);
+        out.text(", address 0x").hex(mtval::read() as u32);
+    })
 }
 
 #[unsafe(export_name = "DefaultHandler")]
 fn interrupt() -> ! {
-    die(format_args!("an interrupt, and nobody enabled one"))
+    die(|out| {
+        out.text("an interrupt, and nobody enabled one");
+    })
 }

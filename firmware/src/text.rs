@@ -1,0 +1,123 @@
+//! Text in pieces, for the console and for obituaries.
+//!
+//! `core::fmt` would cost this image some 8 KiB of its 64: a hundred bytes at every `write!`, and the
+//! formatting of numbers behind them. Two calls per piece cost eight.
+
+/// Where text goes. What does not fit is lost; there is nobody to tell.
+pub trait Sink {
+    /// Appends text.
+    fn put(&mut self, text: &[u8]);
+}
+
+/// A sink one can write pieces to.
+pub struct Out<'s>(pub &'s mut dyn Sink);
+
+impl Out<'_> {
+    /// Text as it is.
+    pub fn text(&mut self, text: &str) -> &mut Self {
+        self.0.put(text.as_bytes());
+        self
+    }
+
+    /// One of two texts.
+    pub fn either(&mut self, which: bool, yes: &str, no: &str) -> &mut Self {
+        self.text(if which { yes } else { no })
+    }
+
+    /// Decimal.
+    pub fn number(&mut self, mut number: u32) -> &mut Self {
+        let mut digits = [0; 10];
+        let mut first = digits.len();
+        loop {
+            first -= 1;
+            if let Some(digit) = digits.get_mut(first) {
+                *digit = b'0' + (number % 10) as u8;
+            }
+            number /= 10;
+            if number == 0 || first == 0 {
+                break;
+            }
+        }
+        self.ascii(digits.get(first..).unwrap_or(&[]))
+    }
+
+    /// Decimal with a sign.
+    pub fn signed(&mut self, number: i32) -> &mut Self {
+        if number < 0 {
+            self.text("-");
+        }
+        self.number(number.unsigned_abs())
+    }
+
+    /// Eight hexadecimal digits.
+    pub fn hex(&mut self, number: u32) -> &mut Self {
+        let digits: [u8; 8] = core::array::from_fn(|at| {
+            let digit = (number >> (28 - 4 * at) & 0xf) as u8;
+            digit + if digit < 10 { b'0' } else { b'a' - 10 }
+        });
+        self.ascii(&digits)
+    }
+
+    /// Bytes as they are; anything that could upset a terminal as a dot.
+    pub fn ascii(&mut self, bytes: &[u8]) -> &mut Self {
+        for byte in bytes {
+            let plain = (b' '..=b'~').contains(byte);
+            self.0.put(&[if plain { *byte } else { b'.' }]);
+        }
+        self
+    }
+
+    /// Ends a line as telnet wants it.
+    pub fn end(&mut self) {
+        self.text("\r\n");
+    }
+}
+
+#[cfg(test)]
+impl Sink for String {
+    fn put(&mut self, text: &[u8]) {
+        self.push_str(std::str::from_utf8(text).expect("whole characters"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn said(say: impl FnOnce(&mut Out)) -> String {
+        let mut text = String::new();
+        say(&mut Out(&mut text));
+        text
+    }
+
+    proptest! {
+        #[test]
+        fn numbers_look_like_everybodys(number in prop_oneof![any::<u32>(), 0u32..12]) {
+            prop_assert_eq!(said(|out| { out.number(number); }), number.to_string());
+            prop_assert_eq!(said(|out| { out.hex(number); }), format!("{number:08x}"));
+            let signed = number as i32;
+            prop_assert_eq!(said(|out| { out.signed(signed); }), signed.to_string());
+        }
+    }
+
+    #[test]
+    fn the_edges_of_numbers_too() {
+        assert_eq!(
+            said(|out| {
+                out.number(u32::MAX).text(" ").signed(i32::MIN);
+            }),
+            "4294967295 -2147483648"
+        );
+    }
+
+    #[test]
+    fn what_could_upset_a_terminal_is_a_dot() {
+        assert_eq!(
+            said(|out| {
+                out.ascii(b"a\x1b[2J\xff");
+            }),
+            "a.[2J."
+        );
+    }
+}
