@@ -22,7 +22,7 @@ use wire::etherbone;
 use crate::board::{Board, Stop, TraceWindow};
 use crate::edges::Recorder;
 use crate::error::Error;
-use crate::exchange::{Meter, Timing};
+use crate::exchange::{Meter, Timing, is_request};
 use crate::firmware::Image;
 use crate::gmii;
 use crate::plant::Plant;
@@ -126,8 +126,7 @@ pub struct Rig<S = Soc> {
     pub faults: Faults,
     /// Frames passed.
     pub frames: FrameCounts,
-    /// Longest wait for an answer to one datagram, sys clocks. The default is 120 000, 2 ms at 60 MHz: the longest read
-    /// (255 words) takes the firmware one.
+    /// Longest wait for an answer, sys clocks; see [`Self::wait_for`]. The default is 60 000: a millisecond at 60 MHz.
     pub patience: u64,
     captured: Option<Vec<Vec<u8>>>,
     inbox: Vec<(Datagram, Option<Timing>)>,
@@ -174,7 +173,7 @@ impl<S: Silicon> Rig<S> {
             meter: Meter::default(),
             faults: Faults::default(),
             frames: FrameCounts::default(),
-            patience: 120_000,
+            patience: 60_000,
             captured: None,
             inbox: Vec::new(),
             busy: Duration::ZERO,
@@ -345,11 +344,18 @@ impl<S: Silicon> Rig<S> {
         std::mem::take(&mut self.inbox)
     }
 
-    /// Send a datagram from any host and wait for the board's answer to it, at most [`Self::patience`] clocks.
+    /// Longest wait for the answer to `payload`: [`Self::patience`] and 60 clocks for each of its bytes, since a read of 255
+    /// words takes the firmware a millisecond by itself. An exchange is short and gets `patience` alone: whoever waits in
+    /// vain for one must not wake the watchdog.
+    pub fn wait_for(&self, payload: &[u8]) -> u64 {
+        self.patience + if is_request(payload) { 0 } else { 60 * payload.len() as u64 }
+    }
+
+    /// Send a datagram from any host and wait for the board's answer to it, at most [`Self::wait_for`] clocks.
     pub fn request(&mut self, from: Endpoint, port: u16, payload: &[u8]) -> Option<Reply> {
         self.inbox.retain(|(datagram, _)| datagram.to != from);
         self.post(from, port, payload);
-        let until = self.clock() + self.patience;
+        let until = self.clock() + self.wait_for(payload);
         self.run_while(until, |rig| !rig.inbox.iter().any(|(datagram, _)| datagram.to == from));
         let at = self.inbox.iter().position(|(datagram, _)| datagram.to == from)?;
         let (datagram, timing) = self.inbox.remove(at);

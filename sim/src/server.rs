@@ -210,7 +210,7 @@ impl<S: Silicon> Server<S> {
             }
             Ok(Event::Datagram(sender, payload)) => {
                 let port = self.post(sender, &payload);
-                let patience = if wants_reply(&payload) { self.rig.patience } else { self.rig.patience / 20 };
+                let patience = if wants_reply(&payload) { self.rig.wait_for(&payload) } else { self.rig.patience / 10 };
                 let until = self.rig.clock() + patience;
                 while self.rig.clock() < until && !self.pass_frame(until).contains(&port) {}
             }
