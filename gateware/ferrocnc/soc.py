@@ -6,14 +6,16 @@ and its PHY (`sim.py`, `ecp5.py`); everything behind the PHY is here.
 
 import hashlib
 import random
+from functools import partial
 from pathlib import Path
 
-from migen import Memory, Signal
+from migen import Memory
 from litex.soc.integration import soc as litex_soc
 from litex.soc.integration.soc import SoCRegion
 from litex.soc.integration.soc_core import SoCCore
 from litex.soc.interconnect import csr_bus, wishbone
 from litex.soc.interconnect.csr import CSRStatus
+from liteeth import mac as liteeth_mac
 
 from . import VERSION, banks, board as board_file, regmap as rm
 
@@ -28,6 +30,11 @@ class _BankArray(csr_bus.CSRBankArray):
 
 
 litex_soc.csr_bus.CSRBankArray = _BankArray
+
+# LiteEth's clock crossings are 32 deep: two LUT RAMs and a multiplexer in the longest path of the 125 MHz clock (117 MHz). 16
+# is one RAM. The core clock's side moves 240 Mbyte/s, the wire 125: depth only has to cover the crossing itself.
+# `add_ethernet` cannot pass it on.
+liteeth_mac.LiteEthMAC = partial(liteeth_mac.LiteEthMAC, tx_cdc_depth=16, rx_cdc_depth=16)
 
 
 class FerroSoC(SoCCore):

@@ -44,13 +44,13 @@ int main(int argc, char **argv) {
             if (c.filter && r.one_in(3)) {  // a glitch one clock too short, on any line
                 wait(settled);
                 const int line = r.below(3);
-                const uint32_t before = c.count;
+                const uint32_t before = c.count, moved = c.edge_time;
                 const uint16_t errors = c.errors;
                 (line == 0 ? c.a : line == 1 ? c.b : c.index) ^= 1;
                 wait(c.filter);
                 (line == 0 ? c.a : line == 1 ? c.b : c.index) ^= 1;
                 wait(settled);
-                CHECK(b, c.count == before && c.errors == errors, "a glitch of %u clocks counted through a filter of %u", c.filter, c.filter);
+                CHECK(b, c.count == before && c.edge_time == moved && c.errors == errors, "a glitch of %u clocks counted through a filter of %u", c.filter, c.filter);
                 glitches++;
             }
         }

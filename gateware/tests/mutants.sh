@@ -6,8 +6,10 @@ here=$(cd "$(dirname "$0")" && pwd)
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 survived=0
+only=${1:-}  # a bench's name
 
 mutant() {  # bench file what sed-expression
+    [ -z "$only" ] || [ "$only" = "$1" ] || return 0
     rm -rf "$scratch/rtl"
     cp -r "$here/../rtl" "$scratch/rtl"
     sed -i -E "$4" "$scratch/rtl/$2.sv"
@@ -41,7 +43,7 @@ mutant stepgen stepgen "counters narrower than their registers" 's/dir_left <= d
 mutant encoder encoder "direction reversed"             's/down    = a_level \^ b_was/down    = ~(a_level ^ b_was)/'
 mutant encoder encoder "filter one short"               's/held >= filter/held + 1 >= filter/'
 mutant encoder encoder "latches every index"            's/ & ~latched\) begin/) begin/'
-mutant pwm pwm "width taken in mid-period"              's/count < this_width/count < next_width/'
+mutant pwm pwm "width taken in mid-period"              's/count < this_width/count < (commit ? next_width : this_width)/'
 mutant pwm pwm "period one long"                        's/last  = after >= /last  = after > /'
 mutant timebase timebase "timed commit one late"        's/due  <= next >= commit_at/due  <= now >= commit_at/'
 mutant safety watchdog "a repeat feeds"                 's/fed  = token_we & \(token != last_token\)/fed  = token_we/'
