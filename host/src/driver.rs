@@ -48,6 +48,7 @@ use crate::client::{Identity, SESSION_WORDS, Session, single_record};
 use crate::hal::{Backend, ExportError, Exporter, In, Level, Line, Messenger, Out, Param};
 use crate::link::Link;
 use crate::settings::{Disarmed, Periods, Sync};
+use std::net::Ipv4Addr;
 use std::time::Instant;
 use wire::board::Kind;
 use wire::describe::Channels;
@@ -59,6 +60,12 @@ use wire::{FaultReason, MAX_WORDS, ReplyWriter, State, etherbone, map};
 const ACQUIRE_NS: i64 = 100_000_000;
 /// Tags of our requests lie up here, exchange answers are told apart by their length anyway.
 const TAG_BASE: u32 = 0xfe00_0000;
+/// Our token, then who owns the board: what `Driver::owned` understands.
+const OWNER_WORDS: [u32; 3] = [
+    map::SESSION_TOKEN,
+    map::SESSION_OWNER_IP,
+    map::SESSION_OWNER_PORT,
+];
 /// Tries after which settings without a receipt are worth a message: 5 x 20 periods.
 const REFUSED_TRIES: u32 = 5;
 
@@ -113,6 +120,8 @@ pub struct Driver {
     disarmed_settings: Sync<Disarmed>,
     periods: Sync<Periods>,
     settings_refused_said: bool,
+    /// Somebody else who drives the board, as far as the operator was told.
+    foreign_owner: Option<(u32, u32)>,
     tag: u32,
     sequence: u32,
     /// The command just sent awaits its answer.
@@ -228,6 +237,7 @@ impl Driver {
             disarmed_settings: Sync::default(),
             periods: Sync::default(),
             settings_refused_said: false,
+            foreign_owner: None,
             tag: 0,
             sequence: 0,
             awaiting: false,
@@ -334,6 +344,12 @@ impl Driver {
                 {
                     return Some(status);
                 }
+            } else if let [token, ip, port] = *payload {
+                if let Phase::Acquiring { tag, .. } = self.phase
+                    && base == tag
+                {
+                    self.owned(token, ip, port);
+                }
             } else if let [_] = payload {
                 let _ = self.disarmed_settings.receipt(base) || self.periods.receipt(base);
             } else if payload.len() == SESSION_WORDS.len()
@@ -349,9 +365,8 @@ impl Driver {
     }
 
     fn acquired(&mut self, session: Option<Session>, announced: bool) {
-        let Some(session) = session else {
-            return self.announce_once("the board gives no session; another program drives it");
-        };
+        // No token: the answer to the question for the owner will say why.
+        let Some(session) = session else { return };
         if session.wire_version != wire::WIRE_VERSION
             || session.channels != self.channels.to_words()
         {
@@ -605,7 +620,24 @@ impl Driver {
         debug_assert!(fits, "an acquisition is 13 words");
         // Unsent is unanswered: it is due again in a moment.
         let _ = self.link.send(request.words());
+        // Refused is unanswered, too. Reads are always answered, and tell the two apart.
+        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+        if request.read_record(tag, &OWNER_WORDS) {
+            let _ = self.link.send(request.words());
+        }
         tag
+    }
+
+    /// Who owns the board after we asked for it: if not us, the operator should know.
+    fn owned(&mut self, token: u32, ip: u32, port: u32) {
+        let owner = (token == 0 && ip != 0).then_some((ip, port));
+        if owner.is_some() && owner != self.foreign_owner {
+            self.error(format_args!(
+                "the board is driven by {}:{port} now; stop LinuxCNC there to have it back",
+                Ipv4Addr::from_bits(ip)
+            ));
+        }
+        self.foreign_owner = owner;
     }
 
     fn next_tag(&mut self) -> u32 {

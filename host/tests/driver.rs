@@ -473,3 +473,25 @@ fn unloading_gives_the_session_back() {
     }
     panic!("still owned");
 }
+
+#[test]
+fn a_board_somebody_else_has_taken_meanwhile_is_told_once_with_who() {
+    let mut rig = Rig::armed();
+    {
+        let mut board = rig.board.look();
+        board.advance(60_000 * 100);
+        board.knobs.foreign_owner = Some("192.168.2.7:4711".parse().unwrap());
+    }
+    rig.hal.set("ferrocnc.0.packet-read-timeout", 1_000_000);
+    for _ in 0..400 {
+        rig.run(1);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let said = rig.hal.said();
+    let told: Vec<_> = said
+        .iter()
+        .filter(|s| s.contains("192.168.2.7:4711"))
+        .collect();
+    assert_eq!(told.len(), 1, "{said:?}");
+    assert!(!rig.enabled());
+}
