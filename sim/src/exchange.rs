@@ -181,8 +181,10 @@ impl Meter {
         if let Some(head) = request.sequence.and_then(|s| StatusHead::parse(payload, s)) {
             self.answered += 1;
             self.turnarounds.push(timing.turnaround as u32);
+            // The command that opens the gate arrives while the watchdog still sleeps and has nothing left.
+            let was_enabled = self.last_state.is_some_and(|state| StatusHead { state, ..head }.enabled());
             self.last_state = Some(head.state);
-            if head.enabled() {
+            if head.enabled() && was_enabled {
                 self.watchdog_margin = Some(self.watchdog_margin.map_or(head.watchdog_left, |m| m.min(head.watchdog_left)));
             }
         }
@@ -230,11 +232,13 @@ mod tests {
     #[test]
     fn turnaround_is_last_byte_in_to_first_byte_out() {
         let mut meter = Meter::default();
+        fed(&mut meter, 9, &request(4), 0, 100);
+        meter.reply(ME, &status(4, 1 << 17, 0), (200, 300, 200), |t| t.div_ceil(25)).unwrap();
         fed(&mut meter, 0, &request(5), 1000, 2000);
         let timing = meter.reply(ME, &status(5, 1 << 17, 300), (4510, 6000, 200), |t| t.div_ceil(25)).unwrap();
         assert_eq!((timing.turnaround, timing.total), (101, 200));
         assert_eq!((timing.reply_bytes, timing.request_bytes), (200, 28 + 54));
-        assert_eq!((meter.requested, meter.answered, meter.watchdog_margin), (1, 1, Some(300)));
+        assert_eq!((meter.requested, meter.answered, meter.watchdog_margin), (2, 2, Some(300)));
     }
 
     #[test]

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use crate::error::Error;
 
 /// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
-const SHIM_ABI: u32 = 2;
+const SHIM_ABI: u32 = 3;
 
 /// Bit of the sys clock in [`Silicon::rise`].
 pub const SYS: u32 = 1;
@@ -115,6 +115,7 @@ pub struct Soc {
     rom_write: RomWriteFn,
     rom_words: WordsFn,
     ram_words: WordsFn,
+    pc: WordsFn,
     ram_read: RamReadFn,
     trace_open: TraceOpenFn,
     trace_close: HandleFn,
@@ -156,6 +157,7 @@ impl Soc {
                 rom_write: *library.get(b"fc_rom_write").map_err(err)?,
                 rom_words: *library.get(b"fc_rom_words").map_err(err)?,
                 ram_words: *library.get(b"fc_ram_words").map_err(err)?,
+                pc: *library.get(b"fc_pc").map_err(err)?,
                 ram_read: *library.get(b"fc_ram_read").map_err(err)?,
                 trace_open: *library.get(b"fc_trace_open").map_err(err)?,
                 trace_close: *library.get(b"fc_trace_close").map_err(err)?,
@@ -184,6 +186,13 @@ impl Soc {
             // SAFETY: index within the array, see above.
             unsafe { (self.rom_write)(self.handle, i as u32, *word) }
         }
+    }
+
+    /// Address of the instruction that left the CPU's pipeline with the last clock edge; `None` in a stall.
+    pub fn pc(&mut self) -> Option<u32> {
+        // SAFETY: see `rom_words`.
+        let pc = unsafe { (self.pc)(self.handle) };
+        (pc != u32::MAX).then_some(pc)
     }
 
     /// The on-chip RAM as it stands; empty when the manifest does not name it. A write-back in the CPU's data cache may be

@@ -4,7 +4,7 @@
 // live in Rust (sim/src), which loads the library made from this file at run time, so that building the Rust side needs no
 // FPGA tool. `Pins` is mirrored by `sim/src/soc.rs`; change both, and ABI_VERSION with them.
 //
-// build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM (array in the root), FC_RAM (likewise, optional),
+// build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM (array in the root), FC_RAM (likewise, optional), FC_PC and FC_PC_VALID (optional),
 // FC_CLOCKS with a generated fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or FC_TRACE_VCD.
 
 #include <cstddef>
@@ -35,7 +35,7 @@ bool Vsoc___024root___eval_phase__nba(Vsoc___024root*);
 #endif
 
 namespace {
-constexpr uint32_t ABI_VERSION = 2;
+constexpr uint32_t ABI_VERSION = 3;
 constexpr uint32_t SYS = 1, ETH = 2;
 
 struct Pins {
@@ -204,6 +204,17 @@ uint32_t fc_ram_read(void* handle, uint32_t index) {
 #else
     (void)handle, (void)index;
     return 0;
+#endif
+}
+
+// Address of the instruction that is leaving the CPU's pipeline in this clock; all ones when none is.
+uint32_t fc_pc(void* handle) {
+#if defined(FC_PC)
+    auto* root = static_cast<Soc*>(handle)->model->rootp;
+    return root->FC_PC_VALID ? root->FC_PC : ~0u;
+#else
+    (void)handle;
+    return ~0u;
 #endif
 }
 
