@@ -13,7 +13,9 @@ use smoltcp::wire::{EthernetAddress, HardwareAddress, IpCidr, Ipv4Address};
 use wire::{CONSOLE_PORT, Refusal};
 
 /// Longest answer of a console command, in bytes: sixteen encoders.
-const CONSOLE_TEXT: usize = 1280;
+const ANSWER_MAX: usize = 1000;
+/// Room for that and for what the other side has not acknowledged yet.
+const CONSOLE_TEXT: usize = 2048;
 /// A thousand chores a second: TCP timers and the LED are in no hurry, a bite should be told soon.
 const CHORES_PER_SECOND: u32 = 1000;
 /// 10 ms between two looks at TCP's timers.
@@ -297,10 +299,8 @@ impl App {
         if socket.may_send() && !self.stack.greeted {
             self.stack.greeted = socket.send_slice(console::PROMPT.as_bytes()).is_ok();
         }
-        // One line at a time, and only into an empty buffer: so no answer is cut off.
-        while socket.can_recv() && socket.send_queue() == 0
-            || socket.can_recv() && !self.stack.greeted
-        {
+        // One line at a time, and only where its answer fits: so none is cut off.
+        while socket.can_recv() && socket.send_capacity() - socket.send_queue() >= ANSWER_MAX {
             let line = &mut self.stack.line;
             let ask = socket
                 .recv(|bytes| {
@@ -321,12 +321,16 @@ impl App {
                 stack: soc::stack_used(),
                 mac_errors: self.mac.errors(),
             };
-            console::answer(ask, &self.server, &mut self.soc, &vitals, &mut Sink(socket));
+            let mut sink = Sink::new(socket);
+            console::answer(ask, &self.server, &mut self.soc, &vitals, &mut sink);
+            if ask != Ask::Quit {
+                sink.put(console::PROMPT.as_bytes());
+            }
+            sink.flush();
             if ask == Ask::Quit {
                 socket.close();
                 return;
             }
-            Sink(socket).put(console::PROMPT.as_bytes());
         }
         if socket.state() == tcp::State::CloseWait {
             // They hung up.
@@ -335,13 +339,34 @@ impl App {
     }
 }
 
-/// The console's text goes straight into the socket.
-struct Sink<'a, 's>(&'a mut tcp::Socket<'s>);
+/// The console's text goes into the socket in lines, more or less: a send costs some 700 clocks however
+/// little it carries.
+struct Sink<'a, 's> {
+    socket: &'a mut tcp::Socket<'s>,
+    line: heapless::Vec<u8, 96>,
+}
+
+impl<'a, 's> Sink<'a, 's> {
+    fn new(socket: &'a mut tcp::Socket<'s>) -> Self {
+        Sink {
+            socket,
+            line: heapless::Vec::new(),
+        }
+    }
+
+    fn flush(&mut self) {
+        // Too long an answer is cut off.
+        let _ = self.socket.send_slice(&self.line);
+        self.line.clear();
+    }
+}
 
 impl firmware::text::Sink for Sink<'_, '_> {
     fn put(&mut self, text: &[u8]) {
-        // Too long an answer is cut off.
-        let _ = self.0.send_slice(text);
+        if self.line.extend_from_slice(text).is_err() {
+            self.flush();
+            let _ = self.line.extend_from_slice(text);
+        }
     }
 }
 
@@ -355,7 +380,9 @@ impl Stack {
             let _ = addresses.push(IpCidr::new(ip.into(), 24));
         });
         let mut sockets = SocketSet::new(soc::sockets().as_mut_slice());
-        let tcp = tcp::Socket::new(tcp::SocketBuffer::new(rx), tcp::SocketBuffer::new(tx));
+        let mut tcp = tcp::Socket::new(tcp::SocketBuffer::new(rx), tcp::SocketBuffer::new(tx));
+        // Prompts are short and somebody waits for them.
+        tcp.set_nagle_enabled(false);
         let console = sockets.add(tcp);
         let mut stack = Stack {
             interface,

@@ -38,7 +38,8 @@ impl Out<'_> {
                 break;
             }
         }
-        self.ascii(digits.get(first..).unwrap_or(&[]))
+        self.0.put(digits.get(first..).unwrap_or(&[]));
+        self
     }
 
     /// Decimal with a sign.
@@ -55,7 +56,8 @@ impl Out<'_> {
             let digit = (number >> (28 - 4 * at) & 0xf) as u8;
             digit + if digit < 10 { b'0' } else { b'a' - 10 }
         });
-        self.ascii(&digits)
+        self.0.put(&digits);
+        self
     }
 
     /// Bytes as they are; anything that could upset a terminal as a dot.
