@@ -2,21 +2,21 @@
 
 The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on LiteX's CSR bus carries pages 8 and up:
 
-    bus  --> write pipeline --> staging and settings registers, shadow RAM --> cores
-         <-- live words | status window | shadow RAM                       <-- cores
+    bus  --> write pipeline --> staging and settings registers, shadow RAMs --> cores
+         <-- live words | status window | shadow RAMs                      <-- cores
 
 * Writes land one clock after the bus cycle, so that address decoding stays out of the cores' timing. The CPU cannot tell:
   its next access is two clocks later.
 * The status window is a copy of every live word, caught by the sample strobe, behind one read multiplexer.
-* Channel settings and staged commands are read back, as written, from one block RAM; reading back the flip-flops themselves
-  would cost more multiplexers than the cores have logic.
+* Channel settings and staged commands are read back, as written, from LUT RAMs; reading back the flip-flops themselves would
+  cost more multiplexers than the cores have logic, and every block RAM is the CPU's.
 * Registers of absent channels are never created: they read 0 and ignore writes.
 """
 
 from functools import reduce
 from operator import or_
 
-from migen import Array, Cat, Constant, If, Instance, Memory, Mux, READ_FIRST, Replicate, Signal
+from migen import Array, Cat, Constant, If, Instance, Memory, READ_FIRST, Replicate, Signal
 from litex.gen import LiteXModule
 from litex.soc.interconnect import csr_bus
 
@@ -85,14 +85,26 @@ class FabricBus(LiteXModule):
         """Makes `value` readable as this register."""
         self._live[bank.page, bank.offset(name) // 4] = value
 
-    def shadow(self, page, pages, first, words):
-        """What was written to these words of these pages can be read back, from one block RAM for all of them."""
-        if pages and words:
-            self._shadowed.append((page, pages, first, words))
-
-    def _shadow_index(self, page, word):
-        """Channel settings: six bits of page, three of word. Staged commands: their own page, below the first of those."""
-        return Mux(page == rm.COMMAND.page, word[:6], Cat(word[:3], page[:6]))
+    def shadow(self, name, page, pages, first, words):
+        """What was written to these words of these pages can be read back."""
+        if not pages or not words:
+            return
+        bits = (words - 1).bit_length()
+        memory = Memory(32, max(2, pages << bits), init=[0] * max(2, pages << bits), name=name)
+        read, write = memory.get_port(async_read=True), memory.get_port(write_capable=True, mode=READ_FIRST)
+        self.specials += memory, read, write
+        hits = []
+        for port, at_page, at_word in ((read, self.page, self.word), (write, self._we_page, self._we_word)):
+            hit, from_page, from_word = Signal(), Signal(len(at_page)), Signal(_WORD_BITS)
+            self.comb += [
+                from_page.eq(at_page - page),
+                from_word.eq(at_word - first),
+                port.adr.eq(Cat(from_word[:bits], from_page)),
+                hit.eq((from_page < pages) & (from_word < words)),
+            ]
+            hits.append(hit)
+        self.comb += [write.dat_w.eq(self.data), write.we.eq(self.we & hits[1])]
+        self._shadowed.append(Replicate(hits[0], 32) & read.dat_r)
 
     def do_finalize(self):
         parts = []
@@ -104,22 +116,11 @@ class FabricBus(LiteXModule):
             self.sync += part.eq(reduce(or_, [Replicate(hit, 32) & value for hit, value in group]))
             parts.append(part)
 
-        memory = Memory(32, 512, init=[0] * 512, name="shadow")
-        read, write = memory.get_port(mode=READ_FIRST), memory.get_port(write_capable=True, mode=READ_FIRST)
-        self.specials += memory, read, write
-        within = [Signal(), Signal()]
-        for hit, page, word in ((within[0], self.page, self.word), (within[1], self._we_page, self._we_word)):
-            self.comb += hit.eq(reduce(or_, [
-                (page >= p) & (page < p + n) & (word >= first) & (word < first + count) for p, n, first, count in self._shadowed], 0))
-        shadowed = Signal()
-        self.sync += shadowed.eq(within[0])
-        self.comb += [
-            read.adr.eq(self._shadow_index(self.page, self.word)),
-            write.adr.eq(self._shadow_index(self._we_page, self._we_word)),
-            write.dat_w.eq(self.data),
-            write.we.eq(self.we & within[1]),
-            self.bus.dat_r.eq(reduce(or_, parts) | Replicate(shadowed, 32) & read.dat_r),
-        ]
+        if self._shadowed:
+            part = Signal(32, reset_less=True)
+            self.sync += part.eq(reduce(or_, self._shadowed))
+            parts.append(part)
+        self.comb += self.bus.dat_r.eq(reduce(or_, parts))
 
 
 class Pads:
@@ -185,11 +186,11 @@ class Cores(LiteXModule):
             self.sync += If(sample, caught.eq(live))
             fabric.live(rm.STATUS, rm.STATUS.regs[word].name, caught)
 
-        fabric.shadow(rm.COMMAND.page, 1, 0, 2 + 2 * channels.stepgen)
-        fabric.shadow(rm.COMMAND.page, 1, rm.COMMAND.offset("pwm0_width") // 4, channels.pwm)
-        fabric.shadow(rm.STEPGEN[0].page, channels.stepgen, 0, len(rm.STEPGEN_REGS))
-        fabric.shadow(rm.ENCODER[0].page, channels.encoder, 0, 2)
-        fabric.shadow(rm.PWM[0].page, channels.pwm, 0, len(rm.PWM_REGS))
+        fabric.shadow("command_shadow", rm.COMMAND.page, 1, 0, 2 + 2 * channels.stepgen)
+        fabric.shadow("width_shadow", rm.COMMAND.page, 1, rm.COMMAND.offset("pwm0_width") // 4, channels.pwm)
+        fabric.shadow("stepgen_shadow", rm.STEPGEN[0].page, channels.stepgen, 0, len(rm.STEPGEN_REGS))
+        fabric.shadow("encoder_shadow", rm.ENCODER[0].page, channels.encoder, 0, 2)
+        fabric.shadow("pwm_shadow", rm.PWM[0].page, channels.pwm, 0, len(rm.PWM_REGS))
 
     def _timebase(self, fabric, clk, rst):
         b = rm.TIMEBASE

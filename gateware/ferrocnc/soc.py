@@ -17,7 +17,7 @@ from litex.soc.interconnect import csr_bus, wishbone
 from litex.soc.interconnect.csr import CSRStatus
 from liteeth import mac as liteeth_mac
 
-from . import VERSION, banks, board as board_file, regmap as rm
+from . import VERSION, banks, board as board_file, regmap as rm, slots
 
 RTL = Path(__file__).resolve().parent.parent / "rtl"
 
@@ -30,6 +30,7 @@ class _BankArray(csr_bus.CSRBankArray):
 
 
 litex_soc.csr_bus.CSRBankArray = _BankArray
+slots.align()
 
 # LiteEth's clock crossings are 32 deep: two LUT RAMs and a multiplexer in the longest path of the 125 MHz clock (117 MHz). 16
 # is one RAM. The core clock's side moves 240 Mbyte/s, the wire 125: depth only has to cover the crossing itself.
