@@ -11,6 +11,8 @@ use std::time::Duration;
 const PROMPT: &str = "ferrocnc> ";
 /// A board answers in milliseconds, a simulated one in seconds.
 const PATIENCE: Duration = Duration::from_secs(20);
+/// A healthy board hangs up within a round trip.
+const FAREWELL: Duration = Duration::from_secs(2);
 
 pub(crate) fn run(address: &Address, command: Option<&str>, as_json: bool) -> Result<()> {
     let stream = TcpStream::connect_timeout(&SocketAddr::V4(address.socket), PATIENCE)
@@ -31,16 +33,11 @@ pub(crate) fn run(address: &Address, command: Option<&str>, as_json: bool) -> Re
     }
 }
 
-/// One line there, its answer back.
+/// One line there, its answer back. The line goes out before the greeting has come in: a simulated
+/// board's time only passes while it has something to do.
 fn ask(mut stream: TcpStream, command: &str) -> Result<String> {
     stream.set_read_timeout(Some(PATIENCE))?;
-    until_prompt(&mut stream)?;
     stream.write_all(format!("{}\r\n", command.trim()).as_bytes())?;
-    until_prompt(&mut stream)
-}
-
-/// Everything up to the next prompt or the end of the connection.
-fn until_prompt(stream: &mut TcpStream) -> Result<String> {
     let mut text = Vec::new();
     let mut buffer = [0; 1024];
     loop {
@@ -53,12 +50,29 @@ fn until_prompt(stream: &mut TcpStream) -> Result<String> {
             }
             Err(error) => return Err(error).context("the console's connection broke"),
         }
-        if text.ends_with(PROMPT.as_bytes()) {
-            text.truncate(text.len() - PROMPT.len());
+        if answered(&text).is_some() {
             break;
         }
     }
-    Ok(String::from_utf8_lossy(&text).replace('\r', ""))
+    hang_up(&mut stream);
+    let answer = answered(&text).unwrap_or(&text);
+    Ok(String::from_utf8_lossy(answer).replace('\r', ""))
+}
+
+/// The board has one line for one user: free it, and see it freed, before the next one dials.
+fn hang_up(stream: &mut TcpStream) {
+    // The answer is in; a farewell that fails harms nobody.
+    let _ = stream.write_all(b"quit\r\n");
+    let _ = stream.set_read_timeout(Some(FAREWELL));
+    let mut rest = [0; 256];
+    while let Ok(1..) = stream.read(&mut rest) {}
+}
+
+/// What stands between the greeting's prompt and the one after the answer.
+fn answered(text: &[u8]) -> Option<&[u8]> {
+    let prompt = PROMPT.as_bytes();
+    let text = text.strip_prefix(prompt).unwrap_or(text);
+    text.strip_suffix(prompt)
 }
 
 /// Keyboard there, board back, until either ends.
@@ -80,5 +94,21 @@ fn talk(stream: TcpStream) -> Result<()> {
                 out.flush()?;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::answered;
+
+    #[test]
+    fn an_answer_ends_with_the_second_prompt() {
+        assert_eq!(answered(b"ferrocnc> "), None);
+        assert_eq!(answered(b"ferrocnc> state arm"), None);
+        assert_eq!(
+            answered(b"ferrocnc> state\r\nferrocnc> "),
+            Some(&b"state\r\n"[..])
+        );
+        assert_eq!(answered(b"state\r\nferrocnc> "), Some(&b"state\r\n"[..]));
     }
 }

@@ -34,6 +34,9 @@ pub(crate) fn run(client: &mut Client, elf: &Path, follow: bool, as_json: bool) 
     let mut reader = Reader::default();
     loop {
         let (fresh, lost) = reader.fetch(client)?;
+        if fresh.is_empty() && !follow {
+            eprintln!("ferrocnc: the board's log is empty");
+        }
         if lost > 0 && follow {
             eprintln!("ferrocnc: {lost} bytes of log were overwritten before they could be read");
         }
