@@ -59,10 +59,12 @@ fn ask(mut stream: TcpStream, command: &str) -> Result<String> {
     Ok(String::from_utf8_lossy(answer).replace('\r', ""))
 }
 
-/// The board has one line for one user: free it, and see it freed, before the next one dials.
+/// The board has one line for one user: free it, and see it freed, before the next one dials. We close
+/// first (no `quit`): whoever closes first has to remember the connection for a while, and the board
+/// has no second one.
 fn hang_up(stream: &mut TcpStream) {
     // The answer is in; a farewell that fails harms nobody.
-    let _ = stream.write_all(b"quit\r\n");
+    let _ = stream.shutdown(Shutdown::Write);
     let _ = stream.set_read_timeout(Some(FAREWELL));
     let mut rest = [0; 256];
     while let Ok(1..) = stream.read(&mut rest) {}
