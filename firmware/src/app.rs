@@ -133,14 +133,13 @@ impl App {
         }
         let shape = *self.server.shape();
         let mut slot = self.mac.lane_slot();
-        let mut reply = SlotReply::resume(&mut slot, &shape);
+        let mut reply = SlotReply::resume(&mut slot);
         let peer = lane.datagram.peer;
         match self
             .server
             .exchange(&mut self.soc, peer, &mut command, &mut reply)
         {
             Ok(()) => {
-                reply.finish();
                 self.mac
                     .send_lane(SlotReply::<TxSlot>::frame_length(&shape));
                 self.server.counters_mut().frames_tx += 1;

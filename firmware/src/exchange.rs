@@ -321,36 +321,22 @@ impl Reply for etherbone::ReplyWriter<'_> {
 pub struct SlotReply<'s, S> {
     slot: &'s mut S,
     index: usize,
-    carry: u32,
 }
 
 impl<'s, S: crate::net::Slot> SlotReply<'s, S> {
     /// Writes everything of the frame that is the same in every answer of this lane.
     pub fn prepare(slot: &mut S, lane_headers: impl FnOnce(&mut S), shape: &Shape) {
         lane_headers(slot);
-        let head = reply_head(shape);
-        let mut carry = 0;
-        for (index, word) in head.into_iter().enumerate() {
-            slot.put(crate::net::PAYLOAD_WORD + index, carry << 16 | word >> 16);
-            carry = word;
-        }
+        crate::net::emit_payload(slot, &reply_head(shape));
     }
 
     /// Goes on behind what [`SlotReply::prepare`] wrote.
     #[inline(always)]
-    pub fn resume(slot: &'s mut S, shape: &Shape) -> Self {
-        let [_, _, last] = reply_head(shape);
+    pub fn resume(slot: &'s mut S) -> Self {
         SlotReply {
             slot,
             index: crate::net::PAYLOAD_WORD + 3,
-            carry: last,
         }
-    }
-
-    /// Writes the last half word.
-    #[inline(always)]
-    pub fn finish(self) {
-        self.slot.put(self.index, self.carry << 16);
     }
 
     /// Length of the answer's frame in bytes.
@@ -362,8 +348,7 @@ impl<'s, S: crate::net::Slot> SlotReply<'s, S> {
 impl<S: crate::net::Slot> Reply for SlotReply<'_, S> {
     #[inline(always)]
     fn put(&mut self, word: u32) {
-        self.slot.put(self.index, self.carry << 16 | word >> 16);
+        self.slot.put(self.index, word);
         self.index += 1;
-        self.carry = word;
     }
 }

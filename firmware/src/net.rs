@@ -4,12 +4,12 @@
 //! Etherbone comes in. Everything else (ARP, ping, TCP, fragments, broadcast) is [`Class::Other`] and
 //! goes to smoltcp. A frame that is ours but damaged is refused here with its reason.
 //!
-//! Frames are read as big-endian words as the MAC's slots deliver them. The UDP payload begins at
-//! byte 42, half way into word 10:
+//! Frames are read as big-endian words as the MAC's slots deliver them, two bytes in, so that all
+//! but the Ethernet header lies on words:
 //!
 //! ```text
-//! word  0       1        2       3        4        5       6       7       8       9       10
-//!      |dst mac    |src mac     |0800 45 |len  id |frag ttl|sum src|src dst|dst sport|dport|sum payload...
+//! word  0         1      2      3          4           5         6             7    8    9      10       11
+//!      |--  dst..|..dst |src.. |..src 0800|45 tos len |id frag  |ttl 17 sum   |src |dst |ports |len sum |payload
 //! ```
 
 use crate::session::Peer;
@@ -19,12 +19,12 @@ use wire::Refusal;
 pub const HEADERS: usize = 42;
 /// Frames are at least this long on the wire (without FCS); shorter ones are padded.
 pub const FRAME_MIN: usize = 60;
-/// Word the payload begins in the middle of.
-pub const PAYLOAD_WORD: usize = 10;
+/// Word the payload begins at.
+pub const PAYLOAD_WORD: usize = 11;
 
-/// Ethertype, IP version 4 and a header of five words, as they lie in the upper bytes of word 3.
-const ETHERTYPE_IPV4_IHL5: u32 = 0x0008_0045;
-const ETHERTYPE_IPV4: u32 = ETHERTYPE_IPV4_IHL5 >> 4;
+const ETHERTYPE_IPV4: u32 = 0x0800;
+/// Version 4, five words of header, no type of service; the total length goes below.
+const IPV4_IHL5: u32 = 0x4500 << 16;
 const PROTOCOL_UDP: u32 = 17;
 /// More-fragments flag, fragment offset and the reserved bit; don't-fragment may be either.
 const FRAGMENT: u32 = 0xbfff;
@@ -34,15 +34,15 @@ const OPTIONS_MAX: usize = 10;
 const UDP_HEADER: usize = 8;
 const ETHERNET_HEADER: usize = 14;
 
-/// A received frame as big-endian words. Words past the frame's end read as anything.
+/// A received frame as big-endian words, two bytes in. Words past the frame's end read as anything.
 pub trait Frame {
-    /// Bytes `4 * index ..` of the frame.
+    /// Bytes `4 * index - 2 ..` of the frame.
     fn word(&self, index: usize) -> u32;
 }
 
-/// A frame to be sent, as big-endian words.
+/// A frame to be sent, as big-endian words, two bytes in.
 pub trait Slot {
-    /// Sets bytes `4 * index ..`.
+    /// Sets bytes `4 * index - 2 ..`.
     fn put(&mut self, index: usize, word: u32);
 }
 
@@ -83,34 +83,32 @@ pub struct Datagram {
 
 /// Looks at a frame of `length` bytes.
 pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
-    let [mac0, mac1] = mac_words(us.mac);
-    let [w0, w1, w2, w3, w4, w5, w6, w7, w8] = core::array::from_fn(|index| frame.word(index));
-    let destination = (w7 << 16) | (w8 >> 16);
-    let options = (w3 >> 8 & 0xf).wrapping_sub(5) as usize;
+    let (ours_high, ours_low) = mac_halves(us.mac);
+    let [w0, w1, w2, w3, w4, w5, w6, source, destination] =
+        core::array::from_fn(|index| frame.word(index));
+    let options = (w4 >> 24 & 0xf).wrapping_sub(5) as usize;
     let recognised = length >= HEADERS
-        && w0 == mac0
-        && w1 >> 16 == mac1 >> 16
-        && w3 >> 12 == ETHERTYPE_IPV4
+        && w0 as u16 == ours_high
+        && w1 == ours_low
+        && w3 & 0xffff == ETHERTYPE_IPV4
+        && w4 >> 28 == 4
         && options <= OPTIONS_MAX
-        && w5 & 0xff == PROTOCOL_UDP
-        && w5 >> 16 & FRAGMENT == 0
+        && w5 & FRAGMENT == 0
+        && w6 >> 16 & 0xff == PROTOCOL_UDP
         && destination == us.ip;
-    // From here on, words count from the last one of the IP header.
-    let ports = frame.word(8 + options);
-    let lengths = frame.word(9 + options);
-    let checksum = frame.word(10 + options);
-    if !recognised || lengths >> 16 != u32::from(us.port) {
+    if !recognised {
         return Class::Other;
     }
-    let mut ip_sum = add(add(add(add(w3 & 0xffff, w4), w5), w6), w7);
-    for index in 8..8 + options {
-        ip_sum = add(ip_sum, frame.word(index));
+    let ports = frame.word(9 + options);
+    let lengths = frame.word(10 + options);
+    if ports as u16 != us.port {
+        return Class::Other;
     }
-    if fold(add(ip_sum, ports & 0xffff_0000)) != 0xffff {
+    if fold(sum_words(frame, 4, 5 + options)) != 0xffff {
         return Class::Refused(Refusal::Checksum);
     }
-    let ip_length = (w4 >> 16) as usize;
-    let udp_length = (lengths & 0xffff) as usize;
+    let ip_length = (w4 & 0xffff) as usize;
+    let udp_length = (lengths >> 16) as usize;
     let consistent = udp_length >= UDP_HEADER
         && ip_length == udp_length + IP_HEADER + 4 * options
         && length >= ip_length + ETHERNET_HEADER
@@ -119,53 +117,56 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
     if !consistent {
         return Class::Refused(Refusal::Truncated);
     }
-    if checksum >> 16 != 0 {
-        let pseudo = add(add(w6 & 0xffff, w7), w8 & 0xffff_0000);
-        let pseudo = add(pseudo, PROTOCOL_UDP + udp_length as u32);
-        if !udp_checksum_fits(frame, 8 + options, pseudo, udp_length) {
+    if lengths & 0xffff != 0 {
+        let pseudo = add(add(source, destination), PROTOCOL_UDP + udp_length as u32);
+        let rest = udp_length % 4;
+        let end = 9 + options + udp_length / 4;
+        let last = frame.word(end) & !(u32::MAX.checked_shr(8 * rest as u32).unwrap_or(0));
+        let whole = sum_words(frame, 9 + options, udp_length / 4);
+        if fold(add(add(pseudo, whole), last)) != 0xffff {
             return Class::Refused(Refusal::Checksum);
         }
     }
     Class::Ours(Datagram {
         peer: Peer {
-            ip: w6 << 16 | w7 >> 16,
-            port: ports as u16,
+            ip: source,
+            port: (ports >> 16) as u16,
         },
-        mac: (w1 as u16, w2),
+        mac: ((w2 >> 16) as u16, w2 << 16 | w3 >> 16),
         length: udp_length - UDP_HEADER,
         options,
     })
 }
 
-/// A payload word: two halves of two frame words.
+/// A payload word.
 pub fn payload_word(frame: &impl Frame, options: usize, index: usize) -> u32 {
-    let at = PAYLOAD_WORD + options + index;
-    frame.word(at) << 16 | frame.word(at + 1) >> 16
+    frame.word(PAYLOAD_WORD + options + index)
 }
 
-/// Writes the eleven words before and around the first payload half: `to` is answered. UDP checksum
-/// 0, which IPv4 allows: the MAC's CRC covers the same bytes and nobody routes a servo period.
+/// Writes everything in front of the payload: `to` is answered. UDP checksum 0, which IPv4 allows: the
+/// MAC's CRC covers the same bytes and nobody routes a servo period.
 pub fn emit_headers(slot: &mut impl Slot, us: &Us, to: &Datagram, payload_bytes: usize) {
-    let ip_length = (IP_HEADER + UDP_HEADER + payload_bytes) as u32;
-    let [mac0, mac1] = mac_words(us.mac);
-    let ours = us.ip;
-    let theirs = to.peer.ip;
-    // Don't fragment, identification 0 (RFC 6864 allows it for atomic datagrams), TTL 64.
-    let sum = [0x4500, ip_length, 0x4000, 0x4011, ours, theirs]
-        .iter()
-        .fold(0, |sum, word| add(sum, *word));
-    let checksum = !fold(sum) & 0xffff;
+    let udp_length = (UDP_HEADER + payload_bytes) as u32;
+    let (ours_high, ours_low) = mac_halves(us.mac);
+    let (theirs_high, theirs_low) = to.mac;
+    // Identification 0, which RFC 6864 allows for atomic datagrams; don't fragment; TTL 64.
+    let version = IPV4_IHL5 | (udp_length + IP_HEADER as u32);
+    let (fragment, protocol) = (0x4000, 0x4011 << 16);
+    let sum = [version, fragment, protocol, us.ip, to.peer.ip]
+        .into_iter()
+        .fold(0, add);
     let words = [
-        u32::from(to.mac.0) << 16 | to.mac.1 >> 16,
-        to.mac.1 << 16 | mac0 >> 16,
-        mac0 << 16 | mac1 >> 16,
-        0x0800_4500,
-        ip_length << 16,
-        0x4000_4011,
-        checksum << 16 | ours >> 16,
-        ours << 16 | theirs >> 16,
-        theirs << 16 | u32::from(us.port),
-        u32::from(to.peer.port) << 16 | (UDP_HEADER + payload_bytes) as u32,
+        u32::from(theirs_high),
+        theirs_low,
+        u32::from(ours_high) << 16 | ours_low >> 16,
+        ours_low << 16 | ETHERTYPE_IPV4,
+        version,
+        fragment,
+        protocol | !fold(sum) & 0xffff,
+        us.ip,
+        to.peer.ip,
+        u32::from(us.port) << 16 | u32::from(to.peer.port),
+        udp_length << 16,
     ];
     for (index, word) in words.into_iter().enumerate() {
         slot.put(index, word);
@@ -174,12 +175,9 @@ pub fn emit_headers(slot: &mut impl Slot, us: &Us, to: &Datagram, payload_bytes:
 
 /// Copies a payload behind the headers; returns the frame's length in bytes.
 pub fn emit_payload(slot: &mut impl Slot, payload: &[u32]) -> usize {
-    let mut carry = 0;
     for (index, word) in payload.iter().enumerate() {
-        slot.put(PAYLOAD_WORD + index, carry << 16 | word >> 16);
-        carry = *word;
+        slot.put(PAYLOAD_WORD + index, *word);
     }
-    slot.put(PAYLOAD_WORD + payload.len(), carry << 16);
     HEADERS + payload.len() * 4
 }
 
@@ -187,14 +185,13 @@ pub fn emit_payload(slot: &mut impl Slot, payload: &[u32]) -> usize {
 /// is recognised by comparing words, and its answer's headers are already in the slot.
 #[derive(Clone, Copy, Debug)]
 pub struct Lane {
-    /// Destination and source MAC, as the request carries them.
-    macs: [u32; 3],
-    /// Total IP length, upper half of word 4.
-    ip_length: u32,
-    /// Words 7..=9: addresses, ports, UDP length; and the low half of word 6.
-    source_high: u32,
-    tail: [u32; 3],
-    /// Ones' complement sum of the IP header without TOS, id, flags, TTL and checksum.
+    /// Frame length, words 0..=4 and 7..=10 as they must be, where they must.
+    length: usize,
+    macs: [u32; 4],
+    version: u32,
+    peers: [u32; 3],
+    udp_length: u32,
+    /// Ones' complement sum of the IP header without service class, id, flags, TTL and checksum.
     ip_sum: u32,
     /// Ones' complement sum of pseudo header and UDP header without its checksum.
     udp_sum: u32,
@@ -207,31 +204,28 @@ pub struct Lane {
 impl Lane {
     /// A lane for exchanges of `command_words` words from the sender of `datagram`.
     pub fn new(us: &Us, datagram: Datagram, command_words: usize) -> Self {
-        let [mac0, mac1] = mac_words(us.mac);
         let payload = (wire::exchange::REQUEST_OVERHEAD + command_words) * 4;
         let udp_length = (UDP_HEADER + payload) as u32;
-        let ip_length = udp_length + IP_HEADER as u32;
+        let version = IPV4_IHL5 | (udp_length + IP_HEADER as u32);
         let (theirs, ours) = (datagram.peer.ip, us.ip);
         let ports = u32::from(datagram.peer.port) << 16 | u32::from(us.port);
-        let sum = |words: &[u32]| words.iter().fold(0, |sum, word| add(sum, *word));
+        let (ours_high, ours_low) = mac_halves(us.mac);
+        let (theirs_high, theirs_low) = datagram.mac;
+        let peers = add(theirs, ours);
+        let lengths = add(udp_length << 16, PROTOCOL_UDP + udp_length);
         Lane {
-            macs: [mac0, mac1 | u32::from(datagram.mac.0), datagram.mac.1],
-            ip_length,
-            source_high: theirs >> 16,
-            tail: [
-                theirs << 16 | ours >> 16,
-                ours << 16 | u32::from(datagram.peer.port),
-                u32::from(us.port) << 16 | udp_length,
+            length: HEADERS + payload,
+            macs: [
+                u32::from(ours_high),
+                ours_low,
+                u32::from(theirs_high) << 16 | theirs_low >> 16,
+                theirs_low << 16 | ETHERTYPE_IPV4,
             ],
-            ip_sum: fold(sum(&[0x4500, ip_length, PROTOCOL_UDP, theirs, ours])),
-            udp_sum: fold(sum(&[
-                theirs,
-                ours,
-                PROTOCOL_UDP,
-                udp_length,
-                ports,
-                udp_length,
-            ])),
+            version,
+            peers: [theirs, ours, ports],
+            udp_length,
+            ip_sum: fold(add(add(version, PROTOCOL_UDP), peers)),
+            udp_sum: fold(add(add(lengths, peers), ports)),
             record: wire::etherbone::BYTE_ENABLE | (command_words as u32) << 8,
             datagram,
         }
@@ -244,31 +238,29 @@ impl Lane {
     pub fn open<'f, F: Frame>(&self, frame: &'f F, length: usize) -> Option<Command<'f, F>> {
         let (w0, w1, w2, w3) = (frame.word(0), frame.word(1), frame.word(2), frame.word(3));
         let (w4, w5, w6, w7) = (frame.word(4), frame.word(5), frame.word(6), frame.word(7));
-        let (w8, w9, w10) = (frame.word(8), frame.word(9), frame.word(PAYLOAD_WORD));
-        let macs = w0 ^ self.macs[0] | w1 ^ self.macs[1] | w2 ^ self.macs[2];
-        let shape = w3 >> 8 ^ ETHERTYPE_IPV4_IHL5
-            | w4 >> 16 ^ self.ip_length
-            | w5 & (FRAGMENT << 16 | 0xff) ^ PROTOCOL_UDP
-            | w6 & 0xffff ^ self.source_high
-            | length as u32 ^ self.ip_length + ETHERNET_HEADER as u32;
-        let tail = w7 ^ self.tail[0] | w8 ^ self.tail[1] | w9 ^ self.tail[2];
-        if macs | shape | tail != 0 {
+        let (w8, w9, w10) = (frame.word(8), frame.word(9), frame.word(10));
+        let [m0, m1, m2, m3] = self.macs;
+        let [source, destination, ports] = self.peers;
+        let macs = w0 & 0xffff ^ m0 | w1 ^ m1 | w2 ^ m2 | w3 ^ m3;
+        // Not the service class, and of the flags only those that make a fragment.
+        let shape =
+            w4 & !0x00ff_0000 ^ self.version | w5 & FRAGMENT | w6 >> 16 & 0xff ^ PROTOCOL_UDP;
+        let peers = w7 ^ source | w8 ^ destination | w9 ^ ports | w10 >> 16 ^ self.udp_length;
+        if length != self.length || macs | shape | peers != 0 {
             return None;
         }
-        // Sums of a few 16-bit numbers: no carry is lost. PROTOCOL_UDP is in `ip_sum` already.
-        let ip_sum =
-            self.ip_sum + (w3 & 0xff) + (w4 & 0xffff) + (w5 >> 16) + (w5 & 0xff00) + (w6 >> 16);
-        if fold(ip_sum) != 0xffff {
+        // Sums of a few 16-bit numbers: no carry is lost.
+        let class_and_id = (w4 >> 16 & 0xff) + (w5 >> 16) + (w5 & 0xffff);
+        let ttl_and_sum = (w6 >> 16 & 0xff00) + (w6 & 0xffff);
+        if fold(self.ip_sum + class_and_id + ttl_and_sum) != 0xffff {
             return None;
         }
         let mut command = Command {
             frame,
             index: PAYLOAD_WORD,
-            carry: w10,
-            low: w10 & 0xffff,
-            high: 0,
-            udp_sum: self.udp_sum,
-            checksum: w10 >> 16,
+            sum: self.udp_sum,
+            carries: 0,
+            checksum: w10 & 0xffff,
         };
         let [header, _padding, record, base] = command.take4();
         let difference =
@@ -278,38 +270,31 @@ impl Lane {
 }
 
 /// The command block of a frame in the lane, read word by word, each word once. It sums the UDP
-/// checksum on the way.
-///
-/// With `a_k` the frame words and `h_k` their upper halves, the payload's ones' complement sum is
-/// `sum(a_k mod 2^16) + sum(h_k)`, and `sum(a_k mod 2^16) = sum(a_k) - 2^16 sum(h_k)`, exactly, in 32
-/// bits, as long as there are fewer than 2^16 words. That is two additions per word; the shift that
-/// makes `h_k` is needed for the payload anyway.
+/// checksum on the way, 32 bits at a time: 2^16 is 1 in ones' complement arithmetic, so the halves
+/// may be folded at the end, and so may the carries.
 #[derive(Debug)]
 pub struct Command<'f, F> {
     frame: &'f F,
     index: usize,
-    carry: u32,
-    low: u32,
-    high: u32,
-    udp_sum: u32,
+    sum: u32,
+    carries: u32,
     checksum: u32,
 }
 
 impl<F: Frame> Command<'_, F> {
     #[inline(always)]
     fn load(&mut self) -> u32 {
+        let word = self.frame.word(self.index);
         self.index += 1;
-        self.frame.word(self.index)
+        word
     }
 
     #[inline(always)]
-    fn combine(&mut self, word: u32) -> u32 {
-        let high = word >> 16;
-        self.high = self.high.wrapping_add(high);
-        self.low = self.low.wrapping_add(word);
-        let payload = self.carry << 16 | high;
-        self.carry = word;
-        payload
+    fn add(&mut self, word: u32) -> u32 {
+        let (sum, carry) = self.sum.overflowing_add(word);
+        self.sum = sum;
+        self.carries += u32::from(carry);
+        word
     }
 }
 
@@ -317,7 +302,7 @@ impl<F: Frame> Command<'_, F> {
 macro_rules! take {
     ($self:ident, $($word:ident),+) => {{
         $(let $word = $self.load();)+
-        [$($self.combine($word)),+]
+        [$($self.add($word)),+]
     }};
 }
 
@@ -344,35 +329,15 @@ impl<F: Frame> crate::exchange::Request for Command<'_, F> {
 
     #[inline(always)]
     fn intact(&mut self) -> bool {
-        if self.checksum == 0 {
-            return true;
-        }
-        // `low` began with the lower half of word 10 and holds the last word's lower half, which is
-        // behind the payload.
-        let lows = self
-            .low
-            .wrapping_sub(self.high << 16)
-            .wrapping_sub(self.carry & 0xffff);
-        let sum = add(add(add(self.udp_sum, self.checksum), lows), self.high);
-        fold(sum) == 0xffff
+        self.checksum == 0 || fold(add(add(self.sum, self.carries), self.checksum)) == 0xffff
     }
 }
 
 use crate::exchange::Request as _;
 
-/// Sums the UDP part, which begins in the lower half of word `start`.
-fn udp_checksum_fits(frame: &impl Frame, start: usize, pseudo: u32, udp_length: usize) -> bool {
-    let mut sum = add(pseudo, frame.word(start) & 0xffff);
-    let bytes = udp_length - 2;
-    for index in 0..bytes / 4 {
-        sum = add(sum, frame.word(start + 1 + index));
-    }
-    let rest = bytes % 4;
-    if rest != 0 {
-        let keep = !(u32::MAX >> (8 * rest));
-        sum = add(sum, frame.word(start + 1 + bytes / 4) & keep);
-    }
-    fold(sum) == 0xffff
+/// Ones' complement sum of `count` words.
+fn sum_words(frame: &impl Frame, start: usize, count: usize) -> u32 {
+    (start..start + count).fold(0, |sum, index| add(sum, frame.word(index)))
 }
 
 /// Ones' complement addition of words; halves may be folded at the end because 2^16 = 1 mod 2^16 - 1.
@@ -389,13 +354,10 @@ const fn fold(sum: u32) -> u32 {
     (sum >> 16) + (sum & 0xffff)
 }
 
-/// A MAC address as the first 32 bits and, in the upper half, the last 16.
-const fn mac_words(mac: [u8; 6]) -> [u32; 2] {
+/// A MAC address as its first 16 and its last 32 bits.
+const fn mac_halves(mac: [u8; 6]) -> (u16, u32) {
     let [a, b, c, d, e, f] = mac;
-    [
-        u32::from_be_bytes([a, b, c, d]),
-        u32::from_be_bytes([e, f, 0, 0]),
-    ]
+    (u16::from_be_bytes([a, b]), u32::from_be_bytes([c, d, e, f]))
 }
 
 #[cfg(test)]

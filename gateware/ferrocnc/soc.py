@@ -135,7 +135,7 @@ LITEX_DOC = {
     "ctrl": "LiteX's system controller.",
     "identifier_mem": "LiteX's identifier: one character per word, \"FerroCNC <version> <board>\", ended by 0.",
     "timer0": "LiteX's timer: counts down in clocks.",
-    "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire.",
+    "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them.",
     "ethphy": "LiteEth's PHY.",
 }
 

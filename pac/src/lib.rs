@@ -1323,14 +1323,14 @@ pub mod timer0 {
         impl crate::Resettable for EvEnableSpec {}
     }
 }
-#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire."]
+#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them."]
 pub type Ethmac = crate::Periph<ethmac::RegisterBlock, 0xf000_1800>;
 impl core::fmt::Debug for Ethmac {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Ethmac").finish()
     }
 }
-#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire."]
+#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them."]
 pub mod ethmac {
     #[repr(C)]
     #[doc = "Register block"]

@@ -18,7 +18,10 @@ struct Bytes(Vec<u8>);
 impl Frame for Bytes {
     fn word(&self, index: usize) -> u32 {
         // Behind the frame lies whatever an older frame left there.
-        let byte = |at: usize| self.0.get(at).copied().unwrap_or(0xa5);
+        let byte = |at: usize| match at.checked_sub(2) {
+            Some(at) => self.0.get(at).copied().unwrap_or(0xa5),
+            None => 0x5a, // the two bytes in front are nobody's
+        };
         u32::from_be_bytes([0, 1, 2, 3].map(|at| byte(4 * index + at)))
     }
 }
@@ -32,6 +35,14 @@ impl Slot for Words {
             self.0.resize(index + 1, 0);
         }
         self.0[index] = word;
+    }
+}
+
+impl Words {
+    /// As they go out: without the two bytes in front.
+    fn bytes(&self) -> Vec<u8> {
+        let bytes = self.0.iter().flat_map(|word| word.to_be_bytes());
+        bytes.skip(2).collect()
     }
 }
 
@@ -229,12 +240,8 @@ fn our_answers_satisfy_our_own_checks_seen_from_the_other_side() {
     let mut slot = Words::default();
     emit_headers(&mut slot, &US, &datagram, 8);
     let length = emit_payload(&mut slot, &[0x1122_3344, 0x5566_7788]);
-    let bytes: Vec<u8> = slot
-        .0
-        .iter()
-        .flat_map(|word| word.to_be_bytes())
-        .take(length)
-        .collect();
+    let bytes = slot.bytes();
+    assert_eq!(bytes.len(), length);
     let them = Us {
         mac: THEIR_MAC,
         ip: ALICE.ip,
@@ -293,17 +300,16 @@ fn down_the_lane(rig: &mut Rig, frame: Vec<u8>) -> Option<Result<Vec<u32>, Refus
         |slot| emit_headers(slot, &US, &lane.datagram, payload),
         &shape,
     );
-    let mut reply = SlotReply::resume(&mut slot, &shape);
+    let mut reply = SlotReply::resume(&mut slot);
     if let Err(why) =
         rig.server
             .exchange(&mut rig.board, lane.datagram.peer, &mut command, &mut reply)
     {
         return Some(Err(why));
     }
-    reply.finish();
-    let frame = Bytes(slot.0.iter().flat_map(|word| word.to_be_bytes()).collect());
+    let frame = Bytes(slot.bytes());
     let length = SlotReply::<Words>::frame_length(&shape);
-    assert_eq!(length, frame.0.len() - 2);
+    assert_eq!(length, frame.0.len());
     Some(Ok((0..(length - HEADERS) / 4)
         .map(|index| payload_word(&frame, 0, index))
         .collect()))
@@ -413,7 +419,7 @@ proptest! {
         }
         let _ = look(&frame);
         let mut words = Words::default();
-        SlotReply::resume(&mut words, &crate::exchange::Shape::new(SIX)).put(1);
+        SlotReply::resume(&mut words).put(1);
         let _ = Notebook::new();
     }
 }

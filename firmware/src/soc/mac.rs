@@ -1,7 +1,8 @@
 //! LiteEth's MAC: two receive slots, two transmit slots, one frame at a time each.
 //!
-//! The slots hold frames in network order: a 32-bit load yields a big-endian word, so the exchange
-//! never swaps a byte. The IP stack, which thinks in bytes, gets its frames copied.
+//! The slots hold frames in network order, two bytes in: a 32-bit load yields a big-endian word, and
+//! everything behind the Ethernet header lies on words, so the exchange swaps and shifts nothing. The
+//! IP stack, which thinks in bytes, gets its frames copied.
 //!
 //! Transmit slot 0 belongs to the fast lane alone, its headers stay in it; slot 1 is everybody's.
 
@@ -14,6 +15,8 @@ use wire::MAX_WORDS;
 
 /// Longest frame, without FCS.
 const FRAME_MAX: usize = 1514;
+/// Bytes in front of a frame in its slot; the MAC's length registers count them.
+const PAD: usize = 2;
 const LANE: usize = 0;
 const COMMON: usize = 1;
 
@@ -105,7 +108,7 @@ impl Mac {
     #[inline(always)]
     pub fn frame(&self) -> (RxFrame, usize) {
         let slot = self.regs.sram_writer_slot().read().bits() as usize;
-        let length = self.regs.sram_writer_length().read().bits() as usize;
+        let length = self.regs.sram_writer_length().read().bits() as usize - PAD;
         let base = abi::ETHMAC_BASE + slot * abi::ETHMAC_SLOT_SIZE;
         (RxFrame(base as *const u32), length)
     }
@@ -156,9 +159,12 @@ impl Mac {
     pub fn take_for_stack(&mut self) {
         let (frame, length) = self.frame();
         let length = length.min(FRAME_MAX);
-        // The slot's words are big-endian; the stack wants bytes in their order.
+        // Two slot words make a word of bytes in their order.
+        let mut carry = frame.word(0);
         for (index, word) in self.input.0.iter_mut().take(length.div_ceil(4)).enumerate() {
-            *word = frame.word(index).swap_bytes();
+            let next = frame.word(index + 1);
+            *word = (carry << 16 | next >> 16).swap_bytes();
+            carry = next;
         }
         self.stack_length = length;
         self.release();
@@ -186,15 +192,17 @@ impl Mac {
 
     #[inline(always)]
     fn start(&mut self, slot: usize, length: usize) {
-        self.regs
-            .sram_reader_slot()
+        Self::start_on(&self.regs, slot, length);
+    }
+
+    #[inline(always)]
+    fn start_on(regs: &Ethmac, slot: usize, length: usize) {
+        let length = (length + PAD) as u32;
+        regs.sram_reader_slot()
             .write(|w| unsafe { w.bits(slot as u32) });
-        self.regs
-            .sram_reader_length()
-            .write(|w| unsafe { w.bits(length as u32) });
-        self.regs
-            .sram_reader_start()
-            .write(|w| unsafe { w.bits(1) });
+        regs.sram_reader_length()
+            .write(|w| unsafe { w.bits(length) });
+        regs.sram_reader_start().write(|w| unsafe { w.bits(1) });
     }
 }
 
@@ -247,14 +255,15 @@ impl TxToken for Transmit<'_> {
         let result = f(buffer.bytes().get_mut(..length).unwrap_or(&mut []));
         while regs.sram_reader_level().read().bits() != 0 {}
         let mut slot = Mac::tx(COMMON);
-        for (index, word) in buffer.0.iter().take(length.div_ceil(4)).enumerate() {
-            slot.put(index, word.swap_bytes());
+        let mut carry = 0;
+        let words = length.div_ceil(4);
+        for (index, word) in buffer.0.iter().take(words).enumerate() {
+            let next = word.swap_bytes();
+            slot.put(index, carry << 16 | next >> 16);
+            carry = next;
         }
-        regs.sram_reader_slot()
-            .write(|w| unsafe { w.bits(COMMON as u32) });
-        regs.sram_reader_length()
-            .write(|w| unsafe { w.bits(length as u32) });
-        regs.sram_reader_start().write(|w| unsafe { w.bits(1) });
+        slot.put(words, carry << 16);
+        Mac::start_on(regs, COMMON, length);
         *sent += 1;
         result
     }
