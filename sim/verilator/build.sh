@@ -34,8 +34,8 @@ out=${out:-$dir}
 mkdir -p "$out"
 [ "$out" -ef "$dir" ] || cp "$dir/manifest.json" "$out/manifest.json"
 case $trace in ""|fst|vcd) ;; *) die "--trace takes fst or vcd, not '$trace'" ;; esac
-if [ "$trace" = fst ] && ! echo '#include <zlib.h>' | g++ -E -x c++ - >/dev/null 2>&1; then
-    echo "sim: zlib.h not found (Debian: zlib1g-dev), writing VCD waveforms instead of FST" >&2
+if [ "$trace" = fst ] && ! printf '#include <zlib.h>\n#include <lz4.h>\n' | g++ -E -x c++ - >/dev/null 2>&1; then
+    echo "sim: zlib.h or lz4.h not found (Debian: zlib1g-dev liblz4-dev), writing VCD waveforms instead of FST" >&2
     trace=vcd
 fi
 name=libferrocnc_soc${trace:+_trace}.so
@@ -181,7 +181,7 @@ objects=$(ls "$obj"/verilated*.o)
 g++ -O3 -std=gnu++17 $cflags -fvisibility=default -shared -I"$include" -I"$include/vltstd" -I"$obj" \
     -DFC_MODEL=Vsoc -DFC_HEADER='"Vsoc.h"' -DFC_ROOT_HEADER='"Vsoc___024root.h"' -DFC_ROM="$rom_name" \
     ${ram_name:+-DFC_RAM=$ram_name} ${pc:+-DFC_PC=$pc -DFC_PC_VALID=${pc%Pc}IsValid} $prev $tracedef "$here/shim.cpp" "$obj/Vsoc__ALL.a" $objects \
-    -o "$out/$name.new" -pthread -latomic $( [ "$trace" = fst ] && echo -lz ) >> "$log" 2>&1 \
+    -o "$out/$name.new" -pthread -latomic $( [ "$trace" = fst ] && echo -lz -llz4 ) >> "$log" 2>&1 \
     || { tail -40 "$log" >&2; die "linking failed, see $log"; }
 mv "$out/$name.new" "$out/$name"
 echo "$stamp" > "$out/$name.sha256"

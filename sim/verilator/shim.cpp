@@ -153,15 +153,18 @@ void fc_rise(void* handle, Pins* pins, uint32_t clocks, uint64_t time_ps) {
         m.eth_clk = 1;
         FC_ETH_LOW(root)
     }
+    // cpu_freeze gates a clock that we keep high: moved between sys edges it would make an edge of its own.
+    Pins in = *pins;
+    if (soc.settled && !(clocks & SYS)) in.cpu_freeze = soc.driven.cpu_freeze;
     // eval() first works out what hangs on the inputs alone; they seldom change (5 % of the time).
-    if (soc.settled && std::memcmp(&soc.driven, pins, offsetof(Pins, gpio_out)) == 0) {
+    if (soc.settled && std::memcmp(&soc.driven, &in, offsetof(Pins, gpio_out)) == 0) {
         do {
             while (Vsoc___024root___eval_phase__act(root)) {
             }
         } while (Vsoc___024root___eval_phase__nba(root));
     } else {
-        soc.drive(*pins);
-        soc.driven = *pins;
+        soc.drive(in);
+        soc.driven = in;
         m.eval();
         soc.settled = true;
     }
