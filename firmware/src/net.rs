@@ -22,6 +22,10 @@ pub const FRAME_MIN: usize = 60;
 /// Word the payload begins at.
 pub const PAYLOAD_WORD: usize = 11;
 
+/// Words of a rehearsal's frame: the longest command there is.
+pub const REHEARSAL_WORDS: usize =
+    PAYLOAD_WORD + wire::exchange::REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX;
+
 const ETHERTYPE_IPV4: u32 = 0x0800;
 /// Version 4, five words of header, no type of service; the total length goes below.
 const IPV4_IHL5: u32 = 0x4500 << 16;
@@ -38,6 +42,12 @@ const ETHERNET_HEADER: usize = 14;
 pub trait Frame {
     /// Bytes `4 * index - 2 ..` of the frame.
     fn word(&self, index: usize) -> u32;
+
+    /// Did it come over the wire? A frame made up for a rehearsal says no, and is never whole.
+    #[inline(always)]
+    fn genuine(&self) -> bool {
+        true
+    }
 }
 
 /// A frame to be sent, as big-endian words, two bytes in.
@@ -231,6 +241,39 @@ impl Lane {
         }
     }
 
+    /// Makes up a frame that runs down this lane to the end without being executed: the owner's next
+    /// command, all zeros, for a [`Frame`] that is not genuine. A rehearsal with it brings the whole
+    /// path back into the instruction cache after something else was there.
+    pub fn rehearse(&self, token: u32, sequence: u32, frame: &mut [u32; REHEARSAL_WORDS]) -> usize {
+        let [m0, m1, m2, m3] = self.macs;
+        let [source, destination, ports] = self.peers;
+        *frame = [0; REHEARSAL_WORDS];
+        let checksum = !fold(self.ip_sum) & 0xffff;
+        let head = [
+            m0,
+            m1,
+            m2,
+            m3,
+            self.version,
+            0,
+            PROTOCOL_UDP << 16 | checksum,
+            source,
+            destination,
+            ports,
+            self.udp_length << 16,
+            wire::etherbone::HEADER,
+            0,
+            self.record,
+            wire::map::COMMAND,
+            token,
+            sequence,
+        ];
+        for (place, word) in frame.iter_mut().zip(head) {
+            *place = word;
+        }
+        self.length
+    }
+
     /// Is this frame an exchange in this lane? If so, the command block behind its headers, whose
     /// UDP checksum is known to be right or wrong once it has been read to its end. A `None` says
     /// nothing against the frame: the long way round finds out what it is.
@@ -329,7 +372,8 @@ impl<F: Frame> crate::exchange::Request for Command<'_, F> {
 
     #[inline(always)]
     fn intact(&mut self) -> bool {
-        self.checksum == 0 || fold(add(add(self.sum, self.carries), self.checksum)) == 0xffff
+        let fits = || fold(add(add(self.sum, self.carries), self.checksum)) == 0xffff;
+        self.frame.genuine() && (self.checksum == 0 || fits())
     }
 }
 

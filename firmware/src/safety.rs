@@ -174,6 +174,18 @@ impl Safety {
             )
     }
 
+    /// Would this command change nothing and not be executed either: a host that looks and waits? Asked
+    /// like [`Safety::steady`], for the same reason.
+    #[inline]
+    pub fn waiting(&self, request: bool, gate: Gate) -> bool {
+        self.at_rest()
+            && !gate.open()
+            && matches!(
+                (self.request, request),
+                (Request::High | Request::Unknown, true) | (Request::Low, false)
+            )
+    }
+
     /// The one function. Total: every event in every state.
     pub fn step(self, event: Event, now: u64) -> (Safety, Effects) {
         match event {
@@ -606,6 +618,27 @@ mod tests {
                 .0
                 .steady(true, true, LIVE)
         );
+    }
+
+    #[test]
+    fn waiting_says_yes_only_where_a_full_step_would_do_nothing() {
+        let mut times = 0;
+        for machine in reachable() {
+            for event in all_events() {
+                let Event::Command { request, gate, .. } = event else {
+                    continue;
+                };
+                if machine.waiting(request, gate) {
+                    assert_eq!(
+                        machine.step(event, 5),
+                        (machine, Effects::NONE),
+                        "{event:?}"
+                    );
+                    times += 1;
+                }
+            }
+        }
+        assert!(times > 0);
     }
 
     proptest! {

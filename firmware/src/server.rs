@@ -135,6 +135,11 @@ impl Server {
         self.abi
     }
 
+    /// May the fast lane be rehearsed? Staging a rehearsal's zeros must not meet a timed commit.
+    pub fn may_rehearse(&self) -> bool {
+        !self.commit_pending
+    }
+
     /// Somebody entitled to asked for a restart.
     pub fn wants_restart(&self) -> bool {
         self.restart

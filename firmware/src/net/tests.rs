@@ -392,6 +392,44 @@ fn service_class_identification_and_ttl_are_the_senders_business() {
     }
 }
 
+/// A frame nobody sent.
+struct MadeUp([u32; REHEARSAL_WORDS]);
+
+impl Frame for MadeUp {
+    fn word(&self, index: usize) -> u32 {
+        self.0[index]
+    }
+
+    fn genuine(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn a_rehearsal_walks_to_the_end_and_does_nothing() {
+    let mut rig = Rig::armed();
+    let lane = lane();
+    let (session, before) = (rig.server.session().clone(), rig.board.changes());
+    let mut frame = MadeUp([0; REHEARSAL_WORDS]);
+    let token = session.token_for(ALICE);
+    let length = lane.rehearse(token, session.last_sequence() + 1, &mut frame.0);
+    let mut command = lane.open(&frame, length).expect("it is recognised");
+    let mut slot = Words::default();
+    let mut reply = SlotReply::resume(&mut slot);
+    let outcome = rig
+        .server
+        .exchange(&mut rig.board, ALICE, &mut command, &mut reply);
+    assert_eq!(outcome, Err(Refusal::Checksum));
+    assert_eq!(
+        slot.0.len(),
+        PAYLOAD_WORD + 4 + 48,
+        "it did not get to the end"
+    );
+    assert_eq!(rig.board.changes(), before);
+    assert_eq!(*rig.server.session(), session);
+    assert!(rig.exchange(true, true).unwrap().state.enabled);
+}
+
 proptest! {
     #[test]
     fn the_lane_agrees_with_the_textbook_on_every_checksum(

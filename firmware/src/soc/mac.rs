@@ -7,7 +7,7 @@
 //! Transmit slot 0 belongs to the fast lane alone, its headers stay in it; slot 1 is everybody's.
 
 use core::ptr::{read_volatile, write_volatile};
-use firmware::net::{Frame, Slot};
+use firmware::net::{Frame, REHEARSAL_WORDS, Slot};
 use litex_pac::{Ethmac, abi};
 use smoltcp::phy::{Device, DeviceCapabilities, Medium, RxToken, TxToken};
 use smoltcp::time::Instant;
@@ -31,7 +31,15 @@ impl Frame for RxFrame {
         // a slot is 512 words, a frame 379.
         unsafe { read_volatile(self.0.add(index)) }
     }
+
+    #[inline(always)]
+    fn genuine(&self) -> bool {
+        // The MAC's slots lie in the upper half of the address space, RAM in the lower.
+        (self.0 as isize) < 0
+    }
 }
+
+const _: () = assert!(abi::ETHMAC_BASE >> 31 == 1 && abi::RAM_BASE >> 31 == 0);
 
 /// A frame being written, in its slot.
 pub struct TxSlot(*mut u32);
@@ -111,6 +119,19 @@ impl Mac {
         let length = self.regs.sram_writer_length().read().bits() as usize - PAD;
         let base = abi::ETHMAC_BASE + slot * abi::ETHMAC_SLOT_SIZE;
         (RxFrame(base as *const u32), length)
+    }
+
+    /// The frame in `input`, made up by [`firmware::net::Lane::rehearse`], and a slot nobody sends.
+    pub fn rehearsal(&mut self) -> (RxFrame, TxSlot) {
+        (
+            RxFrame(self.input.0.as_ptr()),
+            TxSlot(self.output.0.as_mut_ptr()),
+        )
+    }
+
+    /// Where to make up a rehearsal.
+    pub fn rehearsal_words(&mut self) -> Option<&mut [u32; REHEARSAL_WORDS]> {
+        self.input.0.first_chunk_mut()
     }
 
     /// Gives the frame's slot back.

@@ -7,7 +7,7 @@ mod mac;
 mod postmortem;
 mod stack;
 
-pub use mac::{Mac, TxSlot};
+pub use mac::{Mac, RxFrame, TxSlot};
 pub use postmortem::restart;
 pub use stack::{check as check_stack, used as stack_used};
 
