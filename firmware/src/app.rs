@@ -164,6 +164,7 @@ impl App {
             Ok(()) => {
                 self.mac
                     .send_lane(SlotReply::<TxSlot>::frame_length(&shape));
+                self.server.exchanged();
                 self.server.counters_mut().frames_tx += 1;
             }
             Err(why) => self.server.refuse(why),

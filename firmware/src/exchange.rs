@@ -164,8 +164,6 @@ impl Server {
             }
             board.feed(sequence);
             self.session.accept(sequence);
-            self.spoke = true;
-            self.counters.exchanges = self.counters.exchanges.wrapping_add(1);
         }
 
         // Answer. `session_yours` and `accepted` are true, or we were not here.
@@ -195,6 +193,12 @@ impl Server {
         }
     }
 
+    /// What an executed exchange leaves to do once its answer is on its way.
+    pub fn exchanged(&mut self) {
+        self.spoke = true;
+        self.counters.exchanges = self.counters.exchanges.wrapping_add(1);
+    }
+
     /// A timed commit must not fire into half a block: from here on the new command counts.
     #[cold]
     #[inline(never)]
@@ -219,8 +223,7 @@ impl Server {
             request,
             gate,
         };
-        let (next, effects) = self.safety.step(event, board.now());
-        self.safety = next;
+        let effects = self.step(event, board.now());
         if effects.end_session {
             // The bite came before this command: it is nobody's now.
             self.obey(board, effects);
@@ -246,10 +249,10 @@ impl Server {
     }
 }
 
-/// Copies the three words of each of `count` channels into the answer, two channels at a time.
+/// Copies the three words of each of `count` channels into the answer, up to four channels at a time.
 #[inline(always)]
 fn copy(board: &mut impl Board, reply: &mut impl Reply, mut at: usize, count: usize) {
-    for _ in 0..count / 2 {
+    for _ in 0..count / 4 {
         let (a, b, c) = (
             board.latched(at),
             board.latched(at + 1),
@@ -260,24 +263,52 @@ fn copy(board: &mut impl Board, reply: &mut impl Reply, mut at: usize, count: us
             board.latched(at + 4),
             board.latched(at + 5),
         );
-        reply.put(a);
-        reply.put(b);
-        reply.put(c);
-        reply.put(d);
-        reply.put(e);
-        reply.put(f);
-        at += 2 * STATUS_STEPGEN;
+        let (g, h, i) = (
+            board.latched(at + 6),
+            board.latched(at + 7),
+            board.latched(at + 8),
+        );
+        let (j, k, l) = (
+            board.latched(at + 9),
+            board.latched(at + 10),
+            board.latched(at + 11),
+        );
+        put3(reply, a, b, c);
+        put3(reply, d, e, f);
+        put3(reply, g, h, i);
+        put3(reply, j, k, l);
+        at += 4 * STATUS_STEPGEN;
     }
-    if count % 2 != 0 {
+    if count & 2 != 0 {
         let (a, b, c) = (
             board.latched(at),
             board.latched(at + 1),
             board.latched(at + 2),
         );
-        reply.put(a);
-        reply.put(b);
-        reply.put(c);
+        let (d, e, f) = (
+            board.latched(at + 3),
+            board.latched(at + 4),
+            board.latched(at + 5),
+        );
+        put3(reply, a, b, c);
+        put3(reply, d, e, f);
+        at += 2 * STATUS_STEPGEN;
     }
+    if count & 1 != 0 {
+        let (a, b, c) = (
+            board.latched(at),
+            board.latched(at + 1),
+            board.latched(at + 2),
+        );
+        put3(reply, a, b, c);
+    }
+}
+
+#[inline(always)]
+fn put3(reply: &mut impl Reply, a: u32, b: u32, c: u32) {
+    reply.put(a);
+    reply.put(b);
+    reply.put(c);
 }
 
 // Stepgens and encoders are copied alike.

@@ -53,6 +53,8 @@ pub struct Server {
     pub(crate) session: Session,
     pub(crate) safety: Safety,
     pub(crate) counters: Counters,
+    /// The state word but for the gate: what every answer begins with.
+    state_word: u32,
     /// A timed commit may still be waiting in gateware.
     pub(crate) commit_pending: bool,
     /// The owner spoke since the last [`Server::poll`].
@@ -80,6 +82,7 @@ impl Server {
                 refused_total: 0,
                 refused: [0; Refusal::COUNT],
             },
+            state_word: 0,
             commit_pending: false,
             spoke: false,
             committed: true,
@@ -219,14 +222,28 @@ impl Server {
     /// The state word without the bits that depend on who asks ([`crate::exchange::STATE_ANSWER`]).
     #[inline]
     pub fn state_word(&self, gate: Gate) -> u32 {
-        self.state(gate, false).to_word()
+        let gate = if gate.0 == Gate::LIVE.0 {
+            STATE_ENABLED
+        } else {
+            u32::from(gate.open()) * STATE_ENABLED
+                | u32::from(gate.bitten()) << 19
+                | u32::from(gate.reset_pin()) << 20
+        };
+        self.state_word | gate
     }
 
     /// Steps the state machine and does what it says.
     pub(crate) fn event<B: Board>(&mut self, board: &mut B, event: Event) {
-        let (next, effects) = self.safety.step(event, board.now());
-        self.safety = next;
+        let effects = self.step(event, board.now());
         self.obey(board, effects);
+    }
+
+    /// Steps the state machine; what it says is still to be done.
+    pub(crate) fn step(&mut self, event: Event, now: u64) -> Effects {
+        let (next, effects) = self.safety.step(event, now);
+        self.safety = next;
+        self.state_word = self.state(Gate(0), false).to_word();
+        effects
     }
 
     /// Does what the state machine says, except the commit.
@@ -283,6 +300,7 @@ impl Server {
             let [_, _, record] = reply_head(&self.shape);
             writer.push(record);
             self.exchange(board, peer, &mut SliceRequest(block), &mut writer)?;
+            self.exchanged();
             debug_assert_eq!(writer.words().len(), REPLY_OVERHEAD + self.shape.status);
             return Ok(if packet.no_reads() {
                 0
@@ -476,6 +494,7 @@ impl Server {
     }
 }
 
+const STATE_ENABLED: u32 = 1 << 17;
 const LOG_SIZE: u32 = map::LOG + 4;
 const LOG_BOOT: u32 = map::LOG + 8;
 

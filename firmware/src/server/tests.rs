@@ -780,6 +780,25 @@ fn a_board_of_another_abi_describes_itself_and_never_arms() {
     assert_eq!(rig.read(4 * 15), Ok(wire::describe::OBSTACLE_ABI));
 }
 
+#[test]
+fn the_short_way_to_a_state_word_says_what_the_long_one_says() {
+    for mut rig in [Rig::new(), Rig::armed(), Rig::with_abi(1)] {
+        for gate in (0..64).map(Gate) {
+            assert_eq!(
+                rig.server.state_word(gate),
+                rig.server.state(gate, false).to_word()
+            );
+        }
+        rig.board.bite();
+        rig.server.poll(&mut rig.board);
+        let gate = rig.board.gate();
+        assert_eq!(
+            rig.server.state_word(gate),
+            rig.server.state(gate, false).to_word()
+        );
+    }
+}
+
 // ---- Windows --------------------------------------------------------------------------------------------
 
 #[test]
