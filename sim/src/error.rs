@@ -63,7 +63,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// The board did not come up.
-    #[error("the board at {ip} answered nothing within {clocks} clocks after reset (frames seen from it: {frames})")]
+    #[error("the board at {ip} answered nothing within {clocks} clocks after reset (frames seen from it: {frames}); are firmware and SoC built from the same tree?")]
     Silent {
         /// Who was asked.
         ip: std::net::Ipv4Addr,
