@@ -32,7 +32,12 @@ fn litex_remote_client_reads_the_identifier_and_a_status_word() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
         .expect("the workspace");
-    let csr_csv = simulator.soc().join("csr.csv");
+    let manifest = std::fs::read_to_string(simulator.soc().join("manifest.json"))
+        .expect("the board's manifest");
+    let manifest: serde_json::Value = serde_json::from_str(&manifest).expect("JSON");
+    let csr_csv = manifest["csr_csv"]
+        .as_str()
+        .expect("where its registers are listed");
     let out = Command::new(root.join("target/venv/bin/python"))
         .arg(root.join("tests/clients/remote_client.py"))
         .arg(simulator.udp().to_string())
