@@ -14,10 +14,14 @@ use wire::exchange;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [soc, elf, rest @ ..] = &arguments[..] else { return Err("usage: profile SOC_DIR ELF [EXCHANGES]".into()) };
+    let [soc, elf, rest @ ..] = &arguments[..] else {
+        return Err("usage: profile SOC_DIR ELF [EXCHANGES]".into());
+    };
     let exchanges: u32 = rest.first().map_or(Ok(20), |n| n.parse())?;
     let mut rig = Rig::start(soc.as_ref(), elf.as_ref())?;
-    let [c0, c1] = rig.read_words(&[0x1c, 0x20]).ok_or("no description")?[..] else { unreachable!("two were asked for") };
+    let [c0, c1] = rig.read_words(&[0x1c, 0x20]).ok_or("no description")?[..] else {
+        unreachable!("two were asked for")
+    };
     let channels = Channels {
         stepgens: c0 as u8,
         encoders: (c0 >> 8) as u8,
@@ -27,13 +31,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     rig.write_words(wire::map::SESSION_ACQUIRE, &[0x5eed]);
     let token = rig.read_word(wire::map::SESSION_TOKEN).ok_or("no token")?;
-    let mut command = exchange::Command { token, enable: true, ..exchange::Command::default() };
+    let mut command = exchange::Command {
+        token,
+        enable: true,
+        ..exchange::Command::default()
+    };
     let (mut charged, mut total) = (BTreeMap::<u32, u64>::new(), 0);
     for n in 0..exchanges + 5 {
         command.sequence = n + 1;
         command.enable_request = n > 1;
         let mut buffer = [0; wire::MAX_WORDS];
-        let words = command.emit_request(channels, &mut buffer).ok_or("too long")?;
+        let words = command
+            .emit_request(channels, &mut buffer)
+            .ok_or("too long")?;
         let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_be_bytes()).collect();
         let start = rig.clock();
         rig.post((HOST_IP, RIG_PORT), BOARD_PORT, &bytes);
@@ -56,9 +66,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         rig.run_while(start + 60_000, |_| true);
     }
-    println!("{:8.1} clocks per exchange", total as f64 / f64::from(exchanges));
+    println!(
+        "{:8.1} clocks per exchange",
+        total as f64 / f64::from(exchanges)
+    );
     let mut lines = BTreeMap::<String, u64>::new();
-    for (place, clocks) in places(elf, charged.keys())?.into_iter().zip(charged.values()) {
+    for (place, clocks) in places(elf, charged.keys())?
+        .into_iter()
+        .zip(charged.values())
+    {
         *lines.entry(place).or_default() += clocks;
     }
     let mut lines: Vec<_> = lines.into_iter().collect();
@@ -77,5 +93,8 @@ fn places<'a>(elf: &str, addresses: impl Iterator<Item = &'a u32>) -> std::io::R
         .output()?;
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     let lines: Vec<&str> = text.lines().collect();
-    Ok(lines.chunks(2).map(|pair| format!("{:40} {}", pair.get(1).unwrap_or(&""), pair[0])).collect())
+    Ok(lines
+        .chunks(2)
+        .map(|pair| format!("{:40} {}", pair.get(1).unwrap_or(&""), pair[0]))
+        .collect())
 }

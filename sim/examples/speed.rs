@@ -13,7 +13,10 @@ use sim::soc::{Manifest, Soc};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
     let dir = PathBuf::from(arguments.next().ok_or("which SoC directory?")?);
-    let elf = arguments.next().filter(|path| path != "-").map(PathBuf::from);
+    let elf = arguments
+        .next()
+        .filter(|path| path != "-")
+        .map(PathBuf::from);
     let clocks: u64 = arguments.next().map_or(Ok(3_000_000), |n| n.parse())?;
     let mut soc = Soc::load(&dir, false)?;
     let words = match elf {
@@ -30,7 +33,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             while board.take_transfer().is_some() {}
         }
         let kcycles = clocks as f64 / started.elapsed().as_secs_f64() / 1e3;
-        println!("{kcycles:.0} kcycle/s, gate {}, {} pulses", board.pins().gate, board.edges.pulses());
+        println!(
+            "{kcycles:.0} kcycle/s, gate {}, {} pulses",
+            board.pins().gate,
+            board.edges.pulses()
+        );
     }
     Ok(())
 }

@@ -35,7 +35,11 @@ impl Clockwork {
         while b != 0 {
             (a, b) = (b, a % b);
         }
-        Clockwork { sys_hz: sys_hz.max(1), sys_period: ETH_CLK_HZ / a, eth_period: sys_hz.max(1) / a }
+        Clockwork {
+            sys_hz: sys_hz.max(1),
+            sys_period: ETH_CLK_HZ / a,
+            eth_period: sys_hz.max(1) / a,
+        }
     }
 
     /// Ticks in a second.
@@ -112,7 +116,12 @@ pub struct PinWatch {
 
 impl Default for PinWatch {
     fn default() -> Self {
-        PinWatch { gate: true, led: false, gpio: 0, pwm: 0 }
+        PinWatch {
+            gate: true,
+            led: false,
+            gpio: 0,
+            pwm: 0,
+        }
     }
 }
 
@@ -311,7 +320,9 @@ impl<S: Silicon> Board<S> {
 
     fn run_traced(&mut self, until: u64) -> Stop {
         while self.clock < until {
-            let Some(window) = &self.trace else { return self.run_plain(until) };
+            let Some(window) = &self.trace else {
+                return self.run_plain(until);
+            };
             let end = window.from + window.clocks;
             if !self.tracing && self.clock >= window.from {
                 if let Err(e) = self.silicon.trace_open(&window.path) {
@@ -337,7 +348,10 @@ impl<S: Silicon> Board<S> {
     /// One rising edge of whichever clock comes next, or of both. True when the board finished a frame.
     #[inline]
     fn step(&mut self) -> bool {
-        let (sys, eth) = (self.next_sys <= self.next_eth, self.next_eth <= self.next_sys);
+        let (sys, eth) = (
+            self.next_sys <= self.next_eth,
+            self.next_eth <= self.next_sys,
+        );
         let mut clocks = 0;
         self.now = self.next_sys.min(self.next_eth);
         if sys {
@@ -348,7 +362,11 @@ impl<S: Silicon> Board<S> {
             clocks |= ETH;
             self.next_eth += self.clockwork.eth_period;
         }
-        let time_ps = if self.tracing { self.clockwork.picoseconds(self.now) } else { 0 };
+        let time_ps = if self.tracing {
+            self.clockwork.picoseconds(self.now)
+        } else {
+            0
+        };
         self.silicon.rise(&mut self.pins, clocks, time_ps);
         if sys {
             self.after_sys();
@@ -386,7 +404,9 @@ impl<S: Silicon> Board<S> {
             self.pins.gmii_rx_data = byte.unwrap_or(0);
         }
         if self.pins.gmii_tx_en != 0 || self.collector.active() {
-            let done = self.collector.edge(self.now, self.pins.gmii_tx_en != 0, self.pins.gmii_tx_data);
+            let done =
+                self.collector
+                    .edge(self.now, self.pins.gmii_tx_en != 0, self.pins.gmii_tx_data);
             if let Some(transfer) = done {
                 self.received.push_back(transfer);
                 return true;
@@ -399,7 +419,13 @@ impl<S: Silicon> Board<S> {
     fn outputs_changed(&mut self) {
         let (clock, watch) = (self.clock, self.watch);
         let (pins, seen) = (self.pins, self.seen);
-        let mut log = |output, level| self.events.push(PinEvent { clock, output, level });
+        let mut log = |output, level| {
+            self.events.push(PinEvent {
+                clock,
+                output,
+                level,
+            })
+        };
         if watch.gate && pins.gate != seen.gate {
             log(Output::Gate, pins.gate != 0);
         }
@@ -496,11 +522,35 @@ pub(crate) mod tests {
 
     #[test]
     fn periods_are_whole_ticks() {
-        assert_eq!(Clockwork::new(60_000_000), Clockwork { sys_hz: 60_000_000, sys_period: 25, eth_period: 12 });
-        assert_eq!(Clockwork::new(50_000_000), Clockwork { sys_hz: 50_000_000, sys_period: 5, eth_period: 2 });
+        assert_eq!(
+            Clockwork::new(60_000_000),
+            Clockwork {
+                sys_hz: 60_000_000,
+                sys_period: 25,
+                eth_period: 12
+            }
+        );
+        assert_eq!(
+            Clockwork::new(50_000_000),
+            Clockwork {
+                sys_hz: 50_000_000,
+                sys_period: 5,
+                eth_period: 2
+            }
+        );
         let c = Clockwork::new(60_000_000);
-        assert_eq!((c.tick_hz(), c.clocks(25), c.clocks(26)), (1_500_000_000, 1, 2));
-        assert_eq!((c.clocks_in_ns(1_000_000), c.microseconds(1_500_000), c.picoseconds(3)), (60_000, 1000, 2000));
+        assert_eq!(
+            (c.tick_hz(), c.clocks(25), c.clocks(26)),
+            (1_500_000_000, 1, 2)
+        );
+        assert_eq!(
+            (
+                c.clocks_in_ns(1_000_000),
+                c.microseconds(1_500_000),
+                c.picoseconds(3)
+            ),
+            (60_000, 1000, 2000)
+        );
     }
 
     #[test]
@@ -552,7 +602,11 @@ pub(crate) mod tests {
         board.run_until(100);
         board.ext_reset(true);
         board.run_until(200);
-        let gates: Vec<_> = board.take_events().iter().map(|e| (e.output, e.level)).collect();
+        let gates: Vec<_> = board
+            .take_events()
+            .iter()
+            .map(|e| (e.output, e.level))
+            .collect();
         assert_eq!(gates, [(Output::Gate, true), (Output::Gate, false)]);
         let cycle = board.pwm_cycle(2);
         assert_eq!((cycle.high, cycle.period), (Some(7), Some(20)));
@@ -562,7 +616,11 @@ pub(crate) mod tests {
     #[test]
     fn wires_go_round_through_the_silicon() {
         let mut board = board(60_000_000);
-        board.plant.add_wire(crate::plant::Wire { output: 1, input: 7, inverted: false });
+        board.plant.add_wire(crate::plant::Wire {
+            output: 1,
+            input: 7,
+            inverted: false,
+        });
         board.settle();
         board.gpio_in(2);
         board.run_until(40);
@@ -572,7 +630,11 @@ pub(crate) mod tests {
     #[test]
     fn tracing_without_a_writer_only_complains() {
         let mut board = board(60_000_000);
-        board.trace(TraceWindow { path: "none.fst".into(), from: 50, clocks: 10 });
+        board.trace(TraceWindow {
+            path: "none.fst".into(),
+            from: 50,
+            clocks: 10,
+        });
         assert_eq!(board.run_until(100), Stop::Time);
         assert_eq!(board.clock(), 100);
     }

@@ -38,7 +38,12 @@ pub struct Timing {
 impl Default for Timing {
     /// What the gateware does with its registers at zero: one clock high, one clock low.
     fn default() -> Self {
-        Timing { steplen: 1, stepspace: 1, dirsetup: 0, dirhold: 0 }
+        Timing {
+            steplen: 1,
+            stepspace: 1,
+            dirsetup: 0,
+            dirhold: 0,
+        }
     }
 }
 
@@ -128,14 +133,19 @@ impl Default for Channel {
             last_rise: None,
             last_fall: None,
             last_dir: None,
-            shortest: Shortest { steplen: u64::MAX, stepspace: u64::MAX, dirsetup: u64::MAX, dirhold: u64::MAX },
+            shortest: Shortest {
+                steplen: u64::MAX,
+                stepspace: u64::MAX,
+                dirsetup: u64::MAX,
+                dirhold: u64::MAX,
+            },
             timing: Timing::default(),
         }
     }
 }
 
 /// Counts, checks and keeps what the STEP/DIR pins do.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct EdgeWatch {
     channels: [Channel; CHANNELS],
     step: u16,
@@ -149,23 +159,6 @@ pub struct EdgeWatch {
     violation_count: u64,
     kept: Option<Vec<Step>>,
     recorder: Option<Recorder>,
-}
-
-impl Default for EdgeWatch {
-    fn default() -> Self {
-        EdgeWatch {
-            channels: Default::default(),
-            step: 0,
-            dir: 0,
-            gate: false,
-            step_inverted: 0,
-            dir_inverted: 0,
-            violations: Vec::new(),
-            violation_count: 0,
-            kept: None,
-            recorder: None,
-        }
-    }
 }
 
 impl EdgeWatch {
@@ -289,7 +282,12 @@ impl EdgeWatch {
         if let Some(took) = setup {
             channel.shortest.dirsetup = channel.shortest.dirsetup.min(took);
         }
-        let step = Step { clock, channel: n as u8, forward, count: channel.count as i32 };
+        let step = Step {
+            clock,
+            channel: n as u8,
+            forward,
+            count: channel.count as i32,
+        };
         if let Some(kept) = &mut self.kept {
             kept.push(step);
         }
@@ -324,7 +322,11 @@ impl EdgeWatch {
         if closed_now {
             return;
         }
-        let held = if step_active { Some(0) } else { channel.last_fall.map(|t| clock - t) };
+        let held = if step_active {
+            Some(0)
+        } else {
+            channel.last_fall.map(|t| clock - t)
+        };
         if let Some(took) = held {
             channel.shortest.dirhold = channel.shortest.dirhold.min(took);
         }
@@ -334,10 +336,18 @@ impl EdgeWatch {
     }
 
     fn judge(&mut self, clock: u64, channel: usize, rule: Rule, needed: u64, took: Option<u64>) {
-        let Some(took) = took.filter(|took| *took < needed) else { return };
+        let Some(took) = took.filter(|took| *took < needed) else {
+            return;
+        };
         self.violation_count += 1;
         if self.violations.len() < Self::KEPT_VIOLATIONS {
-            self.violations.push(Violation { clock, channel, rule, needed, took });
+            self.violations.push(Violation {
+                clock,
+                channel,
+                rule,
+                needed,
+                took,
+            });
         }
     }
 }
@@ -359,20 +369,30 @@ pub struct Recorder {
 
 impl std::fmt::Debug for Recorder {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Recorder").field("name", &self.name).field("steps", &self.steps).finish_non_exhaustive()
+        f.debug_struct("Recorder")
+            .field("name", &self.name)
+            .field("steps", &self.steps)
+            .finish_non_exhaustive()
     }
 }
 
 impl Recorder {
     /// Record into a new file.
     pub fn create(path: &Path, sys_clk_hz: u64) -> Result<Self, Error> {
-        let file = std::fs::File::create(path).map_err(|source| Error::Write { path: path.into(), source })?;
+        let file = std::fs::File::create(path).map_err(|source| Error::Write {
+            path: path.into(),
+            source,
+        })?;
         Ok(Self::new(Box::new(file), path, sys_clk_hz))
     }
 
     fn new(out: Box<dyn Write + Send>, name: &Path, sys_clk_hz: u64) -> Self {
-        let mut recorder =
-            Recorder { out: BufWriter::with_capacity(1 << 16, out), name: name.into(), steps: 0, failed: None };
+        let mut recorder = Recorder {
+            out: BufWriter::with_capacity(1 << 16, out),
+            name: name.into(),
+            steps: 0,
+            failed: None,
+        };
         let mut header = [0; 16];
         header[..8].copy_from_slice(&FILE_MAGIC);
         header[8..].copy_from_slice(&sys_clk_hz.to_le_bytes());
@@ -402,7 +422,10 @@ impl Recorder {
             Some(e) => Err(e),
             None => self.out.flush(),
         };
-        result.map(|()| self.steps).map_err(|source| Error::Write { path: self.name.clone(), source })
+        result.map(|()| self.steps).map_err(|source| Error::Write {
+            path: self.name.clone(),
+            source,
+        })
     }
 }
 
@@ -433,7 +456,12 @@ mod tests {
         w
     }
 
-    const T: Timing = Timing { steplen: 5, stepspace: 7, dirsetup: 11, dirhold: 13 };
+    const T: Timing = Timing {
+        steplen: 5,
+        stepspace: 7,
+        dirsetup: 11,
+        dirhold: 13,
+    };
 
     #[test]
     fn exact_timing_is_no_violation() {
@@ -446,8 +474,23 @@ mod tests {
         w.change(141, 0, 0, true);
         assert_eq!(w.change(152, 1, 0, true), (1, 0));
         assert_eq!(w.violations(), []);
-        assert_eq!((w.channel(0).count, w.channel(0).pulses, w.channel(0).reversals), (-1, 3, 2));
-        assert_eq!(w.channel(0).shortest, Shortest { steplen: 5, stepspace: 7, dirsetup: 11, dirhold: 13 });
+        assert_eq!(
+            (
+                w.channel(0).count,
+                w.channel(0).pulses,
+                w.channel(0).reversals
+            ),
+            (-1, 3, 2)
+        );
+        assert_eq!(
+            w.channel(0).shortest,
+            Shortest {
+                steplen: 5,
+                stepspace: 7,
+                dirsetup: 11,
+                dirhold: 13
+            }
+        );
     }
 
     #[test]
@@ -459,10 +502,19 @@ mod tests {
         w.change(120, 1, 1, true);
         w.change(125, 0, 1, true);
         w.change(137, 0, 0, true);
-        let rules: Vec<_> = w.violations().iter().map(|v| (v.rule, v.needed, v.took)).collect();
+        let rules: Vec<_> = w
+            .violations()
+            .iter()
+            .map(|v| (v.rule, v.needed, v.took))
+            .collect();
         assert_eq!(
             rules,
-            [(Rule::Dirsetup, 11, 10), (Rule::Steplen, 5, 4), (Rule::Stepspace, 7, 6), (Rule::Dirhold, 13, 12)]
+            [
+                (Rule::Dirsetup, 11, 10),
+                (Rule::Steplen, 5, 4),
+                (Rule::Stepspace, 7, 6),
+                (Rule::Dirhold, 13, 12)
+            ]
         );
         assert_eq!(w.violation_count(), 4);
     }
@@ -528,7 +580,11 @@ mod tests {
         let shared = Shared::default();
         let mut w = watch(Timing::default());
         w.keep_steps();
-        w.record(Recorder::new(Box::new(shared.clone()), Path::new("memory"), 60_000_000));
+        w.record(Recorder::new(
+            Box::new(shared.clone()),
+            Path::new("memory"),
+            60_000_000,
+        ));
         for i in 0..100 {
             w.change(10 * i + 1, 3, 2, true);
             w.change(10 * i + 5, 0, 2, true);
@@ -537,7 +593,15 @@ mod tests {
         let (hz, steps) = read_file(&shared.0.lock().unwrap()).unwrap();
         assert_eq!(hz, 60_000_000);
         assert_eq!(steps, w.take_steps());
-        assert_eq!(steps[199], Step { clock: 991, channel: 1, forward: false, count: -100 });
+        assert_eq!(
+            steps[199],
+            Step {
+                clock: 991,
+                channel: 1,
+                forward: false,
+                count: -100
+            }
+        );
         assert!(read_file(b"short").is_none());
     }
 }

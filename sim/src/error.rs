@@ -31,7 +31,9 @@ pub enum Error {
         source: serde_json::Error,
     },
     /// The Verilated library is missing or is no such library.
-    #[error("cannot load {path}: {source}; build it with `cargo xtask sim` or sim/verilator/build.sh")]
+    #[error(
+        "cannot load {path}: {source}; build it with `cargo xtask sim` or sim/verilator/build.sh"
+    )]
     Load {
         /// The shared library.
         path: PathBuf,
@@ -39,7 +41,9 @@ pub enum Error {
         source: libloading::Error,
     },
     /// The library was built from another shim than this crate knows.
-    #[error("{path} speaks shim ABI {theirs}, this simulator {ours}: run sim/verilator/build.sh again")]
+    #[error(
+        "{path} speaks shim ABI {theirs}, this simulator {ours}: run sim/verilator/build.sh again"
+    )]
     ShimAbi {
         /// The shared library.
         path: PathBuf,
@@ -63,7 +67,9 @@ pub enum Error {
         path: PathBuf,
     },
     /// The board did not come up.
-    #[error("the board at {ip} answered nothing within {clocks} clocks after reset (frames seen from it: {frames}); are firmware and SoC built from the same tree?")]
+    #[error(
+        "the board at {ip} answered nothing within {clocks} clocks after reset (frames seen from it: {frames}); are firmware and SoC built from the same tree?"
+    )]
     Silent {
         /// Who was asked.
         ip: std::net::Ipv4Addr,

@@ -13,11 +13,16 @@ const BASE: usize = PACKET_HEADER + 4;
 const WORDS: usize = BASE + 4;
 
 fn be32(bytes: &[u8], at: usize) -> Option<u32> {
-    bytes.get(at..at + 4).map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]]))
+    bytes
+        .get(at..at + 4)
+        .map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]]))
 }
 
 fn is_write(payload: &[u8]) -> bool {
-    payload.starts_with(&[0x4e, 0x6f]) && payload.get(PACKET_HEADER + 2).is_some_and(|wcount| *wcount != 0)
+    payload.starts_with(&[0x4e, 0x6f])
+        && payload
+            .get(PACKET_HEADER + 2)
+            .is_some_and(|wcount| *wcount != 0)
 }
 
 /// The datagram carries a command block (well-formed or not): an Etherbone write based at the COMMAND window.
@@ -27,7 +32,9 @@ pub fn is_request(payload: &[u8]) -> bool {
 
 /// Sequence number of a command block.
 pub fn sequence(payload: &[u8]) -> Option<u32> {
-    is_request(payload).then(|| be32(payload, WORDS + 4)).flatten()
+    is_request(payload)
+        .then(|| be32(payload, WORDS + 4))
+        .flatten()
 }
 
 /// The datagram asks for something that a board answers: reads, a probe or an exchange.
@@ -38,8 +45,16 @@ pub fn wants_reply(payload: &[u8]) -> bool {
     while let [_, _, wcount, rcount, rest @ ..] = records {
         reads |= *rcount != 0;
         // Each half that is there has a base address before its words.
-        let words = |count: u8| if count == 0 { 0 } else { 4 + 4 * usize::from(count) };
-        records = rest.get(words(*wcount) + words(*rcount)..).unwrap_or_default();
+        let words = |count: u8| {
+            if count == 0 {
+                0
+            } else {
+                4 + 4 * usize::from(count)
+            }
+        };
+        records = rest
+            .get(words(*wcount) + words(*rcount)..)
+            .unwrap_or_default();
     }
     is_request(payload) || probe || reads
 }
@@ -58,8 +73,15 @@ pub struct StatusHead {
 impl StatusHead {
     /// Of a reply to the exchange numbered `sequence`.
     pub fn parse(payload: &[u8], sequence: u32) -> Option<Self> {
-        (is_write(payload) && be32(payload, BASE) == Some(sequence) && be32(payload, WORDS + 4) == Some(sequence)).then_some(())?;
-        Some(StatusHead { sequence, state: be32(payload, WORDS)?, watchdog_left: be32(payload, WORDS + 6 * 4)? })
+        (is_write(payload)
+            && be32(payload, BASE) == Some(sequence)
+            && be32(payload, WORDS + 4) == Some(sequence))
+        .then_some(())?;
+        Some(StatusHead {
+            sequence,
+            state: be32(payload, WORDS)?,
+            watchdog_left: be32(payload, WORDS + 6 * 4)?,
+        })
     }
 
     /// The gate was open.
@@ -143,7 +165,12 @@ impl Meter {
         if list.len() == Self::REMEMBERED {
             list.remove(0);
         }
-        list.push(Pending { id, sequence, wire_len, fed: None });
+        list.push(Pending {
+            id,
+            sequence,
+            wire_len,
+            fed: None,
+        });
     }
 
     /// A frame has been fed in full.
@@ -165,10 +192,12 @@ impl Meter {
     ) -> Option<Timing> {
         let list = self.pending.get_mut(&to)?;
         // An exchange by its sequence number; anything else is the answer to the last request before it.
-        let by_sequence = list
-            .iter()
-            .position(|p| p.sequence.is_some_and(|s| p.fed.is_some() && StatusHead::parse(payload, s).is_some()));
-        let before = |p: &Pending| p.sequence.is_none() && p.fed.is_some_and(|sent| sent.last <= first);
+        let by_sequence = list.iter().position(|p| {
+            p.sequence
+                .is_some_and(|s| p.fed.is_some() && StatusHead::parse(payload, s).is_some())
+        });
+        let before =
+            |p: &Pending| p.sequence.is_none() && p.fed.is_some_and(|sent| sent.last <= first);
         let at = by_sequence.or_else(|| list.iter().position(before))?;
         let request = list.remove(at);
         let sent = request.fed?;
@@ -182,10 +211,15 @@ impl Meter {
             self.answered += 1;
             self.turnarounds.push(timing.turnaround as u32);
             // The command that opens the gate arrives while the watchdog still sleeps and has nothing left.
-            let was_enabled = self.last_state.is_some_and(|state| StatusHead { state, ..head }.enabled());
+            let was_enabled = self
+                .last_state
+                .is_some_and(|state| StatusHead { state, ..head }.enabled());
             self.last_state = Some(head.state);
             if head.enabled() && was_enabled {
-                self.watchdog_margin = Some(self.watchdog_margin.map_or(head.watchdog_left, |m| m.min(head.watchdog_left)));
+                self.watchdog_margin = Some(
+                    self.watchdog_margin
+                        .map_or(head.watchdog_left, |m| m.min(head.watchdog_left)),
+                );
             }
         }
         Some(timing)
@@ -204,11 +238,31 @@ mod tests {
     }
 
     fn request(sequence: u32) -> Vec<u8> {
-        packet(&[0x4e6f_1044, 0, 0x000f_0300, wire::map::COMMAND, 0x1111, sequence, 1])
+        packet(&[
+            0x4e6f_1044,
+            0,
+            0x000f_0300,
+            wire::map::COMMAND,
+            0x1111,
+            sequence,
+            1,
+        ])
     }
 
     fn status(sequence: u32, state: u32, left: u32) -> Vec<u8> {
-        packet(&[0x4e6f_1044, 0, 0x000f_0700, sequence, state, sequence, 0, 0, 0, 0, left])
+        packet(&[
+            0x4e6f_1044,
+            0,
+            0x000f_0700,
+            sequence,
+            state,
+            sequence,
+            0,
+            0,
+            0,
+            0,
+            left,
+        ])
     }
 
     #[test]
@@ -218,7 +272,16 @@ mod tests {
         let write = packet(&[0x4e6f_1044, 0, 0x000f_0100, wire::map::SESSION, 5]);
         let probe = packet(&[0x4e6f_1144, 0]);
         assert_eq!([&read, &write, &probe].map(|p| is_request(p)), [false; 3]);
-        let both = packet(&[0x4e6f_1044, 0, 0x000f_0100, wire::map::SESSION, 5, 0x000f_0001, 0, 0]);
+        let both = packet(&[
+            0x4e6f_1044,
+            0,
+            0x000f_0100,
+            wire::map::SESSION,
+            5,
+            0x000f_0001,
+            0,
+            0,
+        ]);
         let asked = [&read, &write, &probe, &request(1), &both].map(|p| wants_reply(p));
         assert_eq!(asked, [true, false, true, true, true]);
         assert!(!is_request(b"") && !wants_reply(b"Nope"));
@@ -233,12 +296,23 @@ mod tests {
     fn turnaround_is_last_byte_in_to_first_byte_out() {
         let mut meter = Meter::default();
         fed(&mut meter, 9, &request(4), 0, 100);
-        meter.reply(ME, &status(4, 1 << 17, 0), (200, 300, 200), |t| t.div_ceil(25)).unwrap();
+        meter
+            .reply(ME, &status(4, 1 << 17, 0), (200, 300, 200), |t| {
+                t.div_ceil(25)
+            })
+            .unwrap();
         fed(&mut meter, 0, &request(5), 1000, 2000);
-        let timing = meter.reply(ME, &status(5, 1 << 17, 300), (4510, 6000, 200), |t| t.div_ceil(25)).unwrap();
+        let timing = meter
+            .reply(ME, &status(5, 1 << 17, 300), (4510, 6000, 200), |t| {
+                t.div_ceil(25)
+            })
+            .unwrap();
         assert_eq!((timing.turnaround, timing.total), (101, 200));
         assert_eq!((timing.reply_bytes, timing.request_bytes), (200, 28 + 54));
-        assert_eq!((meter.requested, meter.answered, meter.watchdog_margin), (2, 2, Some(300)));
+        assert_eq!(
+            (meter.requested, meter.answered, meter.watchdog_margin),
+            (2, 2, Some(300))
+        );
     }
 
     #[test]
@@ -246,7 +320,9 @@ mod tests {
         let mut meter = Meter::default();
         fed(&mut meter, 0, &request(5), 0, 100);
         fed(&mut meter, 1, &request(6), 1000, 1100);
-        let timing = meter.reply(ME, &status(6, 0, 10), (1200, 1300, 0), |t| t).unwrap();
+        let timing = meter
+            .reply(ME, &status(6, 0, 10), (1200, 1300, 0), |t| t)
+            .unwrap();
         assert_eq!(timing.turnaround, 100);
         assert_eq!((meter.requested, meter.answered), (2, 1));
         assert_eq!(meter.watchdog_margin, None, "a closed gate has no margin");
@@ -258,15 +334,32 @@ mod tests {
         let read = packet(&[0x4e6f_1044, 0, 0x000f_0001, 0, 0]);
         fed(&mut meter, 0, &read, 0, 100);
         let answer = packet(&[0x4e6f_1044, 0, 0x000f_0100, 0, 0x4643_5231]);
-        assert_eq!(meter.reply(ME, &answer, (160, 200, 0), |t| t).unwrap().turnaround, 60);
+        assert_eq!(
+            meter
+                .reply(ME, &answer, (160, 200, 0), |t| t)
+                .unwrap()
+                .turnaround,
+            60
+        );
         assert_eq!(meter.answered, 0);
         assert!(meter.reply(ME, &answer, (160, 200, 0), |t| t).is_none());
-        assert!(meter.reply((ME.0, 1), &answer, (160, 200, 0), |t| t).is_none());
+        assert!(
+            meter
+                .reply((ME.0, 1), &answer, (160, 200, 0), |t| t)
+                .is_none()
+        );
     }
 
     #[test]
     fn spread_of_a_list() {
         assert_eq!(Spread::of(&[]), None);
-        assert_eq!(Spread::of(&[5, 1, 9, 7]), Some(Spread { min: 1, median: 5, max: 9 }));
+        assert_eq!(
+            Spread::of(&[5, 1, 9, 7]),
+            Some(Spread {
+                min: 1,
+                median: 5,
+                max: 9
+            })
+        );
     }
 }

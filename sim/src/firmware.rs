@@ -7,21 +7,24 @@ use object::{Endianness, elf};
 
 use crate::error::Error;
 
-/// Bytes of ROM in the memory map (`memory.x`): where the image must fit.
-pub const ROM_BASE: u32 = 0;
-
 /// A firmware image, ready to be put into the ROM array of the simulated SoC.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
-    /// ROM contents from [`ROM_BASE`] on, little-endian words.
+    /// ROM contents from address 0 on, where the memory map (`memory.x`) has the ROM; little-endian words.
     pub words: Vec<u32>,
 }
 
 impl Image {
     /// Read the loadable segments of a riscv32 ELF at their load addresses, at most `rom_words` words.
     pub fn read(path: &Path, rom_words: usize) -> Result<Self, Error> {
-        let data = std::fs::read(path).map_err(|source| Error::Read { path: path.into(), source })?;
-        Self::parse(&data, rom_words).map_err(|why| Error::Firmware { path: path.into(), why })
+        let data = std::fs::read(path).map_err(|source| Error::Read {
+            path: path.into(),
+            source,
+        })?;
+        Self::parse(&data, rom_words).map_err(|why| Error::Firmware {
+            path: path.into(),
+            why,
+        })
     }
 
     fn parse(data: &[u8], rom_words: usize) -> Result<Self, String> {
@@ -36,10 +39,15 @@ impl Image {
                 continue;
             }
             let at = segment.p_paddr(endian);
-            let contents = segment.data(endian, data).map_err(|()| "a segment lies outside the file".to_string())?;
+            let contents = segment
+                .data(endian, data)
+                .map_err(|()| "a segment lies outside the file".to_string())?;
             let end = at as usize + contents.len();
-            if at < ROM_BASE || end > rom_words * 4 {
-                return Err(format!("a segment loads to {at:#x}..{end:#x}, outside the {} byte ROM", rom_words * 4));
+            if end > rom_words * 4 {
+                return Err(format!(
+                    "a segment loads to {at:#x}..{end:#x}, outside the {} byte ROM",
+                    rom_words * 4
+                ));
             }
             if bytes.len() < end {
                 bytes.resize(end, 0);
@@ -50,7 +58,10 @@ impl Image {
             return Err("nothing to load in it".into());
         }
         bytes.resize(bytes.len().next_multiple_of(4), 0);
-        let words = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        let words = bytes
+            .chunks_exact(4)
+            .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect();
         Ok(Image { words })
     }
 }
@@ -70,7 +81,16 @@ mod tests {
         for half in [52u16, 32, 1, 0, 0, 0] {
             e.extend(half.to_le_bytes());
         }
-        for word in [1, 84, 0x1000_0000, paddr, body.len() as u32, body.len() as u32, 5, 4] {
+        for word in [
+            1,
+            84,
+            0x1000_0000,
+            paddr,
+            body.len() as u32,
+            body.len() as u32,
+            5,
+            4,
+        ] {
             e.extend(word.to_le_bytes());
         }
         e.extend(body);
@@ -85,13 +105,21 @@ mod tests {
 
     #[test]
     fn refuses_what_does_not_fit() {
-        assert!(Image::parse(&elf(243, 8, &[0; 60]), 16).unwrap_err().contains("outside the 64 byte ROM"));
+        assert!(
+            Image::parse(&elf(243, 8, &[0; 60]), 16)
+                .unwrap_err()
+                .contains("outside the 64 byte ROM")
+        );
         assert!(Image::parse(&elf(243, 0x1000_0000, &[0; 4]), 16).is_err());
     }
 
     #[test]
     fn refuses_another_machine_and_rubbish() {
-        assert!(Image::parse(&elf(62, 0, &[0; 4]), 16).unwrap_err().contains("RISC-V"));
+        assert!(
+            Image::parse(&elf(62, 0, &[0; 4]), 16)
+                .unwrap_err()
+                .contains("RISC-V")
+        );
         assert!(Image::parse(b"hello", 16).is_err());
     }
 }

@@ -49,7 +49,11 @@ pub fn decode(wire: &[u8]) -> Result<&[u8], Malformed> {
         return Err(Malformed::Runt);
     }
     let (frame, fcs) = body.split_at(body.len() - 4);
-    if crc32(frame).to_le_bytes() != *fcs { Err(Malformed::Fcs) } else { Ok(frame) }
+    if crc32(frame).to_le_bytes() != *fcs {
+        Err(Malformed::Fcs)
+    } else {
+        Ok(frame)
+    }
 }
 
 /// Bytes that went over the wire, with the times of their first and last byte.
@@ -124,7 +128,11 @@ impl Feeder {
                 return None;
             }
             if self.byte.is_some() {
-                let sent = Sent { id: *id, first: self.first, last: now };
+                let sent = Sent {
+                    id: *id,
+                    first: self.first,
+                    last: now,
+                };
                 self.queue.pop_front();
                 self.position = 0;
                 self.byte = None;
@@ -166,7 +174,12 @@ impl Collector {
         }
         let id = self.count;
         self.count += 1;
-        Some(Transfer { id, wire: std::mem::take(&mut self.bytes), first: self.first, last: now })
+        Some(Transfer {
+            id,
+            wire: std::mem::take(&mut self.bytes),
+            first: self.first,
+            last: now,
+        })
     }
 }
 
@@ -223,7 +236,10 @@ mod tests {
     fn frames_travel_whole_with_a_gap_between() {
         let frames = [encode(&[1; 60]), encode(&[2; 100])];
         let (sent, got) = loopback(&frames, 300);
-        assert_eq!(got.iter().map(|t| t.wire.clone()).collect::<Vec<_>>(), frames);
+        assert_eq!(
+            got.iter().map(|t| t.wire.clone()).collect::<Vec<_>>(),
+            frames
+        );
         assert_eq!(sent.iter().map(|s| s.id).collect::<Vec<_>>(), [0, 1]);
         assert_eq!(got[1].first - got[0].last, 12 * u64::from(INTER_FRAME_GAP));
     }

@@ -106,9 +106,10 @@ fn main() -> anyhow::Result<()> {
     setup.boot_clocks = arguments.boot_clocks;
     setup.plant = match arguments.no_plant {
         true => sim::plant::Plant::default(),
-        false => sim::plant::Plant::new(
-            (0..16).map(|n| sim::plant::Axis { counts: arguments.encoder_scale, ..sim::plant::Axis::direct(n) }),
-        ),
+        false => sim::plant::Plant::new((0..16).map(|n| sim::plant::Axis {
+            counts: arguments.encoder_scale,
+            ..sim::plant::Axis::direct(n)
+        })),
     };
     setup.trace = arguments.trace.map(|path| TraceWindow {
         path,
@@ -117,7 +118,11 @@ fn main() -> anyhow::Result<()> {
     });
     let started = Instant::now();
     let mut rig = Rig::boot(setup)?;
-    eprintln!("sim: the board answers after {} clocks ({:.1} s)", rig.clock(), started.elapsed().as_secs_f64());
+    eprintln!(
+        "sim: the board answers after {} clocks ({:.1} s)",
+        rig.clock(),
+        started.elapsed().as_secs_f64()
+    );
     for _ in 0..arguments.ping {
         match rig.ping() {
             Some(clocks) => eprintln!("sim: ping {clocks} clocks"),
@@ -130,8 +135,12 @@ fn main() -> anyhow::Result<()> {
 
     let sys_hz = rig.board.clockwork().sys_hz;
     let mode = match arguments.mode {
-        TimeMode::Lockstep => Mode::Lockstep { period: rig.clocks(Duration::from_nanos(arguments.period_ns)) },
-        TimeMode::Free => Mode::Free { pace: arguments.pace.map(|ns| ns * 1e-9 * sys_hz as f64) },
+        TimeMode::Lockstep => Mode::Lockstep {
+            period: rig.clocks(Duration::from_nanos(arguments.period_ns)),
+        },
+        TimeMode::Free => Mode::Free {
+            pace: arguments.pace.map(|ns| ns * 1e-9 * sys_hz as f64),
+        },
     };
     let options = Options {
         udp: arguments.udp,
@@ -153,7 +162,10 @@ fn main() -> anyhow::Result<()> {
     if let Some(path) = &arguments.edges {
         eprintln!("sim: {steps} steps in {}", path.display());
     }
-    eprintln!("sim: {} clocks at {:.0} kcycle/s", report.clocks, report.kcycles_per_second);
+    eprintln!(
+        "sim: {} clocks at {:.0} kcycle/s",
+        report.clocks, report.kcycles_per_second
+    );
     if let Some(path) = &arguments.report {
         report.write(path)?;
         eprintln!("sim: report in {}", path.display());

@@ -27,7 +27,14 @@ impl Axis {
     /// Stepgen `n` turns encoder `n`: one count per step, index every 4000 counts (a 1000-line encoder), an edge at most
     /// every 4 clocks (15 MHz count rate at 60 MHz; no machine does that).
     pub fn direct(n: usize) -> Self {
-        Axis { stepgen: n, encoder: n, counts: 1, per_steps: 1, counts_per_rev: 4000, gap: 4 }
+        Axis {
+            stepgen: n,
+            encoder: n,
+            counts: 1,
+            per_steps: 1,
+            counts_per_rev: 4000,
+            gap: 4,
+        }
     }
 }
 
@@ -113,7 +120,13 @@ impl Plant {
     pub fn add_axis(&mut self, axis: Axis) {
         let at = Self::count(&axis, self.steps[axis.stepgen]);
         self.shafts.retain(|s| s.axis.encoder != axis.encoder);
-        self.shafts.push(Shaft { axis, target: at, slip: 0, shown: at, ready: 0 });
+        self.shafts.push(Shaft {
+            axis,
+            target: at,
+            slip: 0,
+            shown: at,
+            ready: 0,
+        });
         self.show(self.shafts.len() - 1);
     }
 
@@ -140,7 +153,11 @@ impl Plant {
 
     /// General inputs that wires or switches drive.
     pub fn gpio_mask(&self) -> u32 {
-        self.wires.iter().map(|w| 1u32 << w.input).chain(self.switches.iter().map(|s| 1u32 << s.input)).fold(0, |m, b| m | b)
+        self.wires
+            .iter()
+            .map(|w| 1u32 << w.input)
+            .chain(self.switches.iter().map(|s| 1u32 << s.input))
+            .fold(0, |m, b| m | b)
     }
 
     /// What the plant puts on the inputs now.
@@ -150,7 +167,10 @@ impl Plant {
 
     /// Count the encoder shows now; `None` when no axis has it.
     pub fn encoder_count(&self, encoder: usize) -> Option<i64> {
-        self.shafts.iter().find(|s| s.axis.encoder == encoder).map(|s| s.shown)
+        self.shafts
+            .iter()
+            .find(|s| s.axis.encoder == encoder)
+            .map(|s| s.shown)
     }
 
     /// Still turning: [`Self::turn`] must be called every clock.
@@ -211,17 +231,25 @@ impl Plant {
         let put = |word: &mut u16, on: bool| if on { *word |= bit } else { *word &= !bit };
         put(&mut self.levels.a, phase == 1 || phase == 2);
         put(&mut self.levels.b, phase >= 2);
-        put(&mut self.levels.index, shown.rem_euclid(axis.counts_per_rev.max(1)) == 0);
+        put(
+            &mut self.levels.index,
+            shown.rem_euclid(axis.counts_per_rev.max(1)) == 0,
+        );
     }
 
     fn settle(&mut self) {
         let mut gpio = 0;
         for wire in &self.wires {
-            gpio |= u32::from((self.gpio_out >> wire.output & 1 != 0) != wire.inverted) << wire.input;
+            gpio |=
+                u32::from((self.gpio_out >> wire.output & 1 != 0) != wire.inverted) << wire.input;
         }
         for switch in &self.switches {
             let at = self.steps[switch.stepgen];
-            let pressed = if switch.above { at >= switch.at } else { at <= switch.at };
+            let pressed = if switch.above {
+                at >= switch.at
+            } else {
+                at <= switch.at
+            };
             gpio |= u32::from(pressed) << switch.input;
         }
         self.levels.gpio = gpio;
@@ -272,7 +300,9 @@ mod tests {
 
     #[test]
     fn counts_follow_steps_both_ways() {
-        let steps: Vec<_> = (0..100).map(|i| (i * 10, if i < 70 { 1 } else { -1 })).collect();
+        let steps: Vec<_> = (0..100)
+            .map(|i| (i * 10, if i < 70 { 1 } else { -1 }))
+            .collect();
         let (counter, plant) = follow(Axis::direct(0), &steps, 2000);
         assert_eq!((counter.count, counter.illegal), (40, 0));
         assert_eq!(plant.encoder_count(0), Some(40));
@@ -281,14 +311,22 @@ mod tests {
 
     #[test]
     fn a_finer_encoder_makes_every_edge_in_between() {
-        let axis = Axis { counts: 10, per_steps: 1, ..Axis::direct(0) };
+        let axis = Axis {
+            counts: 10,
+            per_steps: 1,
+            ..Axis::direct(0)
+        };
         let (counter, _) = follow(axis, &[(0, 1), (100, 1), (200, -1)], 1000);
         assert_eq!((counter.count, counter.illegal), (10, 0));
     }
 
     #[test]
     fn a_coarser_and_a_mirrored_encoder() {
-        let axis = Axis { counts: -1, per_steps: 4, ..Axis::direct(0) };
+        let axis = Axis {
+            counts: -1,
+            per_steps: 4,
+            ..Axis::direct(0)
+        };
         let steps: Vec<_> = (0..40).map(|i| (i * 10, 1)).collect();
         let (counter, _) = follow(axis, &steps, 1000);
         assert_eq!((counter.count, counter.illegal), (-10, 0));
@@ -296,7 +334,11 @@ mod tests {
 
     #[test]
     fn edges_keep_their_gap() {
-        let mut plant = Plant::new([Axis { counts: 100, gap: 7, ..Axis::direct(0) }]);
+        let mut plant = Plant::new([Axis {
+            counts: 100,
+            gap: 7,
+            ..Axis::direct(0)
+        }]);
         plant.steps(1, 0);
         let edges: Vec<u64> = (0..1000).filter(|clock| plant.turn(*clock)).collect();
         assert_eq!(edges.len(), 100);
@@ -305,7 +347,11 @@ mod tests {
 
     #[test]
     fn index_comes_once_per_revolution() {
-        let mut plant = Plant::new([Axis { counts_per_rev: 8, gap: 1, ..Axis::direct(0) }]);
+        let mut plant = Plant::new([Axis {
+            counts_per_rev: 8,
+            gap: 1,
+            ..Axis::direct(0)
+        }]);
         let mut seen = vec![];
         for clock in 0..17 {
             if plant.levels().index & 1 != 0 {
@@ -320,9 +366,22 @@ mod tests {
     #[test]
     fn wires_and_switches_reach_the_inputs() {
         let mut plant = Plant::default();
-        plant.add_wire(Wire { output: 3, input: 5, inverted: false });
-        plant.add_wire(Wire { output: 4, input: 6, inverted: true });
-        plant.add_switch(Switch { stepgen: 1, at: -2, above: false, input: 9 });
+        plant.add_wire(Wire {
+            output: 3,
+            input: 5,
+            inverted: false,
+        });
+        plant.add_wire(Wire {
+            output: 4,
+            input: 6,
+            inverted: true,
+        });
+        plant.add_switch(Switch {
+            stepgen: 1,
+            at: -2,
+            above: false,
+            input: 9,
+        });
         assert_eq!(plant.gpio_mask(), 1 << 5 | 1 << 6 | 1 << 9);
         assert_eq!(plant.levels().gpio, 1 << 6);
         plant.outputs(0x18);

@@ -103,14 +103,25 @@ impl Counters {
         let describe = rig.read_block(wire::map::DESCRIBE, 9)?;
         let stepgens = (describe[7] & 0xff) as usize;
         let head = wire::exchange::STATUS_HEAD;
-        let status = rig.read_block(wire::map::STATUS, (head + 3 * stepgens) as u32).unwrap_or_default();
+        let status = rig
+            .read_block(wire::map::STATUS, (head + 3 * stepgens) as u32)
+            .unwrap_or_default();
         // s32.32 starting at half a step: the integer part is the pulses emitted.
-        let positions = status.get(head..).unwrap_or_default().chunks_exact(3).map(|w| i64::from(w[1] as i32)).collect();
+        let positions = status
+            .get(head..)
+            .unwrap_or_default()
+            .chunks_exact(3)
+            .map(|w| i64::from(w[1] as i32))
+            .collect();
         Some(Counters {
             frames_rx: counters[0],
             frames_tx: counters[1],
             exchanges: counters[2],
-            refused: wire::Refusal::ALL.iter().map(|r| r.key()).zip(counters[3..].iter().copied()).collect(),
+            refused: wire::Refusal::ALL
+                .iter()
+                .map(|r| r.key())
+                .zip(counters[3..].iter().copied())
+                .collect(),
             positions,
         })
     }
@@ -120,7 +131,10 @@ impl Report {
     pub(crate) fn of<S: Silicon>(rig: &Rig<S>, board: Option<Counters>) -> Self {
         let sys_clk_hz = rig.board.clockwork().sys_hz;
         let edges = &rig.board.edges;
-        let used = (0..CHANNELS).rev().find(|n| edges.channel(*n).pulses != 0).map_or(0, |n| n + 1);
+        let used = (0..CHANNELS)
+            .rev()
+            .find(|n| edges.channel(*n).pulses != 0)
+            .map_or(0, |n| n + 1);
         let known = board.as_ref().map_or(0, |b| b.positions.len());
         let axes = (0..used.max(known)).map(|n| {
             let channel = edges.channel(n);
@@ -145,7 +159,9 @@ impl Report {
                 requested: meter.requested,
                 answered: meter.answered,
                 frames_lost: meter.requested - meter.answered,
-                frames_refused: board.as_ref().map(|b| b.refused.values().map(|n| u64::from(*n)).sum()),
+                frames_refused: board
+                    .as_ref()
+                    .map(|b| b.refused.values().map(|n| u64::from(*n)).sum()),
                 turnaround_cycles: Spread::of(&meter.turnarounds),
                 turnaround_list: meter.turnarounds.clone(),
             },
@@ -162,7 +178,10 @@ impl Report {
 
     /// Write it as JSON.
     pub fn write(&self, path: &Path) -> Result<(), Error> {
-        let fail = |source| Error::Write { path: path.into(), source };
+        let fail = |source| Error::Write {
+            path: path.into(),
+            source,
+        };
         if let Some(parent) = path.parent() {
             std::fs::create_dir_all(parent).map_err(fail)?;
         }

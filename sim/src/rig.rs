@@ -27,7 +27,9 @@ use crate::firmware::Image;
 use crate::gmii;
 use crate::plant::Plant;
 use crate::report::{Counters, Report};
-use crate::segment::{BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, Segment};
+use crate::segment::{
+    BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, Segment,
+};
 use crate::soc::{Manifest, Pins, Silicon, Soc};
 
 /// Source port of [`Rig::exchange`] and the register helpers.
@@ -96,7 +98,10 @@ pub struct Reply {
 impl Reply {
     /// The payload as big-endian words; a ragged end is dropped.
     pub fn words(&self) -> Vec<u32> {
-        self.payload.chunks_exact(4).map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]])).collect()
+        self.payload
+            .chunks_exact(4)
+            .map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]]))
+            .collect()
     }
 }
 
@@ -198,7 +203,11 @@ impl<S: Silicon> Rig<S> {
                 return Ok(());
             }
         }
-        Err(Error::Silent { ip: self.segment.board_ip(), clocks, frames: self.frames.from_board - frames })
+        Err(Error::Silent {
+            ip: self.segment.board_ip(),
+            clocks,
+            frames: self.frames.from_board - frames,
+        })
     }
 
     // ---- time --------------------------------------------------------------------------------------------------------
@@ -240,7 +249,11 @@ impl<S: Silicon> Rig<S> {
         self.flush();
         let tcp = self.segment.has_connections();
         // TCP timers are milliseconds; a poll each 1000 clocks is plenty.
-        let until = if tcp { until.min(self.clock() + 1000) } else { until };
+        let until = if tcp {
+            until.min(self.clock() + 1000)
+        } else {
+            until
+        };
         let (before, started) = (self.clock(), Instant::now());
         let stop = self.board.run_until(until);
         self.busy += started.elapsed();
@@ -270,7 +283,11 @@ impl<S: Silicon> Rig<S> {
             self.segment.poll(clockwork.microseconds(self.board.now()));
             while let Some(datagram) = self.segment.take_datagram() {
                 let times = (datagram.first, datagram.last, datagram.wire_len);
-                let timing = self.meter.reply(datagram.to, &datagram.payload, times, |ticks| clockwork.clocks(ticks));
+                let timing = self
+                    .meter
+                    .reply(datagram.to, &datagram.payload, times, |ticks| {
+                        clockwork.clocks(ticks)
+                    });
                 self.inbox.push((datagram, timing));
             }
             self.flush();
@@ -325,7 +342,10 @@ impl<S: Silicon> Rig<S> {
 
     /// The frames kept since the last call.
     pub fn take_frames(&mut self) -> Vec<Vec<u8>> {
-        self.captured.as_mut().map(std::mem::take).unwrap_or_default()
+        self.captured
+            .as_mut()
+            .map(std::mem::take)
+            .unwrap_or_default()
     }
 
     // ---- UDP ---------------------------------------------------------------------------------------------------------
@@ -348,7 +368,12 @@ impl<S: Silicon> Rig<S> {
     /// words takes the firmware a millisecond by itself. An exchange is short and gets `patience` alone: whoever waits in
     /// vain for one must not wake the watchdog.
     pub fn wait_for(&self, payload: &[u8]) -> u64 {
-        self.patience + if is_request(payload) { 0 } else { 60 * payload.len() as u64 }
+        self.patience
+            + if is_request(payload) {
+                0
+            } else {
+                60 * payload.len() as u64
+            }
     }
 
     /// Send a datagram from any host and wait for the board's answer to it, at most [`Self::wait_for`] clocks.
@@ -356,15 +381,24 @@ impl<S: Silicon> Rig<S> {
         self.inbox.retain(|(datagram, _)| datagram.to != from);
         self.post(from, port, payload);
         let until = self.clock() + self.wait_for(payload);
-        self.run_while(until, |rig| !rig.inbox.iter().any(|(datagram, _)| datagram.to == from));
-        let at = self.inbox.iter().position(|(datagram, _)| datagram.to == from)?;
+        self.run_while(until, |rig| {
+            !rig.inbox.iter().any(|(datagram, _)| datagram.to == from)
+        });
+        let at = self
+            .inbox
+            .iter()
+            .position(|(datagram, _)| datagram.to == from)?;
         let (datagram, timing) = self.inbox.remove(at);
-        Some(Reply { payload: datagram.payload, timing })
+        Some(Reply {
+            payload: datagram.payload,
+            timing,
+        })
     }
 
     /// Send a payload to the board's Etherbone port from the default host's `src_port`; the payload of the answer.
     pub fn send_udp(&mut self, src_port: u16, payload: &[u8]) -> Option<Vec<u8>> {
-        self.request((HOST_IP, src_port), BOARD_PORT, payload).map(|reply| reply.payload)
+        self.request((HOST_IP, src_port), BOARD_PORT, payload)
+            .map(|reply| reply.payload)
     }
 
     /// One exchange (or any other Etherbone datagram), with its timing.
@@ -383,7 +417,12 @@ impl<S: Silicon> Rig<S> {
     /// Read words over Etherbone, at most 255; `None` when the board does not answer as asked.
     pub fn read_words(&mut self, addresses: &[u32]) -> Option<Vec<u32>> {
         let count = u8::try_from(addresses.len()).ok()?;
-        let mut words = vec![etherbone::HEADER, 0, etherbone::BYTE_ENABLE | u32::from(count), 0];
+        let mut words = vec![
+            etherbone::HEADER,
+            0,
+            etherbone::BYTE_ENABLE | u32::from(count),
+            0,
+        ];
         words.extend(addresses);
         let reply = self.exchange(&bytes(&words))?.words();
         // Packet header, record header, return base.
@@ -408,7 +447,12 @@ impl<S: Silicon> Rig<S> {
 
     /// Write words over Etherbone (no answer is expected: writes have none), and give the board a tenth of a millisecond.
     pub fn write_words(&mut self, base: u32, values: &[u32]) {
-        let mut words = vec![etherbone::HEADER, 0, etherbone::BYTE_ENABLE | (values.len() as u32 & 0xff) << 8, base];
+        let mut words = vec![
+            etherbone::HEADER,
+            0,
+            etherbone::BYTE_ENABLE | (values.len() as u32 & 0xff) << 8,
+            base,
+        ];
         words.extend(values);
         self.post((HOST_IP, RIG_PORT), BOARD_PORT, &bytes(&words));
         self.run(6000);
@@ -420,7 +464,9 @@ impl<S: Silicon> Rig<S> {
     pub fn ping(&mut self) -> Option<u64> {
         self.ping_seq += 1;
         let (ident, seq_no) = (0x4643, self.ping_seq);
-        let frame = self.segment.echo_request(HOST_IP, ident, seq_no, b"FerroCNC");
+        let frame = self
+            .segment
+            .echo_request(HOST_IP, ident, seq_no, b"FerroCNC");
         // Answers to earlier pings may still lie about.
         while self.segment.take_echo().is_some() {}
         let started = self.board.now();
@@ -428,7 +474,8 @@ impl<S: Silicon> Rig<S> {
         let mut answer = None;
         let until = self.clock() + self.patience;
         self.run_while(until, |rig| {
-            let ours = |e: &Echo| (e.ident, e.seq_no, &e.payload[..]) == (ident, seq_no, b"FerroCNC");
+            let ours =
+                |e: &Echo| (e.ident, e.seq_no, &e.payload[..]) == (ident, seq_no, b"FerroCNC");
             answer = std::iter::from_fn(|| rig.segment.take_echo()).find(ours);
             answer.is_none()
         });
@@ -451,12 +498,13 @@ impl<S: Silicon> Rig<S> {
         }
     }
 
-    /// Send text and gather what comes back until the board has been silent for a millisecond of its time (at most 50).
+    /// Send text and gather what comes back until the board has been silent for 3 ms of its time (at most 50): it
+    /// looks after TCP once a millisecond.
     pub fn tcp_talk(&mut self, connection: Connection, text: &str) -> String {
         let mut out = text.as_bytes();
         let mut heard = Vec::new();
-        let quiet = self.clocks(Duration::from_millis(1));
-        let end = self.clock() + 50 * quiet;
+        let quiet = self.clocks(Duration::from_millis(3));
+        let end = self.clock() + self.clocks(Duration::from_millis(50));
         let mut last = self.clock();
         while self.clock() < end && self.clock() < last + quiet {
             let sent = self.segment.send(connection, out);
@@ -554,14 +602,22 @@ mod tests {
     fn faults_strike_as_often_as_told() {
         let mut rig = rig();
         rig.capture_frames();
-        rig.faults = Faults { drop_to_board: 1, drop_from_board: 1, duplicate_to_board: 1, corrupt_to_board: 1 };
+        rig.faults = Faults {
+            drop_to_board: 1,
+            drop_from_board: 1,
+            duplicate_to_board: 1,
+            corrupt_to_board: 1,
+        };
         for n in 0..4 {
             rig.inject_frame(&[n; 60]);
             rig.run(1000);
         }
         // 0 dropped on the way in; of 1 and its twin the first is dropped on the way back, the other has a bad FCS.
         assert_eq!(rig.take_frames(), [vec![2; 60], vec![3; 60]]);
-        assert_eq!((rig.frames.dropped, rig.frames.malformed_from_board), (2, 1));
+        assert_eq!(
+            (rig.frames.dropped, rig.frames.malformed_from_board),
+            (2, 1)
+        );
         assert_eq!(rig.faults, Faults::default());
     }
 
@@ -572,7 +628,10 @@ mod tests {
         board.reset(|_| {});
         let mut rig = Rig::around(board, BOARD_IP);
         let error = rig.wait_ready(100_000).unwrap_err().to_string();
-        assert!(error.contains("192.168.2.50") && error.contains("100000 clocks"), "{error}");
+        assert!(
+            error.contains("192.168.2.50") && error.contains("100000 clocks"),
+            "{error}"
+        );
     }
 
     #[test]
@@ -585,7 +644,10 @@ mod tests {
         rig.run(1000);
         let (datagram, timing) = rig.take_datagrams().remove(0);
         // The toy does not swap addresses: it is for the board's own address.
-        assert_eq!((datagram.to, &datagram.payload[..]), ((BOARD_IP, from.1), &b"hello"[..]));
+        assert_eq!(
+            (datagram.to, &datagram.payload[..]),
+            ((BOARD_IP, from.1), &b"hello"[..])
+        );
         assert_eq!(timing, None);
         assert!(rig.send_udp(5, b"nothing comes back to us").is_none());
     }

@@ -12,8 +12,9 @@ use smoltcp::phy::{ChecksumCapabilities, Device, DeviceCapabilities, Medium, RxT
 use smoltcp::socket::tcp;
 use smoltcp::time::Instant;
 use smoltcp::wire::{
-    ArpOperation, ArpPacket, ArpRepr, EthernetAddress, EthernetFrame, EthernetProtocol, EthernetRepr, HardwareAddress,
-    Icmpv4Packet, Icmpv4Repr, IpAddress, IpCidr, IpEndpoint, IpProtocol, Ipv4Packet, Ipv4Repr, UdpPacket, UdpRepr,
+    ArpOperation, ArpPacket, ArpRepr, EthernetAddress, EthernetFrame, EthernetProtocol,
+    EthernetRepr, HardwareAddress, Icmpv4Packet, Icmpv4Repr, IpAddress, IpCidr, IpEndpoint,
+    IpProtocol, Ipv4Packet, Ipv4Repr, UdpPacket, UdpRepr,
 };
 
 /// The host at the other end of the cable.
@@ -131,7 +132,10 @@ pub struct Segment {
 
 impl std::fmt::Debug for Segment {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Segment").field("board_ip", &self.board_ip).field("board_mac", &self.board_mac).finish_non_exhaustive()
+        f.debug_struct("Segment")
+            .field("board_ip", &self.board_ip)
+            .field("board_mac", &self.board_mac)
+            .finish_non_exhaustive()
     }
 }
 
@@ -199,13 +203,19 @@ impl Segment {
             target_hardware_addr: EthernetAddress([0; 6]),
             target_protocol_addr: self.board_ip,
         };
-        let header = EthernetRepr { dst_addr: EthernetAddress::BROADCAST, ..self.header(from, EthernetProtocol::Arp) };
+        let header = EthernetRepr {
+            dst_addr: EthernetAddress::BROADCAST,
+            ..self.header(from, EthernetProtocol::Arp)
+        };
         arp_frame(header, arp)
     }
 
     /// The frame of a UDP datagram; longer payloads than [`MAX_UDP`] make a frame no Ethernet carries, if asked for.
     pub fn udp(&mut self, from: Endpoint, port: u16, payload: &[u8]) -> Vec<u8> {
-        let udp = UdpRepr { src_port: from.1, dst_port: port };
+        let udp = UdpRepr {
+            src_port: from.1,
+            dst_port: port,
+        };
         let ip = Ipv4Repr {
             src_addr: from.0,
             dst_addr: self.board_ip,
@@ -226,8 +236,18 @@ impl Segment {
     }
 
     /// The frame of an ICMP echo request.
-    pub fn echo_request(&mut self, from: Ipv4Addr, ident: u16, seq_no: u16, data: &[u8]) -> Vec<u8> {
-        let icmp = Icmpv4Repr::EchoRequest { ident, seq_no, data };
+    pub fn echo_request(
+        &mut self,
+        from: Ipv4Addr,
+        ident: u16,
+        seq_no: u16,
+        data: &[u8],
+    ) -> Vec<u8> {
+        let icmp = Icmpv4Repr::EchoRequest {
+            ident,
+            seq_no,
+            data,
+        };
         let ip = Ipv4Repr {
             src_addr: from,
             dst_addr: self.board_ip,
@@ -236,7 +256,10 @@ impl Segment {
             hop_limit: 64,
         };
         let (mut frame, at) = self.ip_frame(from, &ip);
-        icmp.emit(&mut Icmpv4Packet::new_unchecked(&mut frame[at..]), &ChecksumCapabilities::default());
+        icmp.emit(
+            &mut Icmpv4Packet::new_unchecked(&mut frame[at..]),
+            &ChecksumCapabilities::default(),
+        );
         frame
     }
 
@@ -246,7 +269,10 @@ impl Segment {
         let at = header.buffer_len() + ip.buffer_len();
         let mut frame = vec![0; at + ip.payload_len];
         header.emit(&mut EthernetFrame::new_unchecked(&mut frame));
-        ip.emit(&mut Ipv4Packet::new_unchecked(&mut frame[header.buffer_len()..]), &ChecksumCapabilities::default());
+        ip.emit(
+            &mut Ipv4Packet::new_unchecked(&mut frame[header.buffer_len()..]),
+            &ChecksumCapabilities::default(),
+        );
         (frame, at)
     }
 
@@ -262,8 +288,13 @@ impl Segment {
         match ethernet.ethertype() {
             EthernetProtocol::Arp => {
                 let arp = ArpRepr::parse(&ArpPacket::new_checked(ethernet.payload()).ok()?).ok()?;
-                let ArpRepr::EthernetIpv4 { operation, source_hardware_addr, source_protocol_addr, target_protocol_addr, .. } =
-                    arp
+                let ArpRepr::EthernetIpv4 {
+                    operation,
+                    source_hardware_addr,
+                    source_protocol_addr,
+                    target_protocol_addr,
+                    ..
+                } = arp
                 else {
                     return None;
                 };
@@ -312,8 +343,17 @@ impl Segment {
                     IpProtocol::Icmp => {
                         let packet = Icmpv4Packet::new_checked(packet.payload()).ok()?;
                         match Icmpv4Repr::parse(&packet, &checksums).ok()? {
-                            Icmpv4Repr::EchoReply { ident, seq_no, data } => {
-                                self.echoes.push_back(Echo { ident, seq_no, payload: data.to_vec(), first });
+                            Icmpv4Repr::EchoReply {
+                                ident,
+                                seq_no,
+                                data,
+                            } => {
+                                self.echoes.push_back(Echo {
+                                    ident,
+                                    seq_no,
+                                    payload: data.to_vec(),
+                                    first,
+                                });
                             }
                             _ => self.port.rx.push_back(frame.to_vec()),
                         }
@@ -328,7 +368,11 @@ impl Segment {
 
     /// Let the TCP stack work at `now_us` of simulated time.
     pub fn poll(&mut self, now_us: u64) {
-        self.iface.poll(Instant::from_micros(now_us as i64), &mut self.port, &mut self.sockets);
+        self.iface.poll(
+            Instant::from_micros(now_us as i64),
+            &mut self.port,
+            &mut self.sockets,
+        );
     }
 
     /// Some TCP connection exists, so that [`Self::poll`] is wanted now and then even without frames.
@@ -434,7 +478,11 @@ pub struct Nat<K> {
 
 impl<K> Default for Nat<K> {
     fn default() -> Self {
-        Nat { by_key: HashMap::new(), by_port: HashMap::new(), next: Self::FIRST }
+        Nat {
+            by_key: HashMap::new(),
+            by_port: HashMap::new(),
+            next: Self::FIRST,
+        }
     }
 }
 
@@ -452,7 +500,11 @@ impl<K: Copy + Eq + std::hash::Hash> Nat<K> {
             return *port;
         }
         let port = self.next;
-        self.next = if port == Self::LAST { Self::FIRST } else { port + 1 };
+        self.next = if port == Self::LAST {
+            Self::FIRST
+        } else {
+            port + 1
+        };
         if let Some(evicted) = self.by_port.insert(port, key) {
             self.by_key.remove(&evicted);
         }
@@ -477,7 +529,10 @@ mod tests {
         let mut nat = Nat::default();
         let (a, b) = (nat.port("a"), nat.port("b"));
         assert_ne!(a, b);
-        assert_eq!((nat.port("a"), nat.sender(a), nat.sender(b), nat.sender(1)), (a, Some("a"), Some("b"), None));
+        assert_eq!(
+            (nat.port("a"), nat.sender(a), nat.sender(b), nat.sender(1)),
+            (a, Some("a"), Some("b"), None)
+        );
     }
 
     #[test]
@@ -493,7 +548,12 @@ mod tests {
     }
 
     /// A second segment plays the board: what one sends the other must read.
-    fn arp_reply(segment: &mut Segment, sender: Ipv4Addr, target: Ipv4Addr, operation: ArpOperation) -> Vec<u8> {
+    fn arp_reply(
+        segment: &mut Segment,
+        sender: Ipv4Addr,
+        target: Ipv4Addr,
+        operation: ArpOperation,
+    ) -> Vec<u8> {
         let _ = segment;
         let header = EthernetRepr {
             src_addr: EthernetAddress(BOARD_MAC),
@@ -519,7 +579,11 @@ mod tests {
         // The default host is answered by the stack, a guest by the segment, a stranger by nobody.
         let guest = Ipv4Addr::new(192, 168, 2, 77);
         s.host_mac(guest);
-        for (target, answered) in [(HOST_IP, true), (guest, true), (Ipv4Addr::new(192, 168, 2, 78), false)] {
+        for (target, answered) in [
+            (HOST_IP, true),
+            (guest, true),
+            (Ipv4Addr::new(192, 168, 2, 78), false),
+        ] {
             let request = arp_reply(&mut s, BOARD_IP, target, ArpOperation::Request);
             s.receive(&request, 0, 0);
             s.poll(1000);
@@ -527,9 +591,20 @@ mod tests {
             assert_eq!(frame.is_some(), answered, "{target}");
             if let Some(frame) = frame {
                 let packet = EthernetFrame::new_checked(&frame[..]).unwrap();
-                let arp = ArpRepr::parse(&ArpPacket::new_checked(packet.payload()).unwrap()).unwrap();
-                let ArpRepr::EthernetIpv4 { source_protocol_addr, target_hardware_addr, .. } = arp else { panic!() };
-                assert_eq!((source_protocol_addr, target_hardware_addr.0), (target, BOARD_MAC));
+                let arp =
+                    ArpRepr::parse(&ArpPacket::new_checked(packet.payload()).unwrap()).unwrap();
+                let ArpRepr::EthernetIpv4 {
+                    source_protocol_addr,
+                    target_hardware_addr,
+                    ..
+                } = arp
+                else {
+                    panic!()
+                };
+                assert_eq!(
+                    (source_protocol_addr, target_hardware_addr.0),
+                    (target, BOARD_MAC)
+                );
             }
         }
     }
@@ -544,7 +619,10 @@ mod tests {
         s.receive(&frame, 100, 200);
         let d = s.take_datagram().unwrap();
         assert_eq!((d.from, d.to), ((BOARD_IP, BOARD_PORT), (HOST_IP, 40001)));
-        assert_eq!((&d.payload[..], d.first, d.last), (&b"status"[..], 100, 200));
+        assert_eq!(
+            (&d.payload[..], d.first, d.last),
+            (&b"status"[..], 100, 200)
+        );
         assert_eq!(s.odd_frames, 0);
     }
 
@@ -564,8 +642,11 @@ mod tests {
     fn two_stacks_talk_tcp_over_the_segment() {
         // The far end: a smoltcp listener at the board's address.
         let mut port = Port::default();
-        let mut iface =
-            Interface::new(Config::new(HardwareAddress::Ethernet(EthernetAddress(BOARD_MAC))), &mut port, Instant::ZERO);
+        let mut iface = Interface::new(
+            Config::new(HardwareAddress::Ethernet(EthernetAddress(BOARD_MAC))),
+            &mut port,
+            Instant::ZERO,
+        );
         iface.update_ip_addrs(|a| a.push(IpCidr::new(IpAddress::Ipv4(BOARD_IP), 24)).unwrap());
         let mut sockets = SocketSet::new(Vec::new());
         let buffer = || tcp::SocketBuffer::new(vec![0; 256]);

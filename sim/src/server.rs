@@ -127,7 +127,9 @@ impl<S: Silicon> Server<S> {
             std::thread::spawn(move || {
                 for stream in listener.incoming().flatten() {
                     let to = to.clone();
-                    std::thread::spawn(move || read_commands(BufReader::new(&stream), Some(&stream), &to));
+                    std::thread::spawn(move || {
+                        read_commands(BufReader::new(&stream), Some(&stream), &to)
+                    });
                 }
             });
         }
@@ -181,21 +183,32 @@ impl<S: Silicon> Server<S> {
     }
 
     fn lockstep(&mut self, period: u64) {
-        let silent = self.last_exchange.is_some_and(|at| at.elapsed() >= self.options.silence);
+        let silent = self
+            .last_exchange
+            .is_some_and(|at| at.elapsed() >= self.options.silence);
         if silent {
             self.last_exchange = None;
             self.orphan_until = self.rig.clock() + self.options.orphan_clocks;
-            eprintln!("sim: no exchange for {:?}, the board runs on by itself", self.options.silence);
+            eprintln!(
+                "sim: no exchange for {:?}, the board runs on by itself",
+                self.options.silence
+            );
         }
         let event = if self.rig.clock() < self.orphan_until {
             self.pass(self.rig.clock() + SLICE);
-            self.events.try_recv().map_err(|e| e == TryRecvError::Disconnected)
+            self.events
+                .try_recv()
+                .map_err(|e| e == TryRecvError::Disconnected)
         } else {
-            let until_silence =
-                self.last_exchange.map(|at| self.options.silence.saturating_sub(at.elapsed())).unwrap_or(Duration::MAX);
+            let until_silence = self
+                .last_exchange
+                .map(|at| self.options.silence.saturating_sub(at.elapsed()))
+                .unwrap_or(Duration::MAX);
             // A fifth of a second at most: signals are looked at in between.
             let wait = until_silence.min(Duration::from_millis(200));
-            self.events.recv_timeout(wait).map_err(|e| e == RecvTimeoutError::Disconnected)
+            self.events
+                .recv_timeout(wait)
+                .map_err(|e| e == RecvTimeoutError::Disconnected)
         };
         match event {
             Ok(Event::Datagram(sender, payload)) if is_request(&payload) => {
@@ -210,7 +223,11 @@ impl<S: Silicon> Server<S> {
             }
             Ok(Event::Datagram(sender, payload)) => {
                 let port = self.post(sender, &payload);
-                let patience = if wants_reply(&payload) { self.rig.wait_for(&payload) } else { self.rig.patience / 10 };
+                let patience = if wants_reply(&payload) {
+                    self.rig.wait_for(&payload)
+                } else {
+                    self.rig.patience / 10
+                };
                 let until = self.rig.clock() + patience;
                 while self.rig.clock() < until && !self.pass_frame(until).contains(&port) {}
             }
@@ -284,7 +301,15 @@ impl<S: Silicon> Server<S> {
             }
             Event::Opened(id, stream) => {
                 let connection = self.rig.segment.connect(CONSOLE_PORT);
-                self.consoles.insert(id, Console { stream, connection, waiting: Vec::new(), ended: false });
+                self.consoles.insert(
+                    id,
+                    Console {
+                        stream,
+                        connection,
+                        waiting: Vec::new(),
+                        ended: false,
+                    },
+                );
             }
             Event::Typed(id, bytes) => {
                 if let Some(console) = self.consoles.get_mut(&id) {
@@ -319,7 +344,10 @@ impl<S: Silicon> Server<S> {
             let heard = segment.recv(console.connection);
             moved |= sent != 0 || !heard.is_empty();
             let broken = !heard.is_empty() && console.stream.write_all(&heard).is_err();
-            if console.ended && console.waiting.is_empty() && segment.unsent(console.connection) == 0 {
+            if console.ended
+                && console.waiting.is_empty()
+                && segment.unsent(console.connection) == 0
+            {
                 segment.close(console.connection);
             }
             let over = broken || segment.closed(console.connection);
@@ -332,13 +360,16 @@ impl<S: Silicon> Server<S> {
         moved
     }
 
-    /// Lockstep: give the board time in small slices until the consoles have been quiet for half a millisecond of its time,
-    /// at most 20 ms.
+    /// Lockstep: give the board time in small slices until the consoles have been quiet for 3 ms of its time (it looks after
+    /// TCP once a millisecond), at most 20 ms.
     fn settle_consoles(&mut self) {
         let ms = self.rig.clocks(Duration::from_millis(1));
         let end = self.rig.clock() + 20 * ms;
         let mut last = self.rig.clock();
-        while !self.consoles.is_empty() && self.rig.clock() < end && self.rig.clock() < last + ms / 2 {
+        while !self.consoles.is_empty()
+            && self.rig.clock() < end
+            && self.rig.clock() < last + 3 * ms
+        {
             self.pass_frame(self.rig.clock() + SLICE / 2);
             let busy = self.consoles.values().any(|c| !c.waiting.is_empty());
             if self.pump_consoles() || busy {
@@ -462,12 +493,19 @@ fn read_datagrams(udp: &UdpSocket, to: &Sender<Event>) {
     loop {
         match udp.recv_from(&mut buffer) {
             Ok((n, sender)) => {
-                if to.send(Event::Datagram(sender, buffer[..n].to_vec())).is_err() {
+                if to
+                    .send(Event::Datagram(sender, buffer[..n].to_vec()))
+                    .is_err()
+                {
                     return;
                 }
             }
             // Linux reports a peer's closed port on the next receive; that is the peer's affair.
-            Err(e) if matches!(e.kind(), ErrorKind::ConnectionRefused | ErrorKind::Interrupted) => {}
+            Err(e)
+                if matches!(
+                    e.kind(),
+                    ErrorKind::ConnectionRefused | ErrorKind::Interrupted
+                ) => {}
             Err(e) => {
                 eprintln!("sim: UDP: {e}");
                 return;
@@ -478,7 +516,9 @@ fn read_datagrams(udp: &UdpSocket, to: &Sender<Event>) {
 
 fn accept_consoles(listener: &TcpListener, to: &Sender<Event>) {
     for (id, stream) in (0..).zip(listener.incoming().flatten()) {
-        let Ok(mut reader) = stream.try_clone() else { continue };
+        let Ok(mut reader) = stream.try_clone() else {
+            continue;
+        };
         if to.send(Event::Opened(id, stream)).is_err() {
             return;
         }
@@ -529,7 +569,9 @@ mod tests {
 
     impl Echo {
         fn answer(wire: &[u8]) -> Vec<u8> {
-            let Ok(frame) = crate::gmii::decode(wire) else { return vec![] };
+            let Ok(frame) = crate::gmii::decode(wire) else {
+                return vec![];
+            };
             let mut frame = frame.to_vec();
             match (frame[12], frame[13]) {
                 (8, 6) if frame[21] == 1 => {
@@ -541,8 +583,10 @@ mod tests {
                     frame[28..32].copy_from_slice(&asked[16..]);
                 }
                 (8, 0) if frame[23] == 17 => {
-                    let (src, dst): ([u8; 4], [u8; 4]) =
-                        (frame[26..30].try_into().unwrap(), frame[30..34].try_into().unwrap());
+                    let (src, dst): ([u8; 4], [u8; 4]) = (
+                        frame[26..30].try_into().unwrap(),
+                        frame[30..34].try_into().unwrap(),
+                    );
                     frame[26..30].copy_from_slice(&dst);
                     frame[30..34].copy_from_slice(&src);
                     let ports: [u8; 4] = frame[34..38].try_into().unwrap();
@@ -575,7 +619,14 @@ mod tests {
     }
 
     /// A served echo board; the thread gives its rig back when the flag is set.
-    fn serve(mode: Mode) -> (SocketAddr, SocketAddr, Arc<AtomicBool>, std::thread::JoinHandle<Rig<Echo>>) {
+    fn serve(
+        mode: Mode,
+    ) -> (
+        SocketAddr,
+        SocketAddr,
+        Arc<AtomicBool>,
+        std::thread::JoinHandle<Rig<Echo>>,
+    ) {
         let mut board = Board::new(Echo::default(), 60_000_000, Plant::default());
         board.reset(|_| {});
         let rig = Rig::around(board, crate::segment::BOARD_IP);
@@ -592,14 +643,21 @@ mod tests {
         };
         let stop = Arc::new(AtomicBool::new(false));
         let server = Server::bind(rig, options, stop.clone()).unwrap();
-        let (udp, control) = (server.udp.local_addr().unwrap(), server.control_address.unwrap());
-        assert!(server.ready_line().starts_with(&format!("ready udp={udp} console=- control={control} sys_clk_hz=60000000")));
+        let (udp, control) = (
+            server.udp.local_addr().unwrap(),
+            server.control_address.unwrap(),
+        );
+        assert!(server.ready_line().starts_with(&format!(
+            "ready udp={udp} console=- control={control} sys_clk_hz=60000000"
+        )));
         (udp, control, stop, std::thread::spawn(move || server.run()))
     }
 
     fn client(to: SocketAddr) -> UdpSocket {
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-        socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        socket
+            .set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
         socket.connect(to).unwrap();
         socket
     }
@@ -612,7 +670,18 @@ mod tests {
     }
 
     fn exchange(sequence: u32) -> Vec<u8> {
-        [0x4e6f_1044, 0, 0x000f_0300, wire::map::COMMAND, 1, sequence, 0].iter().flat_map(|w: &u32| w.to_be_bytes()).collect()
+        [
+            0x4e6f_1044,
+            0,
+            0x000f_0300,
+            wire::map::COMMAND,
+            1,
+            sequence,
+            0,
+        ]
+        .iter()
+        .flat_map(|w: &u32| w.to_be_bytes())
+        .collect()
     }
 
     #[test]
@@ -627,8 +696,15 @@ mod tests {
         assert_eq!(talk(&a, &exchange(11)), exchange(11));
         let mut stream = TcpStream::connect(control).unwrap();
         writeln!(stream, "ext-reset 1\nfrobnicate\nquit").unwrap();
-        let answers: Vec<_> = BufReader::new(stream).lines().take(3).map(Result::unwrap).collect();
-        assert_eq!((answers[0].as_str(), answers[2].as_str()), ("ok ext_reset=1", "ok"));
+        let answers: Vec<_> = BufReader::new(stream)
+            .lines()
+            .take(3)
+            .map(Result::unwrap)
+            .collect();
+        assert_eq!(
+            (answers[0].as_str(), answers[2].as_str()),
+            ("ok ext_reset=1", "ok")
+        );
         assert!(answers[1].contains("frobnicate"));
         let rig = thread.join().unwrap();
         let question = rig.clock() - 32 - 11 * 5000;

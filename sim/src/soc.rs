@@ -96,7 +96,10 @@ impl Manifest {
     /// Read `manifest.json` of a SoC directory.
     pub fn read(soc_dir: &Path) -> Result<Self, Error> {
         let path = soc_dir.join("manifest.json");
-        let text = std::fs::read(&path).map_err(|source| Error::Read { path: path.clone(), source })?;
+        let text = std::fs::read(&path).map_err(|source| Error::Read {
+            path: path.clone(),
+            source,
+        })?;
         serde_json::from_slice(&text).map_err(|source| Error::Manifest { path, source })
     }
 }
@@ -127,7 +130,9 @@ pub struct Soc {
 
 impl std::fmt::Debug for Soc {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Soc").field("path", &self.path).finish_non_exhaustive()
+        f.debug_struct("Soc")
+            .field("path", &self.path)
+            .finish_non_exhaustive()
     }
 }
 
@@ -137,21 +142,36 @@ unsafe impl Send for Soc {}
 impl Soc {
     /// Load the SoC of `soc_dir`: the fast model, or with `trace` the slower one that can write waveforms.
     pub fn load(soc_dir: &Path, trace: bool) -> Result<Self, Error> {
-        let name = if trace { "libferrocnc_soc_trace.so" } else { "libferrocnc_soc.so" };
+        let name = if trace {
+            "libferrocnc_soc_trace.so"
+        } else {
+            "libferrocnc_soc.so"
+        };
         let path = soc_dir.join(name);
         // A bare name would be searched in system directories.
         let path = std::path::absolute(&path).unwrap_or(path);
-        let err = |source| Error::Load { path: path.clone(), source };
+        let err = |source| Error::Load {
+            path: path.clone(),
+            source,
+        };
         // SAFETY: the library is ours (build.sh); its initialisers are Verilator's and touch nothing outside it. The symbols
         // have the types given in shim.cpp, which the ABI version confirms before any other call.
         unsafe {
             let library = Library::new(&path).map_err(err)?;
-            let version = library.get::<unsafe extern "C" fn() -> u32>(b"fc_abi_version").map_err(err)?;
+            let version = library
+                .get::<unsafe extern "C" fn() -> u32>(b"fc_abi_version")
+                .map_err(err)?;
             let theirs = version();
             if theirs != SHIM_ABI {
-                return Err(Error::ShimAbi { path: path.clone(), theirs, ours: SHIM_ABI });
+                return Err(Error::ShimAbi {
+                    path: path.clone(),
+                    theirs,
+                    ours: SHIM_ABI,
+                });
             }
-            let new = *library.get::<unsafe extern "C" fn() -> *mut c_void>(b"fc_new").map_err(err)?;
+            let new = *library
+                .get::<unsafe extern "C" fn() -> *mut c_void>(b"fc_new")
+                .map_err(err)?;
             let soc = Soc {
                 rise: *library.get(b"fc_rise").map_err(err)?,
                 rom_write: *library.get(b"fc_rom_write").map_err(err)?,
@@ -214,7 +234,9 @@ impl Silicon for Soc {
     }
 
     fn trace_open(&mut self, file: &Path) -> Result<(), Error> {
-        let bad = || Error::NoTrace { path: self.path.clone() };
+        let bad = || Error::NoTrace {
+            path: self.path.clone(),
+        };
         let name = CString::new(file.as_os_str().as_encoded_bytes()).map_err(|_| bad())?;
         // SAFETY: `name` is a NUL-terminated string that outlives the call.
         match unsafe { (self.trace_open)(self.handle, name.as_ptr()) } {

@@ -14,7 +14,11 @@ fn the_fast_model_and_the_plain_one_do_the_same() {
     let start = |plain: bool| {
         let mut setup = Setup::new(soc.as_ref(), elf.as_ref());
         // The plain model is the one that can draw; it is asked to draw at the end of time.
-        setup.trace = plain.then(|| TraceWindow { path: "/dev/null".into(), from: u64::MAX >> 1, clocks: 1 });
+        setup.trace = plain.then(|| TraceWindow {
+            path: "/dev/null".into(),
+            from: u64::MAX >> 1,
+            clocks: 1,
+        });
         let mut rig = Rig::power_up(setup).unwrap();
         rig.capture_frames();
         rig
@@ -26,7 +30,11 @@ fn the_fast_model_and_the_plain_one_do_the_same() {
         assert_eq!(fast.take_frames(), plain.take_frames(), "{name}: frames");
         assert_eq!(fast.clock(), plain.clock(), "{name}: clocks");
         assert_eq!(fast.pins(), plain.pins(), "{name}: pins");
-        assert_eq!(fast.board.silicon().ram(), plain.board.silicon().ram(), "{name}: RAM");
+        assert_eq!(
+            fast.board.silicon().ram(),
+            plain.board.silicon().ram(),
+            "{name}: RAM"
+        );
     };
     story("boot", &mut |rig| rig.wait_ready(3_000_000).unwrap());
     story("ping", &mut |rig| assert!(rig.ping().is_some()));
@@ -38,8 +46,12 @@ fn the_fast_model_and_the_plain_one_do_the_same() {
             rig.run(100);
         }
     });
-    story("registers", &mut |rig| assert!(rig.read_block(wire::map::DESCRIBE, 64).is_some()));
-    story("long", &mut |rig| assert!(rig.read_block(wire::map::STATUS, 48).is_some()));
+    story("registers", &mut |rig| {
+        assert!(rig.read_block(wire::map::DESCRIBE, 64).is_some())
+    });
+    story("long", &mut |rig| {
+        assert!(rig.read_block(wire::map::STATUS, 48).is_some())
+    });
     story("damage", &mut |rig| {
         rig.inject_wire(vec![0x55; 40]);
         rig.faults.corrupt_to_board = 1;
