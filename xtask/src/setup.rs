@@ -32,7 +32,8 @@ const RISCV_PACKAGES: &[(&str, &str)] = &[
     ("rustc-web", "a rustc whose library sources Debian ships"),
     ("cargo-web", "its cargo"),
     ("rust-web-src", "the sources of `core`"),
-    ("lld", "links the firmware"),
+    ("binutils-riscv64-unknown-elf", "links the firmware; its ld shortens calls, 2.5 KiB"),
+    ("lld", "links it where that ld is missing"),
 ];
 
 /// The softcore's instruction set as rustc names it.
