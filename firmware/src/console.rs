@@ -203,8 +203,8 @@ fn status<B: Board>(server: &Server, board: &mut B, vitals: &Vitals, out: &mut O
         .hex(ident.version)
         .end();
     let (used, size) = vitals.stack;
-    out.text("boot     ").hex(server.boot_id());
-    out.text(", stack ")
+    out.text("boot     ").hex(server.boot_id()).end();
+    out.text("stack    ")
         .number(used)
         .text(" of ")
         .number(size)

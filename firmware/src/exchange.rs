@@ -123,7 +123,7 @@ impl Server {
             board.stage(at + 3, d);
             at += 2 * COMMAND_STEPGEN;
         }
-        if shape.stepgens % 2 != 0 {
+        if shape.stepgens & 1 != 0 {
             let [a, b] = request.take2();
             board.stage(at, a);
             board.stage(at + 1, b);

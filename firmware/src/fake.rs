@@ -117,7 +117,11 @@ impl Board for Notebook {
         self.done.push(Change::Feed(token));
     }
     fn gate(&mut self) -> Gate {
-        Gate(self.gate | u32::from(self.pin) * 0b1_1000)
+        Gate(if self.pin {
+            self.gate | 0b1_1000
+        } else {
+            self.gate
+        })
     }
     fn control(&mut self, order: Control) {
         self.done.push(Change::Order(order));

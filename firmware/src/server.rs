@@ -225,7 +225,7 @@ impl Server {
         let gate = if gate.0 == Gate::LIVE.0 {
             STATE_ENABLED
         } else {
-            u32::from(gate.open()) * STATE_ENABLED
+            u32::from(gate.open()) << 17
                 | u32::from(gate.bitten()) << 19
                 | u32::from(gate.reset_pin()) << 20
         };

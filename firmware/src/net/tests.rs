@@ -410,7 +410,7 @@ impl Frame for MadeUp {
 fn a_rehearsal_walks_to_the_end_and_does_nothing() {
     let mut rig = Rig::armed();
     let lane = lane();
-    let (session, before) = (rig.server.session().clone(), rig.board.changes());
+    let (session, before) = (*rig.server.session(), rig.board.changes());
     let mut frame = MadeUp([0; REHEARSAL_WORDS]);
     let token = session.token_for(ALICE);
     let length = lane.rehearse(token, session.last_sequence() + 1, &mut frame.0);
