@@ -223,6 +223,7 @@ def csr_csv(soc):
         "constant,config_csr_alignment,32,,",
         "constant,config_bus_standard,wishbone,,",
         "constant,config_bus_data_width,32,,",
+        "constant,config_bus_address_width,32,,",
         f"memory_region,rom,0x{rm.ROM[0]:08x},{rm.ROM[1]},cached",
         f"memory_region,sram,0x{rm.RAM[0]:08x},{rm.RAM[1]},cached",
         f"memory_region,ethmac,0x{rm.ETHMAC[0]:08x},{rm.ETHMAC[1]},io",
