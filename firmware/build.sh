@@ -15,6 +15,9 @@ for folder in "${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/; do flags+=" --remap
 common=(build --manifest-path "$root/Cargo.toml" --package ferrocnc-firmware --bin ferrocnc-firmware --features soc
     --profile firmware-image --target "$target" --target-dir "$out")
 
+# defmt keeps only errors unless told; transitions are `info`, and nothing is logged per period.
+export DEFMT_LOG=${DEFMT_LOG:-info}
+
 sysroot=$(rustc --print sysroot 2>/dev/null || true)
 if [ -n "$sysroot" ] && ls "$sysroot/lib/rustlib/$target/lib/"libcore-*.rlib >/dev/null 2>&1; then
     RUSTFLAGS="$flags" cargo "${common[@]}" "$@"
