@@ -330,6 +330,10 @@ impl App {
             .stack
             .sockets
             .get_mut::<tcp::Socket>(self.stack.console);
+        if socket.state() == tcp::State::TimeWait {
+            // Both have said good bye; the next one shall not wait ten seconds for it.
+            socket.abort();
+        }
         if !socket.is_open() {
             self.stack.line = console::Line::default();
             self.stack.greeted = false;
@@ -361,6 +365,8 @@ impl App {
             let vitals = Vitals {
                 stack: soc::stack_used(),
                 mac_errors: self.mac.errors(),
+                ip: self.us.ip,
+                port: self.us.port,
             };
             let mut sink = Sink::new(socket);
             console::answer(ask, &self.server, &mut self.soc, &vitals, &mut sink);

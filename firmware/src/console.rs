@@ -135,6 +135,10 @@ pub struct Vitals {
     pub stack: (u32, u32),
     /// Frames the MAC dropped for want of a slot, a wrong preamble or a wrong CRC.
     pub mac_errors: [u32; 3],
+    /// Our IPv4 address.
+    pub ip: u32,
+    /// UDP port of the Etherbone server.
+    pub port: u16,
 }
 
 /// Answers into `out`; what does not fit there is lost.
@@ -213,6 +217,11 @@ fn status<B: Board>(server: &Server, board: &mut B, vitals: &Vitals, out: &mut O
 }
 
 fn net(server: &Server, vitals: &Vitals, out: &mut Out) {
+    out.text("address ");
+    for (n, byte) in vitals.ip.to_be_bytes().into_iter().enumerate() {
+        out.text(if n == 0 { "" } else { "." }).number(byte.into());
+    }
+    out.text(":").number(vitals.port.into()).end();
     let counters = server.counters();
     out.text("frames in ")
         .number(counters.frames_rx)

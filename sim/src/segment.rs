@@ -419,14 +419,18 @@ impl Segment {
         self.tcp(connection).may_send()
     }
 
-    /// The connection is neither up nor coming up, and everything received has been taken.
+    /// The board has ended a connection, and all it had said was taken.
+    pub fn hung_up(&mut self, connection: Connection) -> bool {
+        let socket = self.tcp(connection);
+        socket.state() == tcp::State::CloseWait && !socket.can_recv()
+    }
+
+    /// Both sides have ended a connection, and all the board had said was taken.
     pub fn closed(&mut self, connection: Connection) -> bool {
         let socket = self.tcp(connection);
-        match socket.state() {
-            tcp::State::Closed | tcp::State::TimeWait | tcp::State::CloseWait => !socket.can_recv(),
-            _ => false,
-        }
+        matches!(socket.state(), tcp::State::Closed | tcp::State::TimeWait) && !socket.can_recv()
     }
+
 
     /// Send what fits; how many bytes that was.
     pub fn send(&mut self, connection: Connection, bytes: &[u8]) -> usize {

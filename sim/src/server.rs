@@ -343,14 +343,23 @@ impl<S: Silicon> Server<S> {
             console.waiting.drain(..sent);
             let heard = segment.recv(console.connection);
             moved |= sent != 0 || !heard.is_empty();
-            let broken = !heard.is_empty() && console.stream.write_all(&heard).is_err();
+            if !heard.is_empty() && console.stream.write_all(&heard).is_err() {
+                // Nobody listens any more. The board still has to hear it, or it keeps its only console for them.
+                console.ended = true;
+                console.waiting.clear();
+            }
             if console.ended
                 && console.waiting.is_empty()
                 && segment.unsent(console.connection) == 0
             {
                 segment.close(console.connection);
             }
-            let over = broken || segment.closed(console.connection);
+            if segment.hung_up(console.connection) {
+                // Our good bye has to follow the board's, or it waits for it and lets nobody else in.
+                let _ = console.stream.shutdown(std::net::Shutdown::Both);
+                segment.close(console.connection);
+            }
+            let over = segment.closed(console.connection);
             if over {
                 let _ = console.stream.shutdown(std::net::Shutdown::Both);
                 segment.drop_connection(console.connection);

@@ -27,6 +27,17 @@ fn a_console_session_answers_and_changes_nothing() {
 }
 
 #[test]
+fn the_console_takes_one_visitor_after_the_other() {
+    let mut machine = Machine::start();
+    for visit in 0..3 {
+        let heard = machine.console("net\r\n");
+        assert!(heard.contains("192.168.2.50:1234"), "visit {visit}:\n{heard}");
+        let heard = machine.console("quit\r\n");
+        assert!(heard.contains("bye"), "visit {visit}, leaving politely:\n{heard}");
+    }
+}
+
+#[test]
 fn litex_remote_client_reads_the_identifier_and_a_status_word() {
     let simulator = Simulator::start(&["--mode", "free"]);
     let root = Path::new(env!("CARGO_MANIFEST_DIR"))
