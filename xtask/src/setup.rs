@@ -18,6 +18,7 @@ const PACKAGES: &[(&str, &str)] = &[
     ("make", "drives that compilation"),
     ("perl", "Verilator is a Perl script"),
     ("zlib1g-dev", "waveform dumps"),
+    ("liblz4-dev", "waveform dumps"),
     ("python3-venv", "the pinned Python environment"),
     ("iputils-ping", "a real ping for the tests"),
     (
