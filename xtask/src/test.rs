@@ -116,7 +116,8 @@ impl Level {
             Level::Generated => {
                 regen::generate(true)?;
                 abi_guard()?;
-                Ok(2)
+                maximum_board()?;
+                Ok(3)
             }
             Level::Core => {
                 let mut run = Command::new("bash");
@@ -157,6 +158,13 @@ fn abi_guard() -> Result<()> {
         "1 s",
         &mut compile,
     )
+}
+
+/// The register map holds for the largest board there can be: 16 stepgens, encoders and PWMs, 32 inputs and outputs.
+fn maximum_board() -> Result<()> {
+    let mut elaborate = build::gateware("elaborate");
+    elaborate.args(["--target", "sim", "--board", "boards/max.toml", "--out"]).arg(target("gateware/sim-max"));
+    step::run("elaborate-max", "the maximum board elaborates on the same map", "2 s", &mut elaborate)
 }
 
 /// A test binary of the `tests` crate that needs the simulated board. One at a time: LinuxCNC's HAL
