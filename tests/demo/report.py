@@ -124,13 +124,13 @@ def draw(out, samples, pins, deviations, arrival, rows, scales, report):
         panel.set(xlabel="X, mm", ylabel="Y, mm", aspect="equal")
         panel.grid(color="#eeeeee")
     path.set_title("the whole path")
-    path.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, fontsize=9, frameon=False)
     # A hundredth of the path's width around its middle pulse: single steps become visible.
     reach = max(np.ptp(x), np.ptp(y)) / 200
     centre = len(moments) // 2
     path.plot(x[centre], y[centre], marker="s", markersize=9, markerfacecolor="none", color="#1c7ed6")
     zoom.set(xlim=(x[centre] - reach, x[centre] + reach), ylim=(y[centre] - reach, y[centre] + reach))
     zoom.set_title(f"the blue square, 100 times larger; one step is {1000 / scales[0]:g} µm")
+    zoom.legend(loc="upper left", fontsize=9)
     seconds = (arrival[rows + ROWS_TO_ARRIVAL] - arrival[rows[0]]) / report["sys_clk_hz"]
     panel = None
     for n, (axis, deviation) in enumerate(zip(AXES, deviations)):

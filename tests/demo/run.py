@@ -23,6 +23,16 @@ def free_port(kind):
         return probe.getsockname()[1]
 
 
+def watch(mill, samples):
+    """Says every two seconds how far the machine's time has come; the mill's exit code."""
+    while True:
+        try:
+            return mill.wait(2)
+        except subprocess.TimeoutExpired:
+            done = samples.read_text(errors="replace").count("\n") if samples.exists() else 0
+            print(f"servo period {done}, about 2700 in all", flush=True)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("soc")
@@ -31,6 +41,7 @@ def main():
     parser.add_argument("--program", help="G-code file; the mill's own short one when not given")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "samples.raw").unlink(missing_ok=True)
 
     board = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
     simulator = subprocess.Popen(
@@ -51,7 +62,7 @@ def main():
         mill = [sys.executable, ROOT / "host/examples/mill/run.py", "--board", board, "--out", options.out, "--lockstep"]
         if options.program:
             mill += ["--program", options.program]
-        code = subprocess.run(mill).returncode
+        code = watch(subprocess.Popen(mill), options.out / "samples.raw")
     finally:
         simulator.send_signal(signal.SIGTERM)
         try:

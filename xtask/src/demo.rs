@@ -18,7 +18,7 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     println!("FerroCNC demo: LinuxCNC cuts a program through the simulated board.");
     println!(
-        "The first run installs and builds everything, about 15 minutes on two cores; later ones take 5."
+        "The first run installs and builds everything, about 10 minutes on two cores; later ones take 4."
     );
     setup::run(setup::Need::Everything)?;
     let parts = build::everything()?;
