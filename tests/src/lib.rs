@@ -420,6 +420,16 @@ impl Machine {
         self.rig.pins().gpio_out
     }
 
+    /// Clocks a PWM pin is high in its present cycle; counted over one period of 12 000 clocks.
+    pub fn pwm_high(&mut self, channel: usize) -> u32 {
+        (0..12_000)
+            .map(|_| {
+                self.rig.run(1);
+                u32::from(self.rig.pins().pwm_out >> channel & 1)
+            })
+            .sum()
+    }
+
     /// Stops the CPU's clock; everything else runs on.
     pub fn freeze_cpu(&mut self) {
         self.rig.freeze_cpu(true);

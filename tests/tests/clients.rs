@@ -31,9 +31,15 @@ fn the_console_takes_one_visitor_after_the_other() {
     let mut machine = Machine::start();
     for visit in 0..3 {
         let heard = machine.console("net\r\n");
-        assert!(heard.contains("192.168.2.50:1234"), "visit {visit}:\n{heard}");
+        assert!(
+            heard.contains("192.168.2.50:1234"),
+            "visit {visit}:\n{heard}"
+        );
         let heard = machine.console("quit\r\n");
-        assert!(heard.contains("bye"), "visit {visit}, leaving politely:\n{heard}");
+        assert!(
+            heard.contains("bye"),
+            "visit {visit}, leaving politely:\n{heard}"
+        );
     }
 }
 

@@ -365,6 +365,54 @@ fn the_pins_carry_exactly_the_pulses_the_board_reports() {
 }
 
 #[test]
+fn encoders_on_the_motors_count_what_the_motors_turn_and_latch_at_the_index() {
+    let mut machine = Machine::armed();
+    let mut command = machine.enabled_command();
+    command.index_arm = 1 << 0;
+    for axis in 0..6 {
+        let rate = if axis % 2 == 0 { 300e3 } else { -200e3 };
+        command.stepgen[axis] = (
+            StepRate::from_hz(rate, machine.clock_hz()),
+            Accel::UNLIMITED,
+        );
+    }
+    for _ in 0..20 {
+        machine.exchange_and_wait(&mut command);
+    }
+    command.stepgen = Command::default().stepgen;
+    for _ in 0..3 {
+        machine.exchange_and_wait(&mut command);
+    }
+    let status = machine.exchange(&mut command);
+    for axis in 0..6 {
+        let counted = i64::from(status.encoder[axis].count.0 as i32);
+        assert_eq!(counted, machine.pulses(axis), "encoder {axis}");
+    }
+    // The plant's encoders have an index every 4000 counts; axis 0 turned forward through the first of them.
+    assert_eq!(status.index_latched & 1, 1);
+    assert_eq!(status.encoder[0].latch.0, 4000);
+}
+
+#[test]
+fn pwm_and_outputs_appear_at_the_pins_as_commanded() {
+    let mut machine = Machine::start();
+    machine.acquire();
+    machine.configure();
+    machine.write(map::CONFIG_PWM, 12_000);
+    let mut command = machine.enabled_command();
+    machine.rearm(&mut command);
+    command.gpio_out = 0xa5a;
+    for width in [0, 1, 3_000, 11_999, 12_000] {
+        command.pwm[0] = exchange::PWM_ENABLE | width;
+        for _ in 0..4 {
+            machine.exchange_and_wait(&mut command);
+        }
+        assert_eq!(machine.pwm_high(0), width, "high time of 12000 clocks");
+        assert_eq!(machine.outputs(), 0xa5a);
+    }
+}
+
+#[test]
 fn a_duplicated_or_stale_exchange_changes_nothing() {
     let mut machine = Machine::armed();
     let mut command = machine.enabled_command();
