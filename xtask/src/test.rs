@@ -163,8 +163,15 @@ fn abi_guard() -> Result<()> {
 /// The register map holds for the largest board there can be: 16 stepgens, encoders and PWMs, 32 inputs and outputs.
 fn maximum_board() -> Result<()> {
     let mut elaborate = build::gateware("elaborate");
-    elaborate.args(["--target", "sim", "--board", "boards/max.toml", "--out"]).arg(target("gateware/sim-max"));
-    step::run("elaborate-max", "the maximum board elaborates on the same map", "2 s", &mut elaborate)
+    elaborate
+        .args(["--target", "sim", "--board", "boards/max.toml", "--out"])
+        .arg(target("gateware/sim-max"));
+    step::run(
+        "elaborate-max",
+        "the maximum board elaborates on the same map",
+        "2 s",
+        &mut elaborate,
+    )
 }
 
 /// A test binary of the `tests` crate that needs the simulated board. One at a time: LinuxCNC's HAL
