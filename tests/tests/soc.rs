@@ -227,6 +227,8 @@ fn an_empty_datagram_and_one_longer_than_a_frame_carries_are_dropped() {
     let mut longest = hex("4e6f1044 00000000");
     longest.resize(wire::MAX_PAYLOAD, 0);
     assert_eq!(machine.ask(&longest), None);
+    longest.resize(wire::MAX_PAYLOAD + 128, 0);
+    assert_eq!(machine.ask(&longest), None, "a jumbo frame");
     assert_eq!(machine.registers(), before);
 }
 
