@@ -14,6 +14,8 @@ if [ -z "${VERILATOR:-}" ]; then
     if ! verilator --version 2>/dev/null | grep -qE '^Verilator ([5-9]|[0-9]{2,})'; then
         export VERILATOR_ROOT=$(echo "$root"/target/venv/lib/python3*/site-packages/verilator)
         VERILATOR=$VERILATOR_ROOT/bin/verilator
+        # Its makefile calls `python`, which Debian does not have by that name.
+        export PATH=$root/target/venv/bin:$PATH
     fi
 fi
 
