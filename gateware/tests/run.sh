@@ -46,6 +46,8 @@ for bench in "$here"/*.cpp; do
             $([ "$core" = cores ] && echo -Wno-lint -Wno-style -Wno-COMBDLY) -CFLAGS "-O2 -std=c++17 -I$here $flags" -MAKEFLAGS CFG_CXXFLAGS_PCH_I=-include -MAKEFLAGS OPT_FAST=-O2 \
             --Mdir "$dir" -j 1 --top-module "$core" -y "$rtl" "$top" "$bench" >"$dir/build.log" 2>&1; then
             tail -20 "$dir/build.log"
+            # Half-built files would be taken for good ones the next time.
+            find "$dir" -type f ! -name build.log -delete
             echo "FAIL $core: does not build, see $dir/build.log"
             failed=1
             continue
