@@ -249,11 +249,6 @@ impl Machine {
             .unwrap_or_else(|| panic!("no answer to a read of {address:#010x}"))
     }
 
-    /// Reads one word and says so: a plain read is no command and must not keep the watchdog quiet.
-    pub fn read_while_silent(&mut self, address: u32) -> u32 {
-        self.read(address)
-    }
-
     /// Writes one word.
     pub fn write(&mut self, address: u32, value: u32) {
         self.rig.write_words(address, &[value]);
@@ -449,7 +444,7 @@ impl Machine {
     /// memory is as it was, as after a soft error.
     pub fn trap_cpu(&mut self) {
         let mut broken = self.image.words.clone();
-        let (start, end) = symbol(&self.firmware(), "icmpv4");
+        let (start, end) = symbol(&parts().1, "icmpv4");
         for word in &mut broken[start / 4..end / 4] {
             *word = 0;
         }
@@ -458,10 +453,6 @@ impl Machine {
         assert!(!self.gate_open(), "the trap must have closed the gate");
         let whole = self.image.words.clone();
         self.rig.board.silicon().load_rom(&whole);
-    }
-
-    fn firmware(&self) -> PathBuf {
-        parts().1
     }
 
     /// Round trip of a ping in clocks.
@@ -498,7 +489,6 @@ pub struct Simulator {
     child: std::process::Child,
     soc: PathBuf,
     udp: std::net::SocketAddr,
-    console: std::net::SocketAddr,
 }
 
 impl Simulator {
@@ -535,12 +525,7 @@ impl Simulator {
             ready.contains("ready"),
             "the simulator said {ready:?} instead of being ready"
         );
-        Simulator {
-            child,
-            soc,
-            udp,
-            console,
-        }
+        Simulator { child, soc, udp }
     }
 
     /// Ends it as SIGTERM does, so that it writes its report, and waits until it has.
@@ -559,11 +544,6 @@ impl Simulator {
     /// Where its board listens for datagrams.
     pub fn udp(&self) -> std::net::SocketAddr {
         self.udp
-    }
-
-    /// Where its board's console listens.
-    pub fn console(&self) -> std::net::SocketAddr {
-        self.console
     }
 }
 

@@ -516,7 +516,8 @@ fn killing_the_host_mid_move_stops_the_steps_and_keeps_the_position() {
     let last_good_frame = machine.clock();
 
     // The host is gone. Timeout plus soft stop, and nothing moves any more.
-    let timeout = u64::from(machine.read_while_silent(map::CONFIG_BOARD));
+    // A plain read is no command and must not keep the watchdog quiet.
+    let timeout = u64::from(machine.read(map::CONFIG_BOARD));
     machine.run_millis(30);
     assert!(!machine.gate_open(), "the gate must have closed");
     assert_eq!(machine.outputs(), 0, "outputs at their safe level");
@@ -574,7 +575,8 @@ fn a_frozen_cpu_leaves_the_outputs_safe() {
         machine.exchange_and_wait(&mut command);
     }
     machine.exchange(&mut command);
-    let timeout = u64::from(machine.read_while_silent(map::CONFIG_BOARD));
+    // A plain read is no command and must not keep the watchdog quiet.
+    let timeout = u64::from(machine.read(map::CONFIG_BOARD));
     let frozen_at = machine.clock();
     machine.freeze_cpu();
     // Frames keep coming; nobody reads them.

@@ -39,7 +39,17 @@ pub fn firmware() -> Result<PathBuf> {
         "1 min",
         &mut build,
     )?;
-    Ok(target("firmware/ferrocnc-firmware.elf"))
+    Ok(image())
+}
+
+/// Where the firmware image is built to.
+pub fn image() -> PathBuf {
+    target("firmware/ferrocnc-firmware.elf")
+}
+
+/// Where a board is verilated to.
+pub fn soc(board: &str) -> PathBuf {
+    target(&format!("sim/{board}"))
 }
 
 /// Elaborates a board for simulation and verilates it.
@@ -72,7 +82,7 @@ pub fn simulated_board(board: &str) -> Result<PathBuf> {
         "2 min",
         &mut verilate,
     )?;
-    Ok(target(&format!("sim/{board}")))
+    Ok(soc(board))
 }
 
 /// The driver, the tool and the simulator's front end.

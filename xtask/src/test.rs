@@ -53,11 +53,10 @@ pub fn run(options: &Options) -> Result<()> {
     let needs_board =
         |level: &Level| matches!(level, Level::Soc | Level::Clients | Level::Linuxcnc);
     if levels.iter().any(needs_board) {
-        let parts = build::everything()?;
+        build::everything()?;
         if levels.contains(&Level::Linuxcnc) {
             build::install_driver()?;
         }
-        drop(parts);
     }
     let mut lines = Vec::new();
     let (mut passed, mut failed) = (0, 0);
@@ -200,11 +199,8 @@ fn board_tests(name: &str, expect: &str) -> Result<usize> {
 fn cargo_tests(name: &str, title: &str, expect: &str, arguments: &[&str]) -> Result<usize> {
     let mut cargo = Command::new("cargo");
     cargo.args(arguments);
-    cargo.env("FERROCNC_SOC", target(&format!("sim/{}", build::BOARD)));
-    cargo.env(
-        "FERROCNC_FIRMWARE",
-        target("firmware/ferrocnc-firmware.elf"),
-    );
+    cargo.env("FERROCNC_SOC", build::soc(build::BOARD));
+    cargo.env("FERROCNC_FIRMWARE", build::image());
     let printed = step::run_quietly(name, title, expect, &mut cargo)?;
     let count = printed
         .lines()
