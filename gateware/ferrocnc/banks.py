@@ -186,7 +186,7 @@ class Cores(LiteXModule):
             self.sync += If(sample, caught.eq(live))
             fabric.live(rm.STATUS, rm.STATUS.regs[word].name, caught)
 
-        fabric.shadow("command_shadow", rm.COMMAND.page, 1, 0, 2 + 2 * channels.stepgen)
+        fabric.shadow("command_shadow", rm.COMMAND.page, 1, 0, 4 + 2 * channels.stepgen)
         fabric.shadow("width_shadow", rm.COMMAND.page, 1, rm.COMMAND.offset("pwm0_width") // 4, channels.pwm)
         fabric.shadow("stepgen_shadow", rm.STEPGEN[0].page, channels.stepgen, 0, len(rm.STEPGEN_REGS))
         fabric.shadow("encoder_shadow", rm.ENCODER[0].page, channels.encoder, 0, 2)
@@ -304,9 +304,9 @@ class Cores(LiteXModule):
         waited = Signal()
         self.sync += waited.eq(waits | (waited & ~sample))
         self.comb += limited.eq(waited)
-        window[4 + 3 * n] = position[:32]
-        window[5 + 3 * n] = position[32:]
-        window[6 + 3 * n] = velocity_now
+        window[8 + 3 * n] = position[:32]
+        window[9 + 3 * n] = position[32:]
+        window[10 + 3 * n] = velocity_now
         return stopped
 
     def _encoder(self, fabric, clk, n, commit, arm_staged, latched, now, window):
@@ -318,10 +318,9 @@ class Cores(LiteXModule):
             p_FILTER=8, i_clk=clk, i_a=self.pads.enc_a[n], i_b=self.pads.enc_b[n], i_index=self.pads.enc_i[n],
             i_arm=arm, i_filter=fabric.storage(b, "filter", 8), i_now=now[:32],
             o_count=count, o_latch=latch, o_latched=latched, o_edge_time=edge_time, o_errors=errors)
-        fabric.live(b, "errors", errors)
-        window[52 + 3 * n] = count
-        window[53 + 3 * n] = latch
-        window[54 + 3 * n] = edge_time
+        window[56 + 2 * n] = count
+        window[57 + 2 * n] = Cat(edge_time[:24], errors[:8])
+        window[88 + n] = latch
 
     def _pwm(self, fabric, clk, n, gate, commit):
         b = rm.PWM[n]
@@ -329,7 +328,7 @@ class Cores(LiteXModule):
         mode = fabric.storage(b, "mode", 1)
         self.specials += Instance("pwm",
             p_WIDTH=24, i_clk=clk, i_gate=gate, i_commit=commit,
-            i_enable=command[30], i_direction=command[31], i_width=command[:24],
+            i_enable=command[30], i_direction=command[31], i_width=command[8:29],
             i_period=fabric.storage(b, "period", 24), i_invert=mode[0],
             o_out=self.pads.pwm[n], o_dir=self.pads.pwm_dir[n])
 

@@ -191,6 +191,7 @@ def abi_rs(banks, abi):
     w = {r.name: i for i, r in enumerate(rm.COMMAND.regs)}
     for name, reg, doc in (
         ("ENABLES", "enables", "enables"), ("GPIO_OUT", "gpio_out", "outputs"),
+        ("ARMS", "arms", "index arms of step generators, probe arms of encoders"), ("PROBE_ARMS", "probe_arms", "probe arms of step generators"),
         ("STEPGEN", "stepgen0_velocity", "step generator 0 (velocity, accel); the next is 2 words on"),
         ("PWM", "pwm0_width", "PWM 0; the next is 1 word on"),
     ):
@@ -198,9 +199,14 @@ def abi_rs(banks, abi):
     w = {r.name: i for i, r in enumerate(rm.STATUS.regs)}
     for name, reg, doc in (
         ("SAMPLE_LO", "sample_lo", "clock at the sample, low"), ("SAMPLE_HI", "sample_hi", "clock at the sample, high"),
-        ("GPIO_IN", "gpio_in", "inputs"), ("FLAGS", "flags", "flags"),
+        ("GPIO_IN", "gpio_in", "inputs"),
+        ("FLAGS0", "flags0", "encoder index latched, step generator limited"),
+        ("FLAGS1", "flags1", "step generator index latched, encoder probe latched"),
+        ("FLAGS2", "flags2", "step generator probe latched, encoder illegal"),
+        ("ESTOP", "estop", "e-stop inputs latched"),
         ("STEPGEN", "stepgen0_position_lo", "step generator 0 (position low, high, velocity); the next is 3 words on"),
-        ("ENCODER", "encoder0_count", "encoder 0 (count, latch, edge time); the next is 3 words on"),
+        ("ENCODER", "encoder0_count", "encoder 0 (count, edge); the next is 2 words on"),
+        ("LATCH", "encoder0_latch", "latch of encoder 0; the next is 1 word on, step generator 0 follows encoder 15"),
     ):
         out += const(f"STATUS_{name}", w[reg], f"Word of the status window: {doc}.", "usize")
     return "\n".join(out) + "\n"

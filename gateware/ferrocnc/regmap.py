@@ -9,7 +9,7 @@ A page is 0x800 bytes, a register one 32-bit word; within a page the order of th
 
 from dataclasses import dataclass, field as _f
 
-WIRE_LAYOUT = 1
+WIRE_LAYOUT = 2
 """Version of the exchange's word layout (`wire::map`). Part of the ABI number: either changes, both refuse to arm."""
 
 # Memory -----------------------------------------------------------------------------------------------------------
@@ -140,10 +140,10 @@ WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and t
     Reg("token", "wo", "Feeds the watchdog if the value differs from the last one written; a repeat is ignored. A count, no unit."),
     Reg("control", "wo", "Commands to the gate, each a key word; any other value is ignored.", (
         Field("key", 0, 32, "Which command, as a key word.", (
-            ("arm", ARM, "Open the gate and wake the watchdog; only while closed, not bitten, no external reset latched or present."),
+            ("arm", ARM, "Open the gate and wake the watchdog; only while closed, not bitten, no external reset or e-stop latched or present."),
             ("soft", SOFT, "Bring all step generators to rest, each at its stop_accel, then close the gate."),
             ("stop", STOP, "Close the gate now."),
-            ("clear", CLEAR, "Forget a bite and an external reset; only while the gate is closed and the reset pin is low."),
+            ("clear", CLEAR, "Forget a bite, an external reset and an e-stop; only while the gate is closed and neither the reset pin nor an e-stop input is active."),
         )),
     )),
     Reg("status", "ro", "What the gate and the watchdog are doing now, one bit each.", (
@@ -153,18 +153,43 @@ WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and t
         _bit("reset_latched", 3, "1: the external reset pin has been active. Latched."),
         _bit("reset_pin", 4, "1: the external reset pin is active now."),
         _bit("armed", 5, "1: the watchdog is awake and counting."),
+        _bit("estop_latched", 6, "1: an e-stop input has been active. Latched; `status.estop` says which."),
+        _bit("estop_now", 7, "1: an e-stop input is active now."),
     )),
     Reg("remaining", "ro", "Clocks left until the watchdog bites, if nothing feeds it."),
     Reg("last_token", "ro", "The last token written. A count, no unit."),
     Reg("bites", "ro", "How often the watchdog has bitten since power-up, a count."),
+    Reg("last_close", "ro", "Why the gate closed last; survives a reset of the CPU.", (
+        Field("reason", 0, 4, "Which reason, a number.", (
+            ("never", 0, "It has not been open since power-up."),
+            ("bite", 1, "The watchdog has bitten; its soft stop is done or its grace is over."),
+            ("ext_reset", 2, "The external reset pin."),
+            ("stop", 3, "The stop key."),
+            ("soft", 4, "A soft stop on request is done or its grace is over."),
+            ("estop", 5, "An e-stop input."),
+            ("sys_reset", 6, "A reset of the system."),
+        )),
+    )),
 ))
 
 GPIO = Bank("gpio", 11, "gpio", "Digital inputs and outputs, one bit per pin. Outputs are set in `command.gpio_out`.", (
-    Reg("in_now", "ro", "Level of each input pin two clocks ago (synchronised), one bit per input."),
+    Reg("in_now", "ro", "Level of each input after its debounce, one bit per input."),
     Reg("safe", "rw", "Level each output takes while the gate is closed, one bit per output, before inversion."),
     Reg("invert_out", "rw", "1 inverts the output at the pin, one bit per output; applies to the safe level too."),
     Reg("out_now", "ro", "Level each output pin carries now, one bit per output."),
+    Reg("raw_now", "ro", "Level of each input pin two clocks ago (synchronised, not debounced), one bit per input."),
+    Reg("estop_mask", "ro", "1: this input is an e-stop input, one bit per input. A fact of the board file."),
+    Reg("estop_level", "ro", "Level that stops, one bit per e-stop input: 1 high, 0 low. A fact of the board file."),
+    Reg("probe", "rw", "Which input is the probe of every encoder and step generator. The probe is not debounced.", (
+        Field("input", 0, 5, "Number of the input."),
+        _bit("enable", 8, "1: the probe follows the input; 0: it is inactive."),
+        _bit("invert", 9, "1: the probe is active while the input is low."),
+    )),
 ))
+
+DEBOUNCE = Bank("debounce", 13, "debounce", "How long an input must be stable before it counts. E-stop inputs stop before their debounce.", tuple(
+    Reg(f"in{n}", "rw", f"Time input {n} must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.", (Field("visits", 0, 16, "Time in units of 32 clocks."),))
+    for n in range(MAX_IN)))
 
 LED = Bank("led", 12, "led", "The board's one LED.", (
     Reg("pattern", "rw", "What the LED shows; blinking patterns repeat about once a second.", (
@@ -174,6 +199,9 @@ LED = Bank("led", 12, "led", "The board's one LED.", (
             ("slow", 2, "One long blink per second."),
             ("fast", 3, "Four blinks per second."),
             ("double", 4, "Two short blinks per second."),
+            ("triple", 5, "Three short blinks per second."),
+            ("heartbeat", 6, "Two short blinks and a long pause."),
+            ("flicker", 7, "As fast as the eye can follow."),
         )),
     )),
 ))
@@ -183,9 +211,16 @@ def _command():
     regs = [
         Reg("enables", "rw", "Which step generators follow their command and which encoders wait for an index; staged until the commit strobe.", (
             Field("stepgen", 0, 16, "Bit n: step generator n follows its velocity; 0 brings it to rest at its stop_accel."),
-            Field("index", 16, 16, "Bit n: encoder n latches its count at the next index pulse; 0 clears its latched flag."),
+            Field("encoder_index", 16, 16, "Bit n: encoder n latches its count at the next index pulse; 0 clears its latched flag."),
         )),
         Reg("gpio_out", "rw", "Level of each output, one bit per output, before inversion; staged until the commit strobe."),
+        Reg("arms", "rw", "Which step generators wait for an index and which encoders for the probe; staged until the commit strobe.", (
+            Field("stepgen_index", 0, 16, "Bit n: step generator n latches its pulses at the next index pulse; 0 clears its latched flag."),
+            Field("encoder_probe", 16, 16, "Bit n: encoder n latches its count when the probe becomes active; 0 clears its latched flag."),
+        )),
+        Reg("probe_arms", "rw", "Which step generators wait for the probe; staged until the commit strobe.", (
+            Field("stepgen_probe", 0, 16, "Bit n: step generator n latches its pulses when the probe becomes active; 0 clears its latched flag."),
+        )),
     ]
     for n in range(MAX_STEPGEN):
         regs += [
@@ -196,9 +231,10 @@ def _command():
         ]
     for n in range(MAX_PWM):
         regs.append(Reg(f"pwm{n}_width", "rw", f"Width, enable and direction of PWM {n}. Staged until the commit strobe, applied at the next period edge.", (
-            Field("width", 0, 24, "Time the output is active in each period, in clocks; the period or more is 100 %."),
+            Field("width", 0, 29, "Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. "
+                  "PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."),
             _bit("enable", 30, "1: the output works; 0: it rests at its inactive level."),
-            _bit("direction", 31, "Level of the direction output, where the board has one."),
+            _bit("direction", 31, "1: reverse; the level of the direction output, or which of the two outputs carries the pulses."),
         )))
     return tuple(regs)
 
@@ -207,11 +243,21 @@ def _status():
     regs = [
         Reg("sample_lo", "ro", "Low word of the wall clock, in clocks, at the last sample strobe."),
         Reg("sample_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, at the last sample strobe."),
-        Reg("gpio_in", "ro", "Level of each input at the last sample strobe, one bit per input."),
-        Reg("flags", "ro", "One bit per channel, at the last sample strobe.", (
-            Field("index", 0, 16, "Bit n: encoder n has latched its count at an index; stays until its arm bit goes 0."),
+        Reg("gpio_in", "ro", "Level of each input after its debounce at the last sample strobe, one bit per input."),
+        Reg("flags0", "ro", "One bit per channel, at the last sample strobe.", (
+            Field("encoder_index", 0, 16, "Bit n: encoder n has latched its count at an index; stays until its arm bit goes 0."),
             Field("limited", 16, 16, "Bit n: step generator n had to wait for its timing since the sample before."),
         )),
+        Reg("flags1", "ro", "One bit per channel, at the last sample strobe.", (
+            Field("stepgen_index", 0, 16, "Bit n: step generator n has latched its pulses at an index; stays until its arm bit goes 0."),
+            Field("encoder_probe", 16, 16, "Bit n: encoder n has latched its count at the probe; stays until its arm bit goes 0."),
+        )),
+        Reg("flags2", "ro", "One bit per channel, at the last sample strobe.", (
+            Field("stepgen_probe", 0, 16, "Bit n: step generator n has latched its pulses at the probe; stays until its arm bit goes 0."),
+            Field("illegal", 16, 16, "Bit n: encoder n has seen A and B change on one clock since the sample before."),
+        )),
+        Reg("estop", "ro", "Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe."),
+        Reg("reserved", "ro", "Reads 0; no unit."),
     ]
     for n in range(MAX_STEPGEN):
         regs += [
@@ -221,44 +267,73 @@ def _status():
         ]
     for n in range(MAX_ENCODER):
         regs += [
-            Reg(f"encoder{n}_count", "ro", f"Count of encoder {n} at the last sample strobe, in quadrature edges, signed."),
-            Reg(f"encoder{n}_latch", "ro", f"Count of encoder {n} at its last armed index, in quadrature edges, signed."),
-            Reg(f"encoder{n}_edge_time", "ro", f"Low word of the wall clock, in clocks, at the last counted edge of encoder {n}."),
+            Reg(f"encoder{n}_count", "ro", f"Count of encoder {n} at the last sample strobe, in counts of its mode, signed."),
+            Reg(f"encoder{n}_edge", "ro", f"The last counted edge of encoder {n}, and what could not be counted.", (
+                Field("edge_time", 0, 24, "Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."),
+                Field("errors", 24, 8, "Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."),
+            )),
         ]
+    regs += [Reg(f"encoder{n}_latch", "ro", f"Count of encoder {n} at its latched index or probe, signed. Live, not sampled; holds while a flag is up.") for n in range(MAX_ENCODER)]
+    regs += [Reg(f"stepgen{n}_latch", "ro", f"Pulses emitted by step generator {n} at its latched index or probe, signed. Live, not sampled; holds while a flag is up.") for n in range(MAX_STEPGEN)]
     return tuple(regs)
 
 
 COMMAND = Bank("command", 14, "command", "Staged commands, contiguous: writing them changes nothing until the commit strobe.", _command())
-STATUS = Bank("status", 15, "status", "The last sample, contiguous: all words are of one clock, and reading changes nothing.", _status())
+STATUS = Bank("status", 15, "status", "The last sample, contiguous: all words but the latches are of one clock, complete 18 clocks after the strobe, and reading changes nothing.", _status())
 
 STEPGEN_REGS = (
-    Reg("steplen", "rw", "Shortest time STEP stays active, in clocks, 16 bits; 0 is taken as 1.", (Field("clocks", 0, 16, "Time in clocks."),)),
-    Reg("stepspace", "rw", "Shortest time STEP stays inactive, in clocks, 16 bits; 0 is taken as 1.", (Field("clocks", 0, 16, "Time in clocks."),)),
-    Reg("dirsetup", "rw", "Shortest time from an edge of DIR to the next rise of STEP, in clocks, 24 bits.", (Field("clocks", 0, 24, "Time in clocks."),)),
-    Reg("dirhold", "rw", "Shortest time from the fall of STEP to an edge of DIR, in clocks, 24 bits.", (Field("clocks", 0, 24, "Time in clocks."),)),
+    Reg("steplen", "rw", "Shortest time STEP stays active, in clocks, 13 bits; 0 is taken as 1.", (Field("clocks", 0, 13, "Time in clocks."),)),
+    Reg("stepspace", "rw", "Shortest time STEP stays inactive, in clocks, 13 bits; 0 is taken as 1.", (Field("clocks", 0, 13, "Time in clocks."),)),
+    Reg("dirsetup", "rw", "Shortest time from an edge of DIR to the next rise of STEP, in clocks, 16 bits.", (Field("clocks", 0, 16, "Time in clocks."),)),
+    Reg("dirhold", "rw", "Shortest time from the fall of STEP to an edge of DIR, in clocks, 16 bits.", (Field("clocks", 0, 16, "Time in clocks."),)),
     Reg("stop_accel", "rw", "Deceleration of a soft stop; one unit is f_clk^2 / 2^56 steps per second squared, 0 stops at once."),
-    Reg("mode", "rw", "Polarity of the two pins, one bit each.", (
-        _bit("step_invert", 0, "1: STEP is active low."),
-        _bit("dir_invert", 1, "1: DIR is low for negative."),
+    Reg("mode", "rw", "What the two pins carry, and their polarity.", (
+        _bit("step_invert", 0, "1: the STEP pin is active low."),
+        _bit("dir_invert", 1, "1: the DIR pin is turned over."),
+        Field("kind", 2, 2, "What the pins carry, a number.", (
+            ("step_dir", 0, "STEP pulses and a DIR level."),
+            ("up_down", 1, "Forward pulses on STEP, backward pulses on DIR."),
+            ("quadrature", 2, "A on STEP and B on DIR; A leads forwards; each step is one edge."),
+        )),
+        _bit("index_invert", 4, "1: the index pin is active low."),
     )),
 )
 ENCODER_REGS = (
-    Reg("mode", "rw", "How edges are counted, a number; only 0 is defined.", (
-        Field("select", 0, 4, "Counting mode, a number.", (("x4", 0, "Quadrature, every edge of A and B."),)),
+    Reg("mode", "rw", "How edges are counted and what the index does.", (
+        Field("select", 0, 3, "Counting mode, a number.", (
+            ("x4", 0, "Quadrature, every edge of A and B."),
+            ("x2", 1, "Quadrature, the edges of A."),
+            ("x1", 2, "Quadrature, one edge of A per period."),
+            ("counter", 3, "Every rise of A counts up; B is not used."),
+            ("step_dir", 4, "Every rise of A counts, down while B is 1."),
+            ("up_down", 5, "Every rise of A counts up, every rise of B down."),
+        )),
+        _bit("index_invert", 4, "1: the index pin is active low."),
+        _bit("mask_enable", 5, "1: the index counts only while the mask pin is active."),
+        _bit("mask_invert", 6, "1: the mask pin is active low."),
+        _bit("clear_on_index", 7, "1: a latched index sets the count to 0."),
     )),
     Reg("filter", "rw", "How long a level of A, B or index must stay before it counts, in clocks, 0 to 255.", (Field("clocks", 0, 8, "Time in clocks."),)),
-    Reg("errors", "ro", "Illegal transitions (A and B changed on the same clock) since power-up, a count modulo 2^16."),
 )
 PWM_REGS = (
-    Reg("period", "rw", "Length of a period in clocks, 24 bits; 0 is off. Taken at the next period edge.", (Field("clocks", 0, 24, "Time in clocks."),)),
-    Reg("mode", "rw", "Polarity of the pin.", (_bit("invert", 0, "1: the output is active low."),)),
+    Reg("period", "rw", "Length of a period, or of a PDM bit, in clocks, 21 bits; 0 is off (PDM: 1). Taken at the next period edge.", (Field("clocks", 0, 21, "Time in clocks."),)),
+    Reg("mode", "rw", "What the pins carry, and their polarity.", (
+        _bit("invert", 0, "1: the outputs are active low."),
+        Field("kind", 1, 2, "What the pins carry, a number.", (
+            ("pwm", 0, "Pulses on the output, direction beside them."),
+            ("up_down", 1, "Pulses on the output while positive, on the direction pin while negative."),
+            ("pdm", 2, "Pulse density on the output, direction beside it."),
+        )),
+        _bit("dither", 3, "1: the width's fraction is spread over 256 periods."),
+        _bit("swap", 4, "1: the two pins change places."),
+    )),
 )
 
-STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", f"Timing and polarity of step generator {n}. Set while the gate is closed.", STEPGEN_REGS) for n in range(MAX_STEPGEN))
-ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", f"Filter and errors of encoder {n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
-PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period and polarity of PWM {n}.", PWM_REGS) for n in range(MAX_PWM))
+STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", f"Timing, kind and polarity of step generator {n}. Set while the gate is closed.", STEPGEN_REGS) for n in range(MAX_STEPGEN))
+ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", f"Counting mode and filter of encoder {n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
+PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n}.", PWM_REGS) for n in range(MAX_PWM))
 
-BANKS = (IDENT, TIMEBASE, WATCHDOG, GPIO, LED, COMMAND, STATUS) + STEPGEN + ENCODER + PWM
+BANKS = (IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM
 
 
 def check():

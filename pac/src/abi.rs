@@ -3,9 +3,9 @@
 //! for the one comparison that decides whether a board may arm.
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version.
-pub const ABI: u32 = 0x6e40fd04;
+pub const ABI: u32 = 0x9742570b;
 /// Version of the exchange's word layout this map was made for.
-pub const WIRE_LAYOUT: u32 = 1;
+pub const WIRE_LAYOUT: u32 = 2;
 /// What `ident.magic` reads: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
@@ -80,6 +80,8 @@ pub const CSR_WATCHDOG: usize = 0xf0005000;
 pub const CSR_GPIO: usize = 0xf0005800;
 /// Page of `led`.
 pub const CSR_LED: usize = 0xf0006000;
+/// Page of `debounce`.
+pub const CSR_DEBOUNCE: usize = 0xf0006800;
 /// Page of `command`.
 pub const CSR_COMMAND: usize = 0xf0007000;
 /// Page of `status`.
@@ -94,19 +96,31 @@ pub const CSR_PWM0: usize = 0xf0018000;
 pub const COMMAND_ENABLES: usize = 0;
 /// Word of the command window: outputs.
 pub const COMMAND_GPIO_OUT: usize = 1;
+/// Word of the command window: index arms of step generators, probe arms of encoders.
+pub const COMMAND_ARMS: usize = 2;
+/// Word of the command window: probe arms of step generators.
+pub const COMMAND_PROBE_ARMS: usize = 3;
 /// Word of the command window: step generator 0 (velocity, accel); the next is 2 words on.
-pub const COMMAND_STEPGEN: usize = 2;
+pub const COMMAND_STEPGEN: usize = 4;
 /// Word of the command window: PWM 0; the next is 1 word on.
-pub const COMMAND_PWM: usize = 34;
+pub const COMMAND_PWM: usize = 36;
 /// Word of the status window: clock at the sample, low.
 pub const STATUS_SAMPLE_LO: usize = 0;
 /// Word of the status window: clock at the sample, high.
 pub const STATUS_SAMPLE_HI: usize = 1;
 /// Word of the status window: inputs.
 pub const STATUS_GPIO_IN: usize = 2;
-/// Word of the status window: flags.
-pub const STATUS_FLAGS: usize = 3;
+/// Word of the status window: encoder index latched, step generator limited.
+pub const STATUS_FLAGS0: usize = 3;
+/// Word of the status window: step generator index latched, encoder probe latched.
+pub const STATUS_FLAGS1: usize = 4;
+/// Word of the status window: step generator probe latched, encoder illegal.
+pub const STATUS_FLAGS2: usize = 5;
+/// Word of the status window: e-stop inputs latched.
+pub const STATUS_ESTOP: usize = 6;
 /// Word of the status window: step generator 0 (position low, high, velocity); the next is 3 words on.
-pub const STATUS_STEPGEN: usize = 4;
-/// Word of the status window: encoder 0 (count, latch, edge time); the next is 3 words on.
-pub const STATUS_ENCODER: usize = 52;
+pub const STATUS_STEPGEN: usize = 8;
+/// Word of the status window: encoder 0 (count, edge); the next is 2 words on.
+pub const STATUS_ENCODER: usize = 56;
+/// Word of the status window: latch of encoder 0; the next is 1 word on, step generator 0 follows encoder 15.
+pub const STATUS_LATCH: usize = 88;

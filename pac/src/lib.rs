@@ -2740,6 +2740,7 @@ pub mod watchdog {
         remaining: Remaining,
         last_token: LastToken,
         bites: Bites,
+        last_close: LastClose,
     }
     impl RegisterBlock {
         #[doc = "0x00 - Clocks without a new token until the watchdog bites. 0 bites at once."]
@@ -2781,6 +2782,11 @@ pub mod watchdog {
         #[inline(always)]
         pub const fn bites(&self) -> &Bites {
             &self.bites
+        }
+        #[doc = "0x20 - Why the gate closed last; survives a reset of the CPU."]
+        #[inline(always)]
+        pub const fn last_close(&self) -> &LastClose {
+            &self.last_close
         }
     }
     #[doc = "TIMEOUT (rw) register accessor: Clocks without a new token until the watchdog bites. 0 bites at once.\n\nYou can [`read`](crate::Reg::read) this register and get [`timeout::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`timeout::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@timeout`] module"]
@@ -2877,13 +2883,13 @@ pub mod watchdog {
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[repr(u32)]
         pub enum Key {
-            #[doc = "1095912753: Open the gate and wake the watchdog; only while closed, not bitten, no external reset latched or present."]
+            #[doc = "1095912753: Open the gate and wake the watchdog; only while closed, not bitten, no external reset or e-stop latched or present."]
             Arm = 1095912753,
             #[doc = "1397704276: Bring all step generators to rest, each at its stop_accel, then close the gate."]
             Soft = 1397704276,
             #[doc = "1398034256: Close the gate now."]
             Stop = 1398034256,
-            #[doc = "1129075249: Forget a bite and an external reset; only while the gate is closed and the reset pin is low."]
+            #[doc = "1129075249: Forget a bite, an external reset and an e-stop; only while the gate is closed and neither the reset pin nor an e-stop input is active."]
             Clear = 1129075249,
         }
         impl From<Key> for u32 {
@@ -2903,7 +2909,7 @@ pub mod watchdog {
             REG: crate::Writable + crate::RegisterSpec,
             REG::Ux: From<u32>,
         {
-            #[doc = "Open the gate and wake the watchdog; only while closed, not bitten, no external reset latched or present."]
+            #[doc = "Open the gate and wake the watchdog; only while closed, not bitten, no external reset or e-stop latched or present."]
             #[inline(always)]
             pub fn arm(self) -> &'a mut crate::W<REG> {
                 self.variant(Key::Arm)
@@ -2918,7 +2924,7 @@ pub mod watchdog {
             pub fn stop(self) -> &'a mut crate::W<REG> {
                 self.variant(Key::Stop)
             }
-            #[doc = "Forget a bite and an external reset; only while the gate is closed and the reset pin is low."]
+            #[doc = "Forget a bite, an external reset and an e-stop; only while the gate is closed and neither the reset pin nor an e-stop input is active."]
             #[inline(always)]
             pub fn clear(self) -> &'a mut crate::W<REG> {
                 self.variant(Key::Clear)
@@ -2962,6 +2968,10 @@ pub mod watchdog {
         pub type ResetPinR = crate::BitReader;
         #[doc = "Field `armed` reader - 1: the watchdog is awake and counting."]
         pub type ArmedR = crate::BitReader;
+        #[doc = "Field `estop_latched` reader - 1: an e-stop input has been active. Latched; `status.estop` says which."]
+        pub type EstopLatchedR = crate::BitReader;
+        #[doc = "Field `estop_now` reader - 1: an e-stop input is active now."]
+        pub type EstopNowR = crate::BitReader;
         impl R {
             #[doc = "Bit 0 - 1: the gate is open, outputs are live."]
             #[inline(always)]
@@ -2992,6 +3002,16 @@ pub mod watchdog {
             #[inline(always)]
             pub fn armed(&self) -> ArmedR {
                 ArmedR::new(((self.bits >> 5) & 1) != 0)
+            }
+            #[doc = "Bit 6 - 1: an e-stop input has been active. Latched; `status.estop` says which."]
+            #[inline(always)]
+            pub fn estop_latched(&self) -> EstopLatchedR {
+                EstopLatchedR::new(((self.bits >> 6) & 1) != 0)
+            }
+            #[doc = "Bit 7 - 1: an e-stop input is active now."]
+            #[inline(always)]
+            pub fn estop_now(&self) -> EstopNowR {
+                EstopNowR::new(((self.bits >> 7) & 1) != 0)
             }
         }
         #[doc = "What the gate and the watchdog are doing now, one bit each.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
@@ -3070,6 +3090,112 @@ pub mod watchdog {
         #[doc = "`reset()` method sets BITES to value 0"]
         impl crate::Resettable for BitesSpec {}
     }
+    #[doc = "LAST_CLOSE (r) register accessor: Why the gate closed last; survives a reset of the CPU.\n\nYou can [`read`](crate::Reg::read) this register and get [`last_close::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@last_close`] module"]
+    #[doc(alias = "LAST_CLOSE")]
+    pub type LastClose = crate::Reg<last_close::LastCloseSpec>;
+    #[doc = "Why the gate closed last; survives a reset of the CPU."]
+    pub mod last_close {
+        #[doc = "Register `LAST_CLOSE` reader"]
+        pub type R = crate::R<LastCloseSpec>;
+        #[doc = "Which reason, a number.\n\nValue on reset: 0"]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum Reason {
+            #[doc = "0: It has not been open since power-up."]
+            Never = 0,
+            #[doc = "1: The watchdog has bitten; its soft stop is done or its grace is over."]
+            Bite = 1,
+            #[doc = "2: The external reset pin."]
+            ExtReset = 2,
+            #[doc = "3: The stop key."]
+            Stop = 3,
+            #[doc = "4: A soft stop on request is done or its grace is over."]
+            Soft = 4,
+            #[doc = "5: An e-stop input."]
+            Estop = 5,
+            #[doc = "6: A reset of the system."]
+            SysReset = 6,
+        }
+        impl From<Reason> for u8 {
+            #[inline(always)]
+            fn from(variant: Reason) -> Self {
+                variant as _
+            }
+        }
+        impl crate::FieldSpec for Reason {
+            type Ux = u8;
+        }
+        impl crate::IsEnum for Reason {}
+        #[doc = "Field `reason` reader - Which reason, a number."]
+        pub type ReasonR = crate::FieldReader<Reason>;
+        impl ReasonR {
+            #[doc = "Get enumerated values variant"]
+            #[inline(always)]
+            pub const fn variant(&self) -> Option<Reason> {
+                match self.bits {
+                    0 => Some(Reason::Never),
+                    1 => Some(Reason::Bite),
+                    2 => Some(Reason::ExtReset),
+                    3 => Some(Reason::Stop),
+                    4 => Some(Reason::Soft),
+                    5 => Some(Reason::Estop),
+                    6 => Some(Reason::SysReset),
+                    _ => None,
+                }
+            }
+            #[doc = "It has not been open since power-up."]
+            #[inline(always)]
+            pub fn is_never(&self) -> bool {
+                *self == Reason::Never
+            }
+            #[doc = "The watchdog has bitten; its soft stop is done or its grace is over."]
+            #[inline(always)]
+            pub fn is_bite(&self) -> bool {
+                *self == Reason::Bite
+            }
+            #[doc = "The external reset pin."]
+            #[inline(always)]
+            pub fn is_ext_reset(&self) -> bool {
+                *self == Reason::ExtReset
+            }
+            #[doc = "The stop key."]
+            #[inline(always)]
+            pub fn is_stop(&self) -> bool {
+                *self == Reason::Stop
+            }
+            #[doc = "A soft stop on request is done or its grace is over."]
+            #[inline(always)]
+            pub fn is_soft(&self) -> bool {
+                *self == Reason::Soft
+            }
+            #[doc = "An e-stop input."]
+            #[inline(always)]
+            pub fn is_estop(&self) -> bool {
+                *self == Reason::Estop
+            }
+            #[doc = "A reset of the system."]
+            #[inline(always)]
+            pub fn is_sys_reset(&self) -> bool {
+                *self == Reason::SysReset
+            }
+        }
+        impl R {
+            #[doc = "Bits 0:3 - Which reason, a number."]
+            #[inline(always)]
+            pub fn reason(&self) -> ReasonR {
+                ReasonR::new((self.bits & 0x0f) as u8)
+            }
+        }
+        #[doc = "Why the gate closed last; survives a reset of the CPU.\n\nYou can [`read`](crate::Reg::read) this register and get [`last_close::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct LastCloseSpec;
+        impl crate::RegisterSpec for LastCloseSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`last_close::R`](R) reader structure"]
+        impl crate::Readable for LastCloseSpec {}
+        #[doc = "`reset()` method sets LAST_CLOSE to value 0"]
+        impl crate::Resettable for LastCloseSpec {}
+    }
 }
 #[doc = "Digital inputs and outputs, one bit per pin. Outputs are set in `command.gpio_out`."]
 pub type Gpio = crate::Periph<gpio::RegisterBlock, 0xf000_5800>;
@@ -3087,9 +3213,13 @@ pub mod gpio {
         safe: Safe,
         invert_out: InvertOut,
         out_now: OutNow,
+        raw_now: RawNow,
+        estop_mask: EstopMask,
+        estop_level: EstopLevel,
+        probe: Probe,
     }
     impl RegisterBlock {
-        #[doc = "0x00 - Level of each input pin two clocks ago (synchronised), one bit per input."]
+        #[doc = "0x00 - Level of each input after its debounce, one bit per input."]
         #[inline(always)]
         pub const fn in_now(&self) -> &InNow {
             &self.in_now
@@ -3109,11 +3239,31 @@ pub mod gpio {
         pub const fn out_now(&self) -> &OutNow {
             &self.out_now
         }
+        #[doc = "0x10 - Level of each input pin two clocks ago (synchronised, not debounced), one bit per input."]
+        #[inline(always)]
+        pub const fn raw_now(&self) -> &RawNow {
+            &self.raw_now
+        }
+        #[doc = "0x14 - 1: this input is an e-stop input, one bit per input. A fact of the board file."]
+        #[inline(always)]
+        pub const fn estop_mask(&self) -> &EstopMask {
+            &self.estop_mask
+        }
+        #[doc = "0x18 - Level that stops, one bit per e-stop input: 1 high, 0 low. A fact of the board file."]
+        #[inline(always)]
+        pub const fn estop_level(&self) -> &EstopLevel {
+            &self.estop_level
+        }
+        #[doc = "0x1c - Which input is the probe of every encoder and step generator. The probe is not debounced."]
+        #[inline(always)]
+        pub const fn probe(&self) -> &Probe {
+            &self.probe
+        }
     }
-    #[doc = "IN_NOW (r) register accessor: Level of each input pin two clocks ago (synchronised), one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`in_now::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in_now`] module"]
+    #[doc = "IN_NOW (r) register accessor: Level of each input after its debounce, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`in_now::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in_now`] module"]
     #[doc(alias = "IN_NOW")]
     pub type InNow = crate::Reg<in_now::InNowSpec>;
-    #[doc = "Level of each input pin two clocks ago (synchronised), one bit per input."]
+    #[doc = "Level of each input after its debounce, one bit per input."]
     pub mod in_now {
         #[doc = "Register `IN_NOW` reader"]
         pub type R = crate::R<InNowSpec>;
@@ -3122,7 +3272,7 @@ pub mod gpio {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Level of each input pin two clocks ago (synchronised), one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`in_now::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Level of each input after its debounce, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`in_now::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct InNowSpec;
         impl crate::RegisterSpec for InNowSpec {
             type Ux = u32;
@@ -3212,6 +3362,141 @@ pub mod gpio {
         #[doc = "`reset()` method sets OUT_NOW to value 0"]
         impl crate::Resettable for OutNowSpec {}
     }
+    #[doc = "RAW_NOW (r) register accessor: Level of each input pin two clocks ago (synchronised, not debounced), one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`raw_now::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@raw_now`] module"]
+    #[doc(alias = "RAW_NOW")]
+    pub type RawNow = crate::Reg<raw_now::RawNowSpec>;
+    #[doc = "Level of each input pin two clocks ago (synchronised, not debounced), one bit per input."]
+    pub mod raw_now {
+        #[doc = "Register `RAW_NOW` reader"]
+        pub type R = crate::R<RawNowSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Level of each input pin two clocks ago (synchronised, not debounced), one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`raw_now::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct RawNowSpec;
+        impl crate::RegisterSpec for RawNowSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`raw_now::R`](R) reader structure"]
+        impl crate::Readable for RawNowSpec {}
+        #[doc = "`reset()` method sets RAW_NOW to value 0"]
+        impl crate::Resettable for RawNowSpec {}
+    }
+    #[doc = "ESTOP_MASK (r) register accessor: 1: this input is an e-stop input, one bit per input. A fact of the board file.\n\nYou can [`read`](crate::Reg::read) this register and get [`estop_mask::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@estop_mask`] module"]
+    #[doc(alias = "ESTOP_MASK")]
+    pub type EstopMask = crate::Reg<estop_mask::EstopMaskSpec>;
+    #[doc = "1: this input is an e-stop input, one bit per input. A fact of the board file."]
+    pub mod estop_mask {
+        #[doc = "Register `ESTOP_MASK` reader"]
+        pub type R = crate::R<EstopMaskSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "1: this input is an e-stop input, one bit per input. A fact of the board file.\n\nYou can [`read`](crate::Reg::read) this register and get [`estop_mask::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct EstopMaskSpec;
+        impl crate::RegisterSpec for EstopMaskSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`estop_mask::R`](R) reader structure"]
+        impl crate::Readable for EstopMaskSpec {}
+        #[doc = "`reset()` method sets ESTOP_MASK to value 0"]
+        impl crate::Resettable for EstopMaskSpec {}
+    }
+    #[doc = "ESTOP_LEVEL (r) register accessor: Level that stops, one bit per e-stop input: 1 high, 0 low. A fact of the board file.\n\nYou can [`read`](crate::Reg::read) this register and get [`estop_level::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@estop_level`] module"]
+    #[doc(alias = "ESTOP_LEVEL")]
+    pub type EstopLevel = crate::Reg<estop_level::EstopLevelSpec>;
+    #[doc = "Level that stops, one bit per e-stop input: 1 high, 0 low. A fact of the board file."]
+    pub mod estop_level {
+        #[doc = "Register `ESTOP_LEVEL` reader"]
+        pub type R = crate::R<EstopLevelSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Level that stops, one bit per e-stop input: 1 high, 0 low. A fact of the board file.\n\nYou can [`read`](crate::Reg::read) this register and get [`estop_level::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct EstopLevelSpec;
+        impl crate::RegisterSpec for EstopLevelSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`estop_level::R`](R) reader structure"]
+        impl crate::Readable for EstopLevelSpec {}
+        #[doc = "`reset()` method sets ESTOP_LEVEL to value 0"]
+        impl crate::Resettable for EstopLevelSpec {}
+    }
+    #[doc = "PROBE (rw) register accessor: Which input is the probe of every encoder and step generator. The probe is not debounced.\n\nYou can [`read`](crate::Reg::read) this register and get [`probe::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`probe::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@probe`] module"]
+    #[doc(alias = "PROBE")]
+    pub type Probe = crate::Reg<probe::ProbeSpec>;
+    #[doc = "Which input is the probe of every encoder and step generator. The probe is not debounced."]
+    pub mod probe {
+        #[doc = "Register `PROBE` reader"]
+        pub type R = crate::R<ProbeSpec>;
+        #[doc = "Register `PROBE` writer"]
+        pub type W = crate::W<ProbeSpec>;
+        #[doc = "Field `input` reader - Number of the input."]
+        pub type InputR = crate::FieldReader;
+        #[doc = "Field `input` writer - Number of the input."]
+        pub type InputW<'a, REG> = crate::FieldWriter<'a, REG, 5>;
+        #[doc = "Field `enable` reader - 1: the probe follows the input; 0: it is inactive."]
+        pub type EnableR = crate::BitReader;
+        #[doc = "Field `enable` writer - 1: the probe follows the input; 0: it is inactive."]
+        pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `invert` reader - 1: the probe is active while the input is low."]
+        pub type InvertR = crate::BitReader;
+        #[doc = "Field `invert` writer - 1: the probe is active while the input is low."]
+        pub type InvertW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl R {
+            #[doc = "Bits 0:4 - Number of the input."]
+            #[inline(always)]
+            pub fn input(&self) -> InputR {
+                InputR::new((self.bits & 0x1f) as u8)
+            }
+            #[doc = "Bit 8 - 1: the probe follows the input; 0: it is inactive."]
+            #[inline(always)]
+            pub fn enable(&self) -> EnableR {
+                EnableR::new(((self.bits >> 8) & 1) != 0)
+            }
+            #[doc = "Bit 9 - 1: the probe is active while the input is low."]
+            #[inline(always)]
+            pub fn invert(&self) -> InvertR {
+                InvertR::new(((self.bits >> 9) & 1) != 0)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:4 - Number of the input."]
+            #[inline(always)]
+            pub fn input(&mut self) -> InputW<'_, ProbeSpec> {
+                InputW::new(self, 0)
+            }
+            #[doc = "Bit 8 - 1: the probe follows the input; 0: it is inactive."]
+            #[inline(always)]
+            pub fn enable(&mut self) -> EnableW<'_, ProbeSpec> {
+                EnableW::new(self, 8)
+            }
+            #[doc = "Bit 9 - 1: the probe is active while the input is low."]
+            #[inline(always)]
+            pub fn invert(&mut self) -> InvertW<'_, ProbeSpec> {
+                InvertW::new(self, 9)
+            }
+        }
+        #[doc = "Which input is the probe of every encoder and step generator. The probe is not debounced.\n\nYou can [`read`](crate::Reg::read) this register and get [`probe::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`probe::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct ProbeSpec;
+        impl crate::RegisterSpec for ProbeSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`probe::R`](R) reader structure"]
+        impl crate::Readable for ProbeSpec {}
+        #[doc = "`write(|w| ..)` method takes [`probe::W`](W) writer structure"]
+        impl crate::Writable for ProbeSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets PROBE to value 0"]
+        impl crate::Resettable for ProbeSpec {}
+    }
 }
 #[doc = "The board's one LED."]
 pub type Led = crate::Periph<led::RegisterBlock, 0xf000_6000>;
@@ -3257,6 +3542,12 @@ pub mod led {
             Fast = 3,
             #[doc = "4: Two short blinks per second."]
             Double = 4,
+            #[doc = "5: Three short blinks per second."]
+            Triple = 5,
+            #[doc = "6: Two short blinks and a long pause."]
+            Heartbeat = 6,
+            #[doc = "7: As fast as the eye can follow."]
+            Flicker = 7,
         }
         impl From<Select> for u8 {
             #[inline(always)]
@@ -3273,14 +3564,17 @@ pub mod led {
         impl SelectR {
             #[doc = "Get enumerated values variant"]
             #[inline(always)]
-            pub const fn variant(&self) -> Option<Select> {
+            pub const fn variant(&self) -> Select {
                 match self.bits {
-                    0 => Some(Select::Off),
-                    1 => Some(Select::On),
-                    2 => Some(Select::Slow),
-                    3 => Some(Select::Fast),
-                    4 => Some(Select::Double),
-                    _ => None,
+                    0 => Select::Off,
+                    1 => Select::On,
+                    2 => Select::Slow,
+                    3 => Select::Fast,
+                    4 => Select::Double,
+                    5 => Select::Triple,
+                    6 => Select::Heartbeat,
+                    7 => Select::Flicker,
+                    _ => unreachable!(),
                 }
             }
             #[doc = "Dark."]
@@ -3308,9 +3602,24 @@ pub mod led {
             pub fn is_double(&self) -> bool {
                 *self == Select::Double
             }
+            #[doc = "Three short blinks per second."]
+            #[inline(always)]
+            pub fn is_triple(&self) -> bool {
+                *self == Select::Triple
+            }
+            #[doc = "Two short blinks and a long pause."]
+            #[inline(always)]
+            pub fn is_heartbeat(&self) -> bool {
+                *self == Select::Heartbeat
+            }
+            #[doc = "As fast as the eye can follow."]
+            #[inline(always)]
+            pub fn is_flicker(&self) -> bool {
+                *self == Select::Flicker
+            }
         }
         #[doc = "Field `select` writer - Which pattern, a number."]
-        pub type SelectW<'a, REG> = crate::FieldWriter<'a, REG, 3, Select>;
+        pub type SelectW<'a, REG> = crate::FieldWriter<'a, REG, 3, Select, crate::Safe>;
         impl<'a, REG> SelectW<'a, REG>
         where
             REG: crate::Writable + crate::RegisterSpec,
@@ -3340,6 +3649,21 @@ pub mod led {
             #[inline(always)]
             pub fn double(self) -> &'a mut crate::W<REG> {
                 self.variant(Select::Double)
+            }
+            #[doc = "Three short blinks per second."]
+            #[inline(always)]
+            pub fn triple(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::Triple)
+            }
+            #[doc = "Two short blinks and a long pause."]
+            #[inline(always)]
+            pub fn heartbeat(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::Heartbeat)
+            }
+            #[doc = "As fast as the eye can follow."]
+            #[inline(always)]
+            pub fn flicker(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::Flicker)
             }
         }
         impl R {
@@ -3371,6 +3695,1526 @@ pub mod led {
         impl crate::Resettable for PatternSpec {}
     }
 }
+#[doc = "How long an input must be stable before it counts. E-stop inputs stop before their debounce."]
+pub type Debounce = crate::Periph<debounce::RegisterBlock, 0xf000_6800>;
+impl core::fmt::Debug for Debounce {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        f.debug_struct("Debounce").finish()
+    }
+}
+#[doc = "How long an input must be stable before it counts. E-stop inputs stop before their debounce."]
+pub mod debounce {
+    #[repr(C)]
+    #[doc = "Register block"]
+    pub struct RegisterBlock {
+        in0: In0,
+        in1: In1,
+        in2: In2,
+        in3: In3,
+        in4: In4,
+        in5: In5,
+        in6: In6,
+        in7: In7,
+        in8: In8,
+        in9: In9,
+        in10: In10,
+        in11: In11,
+        in12: In12,
+        in13: In13,
+        in14: In14,
+        in15: In15,
+        in16: In16,
+        in17: In17,
+        in18: In18,
+        in19: In19,
+        in20: In20,
+        in21: In21,
+        in22: In22,
+        in23: In23,
+        in24: In24,
+        in25: In25,
+        in26: In26,
+        in27: In27,
+        in28: In28,
+        in29: In29,
+        in30: In30,
+        in31: In31,
+    }
+    impl RegisterBlock {
+        #[doc = "0x00 - Time input 0 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in0(&self) -> &In0 {
+            &self.in0
+        }
+        #[doc = "0x04 - Time input 1 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in1(&self) -> &In1 {
+            &self.in1
+        }
+        #[doc = "0x08 - Time input 2 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in2(&self) -> &In2 {
+            &self.in2
+        }
+        #[doc = "0x0c - Time input 3 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in3(&self) -> &In3 {
+            &self.in3
+        }
+        #[doc = "0x10 - Time input 4 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in4(&self) -> &In4 {
+            &self.in4
+        }
+        #[doc = "0x14 - Time input 5 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in5(&self) -> &In5 {
+            &self.in5
+        }
+        #[doc = "0x18 - Time input 6 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in6(&self) -> &In6 {
+            &self.in6
+        }
+        #[doc = "0x1c - Time input 7 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in7(&self) -> &In7 {
+            &self.in7
+        }
+        #[doc = "0x20 - Time input 8 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in8(&self) -> &In8 {
+            &self.in8
+        }
+        #[doc = "0x24 - Time input 9 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in9(&self) -> &In9 {
+            &self.in9
+        }
+        #[doc = "0x28 - Time input 10 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in10(&self) -> &In10 {
+            &self.in10
+        }
+        #[doc = "0x2c - Time input 11 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in11(&self) -> &In11 {
+            &self.in11
+        }
+        #[doc = "0x30 - Time input 12 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in12(&self) -> &In12 {
+            &self.in12
+        }
+        #[doc = "0x34 - Time input 13 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in13(&self) -> &In13 {
+            &self.in13
+        }
+        #[doc = "0x38 - Time input 14 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in14(&self) -> &In14 {
+            &self.in14
+        }
+        #[doc = "0x3c - Time input 15 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in15(&self) -> &In15 {
+            &self.in15
+        }
+        #[doc = "0x40 - Time input 16 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in16(&self) -> &In16 {
+            &self.in16
+        }
+        #[doc = "0x44 - Time input 17 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in17(&self) -> &In17 {
+            &self.in17
+        }
+        #[doc = "0x48 - Time input 18 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in18(&self) -> &In18 {
+            &self.in18
+        }
+        #[doc = "0x4c - Time input 19 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in19(&self) -> &In19 {
+            &self.in19
+        }
+        #[doc = "0x50 - Time input 20 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in20(&self) -> &In20 {
+            &self.in20
+        }
+        #[doc = "0x54 - Time input 21 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in21(&self) -> &In21 {
+            &self.in21
+        }
+        #[doc = "0x58 - Time input 22 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in22(&self) -> &In22 {
+            &self.in22
+        }
+        #[doc = "0x5c - Time input 23 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in23(&self) -> &In23 {
+            &self.in23
+        }
+        #[doc = "0x60 - Time input 24 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in24(&self) -> &In24 {
+            &self.in24
+        }
+        #[doc = "0x64 - Time input 25 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in25(&self) -> &In25 {
+            &self.in25
+        }
+        #[doc = "0x68 - Time input 26 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in26(&self) -> &In26 {
+            &self.in26
+        }
+        #[doc = "0x6c - Time input 27 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in27(&self) -> &In27 {
+            &self.in27
+        }
+        #[doc = "0x70 - Time input 28 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in28(&self) -> &In28 {
+            &self.in28
+        }
+        #[doc = "0x74 - Time input 29 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in29(&self) -> &In29 {
+            &self.in29
+        }
+        #[doc = "0x78 - Time input 30 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in30(&self) -> &In30 {
+            &self.in30
+        }
+        #[doc = "0x7c - Time input 31 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+        #[inline(always)]
+        pub const fn in31(&self) -> &In31 {
+            &self.in31
+        }
+    }
+    #[doc = "IN0 (rw) register accessor: Time input 0 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in0::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in0::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in0`] module"]
+    #[doc(alias = "IN0")]
+    pub type In0 = crate::Reg<in0::In0Spec>;
+    #[doc = "Time input 0 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in0 {
+        #[doc = "Register `IN0` reader"]
+        pub type R = crate::R<In0Spec>;
+        #[doc = "Register `IN0` writer"]
+        pub type W = crate::W<In0Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In0Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 0 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in0::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in0::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In0Spec;
+        impl crate::RegisterSpec for In0Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in0::R`](R) reader structure"]
+        impl crate::Readable for In0Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in0::W`](W) writer structure"]
+        impl crate::Writable for In0Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN0 to value 0"]
+        impl crate::Resettable for In0Spec {}
+    }
+    #[doc = "IN1 (rw) register accessor: Time input 1 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in1::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in1::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in1`] module"]
+    #[doc(alias = "IN1")]
+    pub type In1 = crate::Reg<in1::In1Spec>;
+    #[doc = "Time input 1 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in1 {
+        #[doc = "Register `IN1` reader"]
+        pub type R = crate::R<In1Spec>;
+        #[doc = "Register `IN1` writer"]
+        pub type W = crate::W<In1Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In1Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 1 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in1::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in1::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In1Spec;
+        impl crate::RegisterSpec for In1Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in1::R`](R) reader structure"]
+        impl crate::Readable for In1Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in1::W`](W) writer structure"]
+        impl crate::Writable for In1Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN1 to value 0"]
+        impl crate::Resettable for In1Spec {}
+    }
+    #[doc = "IN2 (rw) register accessor: Time input 2 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in2::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in2::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in2`] module"]
+    #[doc(alias = "IN2")]
+    pub type In2 = crate::Reg<in2::In2Spec>;
+    #[doc = "Time input 2 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in2 {
+        #[doc = "Register `IN2` reader"]
+        pub type R = crate::R<In2Spec>;
+        #[doc = "Register `IN2` writer"]
+        pub type W = crate::W<In2Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In2Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 2 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in2::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in2::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In2Spec;
+        impl crate::RegisterSpec for In2Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in2::R`](R) reader structure"]
+        impl crate::Readable for In2Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in2::W`](W) writer structure"]
+        impl crate::Writable for In2Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN2 to value 0"]
+        impl crate::Resettable for In2Spec {}
+    }
+    #[doc = "IN3 (rw) register accessor: Time input 3 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in3::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in3::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in3`] module"]
+    #[doc(alias = "IN3")]
+    pub type In3 = crate::Reg<in3::In3Spec>;
+    #[doc = "Time input 3 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in3 {
+        #[doc = "Register `IN3` reader"]
+        pub type R = crate::R<In3Spec>;
+        #[doc = "Register `IN3` writer"]
+        pub type W = crate::W<In3Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In3Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 3 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in3::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in3::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In3Spec;
+        impl crate::RegisterSpec for In3Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in3::R`](R) reader structure"]
+        impl crate::Readable for In3Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in3::W`](W) writer structure"]
+        impl crate::Writable for In3Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN3 to value 0"]
+        impl crate::Resettable for In3Spec {}
+    }
+    #[doc = "IN4 (rw) register accessor: Time input 4 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in4::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in4::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in4`] module"]
+    #[doc(alias = "IN4")]
+    pub type In4 = crate::Reg<in4::In4Spec>;
+    #[doc = "Time input 4 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in4 {
+        #[doc = "Register `IN4` reader"]
+        pub type R = crate::R<In4Spec>;
+        #[doc = "Register `IN4` writer"]
+        pub type W = crate::W<In4Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In4Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 4 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in4::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in4::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In4Spec;
+        impl crate::RegisterSpec for In4Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in4::R`](R) reader structure"]
+        impl crate::Readable for In4Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in4::W`](W) writer structure"]
+        impl crate::Writable for In4Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN4 to value 0"]
+        impl crate::Resettable for In4Spec {}
+    }
+    #[doc = "IN5 (rw) register accessor: Time input 5 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in5::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in5::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in5`] module"]
+    #[doc(alias = "IN5")]
+    pub type In5 = crate::Reg<in5::In5Spec>;
+    #[doc = "Time input 5 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in5 {
+        #[doc = "Register `IN5` reader"]
+        pub type R = crate::R<In5Spec>;
+        #[doc = "Register `IN5` writer"]
+        pub type W = crate::W<In5Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In5Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 5 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in5::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in5::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In5Spec;
+        impl crate::RegisterSpec for In5Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in5::R`](R) reader structure"]
+        impl crate::Readable for In5Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in5::W`](W) writer structure"]
+        impl crate::Writable for In5Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN5 to value 0"]
+        impl crate::Resettable for In5Spec {}
+    }
+    #[doc = "IN6 (rw) register accessor: Time input 6 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in6::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in6::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in6`] module"]
+    #[doc(alias = "IN6")]
+    pub type In6 = crate::Reg<in6::In6Spec>;
+    #[doc = "Time input 6 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in6 {
+        #[doc = "Register `IN6` reader"]
+        pub type R = crate::R<In6Spec>;
+        #[doc = "Register `IN6` writer"]
+        pub type W = crate::W<In6Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In6Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 6 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in6::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in6::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In6Spec;
+        impl crate::RegisterSpec for In6Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in6::R`](R) reader structure"]
+        impl crate::Readable for In6Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in6::W`](W) writer structure"]
+        impl crate::Writable for In6Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN6 to value 0"]
+        impl crate::Resettable for In6Spec {}
+    }
+    #[doc = "IN7 (rw) register accessor: Time input 7 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in7::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in7::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in7`] module"]
+    #[doc(alias = "IN7")]
+    pub type In7 = crate::Reg<in7::In7Spec>;
+    #[doc = "Time input 7 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in7 {
+        #[doc = "Register `IN7` reader"]
+        pub type R = crate::R<In7Spec>;
+        #[doc = "Register `IN7` writer"]
+        pub type W = crate::W<In7Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In7Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 7 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in7::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in7::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In7Spec;
+        impl crate::RegisterSpec for In7Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in7::R`](R) reader structure"]
+        impl crate::Readable for In7Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in7::W`](W) writer structure"]
+        impl crate::Writable for In7Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN7 to value 0"]
+        impl crate::Resettable for In7Spec {}
+    }
+    #[doc = "IN8 (rw) register accessor: Time input 8 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in8::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in8::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in8`] module"]
+    #[doc(alias = "IN8")]
+    pub type In8 = crate::Reg<in8::In8Spec>;
+    #[doc = "Time input 8 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in8 {
+        #[doc = "Register `IN8` reader"]
+        pub type R = crate::R<In8Spec>;
+        #[doc = "Register `IN8` writer"]
+        pub type W = crate::W<In8Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In8Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 8 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in8::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in8::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In8Spec;
+        impl crate::RegisterSpec for In8Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in8::R`](R) reader structure"]
+        impl crate::Readable for In8Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in8::W`](W) writer structure"]
+        impl crate::Writable for In8Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN8 to value 0"]
+        impl crate::Resettable for In8Spec {}
+    }
+    #[doc = "IN9 (rw) register accessor: Time input 9 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in9::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in9::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in9`] module"]
+    #[doc(alias = "IN9")]
+    pub type In9 = crate::Reg<in9::In9Spec>;
+    #[doc = "Time input 9 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in9 {
+        #[doc = "Register `IN9` reader"]
+        pub type R = crate::R<In9Spec>;
+        #[doc = "Register `IN9` writer"]
+        pub type W = crate::W<In9Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In9Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 9 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in9::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in9::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In9Spec;
+        impl crate::RegisterSpec for In9Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in9::R`](R) reader structure"]
+        impl crate::Readable for In9Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in9::W`](W) writer structure"]
+        impl crate::Writable for In9Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN9 to value 0"]
+        impl crate::Resettable for In9Spec {}
+    }
+    #[doc = "IN10 (rw) register accessor: Time input 10 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in10::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in10::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in10`] module"]
+    #[doc(alias = "IN10")]
+    pub type In10 = crate::Reg<in10::In10Spec>;
+    #[doc = "Time input 10 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in10 {
+        #[doc = "Register `IN10` reader"]
+        pub type R = crate::R<In10Spec>;
+        #[doc = "Register `IN10` writer"]
+        pub type W = crate::W<In10Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In10Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 10 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in10::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in10::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In10Spec;
+        impl crate::RegisterSpec for In10Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in10::R`](R) reader structure"]
+        impl crate::Readable for In10Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in10::W`](W) writer structure"]
+        impl crate::Writable for In10Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN10 to value 0"]
+        impl crate::Resettable for In10Spec {}
+    }
+    #[doc = "IN11 (rw) register accessor: Time input 11 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in11::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in11::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in11`] module"]
+    #[doc(alias = "IN11")]
+    pub type In11 = crate::Reg<in11::In11Spec>;
+    #[doc = "Time input 11 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in11 {
+        #[doc = "Register `IN11` reader"]
+        pub type R = crate::R<In11Spec>;
+        #[doc = "Register `IN11` writer"]
+        pub type W = crate::W<In11Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In11Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 11 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in11::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in11::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In11Spec;
+        impl crate::RegisterSpec for In11Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in11::R`](R) reader structure"]
+        impl crate::Readable for In11Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in11::W`](W) writer structure"]
+        impl crate::Writable for In11Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN11 to value 0"]
+        impl crate::Resettable for In11Spec {}
+    }
+    #[doc = "IN12 (rw) register accessor: Time input 12 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in12::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in12::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in12`] module"]
+    #[doc(alias = "IN12")]
+    pub type In12 = crate::Reg<in12::In12Spec>;
+    #[doc = "Time input 12 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in12 {
+        #[doc = "Register `IN12` reader"]
+        pub type R = crate::R<In12Spec>;
+        #[doc = "Register `IN12` writer"]
+        pub type W = crate::W<In12Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In12Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 12 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in12::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in12::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In12Spec;
+        impl crate::RegisterSpec for In12Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in12::R`](R) reader structure"]
+        impl crate::Readable for In12Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in12::W`](W) writer structure"]
+        impl crate::Writable for In12Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN12 to value 0"]
+        impl crate::Resettable for In12Spec {}
+    }
+    #[doc = "IN13 (rw) register accessor: Time input 13 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in13::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in13::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in13`] module"]
+    #[doc(alias = "IN13")]
+    pub type In13 = crate::Reg<in13::In13Spec>;
+    #[doc = "Time input 13 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in13 {
+        #[doc = "Register `IN13` reader"]
+        pub type R = crate::R<In13Spec>;
+        #[doc = "Register `IN13` writer"]
+        pub type W = crate::W<In13Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In13Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 13 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in13::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in13::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In13Spec;
+        impl crate::RegisterSpec for In13Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in13::R`](R) reader structure"]
+        impl crate::Readable for In13Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in13::W`](W) writer structure"]
+        impl crate::Writable for In13Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN13 to value 0"]
+        impl crate::Resettable for In13Spec {}
+    }
+    #[doc = "IN14 (rw) register accessor: Time input 14 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in14::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in14::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in14`] module"]
+    #[doc(alias = "IN14")]
+    pub type In14 = crate::Reg<in14::In14Spec>;
+    #[doc = "Time input 14 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in14 {
+        #[doc = "Register `IN14` reader"]
+        pub type R = crate::R<In14Spec>;
+        #[doc = "Register `IN14` writer"]
+        pub type W = crate::W<In14Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In14Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 14 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in14::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in14::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In14Spec;
+        impl crate::RegisterSpec for In14Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in14::R`](R) reader structure"]
+        impl crate::Readable for In14Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in14::W`](W) writer structure"]
+        impl crate::Writable for In14Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN14 to value 0"]
+        impl crate::Resettable for In14Spec {}
+    }
+    #[doc = "IN15 (rw) register accessor: Time input 15 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in15::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in15::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in15`] module"]
+    #[doc(alias = "IN15")]
+    pub type In15 = crate::Reg<in15::In15Spec>;
+    #[doc = "Time input 15 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in15 {
+        #[doc = "Register `IN15` reader"]
+        pub type R = crate::R<In15Spec>;
+        #[doc = "Register `IN15` writer"]
+        pub type W = crate::W<In15Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In15Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 15 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in15::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in15::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In15Spec;
+        impl crate::RegisterSpec for In15Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in15::R`](R) reader structure"]
+        impl crate::Readable for In15Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in15::W`](W) writer structure"]
+        impl crate::Writable for In15Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN15 to value 0"]
+        impl crate::Resettable for In15Spec {}
+    }
+    #[doc = "IN16 (rw) register accessor: Time input 16 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in16::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in16::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in16`] module"]
+    #[doc(alias = "IN16")]
+    pub type In16 = crate::Reg<in16::In16Spec>;
+    #[doc = "Time input 16 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in16 {
+        #[doc = "Register `IN16` reader"]
+        pub type R = crate::R<In16Spec>;
+        #[doc = "Register `IN16` writer"]
+        pub type W = crate::W<In16Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In16Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 16 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in16::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in16::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In16Spec;
+        impl crate::RegisterSpec for In16Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in16::R`](R) reader structure"]
+        impl crate::Readable for In16Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in16::W`](W) writer structure"]
+        impl crate::Writable for In16Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN16 to value 0"]
+        impl crate::Resettable for In16Spec {}
+    }
+    #[doc = "IN17 (rw) register accessor: Time input 17 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in17::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in17::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in17`] module"]
+    #[doc(alias = "IN17")]
+    pub type In17 = crate::Reg<in17::In17Spec>;
+    #[doc = "Time input 17 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in17 {
+        #[doc = "Register `IN17` reader"]
+        pub type R = crate::R<In17Spec>;
+        #[doc = "Register `IN17` writer"]
+        pub type W = crate::W<In17Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In17Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 17 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in17::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in17::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In17Spec;
+        impl crate::RegisterSpec for In17Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in17::R`](R) reader structure"]
+        impl crate::Readable for In17Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in17::W`](W) writer structure"]
+        impl crate::Writable for In17Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN17 to value 0"]
+        impl crate::Resettable for In17Spec {}
+    }
+    #[doc = "IN18 (rw) register accessor: Time input 18 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in18::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in18::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in18`] module"]
+    #[doc(alias = "IN18")]
+    pub type In18 = crate::Reg<in18::In18Spec>;
+    #[doc = "Time input 18 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in18 {
+        #[doc = "Register `IN18` reader"]
+        pub type R = crate::R<In18Spec>;
+        #[doc = "Register `IN18` writer"]
+        pub type W = crate::W<In18Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In18Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 18 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in18::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in18::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In18Spec;
+        impl crate::RegisterSpec for In18Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in18::R`](R) reader structure"]
+        impl crate::Readable for In18Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in18::W`](W) writer structure"]
+        impl crate::Writable for In18Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN18 to value 0"]
+        impl crate::Resettable for In18Spec {}
+    }
+    #[doc = "IN19 (rw) register accessor: Time input 19 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in19::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in19::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in19`] module"]
+    #[doc(alias = "IN19")]
+    pub type In19 = crate::Reg<in19::In19Spec>;
+    #[doc = "Time input 19 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in19 {
+        #[doc = "Register `IN19` reader"]
+        pub type R = crate::R<In19Spec>;
+        #[doc = "Register `IN19` writer"]
+        pub type W = crate::W<In19Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In19Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 19 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in19::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in19::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In19Spec;
+        impl crate::RegisterSpec for In19Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in19::R`](R) reader structure"]
+        impl crate::Readable for In19Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in19::W`](W) writer structure"]
+        impl crate::Writable for In19Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN19 to value 0"]
+        impl crate::Resettable for In19Spec {}
+    }
+    #[doc = "IN20 (rw) register accessor: Time input 20 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in20::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in20::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in20`] module"]
+    #[doc(alias = "IN20")]
+    pub type In20 = crate::Reg<in20::In20Spec>;
+    #[doc = "Time input 20 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in20 {
+        #[doc = "Register `IN20` reader"]
+        pub type R = crate::R<In20Spec>;
+        #[doc = "Register `IN20` writer"]
+        pub type W = crate::W<In20Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In20Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 20 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in20::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in20::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In20Spec;
+        impl crate::RegisterSpec for In20Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in20::R`](R) reader structure"]
+        impl crate::Readable for In20Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in20::W`](W) writer structure"]
+        impl crate::Writable for In20Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN20 to value 0"]
+        impl crate::Resettable for In20Spec {}
+    }
+    #[doc = "IN21 (rw) register accessor: Time input 21 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in21::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in21::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in21`] module"]
+    #[doc(alias = "IN21")]
+    pub type In21 = crate::Reg<in21::In21Spec>;
+    #[doc = "Time input 21 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in21 {
+        #[doc = "Register `IN21` reader"]
+        pub type R = crate::R<In21Spec>;
+        #[doc = "Register `IN21` writer"]
+        pub type W = crate::W<In21Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In21Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 21 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in21::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in21::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In21Spec;
+        impl crate::RegisterSpec for In21Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in21::R`](R) reader structure"]
+        impl crate::Readable for In21Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in21::W`](W) writer structure"]
+        impl crate::Writable for In21Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN21 to value 0"]
+        impl crate::Resettable for In21Spec {}
+    }
+    #[doc = "IN22 (rw) register accessor: Time input 22 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in22::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in22::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in22`] module"]
+    #[doc(alias = "IN22")]
+    pub type In22 = crate::Reg<in22::In22Spec>;
+    #[doc = "Time input 22 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in22 {
+        #[doc = "Register `IN22` reader"]
+        pub type R = crate::R<In22Spec>;
+        #[doc = "Register `IN22` writer"]
+        pub type W = crate::W<In22Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In22Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 22 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in22::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in22::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In22Spec;
+        impl crate::RegisterSpec for In22Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in22::R`](R) reader structure"]
+        impl crate::Readable for In22Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in22::W`](W) writer structure"]
+        impl crate::Writable for In22Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN22 to value 0"]
+        impl crate::Resettable for In22Spec {}
+    }
+    #[doc = "IN23 (rw) register accessor: Time input 23 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in23::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in23::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in23`] module"]
+    #[doc(alias = "IN23")]
+    pub type In23 = crate::Reg<in23::In23Spec>;
+    #[doc = "Time input 23 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in23 {
+        #[doc = "Register `IN23` reader"]
+        pub type R = crate::R<In23Spec>;
+        #[doc = "Register `IN23` writer"]
+        pub type W = crate::W<In23Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In23Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 23 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in23::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in23::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In23Spec;
+        impl crate::RegisterSpec for In23Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in23::R`](R) reader structure"]
+        impl crate::Readable for In23Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in23::W`](W) writer structure"]
+        impl crate::Writable for In23Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN23 to value 0"]
+        impl crate::Resettable for In23Spec {}
+    }
+    #[doc = "IN24 (rw) register accessor: Time input 24 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in24::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in24::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in24`] module"]
+    #[doc(alias = "IN24")]
+    pub type In24 = crate::Reg<in24::In24Spec>;
+    #[doc = "Time input 24 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in24 {
+        #[doc = "Register `IN24` reader"]
+        pub type R = crate::R<In24Spec>;
+        #[doc = "Register `IN24` writer"]
+        pub type W = crate::W<In24Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In24Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 24 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in24::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in24::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In24Spec;
+        impl crate::RegisterSpec for In24Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in24::R`](R) reader structure"]
+        impl crate::Readable for In24Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in24::W`](W) writer structure"]
+        impl crate::Writable for In24Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN24 to value 0"]
+        impl crate::Resettable for In24Spec {}
+    }
+    #[doc = "IN25 (rw) register accessor: Time input 25 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in25::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in25::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in25`] module"]
+    #[doc(alias = "IN25")]
+    pub type In25 = crate::Reg<in25::In25Spec>;
+    #[doc = "Time input 25 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in25 {
+        #[doc = "Register `IN25` reader"]
+        pub type R = crate::R<In25Spec>;
+        #[doc = "Register `IN25` writer"]
+        pub type W = crate::W<In25Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In25Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 25 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in25::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in25::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In25Spec;
+        impl crate::RegisterSpec for In25Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in25::R`](R) reader structure"]
+        impl crate::Readable for In25Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in25::W`](W) writer structure"]
+        impl crate::Writable for In25Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN25 to value 0"]
+        impl crate::Resettable for In25Spec {}
+    }
+    #[doc = "IN26 (rw) register accessor: Time input 26 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in26::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in26::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in26`] module"]
+    #[doc(alias = "IN26")]
+    pub type In26 = crate::Reg<in26::In26Spec>;
+    #[doc = "Time input 26 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in26 {
+        #[doc = "Register `IN26` reader"]
+        pub type R = crate::R<In26Spec>;
+        #[doc = "Register `IN26` writer"]
+        pub type W = crate::W<In26Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In26Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 26 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in26::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in26::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In26Spec;
+        impl crate::RegisterSpec for In26Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in26::R`](R) reader structure"]
+        impl crate::Readable for In26Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in26::W`](W) writer structure"]
+        impl crate::Writable for In26Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN26 to value 0"]
+        impl crate::Resettable for In26Spec {}
+    }
+    #[doc = "IN27 (rw) register accessor: Time input 27 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in27::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in27::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in27`] module"]
+    #[doc(alias = "IN27")]
+    pub type In27 = crate::Reg<in27::In27Spec>;
+    #[doc = "Time input 27 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in27 {
+        #[doc = "Register `IN27` reader"]
+        pub type R = crate::R<In27Spec>;
+        #[doc = "Register `IN27` writer"]
+        pub type W = crate::W<In27Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In27Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 27 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in27::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in27::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In27Spec;
+        impl crate::RegisterSpec for In27Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in27::R`](R) reader structure"]
+        impl crate::Readable for In27Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in27::W`](W) writer structure"]
+        impl crate::Writable for In27Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN27 to value 0"]
+        impl crate::Resettable for In27Spec {}
+    }
+    #[doc = "IN28 (rw) register accessor: Time input 28 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in28::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in28::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in28`] module"]
+    #[doc(alias = "IN28")]
+    pub type In28 = crate::Reg<in28::In28Spec>;
+    #[doc = "Time input 28 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in28 {
+        #[doc = "Register `IN28` reader"]
+        pub type R = crate::R<In28Spec>;
+        #[doc = "Register `IN28` writer"]
+        pub type W = crate::W<In28Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In28Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 28 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in28::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in28::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In28Spec;
+        impl crate::RegisterSpec for In28Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in28::R`](R) reader structure"]
+        impl crate::Readable for In28Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in28::W`](W) writer structure"]
+        impl crate::Writable for In28Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN28 to value 0"]
+        impl crate::Resettable for In28Spec {}
+    }
+    #[doc = "IN29 (rw) register accessor: Time input 29 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in29::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in29::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in29`] module"]
+    #[doc(alias = "IN29")]
+    pub type In29 = crate::Reg<in29::In29Spec>;
+    #[doc = "Time input 29 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in29 {
+        #[doc = "Register `IN29` reader"]
+        pub type R = crate::R<In29Spec>;
+        #[doc = "Register `IN29` writer"]
+        pub type W = crate::W<In29Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In29Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 29 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in29::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in29::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In29Spec;
+        impl crate::RegisterSpec for In29Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in29::R`](R) reader structure"]
+        impl crate::Readable for In29Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in29::W`](W) writer structure"]
+        impl crate::Writable for In29Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN29 to value 0"]
+        impl crate::Resettable for In29Spec {}
+    }
+    #[doc = "IN30 (rw) register accessor: Time input 30 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in30::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in30::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in30`] module"]
+    #[doc(alias = "IN30")]
+    pub type In30 = crate::Reg<in30::In30Spec>;
+    #[doc = "Time input 30 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in30 {
+        #[doc = "Register `IN30` reader"]
+        pub type R = crate::R<In30Spec>;
+        #[doc = "Register `IN30` writer"]
+        pub type W = crate::W<In30Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In30Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 30 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in30::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in30::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In30Spec;
+        impl crate::RegisterSpec for In30Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in30::R`](R) reader structure"]
+        impl crate::Readable for In30Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in30::W`](W) writer structure"]
+        impl crate::Writable for In30Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN30 to value 0"]
+        impl crate::Resettable for In30Spec {}
+    }
+    #[doc = "IN31 (rw) register accessor: Time input 31 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in31::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in31::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@in31`] module"]
+    #[doc(alias = "IN31")]
+    pub type In31 = crate::Reg<in31::In31Spec>;
+    #[doc = "Time input 31 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks."]
+    pub mod in31 {
+        #[doc = "Register `IN31` reader"]
+        pub type R = crate::R<In31Spec>;
+        #[doc = "Register `IN31` writer"]
+        pub type W = crate::W<In31Spec>;
+        #[doc = "Field `visits` reader - Time in units of 32 clocks."]
+        pub type VisitsR = crate::FieldReader<u16>;
+        #[doc = "Field `visits` writer - Time in units of 32 clocks."]
+        pub type VisitsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&self) -> VisitsR {
+                VisitsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Time in units of 32 clocks."]
+            #[inline(always)]
+            pub fn visits(&mut self) -> VisitsW<'_, In31Spec> {
+                VisitsW::new(self, 0)
+            }
+        }
+        #[doc = "Time input 31 must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`in31::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`in31::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct In31Spec;
+        impl crate::RegisterSpec for In31Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`in31::R`](R) reader structure"]
+        impl crate::Readable for In31Spec {}
+        #[doc = "`write(|w| ..)` method takes [`in31::W`](W) writer structure"]
+        impl crate::Writable for In31Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IN31 to value 0"]
+        impl crate::Resettable for In31Spec {}
+    }
+}
 #[doc = "Staged commands, contiguous: writing them changes nothing until the commit strobe."]
 pub type Command = crate::Periph<command::RegisterBlock, 0xf000_7000>;
 impl core::fmt::Debug for Command {
@@ -3385,6 +5229,8 @@ pub mod command {
     pub struct RegisterBlock {
         enables: Enables,
         gpio_out: GpioOut,
+        arms: Arms,
+        probe_arms: ProbeArms,
         stepgen0_velocity: Stepgen0Velocity,
         stepgen0_accel: Stepgen0Accel,
         stepgen1_velocity: Stepgen1Velocity,
@@ -3445,242 +5291,252 @@ pub mod command {
         pub const fn gpio_out(&self) -> &GpioOut {
             &self.gpio_out
         }
-        #[doc = "0x08 - Signed step rate of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x08 - Which step generators wait for an index and which encoders for the probe; staged until the commit strobe."]
+        #[inline(always)]
+        pub const fn arms(&self) -> &Arms {
+            &self.arms
+        }
+        #[doc = "0x0c - Which step generators wait for the probe; staged until the commit strobe."]
+        #[inline(always)]
+        pub const fn probe_arms(&self) -> &ProbeArms {
+            &self.probe_arms
+        }
+        #[doc = "0x10 - Signed step rate of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen0_velocity(&self) -> &Stepgen0Velocity {
             &self.stepgen0_velocity
         }
-        #[doc = "0x0c - Acceleration limit of step generator 0; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x14 - Acceleration limit of step generator 0; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen0_accel(&self) -> &Stepgen0Accel {
             &self.stepgen0_accel
         }
-        #[doc = "0x10 - Signed step rate of step generator 1; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x18 - Signed step rate of step generator 1; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen1_velocity(&self) -> &Stepgen1Velocity {
             &self.stepgen1_velocity
         }
-        #[doc = "0x14 - Acceleration limit of step generator 1; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x1c - Acceleration limit of step generator 1; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen1_accel(&self) -> &Stepgen1Accel {
             &self.stepgen1_accel
         }
-        #[doc = "0x18 - Signed step rate of step generator 2; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x20 - Signed step rate of step generator 2; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen2_velocity(&self) -> &Stepgen2Velocity {
             &self.stepgen2_velocity
         }
-        #[doc = "0x1c - Acceleration limit of step generator 2; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x24 - Acceleration limit of step generator 2; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen2_accel(&self) -> &Stepgen2Accel {
             &self.stepgen2_accel
         }
-        #[doc = "0x20 - Signed step rate of step generator 3; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x28 - Signed step rate of step generator 3; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen3_velocity(&self) -> &Stepgen3Velocity {
             &self.stepgen3_velocity
         }
-        #[doc = "0x24 - Acceleration limit of step generator 3; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x2c - Acceleration limit of step generator 3; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen3_accel(&self) -> &Stepgen3Accel {
             &self.stepgen3_accel
         }
-        #[doc = "0x28 - Signed step rate of step generator 4; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x30 - Signed step rate of step generator 4; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen4_velocity(&self) -> &Stepgen4Velocity {
             &self.stepgen4_velocity
         }
-        #[doc = "0x2c - Acceleration limit of step generator 4; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x34 - Acceleration limit of step generator 4; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen4_accel(&self) -> &Stepgen4Accel {
             &self.stepgen4_accel
         }
-        #[doc = "0x30 - Signed step rate of step generator 5; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x38 - Signed step rate of step generator 5; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen5_velocity(&self) -> &Stepgen5Velocity {
             &self.stepgen5_velocity
         }
-        #[doc = "0x34 - Acceleration limit of step generator 5; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x3c - Acceleration limit of step generator 5; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen5_accel(&self) -> &Stepgen5Accel {
             &self.stepgen5_accel
         }
-        #[doc = "0x38 - Signed step rate of step generator 6; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x40 - Signed step rate of step generator 6; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen6_velocity(&self) -> &Stepgen6Velocity {
             &self.stepgen6_velocity
         }
-        #[doc = "0x3c - Acceleration limit of step generator 6; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x44 - Acceleration limit of step generator 6; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen6_accel(&self) -> &Stepgen6Accel {
             &self.stepgen6_accel
         }
-        #[doc = "0x40 - Signed step rate of step generator 7; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x48 - Signed step rate of step generator 7; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen7_velocity(&self) -> &Stepgen7Velocity {
             &self.stepgen7_velocity
         }
-        #[doc = "0x44 - Acceleration limit of step generator 7; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x4c - Acceleration limit of step generator 7; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen7_accel(&self) -> &Stepgen7Accel {
             &self.stepgen7_accel
         }
-        #[doc = "0x48 - Signed step rate of step generator 8; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x50 - Signed step rate of step generator 8; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen8_velocity(&self) -> &Stepgen8Velocity {
             &self.stepgen8_velocity
         }
-        #[doc = "0x4c - Acceleration limit of step generator 8; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x54 - Acceleration limit of step generator 8; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen8_accel(&self) -> &Stepgen8Accel {
             &self.stepgen8_accel
         }
-        #[doc = "0x50 - Signed step rate of step generator 9; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x58 - Signed step rate of step generator 9; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen9_velocity(&self) -> &Stepgen9Velocity {
             &self.stepgen9_velocity
         }
-        #[doc = "0x54 - Acceleration limit of step generator 9; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x5c - Acceleration limit of step generator 9; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen9_accel(&self) -> &Stepgen9Accel {
             &self.stepgen9_accel
         }
-        #[doc = "0x58 - Signed step rate of step generator 10; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x60 - Signed step rate of step generator 10; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen10_velocity(&self) -> &Stepgen10Velocity {
             &self.stepgen10_velocity
         }
-        #[doc = "0x5c - Acceleration limit of step generator 10; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x64 - Acceleration limit of step generator 10; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen10_accel(&self) -> &Stepgen10Accel {
             &self.stepgen10_accel
         }
-        #[doc = "0x60 - Signed step rate of step generator 11; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x68 - Signed step rate of step generator 11; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen11_velocity(&self) -> &Stepgen11Velocity {
             &self.stepgen11_velocity
         }
-        #[doc = "0x64 - Acceleration limit of step generator 11; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x6c - Acceleration limit of step generator 11; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen11_accel(&self) -> &Stepgen11Accel {
             &self.stepgen11_accel
         }
-        #[doc = "0x68 - Signed step rate of step generator 12; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x70 - Signed step rate of step generator 12; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen12_velocity(&self) -> &Stepgen12Velocity {
             &self.stepgen12_velocity
         }
-        #[doc = "0x6c - Acceleration limit of step generator 12; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x74 - Acceleration limit of step generator 12; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen12_accel(&self) -> &Stepgen12Accel {
             &self.stepgen12_accel
         }
-        #[doc = "0x70 - Signed step rate of step generator 13; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x78 - Signed step rate of step generator 13; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen13_velocity(&self) -> &Stepgen13Velocity {
             &self.stepgen13_velocity
         }
-        #[doc = "0x74 - Acceleration limit of step generator 13; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x7c - Acceleration limit of step generator 13; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen13_accel(&self) -> &Stepgen13Accel {
             &self.stepgen13_accel
         }
-        #[doc = "0x78 - Signed step rate of step generator 14; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x80 - Signed step rate of step generator 14; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen14_velocity(&self) -> &Stepgen14Velocity {
             &self.stepgen14_velocity
         }
-        #[doc = "0x7c - Acceleration limit of step generator 14; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x84 - Acceleration limit of step generator 14; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen14_accel(&self) -> &Stepgen14Accel {
             &self.stepgen14_accel
         }
-        #[doc = "0x80 - Signed step rate of step generator 15; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x88 - Signed step rate of step generator 15; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen15_velocity(&self) -> &Stepgen15Velocity {
             &self.stepgen15_velocity
         }
-        #[doc = "0x84 - Acceleration limit of step generator 15; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
+        #[doc = "0x8c - Acceleration limit of step generator 15; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit. Staged until the commit strobe."]
         #[inline(always)]
         pub const fn stepgen15_accel(&self) -> &Stepgen15Accel {
             &self.stepgen15_accel
         }
-        #[doc = "0x88 - Width, enable and direction of PWM 0. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0x90 - Width, enable and direction of PWM 0. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm0_width(&self) -> &Pwm0Width {
             &self.pwm0_width
         }
-        #[doc = "0x8c - Width, enable and direction of PWM 1. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0x94 - Width, enable and direction of PWM 1. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm1_width(&self) -> &Pwm1Width {
             &self.pwm1_width
         }
-        #[doc = "0x90 - Width, enable and direction of PWM 2. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0x98 - Width, enable and direction of PWM 2. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm2_width(&self) -> &Pwm2Width {
             &self.pwm2_width
         }
-        #[doc = "0x94 - Width, enable and direction of PWM 3. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0x9c - Width, enable and direction of PWM 3. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm3_width(&self) -> &Pwm3Width {
             &self.pwm3_width
         }
-        #[doc = "0x98 - Width, enable and direction of PWM 4. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xa0 - Width, enable and direction of PWM 4. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm4_width(&self) -> &Pwm4Width {
             &self.pwm4_width
         }
-        #[doc = "0x9c - Width, enable and direction of PWM 5. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xa4 - Width, enable and direction of PWM 5. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm5_width(&self) -> &Pwm5Width {
             &self.pwm5_width
         }
-        #[doc = "0xa0 - Width, enable and direction of PWM 6. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xa8 - Width, enable and direction of PWM 6. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm6_width(&self) -> &Pwm6Width {
             &self.pwm6_width
         }
-        #[doc = "0xa4 - Width, enable and direction of PWM 7. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xac - Width, enable and direction of PWM 7. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm7_width(&self) -> &Pwm7Width {
             &self.pwm7_width
         }
-        #[doc = "0xa8 - Width, enable and direction of PWM 8. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xb0 - Width, enable and direction of PWM 8. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm8_width(&self) -> &Pwm8Width {
             &self.pwm8_width
         }
-        #[doc = "0xac - Width, enable and direction of PWM 9. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xb4 - Width, enable and direction of PWM 9. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm9_width(&self) -> &Pwm9Width {
             &self.pwm9_width
         }
-        #[doc = "0xb0 - Width, enable and direction of PWM 10. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xb8 - Width, enable and direction of PWM 10. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm10_width(&self) -> &Pwm10Width {
             &self.pwm10_width
         }
-        #[doc = "0xb4 - Width, enable and direction of PWM 11. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xbc - Width, enable and direction of PWM 11. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm11_width(&self) -> &Pwm11Width {
             &self.pwm11_width
         }
-        #[doc = "0xb8 - Width, enable and direction of PWM 12. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xc0 - Width, enable and direction of PWM 12. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm12_width(&self) -> &Pwm12Width {
             &self.pwm12_width
         }
-        #[doc = "0xbc - Width, enable and direction of PWM 13. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xc4 - Width, enable and direction of PWM 13. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm13_width(&self) -> &Pwm13Width {
             &self.pwm13_width
         }
-        #[doc = "0xc0 - Width, enable and direction of PWM 14. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xc8 - Width, enable and direction of PWM 14. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm14_width(&self) -> &Pwm14Width {
             &self.pwm14_width
         }
-        #[doc = "0xc4 - Width, enable and direction of PWM 15. Staged until the commit strobe, applied at the next period edge."]
+        #[doc = "0xcc - Width, enable and direction of PWM 15. Staged until the commit strobe, applied at the next period edge."]
         #[inline(always)]
         pub const fn pwm15_width(&self) -> &Pwm15Width {
             &self.pwm15_width
@@ -3699,10 +5555,10 @@ pub mod command {
         pub type StepgenR = crate::FieldReader<u16>;
         #[doc = "Field `stepgen` writer - Bit n: step generator n follows its velocity; 0 brings it to rest at its stop_accel."]
         pub type StepgenW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
-        #[doc = "Field `index` reader - Bit n: encoder n latches its count at the next index pulse; 0 clears its latched flag."]
-        pub type IndexR = crate::FieldReader<u16>;
-        #[doc = "Field `index` writer - Bit n: encoder n latches its count at the next index pulse; 0 clears its latched flag."]
-        pub type IndexW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        #[doc = "Field `encoder_index` reader - Bit n: encoder n latches its count at the next index pulse; 0 clears its latched flag."]
+        pub type EncoderIndexR = crate::FieldReader<u16>;
+        #[doc = "Field `encoder_index` writer - Bit n: encoder n latches its count at the next index pulse; 0 clears its latched flag."]
+        pub type EncoderIndexW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
         impl R {
             #[doc = "Bits 0:15 - Bit n: step generator n follows its velocity; 0 brings it to rest at its stop_accel."]
             #[inline(always)]
@@ -3711,8 +5567,8 @@ pub mod command {
             }
             #[doc = "Bits 16:31 - Bit n: encoder n latches its count at the next index pulse; 0 clears its latched flag."]
             #[inline(always)]
-            pub fn index(&self) -> IndexR {
-                IndexR::new(((self.bits >> 16) & 0xffff) as u16)
+            pub fn encoder_index(&self) -> EncoderIndexR {
+                EncoderIndexR::new(((self.bits >> 16) & 0xffff) as u16)
             }
         }
         impl W {
@@ -3723,8 +5579,8 @@ pub mod command {
             }
             #[doc = "Bits 16:31 - Bit n: encoder n latches its count at the next index pulse; 0 clears its latched flag."]
             #[inline(always)]
-            pub fn index(&mut self) -> IndexW<'_, EnablesSpec> {
-                IndexW::new(self, 16)
+            pub fn encoder_index(&mut self) -> EncoderIndexW<'_, EnablesSpec> {
+                EncoderIndexW::new(self, 16)
             }
         }
         #[doc = "Which step generators follow their command and which encoders wait for an index; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`enables::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`enables::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
@@ -3769,6 +5625,102 @@ pub mod command {
         }
         #[doc = "`reset()` method sets GPIO_OUT to value 0"]
         impl crate::Resettable for GpioOutSpec {}
+    }
+    #[doc = "ARMS (rw) register accessor: Which step generators wait for an index and which encoders for the probe; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`arms::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`arms::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@arms`] module"]
+    #[doc(alias = "ARMS")]
+    pub type Arms = crate::Reg<arms::ArmsSpec>;
+    #[doc = "Which step generators wait for an index and which encoders for the probe; staged until the commit strobe."]
+    pub mod arms {
+        #[doc = "Register `ARMS` reader"]
+        pub type R = crate::R<ArmsSpec>;
+        #[doc = "Register `ARMS` writer"]
+        pub type W = crate::W<ArmsSpec>;
+        #[doc = "Field `stepgen_index` reader - Bit n: step generator n latches its pulses at the next index pulse; 0 clears its latched flag."]
+        pub type StepgenIndexR = crate::FieldReader<u16>;
+        #[doc = "Field `stepgen_index` writer - Bit n: step generator n latches its pulses at the next index pulse; 0 clears its latched flag."]
+        pub type StepgenIndexW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        #[doc = "Field `encoder_probe` reader - Bit n: encoder n latches its count when the probe becomes active; 0 clears its latched flag."]
+        pub type EncoderProbeR = crate::FieldReader<u16>;
+        #[doc = "Field `encoder_probe` writer - Bit n: encoder n latches its count when the probe becomes active; 0 clears its latched flag."]
+        pub type EncoderProbeW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Bit n: step generator n latches its pulses at the next index pulse; 0 clears its latched flag."]
+            #[inline(always)]
+            pub fn stepgen_index(&self) -> StepgenIndexR {
+                StepgenIndexR::new((self.bits & 0xffff) as u16)
+            }
+            #[doc = "Bits 16:31 - Bit n: encoder n latches its count when the probe becomes active; 0 clears its latched flag."]
+            #[inline(always)]
+            pub fn encoder_probe(&self) -> EncoderProbeR {
+                EncoderProbeR::new(((self.bits >> 16) & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Bit n: step generator n latches its pulses at the next index pulse; 0 clears its latched flag."]
+            #[inline(always)]
+            pub fn stepgen_index(&mut self) -> StepgenIndexW<'_, ArmsSpec> {
+                StepgenIndexW::new(self, 0)
+            }
+            #[doc = "Bits 16:31 - Bit n: encoder n latches its count when the probe becomes active; 0 clears its latched flag."]
+            #[inline(always)]
+            pub fn encoder_probe(&mut self) -> EncoderProbeW<'_, ArmsSpec> {
+                EncoderProbeW::new(self, 16)
+            }
+        }
+        #[doc = "Which step generators wait for an index and which encoders for the probe; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`arms::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`arms::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct ArmsSpec;
+        impl crate::RegisterSpec for ArmsSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`arms::R`](R) reader structure"]
+        impl crate::Readable for ArmsSpec {}
+        #[doc = "`write(|w| ..)` method takes [`arms::W`](W) writer structure"]
+        impl crate::Writable for ArmsSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ARMS to value 0"]
+        impl crate::Resettable for ArmsSpec {}
+    }
+    #[doc = "PROBE_ARMS (rw) register accessor: Which step generators wait for the probe; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`probe_arms::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`probe_arms::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@probe_arms`] module"]
+    #[doc(alias = "PROBE_ARMS")]
+    pub type ProbeArms = crate::Reg<probe_arms::ProbeArmsSpec>;
+    #[doc = "Which step generators wait for the probe; staged until the commit strobe."]
+    pub mod probe_arms {
+        #[doc = "Register `PROBE_ARMS` reader"]
+        pub type R = crate::R<ProbeArmsSpec>;
+        #[doc = "Register `PROBE_ARMS` writer"]
+        pub type W = crate::W<ProbeArmsSpec>;
+        #[doc = "Field `stepgen_probe` reader - Bit n: step generator n latches its pulses when the probe becomes active; 0 clears its latched flag."]
+        pub type StepgenProbeR = crate::FieldReader<u16>;
+        #[doc = "Field `stepgen_probe` writer - Bit n: step generator n latches its pulses when the probe becomes active; 0 clears its latched flag."]
+        pub type StepgenProbeW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Bit n: step generator n latches its pulses when the probe becomes active; 0 clears its latched flag."]
+            #[inline(always)]
+            pub fn stepgen_probe(&self) -> StepgenProbeR {
+                StepgenProbeR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - Bit n: step generator n latches its pulses when the probe becomes active; 0 clears its latched flag."]
+            #[inline(always)]
+            pub fn stepgen_probe(&mut self) -> StepgenProbeW<'_, ProbeArmsSpec> {
+                StepgenProbeW::new(self, 0)
+            }
+        }
+        #[doc = "Which step generators wait for the probe; staged until the commit strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`probe_arms::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`probe_arms::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct ProbeArmsSpec;
+        impl crate::RegisterSpec for ProbeArmsSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`probe_arms::R`](R) reader structure"]
+        impl crate::Readable for ProbeArmsSpec {}
+        #[doc = "`write(|w| ..)` method takes [`probe_arms::W`](W) writer structure"]
+        impl crate::Writable for ProbeArmsSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets PROBE_ARMS to value 0"]
+        impl crate::Resettable for ProbeArmsSpec {}
     }
     #[doc = "STEPGEN0_VELOCITY (rw) register accessor: Signed step rate of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen0_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen0_velocity`] module"]
     #[doc(alias = "STEPGEN0_VELOCITY")]
@@ -4707,37 +6659,37 @@ pub mod command {
         pub type R = crate::R<Pwm0WidthSpec>;
         #[doc = "Register `PWM0_WIDTH` writer"]
         pub type W = crate::W<Pwm0WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm0WidthSpec> {
                 WidthW::new(self, 0)
@@ -4747,7 +6699,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm0WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm0WidthSpec> {
                 DirectionW::new(self, 31)
@@ -4776,37 +6728,37 @@ pub mod command {
         pub type R = crate::R<Pwm1WidthSpec>;
         #[doc = "Register `PWM1_WIDTH` writer"]
         pub type W = crate::W<Pwm1WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm1WidthSpec> {
                 WidthW::new(self, 0)
@@ -4816,7 +6768,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm1WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm1WidthSpec> {
                 DirectionW::new(self, 31)
@@ -4845,37 +6797,37 @@ pub mod command {
         pub type R = crate::R<Pwm2WidthSpec>;
         #[doc = "Register `PWM2_WIDTH` writer"]
         pub type W = crate::W<Pwm2WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm2WidthSpec> {
                 WidthW::new(self, 0)
@@ -4885,7 +6837,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm2WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm2WidthSpec> {
                 DirectionW::new(self, 31)
@@ -4914,37 +6866,37 @@ pub mod command {
         pub type R = crate::R<Pwm3WidthSpec>;
         #[doc = "Register `PWM3_WIDTH` writer"]
         pub type W = crate::W<Pwm3WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm3WidthSpec> {
                 WidthW::new(self, 0)
@@ -4954,7 +6906,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm3WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm3WidthSpec> {
                 DirectionW::new(self, 31)
@@ -4983,37 +6935,37 @@ pub mod command {
         pub type R = crate::R<Pwm4WidthSpec>;
         #[doc = "Register `PWM4_WIDTH` writer"]
         pub type W = crate::W<Pwm4WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm4WidthSpec> {
                 WidthW::new(self, 0)
@@ -5023,7 +6975,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm4WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm4WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5052,37 +7004,37 @@ pub mod command {
         pub type R = crate::R<Pwm5WidthSpec>;
         #[doc = "Register `PWM5_WIDTH` writer"]
         pub type W = crate::W<Pwm5WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm5WidthSpec> {
                 WidthW::new(self, 0)
@@ -5092,7 +7044,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm5WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm5WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5121,37 +7073,37 @@ pub mod command {
         pub type R = crate::R<Pwm6WidthSpec>;
         #[doc = "Register `PWM6_WIDTH` writer"]
         pub type W = crate::W<Pwm6WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm6WidthSpec> {
                 WidthW::new(self, 0)
@@ -5161,7 +7113,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm6WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm6WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5190,37 +7142,37 @@ pub mod command {
         pub type R = crate::R<Pwm7WidthSpec>;
         #[doc = "Register `PWM7_WIDTH` writer"]
         pub type W = crate::W<Pwm7WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm7WidthSpec> {
                 WidthW::new(self, 0)
@@ -5230,7 +7182,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm7WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm7WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5259,37 +7211,37 @@ pub mod command {
         pub type R = crate::R<Pwm8WidthSpec>;
         #[doc = "Register `PWM8_WIDTH` writer"]
         pub type W = crate::W<Pwm8WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm8WidthSpec> {
                 WidthW::new(self, 0)
@@ -5299,7 +7251,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm8WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm8WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5328,37 +7280,37 @@ pub mod command {
         pub type R = crate::R<Pwm9WidthSpec>;
         #[doc = "Register `PWM9_WIDTH` writer"]
         pub type W = crate::W<Pwm9WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm9WidthSpec> {
                 WidthW::new(self, 0)
@@ -5368,7 +7320,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm9WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm9WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5397,37 +7349,37 @@ pub mod command {
         pub type R = crate::R<Pwm10WidthSpec>;
         #[doc = "Register `PWM10_WIDTH` writer"]
         pub type W = crate::W<Pwm10WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm10WidthSpec> {
                 WidthW::new(self, 0)
@@ -5437,7 +7389,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm10WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm10WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5466,37 +7418,37 @@ pub mod command {
         pub type R = crate::R<Pwm11WidthSpec>;
         #[doc = "Register `PWM11_WIDTH` writer"]
         pub type W = crate::W<Pwm11WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm11WidthSpec> {
                 WidthW::new(self, 0)
@@ -5506,7 +7458,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm11WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm11WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5535,37 +7487,37 @@ pub mod command {
         pub type R = crate::R<Pwm12WidthSpec>;
         #[doc = "Register `PWM12_WIDTH` writer"]
         pub type W = crate::W<Pwm12WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm12WidthSpec> {
                 WidthW::new(self, 0)
@@ -5575,7 +7527,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm12WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm12WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5604,37 +7556,37 @@ pub mod command {
         pub type R = crate::R<Pwm13WidthSpec>;
         #[doc = "Register `PWM13_WIDTH` writer"]
         pub type W = crate::W<Pwm13WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm13WidthSpec> {
                 WidthW::new(self, 0)
@@ -5644,7 +7596,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm13WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm13WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5673,37 +7625,37 @@ pub mod command {
         pub type R = crate::R<Pwm14WidthSpec>;
         #[doc = "Register `PWM14_WIDTH` writer"]
         pub type W = crate::W<Pwm14WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm14WidthSpec> {
                 WidthW::new(self, 0)
@@ -5713,7 +7665,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm14WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm14WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5742,37 +7694,37 @@ pub mod command {
         pub type R = crate::R<Pwm15WidthSpec>;
         #[doc = "Register `PWM15_WIDTH` writer"]
         pub type W = crate::W<Pwm15WidthSpec>;
-        #[doc = "Field `width` reader - Time the output is active in each period, in clocks; the period or more is 100 %."]
+        #[doc = "Field `width` reader - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
         pub type WidthR = crate::FieldReader<u32>;
-        #[doc = "Field `width` writer - Time the output is active in each period, in clocks; the period or more is 100 %."]
-        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        #[doc = "Field `width` writer - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
+        pub type WidthW<'a, REG> = crate::FieldWriter<'a, REG, 29, u32>;
         #[doc = "Field `enable` reader - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableR = crate::BitReader;
         #[doc = "Field `enable` writer - 1: the output works; 0: it rests at its inactive level."]
         pub type EnableW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `direction` reader - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` reader - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionR = crate::BitReader;
-        #[doc = "Field `direction` writer - Level of the direction output, where the board has one."]
+        #[doc = "Field `direction` writer - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
         pub type DirectionW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&self) -> WidthR {
-                WidthR::new(self.bits & 0x00ff_ffff)
+                WidthR::new(self.bits & 0x1fff_ffff)
             }
             #[doc = "Bit 30 - 1: the output works; 0: it rests at its inactive level."]
             #[inline(always)]
             pub fn enable(&self) -> EnableR {
                 EnableR::new(((self.bits >> 30) & 1) != 0)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&self) -> DirectionR {
                 DirectionR::new(((self.bits >> 31) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time the output is active in each period, in clocks; the period or more is 100 %."]
+            #[doc = "Bits 0:28 - Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."]
             #[inline(always)]
             pub fn width(&mut self) -> WidthW<'_, Pwm15WidthSpec> {
                 WidthW::new(self, 0)
@@ -5782,7 +7734,7 @@ pub mod command {
             pub fn enable(&mut self) -> EnableW<'_, Pwm15WidthSpec> {
                 EnableW::new(self, 30)
             }
-            #[doc = "Bit 31 - Level of the direction output, where the board has one."]
+            #[doc = "Bit 31 - 1: reverse; the level of the direction output, or which of the two outputs carries the pulses."]
             #[inline(always)]
             pub fn direction(&mut self) -> DirectionW<'_, Pwm15WidthSpec> {
                 DirectionW::new(self, 31)
@@ -5803,14 +7755,14 @@ pub mod command {
         impl crate::Resettable for Pwm15WidthSpec {}
     }
 }
-#[doc = "The last sample, contiguous: all words are of one clock, and reading changes nothing."]
+#[doc = "The last sample, contiguous: all words but the latches are of one clock, complete 18 clocks after the strobe, and reading changes nothing."]
 pub type Status = crate::Periph<status::RegisterBlock, 0xf000_7800>;
 impl core::fmt::Debug for Status {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Status").finish()
     }
 }
-#[doc = "The last sample, contiguous: all words are of one clock, and reading changes nothing."]
+#[doc = "The last sample, contiguous: all words but the latches are of one clock, complete 18 clocks after the strobe, and reading changes nothing."]
 pub mod status {
     #[repr(C)]
     #[doc = "Register block"]
@@ -5818,7 +7770,11 @@ pub mod status {
         sample_lo: SampleLo,
         sample_hi: SampleHi,
         gpio_in: GpioIn,
-        flags: Flags,
+        flags0: Flags0,
+        flags1: Flags1,
+        flags2: Flags2,
+        estop: Estop,
+        reserved: Reserved,
         stepgen0_position_lo: Stepgen0PositionLo,
         stepgen0_position_hi: Stepgen0PositionHi,
         stepgen0_velocity: Stepgen0Velocity,
@@ -5868,53 +7824,69 @@ pub mod status {
         stepgen15_position_hi: Stepgen15PositionHi,
         stepgen15_velocity: Stepgen15Velocity,
         encoder0_count: Encoder0Count,
-        encoder0_latch: Encoder0Latch,
-        encoder0_edge_time: Encoder0EdgeTime,
+        encoder0_edge: Encoder0Edge,
         encoder1_count: Encoder1Count,
-        encoder1_latch: Encoder1Latch,
-        encoder1_edge_time: Encoder1EdgeTime,
+        encoder1_edge: Encoder1Edge,
         encoder2_count: Encoder2Count,
-        encoder2_latch: Encoder2Latch,
-        encoder2_edge_time: Encoder2EdgeTime,
+        encoder2_edge: Encoder2Edge,
         encoder3_count: Encoder3Count,
-        encoder3_latch: Encoder3Latch,
-        encoder3_edge_time: Encoder3EdgeTime,
+        encoder3_edge: Encoder3Edge,
         encoder4_count: Encoder4Count,
-        encoder4_latch: Encoder4Latch,
-        encoder4_edge_time: Encoder4EdgeTime,
+        encoder4_edge: Encoder4Edge,
         encoder5_count: Encoder5Count,
-        encoder5_latch: Encoder5Latch,
-        encoder5_edge_time: Encoder5EdgeTime,
+        encoder5_edge: Encoder5Edge,
         encoder6_count: Encoder6Count,
-        encoder6_latch: Encoder6Latch,
-        encoder6_edge_time: Encoder6EdgeTime,
+        encoder6_edge: Encoder6Edge,
         encoder7_count: Encoder7Count,
-        encoder7_latch: Encoder7Latch,
-        encoder7_edge_time: Encoder7EdgeTime,
+        encoder7_edge: Encoder7Edge,
         encoder8_count: Encoder8Count,
-        encoder8_latch: Encoder8Latch,
-        encoder8_edge_time: Encoder8EdgeTime,
+        encoder8_edge: Encoder8Edge,
         encoder9_count: Encoder9Count,
-        encoder9_latch: Encoder9Latch,
-        encoder9_edge_time: Encoder9EdgeTime,
+        encoder9_edge: Encoder9Edge,
         encoder10_count: Encoder10Count,
-        encoder10_latch: Encoder10Latch,
-        encoder10_edge_time: Encoder10EdgeTime,
+        encoder10_edge: Encoder10Edge,
         encoder11_count: Encoder11Count,
-        encoder11_latch: Encoder11Latch,
-        encoder11_edge_time: Encoder11EdgeTime,
+        encoder11_edge: Encoder11Edge,
         encoder12_count: Encoder12Count,
-        encoder12_latch: Encoder12Latch,
-        encoder12_edge_time: Encoder12EdgeTime,
+        encoder12_edge: Encoder12Edge,
         encoder13_count: Encoder13Count,
-        encoder13_latch: Encoder13Latch,
-        encoder13_edge_time: Encoder13EdgeTime,
+        encoder13_edge: Encoder13Edge,
         encoder14_count: Encoder14Count,
-        encoder14_latch: Encoder14Latch,
-        encoder14_edge_time: Encoder14EdgeTime,
+        encoder14_edge: Encoder14Edge,
         encoder15_count: Encoder15Count,
+        encoder15_edge: Encoder15Edge,
+        encoder0_latch: Encoder0Latch,
+        encoder1_latch: Encoder1Latch,
+        encoder2_latch: Encoder2Latch,
+        encoder3_latch: Encoder3Latch,
+        encoder4_latch: Encoder4Latch,
+        encoder5_latch: Encoder5Latch,
+        encoder6_latch: Encoder6Latch,
+        encoder7_latch: Encoder7Latch,
+        encoder8_latch: Encoder8Latch,
+        encoder9_latch: Encoder9Latch,
+        encoder10_latch: Encoder10Latch,
+        encoder11_latch: Encoder11Latch,
+        encoder12_latch: Encoder12Latch,
+        encoder13_latch: Encoder13Latch,
+        encoder14_latch: Encoder14Latch,
         encoder15_latch: Encoder15Latch,
-        encoder15_edge_time: Encoder15EdgeTime,
+        stepgen0_latch: Stepgen0Latch,
+        stepgen1_latch: Stepgen1Latch,
+        stepgen2_latch: Stepgen2Latch,
+        stepgen3_latch: Stepgen3Latch,
+        stepgen4_latch: Stepgen4Latch,
+        stepgen5_latch: Stepgen5Latch,
+        stepgen6_latch: Stepgen6Latch,
+        stepgen7_latch: Stepgen7Latch,
+        stepgen8_latch: Stepgen8Latch,
+        stepgen9_latch: Stepgen9Latch,
+        stepgen10_latch: Stepgen10Latch,
+        stepgen11_latch: Stepgen11Latch,
+        stepgen12_latch: Stepgen12Latch,
+        stepgen13_latch: Stepgen13Latch,
+        stepgen14_latch: Stepgen14Latch,
+        stepgen15_latch: Stepgen15Latch,
     }
     impl RegisterBlock {
         #[doc = "0x00 - Low word of the wall clock, in clocks, at the last sample strobe."]
@@ -5927,495 +7899,595 @@ pub mod status {
         pub const fn sample_hi(&self) -> &SampleHi {
             &self.sample_hi
         }
-        #[doc = "0x08 - Level of each input at the last sample strobe, one bit per input."]
+        #[doc = "0x08 - Level of each input after its debounce at the last sample strobe, one bit per input."]
         #[inline(always)]
         pub const fn gpio_in(&self) -> &GpioIn {
             &self.gpio_in
         }
         #[doc = "0x0c - One bit per channel, at the last sample strobe."]
         #[inline(always)]
-        pub const fn flags(&self) -> &Flags {
-            &self.flags
+        pub const fn flags0(&self) -> &Flags0 {
+            &self.flags0
         }
-        #[doc = "0x10 - Fraction of the position of step generator 0 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x10 - One bit per channel, at the last sample strobe."]
+        #[inline(always)]
+        pub const fn flags1(&self) -> &Flags1 {
+            &self.flags1
+        }
+        #[doc = "0x14 - One bit per channel, at the last sample strobe."]
+        #[inline(always)]
+        pub const fn flags2(&self) -> &Flags2 {
+            &self.flags2
+        }
+        #[doc = "0x18 - Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe."]
+        #[inline(always)]
+        pub const fn estop(&self) -> &Estop {
+            &self.estop
+        }
+        #[doc = "0x1c - Reads 0; no unit."]
+        #[inline(always)]
+        pub const fn reserved(&self) -> &Reserved {
+            &self.reserved
+        }
+        #[doc = "0x20 - Fraction of the position of step generator 0 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen0_position_lo(&self) -> &Stepgen0PositionLo {
             &self.stepgen0_position_lo
         }
-        #[doc = "0x14 - Pulses emitted by step generator 0 at the last sample strobe, in steps, signed."]
+        #[doc = "0x24 - Pulses emitted by step generator 0 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen0_position_hi(&self) -> &Stepgen0PositionHi {
             &self.stepgen0_position_hi
         }
-        #[doc = "0x18 - Step rate of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x28 - Step rate of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen0_velocity(&self) -> &Stepgen0Velocity {
             &self.stepgen0_velocity
         }
-        #[doc = "0x1c - Fraction of the position of step generator 1 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x2c - Fraction of the position of step generator 1 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen1_position_lo(&self) -> &Stepgen1PositionLo {
             &self.stepgen1_position_lo
         }
-        #[doc = "0x20 - Pulses emitted by step generator 1 at the last sample strobe, in steps, signed."]
+        #[doc = "0x30 - Pulses emitted by step generator 1 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen1_position_hi(&self) -> &Stepgen1PositionHi {
             &self.stepgen1_position_hi
         }
-        #[doc = "0x24 - Step rate of step generator 1 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x34 - Step rate of step generator 1 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen1_velocity(&self) -> &Stepgen1Velocity {
             &self.stepgen1_velocity
         }
-        #[doc = "0x28 - Fraction of the position of step generator 2 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x38 - Fraction of the position of step generator 2 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen2_position_lo(&self) -> &Stepgen2PositionLo {
             &self.stepgen2_position_lo
         }
-        #[doc = "0x2c - Pulses emitted by step generator 2 at the last sample strobe, in steps, signed."]
+        #[doc = "0x3c - Pulses emitted by step generator 2 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen2_position_hi(&self) -> &Stepgen2PositionHi {
             &self.stepgen2_position_hi
         }
-        #[doc = "0x30 - Step rate of step generator 2 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x40 - Step rate of step generator 2 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen2_velocity(&self) -> &Stepgen2Velocity {
             &self.stepgen2_velocity
         }
-        #[doc = "0x34 - Fraction of the position of step generator 3 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x44 - Fraction of the position of step generator 3 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen3_position_lo(&self) -> &Stepgen3PositionLo {
             &self.stepgen3_position_lo
         }
-        #[doc = "0x38 - Pulses emitted by step generator 3 at the last sample strobe, in steps, signed."]
+        #[doc = "0x48 - Pulses emitted by step generator 3 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen3_position_hi(&self) -> &Stepgen3PositionHi {
             &self.stepgen3_position_hi
         }
-        #[doc = "0x3c - Step rate of step generator 3 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x4c - Step rate of step generator 3 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen3_velocity(&self) -> &Stepgen3Velocity {
             &self.stepgen3_velocity
         }
-        #[doc = "0x40 - Fraction of the position of step generator 4 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x50 - Fraction of the position of step generator 4 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen4_position_lo(&self) -> &Stepgen4PositionLo {
             &self.stepgen4_position_lo
         }
-        #[doc = "0x44 - Pulses emitted by step generator 4 at the last sample strobe, in steps, signed."]
+        #[doc = "0x54 - Pulses emitted by step generator 4 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen4_position_hi(&self) -> &Stepgen4PositionHi {
             &self.stepgen4_position_hi
         }
-        #[doc = "0x48 - Step rate of step generator 4 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x58 - Step rate of step generator 4 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen4_velocity(&self) -> &Stepgen4Velocity {
             &self.stepgen4_velocity
         }
-        #[doc = "0x4c - Fraction of the position of step generator 5 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x5c - Fraction of the position of step generator 5 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen5_position_lo(&self) -> &Stepgen5PositionLo {
             &self.stepgen5_position_lo
         }
-        #[doc = "0x50 - Pulses emitted by step generator 5 at the last sample strobe, in steps, signed."]
+        #[doc = "0x60 - Pulses emitted by step generator 5 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen5_position_hi(&self) -> &Stepgen5PositionHi {
             &self.stepgen5_position_hi
         }
-        #[doc = "0x54 - Step rate of step generator 5 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x64 - Step rate of step generator 5 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen5_velocity(&self) -> &Stepgen5Velocity {
             &self.stepgen5_velocity
         }
-        #[doc = "0x58 - Fraction of the position of step generator 6 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x68 - Fraction of the position of step generator 6 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen6_position_lo(&self) -> &Stepgen6PositionLo {
             &self.stepgen6_position_lo
         }
-        #[doc = "0x5c - Pulses emitted by step generator 6 at the last sample strobe, in steps, signed."]
+        #[doc = "0x6c - Pulses emitted by step generator 6 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen6_position_hi(&self) -> &Stepgen6PositionHi {
             &self.stepgen6_position_hi
         }
-        #[doc = "0x60 - Step rate of step generator 6 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x70 - Step rate of step generator 6 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen6_velocity(&self) -> &Stepgen6Velocity {
             &self.stepgen6_velocity
         }
-        #[doc = "0x64 - Fraction of the position of step generator 7 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x74 - Fraction of the position of step generator 7 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen7_position_lo(&self) -> &Stepgen7PositionLo {
             &self.stepgen7_position_lo
         }
-        #[doc = "0x68 - Pulses emitted by step generator 7 at the last sample strobe, in steps, signed."]
+        #[doc = "0x78 - Pulses emitted by step generator 7 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen7_position_hi(&self) -> &Stepgen7PositionHi {
             &self.stepgen7_position_hi
         }
-        #[doc = "0x6c - Step rate of step generator 7 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x7c - Step rate of step generator 7 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen7_velocity(&self) -> &Stepgen7Velocity {
             &self.stepgen7_velocity
         }
-        #[doc = "0x70 - Fraction of the position of step generator 8 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x80 - Fraction of the position of step generator 8 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen8_position_lo(&self) -> &Stepgen8PositionLo {
             &self.stepgen8_position_lo
         }
-        #[doc = "0x74 - Pulses emitted by step generator 8 at the last sample strobe, in steps, signed."]
+        #[doc = "0x84 - Pulses emitted by step generator 8 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen8_position_hi(&self) -> &Stepgen8PositionHi {
             &self.stepgen8_position_hi
         }
-        #[doc = "0x78 - Step rate of step generator 8 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x88 - Step rate of step generator 8 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen8_velocity(&self) -> &Stepgen8Velocity {
             &self.stepgen8_velocity
         }
-        #[doc = "0x7c - Fraction of the position of step generator 9 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x8c - Fraction of the position of step generator 9 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen9_position_lo(&self) -> &Stepgen9PositionLo {
             &self.stepgen9_position_lo
         }
-        #[doc = "0x80 - Pulses emitted by step generator 9 at the last sample strobe, in steps, signed."]
+        #[doc = "0x90 - Pulses emitted by step generator 9 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen9_position_hi(&self) -> &Stepgen9PositionHi {
             &self.stepgen9_position_hi
         }
-        #[doc = "0x84 - Step rate of step generator 9 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x94 - Step rate of step generator 9 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen9_velocity(&self) -> &Stepgen9Velocity {
             &self.stepgen9_velocity
         }
-        #[doc = "0x88 - Fraction of the position of step generator 10 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0x98 - Fraction of the position of step generator 10 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen10_position_lo(&self) -> &Stepgen10PositionLo {
             &self.stepgen10_position_lo
         }
-        #[doc = "0x8c - Pulses emitted by step generator 10 at the last sample strobe, in steps, signed."]
+        #[doc = "0x9c - Pulses emitted by step generator 10 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen10_position_hi(&self) -> &Stepgen10PositionHi {
             &self.stepgen10_position_hi
         }
-        #[doc = "0x90 - Step rate of step generator 10 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xa0 - Step rate of step generator 10 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen10_velocity(&self) -> &Stepgen10Velocity {
             &self.stepgen10_velocity
         }
-        #[doc = "0x94 - Fraction of the position of step generator 11 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0xa4 - Fraction of the position of step generator 11 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen11_position_lo(&self) -> &Stepgen11PositionLo {
             &self.stepgen11_position_lo
         }
-        #[doc = "0x98 - Pulses emitted by step generator 11 at the last sample strobe, in steps, signed."]
+        #[doc = "0xa8 - Pulses emitted by step generator 11 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen11_position_hi(&self) -> &Stepgen11PositionHi {
             &self.stepgen11_position_hi
         }
-        #[doc = "0x9c - Step rate of step generator 11 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xac - Step rate of step generator 11 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen11_velocity(&self) -> &Stepgen11Velocity {
             &self.stepgen11_velocity
         }
-        #[doc = "0xa0 - Fraction of the position of step generator 12 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0xb0 - Fraction of the position of step generator 12 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen12_position_lo(&self) -> &Stepgen12PositionLo {
             &self.stepgen12_position_lo
         }
-        #[doc = "0xa4 - Pulses emitted by step generator 12 at the last sample strobe, in steps, signed."]
+        #[doc = "0xb4 - Pulses emitted by step generator 12 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen12_position_hi(&self) -> &Stepgen12PositionHi {
             &self.stepgen12_position_hi
         }
-        #[doc = "0xa8 - Step rate of step generator 12 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xb8 - Step rate of step generator 12 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen12_velocity(&self) -> &Stepgen12Velocity {
             &self.stepgen12_velocity
         }
-        #[doc = "0xac - Fraction of the position of step generator 13 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0xbc - Fraction of the position of step generator 13 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen13_position_lo(&self) -> &Stepgen13PositionLo {
             &self.stepgen13_position_lo
         }
-        #[doc = "0xb0 - Pulses emitted by step generator 13 at the last sample strobe, in steps, signed."]
+        #[doc = "0xc0 - Pulses emitted by step generator 13 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen13_position_hi(&self) -> &Stepgen13PositionHi {
             &self.stepgen13_position_hi
         }
-        #[doc = "0xb4 - Step rate of step generator 13 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xc4 - Step rate of step generator 13 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen13_velocity(&self) -> &Stepgen13Velocity {
             &self.stepgen13_velocity
         }
-        #[doc = "0xb8 - Fraction of the position of step generator 14 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0xc8 - Fraction of the position of step generator 14 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen14_position_lo(&self) -> &Stepgen14PositionLo {
             &self.stepgen14_position_lo
         }
-        #[doc = "0xbc - Pulses emitted by step generator 14 at the last sample strobe, in steps, signed."]
+        #[doc = "0xcc - Pulses emitted by step generator 14 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen14_position_hi(&self) -> &Stepgen14PositionHi {
             &self.stepgen14_position_hi
         }
-        #[doc = "0xc0 - Step rate of step generator 14 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xd0 - Step rate of step generator 14 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen14_velocity(&self) -> &Stepgen14Velocity {
             &self.stepgen14_velocity
         }
-        #[doc = "0xc4 - Fraction of the position of step generator 15 at the last sample strobe, in 2^-32 steps, biased by half a step."]
+        #[doc = "0xd4 - Fraction of the position of step generator 15 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
         pub const fn stepgen15_position_lo(&self) -> &Stepgen15PositionLo {
             &self.stepgen15_position_lo
         }
-        #[doc = "0xc8 - Pulses emitted by step generator 15 at the last sample strobe, in steps, signed."]
+        #[doc = "0xd8 - Pulses emitted by step generator 15 at the last sample strobe, in steps, signed."]
         #[inline(always)]
         pub const fn stepgen15_position_hi(&self) -> &Stepgen15PositionHi {
             &self.stepgen15_position_hi
         }
-        #[doc = "0xcc - Step rate of step generator 15 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xdc - Step rate of step generator 15 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen15_velocity(&self) -> &Stepgen15Velocity {
             &self.stepgen15_velocity
         }
-        #[doc = "0xd0 - Count of encoder 0 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0xe0 - Count of encoder 0 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder0_count(&self) -> &Encoder0Count {
             &self.encoder0_count
         }
-        #[doc = "0xd4 - Count of encoder 0 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0xe4 - The last counted edge of encoder 0, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder0_latch(&self) -> &Encoder0Latch {
-            &self.encoder0_latch
+        pub const fn encoder0_edge(&self) -> &Encoder0Edge {
+            &self.encoder0_edge
         }
-        #[doc = "0xd8 - Low word of the wall clock, in clocks, at the last counted edge of encoder 0."]
-        #[inline(always)]
-        pub const fn encoder0_edge_time(&self) -> &Encoder0EdgeTime {
-            &self.encoder0_edge_time
-        }
-        #[doc = "0xdc - Count of encoder 1 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0xe8 - Count of encoder 1 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder1_count(&self) -> &Encoder1Count {
             &self.encoder1_count
         }
-        #[doc = "0xe0 - Count of encoder 1 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0xec - The last counted edge of encoder 1, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder1_latch(&self) -> &Encoder1Latch {
-            &self.encoder1_latch
+        pub const fn encoder1_edge(&self) -> &Encoder1Edge {
+            &self.encoder1_edge
         }
-        #[doc = "0xe4 - Low word of the wall clock, in clocks, at the last counted edge of encoder 1."]
-        #[inline(always)]
-        pub const fn encoder1_edge_time(&self) -> &Encoder1EdgeTime {
-            &self.encoder1_edge_time
-        }
-        #[doc = "0xe8 - Count of encoder 2 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0xf0 - Count of encoder 2 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder2_count(&self) -> &Encoder2Count {
             &self.encoder2_count
         }
-        #[doc = "0xec - Count of encoder 2 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0xf4 - The last counted edge of encoder 2, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder2_latch(&self) -> &Encoder2Latch {
-            &self.encoder2_latch
+        pub const fn encoder2_edge(&self) -> &Encoder2Edge {
+            &self.encoder2_edge
         }
-        #[doc = "0xf0 - Low word of the wall clock, in clocks, at the last counted edge of encoder 2."]
-        #[inline(always)]
-        pub const fn encoder2_edge_time(&self) -> &Encoder2EdgeTime {
-            &self.encoder2_edge_time
-        }
-        #[doc = "0xf4 - Count of encoder 3 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0xf8 - Count of encoder 3 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder3_count(&self) -> &Encoder3Count {
             &self.encoder3_count
         }
-        #[doc = "0xf8 - Count of encoder 3 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0xfc - The last counted edge of encoder 3, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder3_latch(&self) -> &Encoder3Latch {
-            &self.encoder3_latch
+        pub const fn encoder3_edge(&self) -> &Encoder3Edge {
+            &self.encoder3_edge
         }
-        #[doc = "0xfc - Low word of the wall clock, in clocks, at the last counted edge of encoder 3."]
-        #[inline(always)]
-        pub const fn encoder3_edge_time(&self) -> &Encoder3EdgeTime {
-            &self.encoder3_edge_time
-        }
-        #[doc = "0x100 - Count of encoder 4 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x100 - Count of encoder 4 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder4_count(&self) -> &Encoder4Count {
             &self.encoder4_count
         }
-        #[doc = "0x104 - Count of encoder 4 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x104 - The last counted edge of encoder 4, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder4_latch(&self) -> &Encoder4Latch {
-            &self.encoder4_latch
+        pub const fn encoder4_edge(&self) -> &Encoder4Edge {
+            &self.encoder4_edge
         }
-        #[doc = "0x108 - Low word of the wall clock, in clocks, at the last counted edge of encoder 4."]
-        #[inline(always)]
-        pub const fn encoder4_edge_time(&self) -> &Encoder4EdgeTime {
-            &self.encoder4_edge_time
-        }
-        #[doc = "0x10c - Count of encoder 5 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x108 - Count of encoder 5 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder5_count(&self) -> &Encoder5Count {
             &self.encoder5_count
         }
-        #[doc = "0x110 - Count of encoder 5 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x10c - The last counted edge of encoder 5, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder5_latch(&self) -> &Encoder5Latch {
-            &self.encoder5_latch
+        pub const fn encoder5_edge(&self) -> &Encoder5Edge {
+            &self.encoder5_edge
         }
-        #[doc = "0x114 - Low word of the wall clock, in clocks, at the last counted edge of encoder 5."]
-        #[inline(always)]
-        pub const fn encoder5_edge_time(&self) -> &Encoder5EdgeTime {
-            &self.encoder5_edge_time
-        }
-        #[doc = "0x118 - Count of encoder 6 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x110 - Count of encoder 6 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder6_count(&self) -> &Encoder6Count {
             &self.encoder6_count
         }
-        #[doc = "0x11c - Count of encoder 6 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x114 - The last counted edge of encoder 6, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder6_latch(&self) -> &Encoder6Latch {
-            &self.encoder6_latch
+        pub const fn encoder6_edge(&self) -> &Encoder6Edge {
+            &self.encoder6_edge
         }
-        #[doc = "0x120 - Low word of the wall clock, in clocks, at the last counted edge of encoder 6."]
-        #[inline(always)]
-        pub const fn encoder6_edge_time(&self) -> &Encoder6EdgeTime {
-            &self.encoder6_edge_time
-        }
-        #[doc = "0x124 - Count of encoder 7 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x118 - Count of encoder 7 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder7_count(&self) -> &Encoder7Count {
             &self.encoder7_count
         }
-        #[doc = "0x128 - Count of encoder 7 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x11c - The last counted edge of encoder 7, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder7_latch(&self) -> &Encoder7Latch {
-            &self.encoder7_latch
+        pub const fn encoder7_edge(&self) -> &Encoder7Edge {
+            &self.encoder7_edge
         }
-        #[doc = "0x12c - Low word of the wall clock, in clocks, at the last counted edge of encoder 7."]
-        #[inline(always)]
-        pub const fn encoder7_edge_time(&self) -> &Encoder7EdgeTime {
-            &self.encoder7_edge_time
-        }
-        #[doc = "0x130 - Count of encoder 8 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x120 - Count of encoder 8 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder8_count(&self) -> &Encoder8Count {
             &self.encoder8_count
         }
-        #[doc = "0x134 - Count of encoder 8 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x124 - The last counted edge of encoder 8, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder8_latch(&self) -> &Encoder8Latch {
-            &self.encoder8_latch
+        pub const fn encoder8_edge(&self) -> &Encoder8Edge {
+            &self.encoder8_edge
         }
-        #[doc = "0x138 - Low word of the wall clock, in clocks, at the last counted edge of encoder 8."]
-        #[inline(always)]
-        pub const fn encoder8_edge_time(&self) -> &Encoder8EdgeTime {
-            &self.encoder8_edge_time
-        }
-        #[doc = "0x13c - Count of encoder 9 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x128 - Count of encoder 9 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder9_count(&self) -> &Encoder9Count {
             &self.encoder9_count
         }
-        #[doc = "0x140 - Count of encoder 9 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x12c - The last counted edge of encoder 9, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder9_latch(&self) -> &Encoder9Latch {
-            &self.encoder9_latch
+        pub const fn encoder9_edge(&self) -> &Encoder9Edge {
+            &self.encoder9_edge
         }
-        #[doc = "0x144 - Low word of the wall clock, in clocks, at the last counted edge of encoder 9."]
-        #[inline(always)]
-        pub const fn encoder9_edge_time(&self) -> &Encoder9EdgeTime {
-            &self.encoder9_edge_time
-        }
-        #[doc = "0x148 - Count of encoder 10 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x130 - Count of encoder 10 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder10_count(&self) -> &Encoder10Count {
             &self.encoder10_count
         }
-        #[doc = "0x14c - Count of encoder 10 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x134 - The last counted edge of encoder 10, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder10_latch(&self) -> &Encoder10Latch {
-            &self.encoder10_latch
+        pub const fn encoder10_edge(&self) -> &Encoder10Edge {
+            &self.encoder10_edge
         }
-        #[doc = "0x150 - Low word of the wall clock, in clocks, at the last counted edge of encoder 10."]
-        #[inline(always)]
-        pub const fn encoder10_edge_time(&self) -> &Encoder10EdgeTime {
-            &self.encoder10_edge_time
-        }
-        #[doc = "0x154 - Count of encoder 11 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x138 - Count of encoder 11 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder11_count(&self) -> &Encoder11Count {
             &self.encoder11_count
         }
-        #[doc = "0x158 - Count of encoder 11 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x13c - The last counted edge of encoder 11, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder11_latch(&self) -> &Encoder11Latch {
-            &self.encoder11_latch
+        pub const fn encoder11_edge(&self) -> &Encoder11Edge {
+            &self.encoder11_edge
         }
-        #[doc = "0x15c - Low word of the wall clock, in clocks, at the last counted edge of encoder 11."]
-        #[inline(always)]
-        pub const fn encoder11_edge_time(&self) -> &Encoder11EdgeTime {
-            &self.encoder11_edge_time
-        }
-        #[doc = "0x160 - Count of encoder 12 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x140 - Count of encoder 12 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder12_count(&self) -> &Encoder12Count {
             &self.encoder12_count
         }
-        #[doc = "0x164 - Count of encoder 12 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x144 - The last counted edge of encoder 12, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder12_latch(&self) -> &Encoder12Latch {
-            &self.encoder12_latch
+        pub const fn encoder12_edge(&self) -> &Encoder12Edge {
+            &self.encoder12_edge
         }
-        #[doc = "0x168 - Low word of the wall clock, in clocks, at the last counted edge of encoder 12."]
-        #[inline(always)]
-        pub const fn encoder12_edge_time(&self) -> &Encoder12EdgeTime {
-            &self.encoder12_edge_time
-        }
-        #[doc = "0x16c - Count of encoder 13 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x148 - Count of encoder 13 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder13_count(&self) -> &Encoder13Count {
             &self.encoder13_count
         }
-        #[doc = "0x170 - Count of encoder 13 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x14c - The last counted edge of encoder 13, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder13_latch(&self) -> &Encoder13Latch {
-            &self.encoder13_latch
+        pub const fn encoder13_edge(&self) -> &Encoder13Edge {
+            &self.encoder13_edge
         }
-        #[doc = "0x174 - Low word of the wall clock, in clocks, at the last counted edge of encoder 13."]
-        #[inline(always)]
-        pub const fn encoder13_edge_time(&self) -> &Encoder13EdgeTime {
-            &self.encoder13_edge_time
-        }
-        #[doc = "0x178 - Count of encoder 14 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x150 - Count of encoder 14 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder14_count(&self) -> &Encoder14Count {
             &self.encoder14_count
         }
-        #[doc = "0x17c - Count of encoder 14 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x154 - The last counted edge of encoder 14, and what could not be counted."]
         #[inline(always)]
-        pub const fn encoder14_latch(&self) -> &Encoder14Latch {
-            &self.encoder14_latch
+        pub const fn encoder14_edge(&self) -> &Encoder14Edge {
+            &self.encoder14_edge
         }
-        #[doc = "0x180 - Low word of the wall clock, in clocks, at the last counted edge of encoder 14."]
-        #[inline(always)]
-        pub const fn encoder14_edge_time(&self) -> &Encoder14EdgeTime {
-            &self.encoder14_edge_time
-        }
-        #[doc = "0x184 - Count of encoder 15 at the last sample strobe, in quadrature edges, signed."]
+        #[doc = "0x158 - Count of encoder 15 at the last sample strobe, in counts of its mode, signed."]
         #[inline(always)]
         pub const fn encoder15_count(&self) -> &Encoder15Count {
             &self.encoder15_count
         }
-        #[doc = "0x188 - Count of encoder 15 at its last armed index, in quadrature edges, signed."]
+        #[doc = "0x15c - The last counted edge of encoder 15, and what could not be counted."]
+        #[inline(always)]
+        pub const fn encoder15_edge(&self) -> &Encoder15Edge {
+            &self.encoder15_edge
+        }
+        #[doc = "0x160 - Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder0_latch(&self) -> &Encoder0Latch {
+            &self.encoder0_latch
+        }
+        #[doc = "0x164 - Count of encoder 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder1_latch(&self) -> &Encoder1Latch {
+            &self.encoder1_latch
+        }
+        #[doc = "0x168 - Count of encoder 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder2_latch(&self) -> &Encoder2Latch {
+            &self.encoder2_latch
+        }
+        #[doc = "0x16c - Count of encoder 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder3_latch(&self) -> &Encoder3Latch {
+            &self.encoder3_latch
+        }
+        #[doc = "0x170 - Count of encoder 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder4_latch(&self) -> &Encoder4Latch {
+            &self.encoder4_latch
+        }
+        #[doc = "0x174 - Count of encoder 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder5_latch(&self) -> &Encoder5Latch {
+            &self.encoder5_latch
+        }
+        #[doc = "0x178 - Count of encoder 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder6_latch(&self) -> &Encoder6Latch {
+            &self.encoder6_latch
+        }
+        #[doc = "0x17c - Count of encoder 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder7_latch(&self) -> &Encoder7Latch {
+            &self.encoder7_latch
+        }
+        #[doc = "0x180 - Count of encoder 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder8_latch(&self) -> &Encoder8Latch {
+            &self.encoder8_latch
+        }
+        #[doc = "0x184 - Count of encoder 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder9_latch(&self) -> &Encoder9Latch {
+            &self.encoder9_latch
+        }
+        #[doc = "0x188 - Count of encoder 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder10_latch(&self) -> &Encoder10Latch {
+            &self.encoder10_latch
+        }
+        #[doc = "0x18c - Count of encoder 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder11_latch(&self) -> &Encoder11Latch {
+            &self.encoder11_latch
+        }
+        #[doc = "0x190 - Count of encoder 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder12_latch(&self) -> &Encoder12Latch {
+            &self.encoder12_latch
+        }
+        #[doc = "0x194 - Count of encoder 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder13_latch(&self) -> &Encoder13Latch {
+            &self.encoder13_latch
+        }
+        #[doc = "0x198 - Count of encoder 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn encoder14_latch(&self) -> &Encoder14Latch {
+            &self.encoder14_latch
+        }
+        #[doc = "0x19c - Count of encoder 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder15_latch(&self) -> &Encoder15Latch {
             &self.encoder15_latch
         }
-        #[doc = "0x18c - Low word of the wall clock, in clocks, at the last counted edge of encoder 15."]
+        #[doc = "0x1a0 - Pulses emitted by step generator 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
-        pub const fn encoder15_edge_time(&self) -> &Encoder15EdgeTime {
-            &self.encoder15_edge_time
+        pub const fn stepgen0_latch(&self) -> &Stepgen0Latch {
+            &self.stepgen0_latch
+        }
+        #[doc = "0x1a4 - Pulses emitted by step generator 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen1_latch(&self) -> &Stepgen1Latch {
+            &self.stepgen1_latch
+        }
+        #[doc = "0x1a8 - Pulses emitted by step generator 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen2_latch(&self) -> &Stepgen2Latch {
+            &self.stepgen2_latch
+        }
+        #[doc = "0x1ac - Pulses emitted by step generator 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen3_latch(&self) -> &Stepgen3Latch {
+            &self.stepgen3_latch
+        }
+        #[doc = "0x1b0 - Pulses emitted by step generator 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen4_latch(&self) -> &Stepgen4Latch {
+            &self.stepgen4_latch
+        }
+        #[doc = "0x1b4 - Pulses emitted by step generator 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen5_latch(&self) -> &Stepgen5Latch {
+            &self.stepgen5_latch
+        }
+        #[doc = "0x1b8 - Pulses emitted by step generator 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen6_latch(&self) -> &Stepgen6Latch {
+            &self.stepgen6_latch
+        }
+        #[doc = "0x1bc - Pulses emitted by step generator 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen7_latch(&self) -> &Stepgen7Latch {
+            &self.stepgen7_latch
+        }
+        #[doc = "0x1c0 - Pulses emitted by step generator 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen8_latch(&self) -> &Stepgen8Latch {
+            &self.stepgen8_latch
+        }
+        #[doc = "0x1c4 - Pulses emitted by step generator 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen9_latch(&self) -> &Stepgen9Latch {
+            &self.stepgen9_latch
+        }
+        #[doc = "0x1c8 - Pulses emitted by step generator 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen10_latch(&self) -> &Stepgen10Latch {
+            &self.stepgen10_latch
+        }
+        #[doc = "0x1cc - Pulses emitted by step generator 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen11_latch(&self) -> &Stepgen11Latch {
+            &self.stepgen11_latch
+        }
+        #[doc = "0x1d0 - Pulses emitted by step generator 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen12_latch(&self) -> &Stepgen12Latch {
+            &self.stepgen12_latch
+        }
+        #[doc = "0x1d4 - Pulses emitted by step generator 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen13_latch(&self) -> &Stepgen13Latch {
+            &self.stepgen13_latch
+        }
+        #[doc = "0x1d8 - Pulses emitted by step generator 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen14_latch(&self) -> &Stepgen14Latch {
+            &self.stepgen14_latch
+        }
+        #[doc = "0x1dc - Pulses emitted by step generator 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[inline(always)]
+        pub const fn stepgen15_latch(&self) -> &Stepgen15Latch {
+            &self.stepgen15_latch
         }
     }
     #[doc = "SAMPLE_LO (r) register accessor: Low word of the wall clock, in clocks, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`sample_lo::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@sample_lo`] module"]
@@ -6462,10 +8534,10 @@ pub mod status {
         #[doc = "`reset()` method sets SAMPLE_HI to value 0"]
         impl crate::Resettable for SampleHiSpec {}
     }
-    #[doc = "GPIO_IN (r) register accessor: Level of each input at the last sample strobe, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_in::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@gpio_in`] module"]
+    #[doc = "GPIO_IN (r) register accessor: Level of each input after its debounce at the last sample strobe, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_in::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@gpio_in`] module"]
     #[doc(alias = "GPIO_IN")]
     pub type GpioIn = crate::Reg<gpio_in::GpioInSpec>;
-    #[doc = "Level of each input at the last sample strobe, one bit per input."]
+    #[doc = "Level of each input after its debounce at the last sample strobe, one bit per input."]
     pub mod gpio_in {
         #[doc = "Register `GPIO_IN` reader"]
         pub type R = crate::R<GpioInSpec>;
@@ -6474,7 +8546,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Level of each input at the last sample strobe, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_in::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Level of each input after its debounce at the last sample strobe, one bit per input.\n\nYou can [`read`](crate::Reg::read) this register and get [`gpio_in::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct GpioInSpec;
         impl crate::RegisterSpec for GpioInSpec {
             type Ux = u32;
@@ -6484,22 +8556,22 @@ pub mod status {
         #[doc = "`reset()` method sets GPIO_IN to value 0"]
         impl crate::Resettable for GpioInSpec {}
     }
-    #[doc = "FLAGS (r) register accessor: One bit per channel, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`flags::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@flags`] module"]
-    #[doc(alias = "FLAGS")]
-    pub type Flags = crate::Reg<flags::FlagsSpec>;
+    #[doc = "FLAGS0 (r) register accessor: One bit per channel, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`flags0::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@flags0`] module"]
+    #[doc(alias = "FLAGS0")]
+    pub type Flags0 = crate::Reg<flags0::Flags0Spec>;
     #[doc = "One bit per channel, at the last sample strobe."]
-    pub mod flags {
-        #[doc = "Register `FLAGS` reader"]
-        pub type R = crate::R<FlagsSpec>;
-        #[doc = "Field `index` reader - Bit n: encoder n has latched its count at an index; stays until its arm bit goes 0."]
-        pub type IndexR = crate::FieldReader<u16>;
+    pub mod flags0 {
+        #[doc = "Register `FLAGS0` reader"]
+        pub type R = crate::R<Flags0Spec>;
+        #[doc = "Field `encoder_index` reader - Bit n: encoder n has latched its count at an index; stays until its arm bit goes 0."]
+        pub type EncoderIndexR = crate::FieldReader<u16>;
         #[doc = "Field `limited` reader - Bit n: step generator n had to wait for its timing since the sample before."]
         pub type LimitedR = crate::FieldReader<u16>;
         impl R {
             #[doc = "Bits 0:15 - Bit n: encoder n has latched its count at an index; stays until its arm bit goes 0."]
             #[inline(always)]
-            pub fn index(&self) -> IndexR {
-                IndexR::new((self.bits & 0xffff) as u16)
+            pub fn encoder_index(&self) -> EncoderIndexR {
+                EncoderIndexR::new((self.bits & 0xffff) as u16)
             }
             #[doc = "Bits 16:31 - Bit n: step generator n had to wait for its timing since the sample before."]
             #[inline(always)]
@@ -6507,15 +8579,125 @@ pub mod status {
                 LimitedR::new(((self.bits >> 16) & 0xffff) as u16)
             }
         }
-        #[doc = "One bit per channel, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`flags::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct FlagsSpec;
-        impl crate::RegisterSpec for FlagsSpec {
+        #[doc = "One bit per channel, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`flags0::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Flags0Spec;
+        impl crate::RegisterSpec for Flags0Spec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`flags::R`](R) reader structure"]
-        impl crate::Readable for FlagsSpec {}
-        #[doc = "`reset()` method sets FLAGS to value 0"]
-        impl crate::Resettable for FlagsSpec {}
+        #[doc = "`read()` method returns [`flags0::R`](R) reader structure"]
+        impl crate::Readable for Flags0Spec {}
+        #[doc = "`reset()` method sets FLAGS0 to value 0"]
+        impl crate::Resettable for Flags0Spec {}
+    }
+    #[doc = "FLAGS1 (r) register accessor: One bit per channel, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`flags1::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@flags1`] module"]
+    #[doc(alias = "FLAGS1")]
+    pub type Flags1 = crate::Reg<flags1::Flags1Spec>;
+    #[doc = "One bit per channel, at the last sample strobe."]
+    pub mod flags1 {
+        #[doc = "Register `FLAGS1` reader"]
+        pub type R = crate::R<Flags1Spec>;
+        #[doc = "Field `stepgen_index` reader - Bit n: step generator n has latched its pulses at an index; stays until its arm bit goes 0."]
+        pub type StepgenIndexR = crate::FieldReader<u16>;
+        #[doc = "Field `encoder_probe` reader - Bit n: encoder n has latched its count at the probe; stays until its arm bit goes 0."]
+        pub type EncoderProbeR = crate::FieldReader<u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Bit n: step generator n has latched its pulses at an index; stays until its arm bit goes 0."]
+            #[inline(always)]
+            pub fn stepgen_index(&self) -> StepgenIndexR {
+                StepgenIndexR::new((self.bits & 0xffff) as u16)
+            }
+            #[doc = "Bits 16:31 - Bit n: encoder n has latched its count at the probe; stays until its arm bit goes 0."]
+            #[inline(always)]
+            pub fn encoder_probe(&self) -> EncoderProbeR {
+                EncoderProbeR::new(((self.bits >> 16) & 0xffff) as u16)
+            }
+        }
+        #[doc = "One bit per channel, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`flags1::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Flags1Spec;
+        impl crate::RegisterSpec for Flags1Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`flags1::R`](R) reader structure"]
+        impl crate::Readable for Flags1Spec {}
+        #[doc = "`reset()` method sets FLAGS1 to value 0"]
+        impl crate::Resettable for Flags1Spec {}
+    }
+    #[doc = "FLAGS2 (r) register accessor: One bit per channel, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`flags2::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@flags2`] module"]
+    #[doc(alias = "FLAGS2")]
+    pub type Flags2 = crate::Reg<flags2::Flags2Spec>;
+    #[doc = "One bit per channel, at the last sample strobe."]
+    pub mod flags2 {
+        #[doc = "Register `FLAGS2` reader"]
+        pub type R = crate::R<Flags2Spec>;
+        #[doc = "Field `stepgen_probe` reader - Bit n: step generator n has latched its pulses at the probe; stays until its arm bit goes 0."]
+        pub type StepgenProbeR = crate::FieldReader<u16>;
+        #[doc = "Field `illegal` reader - Bit n: encoder n has seen A and B change on one clock since the sample before."]
+        pub type IllegalR = crate::FieldReader<u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Bit n: step generator n has latched its pulses at the probe; stays until its arm bit goes 0."]
+            #[inline(always)]
+            pub fn stepgen_probe(&self) -> StepgenProbeR {
+                StepgenProbeR::new((self.bits & 0xffff) as u16)
+            }
+            #[doc = "Bits 16:31 - Bit n: encoder n has seen A and B change on one clock since the sample before."]
+            #[inline(always)]
+            pub fn illegal(&self) -> IllegalR {
+                IllegalR::new(((self.bits >> 16) & 0xffff) as u16)
+            }
+        }
+        #[doc = "One bit per channel, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`flags2::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Flags2Spec;
+        impl crate::RegisterSpec for Flags2Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`flags2::R`](R) reader structure"]
+        impl crate::Readable for Flags2Spec {}
+        #[doc = "`reset()` method sets FLAGS2 to value 0"]
+        impl crate::Resettable for Flags2Spec {}
+    }
+    #[doc = "ESTOP (r) register accessor: Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`estop::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@estop`] module"]
+    #[doc(alias = "ESTOP")]
+    pub type Estop = crate::Reg<estop::EstopSpec>;
+    #[doc = "Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe."]
+    pub mod estop {
+        #[doc = "Register `ESTOP` reader"]
+        pub type R = crate::R<EstopSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe.\n\nYou can [`read`](crate::Reg::read) this register and get [`estop::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct EstopSpec;
+        impl crate::RegisterSpec for EstopSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`estop::R`](R) reader structure"]
+        impl crate::Readable for EstopSpec {}
+        #[doc = "`reset()` method sets ESTOP to value 0"]
+        impl crate::Resettable for EstopSpec {}
+    }
+    #[doc = "RESERVED (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved`] module"]
+    #[doc(alias = "RESERVED")]
+    pub type Reserved = crate::Reg<reserved::ReservedSpec>;
+    #[doc = "Reads 0; no unit."]
+    pub mod reserved {
+        #[doc = "Register `RESERVED` reader"]
+        pub type R = crate::R<ReservedSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct ReservedSpec;
+        impl crate::RegisterSpec for ReservedSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`reserved::R`](R) reader structure"]
+        impl crate::Readable for ReservedSpec {}
+        #[doc = "`reset()` method sets RESERVED to value 0"]
+        impl crate::Resettable for ReservedSpec {}
     }
     #[doc = "STEPGEN0_POSITION_LO (r) register accessor: Fraction of the position of step generator 0 at the last sample strobe, in 2^-32 steps, biased by half a step.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_position_lo::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen0_position_lo`] module"]
     #[doc(alias = "STEPGEN0_POSITION_LO")]
@@ -7573,10 +9755,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN15_VELOCITY to value 0"]
         impl crate::Resettable for Stepgen15VelocitySpec {}
     }
-    #[doc = "ENCODER0_COUNT (r) register accessor: Count of encoder 0 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder0_count`] module"]
+    #[doc = "ENCODER0_COUNT (r) register accessor: Count of encoder 0 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder0_count`] module"]
     #[doc(alias = "ENCODER0_COUNT")]
     pub type Encoder0Count = crate::Reg<encoder0_count::Encoder0CountSpec>;
-    #[doc = "Count of encoder 0 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 0 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder0_count {
         #[doc = "Register `ENCODER0_COUNT` reader"]
         pub type R = crate::R<Encoder0CountSpec>;
@@ -7585,7 +9767,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 0 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 0 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder0CountSpec;
         impl crate::RegisterSpec for Encoder0CountSpec {
             type Ux = u32;
@@ -7595,54 +9777,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER0_COUNT to value 0"]
         impl crate::Resettable for Encoder0CountSpec {}
     }
-    #[doc = "ENCODER0_LATCH (r) register accessor: Count of encoder 0 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder0_latch`] module"]
-    #[doc(alias = "ENCODER0_LATCH")]
-    pub type Encoder0Latch = crate::Reg<encoder0_latch::Encoder0LatchSpec>;
-    #[doc = "Count of encoder 0 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder0_latch {
-        #[doc = "Register `ENCODER0_LATCH` reader"]
-        pub type R = crate::R<Encoder0LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER0_EDGE (r) register accessor: The last counted edge of encoder 0, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder0_edge`] module"]
+    #[doc(alias = "ENCODER0_EDGE")]
+    pub type Encoder0Edge = crate::Reg<encoder0_edge::Encoder0EdgeSpec>;
+    #[doc = "The last counted edge of encoder 0, and what could not be counted."]
+    pub mod encoder0_edge {
+        #[doc = "Register `ENCODER0_EDGE` reader"]
+        pub type R = crate::R<Encoder0EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 0 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder0LatchSpec;
-        impl crate::RegisterSpec for Encoder0LatchSpec {
+        #[doc = "The last counted edge of encoder 0, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder0EdgeSpec;
+        impl crate::RegisterSpec for Encoder0EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder0_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder0LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER0_LATCH to value 0"]
-        impl crate::Resettable for Encoder0LatchSpec {}
+        #[doc = "`read()` method returns [`encoder0_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder0EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER0_EDGE to value 0"]
+        impl crate::Resettable for Encoder0EdgeSpec {}
     }
-    #[doc = "ENCODER0_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 0.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder0_edge_time`] module"]
-    #[doc(alias = "ENCODER0_EDGE_TIME")]
-    pub type Encoder0EdgeTime = crate::Reg<encoder0_edge_time::Encoder0EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 0."]
-    pub mod encoder0_edge_time {
-        #[doc = "Register `ENCODER0_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder0EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 0.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder0EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder0EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder0_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder0EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER0_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder0EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER1_COUNT (r) register accessor: Count of encoder 1 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder1_count`] module"]
+    #[doc = "ENCODER1_COUNT (r) register accessor: Count of encoder 1 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder1_count`] module"]
     #[doc(alias = "ENCODER1_COUNT")]
     pub type Encoder1Count = crate::Reg<encoder1_count::Encoder1CountSpec>;
-    #[doc = "Count of encoder 1 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 1 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder1_count {
         #[doc = "Register `ENCODER1_COUNT` reader"]
         pub type R = crate::R<Encoder1CountSpec>;
@@ -7651,7 +9822,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 1 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 1 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder1CountSpec;
         impl crate::RegisterSpec for Encoder1CountSpec {
             type Ux = u32;
@@ -7661,54 +9832,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER1_COUNT to value 0"]
         impl crate::Resettable for Encoder1CountSpec {}
     }
-    #[doc = "ENCODER1_LATCH (r) register accessor: Count of encoder 1 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder1_latch`] module"]
-    #[doc(alias = "ENCODER1_LATCH")]
-    pub type Encoder1Latch = crate::Reg<encoder1_latch::Encoder1LatchSpec>;
-    #[doc = "Count of encoder 1 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder1_latch {
-        #[doc = "Register `ENCODER1_LATCH` reader"]
-        pub type R = crate::R<Encoder1LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER1_EDGE (r) register accessor: The last counted edge of encoder 1, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder1_edge`] module"]
+    #[doc(alias = "ENCODER1_EDGE")]
+    pub type Encoder1Edge = crate::Reg<encoder1_edge::Encoder1EdgeSpec>;
+    #[doc = "The last counted edge of encoder 1, and what could not be counted."]
+    pub mod encoder1_edge {
+        #[doc = "Register `ENCODER1_EDGE` reader"]
+        pub type R = crate::R<Encoder1EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 1 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder1LatchSpec;
-        impl crate::RegisterSpec for Encoder1LatchSpec {
+        #[doc = "The last counted edge of encoder 1, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder1EdgeSpec;
+        impl crate::RegisterSpec for Encoder1EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder1_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder1LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER1_LATCH to value 0"]
-        impl crate::Resettable for Encoder1LatchSpec {}
+        #[doc = "`read()` method returns [`encoder1_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder1EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER1_EDGE to value 0"]
+        impl crate::Resettable for Encoder1EdgeSpec {}
     }
-    #[doc = "ENCODER1_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 1.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder1_edge_time`] module"]
-    #[doc(alias = "ENCODER1_EDGE_TIME")]
-    pub type Encoder1EdgeTime = crate::Reg<encoder1_edge_time::Encoder1EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 1."]
-    pub mod encoder1_edge_time {
-        #[doc = "Register `ENCODER1_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder1EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 1.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder1EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder1EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder1_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder1EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER1_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder1EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER2_COUNT (r) register accessor: Count of encoder 2 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder2_count`] module"]
+    #[doc = "ENCODER2_COUNT (r) register accessor: Count of encoder 2 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder2_count`] module"]
     #[doc(alias = "ENCODER2_COUNT")]
     pub type Encoder2Count = crate::Reg<encoder2_count::Encoder2CountSpec>;
-    #[doc = "Count of encoder 2 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 2 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder2_count {
         #[doc = "Register `ENCODER2_COUNT` reader"]
         pub type R = crate::R<Encoder2CountSpec>;
@@ -7717,7 +9877,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 2 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 2 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder2CountSpec;
         impl crate::RegisterSpec for Encoder2CountSpec {
             type Ux = u32;
@@ -7727,54 +9887,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER2_COUNT to value 0"]
         impl crate::Resettable for Encoder2CountSpec {}
     }
-    #[doc = "ENCODER2_LATCH (r) register accessor: Count of encoder 2 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder2_latch`] module"]
-    #[doc(alias = "ENCODER2_LATCH")]
-    pub type Encoder2Latch = crate::Reg<encoder2_latch::Encoder2LatchSpec>;
-    #[doc = "Count of encoder 2 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder2_latch {
-        #[doc = "Register `ENCODER2_LATCH` reader"]
-        pub type R = crate::R<Encoder2LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER2_EDGE (r) register accessor: The last counted edge of encoder 2, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder2_edge`] module"]
+    #[doc(alias = "ENCODER2_EDGE")]
+    pub type Encoder2Edge = crate::Reg<encoder2_edge::Encoder2EdgeSpec>;
+    #[doc = "The last counted edge of encoder 2, and what could not be counted."]
+    pub mod encoder2_edge {
+        #[doc = "Register `ENCODER2_EDGE` reader"]
+        pub type R = crate::R<Encoder2EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 2 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder2LatchSpec;
-        impl crate::RegisterSpec for Encoder2LatchSpec {
+        #[doc = "The last counted edge of encoder 2, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder2EdgeSpec;
+        impl crate::RegisterSpec for Encoder2EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder2_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder2LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER2_LATCH to value 0"]
-        impl crate::Resettable for Encoder2LatchSpec {}
+        #[doc = "`read()` method returns [`encoder2_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder2EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER2_EDGE to value 0"]
+        impl crate::Resettable for Encoder2EdgeSpec {}
     }
-    #[doc = "ENCODER2_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 2.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder2_edge_time`] module"]
-    #[doc(alias = "ENCODER2_EDGE_TIME")]
-    pub type Encoder2EdgeTime = crate::Reg<encoder2_edge_time::Encoder2EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 2."]
-    pub mod encoder2_edge_time {
-        #[doc = "Register `ENCODER2_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder2EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 2.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder2EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder2EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder2_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder2EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER2_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder2EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER3_COUNT (r) register accessor: Count of encoder 3 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder3_count`] module"]
+    #[doc = "ENCODER3_COUNT (r) register accessor: Count of encoder 3 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder3_count`] module"]
     #[doc(alias = "ENCODER3_COUNT")]
     pub type Encoder3Count = crate::Reg<encoder3_count::Encoder3CountSpec>;
-    #[doc = "Count of encoder 3 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 3 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder3_count {
         #[doc = "Register `ENCODER3_COUNT` reader"]
         pub type R = crate::R<Encoder3CountSpec>;
@@ -7783,7 +9932,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 3 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 3 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder3CountSpec;
         impl crate::RegisterSpec for Encoder3CountSpec {
             type Ux = u32;
@@ -7793,54 +9942,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER3_COUNT to value 0"]
         impl crate::Resettable for Encoder3CountSpec {}
     }
-    #[doc = "ENCODER3_LATCH (r) register accessor: Count of encoder 3 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder3_latch`] module"]
-    #[doc(alias = "ENCODER3_LATCH")]
-    pub type Encoder3Latch = crate::Reg<encoder3_latch::Encoder3LatchSpec>;
-    #[doc = "Count of encoder 3 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder3_latch {
-        #[doc = "Register `ENCODER3_LATCH` reader"]
-        pub type R = crate::R<Encoder3LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER3_EDGE (r) register accessor: The last counted edge of encoder 3, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder3_edge`] module"]
+    #[doc(alias = "ENCODER3_EDGE")]
+    pub type Encoder3Edge = crate::Reg<encoder3_edge::Encoder3EdgeSpec>;
+    #[doc = "The last counted edge of encoder 3, and what could not be counted."]
+    pub mod encoder3_edge {
+        #[doc = "Register `ENCODER3_EDGE` reader"]
+        pub type R = crate::R<Encoder3EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 3 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder3LatchSpec;
-        impl crate::RegisterSpec for Encoder3LatchSpec {
+        #[doc = "The last counted edge of encoder 3, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder3EdgeSpec;
+        impl crate::RegisterSpec for Encoder3EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder3_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder3LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER3_LATCH to value 0"]
-        impl crate::Resettable for Encoder3LatchSpec {}
+        #[doc = "`read()` method returns [`encoder3_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder3EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER3_EDGE to value 0"]
+        impl crate::Resettable for Encoder3EdgeSpec {}
     }
-    #[doc = "ENCODER3_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 3.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder3_edge_time`] module"]
-    #[doc(alias = "ENCODER3_EDGE_TIME")]
-    pub type Encoder3EdgeTime = crate::Reg<encoder3_edge_time::Encoder3EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 3."]
-    pub mod encoder3_edge_time {
-        #[doc = "Register `ENCODER3_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder3EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 3.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder3EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder3EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder3_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder3EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER3_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder3EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER4_COUNT (r) register accessor: Count of encoder 4 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder4_count`] module"]
+    #[doc = "ENCODER4_COUNT (r) register accessor: Count of encoder 4 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder4_count`] module"]
     #[doc(alias = "ENCODER4_COUNT")]
     pub type Encoder4Count = crate::Reg<encoder4_count::Encoder4CountSpec>;
-    #[doc = "Count of encoder 4 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 4 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder4_count {
         #[doc = "Register `ENCODER4_COUNT` reader"]
         pub type R = crate::R<Encoder4CountSpec>;
@@ -7849,7 +9987,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 4 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 4 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder4CountSpec;
         impl crate::RegisterSpec for Encoder4CountSpec {
             type Ux = u32;
@@ -7859,54 +9997,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER4_COUNT to value 0"]
         impl crate::Resettable for Encoder4CountSpec {}
     }
-    #[doc = "ENCODER4_LATCH (r) register accessor: Count of encoder 4 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder4_latch`] module"]
-    #[doc(alias = "ENCODER4_LATCH")]
-    pub type Encoder4Latch = crate::Reg<encoder4_latch::Encoder4LatchSpec>;
-    #[doc = "Count of encoder 4 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder4_latch {
-        #[doc = "Register `ENCODER4_LATCH` reader"]
-        pub type R = crate::R<Encoder4LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER4_EDGE (r) register accessor: The last counted edge of encoder 4, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder4_edge`] module"]
+    #[doc(alias = "ENCODER4_EDGE")]
+    pub type Encoder4Edge = crate::Reg<encoder4_edge::Encoder4EdgeSpec>;
+    #[doc = "The last counted edge of encoder 4, and what could not be counted."]
+    pub mod encoder4_edge {
+        #[doc = "Register `ENCODER4_EDGE` reader"]
+        pub type R = crate::R<Encoder4EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 4 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder4LatchSpec;
-        impl crate::RegisterSpec for Encoder4LatchSpec {
+        #[doc = "The last counted edge of encoder 4, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder4EdgeSpec;
+        impl crate::RegisterSpec for Encoder4EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder4_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder4LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER4_LATCH to value 0"]
-        impl crate::Resettable for Encoder4LatchSpec {}
+        #[doc = "`read()` method returns [`encoder4_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder4EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER4_EDGE to value 0"]
+        impl crate::Resettable for Encoder4EdgeSpec {}
     }
-    #[doc = "ENCODER4_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 4.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder4_edge_time`] module"]
-    #[doc(alias = "ENCODER4_EDGE_TIME")]
-    pub type Encoder4EdgeTime = crate::Reg<encoder4_edge_time::Encoder4EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 4."]
-    pub mod encoder4_edge_time {
-        #[doc = "Register `ENCODER4_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder4EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 4.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder4EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder4EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder4_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder4EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER4_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder4EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER5_COUNT (r) register accessor: Count of encoder 5 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder5_count`] module"]
+    #[doc = "ENCODER5_COUNT (r) register accessor: Count of encoder 5 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder5_count`] module"]
     #[doc(alias = "ENCODER5_COUNT")]
     pub type Encoder5Count = crate::Reg<encoder5_count::Encoder5CountSpec>;
-    #[doc = "Count of encoder 5 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 5 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder5_count {
         #[doc = "Register `ENCODER5_COUNT` reader"]
         pub type R = crate::R<Encoder5CountSpec>;
@@ -7915,7 +10042,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 5 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 5 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder5CountSpec;
         impl crate::RegisterSpec for Encoder5CountSpec {
             type Ux = u32;
@@ -7925,54 +10052,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER5_COUNT to value 0"]
         impl crate::Resettable for Encoder5CountSpec {}
     }
-    #[doc = "ENCODER5_LATCH (r) register accessor: Count of encoder 5 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder5_latch`] module"]
-    #[doc(alias = "ENCODER5_LATCH")]
-    pub type Encoder5Latch = crate::Reg<encoder5_latch::Encoder5LatchSpec>;
-    #[doc = "Count of encoder 5 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder5_latch {
-        #[doc = "Register `ENCODER5_LATCH` reader"]
-        pub type R = crate::R<Encoder5LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER5_EDGE (r) register accessor: The last counted edge of encoder 5, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder5_edge`] module"]
+    #[doc(alias = "ENCODER5_EDGE")]
+    pub type Encoder5Edge = crate::Reg<encoder5_edge::Encoder5EdgeSpec>;
+    #[doc = "The last counted edge of encoder 5, and what could not be counted."]
+    pub mod encoder5_edge {
+        #[doc = "Register `ENCODER5_EDGE` reader"]
+        pub type R = crate::R<Encoder5EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 5 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder5LatchSpec;
-        impl crate::RegisterSpec for Encoder5LatchSpec {
+        #[doc = "The last counted edge of encoder 5, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder5EdgeSpec;
+        impl crate::RegisterSpec for Encoder5EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder5_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder5LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER5_LATCH to value 0"]
-        impl crate::Resettable for Encoder5LatchSpec {}
+        #[doc = "`read()` method returns [`encoder5_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder5EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER5_EDGE to value 0"]
+        impl crate::Resettable for Encoder5EdgeSpec {}
     }
-    #[doc = "ENCODER5_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 5.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder5_edge_time`] module"]
-    #[doc(alias = "ENCODER5_EDGE_TIME")]
-    pub type Encoder5EdgeTime = crate::Reg<encoder5_edge_time::Encoder5EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 5."]
-    pub mod encoder5_edge_time {
-        #[doc = "Register `ENCODER5_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder5EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 5.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder5EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder5EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder5_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder5EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER5_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder5EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER6_COUNT (r) register accessor: Count of encoder 6 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder6_count`] module"]
+    #[doc = "ENCODER6_COUNT (r) register accessor: Count of encoder 6 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder6_count`] module"]
     #[doc(alias = "ENCODER6_COUNT")]
     pub type Encoder6Count = crate::Reg<encoder6_count::Encoder6CountSpec>;
-    #[doc = "Count of encoder 6 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 6 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder6_count {
         #[doc = "Register `ENCODER6_COUNT` reader"]
         pub type R = crate::R<Encoder6CountSpec>;
@@ -7981,7 +10097,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 6 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 6 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder6CountSpec;
         impl crate::RegisterSpec for Encoder6CountSpec {
             type Ux = u32;
@@ -7991,54 +10107,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER6_COUNT to value 0"]
         impl crate::Resettable for Encoder6CountSpec {}
     }
-    #[doc = "ENCODER6_LATCH (r) register accessor: Count of encoder 6 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder6_latch`] module"]
-    #[doc(alias = "ENCODER6_LATCH")]
-    pub type Encoder6Latch = crate::Reg<encoder6_latch::Encoder6LatchSpec>;
-    #[doc = "Count of encoder 6 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder6_latch {
-        #[doc = "Register `ENCODER6_LATCH` reader"]
-        pub type R = crate::R<Encoder6LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER6_EDGE (r) register accessor: The last counted edge of encoder 6, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder6_edge`] module"]
+    #[doc(alias = "ENCODER6_EDGE")]
+    pub type Encoder6Edge = crate::Reg<encoder6_edge::Encoder6EdgeSpec>;
+    #[doc = "The last counted edge of encoder 6, and what could not be counted."]
+    pub mod encoder6_edge {
+        #[doc = "Register `ENCODER6_EDGE` reader"]
+        pub type R = crate::R<Encoder6EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 6 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder6LatchSpec;
-        impl crate::RegisterSpec for Encoder6LatchSpec {
+        #[doc = "The last counted edge of encoder 6, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder6EdgeSpec;
+        impl crate::RegisterSpec for Encoder6EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder6_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder6LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER6_LATCH to value 0"]
-        impl crate::Resettable for Encoder6LatchSpec {}
+        #[doc = "`read()` method returns [`encoder6_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder6EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER6_EDGE to value 0"]
+        impl crate::Resettable for Encoder6EdgeSpec {}
     }
-    #[doc = "ENCODER6_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 6.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder6_edge_time`] module"]
-    #[doc(alias = "ENCODER6_EDGE_TIME")]
-    pub type Encoder6EdgeTime = crate::Reg<encoder6_edge_time::Encoder6EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 6."]
-    pub mod encoder6_edge_time {
-        #[doc = "Register `ENCODER6_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder6EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 6.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder6EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder6EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder6_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder6EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER6_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder6EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER7_COUNT (r) register accessor: Count of encoder 7 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder7_count`] module"]
+    #[doc = "ENCODER7_COUNT (r) register accessor: Count of encoder 7 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder7_count`] module"]
     #[doc(alias = "ENCODER7_COUNT")]
     pub type Encoder7Count = crate::Reg<encoder7_count::Encoder7CountSpec>;
-    #[doc = "Count of encoder 7 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 7 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder7_count {
         #[doc = "Register `ENCODER7_COUNT` reader"]
         pub type R = crate::R<Encoder7CountSpec>;
@@ -8047,7 +10152,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 7 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 7 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder7CountSpec;
         impl crate::RegisterSpec for Encoder7CountSpec {
             type Ux = u32;
@@ -8057,54 +10162,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER7_COUNT to value 0"]
         impl crate::Resettable for Encoder7CountSpec {}
     }
-    #[doc = "ENCODER7_LATCH (r) register accessor: Count of encoder 7 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder7_latch`] module"]
-    #[doc(alias = "ENCODER7_LATCH")]
-    pub type Encoder7Latch = crate::Reg<encoder7_latch::Encoder7LatchSpec>;
-    #[doc = "Count of encoder 7 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder7_latch {
-        #[doc = "Register `ENCODER7_LATCH` reader"]
-        pub type R = crate::R<Encoder7LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER7_EDGE (r) register accessor: The last counted edge of encoder 7, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder7_edge`] module"]
+    #[doc(alias = "ENCODER7_EDGE")]
+    pub type Encoder7Edge = crate::Reg<encoder7_edge::Encoder7EdgeSpec>;
+    #[doc = "The last counted edge of encoder 7, and what could not be counted."]
+    pub mod encoder7_edge {
+        #[doc = "Register `ENCODER7_EDGE` reader"]
+        pub type R = crate::R<Encoder7EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 7 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder7LatchSpec;
-        impl crate::RegisterSpec for Encoder7LatchSpec {
+        #[doc = "The last counted edge of encoder 7, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder7EdgeSpec;
+        impl crate::RegisterSpec for Encoder7EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder7_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder7LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER7_LATCH to value 0"]
-        impl crate::Resettable for Encoder7LatchSpec {}
+        #[doc = "`read()` method returns [`encoder7_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder7EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER7_EDGE to value 0"]
+        impl crate::Resettable for Encoder7EdgeSpec {}
     }
-    #[doc = "ENCODER7_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 7.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder7_edge_time`] module"]
-    #[doc(alias = "ENCODER7_EDGE_TIME")]
-    pub type Encoder7EdgeTime = crate::Reg<encoder7_edge_time::Encoder7EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 7."]
-    pub mod encoder7_edge_time {
-        #[doc = "Register `ENCODER7_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder7EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 7.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder7EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder7EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder7_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder7EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER7_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder7EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER8_COUNT (r) register accessor: Count of encoder 8 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder8_count`] module"]
+    #[doc = "ENCODER8_COUNT (r) register accessor: Count of encoder 8 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder8_count`] module"]
     #[doc(alias = "ENCODER8_COUNT")]
     pub type Encoder8Count = crate::Reg<encoder8_count::Encoder8CountSpec>;
-    #[doc = "Count of encoder 8 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 8 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder8_count {
         #[doc = "Register `ENCODER8_COUNT` reader"]
         pub type R = crate::R<Encoder8CountSpec>;
@@ -8113,7 +10207,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 8 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 8 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder8CountSpec;
         impl crate::RegisterSpec for Encoder8CountSpec {
             type Ux = u32;
@@ -8123,54 +10217,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER8_COUNT to value 0"]
         impl crate::Resettable for Encoder8CountSpec {}
     }
-    #[doc = "ENCODER8_LATCH (r) register accessor: Count of encoder 8 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder8_latch`] module"]
-    #[doc(alias = "ENCODER8_LATCH")]
-    pub type Encoder8Latch = crate::Reg<encoder8_latch::Encoder8LatchSpec>;
-    #[doc = "Count of encoder 8 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder8_latch {
-        #[doc = "Register `ENCODER8_LATCH` reader"]
-        pub type R = crate::R<Encoder8LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER8_EDGE (r) register accessor: The last counted edge of encoder 8, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder8_edge`] module"]
+    #[doc(alias = "ENCODER8_EDGE")]
+    pub type Encoder8Edge = crate::Reg<encoder8_edge::Encoder8EdgeSpec>;
+    #[doc = "The last counted edge of encoder 8, and what could not be counted."]
+    pub mod encoder8_edge {
+        #[doc = "Register `ENCODER8_EDGE` reader"]
+        pub type R = crate::R<Encoder8EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 8 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder8LatchSpec;
-        impl crate::RegisterSpec for Encoder8LatchSpec {
+        #[doc = "The last counted edge of encoder 8, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder8EdgeSpec;
+        impl crate::RegisterSpec for Encoder8EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder8_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder8LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER8_LATCH to value 0"]
-        impl crate::Resettable for Encoder8LatchSpec {}
+        #[doc = "`read()` method returns [`encoder8_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder8EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER8_EDGE to value 0"]
+        impl crate::Resettable for Encoder8EdgeSpec {}
     }
-    #[doc = "ENCODER8_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 8.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder8_edge_time`] module"]
-    #[doc(alias = "ENCODER8_EDGE_TIME")]
-    pub type Encoder8EdgeTime = crate::Reg<encoder8_edge_time::Encoder8EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 8."]
-    pub mod encoder8_edge_time {
-        #[doc = "Register `ENCODER8_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder8EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 8.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder8EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder8EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder8_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder8EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER8_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder8EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER9_COUNT (r) register accessor: Count of encoder 9 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder9_count`] module"]
+    #[doc = "ENCODER9_COUNT (r) register accessor: Count of encoder 9 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder9_count`] module"]
     #[doc(alias = "ENCODER9_COUNT")]
     pub type Encoder9Count = crate::Reg<encoder9_count::Encoder9CountSpec>;
-    #[doc = "Count of encoder 9 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 9 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder9_count {
         #[doc = "Register `ENCODER9_COUNT` reader"]
         pub type R = crate::R<Encoder9CountSpec>;
@@ -8179,7 +10262,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 9 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 9 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder9CountSpec;
         impl crate::RegisterSpec for Encoder9CountSpec {
             type Ux = u32;
@@ -8189,54 +10272,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER9_COUNT to value 0"]
         impl crate::Resettable for Encoder9CountSpec {}
     }
-    #[doc = "ENCODER9_LATCH (r) register accessor: Count of encoder 9 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder9_latch`] module"]
-    #[doc(alias = "ENCODER9_LATCH")]
-    pub type Encoder9Latch = crate::Reg<encoder9_latch::Encoder9LatchSpec>;
-    #[doc = "Count of encoder 9 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder9_latch {
-        #[doc = "Register `ENCODER9_LATCH` reader"]
-        pub type R = crate::R<Encoder9LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER9_EDGE (r) register accessor: The last counted edge of encoder 9, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder9_edge`] module"]
+    #[doc(alias = "ENCODER9_EDGE")]
+    pub type Encoder9Edge = crate::Reg<encoder9_edge::Encoder9EdgeSpec>;
+    #[doc = "The last counted edge of encoder 9, and what could not be counted."]
+    pub mod encoder9_edge {
+        #[doc = "Register `ENCODER9_EDGE` reader"]
+        pub type R = crate::R<Encoder9EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 9 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder9LatchSpec;
-        impl crate::RegisterSpec for Encoder9LatchSpec {
+        #[doc = "The last counted edge of encoder 9, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder9EdgeSpec;
+        impl crate::RegisterSpec for Encoder9EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder9_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder9LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER9_LATCH to value 0"]
-        impl crate::Resettable for Encoder9LatchSpec {}
+        #[doc = "`read()` method returns [`encoder9_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder9EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER9_EDGE to value 0"]
+        impl crate::Resettable for Encoder9EdgeSpec {}
     }
-    #[doc = "ENCODER9_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 9.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder9_edge_time`] module"]
-    #[doc(alias = "ENCODER9_EDGE_TIME")]
-    pub type Encoder9EdgeTime = crate::Reg<encoder9_edge_time::Encoder9EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 9."]
-    pub mod encoder9_edge_time {
-        #[doc = "Register `ENCODER9_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder9EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 9.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder9EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder9EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder9_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder9EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER9_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder9EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER10_COUNT (r) register accessor: Count of encoder 10 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder10_count`] module"]
+    #[doc = "ENCODER10_COUNT (r) register accessor: Count of encoder 10 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder10_count`] module"]
     #[doc(alias = "ENCODER10_COUNT")]
     pub type Encoder10Count = crate::Reg<encoder10_count::Encoder10CountSpec>;
-    #[doc = "Count of encoder 10 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 10 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder10_count {
         #[doc = "Register `ENCODER10_COUNT` reader"]
         pub type R = crate::R<Encoder10CountSpec>;
@@ -8245,7 +10317,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 10 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 10 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder10CountSpec;
         impl crate::RegisterSpec for Encoder10CountSpec {
             type Ux = u32;
@@ -8255,54 +10327,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER10_COUNT to value 0"]
         impl crate::Resettable for Encoder10CountSpec {}
     }
-    #[doc = "ENCODER10_LATCH (r) register accessor: Count of encoder 10 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder10_latch`] module"]
-    #[doc(alias = "ENCODER10_LATCH")]
-    pub type Encoder10Latch = crate::Reg<encoder10_latch::Encoder10LatchSpec>;
-    #[doc = "Count of encoder 10 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder10_latch {
-        #[doc = "Register `ENCODER10_LATCH` reader"]
-        pub type R = crate::R<Encoder10LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER10_EDGE (r) register accessor: The last counted edge of encoder 10, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder10_edge`] module"]
+    #[doc(alias = "ENCODER10_EDGE")]
+    pub type Encoder10Edge = crate::Reg<encoder10_edge::Encoder10EdgeSpec>;
+    #[doc = "The last counted edge of encoder 10, and what could not be counted."]
+    pub mod encoder10_edge {
+        #[doc = "Register `ENCODER10_EDGE` reader"]
+        pub type R = crate::R<Encoder10EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 10 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder10LatchSpec;
-        impl crate::RegisterSpec for Encoder10LatchSpec {
+        #[doc = "The last counted edge of encoder 10, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder10EdgeSpec;
+        impl crate::RegisterSpec for Encoder10EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder10_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder10LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER10_LATCH to value 0"]
-        impl crate::Resettable for Encoder10LatchSpec {}
+        #[doc = "`read()` method returns [`encoder10_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder10EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER10_EDGE to value 0"]
+        impl crate::Resettable for Encoder10EdgeSpec {}
     }
-    #[doc = "ENCODER10_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 10.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder10_edge_time`] module"]
-    #[doc(alias = "ENCODER10_EDGE_TIME")]
-    pub type Encoder10EdgeTime = crate::Reg<encoder10_edge_time::Encoder10EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 10."]
-    pub mod encoder10_edge_time {
-        #[doc = "Register `ENCODER10_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder10EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 10.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder10EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder10EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder10_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder10EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER10_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder10EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER11_COUNT (r) register accessor: Count of encoder 11 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder11_count`] module"]
+    #[doc = "ENCODER11_COUNT (r) register accessor: Count of encoder 11 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder11_count`] module"]
     #[doc(alias = "ENCODER11_COUNT")]
     pub type Encoder11Count = crate::Reg<encoder11_count::Encoder11CountSpec>;
-    #[doc = "Count of encoder 11 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 11 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder11_count {
         #[doc = "Register `ENCODER11_COUNT` reader"]
         pub type R = crate::R<Encoder11CountSpec>;
@@ -8311,7 +10372,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 11 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 11 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder11CountSpec;
         impl crate::RegisterSpec for Encoder11CountSpec {
             type Ux = u32;
@@ -8321,54 +10382,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER11_COUNT to value 0"]
         impl crate::Resettable for Encoder11CountSpec {}
     }
-    #[doc = "ENCODER11_LATCH (r) register accessor: Count of encoder 11 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder11_latch`] module"]
-    #[doc(alias = "ENCODER11_LATCH")]
-    pub type Encoder11Latch = crate::Reg<encoder11_latch::Encoder11LatchSpec>;
-    #[doc = "Count of encoder 11 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder11_latch {
-        #[doc = "Register `ENCODER11_LATCH` reader"]
-        pub type R = crate::R<Encoder11LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER11_EDGE (r) register accessor: The last counted edge of encoder 11, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder11_edge`] module"]
+    #[doc(alias = "ENCODER11_EDGE")]
+    pub type Encoder11Edge = crate::Reg<encoder11_edge::Encoder11EdgeSpec>;
+    #[doc = "The last counted edge of encoder 11, and what could not be counted."]
+    pub mod encoder11_edge {
+        #[doc = "Register `ENCODER11_EDGE` reader"]
+        pub type R = crate::R<Encoder11EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 11 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder11LatchSpec;
-        impl crate::RegisterSpec for Encoder11LatchSpec {
+        #[doc = "The last counted edge of encoder 11, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder11EdgeSpec;
+        impl crate::RegisterSpec for Encoder11EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder11_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder11LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER11_LATCH to value 0"]
-        impl crate::Resettable for Encoder11LatchSpec {}
+        #[doc = "`read()` method returns [`encoder11_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder11EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER11_EDGE to value 0"]
+        impl crate::Resettable for Encoder11EdgeSpec {}
     }
-    #[doc = "ENCODER11_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 11.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder11_edge_time`] module"]
-    #[doc(alias = "ENCODER11_EDGE_TIME")]
-    pub type Encoder11EdgeTime = crate::Reg<encoder11_edge_time::Encoder11EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 11."]
-    pub mod encoder11_edge_time {
-        #[doc = "Register `ENCODER11_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder11EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 11.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder11EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder11EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder11_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder11EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER11_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder11EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER12_COUNT (r) register accessor: Count of encoder 12 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder12_count`] module"]
+    #[doc = "ENCODER12_COUNT (r) register accessor: Count of encoder 12 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder12_count`] module"]
     #[doc(alias = "ENCODER12_COUNT")]
     pub type Encoder12Count = crate::Reg<encoder12_count::Encoder12CountSpec>;
-    #[doc = "Count of encoder 12 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 12 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder12_count {
         #[doc = "Register `ENCODER12_COUNT` reader"]
         pub type R = crate::R<Encoder12CountSpec>;
@@ -8377,7 +10427,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 12 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 12 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder12CountSpec;
         impl crate::RegisterSpec for Encoder12CountSpec {
             type Ux = u32;
@@ -8387,54 +10437,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER12_COUNT to value 0"]
         impl crate::Resettable for Encoder12CountSpec {}
     }
-    #[doc = "ENCODER12_LATCH (r) register accessor: Count of encoder 12 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder12_latch`] module"]
-    #[doc(alias = "ENCODER12_LATCH")]
-    pub type Encoder12Latch = crate::Reg<encoder12_latch::Encoder12LatchSpec>;
-    #[doc = "Count of encoder 12 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder12_latch {
-        #[doc = "Register `ENCODER12_LATCH` reader"]
-        pub type R = crate::R<Encoder12LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER12_EDGE (r) register accessor: The last counted edge of encoder 12, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder12_edge`] module"]
+    #[doc(alias = "ENCODER12_EDGE")]
+    pub type Encoder12Edge = crate::Reg<encoder12_edge::Encoder12EdgeSpec>;
+    #[doc = "The last counted edge of encoder 12, and what could not be counted."]
+    pub mod encoder12_edge {
+        #[doc = "Register `ENCODER12_EDGE` reader"]
+        pub type R = crate::R<Encoder12EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 12 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder12LatchSpec;
-        impl crate::RegisterSpec for Encoder12LatchSpec {
+        #[doc = "The last counted edge of encoder 12, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder12EdgeSpec;
+        impl crate::RegisterSpec for Encoder12EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder12_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder12LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER12_LATCH to value 0"]
-        impl crate::Resettable for Encoder12LatchSpec {}
+        #[doc = "`read()` method returns [`encoder12_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder12EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER12_EDGE to value 0"]
+        impl crate::Resettable for Encoder12EdgeSpec {}
     }
-    #[doc = "ENCODER12_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 12.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder12_edge_time`] module"]
-    #[doc(alias = "ENCODER12_EDGE_TIME")]
-    pub type Encoder12EdgeTime = crate::Reg<encoder12_edge_time::Encoder12EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 12."]
-    pub mod encoder12_edge_time {
-        #[doc = "Register `ENCODER12_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder12EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 12.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder12EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder12EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder12_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder12EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER12_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder12EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER13_COUNT (r) register accessor: Count of encoder 13 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder13_count`] module"]
+    #[doc = "ENCODER13_COUNT (r) register accessor: Count of encoder 13 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder13_count`] module"]
     #[doc(alias = "ENCODER13_COUNT")]
     pub type Encoder13Count = crate::Reg<encoder13_count::Encoder13CountSpec>;
-    #[doc = "Count of encoder 13 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 13 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder13_count {
         #[doc = "Register `ENCODER13_COUNT` reader"]
         pub type R = crate::R<Encoder13CountSpec>;
@@ -8443,7 +10482,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 13 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 13 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder13CountSpec;
         impl crate::RegisterSpec for Encoder13CountSpec {
             type Ux = u32;
@@ -8453,54 +10492,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER13_COUNT to value 0"]
         impl crate::Resettable for Encoder13CountSpec {}
     }
-    #[doc = "ENCODER13_LATCH (r) register accessor: Count of encoder 13 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder13_latch`] module"]
-    #[doc(alias = "ENCODER13_LATCH")]
-    pub type Encoder13Latch = crate::Reg<encoder13_latch::Encoder13LatchSpec>;
-    #[doc = "Count of encoder 13 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder13_latch {
-        #[doc = "Register `ENCODER13_LATCH` reader"]
-        pub type R = crate::R<Encoder13LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER13_EDGE (r) register accessor: The last counted edge of encoder 13, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder13_edge`] module"]
+    #[doc(alias = "ENCODER13_EDGE")]
+    pub type Encoder13Edge = crate::Reg<encoder13_edge::Encoder13EdgeSpec>;
+    #[doc = "The last counted edge of encoder 13, and what could not be counted."]
+    pub mod encoder13_edge {
+        #[doc = "Register `ENCODER13_EDGE` reader"]
+        pub type R = crate::R<Encoder13EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 13 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder13LatchSpec;
-        impl crate::RegisterSpec for Encoder13LatchSpec {
+        #[doc = "The last counted edge of encoder 13, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder13EdgeSpec;
+        impl crate::RegisterSpec for Encoder13EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder13_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder13LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER13_LATCH to value 0"]
-        impl crate::Resettable for Encoder13LatchSpec {}
+        #[doc = "`read()` method returns [`encoder13_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder13EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER13_EDGE to value 0"]
+        impl crate::Resettable for Encoder13EdgeSpec {}
     }
-    #[doc = "ENCODER13_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 13.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder13_edge_time`] module"]
-    #[doc(alias = "ENCODER13_EDGE_TIME")]
-    pub type Encoder13EdgeTime = crate::Reg<encoder13_edge_time::Encoder13EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 13."]
-    pub mod encoder13_edge_time {
-        #[doc = "Register `ENCODER13_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder13EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 13.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder13EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder13EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder13_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder13EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER13_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder13EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER14_COUNT (r) register accessor: Count of encoder 14 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder14_count`] module"]
+    #[doc = "ENCODER14_COUNT (r) register accessor: Count of encoder 14 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder14_count`] module"]
     #[doc(alias = "ENCODER14_COUNT")]
     pub type Encoder14Count = crate::Reg<encoder14_count::Encoder14CountSpec>;
-    #[doc = "Count of encoder 14 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 14 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder14_count {
         #[doc = "Register `ENCODER14_COUNT` reader"]
         pub type R = crate::R<Encoder14CountSpec>;
@@ -8509,7 +10537,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 14 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 14 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder14CountSpec;
         impl crate::RegisterSpec for Encoder14CountSpec {
             type Ux = u32;
@@ -8519,54 +10547,43 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER14_COUNT to value 0"]
         impl crate::Resettable for Encoder14CountSpec {}
     }
-    #[doc = "ENCODER14_LATCH (r) register accessor: Count of encoder 14 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder14_latch`] module"]
-    #[doc(alias = "ENCODER14_LATCH")]
-    pub type Encoder14Latch = crate::Reg<encoder14_latch::Encoder14LatchSpec>;
-    #[doc = "Count of encoder 14 at its last armed index, in quadrature edges, signed."]
-    pub mod encoder14_latch {
-        #[doc = "Register `ENCODER14_LATCH` reader"]
-        pub type R = crate::R<Encoder14LatchSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+    #[doc = "ENCODER14_EDGE (r) register accessor: The last counted edge of encoder 14, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder14_edge`] module"]
+    #[doc(alias = "ENCODER14_EDGE")]
+    pub type Encoder14Edge = crate::Reg<encoder14_edge::Encoder14EdgeSpec>;
+    #[doc = "The last counted edge of encoder 14, and what could not be counted."]
+    pub mod encoder14_edge {
+        #[doc = "Register `ENCODER14_EDGE` reader"]
+        pub type R = crate::R<Encoder14EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
             }
         }
-        #[doc = "Count of encoder 14 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder14LatchSpec;
-        impl crate::RegisterSpec for Encoder14LatchSpec {
+        #[doc = "The last counted edge of encoder 14, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder14EdgeSpec;
+        impl crate::RegisterSpec for Encoder14EdgeSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder14_latch::R`](R) reader structure"]
-        impl crate::Readable for Encoder14LatchSpec {}
-        #[doc = "`reset()` method sets ENCODER14_LATCH to value 0"]
-        impl crate::Resettable for Encoder14LatchSpec {}
+        #[doc = "`read()` method returns [`encoder14_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder14EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER14_EDGE to value 0"]
+        impl crate::Resettable for Encoder14EdgeSpec {}
     }
-    #[doc = "ENCODER14_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 14.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder14_edge_time`] module"]
-    #[doc(alias = "ENCODER14_EDGE_TIME")]
-    pub type Encoder14EdgeTime = crate::Reg<encoder14_edge_time::Encoder14EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 14."]
-    pub mod encoder14_edge_time {
-        #[doc = "Register `ENCODER14_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder14EdgeTimeSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 14.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder14EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder14EdgeTimeSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`encoder14_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder14EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER14_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder14EdgeTimeSpec {}
-    }
-    #[doc = "ENCODER15_COUNT (r) register accessor: Count of encoder 15 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder15_count`] module"]
+    #[doc = "ENCODER15_COUNT (r) register accessor: Count of encoder 15 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_count::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder15_count`] module"]
     #[doc(alias = "ENCODER15_COUNT")]
     pub type Encoder15Count = crate::Reg<encoder15_count::Encoder15CountSpec>;
-    #[doc = "Count of encoder 15 at the last sample strobe, in quadrature edges, signed."]
+    #[doc = "Count of encoder 15 at the last sample strobe, in counts of its mode, signed."]
     pub mod encoder15_count {
         #[doc = "Register `ENCODER15_COUNT` reader"]
         pub type R = crate::R<Encoder15CountSpec>;
@@ -8575,7 +10592,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 15 at the last sample strobe, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 15 at the last sample strobe, in counts of its mode, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_count::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder15CountSpec;
         impl crate::RegisterSpec for Encoder15CountSpec {
             type Ux = u32;
@@ -8585,10 +10602,373 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER15_COUNT to value 0"]
         impl crate::Resettable for Encoder15CountSpec {}
     }
-    #[doc = "ENCODER15_LATCH (r) register accessor: Count of encoder 15 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder15_latch`] module"]
+    #[doc = "ENCODER15_EDGE (r) register accessor: The last counted edge of encoder 15, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_edge::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder15_edge`] module"]
+    #[doc(alias = "ENCODER15_EDGE")]
+    pub type Encoder15Edge = crate::Reg<encoder15_edge::Encoder15EdgeSpec>;
+    #[doc = "The last counted edge of encoder 15, and what could not be counted."]
+    pub mod encoder15_edge {
+        #[doc = "Register `ENCODER15_EDGE` reader"]
+        pub type R = crate::R<Encoder15EdgeSpec>;
+        #[doc = "Field `edge_time` reader - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+        pub type EdgeTimeR = crate::FieldReader<u32>;
+        #[doc = "Field `errors` reader - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+        pub type ErrorsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:23 - Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."]
+            #[inline(always)]
+            pub fn edge_time(&self) -> EdgeTimeR {
+                EdgeTimeR::new(self.bits & 0x00ff_ffff)
+            }
+            #[doc = "Bits 24:31 - Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."]
+            #[inline(always)]
+            pub fn errors(&self) -> ErrorsR {
+                ErrorsR::new(((self.bits >> 24) & 0xff) as u8)
+            }
+        }
+        #[doc = "The last counted edge of encoder 15, and what could not be counted.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_edge::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder15EdgeSpec;
+        impl crate::RegisterSpec for Encoder15EdgeSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder15_edge::R`](R) reader structure"]
+        impl crate::Readable for Encoder15EdgeSpec {}
+        #[doc = "`reset()` method sets ENCODER15_EDGE to value 0"]
+        impl crate::Resettable for Encoder15EdgeSpec {}
+    }
+    #[doc = "ENCODER0_LATCH (r) register accessor: Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder0_latch`] module"]
+    #[doc(alias = "ENCODER0_LATCH")]
+    pub type Encoder0Latch = crate::Reg<encoder0_latch::Encoder0LatchSpec>;
+    #[doc = "Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder0_latch {
+        #[doc = "Register `ENCODER0_LATCH` reader"]
+        pub type R = crate::R<Encoder0LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder0LatchSpec;
+        impl crate::RegisterSpec for Encoder0LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder0_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder0LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER0_LATCH to value 0"]
+        impl crate::Resettable for Encoder0LatchSpec {}
+    }
+    #[doc = "ENCODER1_LATCH (r) register accessor: Count of encoder 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder1_latch`] module"]
+    #[doc(alias = "ENCODER1_LATCH")]
+    pub type Encoder1Latch = crate::Reg<encoder1_latch::Encoder1LatchSpec>;
+    #[doc = "Count of encoder 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder1_latch {
+        #[doc = "Register `ENCODER1_LATCH` reader"]
+        pub type R = crate::R<Encoder1LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder1_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder1LatchSpec;
+        impl crate::RegisterSpec for Encoder1LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder1_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder1LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER1_LATCH to value 0"]
+        impl crate::Resettable for Encoder1LatchSpec {}
+    }
+    #[doc = "ENCODER2_LATCH (r) register accessor: Count of encoder 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder2_latch`] module"]
+    #[doc(alias = "ENCODER2_LATCH")]
+    pub type Encoder2Latch = crate::Reg<encoder2_latch::Encoder2LatchSpec>;
+    #[doc = "Count of encoder 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder2_latch {
+        #[doc = "Register `ENCODER2_LATCH` reader"]
+        pub type R = crate::R<Encoder2LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder2_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder2LatchSpec;
+        impl crate::RegisterSpec for Encoder2LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder2_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder2LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER2_LATCH to value 0"]
+        impl crate::Resettable for Encoder2LatchSpec {}
+    }
+    #[doc = "ENCODER3_LATCH (r) register accessor: Count of encoder 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder3_latch`] module"]
+    #[doc(alias = "ENCODER3_LATCH")]
+    pub type Encoder3Latch = crate::Reg<encoder3_latch::Encoder3LatchSpec>;
+    #[doc = "Count of encoder 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder3_latch {
+        #[doc = "Register `ENCODER3_LATCH` reader"]
+        pub type R = crate::R<Encoder3LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder3_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder3LatchSpec;
+        impl crate::RegisterSpec for Encoder3LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder3_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder3LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER3_LATCH to value 0"]
+        impl crate::Resettable for Encoder3LatchSpec {}
+    }
+    #[doc = "ENCODER4_LATCH (r) register accessor: Count of encoder 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder4_latch`] module"]
+    #[doc(alias = "ENCODER4_LATCH")]
+    pub type Encoder4Latch = crate::Reg<encoder4_latch::Encoder4LatchSpec>;
+    #[doc = "Count of encoder 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder4_latch {
+        #[doc = "Register `ENCODER4_LATCH` reader"]
+        pub type R = crate::R<Encoder4LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder4_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder4LatchSpec;
+        impl crate::RegisterSpec for Encoder4LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder4_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder4LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER4_LATCH to value 0"]
+        impl crate::Resettable for Encoder4LatchSpec {}
+    }
+    #[doc = "ENCODER5_LATCH (r) register accessor: Count of encoder 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder5_latch`] module"]
+    #[doc(alias = "ENCODER5_LATCH")]
+    pub type Encoder5Latch = crate::Reg<encoder5_latch::Encoder5LatchSpec>;
+    #[doc = "Count of encoder 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder5_latch {
+        #[doc = "Register `ENCODER5_LATCH` reader"]
+        pub type R = crate::R<Encoder5LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder5_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder5LatchSpec;
+        impl crate::RegisterSpec for Encoder5LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder5_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder5LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER5_LATCH to value 0"]
+        impl crate::Resettable for Encoder5LatchSpec {}
+    }
+    #[doc = "ENCODER6_LATCH (r) register accessor: Count of encoder 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder6_latch`] module"]
+    #[doc(alias = "ENCODER6_LATCH")]
+    pub type Encoder6Latch = crate::Reg<encoder6_latch::Encoder6LatchSpec>;
+    #[doc = "Count of encoder 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder6_latch {
+        #[doc = "Register `ENCODER6_LATCH` reader"]
+        pub type R = crate::R<Encoder6LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder6_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder6LatchSpec;
+        impl crate::RegisterSpec for Encoder6LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder6_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder6LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER6_LATCH to value 0"]
+        impl crate::Resettable for Encoder6LatchSpec {}
+    }
+    #[doc = "ENCODER7_LATCH (r) register accessor: Count of encoder 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder7_latch`] module"]
+    #[doc(alias = "ENCODER7_LATCH")]
+    pub type Encoder7Latch = crate::Reg<encoder7_latch::Encoder7LatchSpec>;
+    #[doc = "Count of encoder 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder7_latch {
+        #[doc = "Register `ENCODER7_LATCH` reader"]
+        pub type R = crate::R<Encoder7LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder7_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder7LatchSpec;
+        impl crate::RegisterSpec for Encoder7LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder7_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder7LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER7_LATCH to value 0"]
+        impl crate::Resettable for Encoder7LatchSpec {}
+    }
+    #[doc = "ENCODER8_LATCH (r) register accessor: Count of encoder 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder8_latch`] module"]
+    #[doc(alias = "ENCODER8_LATCH")]
+    pub type Encoder8Latch = crate::Reg<encoder8_latch::Encoder8LatchSpec>;
+    #[doc = "Count of encoder 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder8_latch {
+        #[doc = "Register `ENCODER8_LATCH` reader"]
+        pub type R = crate::R<Encoder8LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder8_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder8LatchSpec;
+        impl crate::RegisterSpec for Encoder8LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder8_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder8LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER8_LATCH to value 0"]
+        impl crate::Resettable for Encoder8LatchSpec {}
+    }
+    #[doc = "ENCODER9_LATCH (r) register accessor: Count of encoder 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder9_latch`] module"]
+    #[doc(alias = "ENCODER9_LATCH")]
+    pub type Encoder9Latch = crate::Reg<encoder9_latch::Encoder9LatchSpec>;
+    #[doc = "Count of encoder 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder9_latch {
+        #[doc = "Register `ENCODER9_LATCH` reader"]
+        pub type R = crate::R<Encoder9LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder9_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder9LatchSpec;
+        impl crate::RegisterSpec for Encoder9LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder9_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder9LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER9_LATCH to value 0"]
+        impl crate::Resettable for Encoder9LatchSpec {}
+    }
+    #[doc = "ENCODER10_LATCH (r) register accessor: Count of encoder 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder10_latch`] module"]
+    #[doc(alias = "ENCODER10_LATCH")]
+    pub type Encoder10Latch = crate::Reg<encoder10_latch::Encoder10LatchSpec>;
+    #[doc = "Count of encoder 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder10_latch {
+        #[doc = "Register `ENCODER10_LATCH` reader"]
+        pub type R = crate::R<Encoder10LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder10_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder10LatchSpec;
+        impl crate::RegisterSpec for Encoder10LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder10_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder10LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER10_LATCH to value 0"]
+        impl crate::Resettable for Encoder10LatchSpec {}
+    }
+    #[doc = "ENCODER11_LATCH (r) register accessor: Count of encoder 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder11_latch`] module"]
+    #[doc(alias = "ENCODER11_LATCH")]
+    pub type Encoder11Latch = crate::Reg<encoder11_latch::Encoder11LatchSpec>;
+    #[doc = "Count of encoder 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder11_latch {
+        #[doc = "Register `ENCODER11_LATCH` reader"]
+        pub type R = crate::R<Encoder11LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder11_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder11LatchSpec;
+        impl crate::RegisterSpec for Encoder11LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder11_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder11LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER11_LATCH to value 0"]
+        impl crate::Resettable for Encoder11LatchSpec {}
+    }
+    #[doc = "ENCODER12_LATCH (r) register accessor: Count of encoder 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder12_latch`] module"]
+    #[doc(alias = "ENCODER12_LATCH")]
+    pub type Encoder12Latch = crate::Reg<encoder12_latch::Encoder12LatchSpec>;
+    #[doc = "Count of encoder 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder12_latch {
+        #[doc = "Register `ENCODER12_LATCH` reader"]
+        pub type R = crate::R<Encoder12LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder12_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder12LatchSpec;
+        impl crate::RegisterSpec for Encoder12LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder12_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder12LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER12_LATCH to value 0"]
+        impl crate::Resettable for Encoder12LatchSpec {}
+    }
+    #[doc = "ENCODER13_LATCH (r) register accessor: Count of encoder 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder13_latch`] module"]
+    #[doc(alias = "ENCODER13_LATCH")]
+    pub type Encoder13Latch = crate::Reg<encoder13_latch::Encoder13LatchSpec>;
+    #[doc = "Count of encoder 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder13_latch {
+        #[doc = "Register `ENCODER13_LATCH` reader"]
+        pub type R = crate::R<Encoder13LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder13_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder13LatchSpec;
+        impl crate::RegisterSpec for Encoder13LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder13_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder13LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER13_LATCH to value 0"]
+        impl crate::Resettable for Encoder13LatchSpec {}
+    }
+    #[doc = "ENCODER14_LATCH (r) register accessor: Count of encoder 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder14_latch`] module"]
+    #[doc(alias = "ENCODER14_LATCH")]
+    pub type Encoder14Latch = crate::Reg<encoder14_latch::Encoder14LatchSpec>;
+    #[doc = "Count of encoder 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod encoder14_latch {
+        #[doc = "Register `ENCODER14_LATCH` reader"]
+        pub type R = crate::R<Encoder14LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Count of encoder 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder14_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Encoder14LatchSpec;
+        impl crate::RegisterSpec for Encoder14LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`encoder14_latch::R`](R) reader structure"]
+        impl crate::Readable for Encoder14LatchSpec {}
+        #[doc = "`reset()` method sets ENCODER14_LATCH to value 0"]
+        impl crate::Resettable for Encoder14LatchSpec {}
+    }
+    #[doc = "ENCODER15_LATCH (r) register accessor: Count of encoder 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder15_latch`] module"]
     #[doc(alias = "ENCODER15_LATCH")]
     pub type Encoder15Latch = crate::Reg<encoder15_latch::Encoder15LatchSpec>;
-    #[doc = "Count of encoder 15 at its last armed index, in quadrature edges, signed."]
+    #[doc = "Count of encoder 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
     pub mod encoder15_latch {
         #[doc = "Register `ENCODER15_LATCH` reader"]
         pub type R = crate::R<Encoder15LatchSpec>;
@@ -8597,7 +10977,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Count of encoder 15 at its last armed index, in quadrature edges, signed.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Count of encoder 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Encoder15LatchSpec;
         impl crate::RegisterSpec for Encoder15LatchSpec {
             type Ux = u32;
@@ -8607,37 +10987,367 @@ pub mod status {
         #[doc = "`reset()` method sets ENCODER15_LATCH to value 0"]
         impl crate::Resettable for Encoder15LatchSpec {}
     }
-    #[doc = "ENCODER15_EDGE_TIME (r) register accessor: Low word of the wall clock, in clocks, at the last counted edge of encoder 15.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_edge_time::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder15_edge_time`] module"]
-    #[doc(alias = "ENCODER15_EDGE_TIME")]
-    pub type Encoder15EdgeTime = crate::Reg<encoder15_edge_time::Encoder15EdgeTimeSpec>;
-    #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 15."]
-    pub mod encoder15_edge_time {
-        #[doc = "Register `ENCODER15_EDGE_TIME` reader"]
-        pub type R = crate::R<Encoder15EdgeTimeSpec>;
+    #[doc = "STEPGEN0_LATCH (r) register accessor: Pulses emitted by step generator 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen0_latch`] module"]
+    #[doc(alias = "STEPGEN0_LATCH")]
+    pub type Stepgen0Latch = crate::Reg<stepgen0_latch::Stepgen0LatchSpec>;
+    #[doc = "Pulses emitted by step generator 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen0_latch {
+        #[doc = "Register `STEPGEN0_LATCH` reader"]
+        pub type R = crate::R<Stepgen0LatchSpec>;
         impl core::fmt::Debug for R {
             fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Low word of the wall clock, in clocks, at the last counted edge of encoder 15.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder15_edge_time::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct Encoder15EdgeTimeSpec;
-        impl crate::RegisterSpec for Encoder15EdgeTimeSpec {
+        #[doc = "Pulses emitted by step generator 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen0LatchSpec;
+        impl crate::RegisterSpec for Stepgen0LatchSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`encoder15_edge_time::R`](R) reader structure"]
-        impl crate::Readable for Encoder15EdgeTimeSpec {}
-        #[doc = "`reset()` method sets ENCODER15_EDGE_TIME to value 0"]
-        impl crate::Resettable for Encoder15EdgeTimeSpec {}
+        #[doc = "`read()` method returns [`stepgen0_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen0LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN0_LATCH to value 0"]
+        impl crate::Resettable for Stepgen0LatchSpec {}
+    }
+    #[doc = "STEPGEN1_LATCH (r) register accessor: Pulses emitted by step generator 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen1_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen1_latch`] module"]
+    #[doc(alias = "STEPGEN1_LATCH")]
+    pub type Stepgen1Latch = crate::Reg<stepgen1_latch::Stepgen1LatchSpec>;
+    #[doc = "Pulses emitted by step generator 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen1_latch {
+        #[doc = "Register `STEPGEN1_LATCH` reader"]
+        pub type R = crate::R<Stepgen1LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen1_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen1LatchSpec;
+        impl crate::RegisterSpec for Stepgen1LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen1_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen1LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN1_LATCH to value 0"]
+        impl crate::Resettable for Stepgen1LatchSpec {}
+    }
+    #[doc = "STEPGEN2_LATCH (r) register accessor: Pulses emitted by step generator 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen2_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen2_latch`] module"]
+    #[doc(alias = "STEPGEN2_LATCH")]
+    pub type Stepgen2Latch = crate::Reg<stepgen2_latch::Stepgen2LatchSpec>;
+    #[doc = "Pulses emitted by step generator 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen2_latch {
+        #[doc = "Register `STEPGEN2_LATCH` reader"]
+        pub type R = crate::R<Stepgen2LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen2_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen2LatchSpec;
+        impl crate::RegisterSpec for Stepgen2LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen2_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen2LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN2_LATCH to value 0"]
+        impl crate::Resettable for Stepgen2LatchSpec {}
+    }
+    #[doc = "STEPGEN3_LATCH (r) register accessor: Pulses emitted by step generator 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen3_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen3_latch`] module"]
+    #[doc(alias = "STEPGEN3_LATCH")]
+    pub type Stepgen3Latch = crate::Reg<stepgen3_latch::Stepgen3LatchSpec>;
+    #[doc = "Pulses emitted by step generator 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen3_latch {
+        #[doc = "Register `STEPGEN3_LATCH` reader"]
+        pub type R = crate::R<Stepgen3LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen3_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen3LatchSpec;
+        impl crate::RegisterSpec for Stepgen3LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen3_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen3LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN3_LATCH to value 0"]
+        impl crate::Resettable for Stepgen3LatchSpec {}
+    }
+    #[doc = "STEPGEN4_LATCH (r) register accessor: Pulses emitted by step generator 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen4_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen4_latch`] module"]
+    #[doc(alias = "STEPGEN4_LATCH")]
+    pub type Stepgen4Latch = crate::Reg<stepgen4_latch::Stepgen4LatchSpec>;
+    #[doc = "Pulses emitted by step generator 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen4_latch {
+        #[doc = "Register `STEPGEN4_LATCH` reader"]
+        pub type R = crate::R<Stepgen4LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen4_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen4LatchSpec;
+        impl crate::RegisterSpec for Stepgen4LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen4_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen4LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN4_LATCH to value 0"]
+        impl crate::Resettable for Stepgen4LatchSpec {}
+    }
+    #[doc = "STEPGEN5_LATCH (r) register accessor: Pulses emitted by step generator 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen5_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen5_latch`] module"]
+    #[doc(alias = "STEPGEN5_LATCH")]
+    pub type Stepgen5Latch = crate::Reg<stepgen5_latch::Stepgen5LatchSpec>;
+    #[doc = "Pulses emitted by step generator 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen5_latch {
+        #[doc = "Register `STEPGEN5_LATCH` reader"]
+        pub type R = crate::R<Stepgen5LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen5_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen5LatchSpec;
+        impl crate::RegisterSpec for Stepgen5LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen5_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen5LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN5_LATCH to value 0"]
+        impl crate::Resettable for Stepgen5LatchSpec {}
+    }
+    #[doc = "STEPGEN6_LATCH (r) register accessor: Pulses emitted by step generator 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen6_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen6_latch`] module"]
+    #[doc(alias = "STEPGEN6_LATCH")]
+    pub type Stepgen6Latch = crate::Reg<stepgen6_latch::Stepgen6LatchSpec>;
+    #[doc = "Pulses emitted by step generator 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen6_latch {
+        #[doc = "Register `STEPGEN6_LATCH` reader"]
+        pub type R = crate::R<Stepgen6LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen6_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen6LatchSpec;
+        impl crate::RegisterSpec for Stepgen6LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen6_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen6LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN6_LATCH to value 0"]
+        impl crate::Resettable for Stepgen6LatchSpec {}
+    }
+    #[doc = "STEPGEN7_LATCH (r) register accessor: Pulses emitted by step generator 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen7_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen7_latch`] module"]
+    #[doc(alias = "STEPGEN7_LATCH")]
+    pub type Stepgen7Latch = crate::Reg<stepgen7_latch::Stepgen7LatchSpec>;
+    #[doc = "Pulses emitted by step generator 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen7_latch {
+        #[doc = "Register `STEPGEN7_LATCH` reader"]
+        pub type R = crate::R<Stepgen7LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen7_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen7LatchSpec;
+        impl crate::RegisterSpec for Stepgen7LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen7_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen7LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN7_LATCH to value 0"]
+        impl crate::Resettable for Stepgen7LatchSpec {}
+    }
+    #[doc = "STEPGEN8_LATCH (r) register accessor: Pulses emitted by step generator 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen8_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen8_latch`] module"]
+    #[doc(alias = "STEPGEN8_LATCH")]
+    pub type Stepgen8Latch = crate::Reg<stepgen8_latch::Stepgen8LatchSpec>;
+    #[doc = "Pulses emitted by step generator 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen8_latch {
+        #[doc = "Register `STEPGEN8_LATCH` reader"]
+        pub type R = crate::R<Stepgen8LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen8_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen8LatchSpec;
+        impl crate::RegisterSpec for Stepgen8LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen8_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen8LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN8_LATCH to value 0"]
+        impl crate::Resettable for Stepgen8LatchSpec {}
+    }
+    #[doc = "STEPGEN9_LATCH (r) register accessor: Pulses emitted by step generator 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen9_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen9_latch`] module"]
+    #[doc(alias = "STEPGEN9_LATCH")]
+    pub type Stepgen9Latch = crate::Reg<stepgen9_latch::Stepgen9LatchSpec>;
+    #[doc = "Pulses emitted by step generator 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen9_latch {
+        #[doc = "Register `STEPGEN9_LATCH` reader"]
+        pub type R = crate::R<Stepgen9LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen9_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen9LatchSpec;
+        impl crate::RegisterSpec for Stepgen9LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen9_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen9LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN9_LATCH to value 0"]
+        impl crate::Resettable for Stepgen9LatchSpec {}
+    }
+    #[doc = "STEPGEN10_LATCH (r) register accessor: Pulses emitted by step generator 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen10_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen10_latch`] module"]
+    #[doc(alias = "STEPGEN10_LATCH")]
+    pub type Stepgen10Latch = crate::Reg<stepgen10_latch::Stepgen10LatchSpec>;
+    #[doc = "Pulses emitted by step generator 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen10_latch {
+        #[doc = "Register `STEPGEN10_LATCH` reader"]
+        pub type R = crate::R<Stepgen10LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen10_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen10LatchSpec;
+        impl crate::RegisterSpec for Stepgen10LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen10_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen10LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN10_LATCH to value 0"]
+        impl crate::Resettable for Stepgen10LatchSpec {}
+    }
+    #[doc = "STEPGEN11_LATCH (r) register accessor: Pulses emitted by step generator 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen11_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen11_latch`] module"]
+    #[doc(alias = "STEPGEN11_LATCH")]
+    pub type Stepgen11Latch = crate::Reg<stepgen11_latch::Stepgen11LatchSpec>;
+    #[doc = "Pulses emitted by step generator 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen11_latch {
+        #[doc = "Register `STEPGEN11_LATCH` reader"]
+        pub type R = crate::R<Stepgen11LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen11_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen11LatchSpec;
+        impl crate::RegisterSpec for Stepgen11LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen11_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen11LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN11_LATCH to value 0"]
+        impl crate::Resettable for Stepgen11LatchSpec {}
+    }
+    #[doc = "STEPGEN12_LATCH (r) register accessor: Pulses emitted by step generator 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen12_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen12_latch`] module"]
+    #[doc(alias = "STEPGEN12_LATCH")]
+    pub type Stepgen12Latch = crate::Reg<stepgen12_latch::Stepgen12LatchSpec>;
+    #[doc = "Pulses emitted by step generator 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen12_latch {
+        #[doc = "Register `STEPGEN12_LATCH` reader"]
+        pub type R = crate::R<Stepgen12LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen12_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen12LatchSpec;
+        impl crate::RegisterSpec for Stepgen12LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen12_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen12LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN12_LATCH to value 0"]
+        impl crate::Resettable for Stepgen12LatchSpec {}
+    }
+    #[doc = "STEPGEN13_LATCH (r) register accessor: Pulses emitted by step generator 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen13_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen13_latch`] module"]
+    #[doc(alias = "STEPGEN13_LATCH")]
+    pub type Stepgen13Latch = crate::Reg<stepgen13_latch::Stepgen13LatchSpec>;
+    #[doc = "Pulses emitted by step generator 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen13_latch {
+        #[doc = "Register `STEPGEN13_LATCH` reader"]
+        pub type R = crate::R<Stepgen13LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen13_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen13LatchSpec;
+        impl crate::RegisterSpec for Stepgen13LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen13_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen13LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN13_LATCH to value 0"]
+        impl crate::Resettable for Stepgen13LatchSpec {}
+    }
+    #[doc = "STEPGEN14_LATCH (r) register accessor: Pulses emitted by step generator 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen14_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen14_latch`] module"]
+    #[doc(alias = "STEPGEN14_LATCH")]
+    pub type Stepgen14Latch = crate::Reg<stepgen14_latch::Stepgen14LatchSpec>;
+    #[doc = "Pulses emitted by step generator 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen14_latch {
+        #[doc = "Register `STEPGEN14_LATCH` reader"]
+        pub type R = crate::R<Stepgen14LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen14_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen14LatchSpec;
+        impl crate::RegisterSpec for Stepgen14LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen14_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen14LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN14_LATCH to value 0"]
+        impl crate::Resettable for Stepgen14LatchSpec {}
+    }
+    #[doc = "STEPGEN15_LATCH (r) register accessor: Pulses emitted by step generator 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen15_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen15_latch`] module"]
+    #[doc(alias = "STEPGEN15_LATCH")]
+    pub type Stepgen15Latch = crate::Reg<stepgen15_latch::Stepgen15LatchSpec>;
+    #[doc = "Pulses emitted by step generator 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+    pub mod stepgen15_latch {
+        #[doc = "Register `STEPGEN15_LATCH` reader"]
+        pub type R = crate::R<Stepgen15LatchSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pulses emitted by step generator 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen15_latch::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Stepgen15LatchSpec;
+        impl crate::RegisterSpec for Stepgen15LatchSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepgen15_latch::R`](R) reader structure"]
+        impl crate::Readable for Stepgen15LatchSpec {}
+        #[doc = "`reset()` method sets STEPGEN15_LATCH to value 0"]
+        impl crate::Resettable for Stepgen15LatchSpec {}
     }
 }
-#[doc = "Timing and polarity of step generator 0. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 0. Set while the gate is closed."]
 pub type Stepgen0 = crate::Periph<stepgen0::RegisterBlock, 0xf000_8000>;
 impl core::fmt::Debug for Stepgen0 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen0").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 0. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 0. Set while the gate is closed."]
 pub mod stepgen0 {
     #[repr(C)]
     #[doc = "Register block"]
@@ -8650,22 +11360,22 @@ pub mod stepgen0 {
         mode: Mode,
     }
     impl RegisterBlock {
-        #[doc = "0x00 - Shortest time STEP stays active, in clocks, 16 bits; 0 is taken as 1."]
+        #[doc = "0x00 - Shortest time STEP stays active, in clocks, 13 bits; 0 is taken as 1."]
         #[inline(always)]
         pub const fn steplen(&self) -> &Steplen {
             &self.steplen
         }
-        #[doc = "0x04 - Shortest time STEP stays inactive, in clocks, 16 bits; 0 is taken as 1."]
+        #[doc = "0x04 - Shortest time STEP stays inactive, in clocks, 13 bits; 0 is taken as 1."]
         #[inline(always)]
         pub const fn stepspace(&self) -> &Stepspace {
             &self.stepspace
         }
-        #[doc = "0x08 - Shortest time from an edge of DIR to the next rise of STEP, in clocks, 24 bits."]
+        #[doc = "0x08 - Shortest time from an edge of DIR to the next rise of STEP, in clocks, 16 bits."]
         #[inline(always)]
         pub const fn dirsetup(&self) -> &Dirsetup {
             &self.dirsetup
         }
-        #[doc = "0x0c - Shortest time from the fall of STEP to an edge of DIR, in clocks, 24 bits."]
+        #[doc = "0x0c - Shortest time from the fall of STEP to an edge of DIR, in clocks, 16 bits."]
         #[inline(always)]
         pub const fn dirhold(&self) -> &Dirhold {
             &self.dirhold
@@ -8675,16 +11385,16 @@ pub mod stepgen0 {
         pub const fn stop_accel(&self) -> &StopAccel {
             &self.stop_accel
         }
-        #[doc = "0x14 - Polarity of the two pins, one bit each."]
+        #[doc = "0x14 - What the two pins carry, and their polarity."]
         #[inline(always)]
         pub const fn mode(&self) -> &Mode {
             &self.mode
         }
     }
-    #[doc = "STEPLEN (rw) register accessor: Shortest time STEP stays active, in clocks, 16 bits; 0 is taken as 1.\n\nYou can [`read`](crate::Reg::read) this register and get [`steplen::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`steplen::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@steplen`] module"]
+    #[doc = "STEPLEN (rw) register accessor: Shortest time STEP stays active, in clocks, 13 bits; 0 is taken as 1.\n\nYou can [`read`](crate::Reg::read) this register and get [`steplen::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`steplen::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@steplen`] module"]
     #[doc(alias = "STEPLEN")]
     pub type Steplen = crate::Reg<steplen::SteplenSpec>;
-    #[doc = "Shortest time STEP stays active, in clocks, 16 bits; 0 is taken as 1."]
+    #[doc = "Shortest time STEP stays active, in clocks, 13 bits; 0 is taken as 1."]
     pub mod steplen {
         #[doc = "Register `STEPLEN` reader"]
         pub type R = crate::R<SteplenSpec>;
@@ -8693,22 +11403,22 @@ pub mod stepgen0 {
         #[doc = "Field `clocks` reader - Time in clocks."]
         pub type ClocksR = crate::FieldReader<u16>;
         #[doc = "Field `clocks` writer - Time in clocks."]
-        pub type ClocksW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        pub type ClocksW<'a, REG> = crate::FieldWriter<'a, REG, 13, u16>;
         impl R {
-            #[doc = "Bits 0:15 - Time in clocks."]
+            #[doc = "Bits 0:12 - Time in clocks."]
             #[inline(always)]
             pub fn clocks(&self) -> ClocksR {
-                ClocksR::new((self.bits & 0xffff) as u16)
+                ClocksR::new((self.bits & 0x1fff) as u16)
             }
         }
         impl W {
-            #[doc = "Bits 0:15 - Time in clocks."]
+            #[doc = "Bits 0:12 - Time in clocks."]
             #[inline(always)]
             pub fn clocks(&mut self) -> ClocksW<'_, SteplenSpec> {
                 ClocksW::new(self, 0)
             }
         }
-        #[doc = "Shortest time STEP stays active, in clocks, 16 bits; 0 is taken as 1.\n\nYou can [`read`](crate::Reg::read) this register and get [`steplen::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`steplen::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Shortest time STEP stays active, in clocks, 13 bits; 0 is taken as 1.\n\nYou can [`read`](crate::Reg::read) this register and get [`steplen::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`steplen::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct SteplenSpec;
         impl crate::RegisterSpec for SteplenSpec {
             type Ux = u32;
@@ -8722,15 +11432,56 @@ pub mod stepgen0 {
         #[doc = "`reset()` method sets STEPLEN to value 0"]
         impl crate::Resettable for SteplenSpec {}
     }
-    #[doc = "STEPSPACE (rw) register accessor: Shortest time STEP stays inactive, in clocks, 16 bits; 0 is taken as 1.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepspace::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepspace::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepspace`] module"]
+    #[doc = "STEPSPACE (rw) register accessor: Shortest time STEP stays inactive, in clocks, 13 bits; 0 is taken as 1.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepspace::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepspace::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepspace`] module"]
     #[doc(alias = "STEPSPACE")]
     pub type Stepspace = crate::Reg<stepspace::StepspaceSpec>;
-    #[doc = "Shortest time STEP stays inactive, in clocks, 16 bits; 0 is taken as 1."]
+    #[doc = "Shortest time STEP stays inactive, in clocks, 13 bits; 0 is taken as 1."]
     pub mod stepspace {
         #[doc = "Register `STEPSPACE` reader"]
         pub type R = crate::R<StepspaceSpec>;
         #[doc = "Register `STEPSPACE` writer"]
         pub type W = crate::W<StepspaceSpec>;
+        #[doc = "Field `clocks` reader - Time in clocks."]
+        pub type ClocksR = crate::FieldReader<u16>;
+        #[doc = "Field `clocks` writer - Time in clocks."]
+        pub type ClocksW<'a, REG> = crate::FieldWriter<'a, REG, 13, u16>;
+        impl R {
+            #[doc = "Bits 0:12 - Time in clocks."]
+            #[inline(always)]
+            pub fn clocks(&self) -> ClocksR {
+                ClocksR::new((self.bits & 0x1fff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:12 - Time in clocks."]
+            #[inline(always)]
+            pub fn clocks(&mut self) -> ClocksW<'_, StepspaceSpec> {
+                ClocksW::new(self, 0)
+            }
+        }
+        #[doc = "Shortest time STEP stays inactive, in clocks, 13 bits; 0 is taken as 1.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepspace::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepspace::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct StepspaceSpec;
+        impl crate::RegisterSpec for StepspaceSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`stepspace::R`](R) reader structure"]
+        impl crate::Readable for StepspaceSpec {}
+        #[doc = "`write(|w| ..)` method takes [`stepspace::W`](W) writer structure"]
+        impl crate::Writable for StepspaceSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets STEPSPACE to value 0"]
+        impl crate::Resettable for StepspaceSpec {}
+    }
+    #[doc = "DIRSETUP (rw) register accessor: Shortest time from an edge of DIR to the next rise of STEP, in clocks, 16 bits.\n\nYou can [`read`](crate::Reg::read) this register and get [`dirsetup::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dirsetup::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dirsetup`] module"]
+    #[doc(alias = "DIRSETUP")]
+    pub type Dirsetup = crate::Reg<dirsetup::DirsetupSpec>;
+    #[doc = "Shortest time from an edge of DIR to the next rise of STEP, in clocks, 16 bits."]
+    pub mod dirsetup {
+        #[doc = "Register `DIRSETUP` reader"]
+        pub type R = crate::R<DirsetupSpec>;
+        #[doc = "Register `DIRSETUP` writer"]
+        pub type W = crate::W<DirsetupSpec>;
         #[doc = "Field `clocks` reader - Time in clocks."]
         pub type ClocksR = crate::FieldReader<u16>;
         #[doc = "Field `clocks` writer - Time in clocks."]
@@ -8745,52 +11496,11 @@ pub mod stepgen0 {
         impl W {
             #[doc = "Bits 0:15 - Time in clocks."]
             #[inline(always)]
-            pub fn clocks(&mut self) -> ClocksW<'_, StepspaceSpec> {
-                ClocksW::new(self, 0)
-            }
-        }
-        #[doc = "Shortest time STEP stays inactive, in clocks, 16 bits; 0 is taken as 1.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepspace::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepspace::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct StepspaceSpec;
-        impl crate::RegisterSpec for StepspaceSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`stepspace::R`](R) reader structure"]
-        impl crate::Readable for StepspaceSpec {}
-        #[doc = "`write(|w| ..)` method takes [`stepspace::W`](W) writer structure"]
-        impl crate::Writable for StepspaceSpec {
-            type Safety = crate::Unsafe;
-        }
-        #[doc = "`reset()` method sets STEPSPACE to value 0"]
-        impl crate::Resettable for StepspaceSpec {}
-    }
-    #[doc = "DIRSETUP (rw) register accessor: Shortest time from an edge of DIR to the next rise of STEP, in clocks, 24 bits.\n\nYou can [`read`](crate::Reg::read) this register and get [`dirsetup::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dirsetup::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dirsetup`] module"]
-    #[doc(alias = "DIRSETUP")]
-    pub type Dirsetup = crate::Reg<dirsetup::DirsetupSpec>;
-    #[doc = "Shortest time from an edge of DIR to the next rise of STEP, in clocks, 24 bits."]
-    pub mod dirsetup {
-        #[doc = "Register `DIRSETUP` reader"]
-        pub type R = crate::R<DirsetupSpec>;
-        #[doc = "Register `DIRSETUP` writer"]
-        pub type W = crate::W<DirsetupSpec>;
-        #[doc = "Field `clocks` reader - Time in clocks."]
-        pub type ClocksR = crate::FieldReader<u32>;
-        #[doc = "Field `clocks` writer - Time in clocks."]
-        pub type ClocksW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
-        impl R {
-            #[doc = "Bits 0:23 - Time in clocks."]
-            #[inline(always)]
-            pub fn clocks(&self) -> ClocksR {
-                ClocksR::new(self.bits & 0x00ff_ffff)
-            }
-        }
-        impl W {
-            #[doc = "Bits 0:23 - Time in clocks."]
-            #[inline(always)]
             pub fn clocks(&mut self) -> ClocksW<'_, DirsetupSpec> {
                 ClocksW::new(self, 0)
             }
         }
-        #[doc = "Shortest time from an edge of DIR to the next rise of STEP, in clocks, 24 bits.\n\nYou can [`read`](crate::Reg::read) this register and get [`dirsetup::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dirsetup::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Shortest time from an edge of DIR to the next rise of STEP, in clocks, 16 bits.\n\nYou can [`read`](crate::Reg::read) this register and get [`dirsetup::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dirsetup::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct DirsetupSpec;
         impl crate::RegisterSpec for DirsetupSpec {
             type Ux = u32;
@@ -8804,34 +11514,34 @@ pub mod stepgen0 {
         #[doc = "`reset()` method sets DIRSETUP to value 0"]
         impl crate::Resettable for DirsetupSpec {}
     }
-    #[doc = "DIRHOLD (rw) register accessor: Shortest time from the fall of STEP to an edge of DIR, in clocks, 24 bits.\n\nYou can [`read`](crate::Reg::read) this register and get [`dirhold::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dirhold::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dirhold`] module"]
+    #[doc = "DIRHOLD (rw) register accessor: Shortest time from the fall of STEP to an edge of DIR, in clocks, 16 bits.\n\nYou can [`read`](crate::Reg::read) this register and get [`dirhold::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dirhold::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dirhold`] module"]
     #[doc(alias = "DIRHOLD")]
     pub type Dirhold = crate::Reg<dirhold::DirholdSpec>;
-    #[doc = "Shortest time from the fall of STEP to an edge of DIR, in clocks, 24 bits."]
+    #[doc = "Shortest time from the fall of STEP to an edge of DIR, in clocks, 16 bits."]
     pub mod dirhold {
         #[doc = "Register `DIRHOLD` reader"]
         pub type R = crate::R<DirholdSpec>;
         #[doc = "Register `DIRHOLD` writer"]
         pub type W = crate::W<DirholdSpec>;
         #[doc = "Field `clocks` reader - Time in clocks."]
-        pub type ClocksR = crate::FieldReader<u32>;
+        pub type ClocksR = crate::FieldReader<u16>;
         #[doc = "Field `clocks` writer - Time in clocks."]
-        pub type ClocksW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        pub type ClocksW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
         impl R {
-            #[doc = "Bits 0:23 - Time in clocks."]
+            #[doc = "Bits 0:15 - Time in clocks."]
             #[inline(always)]
             pub fn clocks(&self) -> ClocksR {
-                ClocksR::new(self.bits & 0x00ff_ffff)
+                ClocksR::new((self.bits & 0xffff) as u16)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time in clocks."]
+            #[doc = "Bits 0:15 - Time in clocks."]
             #[inline(always)]
             pub fn clocks(&mut self) -> ClocksW<'_, DirholdSpec> {
                 ClocksW::new(self, 0)
             }
         }
-        #[doc = "Shortest time from the fall of STEP to an edge of DIR, in clocks, 24 bits.\n\nYou can [`read`](crate::Reg::read) this register and get [`dirhold::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dirhold::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Shortest time from the fall of STEP to an edge of DIR, in clocks, 16 bits.\n\nYou can [`read`](crate::Reg::read) this register and get [`dirhold::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dirhold::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct DirholdSpec;
         impl crate::RegisterSpec for DirholdSpec {
             type Ux = u32;
@@ -8874,48 +11584,145 @@ pub mod stepgen0 {
         #[doc = "`reset()` method sets STOP_ACCEL to value 0"]
         impl crate::Resettable for StopAccelSpec {}
     }
-    #[doc = "MODE (rw) register accessor: Polarity of the two pins, one bit each.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mode`] module"]
+    #[doc = "MODE (rw) register accessor: What the two pins carry, and their polarity.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mode`] module"]
     #[doc(alias = "MODE")]
     pub type Mode = crate::Reg<mode::ModeSpec>;
-    #[doc = "Polarity of the two pins, one bit each."]
+    #[doc = "What the two pins carry, and their polarity."]
     pub mod mode {
         #[doc = "Register `MODE` reader"]
         pub type R = crate::R<ModeSpec>;
         #[doc = "Register `MODE` writer"]
         pub type W = crate::W<ModeSpec>;
-        #[doc = "Field `step_invert` reader - 1: STEP is active low."]
+        #[doc = "Field `step_invert` reader - 1: the STEP pin is active low."]
         pub type StepInvertR = crate::BitReader;
-        #[doc = "Field `step_invert` writer - 1: STEP is active low."]
+        #[doc = "Field `step_invert` writer - 1: the STEP pin is active low."]
         pub type StepInvertW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `dir_invert` reader - 1: DIR is low for negative."]
+        #[doc = "Field `dir_invert` reader - 1: the DIR pin is turned over."]
         pub type DirInvertR = crate::BitReader;
-        #[doc = "Field `dir_invert` writer - 1: DIR is low for negative."]
+        #[doc = "Field `dir_invert` writer - 1: the DIR pin is turned over."]
         pub type DirInvertW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "What the pins carry, a number.\n\nValue on reset: 0"]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum Kind {
+            #[doc = "0: STEP pulses and a DIR level."]
+            StepDir = 0,
+            #[doc = "1: Forward pulses on STEP, backward pulses on DIR."]
+            UpDown = 1,
+            #[doc = "2: A on STEP and B on DIR; A leads forwards; each step is one edge."]
+            Quadrature = 2,
+        }
+        impl From<Kind> for u8 {
+            #[inline(always)]
+            fn from(variant: Kind) -> Self {
+                variant as _
+            }
+        }
+        impl crate::FieldSpec for Kind {
+            type Ux = u8;
+        }
+        impl crate::IsEnum for Kind {}
+        #[doc = "Field `kind` reader - What the pins carry, a number."]
+        pub type KindR = crate::FieldReader<Kind>;
+        impl KindR {
+            #[doc = "Get enumerated values variant"]
+            #[inline(always)]
+            pub const fn variant(&self) -> Option<Kind> {
+                match self.bits {
+                    0 => Some(Kind::StepDir),
+                    1 => Some(Kind::UpDown),
+                    2 => Some(Kind::Quadrature),
+                    _ => None,
+                }
+            }
+            #[doc = "STEP pulses and a DIR level."]
+            #[inline(always)]
+            pub fn is_step_dir(&self) -> bool {
+                *self == Kind::StepDir
+            }
+            #[doc = "Forward pulses on STEP, backward pulses on DIR."]
+            #[inline(always)]
+            pub fn is_up_down(&self) -> bool {
+                *self == Kind::UpDown
+            }
+            #[doc = "A on STEP and B on DIR; A leads forwards; each step is one edge."]
+            #[inline(always)]
+            pub fn is_quadrature(&self) -> bool {
+                *self == Kind::Quadrature
+            }
+        }
+        #[doc = "Field `kind` writer - What the pins carry, a number."]
+        pub type KindW<'a, REG> = crate::FieldWriter<'a, REG, 2, Kind>;
+        impl<'a, REG> KindW<'a, REG>
+        where
+            REG: crate::Writable + crate::RegisterSpec,
+            REG::Ux: From<u8>,
+        {
+            #[doc = "STEP pulses and a DIR level."]
+            #[inline(always)]
+            pub fn step_dir(self) -> &'a mut crate::W<REG> {
+                self.variant(Kind::StepDir)
+            }
+            #[doc = "Forward pulses on STEP, backward pulses on DIR."]
+            #[inline(always)]
+            pub fn up_down(self) -> &'a mut crate::W<REG> {
+                self.variant(Kind::UpDown)
+            }
+            #[doc = "A on STEP and B on DIR; A leads forwards; each step is one edge."]
+            #[inline(always)]
+            pub fn quadrature(self) -> &'a mut crate::W<REG> {
+                self.variant(Kind::Quadrature)
+            }
+        }
+        #[doc = "Field `index_invert` reader - 1: the index pin is active low."]
+        pub type IndexInvertR = crate::BitReader;
+        #[doc = "Field `index_invert` writer - 1: the index pin is active low."]
+        pub type IndexInvertW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bit 0 - 1: STEP is active low."]
+            #[doc = "Bit 0 - 1: the STEP pin is active low."]
             #[inline(always)]
             pub fn step_invert(&self) -> StepInvertR {
                 StepInvertR::new((self.bits & 1) != 0)
             }
-            #[doc = "Bit 1 - 1: DIR is low for negative."]
+            #[doc = "Bit 1 - 1: the DIR pin is turned over."]
             #[inline(always)]
             pub fn dir_invert(&self) -> DirInvertR {
                 DirInvertR::new(((self.bits >> 1) & 1) != 0)
             }
+            #[doc = "Bits 2:3 - What the pins carry, a number."]
+            #[inline(always)]
+            pub fn kind(&self) -> KindR {
+                KindR::new(((self.bits >> 2) & 3) as u8)
+            }
+            #[doc = "Bit 4 - 1: the index pin is active low."]
+            #[inline(always)]
+            pub fn index_invert(&self) -> IndexInvertR {
+                IndexInvertR::new(((self.bits >> 4) & 1) != 0)
+            }
         }
         impl W {
-            #[doc = "Bit 0 - 1: STEP is active low."]
+            #[doc = "Bit 0 - 1: the STEP pin is active low."]
             #[inline(always)]
             pub fn step_invert(&mut self) -> StepInvertW<'_, ModeSpec> {
                 StepInvertW::new(self, 0)
             }
-            #[doc = "Bit 1 - 1: DIR is low for negative."]
+            #[doc = "Bit 1 - 1: the DIR pin is turned over."]
             #[inline(always)]
             pub fn dir_invert(&mut self) -> DirInvertW<'_, ModeSpec> {
                 DirInvertW::new(self, 1)
             }
+            #[doc = "Bits 2:3 - What the pins carry, a number."]
+            #[inline(always)]
+            pub fn kind(&mut self) -> KindW<'_, ModeSpec> {
+                KindW::new(self, 2)
+            }
+            #[doc = "Bit 4 - 1: the index pin is active low."]
+            #[inline(always)]
+            pub fn index_invert(&mut self) -> IndexInvertW<'_, ModeSpec> {
+                IndexInvertW::new(self, 4)
+            }
         }
-        #[doc = "Polarity of the two pins, one bit each.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "What the two pins carry, and their polarity.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct ModeSpec;
         impl crate::RegisterSpec for ModeSpec {
             type Ux = u32;
@@ -8930,159 +11737,158 @@ pub mod stepgen0 {
         impl crate::Resettable for ModeSpec {}
     }
 }
-#[doc = "Timing and polarity of step generator 1. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 1. Set while the gate is closed."]
 pub type Stepgen1 = crate::Periph<stepgen0::RegisterBlock, 0xf000_8800>;
 impl core::fmt::Debug for Stepgen1 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen1").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 1. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 1. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen1;
-#[doc = "Timing and polarity of step generator 2. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 2. Set while the gate is closed."]
 pub type Stepgen2 = crate::Periph<stepgen0::RegisterBlock, 0xf000_9000>;
 impl core::fmt::Debug for Stepgen2 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen2").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 2. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 2. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen2;
-#[doc = "Timing and polarity of step generator 3. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 3. Set while the gate is closed."]
 pub type Stepgen3 = crate::Periph<stepgen0::RegisterBlock, 0xf000_9800>;
 impl core::fmt::Debug for Stepgen3 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen3").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 3. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 3. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen3;
-#[doc = "Timing and polarity of step generator 4. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 4. Set while the gate is closed."]
 pub type Stepgen4 = crate::Periph<stepgen0::RegisterBlock, 0xf000_a000>;
 impl core::fmt::Debug for Stepgen4 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen4").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 4. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 4. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen4;
-#[doc = "Timing and polarity of step generator 5. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 5. Set while the gate is closed."]
 pub type Stepgen5 = crate::Periph<stepgen0::RegisterBlock, 0xf000_a800>;
 impl core::fmt::Debug for Stepgen5 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen5").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 5. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 5. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen5;
-#[doc = "Timing and polarity of step generator 6. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 6. Set while the gate is closed."]
 pub type Stepgen6 = crate::Periph<stepgen0::RegisterBlock, 0xf000_b000>;
 impl core::fmt::Debug for Stepgen6 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen6").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 6. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 6. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen6;
-#[doc = "Timing and polarity of step generator 7. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 7. Set while the gate is closed."]
 pub type Stepgen7 = crate::Periph<stepgen0::RegisterBlock, 0xf000_b800>;
 impl core::fmt::Debug for Stepgen7 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen7").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 7. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 7. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen7;
-#[doc = "Timing and polarity of step generator 8. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 8. Set while the gate is closed."]
 pub type Stepgen8 = crate::Periph<stepgen0::RegisterBlock, 0xf000_c000>;
 impl core::fmt::Debug for Stepgen8 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen8").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 8. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 8. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen8;
-#[doc = "Timing and polarity of step generator 9. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 9. Set while the gate is closed."]
 pub type Stepgen9 = crate::Periph<stepgen0::RegisterBlock, 0xf000_c800>;
 impl core::fmt::Debug for Stepgen9 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen9").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 9. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 9. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen9;
-#[doc = "Timing and polarity of step generator 10. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 10. Set while the gate is closed."]
 pub type Stepgen10 = crate::Periph<stepgen0::RegisterBlock, 0xf000_d000>;
 impl core::fmt::Debug for Stepgen10 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen10").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 10. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 10. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen10;
-#[doc = "Timing and polarity of step generator 11. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 11. Set while the gate is closed."]
 pub type Stepgen11 = crate::Periph<stepgen0::RegisterBlock, 0xf000_d800>;
 impl core::fmt::Debug for Stepgen11 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen11").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 11. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 11. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen11;
-#[doc = "Timing and polarity of step generator 12. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 12. Set while the gate is closed."]
 pub type Stepgen12 = crate::Periph<stepgen0::RegisterBlock, 0xf000_e000>;
 impl core::fmt::Debug for Stepgen12 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen12").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 12. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 12. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen12;
-#[doc = "Timing and polarity of step generator 13. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 13. Set while the gate is closed."]
 pub type Stepgen13 = crate::Periph<stepgen0::RegisterBlock, 0xf000_e800>;
 impl core::fmt::Debug for Stepgen13 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen13").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 13. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 13. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen13;
-#[doc = "Timing and polarity of step generator 14. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 14. Set while the gate is closed."]
 pub type Stepgen14 = crate::Periph<stepgen0::RegisterBlock, 0xf000_f000>;
 impl core::fmt::Debug for Stepgen14 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen14").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 14. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 14. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen14;
-#[doc = "Timing and polarity of step generator 15. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 15. Set while the gate is closed."]
 pub type Stepgen15 = crate::Periph<stepgen0::RegisterBlock, 0xf000_f800>;
 impl core::fmt::Debug for Stepgen15 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Stepgen15").finish()
     }
 }
-#[doc = "Timing and polarity of step generator 15. Set while the gate is closed."]
+#[doc = "Timing, kind and polarity of step generator 15. Set while the gate is closed."]
 pub use self::stepgen0 as stepgen15;
-#[doc = "Filter and errors of encoder 0."]
+#[doc = "Counting mode and filter of encoder 0."]
 pub type Encoder0 = crate::Periph<encoder0::RegisterBlock, 0xf001_0000>;
 impl core::fmt::Debug for Encoder0 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder0").finish()
     }
 }
-#[doc = "Filter and errors of encoder 0."]
+#[doc = "Counting mode and filter of encoder 0."]
 pub mod encoder0 {
     #[repr(C)]
     #[doc = "Register block"]
     pub struct RegisterBlock {
         mode: Mode,
         filter: Filter,
-        errors: Errors,
     }
     impl RegisterBlock {
-        #[doc = "0x00 - How edges are counted, a number; only 0 is defined."]
+        #[doc = "0x00 - How edges are counted and what the index does."]
         #[inline(always)]
         pub const fn mode(&self) -> &Mode {
             &self.mode
@@ -9092,16 +11898,11 @@ pub mod encoder0 {
         pub const fn filter(&self) -> &Filter {
             &self.filter
         }
-        #[doc = "0x08 - Illegal transitions (A and B changed on the same clock) since power-up, a count modulo 2^16."]
-        #[inline(always)]
-        pub const fn errors(&self) -> &Errors {
-            &self.errors
-        }
     }
-    #[doc = "MODE (rw) register accessor: How edges are counted, a number; only 0 is defined.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mode`] module"]
+    #[doc = "MODE (rw) register accessor: How edges are counted and what the index does.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mode`] module"]
     #[doc(alias = "MODE")]
     pub type Mode = crate::Reg<mode::ModeSpec>;
-    #[doc = "How edges are counted, a number; only 0 is defined."]
+    #[doc = "How edges are counted and what the index does."]
     pub mod mode {
         #[doc = "Register `MODE` reader"]
         pub type R = crate::R<ModeSpec>;
@@ -9113,6 +11914,16 @@ pub mod encoder0 {
         pub enum Select {
             #[doc = "0: Quadrature, every edge of A and B."]
             X4 = 0,
+            #[doc = "1: Quadrature, the edges of A."]
+            X2 = 1,
+            #[doc = "2: Quadrature, one edge of A per period."]
+            X1 = 2,
+            #[doc = "3: Every rise of A counts up; B is not used."]
+            Counter = 3,
+            #[doc = "4: Every rise of A counts, down while B is 1."]
+            StepDir = 4,
+            #[doc = "5: Every rise of A counts up, every rise of B down."]
+            UpDown = 5,
         }
         impl From<Select> for u8 {
             #[inline(always)]
@@ -9132,6 +11943,11 @@ pub mod encoder0 {
             pub const fn variant(&self) -> Option<Select> {
                 match self.bits {
                     0 => Some(Select::X4),
+                    1 => Some(Select::X2),
+                    2 => Some(Select::X1),
+                    3 => Some(Select::Counter),
+                    4 => Some(Select::StepDir),
+                    5 => Some(Select::UpDown),
                     _ => None,
                 }
             }
@@ -9140,9 +11956,34 @@ pub mod encoder0 {
             pub fn is_x4(&self) -> bool {
                 *self == Select::X4
             }
+            #[doc = "Quadrature, the edges of A."]
+            #[inline(always)]
+            pub fn is_x2(&self) -> bool {
+                *self == Select::X2
+            }
+            #[doc = "Quadrature, one edge of A per period."]
+            #[inline(always)]
+            pub fn is_x1(&self) -> bool {
+                *self == Select::X1
+            }
+            #[doc = "Every rise of A counts up; B is not used."]
+            #[inline(always)]
+            pub fn is_counter(&self) -> bool {
+                *self == Select::Counter
+            }
+            #[doc = "Every rise of A counts, down while B is 1."]
+            #[inline(always)]
+            pub fn is_step_dir(&self) -> bool {
+                *self == Select::StepDir
+            }
+            #[doc = "Every rise of A counts up, every rise of B down."]
+            #[inline(always)]
+            pub fn is_up_down(&self) -> bool {
+                *self == Select::UpDown
+            }
         }
         #[doc = "Field `select` writer - Counting mode, a number."]
-        pub type SelectW<'a, REG> = crate::FieldWriter<'a, REG, 4, Select>;
+        pub type SelectW<'a, REG> = crate::FieldWriter<'a, REG, 3, Select>;
         impl<'a, REG> SelectW<'a, REG>
         where
             REG: crate::Writable + crate::RegisterSpec,
@@ -9153,22 +11994,103 @@ pub mod encoder0 {
             pub fn x4(self) -> &'a mut crate::W<REG> {
                 self.variant(Select::X4)
             }
+            #[doc = "Quadrature, the edges of A."]
+            #[inline(always)]
+            pub fn x2(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::X2)
+            }
+            #[doc = "Quadrature, one edge of A per period."]
+            #[inline(always)]
+            pub fn x1(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::X1)
+            }
+            #[doc = "Every rise of A counts up; B is not used."]
+            #[inline(always)]
+            pub fn counter(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::Counter)
+            }
+            #[doc = "Every rise of A counts, down while B is 1."]
+            #[inline(always)]
+            pub fn step_dir(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::StepDir)
+            }
+            #[doc = "Every rise of A counts up, every rise of B down."]
+            #[inline(always)]
+            pub fn up_down(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::UpDown)
+            }
         }
+        #[doc = "Field `index_invert` reader - 1: the index pin is active low."]
+        pub type IndexInvertR = crate::BitReader;
+        #[doc = "Field `index_invert` writer - 1: the index pin is active low."]
+        pub type IndexInvertW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `mask_enable` reader - 1: the index counts only while the mask pin is active."]
+        pub type MaskEnableR = crate::BitReader;
+        #[doc = "Field `mask_enable` writer - 1: the index counts only while the mask pin is active."]
+        pub type MaskEnableW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `mask_invert` reader - 1: the mask pin is active low."]
+        pub type MaskInvertR = crate::BitReader;
+        #[doc = "Field `mask_invert` writer - 1: the mask pin is active low."]
+        pub type MaskInvertW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `clear_on_index` reader - 1: a latched index sets the count to 0."]
+        pub type ClearOnIndexR = crate::BitReader;
+        #[doc = "Field `clear_on_index` writer - 1: a latched index sets the count to 0."]
+        pub type ClearOnIndexW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bits 0:3 - Counting mode, a number."]
+            #[doc = "Bits 0:2 - Counting mode, a number."]
             #[inline(always)]
             pub fn select(&self) -> SelectR {
-                SelectR::new((self.bits & 0x0f) as u8)
+                SelectR::new((self.bits & 7) as u8)
+            }
+            #[doc = "Bit 4 - 1: the index pin is active low."]
+            #[inline(always)]
+            pub fn index_invert(&self) -> IndexInvertR {
+                IndexInvertR::new(((self.bits >> 4) & 1) != 0)
+            }
+            #[doc = "Bit 5 - 1: the index counts only while the mask pin is active."]
+            #[inline(always)]
+            pub fn mask_enable(&self) -> MaskEnableR {
+                MaskEnableR::new(((self.bits >> 5) & 1) != 0)
+            }
+            #[doc = "Bit 6 - 1: the mask pin is active low."]
+            #[inline(always)]
+            pub fn mask_invert(&self) -> MaskInvertR {
+                MaskInvertR::new(((self.bits >> 6) & 1) != 0)
+            }
+            #[doc = "Bit 7 - 1: a latched index sets the count to 0."]
+            #[inline(always)]
+            pub fn clear_on_index(&self) -> ClearOnIndexR {
+                ClearOnIndexR::new(((self.bits >> 7) & 1) != 0)
             }
         }
         impl W {
-            #[doc = "Bits 0:3 - Counting mode, a number."]
+            #[doc = "Bits 0:2 - Counting mode, a number."]
             #[inline(always)]
             pub fn select(&mut self) -> SelectW<'_, ModeSpec> {
                 SelectW::new(self, 0)
             }
+            #[doc = "Bit 4 - 1: the index pin is active low."]
+            #[inline(always)]
+            pub fn index_invert(&mut self) -> IndexInvertW<'_, ModeSpec> {
+                IndexInvertW::new(self, 4)
+            }
+            #[doc = "Bit 5 - 1: the index counts only while the mask pin is active."]
+            #[inline(always)]
+            pub fn mask_enable(&mut self) -> MaskEnableW<'_, ModeSpec> {
+                MaskEnableW::new(self, 5)
+            }
+            #[doc = "Bit 6 - 1: the mask pin is active low."]
+            #[inline(always)]
+            pub fn mask_invert(&mut self) -> MaskInvertW<'_, ModeSpec> {
+                MaskInvertW::new(self, 6)
+            }
+            #[doc = "Bit 7 - 1: a latched index sets the count to 0."]
+            #[inline(always)]
+            pub fn clear_on_index(&mut self) -> ClearOnIndexW<'_, ModeSpec> {
+                ClearOnIndexW::new(self, 7)
+            }
         }
-        #[doc = "How edges are counted, a number; only 0 is defined.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "How edges are counted and what the index does.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct ModeSpec;
         impl crate::RegisterSpec for ModeSpec {
             type Ux = u32;
@@ -9223,172 +12145,150 @@ pub mod encoder0 {
         #[doc = "`reset()` method sets FILTER to value 0"]
         impl crate::Resettable for FilterSpec {}
     }
-    #[doc = "ERRORS (r) register accessor: Illegal transitions (A and B changed on the same clock) since power-up, a count modulo 2^16.\n\nYou can [`read`](crate::Reg::read) this register and get [`errors::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@errors`] module"]
-    #[doc(alias = "ERRORS")]
-    pub type Errors = crate::Reg<errors::ErrorsSpec>;
-    #[doc = "Illegal transitions (A and B changed on the same clock) since power-up, a count modulo 2^16."]
-    pub mod errors {
-        #[doc = "Register `ERRORS` reader"]
-        pub type R = crate::R<ErrorsSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Illegal transitions (A and B changed on the same clock) since power-up, a count modulo 2^16.\n\nYou can [`read`](crate::Reg::read) this register and get [`errors::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct ErrorsSpec;
-        impl crate::RegisterSpec for ErrorsSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`errors::R`](R) reader structure"]
-        impl crate::Readable for ErrorsSpec {}
-        #[doc = "`reset()` method sets ERRORS to value 0"]
-        impl crate::Resettable for ErrorsSpec {}
-    }
 }
-#[doc = "Filter and errors of encoder 1."]
+#[doc = "Counting mode and filter of encoder 1."]
 pub type Encoder1 = crate::Periph<encoder0::RegisterBlock, 0xf001_0800>;
 impl core::fmt::Debug for Encoder1 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder1").finish()
     }
 }
-#[doc = "Filter and errors of encoder 1."]
+#[doc = "Counting mode and filter of encoder 1."]
 pub use self::encoder0 as encoder1;
-#[doc = "Filter and errors of encoder 2."]
+#[doc = "Counting mode and filter of encoder 2."]
 pub type Encoder2 = crate::Periph<encoder0::RegisterBlock, 0xf001_1000>;
 impl core::fmt::Debug for Encoder2 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder2").finish()
     }
 }
-#[doc = "Filter and errors of encoder 2."]
+#[doc = "Counting mode and filter of encoder 2."]
 pub use self::encoder0 as encoder2;
-#[doc = "Filter and errors of encoder 3."]
+#[doc = "Counting mode and filter of encoder 3."]
 pub type Encoder3 = crate::Periph<encoder0::RegisterBlock, 0xf001_1800>;
 impl core::fmt::Debug for Encoder3 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder3").finish()
     }
 }
-#[doc = "Filter and errors of encoder 3."]
+#[doc = "Counting mode and filter of encoder 3."]
 pub use self::encoder0 as encoder3;
-#[doc = "Filter and errors of encoder 4."]
+#[doc = "Counting mode and filter of encoder 4."]
 pub type Encoder4 = crate::Periph<encoder0::RegisterBlock, 0xf001_2000>;
 impl core::fmt::Debug for Encoder4 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder4").finish()
     }
 }
-#[doc = "Filter and errors of encoder 4."]
+#[doc = "Counting mode and filter of encoder 4."]
 pub use self::encoder0 as encoder4;
-#[doc = "Filter and errors of encoder 5."]
+#[doc = "Counting mode and filter of encoder 5."]
 pub type Encoder5 = crate::Periph<encoder0::RegisterBlock, 0xf001_2800>;
 impl core::fmt::Debug for Encoder5 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder5").finish()
     }
 }
-#[doc = "Filter and errors of encoder 5."]
+#[doc = "Counting mode and filter of encoder 5."]
 pub use self::encoder0 as encoder5;
-#[doc = "Filter and errors of encoder 6."]
+#[doc = "Counting mode and filter of encoder 6."]
 pub type Encoder6 = crate::Periph<encoder0::RegisterBlock, 0xf001_3000>;
 impl core::fmt::Debug for Encoder6 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder6").finish()
     }
 }
-#[doc = "Filter and errors of encoder 6."]
+#[doc = "Counting mode and filter of encoder 6."]
 pub use self::encoder0 as encoder6;
-#[doc = "Filter and errors of encoder 7."]
+#[doc = "Counting mode and filter of encoder 7."]
 pub type Encoder7 = crate::Periph<encoder0::RegisterBlock, 0xf001_3800>;
 impl core::fmt::Debug for Encoder7 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder7").finish()
     }
 }
-#[doc = "Filter and errors of encoder 7."]
+#[doc = "Counting mode and filter of encoder 7."]
 pub use self::encoder0 as encoder7;
-#[doc = "Filter and errors of encoder 8."]
+#[doc = "Counting mode and filter of encoder 8."]
 pub type Encoder8 = crate::Periph<encoder0::RegisterBlock, 0xf001_4000>;
 impl core::fmt::Debug for Encoder8 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder8").finish()
     }
 }
-#[doc = "Filter and errors of encoder 8."]
+#[doc = "Counting mode and filter of encoder 8."]
 pub use self::encoder0 as encoder8;
-#[doc = "Filter and errors of encoder 9."]
+#[doc = "Counting mode and filter of encoder 9."]
 pub type Encoder9 = crate::Periph<encoder0::RegisterBlock, 0xf001_4800>;
 impl core::fmt::Debug for Encoder9 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder9").finish()
     }
 }
-#[doc = "Filter and errors of encoder 9."]
+#[doc = "Counting mode and filter of encoder 9."]
 pub use self::encoder0 as encoder9;
-#[doc = "Filter and errors of encoder 10."]
+#[doc = "Counting mode and filter of encoder 10."]
 pub type Encoder10 = crate::Periph<encoder0::RegisterBlock, 0xf001_5000>;
 impl core::fmt::Debug for Encoder10 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder10").finish()
     }
 }
-#[doc = "Filter and errors of encoder 10."]
+#[doc = "Counting mode and filter of encoder 10."]
 pub use self::encoder0 as encoder10;
-#[doc = "Filter and errors of encoder 11."]
+#[doc = "Counting mode and filter of encoder 11."]
 pub type Encoder11 = crate::Periph<encoder0::RegisterBlock, 0xf001_5800>;
 impl core::fmt::Debug for Encoder11 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder11").finish()
     }
 }
-#[doc = "Filter and errors of encoder 11."]
+#[doc = "Counting mode and filter of encoder 11."]
 pub use self::encoder0 as encoder11;
-#[doc = "Filter and errors of encoder 12."]
+#[doc = "Counting mode and filter of encoder 12."]
 pub type Encoder12 = crate::Periph<encoder0::RegisterBlock, 0xf001_6000>;
 impl core::fmt::Debug for Encoder12 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder12").finish()
     }
 }
-#[doc = "Filter and errors of encoder 12."]
+#[doc = "Counting mode and filter of encoder 12."]
 pub use self::encoder0 as encoder12;
-#[doc = "Filter and errors of encoder 13."]
+#[doc = "Counting mode and filter of encoder 13."]
 pub type Encoder13 = crate::Periph<encoder0::RegisterBlock, 0xf001_6800>;
 impl core::fmt::Debug for Encoder13 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder13").finish()
     }
 }
-#[doc = "Filter and errors of encoder 13."]
+#[doc = "Counting mode and filter of encoder 13."]
 pub use self::encoder0 as encoder13;
-#[doc = "Filter and errors of encoder 14."]
+#[doc = "Counting mode and filter of encoder 14."]
 pub type Encoder14 = crate::Periph<encoder0::RegisterBlock, 0xf001_7000>;
 impl core::fmt::Debug for Encoder14 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder14").finish()
     }
 }
-#[doc = "Filter and errors of encoder 14."]
+#[doc = "Counting mode and filter of encoder 14."]
 pub use self::encoder0 as encoder14;
-#[doc = "Filter and errors of encoder 15."]
+#[doc = "Counting mode and filter of encoder 15."]
 pub type Encoder15 = crate::Periph<encoder0::RegisterBlock, 0xf001_7800>;
 impl core::fmt::Debug for Encoder15 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Encoder15").finish()
     }
 }
-#[doc = "Filter and errors of encoder 15."]
+#[doc = "Counting mode and filter of encoder 15."]
 pub use self::encoder0 as encoder15;
-#[doc = "Period and polarity of PWM 0."]
+#[doc = "Period, kind and polarity of PWM 0."]
 pub type Pwm0 = crate::Periph<pwm0::RegisterBlock, 0xf001_8000>;
 impl core::fmt::Debug for Pwm0 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm0").finish()
     }
 }
-#[doc = "Period and polarity of PWM 0."]
+#[doc = "Period, kind and polarity of PWM 0."]
 pub mod pwm0 {
     #[repr(C)]
     #[doc = "Register block"]
@@ -9397,21 +12297,21 @@ pub mod pwm0 {
         mode: Mode,
     }
     impl RegisterBlock {
-        #[doc = "0x00 - Length of a period in clocks, 24 bits; 0 is off. Taken at the next period edge."]
+        #[doc = "0x00 - Length of a period, or of a PDM bit, in clocks, 21 bits; 0 is off (PDM: 1). Taken at the next period edge."]
         #[inline(always)]
         pub const fn period(&self) -> &Period {
             &self.period
         }
-        #[doc = "0x04 - Polarity of the pin."]
+        #[doc = "0x04 - What the pins carry, and their polarity."]
         #[inline(always)]
         pub const fn mode(&self) -> &Mode {
             &self.mode
         }
     }
-    #[doc = "PERIOD (rw) register accessor: Length of a period in clocks, 24 bits; 0 is off. Taken at the next period edge.\n\nYou can [`read`](crate::Reg::read) this register and get [`period::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`period::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@period`] module"]
+    #[doc = "PERIOD (rw) register accessor: Length of a period, or of a PDM bit, in clocks, 21 bits; 0 is off (PDM: 1). Taken at the next period edge.\n\nYou can [`read`](crate::Reg::read) this register and get [`period::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`period::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@period`] module"]
     #[doc(alias = "PERIOD")]
     pub type Period = crate::Reg<period::PeriodSpec>;
-    #[doc = "Length of a period in clocks, 24 bits; 0 is off. Taken at the next period edge."]
+    #[doc = "Length of a period, or of a PDM bit, in clocks, 21 bits; 0 is off (PDM: 1). Taken at the next period edge."]
     pub mod period {
         #[doc = "Register `PERIOD` reader"]
         pub type R = crate::R<PeriodSpec>;
@@ -9420,22 +12320,22 @@ pub mod pwm0 {
         #[doc = "Field `clocks` reader - Time in clocks."]
         pub type ClocksR = crate::FieldReader<u32>;
         #[doc = "Field `clocks` writer - Time in clocks."]
-        pub type ClocksW<'a, REG> = crate::FieldWriter<'a, REG, 24, u32>;
+        pub type ClocksW<'a, REG> = crate::FieldWriter<'a, REG, 21, u32>;
         impl R {
-            #[doc = "Bits 0:23 - Time in clocks."]
+            #[doc = "Bits 0:20 - Time in clocks."]
             #[inline(always)]
             pub fn clocks(&self) -> ClocksR {
-                ClocksR::new(self.bits & 0x00ff_ffff)
+                ClocksR::new(self.bits & 0x001f_ffff)
             }
         }
         impl W {
-            #[doc = "Bits 0:23 - Time in clocks."]
+            #[doc = "Bits 0:20 - Time in clocks."]
             #[inline(always)]
             pub fn clocks(&mut self) -> ClocksW<'_, PeriodSpec> {
                 ClocksW::new(self, 0)
             }
         }
-        #[doc = "Length of a period in clocks, 24 bits; 0 is off. Taken at the next period edge.\n\nYou can [`read`](crate::Reg::read) this register and get [`period::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`period::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Length of a period, or of a PDM bit, in clocks, 21 bits; 0 is off (PDM: 1). Taken at the next period edge.\n\nYou can [`read`](crate::Reg::read) this register and get [`period::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`period::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct PeriodSpec;
         impl crate::RegisterSpec for PeriodSpec {
             type Ux = u32;
@@ -9449,34 +12349,145 @@ pub mod pwm0 {
         #[doc = "`reset()` method sets PERIOD to value 0"]
         impl crate::Resettable for PeriodSpec {}
     }
-    #[doc = "MODE (rw) register accessor: Polarity of the pin.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mode`] module"]
+    #[doc = "MODE (rw) register accessor: What the pins carry, and their polarity.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mode`] module"]
     #[doc(alias = "MODE")]
     pub type Mode = crate::Reg<mode::ModeSpec>;
-    #[doc = "Polarity of the pin."]
+    #[doc = "What the pins carry, and their polarity."]
     pub mod mode {
         #[doc = "Register `MODE` reader"]
         pub type R = crate::R<ModeSpec>;
         #[doc = "Register `MODE` writer"]
         pub type W = crate::W<ModeSpec>;
-        #[doc = "Field `invert` reader - 1: the output is active low."]
+        #[doc = "Field `invert` reader - 1: the outputs are active low."]
         pub type InvertR = crate::BitReader;
-        #[doc = "Field `invert` writer - 1: the output is active low."]
+        #[doc = "Field `invert` writer - 1: the outputs are active low."]
         pub type InvertW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "What the pins carry, a number.\n\nValue on reset: 0"]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum Kind {
+            #[doc = "0: Pulses on the output, direction beside them."]
+            Pwm = 0,
+            #[doc = "1: Pulses on the output while positive, on the direction pin while negative."]
+            UpDown = 1,
+            #[doc = "2: Pulse density on the output, direction beside it."]
+            Pdm = 2,
+        }
+        impl From<Kind> for u8 {
+            #[inline(always)]
+            fn from(variant: Kind) -> Self {
+                variant as _
+            }
+        }
+        impl crate::FieldSpec for Kind {
+            type Ux = u8;
+        }
+        impl crate::IsEnum for Kind {}
+        #[doc = "Field `kind` reader - What the pins carry, a number."]
+        pub type KindR = crate::FieldReader<Kind>;
+        impl KindR {
+            #[doc = "Get enumerated values variant"]
+            #[inline(always)]
+            pub const fn variant(&self) -> Option<Kind> {
+                match self.bits {
+                    0 => Some(Kind::Pwm),
+                    1 => Some(Kind::UpDown),
+                    2 => Some(Kind::Pdm),
+                    _ => None,
+                }
+            }
+            #[doc = "Pulses on the output, direction beside them."]
+            #[inline(always)]
+            pub fn is_pwm(&self) -> bool {
+                *self == Kind::Pwm
+            }
+            #[doc = "Pulses on the output while positive, on the direction pin while negative."]
+            #[inline(always)]
+            pub fn is_up_down(&self) -> bool {
+                *self == Kind::UpDown
+            }
+            #[doc = "Pulse density on the output, direction beside it."]
+            #[inline(always)]
+            pub fn is_pdm(&self) -> bool {
+                *self == Kind::Pdm
+            }
+        }
+        #[doc = "Field `kind` writer - What the pins carry, a number."]
+        pub type KindW<'a, REG> = crate::FieldWriter<'a, REG, 2, Kind>;
+        impl<'a, REG> KindW<'a, REG>
+        where
+            REG: crate::Writable + crate::RegisterSpec,
+            REG::Ux: From<u8>,
+        {
+            #[doc = "Pulses on the output, direction beside them."]
+            #[inline(always)]
+            pub fn pwm(self) -> &'a mut crate::W<REG> {
+                self.variant(Kind::Pwm)
+            }
+            #[doc = "Pulses on the output while positive, on the direction pin while negative."]
+            #[inline(always)]
+            pub fn up_down(self) -> &'a mut crate::W<REG> {
+                self.variant(Kind::UpDown)
+            }
+            #[doc = "Pulse density on the output, direction beside it."]
+            #[inline(always)]
+            pub fn pdm(self) -> &'a mut crate::W<REG> {
+                self.variant(Kind::Pdm)
+            }
+        }
+        #[doc = "Field `dither` reader - 1: the width's fraction is spread over 256 periods."]
+        pub type DitherR = crate::BitReader;
+        #[doc = "Field `dither` writer - 1: the width's fraction is spread over 256 periods."]
+        pub type DitherW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `swap` reader - 1: the two pins change places."]
+        pub type SwapR = crate::BitReader;
+        #[doc = "Field `swap` writer - 1: the two pins change places."]
+        pub type SwapW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
-            #[doc = "Bit 0 - 1: the output is active low."]
+            #[doc = "Bit 0 - 1: the outputs are active low."]
             #[inline(always)]
             pub fn invert(&self) -> InvertR {
                 InvertR::new((self.bits & 1) != 0)
             }
+            #[doc = "Bits 1:2 - What the pins carry, a number."]
+            #[inline(always)]
+            pub fn kind(&self) -> KindR {
+                KindR::new(((self.bits >> 1) & 3) as u8)
+            }
+            #[doc = "Bit 3 - 1: the width's fraction is spread over 256 periods."]
+            #[inline(always)]
+            pub fn dither(&self) -> DitherR {
+                DitherR::new(((self.bits >> 3) & 1) != 0)
+            }
+            #[doc = "Bit 4 - 1: the two pins change places."]
+            #[inline(always)]
+            pub fn swap(&self) -> SwapR {
+                SwapR::new(((self.bits >> 4) & 1) != 0)
+            }
         }
         impl W {
-            #[doc = "Bit 0 - 1: the output is active low."]
+            #[doc = "Bit 0 - 1: the outputs are active low."]
             #[inline(always)]
             pub fn invert(&mut self) -> InvertW<'_, ModeSpec> {
                 InvertW::new(self, 0)
             }
+            #[doc = "Bits 1:2 - What the pins carry, a number."]
+            #[inline(always)]
+            pub fn kind(&mut self) -> KindW<'_, ModeSpec> {
+                KindW::new(self, 1)
+            }
+            #[doc = "Bit 3 - 1: the width's fraction is spread over 256 periods."]
+            #[inline(always)]
+            pub fn dither(&mut self) -> DitherW<'_, ModeSpec> {
+                DitherW::new(self, 3)
+            }
+            #[doc = "Bit 4 - 1: the two pins change places."]
+            #[inline(always)]
+            pub fn swap(&mut self) -> SwapW<'_, ModeSpec> {
+                SwapW::new(self, 4)
+            }
         }
-        #[doc = "Polarity of the pin.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "What the pins carry, and their polarity.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct ModeSpec;
         impl crate::RegisterSpec for ModeSpec {
             type Ux = u32;
@@ -9491,140 +12502,140 @@ pub mod pwm0 {
         impl crate::Resettable for ModeSpec {}
     }
 }
-#[doc = "Period and polarity of PWM 1."]
+#[doc = "Period, kind and polarity of PWM 1."]
 pub type Pwm1 = crate::Periph<pwm0::RegisterBlock, 0xf001_8800>;
 impl core::fmt::Debug for Pwm1 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm1").finish()
     }
 }
-#[doc = "Period and polarity of PWM 1."]
+#[doc = "Period, kind and polarity of PWM 1."]
 pub use self::pwm0 as pwm1;
-#[doc = "Period and polarity of PWM 2."]
+#[doc = "Period, kind and polarity of PWM 2."]
 pub type Pwm2 = crate::Periph<pwm0::RegisterBlock, 0xf001_9000>;
 impl core::fmt::Debug for Pwm2 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm2").finish()
     }
 }
-#[doc = "Period and polarity of PWM 2."]
+#[doc = "Period, kind and polarity of PWM 2."]
 pub use self::pwm0 as pwm2;
-#[doc = "Period and polarity of PWM 3."]
+#[doc = "Period, kind and polarity of PWM 3."]
 pub type Pwm3 = crate::Periph<pwm0::RegisterBlock, 0xf001_9800>;
 impl core::fmt::Debug for Pwm3 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm3").finish()
     }
 }
-#[doc = "Period and polarity of PWM 3."]
+#[doc = "Period, kind and polarity of PWM 3."]
 pub use self::pwm0 as pwm3;
-#[doc = "Period and polarity of PWM 4."]
+#[doc = "Period, kind and polarity of PWM 4."]
 pub type Pwm4 = crate::Periph<pwm0::RegisterBlock, 0xf001_a000>;
 impl core::fmt::Debug for Pwm4 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm4").finish()
     }
 }
-#[doc = "Period and polarity of PWM 4."]
+#[doc = "Period, kind and polarity of PWM 4."]
 pub use self::pwm0 as pwm4;
-#[doc = "Period and polarity of PWM 5."]
+#[doc = "Period, kind and polarity of PWM 5."]
 pub type Pwm5 = crate::Periph<pwm0::RegisterBlock, 0xf001_a800>;
 impl core::fmt::Debug for Pwm5 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm5").finish()
     }
 }
-#[doc = "Period and polarity of PWM 5."]
+#[doc = "Period, kind and polarity of PWM 5."]
 pub use self::pwm0 as pwm5;
-#[doc = "Period and polarity of PWM 6."]
+#[doc = "Period, kind and polarity of PWM 6."]
 pub type Pwm6 = crate::Periph<pwm0::RegisterBlock, 0xf001_b000>;
 impl core::fmt::Debug for Pwm6 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm6").finish()
     }
 }
-#[doc = "Period and polarity of PWM 6."]
+#[doc = "Period, kind and polarity of PWM 6."]
 pub use self::pwm0 as pwm6;
-#[doc = "Period and polarity of PWM 7."]
+#[doc = "Period, kind and polarity of PWM 7."]
 pub type Pwm7 = crate::Periph<pwm0::RegisterBlock, 0xf001_b800>;
 impl core::fmt::Debug for Pwm7 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm7").finish()
     }
 }
-#[doc = "Period and polarity of PWM 7."]
+#[doc = "Period, kind and polarity of PWM 7."]
 pub use self::pwm0 as pwm7;
-#[doc = "Period and polarity of PWM 8."]
+#[doc = "Period, kind and polarity of PWM 8."]
 pub type Pwm8 = crate::Periph<pwm0::RegisterBlock, 0xf001_c000>;
 impl core::fmt::Debug for Pwm8 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm8").finish()
     }
 }
-#[doc = "Period and polarity of PWM 8."]
+#[doc = "Period, kind and polarity of PWM 8."]
 pub use self::pwm0 as pwm8;
-#[doc = "Period and polarity of PWM 9."]
+#[doc = "Period, kind and polarity of PWM 9."]
 pub type Pwm9 = crate::Periph<pwm0::RegisterBlock, 0xf001_c800>;
 impl core::fmt::Debug for Pwm9 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm9").finish()
     }
 }
-#[doc = "Period and polarity of PWM 9."]
+#[doc = "Period, kind and polarity of PWM 9."]
 pub use self::pwm0 as pwm9;
-#[doc = "Period and polarity of PWM 10."]
+#[doc = "Period, kind and polarity of PWM 10."]
 pub type Pwm10 = crate::Periph<pwm0::RegisterBlock, 0xf001_d000>;
 impl core::fmt::Debug for Pwm10 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm10").finish()
     }
 }
-#[doc = "Period and polarity of PWM 10."]
+#[doc = "Period, kind and polarity of PWM 10."]
 pub use self::pwm0 as pwm10;
-#[doc = "Period and polarity of PWM 11."]
+#[doc = "Period, kind and polarity of PWM 11."]
 pub type Pwm11 = crate::Periph<pwm0::RegisterBlock, 0xf001_d800>;
 impl core::fmt::Debug for Pwm11 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm11").finish()
     }
 }
-#[doc = "Period and polarity of PWM 11."]
+#[doc = "Period, kind and polarity of PWM 11."]
 pub use self::pwm0 as pwm11;
-#[doc = "Period and polarity of PWM 12."]
+#[doc = "Period, kind and polarity of PWM 12."]
 pub type Pwm12 = crate::Periph<pwm0::RegisterBlock, 0xf001_e000>;
 impl core::fmt::Debug for Pwm12 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm12").finish()
     }
 }
-#[doc = "Period and polarity of PWM 12."]
+#[doc = "Period, kind and polarity of PWM 12."]
 pub use self::pwm0 as pwm12;
-#[doc = "Period and polarity of PWM 13."]
+#[doc = "Period, kind and polarity of PWM 13."]
 pub type Pwm13 = crate::Periph<pwm0::RegisterBlock, 0xf001_e800>;
 impl core::fmt::Debug for Pwm13 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm13").finish()
     }
 }
-#[doc = "Period and polarity of PWM 13."]
+#[doc = "Period, kind and polarity of PWM 13."]
 pub use self::pwm0 as pwm13;
-#[doc = "Period and polarity of PWM 14."]
+#[doc = "Period, kind and polarity of PWM 14."]
 pub type Pwm14 = crate::Periph<pwm0::RegisterBlock, 0xf001_f000>;
 impl core::fmt::Debug for Pwm14 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm14").finish()
     }
 }
-#[doc = "Period and polarity of PWM 14."]
+#[doc = "Period, kind and polarity of PWM 14."]
 pub use self::pwm0 as pwm14;
-#[doc = "Period and polarity of PWM 15."]
+#[doc = "Period, kind and polarity of PWM 15."]
 pub type Pwm15 = crate::Periph<pwm0::RegisterBlock, 0xf001_f800>;
 impl core::fmt::Debug for Pwm15 {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Pwm15").finish()
     }
 }
-#[doc = "Period and polarity of PWM 15."]
+#[doc = "Period, kind and polarity of PWM 15."]
 pub use self::pwm0 as pwm15;
 #[unsafe(no_mangle)]
 static mut DEVICE_PERIPHERALS: bool = false;
@@ -9649,6 +12660,8 @@ pub struct Peripherals {
     pub gpio: Gpio,
     #[doc = "LED"]
     pub led: Led,
+    #[doc = "DEBOUNCE"]
+    pub debounce: Debounce,
     #[doc = "COMMAND"]
     pub command: Command,
     #[doc = "STATUS"]
@@ -9780,6 +12793,7 @@ impl Peripherals {
             watchdog: unsafe { Watchdog::steal() },
             gpio: unsafe { Gpio::steal() },
             led: unsafe { Led::steal() },
+            debounce: unsafe { Debounce::steal() },
             command: unsafe { Command::steal() },
             status: unsafe { Status::steal() },
             stepgen0: unsafe { Stepgen0::steal() },
