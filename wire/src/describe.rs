@@ -5,16 +5,19 @@
 //!  1 wire version            7 stepgens | encoders<<8 | pwms<<16   13 board blob words
 //!  2 ABI of the firmware     8 inputs | outputs<<8             14 state word
 //!  3 ABI of the gateware     9 features                        15 obstacles to arming
-//!  4 firmware version       10 boot id                         16..63 zero
-//!  5 gateware version       11 command block words             64.. the board blob
+//!  4 firmware version       10 boot id                         16 why the firmware started last
+//!  5 gateware version       11 command block words             17 why the gate closed last
+//!                                                              18..63 zero
+//!                                                              64.. the board blob
 //! ```
 
+use crate::state::{GateClose, ResetReason};
 use crate::{Refusal, exchange};
 
 /// "FCR1".
 pub const MAGIC: u32 = 0x4643_5231;
 /// Words before the board blob.
-pub const WORDS: usize = 16;
+pub const WORDS: usize = 18;
 /// Where the board blob begins, in words.
 pub const BLOB_AT: usize = 64;
 
@@ -94,6 +97,10 @@ pub struct Describe {
     pub state: exchange::StateWord,
     /// Why the board will not arm at all ([`OBSTACLE_ABI`]); 0 if nothing is in the way.
     pub obstacles: u32,
+    /// Why the firmware started last.
+    pub reset_reason: ResetReason,
+    /// Why the gate closed last.
+    pub gate_close: GateClose,
 }
 
 /// Why a describe block cannot be understood; it says what to do.
@@ -153,6 +160,8 @@ impl Describe {
             self.blob_words,
             self.state.to_word(),
             self.obstacles,
+            self.reset_reason as u32,
+            self.gate_close as u32,
         ]
     }
 
@@ -170,6 +179,8 @@ impl Describe {
         let malformed = |_| DescribeError::Malformed;
         let channels = Channels::from_words(words[7], words[8]).map_err(malformed)?;
         let state = exchange::StateWord::from_word(words[14]).map_err(malformed)?;
+        let reset_reason = ResetReason::from_code(words[16] as u8).ok_or(DescribeError::Malformed)?;
+        let gate_close = GateClose::from_code(words[17] as u8).ok_or(DescribeError::Malformed)?;
         let lengths_agree = words[11] as usize == exchange::command_words(channels)
             && words[12] as usize == exchange::status_words(channels);
         let blob_fits = words[13] <= (crate::map::DESCRIBE_LEN / 4) - BLOB_AT as u32;
@@ -189,6 +200,8 @@ impl Describe {
             blob_words: words[13],
             state,
             obstacles: words[15],
+            reset_reason,
+            gate_close,
         })
     }
 }
@@ -226,8 +239,11 @@ mod tests {
                 external_reset: false,
                 accepted: false,
                 link: true,
+                estop: false,
             },
             obstacles: OBSTACLE_ABI,
+            reset_reason: ResetReason::Panic,
+            gate_close: GateClose::SystemReset,
         }
     }
 
@@ -260,6 +276,8 @@ mod tests {
             (12, 49),
             (13, 5000),
             (14, 99),
+            (16, 5),
+            (17, 7),
         ] {
             assert_eq!(
                 with(at, value),

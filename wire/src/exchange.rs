@@ -11,15 +11,28 @@
 //!  1      sequence number                         1      sequence number echoed
 //!  2      flags                                   2, 3   arrival time    lo, hi   clocks
 //!  3, 4   apply time lo, hi   clocks              4, 5   sample time     lo, hi   clocks
-//!  5      enables: stepgen 15:0, index arm 31:16  6      watchdog left at arrival, clocks
-//!  6      gpio outputs                            7      datagrams refused since boot
-//!  7..    per stepgen: rate, acceleration         8      boot id
-//!  then   per pwm: width | dir | enable           9      link
-//!                                                10      gpio inputs
-//!                                                11      index latched 15:0, rate limited 31:16
-//!                                                12..    per stepgen: position lo, hi, rate
-//!                                                then    per encoder: count, latch, edge time
+//!  5      stepgen enable 15:0                     6      watchdog left at arrival, clocks
+//!         encoder index arm 31:16                 7      datagrams refused since boot
+//!  6      gpio outputs                            8      boot id
+//!  7      stepgen index arm 15:0                  9      e-stop inputs latched
+//!         encoder probe arm 31:16                10      gpio inputs
+//!  8      stepgen probe arm 15:0                 11      encoder index latched 15:0
+//!         latch select 20:16                             stepgen rate limited 31:16
+//!  9..    per stepgen: rate, acceleration        12      stepgen index latched 15:0
+//!  then   per pwm: width | dir | enable                  encoder probe latched 31:16
+//!                                                13      stepgen probe latched 15:0
+//!                                                        encoder illegal 31:16
+//!                                                14      the selected channel's latch
+//!                                                15..    per stepgen: position lo, hi, rate
+//!                                                then    per encoder: count, edge
 //! ```
+//!
+//! # Latches
+//!
+//! A channel has one latch, for the index or the probe, whichever is armed and comes first. Its flag in
+//! the status block says that it holds a value; flag and value stay until the arm bit that caught it
+//! falls. Values come one per exchange: a host that sees a flag selects that [`Latch`] in its
+//! next command and finds the value in the answer. A lost frame delays that and spoils nothing.
 
 use crate::describe::Channels;
 use crate::state::{FaultReason, State};
@@ -30,15 +43,15 @@ use crate::{Refusal, etherbone, map};
 pub const MAX_CHANNELS: usize = 16;
 
 /// Words before the first stepgen in a command block.
-pub const COMMAND_HEAD: usize = 7;
+pub const COMMAND_HEAD: usize = 9;
 /// Words per stepgen in a command block.
 pub const COMMAND_STEPGEN: usize = 2;
 /// Words before the first stepgen in a status block.
-pub const STATUS_HEAD: usize = 12;
+pub const STATUS_HEAD: usize = 15;
 /// Words per stepgen in a status block.
 pub const STATUS_STEPGEN: usize = 3;
 /// Words per encoder in a status block.
-pub const STATUS_ENCODER: usize = 3;
+pub const STATUS_ENCODER: usize = 2;
 
 /// Longest command block: the maximum board's.
 pub const COMMAND_MAX: usize = COMMAND_HEAD + MAX_CHANNELS * (COMMAND_STEPGEN + 1);
@@ -58,12 +71,54 @@ pub const FLAG_ENABLE_REQUEST: u32 = 1 << 1;
 /// Bit of the flags word: apply at the given time instead of at once.
 pub const FLAG_APPLY_TIME: u32 = 1 << 2;
 
-/// A PWM's word: bits 23:0 high time in clocks.
-pub const PWM_WIDTH_MASK: u32 = 0x00ff_ffff;
+/// A PWM's word: bits 28:0 active time per period, in 1/256 clock; only dither uses the fraction.
+pub const PWM_WIDTH_MASK: u32 = 0x1fff_ffff;
+/// Fraction bits of a PWM's width.
+pub const PWM_FRACTION: u32 = 8;
+/// Longest PWM period, in clocks: 21 bits, 35 ms at 60 MHz.
+pub const PWM_PERIOD_MAX: u32 = (1 << 21) - 1;
 /// A PWM's word: the output is live.
 pub const PWM_ENABLE: u32 = 1 << 30;
 /// A PWM's word: direction, for the modes that have one.
 pub const PWM_DIRECTION: u32 = 1 << 31;
+
+/// Bits of an encoder's edge word that hold the time; the upper 8 count illegal transitions.
+pub const EDGE_TIME_BITS: u32 = 24;
+
+/// Whose latch the answer carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Latch {
+    /// Encoder n: its count at the index or probe.
+    Encoder(u8),
+    /// Stepgen n: its pulses at the index or probe.
+    Stepgen(u8),
+}
+
+impl Default for Latch {
+    fn default() -> Self {
+        Latch::Encoder(0)
+    }
+}
+
+impl Latch {
+    /// Its 5-bit code: encoders first.
+    pub const fn code(self) -> u32 {
+        match self {
+            Latch::Encoder(n) => n as u32 & 15,
+            Latch::Stepgen(n) => 16 | n as u32 & 15,
+        }
+    }
+
+    /// The latch with this code; every 5-bit number is one.
+    pub const fn from_code(code: u32) -> Self {
+        let n = (code & 15) as u8;
+        if code & 16 == 0 {
+            Latch::Encoder(n)
+        } else {
+            Latch::Stepgen(n)
+        }
+    }
+}
 
 /// What the host wants of a whole board for the next servo period.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,6 +137,14 @@ pub struct Command {
     pub stepgen_enable: u16,
     /// One bit per encoder: latch the count at the next index.
     pub index_arm: u16,
+    /// One bit per encoder: latch the count when the probe trips.
+    pub probe_arm: u16,
+    /// One bit per stepgen: latch the pulses at the next index.
+    pub stepgen_index_arm: u16,
+    /// One bit per stepgen: latch the pulses when the probe trips.
+    pub stepgen_probe_arm: u16,
+    /// Whose latch the answer shall carry.
+    pub latch: Latch,
     /// GPIO outputs.
     pub gpio_out: u32,
     /// Rate target and acceleration limit per stepgen.
@@ -100,6 +163,10 @@ impl Default for Command {
             apply_at: None,
             stepgen_enable: 0,
             index_arm: 0,
+            probe_arm: 0,
+            stepgen_index_arm: 0,
+            stepgen_probe_arm: 0,
+            latch: Latch::default(),
             gpio_out: 0,
             stepgen: [(StepRate(0), Accel::UNLIMITED); MAX_CHANNELS],
             pwm: [0; MAX_CHANNELS],
@@ -124,14 +191,24 @@ pub struct Status {
     pub refused: Count,
     /// Changes with every start of the firmware.
     pub boot_id: u32,
-    /// Link state word: reserved, 0.
-    pub link: u32,
+    /// E-stop inputs that have tripped, one bit per input; latched until cleared.
+    pub estop: u32,
     /// GPIO inputs.
     pub gpio_in: u32,
-    /// One bit per encoder: the index came, `latch` is valid.
+    /// One bit per encoder: the index came, its latch is valid.
     pub index_latched: u16,
+    /// One bit per encoder: the probe tripped, its latch is valid.
+    pub probe_latched: u16,
+    /// One bit per encoder: A and B changed together since the sample before.
+    pub illegal: u16,
     /// One bit per stepgen: the DDS had to wait for the step timing since the last sample.
     pub rate_limited: u16,
+    /// One bit per stepgen: the index came, its latch is valid.
+    pub stepgen_index_latched: u16,
+    /// One bit per stepgen: the probe tripped, its latch is valid.
+    pub stepgen_probe_latched: u16,
+    /// The latch the command selected.
+    pub latch: Count,
     /// Position and present rate per stepgen.
     pub stepgen: [(Position, StepRate); MAX_CHANNELS],
     /// Per encoder.
@@ -143,10 +220,27 @@ pub struct Status {
 pub struct EncoderStatus {
     /// Quadrature count, wraps.
     pub count: Count,
-    /// Count at the index.
-    pub latch: Count,
-    /// Low half of the clock at the last edge.
+    /// Low 24 bits of the clock at the last counted edge.
     pub edge_time: u32,
+    /// Illegal transitions since power-up, modulo 256.
+    pub errors: u8,
+}
+
+impl EncoderStatus {
+    /// From its two words.
+    pub const fn from_words([count, edge]: [u32; STATUS_ENCODER]) -> Self {
+        EncoderStatus {
+            count: Count(count),
+            edge_time: edge & ((1 << EDGE_TIME_BITS) - 1),
+            errors: (edge >> EDGE_TIME_BITS) as u8,
+        }
+    }
+
+    /// As its two words.
+    pub const fn to_words(self) -> [u32; STATUS_ENCODER] {
+        let time = self.edge_time & ((1 << EDGE_TIME_BITS) - 1);
+        [self.count.0, (self.errors as u32) << EDGE_TIME_BITS | time]
+    }
 }
 
 /// The first word of a status block.
@@ -170,6 +264,8 @@ pub struct StateWord {
     pub accepted: bool,
     /// The Ethernet link is up.
     pub link: bool,
+    /// An e-stop input has tripped; latched.
+    pub estop: bool,
 }
 
 impl StateWord {
@@ -184,6 +280,7 @@ impl StateWord {
             | (self.external_reset as u32) << 20
             | (self.accepted as u32) << 21
             | (self.link as u32) << 22
+            | (self.estop as u32) << 23
     }
 
     /// From a word; refused when it names a state or reason this version does not know.
@@ -204,6 +301,7 @@ impl StateWord {
             external_reset: word >> 20 & 1 != 0,
             accepted: word >> 21 & 1 != 0,
             link: word >> 22 & 1 != 0,
+            estop: word >> 23 & 1 != 0,
         })
     }
 }
@@ -242,8 +340,10 @@ impl Command {
                 | (u32::from(self.apply_at.is_some()) * FLAG_APPLY_TIME),
             apply as u32,
             (apply >> 32) as u32,
-            u32::from(self.stepgen_enable) | u32::from(self.index_arm) << 16,
+            pair(self.stepgen_enable, self.index_arm),
             self.gpio_out,
+            pair(self.stepgen_index_arm, self.probe_arm),
+            u32::from(self.stepgen_probe_arm) | self.latch.code() << 16,
         ]);
         let (steps, pwms) =
             channels_words.split_at_mut(channels.stepgens as usize * COMMAND_STEPGEN);
@@ -273,6 +373,8 @@ impl Command {
             apply_hi,
             enables,
             gpio_out,
+            arms,
+            probe_arms,
         ] = head;
         let mut command = Command {
             token,
@@ -284,6 +386,10 @@ impl Command {
             stepgen_enable: enables as u16,
             index_arm: (enables >> 16) as u16,
             gpio_out,
+            stepgen_index_arm: arms as u16,
+            probe_arm: (arms >> 16) as u16,
+            stepgen_probe_arm: probe_arms as u16,
+            latch: Latch::from_code(probe_arms >> 16),
             ..Command::default()
         };
         let (steps, pwms) = rest
@@ -316,9 +422,12 @@ impl Status {
             self.watchdog_left,
             self.refused.0,
             self.boot_id,
-            self.link,
+            self.estop,
             self.gpio_in,
-            u32::from(self.index_latched) | u32::from(self.rate_limited) << 16,
+            pair(self.index_latched, self.rate_limited),
+            pair(self.stepgen_index_latched, self.probe_latched),
+            pair(self.stepgen_probe_latched, self.illegal),
+            self.latch.0,
         ];
         let (steps, encoders) = rest.split_at_mut(channels.stepgens as usize * STATUS_STEPGEN);
         let (steps, _) = steps.as_chunks_mut::<STATUS_STEPGEN>();
@@ -327,7 +436,7 @@ impl Status {
         }
         let (encoders, _) = encoders.as_chunks_mut::<STATUS_ENCODER>();
         for (words, encoder) in encoders.iter_mut().zip(&self.encoder) {
-            *words = [encoder.count.0, encoder.latch.0, encoder.edge_time];
+            *words = encoder.to_words();
         }
         Some(block)
     }
@@ -348,10 +457,15 @@ impl Status {
             watchdog_left: head[6],
             refused: Count(head[7]),
             boot_id: head[8],
-            link: head[9],
+            estop: head[9],
             gpio_in: head[10],
             index_latched: head[11] as u16,
             rate_limited: (head[11] >> 16) as u16,
+            stepgen_index_latched: head[12] as u16,
+            probe_latched: (head[12] >> 16) as u16,
+            stepgen_probe_latched: head[13] as u16,
+            illegal: (head[13] >> 16) as u16,
+            latch: Count(head[14]),
             stepgen: [(Position::ZERO, StepRate(0)); MAX_CHANNELS],
             encoder: [EncoderStatus::default(); MAX_CHANNELS],
         };
@@ -363,12 +477,8 @@ impl Status {
             *target = (Position::from_words(lo, hi), StepRate(rate as i32));
         }
         let (encoders, _) = encoders.as_chunks::<STATUS_ENCODER>();
-        for (target, &[count, latch, edge_time]) in status.encoder.iter_mut().zip(encoders) {
-            *target = EncoderStatus {
-                count: Count(count),
-                latch: Count(latch),
-                edge_time,
-            };
+        for (target, words) in status.encoder.iter_mut().zip(encoders) {
+            *target = EncoderStatus::from_words(*words);
         }
         Ok(status)
     }
@@ -386,6 +496,11 @@ impl Status {
         }
         Ok(status)
     }
+}
+
+/// Two sets of 16 flags in a word, the first in its low half.
+const fn pair(low: u16, high: u16) -> u32 {
+    low as u32 | (high as u32) << 16
 }
 
 /// Judges a sequence number against the last accepted one.
@@ -424,6 +539,10 @@ mod tests {
             apply_at: Some(Clocks(1 << 40 | 7)),
             stepgen_enable: 0x3f,
             index_arm: 0x21,
+            probe_arm: 0x8001,
+            stepgen_index_arm: 0x12,
+            stepgen_probe_arm: 0xffff,
+            latch: Latch::Stepgen(15),
             gpio_out: 0xa5,
             ..Command::default()
         };
@@ -433,8 +552,8 @@ mod tests {
     }
 
     #[test]
-    fn a_six_axis_command_is_25_words_and_its_status_48() {
-        assert_eq!((command_words(SIX), status_words(SIX)), (25, 48));
+    fn a_six_axis_command_is_27_words_and_its_status_45() {
+        assert_eq!((command_words(SIX), status_words(SIX)), (27, 45));
     }
 
     #[test]
@@ -452,8 +571,8 @@ mod tests {
     #[test]
     fn a_command_block_for_another_board_is_refused() {
         let words = [0; COMMAND_MAX];
-        assert_eq!(Command::parse(&words[..24], SIX), Err(Refusal::BlockLength));
         assert_eq!(Command::parse(&words[..26], SIX), Err(Refusal::BlockLength));
+        assert_eq!(Command::parse(&words[..28], SIX), Err(Refusal::BlockLength));
     }
 
     #[test]
@@ -465,12 +584,30 @@ mod tests {
         status.arrival = Clocks(u64::MAX);
         status.stepgen[15] = (Position(i64::MIN), StepRate(-1));
         status.encoder[15].count = Count(u32::MAX);
+        status.encoder[15].errors = 255;
+        status.encoder[15].edge_time = 0xff_ffff;
         status.rate_limited = 0x8000;
+        status.probe_latched = 1;
+        status.illegal = 2;
+        status.stepgen_index_latched = 4;
+        status.stepgen_probe_latched = 8;
+        status.estop = 16;
+        status.latch = Count(u32::MAX);
+        status.state.estop = true;
         let mut words = [0; STATUS_MAX];
         assert_eq!(
             Status::parse(status.emit(MOST, &mut words).unwrap(), MOST),
             Ok(status)
         );
+    }
+
+    #[test]
+    fn every_latch_has_its_code_and_every_code_its_latch() {
+        for code in 0..32 {
+            assert_eq!(Latch::from_code(code).code(), code);
+        }
+        assert_eq!(Latch::Encoder(3).code(), 3);
+        assert_eq!(Latch::Stepgen(3).code(), 19);
     }
 
     #[test]

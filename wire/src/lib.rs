@@ -33,10 +33,10 @@ pub mod units;
 
 pub use etherbone::{Packet, Record, ReplyWriter};
 pub use refusal::Refusal;
-pub use state::{FaultReason, State};
+pub use state::{FaultReason, GateClose, ResetReason, State};
 
 /// Version of everything in this crate. Host and board must agree; unequal versions never arm.
-pub const WIRE_VERSION: u32 = 1;
+pub const WIRE_VERSION: u32 = 2;
 
 /// UDP port of the Etherbone server. LiteX's and Lcnc's default (CERN's would be 60368).
 pub const DEFAULT_PORT: u16 = 1234;

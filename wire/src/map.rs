@@ -58,19 +58,132 @@ pub const CONFIG_LEN: u32 = 0x1000;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum StepgenConfig {
-    /// Clocks STEP stays high, 1..=65535.
+    /// Clocks STEP stays active, 1..=[`STEP_CLOCKS_MAX`].
     Steplen = 0,
-    /// Clocks STEP stays low at least, 1..=65535.
+    /// Clocks STEP stays inactive at least, 1..=[`STEP_CLOCKS_MAX`].
     Stepspace = 1,
-    /// Clocks from a DIR edge to the next STEP rise, 0..=2^24-1.
+    /// Clocks from a DIR edge to the next STEP rise, 0..=[`DIR_CLOCKS_MAX`].
     Dirsetup = 2,
-    /// Clocks from STEP's fall to a DIR edge, 0..=2^24-1.
+    /// Clocks from STEP's fall to a DIR edge, 0..=[`DIR_CLOCKS_MAX`].
     Dirhold = 3,
     /// Deceleration of a soft stop, in the unit of [`crate::units::Accel`]; 0 stops at once.
     StopAccel = 4,
-    /// Bit 0 inverts STEP, bit 1 inverts DIR.
+    /// [`STEPGEN_STEP_INVERT`], [`STEPGEN_DIR_INVERT`], [`StepType`], [`STEPGEN_INDEX_INVERT`].
     Mode = 5,
 }
+
+/// Longest steplen and stepspace: 13 bits, 136 us at 60 MHz.
+pub const STEP_CLOCKS_MAX: u32 = (1 << 13) - 1;
+/// Longest dirsetup and dirhold: 16 bits, 1.09 ms at 60 MHz.
+pub const DIR_CLOCKS_MAX: u32 = (1 << 16) - 1;
+
+/// Stepgen mode: STEP is active low.
+pub const STEPGEN_STEP_INVERT: u32 = 1 << 0;
+/// Stepgen mode: DIR is low for negative.
+pub const STEPGEN_DIR_INVERT: u32 = 1 << 1;
+/// Stepgen mode: where its [`StepType`] begins.
+pub const STEPGEN_TYPE_SHIFT: u32 = 2;
+/// Stepgen mode: the index pin is active low.
+pub const STEPGEN_INDEX_INVERT: u32 = 1 << 4;
+
+/// How a stepgen speaks at its two pins; LinuxCNC's and hostmot2's numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u32)]
+pub enum StepType {
+    /// STEP pulses, DIR says which way.
+    #[default]
+    StepDir = 0,
+    /// STEP pulses forwards, DIR pulses backwards.
+    UpDown = 1,
+    /// A and B, one line changes per step.
+    Quadrature = 2,
+}
+
+impl StepType {
+    /// The type with this number.
+    pub const fn from_code(code: u32) -> Option<Self> {
+        match code {
+            0 => Some(StepType::StepDir),
+            1 => Some(StepType::UpDown),
+            2 => Some(StepType::Quadrature),
+            _ => None,
+        }
+    }
+}
+
+/// What an encoder counts: bits 2:0 of its mode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u32)]
+pub enum CountMode {
+    /// Every edge of A and B.
+    #[default]
+    X4 = 0,
+    /// Every edge of A.
+    X2 = 1,
+    /// One edge per line.
+    X1 = 2,
+    /// A rises: up. One-channel counters.
+    Counter = 3,
+    /// A rises: up while B is low, down while it is high.
+    StepDir = 4,
+    /// A rises: up. B rises: down.
+    UpDown = 5,
+}
+
+impl CountMode {
+    /// The mode with this number.
+    pub const fn from_code(code: u32) -> Option<Self> {
+        match code {
+            0 => Some(CountMode::X4),
+            1 => Some(CountMode::X2),
+            2 => Some(CountMode::X1),
+            3 => Some(CountMode::Counter),
+            4 => Some(CountMode::StepDir),
+            5 => Some(CountMode::UpDown),
+            _ => None,
+        }
+    }
+}
+
+/// Encoder mode: the index is active low.
+pub const ENCODER_INDEX_INVERT: u32 = 1 << 4;
+/// Encoder mode: the index counts only while the mask pin is active.
+pub const ENCODER_MASK_ENABLE: u32 = 1 << 5;
+/// Encoder mode: the mask pin is active low.
+pub const ENCODER_MASK_INVERT: u32 = 1 << 6;
+/// Encoder mode: the count restarts at the latched index.
+pub const ENCODER_CLEAR_ON_INDEX: u32 = 1 << 7;
+/// Longest encoder filter, in clocks.
+pub const ENCODER_FILTER_MAX: u32 = 255;
+
+/// PWM mode: the outputs are active low.
+pub const PWM_INVERT: u32 = 1 << 0;
+/// PWM mode: where its [`PwmType`] begins.
+pub const PWM_TYPE_SHIFT: u32 = 1;
+/// PWM mode: spread the width's fraction over periods.
+pub const PWM_DITHER: u32 = 1 << 3;
+/// PWM mode: the two pins change places.
+pub const PWM_SWAP: u32 = 1 << 4;
+
+/// What a PWM does with its two pins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u32)]
+pub enum PwmType {
+    /// Pulse width on the first, direction on the second.
+    #[default]
+    Pwm = 0,
+    /// Pulse width on the first forwards, on the second backwards.
+    UpDown = 1,
+    /// Pulse density on the first, direction on the second; width's bits 24:8 are 1/65536.
+    Pdm = 2,
+}
+
+/// Probe setting: which input, bits 4:0.
+pub const PROBE_INPUT_MASK: u32 = 31;
+/// Probe setting: there is one.
+pub const PROBE_ENABLE: u32 = 1 << 8;
+/// Probe setting: it is active low.
+pub const PROBE_INVERT: u32 = 1 << 9;
 
 /// Words in a stepgen's configuration block.
 pub const STEPGEN_CONFIG_WORDS: u32 = 6;
@@ -91,10 +204,19 @@ pub enum BoardConfig {
     GpioSafe = 2,
     /// Output polarity, one bit per output; 1 inverts.
     GpioInvert = 3,
+    /// Which input is the probe: [`PROBE_INPUT_MASK`], [`PROBE_ENABLE`], [`PROBE_INVERT`].
+    Probe = 4,
 }
 
 /// Words in the board's configuration block.
-pub const BOARD_CONFIG_WORDS: u32 = 4;
+pub const BOARD_CONFIG_WORDS: u32 = 5;
+
+/// Debounce: one word per input, in units of [`DEBOUNCE_CLOCKS`], 0..=[`DEBOUNCE_MAX`].
+pub const CONFIG_DEBOUNCE: u32 = CONFIG_BOARD + 0x40;
+/// Clocks between two looks at an input.
+pub const DEBOUNCE_CLOCKS: u32 = 32;
+/// Longest debounce, in looks: 35 ms at 60 MHz.
+pub const DEBOUNCE_MAX: u32 = (1 << 16) - 1;
 
 /// The exchange: a command block goes here, whole ([`crate::exchange`]).
 pub const COMMAND: u32 = 0x0003_0000;

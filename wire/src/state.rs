@@ -72,5 +72,43 @@ wire_enum! {
         JobUnderrun = 7, "job underrun";
         /// Gateware and firmware were built from different register maps.
         AbiMismatch = 8, "ABI mismatch between gateware and firmware";
+        /// An e-stop input tripped.
+        EStop = 9, "e-stop input";
+    }
+}
+
+wire_enum! {
+    /// Why the firmware started last.
+    ResetReason {
+        /// The board was switched on, or its bitstream loaded.
+        PowerUp = 0, "power-up";
+        /// Somebody asked for it.
+        Requested = 1, "reboot requested";
+        /// The firmware panicked; the text is in the panic window.
+        Panic = 2, "firmware panic";
+        /// The processor trapped; the text is in the panic window.
+        Trap = 3, "processor trap";
+        /// It started without leaving a word.
+        Unknown = 4, "unknown";
+    }
+}
+
+wire_enum! {
+    /// Why the gate closed last, as the gateware remembers it through every restart of the firmware.
+    GateClose {
+        /// It has not been open since power-up.
+        Never = 0, "never opened";
+        /// The watchdog bit and the soft stop is over.
+        Bite = 1, "watchdog bite";
+        /// The external reset pin.
+        ExternalReset = 2, "external reset pin";
+        /// The firmware closed it.
+        Order = 3, "closed by order";
+        /// A soft stop the firmware asked for is over.
+        SoftStop = 4, "soft stop";
+        /// An e-stop input.
+        EStop = 5, "e-stop input";
+        /// The whole system was reset.
+        SystemReset = 6, "system reset";
     }
 }
