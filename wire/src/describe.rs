@@ -179,7 +179,8 @@ impl Describe {
         let malformed = |_| DescribeError::Malformed;
         let channels = Channels::from_words(words[7], words[8]).map_err(malformed)?;
         let state = exchange::StateWord::from_word(words[14]).map_err(malformed)?;
-        let reset_reason = ResetReason::from_code(words[16] as u8).ok_or(DescribeError::Malformed)?;
+        let reset_reason =
+            ResetReason::from_code(words[16] as u8).ok_or(DescribeError::Malformed)?;
         let gate_close = GateClose::from_code(words[17] as u8).ok_or(DescribeError::Malformed)?;
         let lengths_agree = words[11] as usize == exchange::command_words(channels)
             && words[12] as usize == exchange::status_words(channels);
