@@ -71,14 +71,24 @@ class Board:
     ext_reset_active_low: bool = False
 
     @property
+    def estop_mask(self):
+        """Inputs whose active level closes the gate, one bit per input."""
+        return sum(1 << n for n, c in enumerate(self.gpio_in) if c["estop"])
+
+    @property
+    def estop_level(self):
+        """The level that stops, one bit per e-stop input: 1 is high."""
+        return sum(1 << n for n, c in enumerate(self.gpio_in) if c["estop"] == "high")
+
+    @property
     def channels(self):
         return Channels(len(self.stepgen), len(self.encoder), len(self.pwm), len(self.gpio_in), len(self.gpio_out))
 
 
 # kind of channel -> (pins it must have, pins it may have, most there can be)
 _KINDS = {
-    "stepgen": (("step", "dir"), (), rm.MAX_STEPGEN),
-    "encoder": (("a", "b"), ("index",), rm.MAX_ENCODER),
+    "stepgen": (("step", "dir"), ("step_n", "dir_n", "index"), rm.MAX_STEPGEN),
+    "encoder": (("a", "b"), ("index", "mask"), rm.MAX_ENCODER),
     "pwm": (("pin",), ("dir",), rm.MAX_PWM),
     "gpio_in": (("pin",), (), rm.MAX_IN),
     "gpio_out": (("pin",), (), rm.MAX_OUT),
@@ -258,9 +268,22 @@ def _channels(t, kind, platform, used):
             raise BoardError(t.file, f"{kind}[{n}].name", f"{name!r} is already another {kind}'s name; names are unique per kind")
         names.add(name)
         # A configuration without any pin is one for simulation; `pins_missing` says so when somebody wants a bitstream.
-        out.append({"name": name, **{p: _pin(c, p, platform, used) for p in must + may}})
+        channel = {"name": name, **{p: _pin(c, p, platform, used) for p in must + may}}
+        for pair in ("step", "dir") if kind == "stepgen" else ():
+            if channel[f"{pair}_n"] and not channel[pair]:
+                raise BoardError(t.file, f"{kind}[{n}].{pair}_n", f"{channel[f'{pair}_n']!r} is the inverted copy of a pin that is not there; give {pair} too")
+        if kind == "gpio_in":
+            channel["estop"] = _estop(c)
+        out.append(channel)
         c.done()
     return out
+
+
+def _estop(table):
+    level = table.get("estop", str, 'the level that stops, "high" or "low"', required=False)
+    if level not in ("high", "low", None):
+        raise BoardError(table.file, table.prefix + "estop", f'{level!r} is neither "high" nor "low"; a normally closed contact to ground stops on "high"')
+    return level
 
 
 def _pin(table, key, platform, used):
@@ -289,8 +312,8 @@ def blob(board):
     """The board info blob: what the board says about itself. The layout's specification is `wire::board`."""
     entries = [(1, 0, board.platform.title.encode()), (2, 0, board.name.encode())]
     for kind, (key, letter, pins) in {
-        3: ("stepgen", "s", ("step", "dir")), 4: ("encoder", "e", ("a", "b", "index")), 5: ("pwm", "p", ("pin", "dir")),
-        6: ("gpio_in", "i", ("pin",)), 7: ("gpio_out", "o", ("pin",)),
+        3: ("stepgen", "s", ("step", "step_n", "dir", "dir_n", "index")), 4: ("encoder", "e", ("a", "b", "index", "mask")),
+        5: ("pwm", "p", ("pin", "dir")), 6: ("gpio_in", "i", ("pin", "estop")), 7: ("gpio_out", "o", ("pin",)),
     }.items():
         for n, channel in enumerate(getattr(board, key)):
             entries.append((kind, n, channel["name"].encode()))

@@ -25,20 +25,33 @@ WRONG = {
     "two of one name": ('name = "y"\nstep', 'name = "x"\nstep', ["stepgen[1].name", "already"]),
     "a platform nobody has": ('"5a-75b-8.0"', '"5a-75z"', ["platform", "5a-75z", "5a-75b-8.0"]),
     "a polarity that is none": ('active = "low"', 'active = "maybe"', ["ext_reset.active", "maybe"]),
+    "an e-stop level that is none": ('estop = "high"', 'estop = "yes"', ["gpio_in[11].estop", "yes", '"high"', '"low"']),
+    "an e-stop output": ('pin = "j5:5"', 'pin = "j5:5"\nestop = "high"', ["gpio_out[11].estop", "unknown key", "pin"]),
+    "a copy of no pin": ('dir = "j1:1"', 'dir_n = "j1:1"', ["stepgen[0].dir_n", "j1:1", "give dir"]),
+    "a mask pin used twice": ('index = "j6:2"', 'mask = "j6:1"', ["encoder[0].mask", "j6:1", "already encoder[0].b"]),
+    "an index pin that is not there": ('dir = "j1:1"', 'dir = "j1:1"\nindex = "j0:1"', ["stepgen[0].index", "j0:1"]),
     "not TOML": ("[network]", "[network", ["is not TOML"]),
     "another file's name": ('name = "mill6"', 'name = "mill7"', ["name", "mill7", "mill6"]),
 }
 
 
-def refusal(text):
+def read(text):
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "platforms").symlink_to(ROOT / "boards" / "platforms")
         path = Path(folder) / "mill6.toml"
         path.write_text(text, encoding="utf-8")
-        try:
-            board.read_board(path)
-        except board.BoardError as e:
-            return str(e)
+        return board.read_board(path)
+
+
+def describe(text):
+    return board.blob(read(text))
+
+
+def refusal(text):
+    try:
+        read(text)
+    except board.BoardError as e:
+        return str(e)
     return None
 
 
@@ -52,10 +65,18 @@ def main():
         for part in ["mill6.toml", *wanted]:
             assert part in said, f"{what}: {part!r} is not in {said!r}"
 
+    optional = good.replace('step = "j1:0"\ndir = "j1:1"', 'step = "j1:0"\nstep_n = "j5:4"\ndir = "j1:1"\ndir_n = "j5:5"\nindex = "bus:6"')
+    optional = optional.replace('pin = "j5:4"', "").replace('pin = "j5:5"', "").replace('pin = "bus:6"', "").replace('index = "j6:2"', 'index = "j6:2"\nmask = "bus:5"')
+    optional = optional.replace('pin = "bus:5"', "")
+    said = describe(optional)
+    for part in (b"sstep=j1:0 step_n=j5:4 dir=j1:1 dir_n=j5:5 index=bus:6", b"ea=j6:0 b=j6:1 index=j6:2 mask=bus:5", b"ipin=bus:7 estop=high"):
+        assert part in said, f"the blob does not say {part!r}"
+
     for name, channels in (("mill6", board.Channels(6, 6, 6, 12, 12)), ("max", board.CHANNELS_MAX)):
-        read = board.read_board(ROOT / "boards" / f"{name}.toml")
-        assert read.channels == channels, f"{name}: {read.channels}"
-        blob = board.blob(read)
+        full = board.read_board(ROOT / "boards" / f"{name}.toml")
+        assert full.channels == channels, f"{name}: {full.channels}"
+        assert full.estop_mask == full.estop_level == 1 << channels.inputs - 1
+        blob = board.blob(full)
         words = board.blob_words(blob)
         assert words[0] == 0x4642_5244 and words[1] == 1 and words[2] == len(blob) <= regmap.BOARD_ROM[1]
         assert words[3] == zlib.crc32(blob[16:])
