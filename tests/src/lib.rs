@@ -285,8 +285,8 @@ impl Machine {
                 addresses.extend((0..words).map(|word| base + n * map::CONFIG_STRIDE + 4 * word));
             }
         }
-        // The command bank as the bus sees it: page 14, 50 words.
-        addresses.extend((0..50).map(|word| map::SERVICE + 14 * 0x800 + 4 * word));
+        // The command bank as the bus sees it: page 14, 52 words.
+        addresses.extend((0..52).map(|word| map::SERVICE + 14 * 0x800 + 4 * word));
         let mut words = Vec::new();
         for chunk in addresses.chunks(64) {
             words.extend(self.rig.read_words(chunk).expect("an answer to a read"));

@@ -5,7 +5,7 @@
 use ferrocnc_tests::{Machine, STRANGER, hex, seed};
 use rand::{Rng, RngCore, SeedableRng};
 use rand_pcg::Pcg32;
-use wire::exchange::{self, Command};
+use wire::exchange::{self, Command, Latch};
 use wire::state::{FaultReason, State};
 use wire::units::{Accel, StepRate};
 use wire::{Refusal, map};
@@ -371,6 +371,7 @@ fn encoders_on_the_motors_count_what_the_motors_turn_and_latch_at_the_index() {
     let mut machine = Machine::armed();
     let mut command = machine.enabled_command();
     command.index_arm = 1 << 0;
+    command.latch = Latch::Encoder(0);
     for axis in 0..6 {
         let rate = if axis % 2 == 0 { 300e3 } else { -200e3 };
         command.stepgen[axis] = (
@@ -391,8 +392,12 @@ fn encoders_on_the_motors_count_what_the_motors_turn_and_latch_at_the_index() {
         assert_eq!(counted, machine.pulses(axis), "encoder {axis}");
     }
     // The plant's encoders have an index every 4000 counts; axis 0 turned forward through the first of them.
-    assert_eq!(status.index_latched & 1, 1);
-    assert_eq!(status.encoder[0].latch.0, 4000);
+    assert_eq!(status.index_latched, 1, "only encoder 0 was armed");
+    assert_eq!(status.latch.0, 4000, "its latch was selected");
+    command.index_arm = 0;
+    machine.exchange(&mut command);
+    let status = machine.exchange(&mut command);
+    assert_eq!(status.index_latched, 0, "the arm bit fell");
 }
 
 #[test]
@@ -405,7 +410,7 @@ fn pwm_and_outputs_appear_at_the_pins_as_commanded() {
     machine.rearm(&mut command);
     command.gpio_out = 0xa5a;
     for width in [0, 1, 3_000, 11_999, 12_000] {
-        command.pwm[0] = exchange::PWM_ENABLE | width;
+        command.pwm[0] = exchange::PWM_ENABLE | width << exchange::PWM_FRACTION;
         for _ in 0..4 {
             machine.exchange_and_wait(&mut command);
         }
@@ -677,5 +682,5 @@ fn the_six_axis_exchange_turns_around_within_1000_clocks() {
         "the longest of {} took {longest} clocks",
         turnarounds.len()
     );
-    assert_eq!(exchange::command_words(machine.channels()), 25);
+    assert_eq!(exchange::command_words(machine.channels()), 27);
 }

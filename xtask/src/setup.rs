@@ -19,6 +19,7 @@ const PACKAGES: &[(&str, &str)] = &[
     ("perl", "Verilator is a Perl script"),
     ("zlib1g-dev", "waveform dumps"),
     ("liblz4-dev", "waveform dumps"),
+    ("yosys", "turns the cores into the prover's language"),
     ("python3-venv", "the pinned Python environment"),
     ("iputils-ping", "a real ping for the tests"),
     (

@@ -21,10 +21,14 @@ enum Level {
     Unit,
     /// The committed generated files are the ones the generators write.
     Generated,
+    /// The promises of the cores, proven, each with a broken core that the proof must catch.
+    Formal,
     /// The cores at their pins, random stimulus.
     Core,
     /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
     Soc,
+    /// Defects of the controllers before us, each shown not to be ours.
+    Peers,
     /// LiteX's own client, ping and a console session.
     Clients,
     /// Real LinuxCNC, our driver, the simulated board.
@@ -34,8 +38,10 @@ enum Level {
 const ALL: &[Level] = &[
     Level::Unit,
     Level::Generated,
+    Level::Formal,
     Level::Core,
     Level::Soc,
+    Level::Peers,
     Level::Clients,
     Level::Linuxcnc,
 ];
@@ -50,8 +56,12 @@ pub fn run(options: &Options) -> Result<()> {
     if levels.iter().any(|level| *level != Level::Unit) {
         setup::run(setup::Need::Everything)?;
     }
-    let needs_board =
-        |level: &Level| matches!(level, Level::Soc | Level::Clients | Level::Linuxcnc);
+    let needs_board = |level: &Level| {
+        matches!(
+            level,
+            Level::Soc | Level::Peers | Level::Clients | Level::Linuxcnc
+        )
+    };
     if levels.iter().any(needs_board) {
         build::everything()?;
         if levels.contains(&Level::Linuxcnc) {
@@ -99,8 +109,10 @@ impl Level {
         match self {
             Level::Unit => "unit: arithmetic, parsing, every (state, event)",
             Level::Generated => "generated: registers, memory map and PAC are fresh",
+            Level::Formal => "formal: pulse, count and watchdog promises, proven",
             Level::Core => "core: RTL at its pins under random stimulus",
             Level::Soc => "soc: Verilated board, release image, frames and faults",
+            Level::Peers => "peers: defects of others, on the RTL board",
             Level::Clients => "clients: LiteX RemoteClient, ping, console",
             Level::Linuxcnc => "linuxcnc: real LinuxCNC, our driver, simulated board",
         }
@@ -118,25 +130,40 @@ impl Level {
                 maximum_board()?;
                 Ok(3)
             }
-            Level::Core => {
-                let mut run = Command::new("bash");
-                run.arg("gateware/tests/run.sh");
-                let printed =
-                    step::run_quietly("test-core", "the cores at their pins", "2 min", &mut run)?;
-                let results: Vec<_> = printed.lines().filter(|l| l.starts_with("PASS")).collect();
-                for line in &results {
-                    println!("    {line}");
-                }
-                if results.is_empty() {
-                    bail!("no core test ran; see target/logs/test-core.log");
-                }
-                Ok(results.len())
-            }
+            Level::Formal => script(
+                "formal",
+                "proofs, and mutations they must catch",
+                "6 min",
+                "gateware/formal/run.sh",
+            ),
+            Level::Core => script(
+                "core",
+                "the cores at their pins",
+                "2 min",
+                "gateware/tests/run.sh",
+            ),
             Level::Soc => board_tests("soc", "10 min"),
+            Level::Peers => board_tests("peers", "3 min"),
             Level::Clients => board_tests("clients", "2 min"),
             Level::Linuxcnc => board_tests("linuxcnc", "10 min"),
         }
     }
+}
+
+/// A script that prints a line beginning with PASS per test.
+fn script(name: &str, title: &str, expect: &str, path: &str) -> Result<usize> {
+    let log = format!("test-{name}");
+    let mut run = Command::new("bash");
+    run.arg(path).env("FERROCNC_PYTHON", setup::python());
+    let printed = step::run_quietly(&log, title, expect, &mut run)?;
+    let results: Vec<_> = printed.lines().filter(|l| l.starts_with("PASS")).collect();
+    for line in &results {
+        println!("    {line}");
+    }
+    if results.is_empty() {
+        bail!("{title}: nothing ran; see target/logs/{log}.log");
+    }
+    Ok(results.len())
 }
 
 /// The hand-written LinuxCNC bindings against LinuxCNC's own headers.
