@@ -1,4 +1,4 @@
-// gpio: inputs through two flip-flops, outputs through the gate.
+// gpio: inputs through two flip-flops and a debouncer, outputs through the gate, e-stop inputs straight to the gate.
 //
 // While the gate is closed every output carries its safe level; after the gate opens it stays there until the next
 // commit. `invert` turns a pin over, safe level included.
@@ -7,10 +7,23 @@
 //   commit  ________/‾\_________
 //   pins    safe      | value | safe
 //
+// One debouncer visits every input in turn, each once in 32 clocks. An input that differs from what was last believed for
+// limit + 1 visits in a row is believed: a level shorter than 32 * limit clocks never passes, one of 32 * (limit + 1) always.
+//
+//   visit   |    |    |    |    |    |    |      limit 2
+//   raw     ___/‾‾\____/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾
+//   in      _______________________/‾‾‾‾‾‾
+//
+// An e-stop input is not debounced: no setting may delay it. Which inputs those are, and at which level they trigger, is
+// wired in, so that no program can talk it away. `estop` follows the pin in three clocks; each input's latch falls with
+// `clear`, and only when the input is released.
+//
 `default_nettype none
 module gpio #(
     parameter integer INPUTS  = 32,
-    parameter integer OUTPUTS = 32
+    parameter integer OUTPUTS = 32,
+    parameter logic [31:0] ESTOP_MASK  = 32'd0,  // 1: this input is an e-stop
+    parameter logic [31:0] ESTOP_LEVEL = 32'd0   // the level at which it triggers
 ) (
     input  wire               clk,
     input  wire               gate,
@@ -18,20 +31,66 @@ module gpio #(
     input  wire [OUTPUTS-1:0] value,
     input  wire [OUTPUTS-1:0] safe,
     input  wire [OUTPUTS-1:0] invert,
-    input  wire  [INPUTS-1:0] in_pins,   // asynchronous
-    output logic [INPUTS-1:0] in,
-    output logic [OUTPUTS-1:0] out_pins  // registered
+    input  wire  [INPUTS-1:0] in_pins,         // asynchronous
+    input  wire               debounce_we,
+    input  wire         [4:0] debounce_pin,
+    input  wire        [15:0] debounce_limit,  // 32 clocks
+    input  wire               clear,           // pulse: forget what is released; the watchdog's `cleared`
+    output logic [INPUTS-1:0] in,              // debounced
+    output logic [INPUTS-1:0] raw,             // synchronised only
+    output logic              estop,           // an e-stop input is active now
+    output logic       [31:0] estop_latched,
+    output logic [OUTPUTS-1:0] out_pins        // registered
 );
-    (* keep *) logic [INPUTS-1:0] meta = {INPUTS{1'b0}};
-    logic [OUTPUTS-1:0] held = {OUTPUTS{1'b0}};
-    logic               live = 1'b0;  // a commit has come since the gate opened
+    // Until the pins have been seen, e-stop inputs count as released and everything else as 0.
+    localparam logic [31:0] RELEASED = ESTOP_MASK & ~ESTOP_LEVEL;
 
-    initial in       = {INPUTS{1'b0}};
-    initial out_pins = {OUTPUTS{1'b0}};
+    // Inputs ---------------------------------------------------------------------------------------------------
+
+    (* keep *) logic [INPUTS-1:0] meta = RELEASED[INPUTS-1:0];
+    logic  [4:0] pin = 5'd0;  // whose turn it is
+    logic [15:0] limits[0:31];
+    logic [15:0] lefts[0:31];  // visits left until it is believed
+    initial for (int n = 0; n < 32; n++) begin
+        limits[n] = 16'd0;
+        lefts[n]  = 16'd0;
+    end
+
+    wire [31:0] differs  = 32'(raw ^ in);
+    wire        differing = differs[pin];
+    wire [15:0] limit    = limits[pin];
+    wire [16:0] left     = {1'b0, lefts[pin]} - 17'd1;
+    wire        believed = differing & left[16];
+    wire [31:0] turn     = {31'd0, believed} << pin;
+
+    wire [31:0] active = (32'(raw) ^ ~ESTOP_LEVEL) & ESTOP_MASK;
 
     always_ff @(posedge clk) begin
         meta <= in_pins;
-        in   <= meta;
+        raw  <= meta;
+        pin  <= pin + 5'd1;
+        in   <= in ^ turn[INPUTS-1:0];
+        lefts[pin] <= (differing & ~left[16]) ? left[15:0] : limit;
+        if (debounce_we) limits[debounce_pin] <= debounce_limit;
+
+        estop         <= |active;
+        estop_latched <= active | (clear ? 32'd0 : estop_latched);
+    end
+
+    initial begin
+        raw           = RELEASED[INPUTS-1:0];
+        in            = {INPUTS{1'b0}};
+        estop         = 1'b0;
+        estop_latched = 32'd0;
+    end
+
+    // Outputs --------------------------------------------------------------------------------------------------
+
+    logic [OUTPUTS-1:0] held = {OUTPUTS{1'b0}};
+    logic               live = 1'b0;  // a commit has come since the gate opened
+    initial out_pins = {OUTPUTS{1'b0}};
+
+    always_ff @(posedge clk) begin
         if (commit) held <= value;
         live     <= gate & (live | commit);
         out_pins <= ((gate & live) ? held : safe) ^ invert;

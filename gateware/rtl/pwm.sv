@@ -1,48 +1,91 @@
-// pwm: one pulse per period, changed only at the edge of a period.
+// pwm: one pulse per period, changed only at the edge of a period, on one of two pins.
 //
-// A new width or period waits for the running period to end: no runt pulse, no lost period. Width 0 is constantly
-// inactive, width >= period constantly active: both without a glitch. Period 0 is off. A closed gate makes the output
-// inactive on the next clock and forgets the command, so that nothing restarts before the next commit.
+// A new width, direction, period or kind waits for the running period to end: no runt pulse, no lost period. Width 0 is
+// constantly inactive, width >= period constantly active: both without a glitch. Period 0 is off. A closed gate makes both
+// pins inactive on the next clock and forgets the command, so that nothing restarts before the next commit.
 //
 //   count   0 1 2 3 4 5 6 7 0 1 2 3 4 5 6 7 0
-//   out     ‾‾‾‾‾\__________‾‾‾‾‾‾‾‾‾‾\______      period 8; width 3, then 5
+//   pulse   ‾‾‾‾‾\__________‾‾‾‾‾‾‾‾‾‾\______      period 8; width 3, then 5
 //   commit  ______/‾\________________________
 //
+//   kind             out                dir
+//   0 PWM + DIR      pulse              direction
+//   1 up/down        pulse, forwards    pulse, backwards       never both
+//   2 PDM + DIR      density            direction              one bit per `period` clocks (0 as 1)
+//
+// `swap` lets the two pins change places; `invert` turns pulses over, a level of DIR it leaves alone. With `dither` the
+// fraction of the width is collected, and a period is one clock longer active whenever a whole clock has come together: 256
+// periods are exact to 1/256 clock. PDM is the same sum 16 bits further up: a bit is active whenever it overflows.
+//
 `default_nettype none
-module pwm #(
-    parameter integer WIDTH = 24
-) (
-    input  wire             clk,
-    input  wire             gate,
-    input  wire             commit,
-    input  wire             enable,
-    input  wire             direction,
-    input  wire [WIDTH-1:0] width,   // clocks
-    input  wire [WIDTH-1:0] period,  // clocks
-    input  wire             invert,
-    output logic            out,     // the pins, registered
-    output logic            dir
+module pwm (
+    input  wire        clk,
+    input  wire        gate,
+    input  wire        commit,
+    input  wire        enable,
+    input  wire        direction,
+    input  wire [28:0] width,   // clocks / 256; PDM: bits 24:8 / 65536 are the density
+    input  wire [20:0] period,  // clocks
+    input  wire  [1:0] kind,
+    input  wire        dither,
+    input  wire        swap,
+    input  wire        invert,
+    output logic       out,     // the pins, registered
+    output logic       dir
 );
-    logic [WIDTH-1:0] next_width = {WIDTH{1'b0}};    // committed, waits for the period edge
-    logic [WIDTH-1:0] this_width = {WIDTH{1'b0}};
-    logic [WIDTH-1:0] this_period = {WIDTH{1'b0}};
-    logic [WIDTH-1:0] count = {WIDTH{1'b0}};
+    localparam logic [1:0] UP_DOWN = 2'd1, PDM = 2'd2;
 
-    wire [WIDTH:0] after = {1'b0, count} + {{WIDTH{1'b0}}, 1'b1};
-    wire           last  = after >= {1'b0, this_period};  // also when the period is 0
+    logic [28:0] next_width  = 29'd0;  // committed, waits for the period edge
+    logic        next_dir    = 1'b0;
+    logic [20:0] this_width  = 21'd0;
+    logic [20:0] this_period = 21'd0;
+    logic        this_dir    = 1'b0;
+    logic        pdm         = 1'b0;
+    logic        up_down     = 1'b0;
+    logic [20:0] count       = 21'd0;
+    logic [23:0] sum         = 24'd0;  // what no pulse has paid for yet
+    logic        longer      = 1'b0;   // dither: this period is one clock longer active
+    logic        on          = 1'b0;   // the end of the pulse has not been seen; PDM: this bit
+
+    wire        off   = this_period == 21'd0;
+    wire [20:0] after = count + 21'd1;
+    wire        last  = (after == this_period) | off;
+    wire        ends  = (count == this_width) & ~pdm;
+    wire        pulse = gate & on & ~(ends & ~longer) & (pdm | ~off);
+
+    wire  [8:0] low   = {1'b0, sum[7:0]} + {1'b0, next_width[7:0]};
+    wire        whole = low[8] & dither;
+    wire [16:0] high  = {1'b0, sum[23:8]} + {1'b0, next_width[23:8]} + {16'd0, whole};
+    wire        full  = |next_width[28:24];
+
+    wire plus  = (pulse & ~(up_down & this_dir)) ^ invert;
+    wire minus = up_down ? (pulse & this_dir) ^ invert : gate & this_dir;
 
     always_ff @(posedge clk) begin
-        if (~gate | (commit & ~enable)) next_width <= {WIDTH{1'b0}};
+        if (~gate | (commit & ~enable)) next_width <= 29'd0;
         else if (commit) next_width <= width;
+        if (~gate) next_dir <= 1'b0;
+        else if (commit) next_dir <= direction;
 
         if (~gate | last) begin
-            count       <= {WIDTH{1'b0}};
-            this_width  <= gate ? next_width : {WIDTH{1'b0}};
+            count       <= 21'd0;
+            this_width  <= next_width[28:8];
             this_period <= period;
-        end else count <= after[WIDTH-1:0];
+            this_dir    <= next_dir;
+            pdm         <= kind == PDM;
+            up_down     <= kind == UP_DOWN;
+            longer      <= whole;
+            on          <= (kind == PDM) ? high[16] | full : 1'b1;
+        end else begin
+            count <= after;
+            on    <= on & ~ends;
+        end
 
-        out <= (gate & (this_period != {WIDTH{1'b0}}) & (count < this_width)) ^ invert;
-        if (gate & commit) dir <= direction;
+        if (~gate) sum <= 24'd0;
+        else if (last) sum <= {high[15:0], low[7:0]};
+
+        out <= swap ? minus : plus;
+        dir <= swap ? plus : minus;
     end
 
     initial begin

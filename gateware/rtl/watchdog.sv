@@ -1,18 +1,20 @@
 // watchdog: owns the gate that every output passes. Closes it when the tokens stop, whoever is alive.
 //
 // Fed by a token that differs from the one before; a repeat is silence. A bite is latched and only `clear` forgets it,
-// and a token never does. The external reset closes the gate in the clock it is seen. None of this needs the CPU.
+// and a token never does. The external reset and the e-stop inputs close the gate in the clock they are seen. None of this
+// needs the CPU, and why the gate closed last outlives a reset of the CPU.
 //
 //   token     1    2    3    3    3
-//   remaining \|\  |\   |\___________           timeout
-//   stop      ____________________/‾‾‾‾‾\_      bite: every stepgen ramps to rest,
-//   gate      ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\_      then (or after `grace`) the gate closes
+//   remaining \|\  |\   |\__|\_______           timeout, then what is left of `grace`
+//   stop      ______________/‾‾‾‾‾‾‾\___        bite: every stepgen ramps to rest,
+//   gate      ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\___        then (or after `grace`) the gate closes
 //
 `default_nettype none
 module watchdog (
     input  wire         clk,
-    input  wire         rst,        // closes the gate, forgets everything
+    input  wire         rst,        // closes the gate, forgets the bite and the external reset; an e-stop it does not
     input  wire         ext_reset,  // synchronised pin
+    input  wire         estop,      // an e-stop input is active, synchronised
 
     input  wire         token_we,
     input  wire  [31:0] token,
@@ -25,69 +27,63 @@ module watchdog (
 
     input  wire         all_stopped,
     output wire         gate,
-    output logic        stop,       // a soft stop is running
+    output logic        stop,          // a soft stop is running
     output logic        bitten,
     output logic        reset_latched,
-    output logic        armed,      // awake, counting
-    output logic [31:0] remaining,
+    output logic        estop_latched,
+    output logic        armed,         // awake, counting
+    output wire         cleared,       // `clear` was heard: everything latched falls
+    output logic  [3:0] last_close,    // why the gate closed last
+    output logic [31:0] remaining,     // clocks until it bites; during a soft stop, until the gate closes
     output logic [31:0] last_token,
     output logic [31:0] bites
 );
-    logic        open = 1'b0;
-    logic [31:0] patience = 32'd0;  // clocks left of the soft stop
+    localparam logic [3:0] NEVER_OPENED = 4'd0, BITE = 4'd1, EXT_RESET = 4'd2, STOP_KEY = 4'd3, SOFT_STOP = 4'd4, E_STOP = 4'd5,
+                           SYSTEM_RESET = 4'd6;
 
-    assign gate = open & ~ext_reset;
+    logic open = 1'b0;
+    wire  pins = ext_reset | estop;
 
-    wire fed  = token_we & (token != last_token);
-    wire bite = armed & (remaining == 32'd0) & ~fed;
+    assign gate    = open & ~pins;
+    assign cleared = clear & ~open & ~pins;
+
+    wire        fed   = token_we & (token != last_token);
+    wire [32:0] less  = {1'b0, remaining} - 33'd1;
+    wire        done  = less[32];
+    wire        bite  = armed & done & ~fed;
+    wire        opens = ~open & arm & ~bitten & ~reset_latched & ~estop_latched & ~pins & ~shut & ~rst;
+    wire        shuts = open & (pins | rst | shut | (stop & (all_stopped | done)));
+    wire        stops = armed & (bite | soft_stop);
 
     always_ff @(posedge clk) begin
         if (token_we) last_token <= token;
 
-        if (~open) begin
-            stop      <= 1'b0;
-            armed     <= 1'b0;
-            remaining <= 32'd0;
-            if (clear & ~ext_reset) begin
-                bitten        <= 1'b0;
-                reset_latched <= 1'b0;
-            end
-            if (arm & ~bitten & ~reset_latched & ~ext_reset) begin
-                open      <= 1'b1;
-                armed     <= 1'b1;
-                remaining <= timeout;
-            end
-        end else if (stop) begin
-            patience <= patience - 32'd1;
-            if (all_stopped | (patience == 32'd0)) open <= 1'b0;
-        end else if (bite | soft_stop) begin
-            armed    <= 1'b0;
-            stop     <= 1'b1;
-            patience <= grace;
-            if (bite) begin
-                bitten <= 1'b1;
-                bites  <= bites + 32'd1;
-            end
-        end else if (fed) remaining <= timeout;
-        else remaining <= remaining - 32'd1;
+        open  <= opens | (open & ~shuts);
+        armed <= opens | (armed & ~shuts & ~stops);
+        stop  <= ~shuts & (stop | stops) & open;
 
-        if (shut) open <= 1'b0;
-        if (ext_reset) begin
-            open          <= 1'b0;
-            reset_latched <= 1'b1;
-        end
-        if (rst) begin
-            open          <= 1'b0;
-            bitten        <= 1'b0;
-            reset_latched <= ext_reset;
-        end
+        if ((~open | shuts) & ~opens) remaining <= 32'd0;
+        else if (opens | fed & armed & ~stops) remaining <= timeout;
+        else if (stops) remaining <= grace;
+        else remaining <= less[31:0];
+
+        bitten        <= ((bitten & ~cleared) | bite) & ~rst;
+        reset_latched <= (reset_latched & ~cleared & ~rst) | ext_reset;
+        estop_latched <= (estop_latched & ~cleared) | estop;
+        if (bite) bites <= bites + 32'd1;
+
+        // A bite stays the reason, whatever cuts its soft stop short; a pin is always the reason.
+        if (shuts)
+            last_close <= estop ? E_STOP : ext_reset ? EXT_RESET : (bitten | bite) ? BITE : rst ? SYSTEM_RESET : shut ? STOP_KEY : SOFT_STOP;
     end
 
     initial begin
         stop          = 1'b0;
         bitten        = 1'b0;
         reset_latched = 1'b0;
+        estop_latched = 1'b0;
         armed         = 1'b0;
+        last_close    = NEVER_OPENED;
         remaining     = 32'd0;
         last_token    = 32'd0;
         bites         = 32'd0;
