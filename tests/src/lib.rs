@@ -487,15 +487,26 @@ fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
 /// The simulator as a program of its own, behind real sockets; ends with the test.
 pub struct Simulator {
     child: std::process::Child,
-    soc: PathBuf,
     udp: std::net::SocketAddr,
 }
 
 impl Simulator {
-    /// Starts it on free ports with these further arguments and waits until the board answers.
+    /// The RTL board on free ports, with these further arguments; waits until it answers.
     pub fn start(arguments: &[&str]) -> Self {
-        use std::io::BufRead;
         let (soc, firmware) = parts();
+        let (soc, firmware) = (soc.display().to_string(), firmware.display().to_string());
+        let board = ["--soc", &soc, "--firmware", &firmware];
+        Self::spawn(&[&board, arguments].concat())
+    }
+
+    /// The twin of the same board: the firmware's library on models of the cores.
+    pub fn twin(arguments: &[&str]) -> Self {
+        let board = ["--backend", "model", "--board", "mill6"];
+        Self::spawn(&[&board, arguments].concat())
+    }
+
+    fn spawn(arguments: &[&str]) -> Self {
+        use std::io::BufRead;
         let udp = std::net::UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
         let console =
             std::net::TcpListener::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
@@ -506,10 +517,6 @@ impl Simulator {
         let program =
             std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/release/ferrocnc-sim");
         let mut child = std::process::Command::new(&program)
-            .arg("--soc")
-            .arg(&soc)
-            .arg("--firmware")
-            .arg(&firmware)
             .args(["--udp", &udp.to_string(), "--console", &console.to_string()])
             .args(arguments)
             .stdout(std::process::Stdio::piped())
@@ -525,7 +532,7 @@ impl Simulator {
             ready.contains("ready"),
             "the simulator said {ready:?} instead of being ready"
         );
-        Simulator { child, soc, udp }
+        Simulator { child, udp }
     }
 
     /// Ends it as SIGTERM does, so that it writes its report, and waits until it has.
@@ -534,11 +541,6 @@ impl Simulator {
             .arg(self.child.id().to_string())
             .status();
         let _ = self.child.wait();
-    }
-
-    /// Where its board's description lies.
-    pub fn soc(&self) -> &std::path::Path {
-        &self.soc
     }
 
     /// Where its board listens for datagrams.

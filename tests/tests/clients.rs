@@ -49,7 +49,7 @@ fn litex_remote_client_reads_the_identifier_and_a_status_word() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
         .expect("the workspace");
-    let manifest = std::fs::read_to_string(simulator.soc().join("manifest.json"))
+    let manifest = std::fs::read_to_string(ferrocnc_tests::parts().0.join("manifest.json"))
         .expect("the board's manifest");
     let manifest: serde_json::Value = serde_json::from_str(&manifest).expect("JSON");
     let csr_csv = manifest["csr_csv"]

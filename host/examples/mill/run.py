@@ -32,6 +32,8 @@ def arguments():
     parser.add_argument("--board", default="127.0.0.1:1234", help="IP[:port] of the board")
     parser.add_argument("--program", default=DEFAULT_PROGRAM, help="G-code to run")
     parser.add_argument("--out", default="target/mill", help="directory for config, samples.csv, result.json")
+    parser.add_argument("--config", default=HERE, help="directory of another machine's configuration")
+    parser.add_argument("--ini", default="headless.ini", help="INI file in it")
     parser.add_argument("--module", help="libferrocnc.so to link as the realtime module (root)")
     parser.add_argument("--lockstep", action="store_true", help="the board's time passes with the exchanges: wait for them")
     parser.add_argument("--patient", action="store_true", help="no realtime kernel here: long watchdog, wide following error")
@@ -66,11 +68,17 @@ def set_value(text, key, value):
 def configure(options, out):
     config = os.path.join(out, "config")
     shutil.rmtree(config, ignore_errors=True)
-    shutil.copytree(HERE, config, ignore=shutil.ignore_patterns("__pycache__", "*.expanded", "*.var*"))
-    with open(os.path.join(config, "headless.ini")) as file:
-        ini = file.read()
-    with open(os.path.join(config, "machine.inc")) as file:
+    shutil.copytree(options.config, config, ignore=shutil.ignore_patterns("__pycache__", "*.expanded", "*.var*"))
+    # What another machine does not bring along is the mill's.
+    for name in ("headless.py", "tool.tbl"):
+        if not os.path.exists(os.path.join(config, name)):
+            shutil.copy(os.path.join(HERE, name), config)
+    path = os.path.join(config, options.ini)
+    with open(path) as file:
         machine = file.read()
+    if "#INCLUDE machine.inc" in machine:
+        with open(os.path.join(config, "machine.inc")) as file:
+            machine = machine.replace("#INCLUDE machine.inc", file.read())
     machine = set_value(machine, "BOARD", options.board)
     if options.lockstep:
         machine = set_value(machine, "PACKET_READ_TIMEOUT", 2_000_000_000)
@@ -81,9 +89,8 @@ def configure(options, out):
         machine = set_value(machine, "WATCHDOG_NS", 500_000_000)
         machine = set_value(machine, "FERROR", 20)
         machine = set_value(machine, "MIN_FERROR", 20)
-    path = os.path.join(config, "headless.ini")
     with open(path, "w") as file:
-        file.write(re.sub(r"(?m)^#INCLUDE machine.inc$", lambda _: machine, ini))
+        file.write(machine)
     return path
 
 
