@@ -2,38 +2,43 @@
 
 The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on LiteX's CSR bus carries pages 8 and up:
 
-    bus  --> write pipeline --> staging and settings registers, shadow RAMs --> cores
-         <-- live words | status window | shadow RAMs                      <-- cores
+    bus  --> write pipeline --> staging and settings registers, mirrors --> cores
+         <-- gates <-- live words | what the sample caught | tallies | mirrors  <-- cores
 
 * Writes land one clock after the bus cycle, so that address decoding stays out of the cores' timing. The CPU cannot tell:
   its next access is two clocks later.
-* The status window is a copy of every live word, caught by the sample strobe, behind one read multiplexer.
-* Channel settings and staged commands are read back, as written, from LUT RAMs; reading back the flip-flops themselves would
-  cost more multiplexers than the cores have logic, and every block RAM is the CPU's.
+* A word is read through a register of its own which is held in reset while the word is not addressed (its gate). All gates
+  are joined by OR. A flip-flop costs nothing here and a multiplexer input does: the ECP5 has a flip-flop behind every LUT.
+* What every channel has and nobody reads twice in a clock lies in LUT RAM: totals, samples and latches (`tally`), and the
+  mirrors, which read back settings and staged commands. A register reads as many bits as it has.
+* What must be of one clock for all channels, and changes every clock (fraction and velocity of a step generator), is caught by
+  the sample strobe in flip-flops.
 * Registers of absent channels are never created: they read 0 and ignore writes.
 """
 
 from functools import reduce
 from operator import or_
 
-from migen import Array, Cat, Constant, If, Instance, Memory, READ_FIRST, Replicate, Signal
+from migen import Array, Cat, Constant, If, Instance, Memory, READ_FIRST, Signal
 from litex.gen import LiteXModule
 from litex.soc.interconnect import csr_bus
 
 from . import VERSION, regmap as rm
 
-_PAGE_WORDS = rm.CSR_PAGE // 4
-_WORD_BITS = _PAGE_WORDS.bit_length() - 1
+_WORD_BITS = (rm.CSR_PAGE // 4).bit_length() - 1
+_LOW = 4  # an address is decoded in two halves, so that a register costs one LUT
 
 
 class FabricBus(LiteXModule):
-    """Decodes pages 8 and up. `storage`, `pulse` and `live` create registers; `shadow` makes a range of them readable.
+    """Decodes pages 8 and up. `storage` and `pulse` create what is written, `live` and `reads` what is read, `mirror` both.
 
-    A read has one clock. Words are read in groups of eight; a group that is not addressed holds its register in reset, so
-    that putting the groups together is an OR, and half of the multiplexer is behind the register.
+    A read has one clock:
+
+        clk      _/‾\\_/‾\\_/‾\\_
+        adr      --X A X-------
+        gate of A  ----X word X 0     all others stay 0
+        dat_r      ----X word X---    OR of all gates
     """
-
-    GROUP = 8
 
     def __init__(self):
         self.bus = csr_bus.Interface(data_width=32, address_width=rm.CSR_ADDRESS_WIDTH)
@@ -44,19 +49,18 @@ class FabricBus(LiteXModule):
         self.page = self.adr[_WORD_BITS:]
         self.we = Signal()
         self.data = Signal(32, reset_less=True)
-        self._we_word = Signal(_WORD_BITS, reset_less=True)
-        self._we_page = Signal(rm.CSR_ADDRESS_WIDTH - _WORD_BITS, reset_less=True)
+        self.we_word = Signal(_WORD_BITS, reset_less=True)
+        self.we_page = Signal(rm.CSR_ADDRESS_WIDTH - _WORD_BITS, reset_less=True)
         self._decoded = {}
-        self._live = {}
-        self._shadowed = []
+        self._gates = []
 
         # # #
 
         self.sync += [
             self.we.eq(self.bus.we),
             self.data.eq(self.bus.dat_w),
-            self._we_word.eq(self.word),
-            self._we_page.eq(self.page),
+            self.we_word.eq(self.word),
+            self.we_page.eq(self.page),
         ]
 
     def _is(self, kind, value, number):
@@ -66,61 +70,82 @@ class FabricBus(LiteXModule):
             self.comb += hit.eq(value == number)
         return self._decoded[kind, number]
 
-    def _written(self, page, word):
-        return self._is("we_page", Cat(self._we_page, self.we), page | 1 << len(self._we_page)) & self._is("we_word", self._we_word, word)
+    def _both(self, kind, value, number):
+        low = (1 << _LOW) - 1
+        return self._is(f"{kind}_high", value[_LOW:], number >> _LOW) & self._is(f"{kind}_low", value[:_LOW], number & low)
+
+    def read_hit(self, page, word):
+        """High while this word is addressed."""
+        return self._both("page", self.page, page) & self._both("word", self.word, word)
+
+    def write_hit(self, page, word):
+        """High for one clock when this word is written; `data` is what was written."""
+        return self.we & self._both("we_page", self.we_page, page) & self._both("we_word", self.we_word, word)
+
+    def page_hit(self, page):
+        """High while this page is addressed."""
+        return self._both("page", self.page, page)
+
+    def write_page(self, page, words):
+        """High for one clock when one of the first `words` words of the page is written."""
+        return self.we & self._both("we_page", self.we_page, page) & (self.we_word < words)
 
     def pulse(self, bank, name):
         """High for one clock when the register is written; `self.data` is what was written."""
         strobe = Signal()
-        self.comb += strobe.eq(self._written(bank.page, bank.offset(name) // 4))
+        self.comb += strobe.eq(self.write_hit(bank.page, bank.offset(name) // 4))
         return strobe
 
-    def storage(self, bank, name, width=32, reset=0, data=None):
+    def storage(self, bank, name, width=32, data=None):
         """What was last written. Keeps its value through a reset of the CPU: firmware writes what it wants at boot."""
-        signal = Signal(width, reset=reset, reset_less=True, name=f"{bank.name}_{name}")
-        self.sync += If(self._written(bank.page, bank.offset(name) // 4), signal.eq(self.data if data is None else data))
+        signal = Signal(width, reset_less=True, name=f"{bank.name}_{name}")
+        self.sync += If(self.write_hit(bank.page, bank.offset(name) // 4), signal.eq(self.data if data is None else data))
         return signal
+
+    def reads(self, hit, value):
+        """`value` is read while `hit`."""
+        gate = Signal(len(value), reset_less=True)
+        self.sync += If(hit, gate.eq(value)).Else(gate.eq(0))
+        self._gates.append(gate)
 
     def live(self, bank, name, value):
         """Makes `value` readable as this register."""
-        self._live[bank.page, bank.offset(name) // 4] = value
+        self.reads(self.read_hit(bank.page, bank.offset(name) // 4), Constant(value, 32) if isinstance(value, int) else value)
 
-    def shadow(self, name, page, pages, first, words):
-        """What was written to these words of these pages can be read back."""
-        if not pages or not words:
+    def mirror(self, name, width, write, write_adr, read, read_adr):
+        """A LUT RAM of 16 words that reads back what was written."""
+        memory = Memory(width, 16, init=[0] * 16, name=name)
+        out, into = memory.get_port(async_read=True), memory.get_port(write_capable=True, mode=READ_FIRST)
+        self.specials += memory, out, into
+        self.comb += [into.adr.eq(write_adr), into.dat_w.eq(self.data), into.we.eq(write), out.adr.eq(read_adr)]
+        self.reads(read, out.dat_r)
+
+    def mirror_settings(self, banks, channels, widths):
+        """The settings of every channel of a kind: {register: width}."""
+        if not channels:
             return
-        bits = (words - 1).bit_length()
-        memory = Memory(32, max(2, pages << bits), init=[0] * max(2, pages << bits), name=name)
-        read, write = memory.get_port(async_read=True), memory.get_port(write_capable=True, mode=READ_FIRST)
-        self.specials += memory, read, write
-        hits = []
-        for port, at_page, at_word in ((read, self.page, self.word), (write, self._we_page, self._we_word)):
-            hit, from_page, from_word = Signal(), Signal(len(at_page)), Signal(_WORD_BITS)
-            self.comb += [
-                from_page.eq(at_page - page),
-                from_word.eq(at_word - first),
-                port.adr.eq(Cat(from_word[:bits], from_page)),
-                hit.eq((from_page < pages) & (from_word < words)),
-            ]
-            hits.append(hit)
-        self.comb += [write.dat_w.eq(self.data), write.we.eq(self.we & hits[1])]
-        self._shadowed.append(Replicate(hits[0], 32) & read.dat_r)
+        first = banks[0].page
+        assert first % 16 == 0
+        for name, width in widths.items():
+            word = banks[0].offset(name) // 4
+            hits = []
+            for kind, page, at in (("page", self.page, self.word), ("we_page", self.we_page, self.we_word)):
+                hit = self._is(f"{kind}_high", page[_LOW:], first >> _LOW) & self._both(kind.replace("page", "word"), at, word)
+                hits.append(hit & (page[:_LOW] < channels) if channels < 16 else hit)
+            self.mirror(f"{banks[0].kind}_{name}_mirror", width, self.we & hits[1], self.we_page[:4], hits[0], self.page[:4])
+
+    def mirror_words(self, bank, first, words, width=32):
+        """`words` words of one page from `first` on, in RAMs of 16 by the low bits of their address."""
+        for half in sorted({w >> 4 & 1 for w in range(first, first + words)}):
+            hits = []
+            for kind, page, at in (("page", self.page, self.word), ("we_page", self.we_page, self.we_word)):
+                hit = Signal()
+                self.comb += hit.eq(self._both(kind, page, bank.page) & (at[4] == half) & (at >= first) & (at < first + words))
+                hits.append(hit)
+            self.mirror(f"{bank.name}_mirror{first}_{half}", width, self.we & hits[1], self.we_word[:4], hits[0], self.word[:4])
 
     def do_finalize(self):
-        parts = []
-        words = sorted(self._live.items(), key=lambda item: item[0])
-        for start in range(0, len(words), self.GROUP):
-            group = [(self._is("page", self.page, page) & self._is("word", self.word, word), value)
-                     for (page, word), value in words[start:start + self.GROUP]]
-            part = Signal(32, reset_less=True)
-            self.sync += part.eq(reduce(or_, [Replicate(hit, 32) & value for hit, value in group]))
-            parts.append(part)
-
-        if self._shadowed:
-            part = Signal(32, reset_less=True)
-            self.sync += part.eq(reduce(or_, self._shadowed))
-            parts.append(part)
-        self.comb += self.bus.dat_r.eq(reduce(or_, parts))
+        self.comb += self.bus.dat_r.eq(reduce(or_, self._gates))
 
 
 class Pads:
@@ -129,9 +154,13 @@ class Pads:
     def __init__(self, channels):
         self.step = Signal(max(1, channels.stepgen))
         self.dir = Signal(max(1, channels.stepgen))
+        self.step_n = Signal(max(1, channels.stepgen))
+        self.dir_n = Signal(max(1, channels.stepgen))
+        self.step_index = Signal(max(1, channels.stepgen))
         self.enc_a = Signal(max(1, channels.encoder))
         self.enc_b = Signal(max(1, channels.encoder))
         self.enc_i = Signal(max(1, channels.encoder))
+        self.enc_mask = Signal(max(1, channels.encoder))
         self.pwm = Signal(max(1, channels.pwm))
         self.pwm_dir = Signal(max(1, channels.pwm))
         self.inputs = Signal(max(1, channels.inputs))
@@ -144,7 +173,7 @@ class Pads:
 class Cores(LiteXModule):
     """All cores of one board and their banks. `arrival` is the wall clock of the frame the MAC presents."""
 
-    def __init__(self, channels, sys_clk_hz, rom_words, ext_reset_active_low=False):
+    def __init__(self, channels, sys_clk_hz, rom_words, ext_reset_active_low=False, estop_mask=0, estop_level=0):
         self.pads = pads = Pads(channels)
         self.abi = Signal(32)            # constant; the SoC knows it once its map is final
         self.frame_done = Signal()       # MAC: a frame is complete in `frame_slot`
@@ -153,54 +182,49 @@ class Cores(LiteXModule):
         self.pending_slot = Signal(1)
         self.fabric = fabric = FabricBus()
         self.bus = fabric.bus
+        self._caught = {}
 
         # # #
 
-        clk, rst = _clock()
-        now = self._timebase(fabric, clk, rst)
-        gate, stop = self._watchdog(fabric, clk, rst, ext_reset_active_low)
-        self.comb += pads.gate.eq(gate)
+        self.clk, self.rst = _clock()
+        estop, self.cleared = Signal(), Signal()
+        self._timebase(fabric)
+        self._watchdog(fabric, estop, ext_reset_active_low)
+        self.comb += [pads.gate.eq(self.gate), pads.step_n.eq(~pads.step), pads.dir_n.eq(~pads.dir)]
         self._ident(fabric, channels, sys_clk_hz, rom_words)
-        self._led(fabric, clk, sys_clk_hz)
-
-        commit, sample = self.commit, self.sample
-        window = {0: now[:32], 1: now[32:]}
-        enables = fabric.storage(rm.COMMAND, "enables")
-        flags_index = [Signal() for _ in range(channels.encoder)] + [Constant(0, 1)] * (16 - channels.encoder)
-        flags_limited = [Signal() for _ in range(channels.stepgen)] + [Constant(0, 1)] * (16 - channels.stepgen)
-        window[2] = self._gpio(fabric, clk, gate, commit, channels)
-        window[3] = Cat(*flags_index, *flags_limited)
-
-        stopped = [
-            self._stepgen(fabric, clk, n, gate, stop, commit, sample, enables[n], flags_limited[n], window)
-            for n in range(channels.stepgen)
-        ]
-        self.comb += self.all_stopped.eq(reduce(lambda a, b: a & b, stopped, 1))
-        for n in range(channels.encoder):
-            self._encoder(fabric, clk, n, commit, enables[16 + n], flags_index[n], now, window)
+        self._led(fabric, sys_clk_hz)
+        self._gpio(fabric, channels, estop, estop_mask, estop_level)
+        arms = {name: self._committed(fabric, name) for name in ("enables", "arms", "probe_arms")}
+        self._stepgens(fabric, channels.stepgen, arms)
+        self._encoders(fabric, channels.encoder, arms)
         for n in range(channels.pwm):
-            self._pwm(fabric, clk, n, gate, commit)
+            self._pwm(fabric, n)
+        self._flags(fabric)
+        self._mirrors(fabric, channels)
 
-        for word, live in window.items():
-            caught = Signal(32, reset_less=True)
-            self.sync += If(sample, caught.eq(live))
-            fabric.live(rm.STATUS, rm.STATUS.regs[word].name, caught)
+    def _committed(self, fabric, name):
+        """A word of single bits: (as staged, as committed)."""
+        staged, now = fabric.storage(rm.COMMAND, name), Signal(32, reset_less=True, name=f"{name}_now")
+        self.sync += If(self.commit, now.eq(staged))
+        fabric.live(rm.COMMAND, name, staged)
+        return staged, now
 
-        fabric.shadow("command_shadow", rm.COMMAND.page, 1, 0, 4 + 2 * channels.stepgen)
-        fabric.shadow("width_shadow", rm.COMMAND.page, 1, rm.COMMAND.offset("pwm0_width") // 4, channels.pwm)
-        fabric.shadow("stepgen_shadow", rm.STEPGEN[0].page, channels.stepgen, 0, len(rm.STEPGEN_REGS))
-        fabric.shadow("encoder_shadow", rm.ENCODER[0].page, channels.encoder, 0, 2)
-        fabric.shadow("pwm_shadow", rm.PWM[0].page, channels.pwm, 0, len(rm.PWM_REGS))
+    def _sampled(self, fabric, name, value):
+        """A status word caught by the sample strobe."""
+        caught = Signal(len(value), reset_less=True, name=f"caught_{name}")
+        self.sync += If(self.sample, caught.eq(value))
+        fabric.live(rm.STATUS, name, caught)
 
-    def _timebase(self, fabric, clk, rst):
+    def _timebase(self, fabric):
         b = rm.TIMEBASE
-        now, caught, pending = Signal(64), Signal(64, reset_less=True), Signal()
+        self.now = now = Signal(64)
+        caught, pending = Signal(64, reset_less=True), Signal()
         self.commit, self.sample = Signal(), Signal()
         strobe = fabric.pulse(b, "strobe")
         at_lo = fabric.storage(b, "commit_at_lo")
         at_hi = fabric.storage(b, "commit_at_hi")
         self.specials += Instance("timebase",
-            i_clk=clk, i_rst=rst, o_now=now,
+            i_clk=self.clk, i_rst=self.rst, o_now=now,
             i_commit_now=strobe & fabric.data[0],
             i_sample_now=strobe & fabric.data[1],
             i_commit_timed=strobe & fabric.data[2],
@@ -220,12 +244,14 @@ class Cores(LiteXModule):
             fabric.live(b, f"{name}_lo", value[:32])
             fabric.live(b, f"{name}_hi", value[32:])
         fabric.live(b, "status", pending)
-        return now
+        self._sampled(fabric, "sample_lo", now[:32])
+        self._sampled(fabric, "sample_hi", now[32:])
 
-    def _watchdog(self, fabric, clk, rst, active_low):
+    def _watchdog(self, fabric, estop, active_low):
         b = rm.WATCHDOG
-        gate, stop, pin, bitten, latched, armed = (Signal() for _ in range(6))
-        remaining, last, bites = Signal(32), Signal(32), Signal(32)
+        self.gate, self.stop, self.all_stopped = Signal(), Signal(), Signal()
+        pin, bitten, latched, armed, estop_latched = (Signal() for _ in range(5))
+        remaining, last, bites, last_close = Signal(32), Signal(32), Signal(32), Signal(4)
         timeout = fabric.storage(b, "timeout")
         grace = fabric.storage(b, "grace")
         control = fabric.pulse(b, "control")
@@ -233,21 +259,21 @@ class Cores(LiteXModule):
         for name, key in (("arm", rm.ARM), ("soft", rm.SOFT), ("stop", rm.STOP), ("clear", rm.CLEAR)):
             keys[name] = Signal()
             self.comb += keys[name].eq(control & (fabric.data == key))
-        self.all_stopped = Signal()
         self.specials += [
-            Instance("extreset", p_ACTIVE_LOW=int(active_low), i_clk=clk, i_pin=self.pads.ext_reset, o_active=pin),
+            Instance("extreset", p_ACTIVE_LOW=int(active_low), i_clk=self.clk, i_pin=self.pads.ext_reset, o_active=pin),
             Instance("watchdog",
-                i_clk=clk, i_rst=rst, i_ext_reset=pin,
+                i_clk=self.clk, i_rst=self.rst, i_ext_reset=pin, i_estop=estop,
                 i_token_we=fabric.pulse(b, "token"), i_token=fabric.data,
                 i_arm=keys["arm"], i_soft_stop=keys["soft"], i_shut=keys["stop"], i_clear=keys["clear"],
                 i_timeout=timeout, i_grace=grace, i_all_stopped=self.all_stopped,
-                o_gate=gate, o_stop=stop, o_bitten=bitten, o_reset_latched=latched, o_armed=armed,
+                o_gate=self.gate, o_stop=self.stop, o_bitten=bitten, o_reset_latched=latched, o_estop_latched=estop_latched,
+                o_armed=armed, o_cleared=self.cleared, o_last_close=last_close,
                 o_remaining=remaining, o_last_token=last, o_bites=bites),
         ]
         for name, value in (("timeout", timeout), ("grace", grace), ("remaining", remaining), ("last_token", last), ("bites", bites),
-                            ("status", Cat(gate, stop, bitten, latched, pin, armed))):
+                            ("status", Cat(self.gate, self.stop, bitten, latched, pin, armed, estop_latched, estop)),
+                            ("last_close", last_close)):
             fabric.live(b, name, value)
-        return gate, stop
 
     def _ident(self, fabric, channels, sys_clk_hz, rom_words):
         major, minor, patch = VERSION
@@ -262,75 +288,175 @@ class Cores(LiteXModule):
         ):
             fabric.live(rm.IDENT, name, value)
 
-    def _led(self, fabric, clk, sys_clk_hz):
+    def _led(self, fabric, sys_clk_hz):
         pattern = fabric.storage(rm.LED, "pattern", 3)
         fabric.live(rm.LED, "pattern", pattern)
-        self.specials += Instance("led", p_BITS=int(sys_clk_hz).bit_length(), i_clk=clk, i_pattern=pattern, o_lit=self.pads.led)
+        self.specials += Instance("led", p_BITS=int(sys_clk_hz).bit_length(), i_clk=self.clk, i_pattern=pattern, o_lit=self.pads.led)
 
-    def _gpio(self, fabric, clk, gate, commit, channels):
+    def _gpio(self, fabric, channels, estop, estop_mask, estop_level):
         n_in, n_out = len(self.pads.inputs), len(self.pads.outputs)
-        level, out = Signal(n_in), Signal(n_out)
+        level, raw, latched, out = Signal(n_in), Signal(n_in), Signal(32), Signal(n_out)
         value = fabric.storage(rm.COMMAND, "gpio_out", n_out)
         safe = fabric.storage(rm.GPIO, "safe", n_out)
         invert = fabric.storage(rm.GPIO, "invert_out", n_out)
+        # The limits are written straight into the core's RAM: the low bits of the word's address are the pin.
+        limit_we = fabric.write_page(rm.DEBOUNCE.page, max(1, channels.inputs))
         self.specials += Instance("gpio",
-            p_INPUTS=n_in, p_OUTPUTS=n_out, i_clk=clk, i_gate=gate, i_commit=commit,
-            i_value=value, i_safe=safe, i_invert=invert, i_in_pins=self.pads.inputs, o_in=level, o_out_pins=out)
+            p_INPUTS=n_in, p_OUTPUTS=n_out, p_ESTOP_MASK=Constant(estop_mask, 32), p_ESTOP_LEVEL=Constant(estop_level, 32),
+            i_clk=self.clk, i_gate=self.gate, i_commit=self.commit,
+            i_value=value, i_safe=safe, i_invert=invert, i_in_pins=self.pads.inputs,
+            i_debounce_we=limit_we, i_debounce_pin=fabric.we_word[:5], i_debounce_limit=fabric.data[:16], i_clear=self.cleared,
+            o_in=level, o_raw=raw, o_estop=estop, o_estop_latched=latched, o_out_pins=out)
         self.comb += self.pads.outputs.eq(out)
-        inputs = level if channels.inputs else 0
-        fabric.live(rm.GPIO, "in_now", inputs)
+        if channels.inputs:
+            fabric.live(rm.GPIO, "in_now", level)
+            fabric.live(rm.GPIO, "raw_now", raw)
+            self._sampled(fabric, "gpio_in", level)
+            self._sampled(fabric, "estop", latched[:n_in])
+        fabric.live(rm.GPIO, "estop_mask", estop_mask)
+        fabric.live(rm.GPIO, "estop_level", estop_level)
         if channels.outputs:
+            fabric.live(rm.COMMAND, "gpio_out", value)
             for name, value in (("safe", safe), ("invert_out", invert), ("out_now", out)):
                 fabric.live(rm.GPIO, name, value)
-        return inputs
+        self._probe(fabric, raw)
 
-    def _stepgen(self, fabric, clk, n, gate, stop, commit, sample, enable, limited, window):
-        b = rm.STEPGEN[n]
-        stopped, waits = Signal(), Signal()
-        position, velocity_now = Signal(64), Signal(32)
-        # -2^31 has no positive twin; taking it as -(2^31-1) keeps |velocity| representable for everyone downstream.
-        lowest = fabric.data == 0x8000_0000
-        velocity = fabric.storage(rm.COMMAND, f"stepgen{n}_velocity", data=fabric.data | lowest)
-        accel = fabric.storage(rm.COMMAND, f"stepgen{n}_accel")
-        mode = fabric.storage(b, "mode", 2)
-        self.specials += Instance("stepgen",
-            i_clk=clk, i_gate=gate, i_stop=stop, o_stopped=stopped,
-            i_commit=commit, i_enable=enable, i_velocity=velocity, i_accel=accel,
-            i_steplen=fabric.storage(b, "steplen", 16), i_stepspace=fabric.storage(b, "stepspace", 16),
-            i_dirsetup=fabric.storage(b, "dirsetup", 24), i_dirhold=fabric.storage(b, "dirhold", 24),
-            i_stop_accel=fabric.storage(b, "stop_accel"), i_step_invert=mode[0], i_dir_invert=mode[1],
-            o_position=position, o_velocity_now=velocity_now, o_waits=waits,
-            o_step=self.pads.step[n], o_dir=self.pads.dir[n])
-        waited = Signal()
-        self.sync += waited.eq(waits | (waited & ~sample))
-        self.comb += limited.eq(waited)
-        window[8 + 3 * n] = position[:32]
-        window[9 + 3 * n] = position[32:]
-        window[10 + 3 * n] = velocity_now
-        return stopped
+    def _probe(self, fabric, raw):
+        """One probe for all channels: an input as it is, one clock after `raw_now`. A filter would only make it late."""
+        select = fabric.storage(rm.GPIO, "probe", 10)
+        self.probe = Signal()
+        self.sync += self.probe.eq(select[8] & (Array(list(raw) + [0] * (32 - len(raw)))[select[:5]] ^ select[9]))
+        fabric.live(rm.GPIO, "probe", Cat(select[:5], Constant(0, 3), select[8:]))
 
-    def _encoder(self, fabric, clk, n, commit, arm_staged, latched, now, window):
-        b = rm.ENCODER[n]
-        arm = Signal()
-        count, latch, edge_time, errors = Signal(32), Signal(32), Signal(32), Signal(16)
-        self.sync += If(commit, arm.eq(arm_staged))
-        self.specials += Instance("encoder",
-            p_FILTER=8, i_clk=clk, i_a=self.pads.enc_a[n], i_b=self.pads.enc_b[n], i_index=self.pads.enc_i[n],
-            i_arm=arm, i_filter=fabric.storage(b, "filter", 8), i_now=now[:32],
-            o_count=count, o_latch=latch, o_latched=latched, o_edge_time=edge_time, o_errors=errors)
-        window[56 + 2 * n] = count
-        window[57 + 2 * n] = Cat(edge_time[:24], errors[:8])
-        window[88 + n] = latch
+    def _latch(self, index, probe_arm, index_arm, indexed, probed):
+        """The latch of one channel; returns its capture pulse."""
+        capture = Signal()
+        self.specials += Instance("latch",
+            i_clk=self.clk, i_arm_index=index_arm, i_arm_probe=probe_arm, i_index=index, i_probe=self.probe,
+            o_capture=capture, o_index_latched=indexed, o_probe_latched=probed)
+        return capture
 
-    def _pwm(self, fabric, clk, n, gate, commit):
+    def _stepgens(self, fabric, channels, arms):
+        self.stepgen_flags = index_flags, probe_flags, limited = [[Signal() for _ in range(channels)] for _ in range(3)]
+        if not channels:
+            self.comb += self.all_stopped.eq(1)
+            return
+        (enables, _), (_, index_arms), (_, probe_arms) = (arms[name] for name in ("enables", "arms", "probe_arms"))
+        visit, deltas, captures, stopped = Signal(16), [], [], []
+        for n in range(channels):
+            b = rm.STEPGEN[n]
+            # -2^31 has no positive twin; taking it as -(2^31-1) keeps |velocity| representable for everyone downstream.
+            lowest = fabric.data == 0x8000_0000
+            velocity = fabric.storage(rm.COMMAND, f"stepgen{n}_velocity", data=fabric.data | lowest)
+            accel = fabric.storage(rm.COMMAND, f"stepgen{n}_accel")
+            mode = fabric.storage(b, "mode", 5)
+            delta, fraction, velocity_now = Signal(5), Signal(32), Signal(32)
+            rest, waits, waited = Signal(), Signal(), Signal()
+            self.specials += Instance("stepgen",
+                i_clk=self.clk, i_gate=self.gate, i_stop=self.stop, o_stopped=rest,
+                i_commit=self.commit, i_enable=enables[n], i_velocity=velocity, i_accel=accel,
+                i_steplen=fabric.storage(b, "steplen", 13), i_stepspace=fabric.storage(b, "stepspace", 13),
+                i_dirsetup=fabric.storage(b, "dirsetup", 16), i_dirhold=fabric.storage(b, "dirhold", 16),
+                i_stop_accel=fabric.storage(b, "stop_accel"), i_kind=mode[2:4], i_step_invert=mode[0], i_dir_invert=mode[1],
+                i_visit=visit[n], o_delta=delta, o_fraction=fraction, o_velocity_now=velocity_now, o_waits=waits,
+                o_step=self.pads.step[n], o_dir=self.pads.dir[n])
+            self.sync += waited.eq(waits | (waited & ~self.sample))
+            self.comb += limited[n].eq(waited)
+            self._sampled(fabric, f"stepgen{n}_position_lo", fraction)
+            self._sampled(fabric, f"stepgen{n}_velocity", velocity_now)
+            # The index pin is asynchronous; its polarity is applied behind the two flip-flops that make it a level.
+            meta, index = Signal(reset_less=True), Signal(reset_less=True)
+            meta.attr.add("keep"), index.attr.add("keep")
+            self.sync += [meta.eq(self.pads.step_index[n]), index.eq(meta ^ mode[4])]
+            captures.append(self._latch(index, probe_arms[n], index_arms[n], index_flags[n], probe_flags[n]))
+            deltas.append(delta)
+            stopped.append(rest)
+        self.comb += self.all_stopped.eq(reduce(lambda a, b: a & b, stopped))
+
+        word = fabric.word
+        at, high, latches = Signal(4), Signal(), Signal()
+        latch = rm.STATUS.offset("stepgen0_latch") // 4
+        first = rm.STATUS.offset("stepgen0_position_hi") // 4
+        self.comb += [
+            high.eq(reduce(or_, [word == first + 3 * n for n in range(channels)])),
+            latches.eq((word >= latch) & (word < latch + channels)),
+            at.eq(word[:4] ^ latch & 15),
+            *(If(word == first + 3 * n, at.eq(n)) for n in range(channels)),
+        ]
+        assert latch % 8 == 0  # so that the exclusive or is a subtraction
+        sampled, latched = Signal(32), Signal(32)
+        self.specials += Instance("tally",
+            p_CHANNELS=channels, i_clk=self.clk, i_delta=Cat(*deltas), i_sample=self.sample, i_capture=Cat(*captures),
+            i_clear=Constant(0, channels), i_addr=at, o_visit=visit, o_sampled=sampled, o_latched=latched)
+        status = fabric.page_hit(rm.STATUS.page)
+        fabric.reads(status & high, sampled)
+        fabric.reads(status & latches, latched)
+
+    def _encoders(self, fabric, channels, arms):
+        self.encoder_flags = index_flags, probe_flags, illegals = [[Signal() for _ in range(channels)] for _ in range(3)]
+        if not channels:
+            return
+        (_, enables), (_, both) = arms["enables"], arms["arms"]
+        visit, deltas, captures, clears = Signal(16), [], [], []
+        for n in range(channels):
+            b = rm.ENCODER[n]
+            mode, delta = fabric.storage(b, "mode", 8), Signal(5)
+            index, illegal, waited = Signal(), Signal(), Signal()
+            self.specials += Instance("encoder",
+                i_clk=self.clk, i_a=self.pads.enc_a[n], i_b=self.pads.enc_b[n], i_index=self.pads.enc_i[n], i_mask=self.pads.enc_mask[n],
+                i_mode=mode, i_filter=fabric.storage(b, "filter", 8), i_visit=visit[n],
+                o_delta=delta, o_index_level=index, o_illegal=illegal)
+            self.sync += waited.eq(illegal | (waited & ~self.sample))
+            self.comb += illegals[n].eq(waited)
+            captures.append(self._latch(index, both[16 + n], enables[16 + n], index_flags[n], probe_flags[n]))
+            clears.append(mode[7])
+            deltas.append(delta)
+
+        # count and edge words alternate from an address whose half is 12 mod 16; the latches follow from 8 mod 16.
+        word = fabric.word
+        at, counts, edges, latches = Signal(4), Signal(), Signal(), Signal()
+        count, latch = (rm.STATUS.offset(f"encoder0_{name}") // 4 for name in ("count", "latch"))
+        sampled, latched, edge = Signal(32), Signal(32), Signal(32)
+        self.comb += [
+            counts.eq((word >= count) & (word < count + 2 * channels)),
+            latches.eq((word >= latch) & (word < latch + channels)),
+            If(latches, at.eq(word[:4] - latch)).Else(at.eq(word[1:5] - count // 2)),
+        ]
+        self.specials += Instance("tally",
+            p_CHANNELS=channels, i_clk=self.clk, i_delta=Cat(*deltas), i_sample=self.sample, i_capture=Cat(*captures),
+            i_clear=Cat(*clears), i_addr=at, o_visit=visit, o_sampled=sampled, o_latched=latched)
+        status = fabric.page_hit(rm.STATUS.page)
+        fabric.reads(status & counts & ~word[0], sampled)
+        fabric.reads(status & counts & word[0], edge)
+        fabric.reads(status & latches, latched)
+
+    def _pwm(self, fabric, n):
         b = rm.PWM[n]
         command = fabric.storage(rm.COMMAND, f"pwm{n}_width")
-        mode = fabric.storage(b, "mode", 1)
+        mode = fabric.storage(b, "mode", 5)
         self.specials += Instance("pwm",
-            p_WIDTH=24, i_clk=clk, i_gate=gate, i_commit=commit,
-            i_enable=command[30], i_direction=command[31], i_width=command[8:29],
-            i_period=fabric.storage(b, "period", 24), i_invert=mode[0],
+            i_clk=self.clk, i_gate=self.gate, i_commit=self.commit,
+            i_enable=command[30], i_direction=command[31], i_width=command[:29], i_period=fabric.storage(b, "period", 21),
+            i_invert=mode[0], i_kind=mode[1:3], i_dither=mode[3], i_swap=mode[4],
             o_out=self.pads.pwm[n], o_dir=self.pads.pwm_dir[n])
+
+    def _flags(self, fabric):
+        def word(low, high):
+            return Cat(*low, *[Constant(0, 1)] * (16 - len(low)), *high)
+
+        step_index, step_probe, limited = self.stepgen_flags
+        enc_index, enc_probe, illegal = self.encoder_flags
+        for name, low, high in (("flags0", enc_index, limited), ("flags1", step_index, enc_probe), ("flags2", step_probe, illegal)):
+            if low or high:
+                self._sampled(fabric, name, word(low, high))
+
+    def _mirrors(self, fabric, channels):
+        fabric.mirror_settings(rm.STEPGEN, channels.stepgen, {"steplen": 13, "stepspace": 13, "dirsetup": 16, "dirhold": 16, "stop_accel": 32, "mode": 5})
+        fabric.mirror_settings(rm.ENCODER, channels.encoder, {"mode": 8, "filter": 8})
+        fabric.mirror_settings(rm.PWM, channels.pwm, {"period": 21, "mode": 5})
+        fabric.mirror_words(rm.DEBOUNCE, 0, channels.inputs, 16)
+        fabric.mirror_words(rm.COMMAND, rm.COMMAND.offset("stepgen0_velocity") // 4, 2 * channels.stepgen)
+        fabric.mirror_words(rm.COMMAND, rm.COMMAND.offset("pwm0_width") // 4, channels.pwm)
 
 
 def _clock():

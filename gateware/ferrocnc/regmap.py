@@ -36,7 +36,7 @@ MAX_OUT = 32
 
 # LiteX's own pages, by LiteX's names ------------------------------------------------------------------------------
 
-LITEX_PAGES = {"ctrl": 0, "identifier_mem": 1, "timer0": 2, "ethmac": 3, "ethphy": 4}
+LITEX_PAGES = {"ctrl": 0, "identifier_mem": 1, "ethmac": 3, "ethphy": 4}
 
 MAGIC = 0x4643_6E43  # "FCnC"
 

@@ -23,9 +23,9 @@ from .board import blob
 PORTS = (
     ("sys_clk", 1), ("sys_rst", 1), ("eth_clk", 1),
     ("gmii_rx_data", 8), ("gmii_rx_dv", 1), ("gmii_tx_data", 8), ("gmii_tx_en", 1),
-    ("step", rm.MAX_STEPGEN), ("dir", rm.MAX_STEPGEN),
-    ("enc_a", rm.MAX_ENCODER), ("enc_b", rm.MAX_ENCODER), ("enc_i", rm.MAX_ENCODER),
-    ("pwm_out", rm.MAX_PWM), ("gpio_in", rm.MAX_IN), ("gpio_out", rm.MAX_OUT),
+    ("step", rm.MAX_STEPGEN), ("dir", rm.MAX_STEPGEN), ("step_n", rm.MAX_STEPGEN), ("dir_n", rm.MAX_STEPGEN), ("step_index", rm.MAX_STEPGEN),
+    ("enc_a", rm.MAX_ENCODER), ("enc_b", rm.MAX_ENCODER), ("enc_i", rm.MAX_ENCODER), ("enc_mask", rm.MAX_ENCODER),
+    ("pwm_out", rm.MAX_PWM), ("pwm_dir", rm.MAX_PWM), ("gpio_in", rm.MAX_IN), ("gpio_out", rm.MAX_OUT),
     ("ext_reset", 1), ("led", 1), ("gate", 1), ("cpu_freeze", 1),
 )
 
@@ -105,11 +105,13 @@ class SimSoC(ferro.FerroSoC):
         pads, channels = self.cores.pads, board.channels
         for port, signal, count in (
             ("step", pads.step, channels.stepgen), ("dir", pads.dir, channels.stepgen),
-            ("pwm_out", pads.pwm, channels.pwm), ("gpio_out", pads.outputs, channels.outputs),
+            ("step_n", pads.step_n, channels.stepgen), ("dir_n", pads.dir_n, channels.stepgen),
+            ("pwm_out", pads.pwm, channels.pwm), ("pwm_dir", pads.pwm_dir, channels.pwm), ("gpio_out", pads.outputs, channels.outputs),
             ("led", pads.led, 1), ("gate", pads.gate, 1),
         ):
             self.comb += platform.request(port).eq(signal if count else 0)
-        for port, signal in (("enc_a", pads.enc_a), ("enc_b", pads.enc_b), ("enc_i", pads.enc_i), ("gpio_in", pads.inputs)):
+        for port, signal in (("step_index", pads.step_index), ("enc_a", pads.enc_a), ("enc_b", pads.enc_b), ("enc_i", pads.enc_i),
+                             ("enc_mask", pads.enc_mask), ("gpio_in", pads.inputs)):
             self.comb += signal.eq(platform.request(port))
         # The port is active high whatever the board: the pin's own polarity is put back before the core.
         self.comb += pads.ext_reset.eq(platform.request("ext_reset") ^ int(board.ext_reset_active_low))
@@ -178,7 +180,7 @@ def elaborate_cores(board, out):
     """Writes cores.v, the cores and their banks with the CSR bus as ports, and the map as cores.map: for `tests/cores.cpp`."""
     out = Path(out).resolve()
     out.mkdir(parents=True, exist_ok=True)
-    cores = banks.Cores(board.channels, board.sys_clk_hz, len(blob(board)) // 4)
+    cores = banks.Cores(board.channels, board.sys_clk_hz, len(blob(board)) // 4, estop_mask=board.estop_mask, estop_level=board.estop_level)
     cores.cd_sys = ClockDomain()
     bus, pads = cores.bus, cores.pads
     ports = {

@@ -58,6 +58,7 @@ class FerroSoC(SoCCore):
             integrated_rom_init=rom_init or random_words(rm.ROM[1] // 4),
             integrated_sram_size=rm.RAM[1],
             with_uart=False,
+            with_timer=False,  # the wall clock is the timer
             csr_address_width=rm.CSR_ADDRESS_WIDTH,
             bus_timeout=None,  # its counter sits in the acknowledge path and costs 16 MHz
         )
@@ -83,7 +84,8 @@ class FerroSoC(SoCCore):
         for source in sorted(RTL.glob("*.sv")):
             self.platform.add_source(str(source), "systemverilog")
         self.cores = cores = banks.Cores(
-            self.board.channels, self.board.sys_clk_hz, len(self.blob) // 4, self.board.ext_reset_active_low)
+            self.board.channels, self.board.sys_clk_hz, len(self.blob) // 4, self.board.ext_reset_active_low,
+            self.board.estop_mask, self.board.estop_level)
         self.fabric_buses.append(cores.bus)
         fifo = self.ethmac.interface.sram.writer.stat_fifo
         self.comb += [
@@ -134,7 +136,6 @@ def litex_banks(soc):
 LITEX_DOC = {
     "ctrl": "LiteX's system controller.",
     "identifier_mem": "LiteX's identifier: one character per word, \"FerroCNC <version> <board>\", ended by 0.",
-    "timer0": "LiteX's timer: counts down in clocks.",
     "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them.",
     "ethphy": "LiteEth's PHY.",
 }
@@ -143,14 +144,6 @@ LITEX_PROSE = {
     ("ctrl", "reset"): "Bit 0 resets the whole SoC, bit 1 the CPU alone; one bit each, written 1.",
     ("ctrl", "scratch"): "A word that does nothing; powers up as 0x12345678, no unit.",
     ("ctrl", "bus_errors"): "Bus errors since reset, a count.",
-    ("timer0", "load"): "Value in clocks the timer starts from when enabled.",
-    ("timer0", "reload"): "Value in clocks the timer starts again from at 0; 0 is one shot.",
-    ("timer0", "en"): "1 runs the timer, one bit.",
-    ("timer0", "update_value"): "Writing it catches the timer in `value`, one bit.",
-    ("timer0", "value"): "The caught value of the timer in clocks.",
-    ("timer0", "ev_status"): "Level of the timer's event, one bit.",
-    ("timer0", "ev_pending"): "The timer has reached 0; write 1 to clear, one bit.",
-    ("timer0", "ev_enable"): "1 lets the event interrupt the CPU, one bit.",
     ("ethmac", "sram_writer_slot"): "Receive slot of the frame now presented, a number.",
     ("ethmac", "sram_writer_length"): "Length of the frame now presented, in bytes without FCS.",
     ("ethmac", "sram_writer_errors"): "Frames dropped because no receive slot was free, a count.",

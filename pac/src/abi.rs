@@ -3,7 +3,7 @@
 //! for the one comparison that decides whether a board may arm.
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version.
-pub const ABI: u32 = 0x9742570b;
+pub const ABI: u32 = 0x2c399d31;
 /// Version of the exchange's word layout this map was made for.
 pub const WIRE_LAYOUT: u32 = 2;
 /// What `ident.magic` reads: "FCnC".
@@ -64,8 +64,6 @@ pub const CSR_PAGES: usize = 64;
 pub const CSR_CTRL: usize = 0xf0000000;
 /// Page of `identifier_mem`.
 pub const CSR_IDENTIFIER_MEM: usize = 0xf0000800;
-/// Page of `timer0`.
-pub const CSR_TIMER0: usize = 0xf0001000;
 /// Page of `ethmac`.
 pub const CSR_ETHMAC: usize = 0xf0001800;
 /// Page of `ethphy`.
