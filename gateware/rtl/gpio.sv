@@ -61,7 +61,8 @@ module gpio #(
     wire [15:0] limit    = limits[pin];
     wire [16:0] left     = {1'b0, lefts[pin]} - 17'd1;
     wire        believed = differing & left[16];
-    wire [31:0] turn     = {31'd0, believed} << pin;
+    logic [31:0] turn;
+    always_comb for (int n = 0; n < 32; n++) turn[n] = believed & (pin == 5'(n));
 
     wire [31:0] active = (32'(raw) ^ ~ESTOP_LEVEL) & ESTOP_MASK;
 

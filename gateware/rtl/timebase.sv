@@ -1,7 +1,8 @@
 // timebase: the wall clock, and the two strobes that make every channel act on one clock.
 //
 // It refuses to lose a timed commit: an apply time already past commits at once, and one that is replaced before it is
-// due is simply replaced. It knows no bus and no channel.
+// due, or in that very clock, is simply replaced: no request commits twice. Times compare as plain numbers, so that 2^64 - 1
+// is never (the clock needs 9 749 years at 60 MHz to come round). It knows no bus and no channel.
 //
 //   clk          _/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_
 //   now          99 |100|101|102|103|104|
@@ -28,7 +29,7 @@ module timebase (
     initial now     = 64'd0;
     initial pending = 1'b0;
 
-    assign commit = commit_now | (pending & due);
+    assign commit = commit_now | (pending & due & ~commit_timed);
     assign sample = sample_now;
 
     always_ff @(posedge clk) begin
