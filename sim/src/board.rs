@@ -6,13 +6,14 @@
 //! It knows frames as bytes with times and nothing of what they say; [`crate::segment`] does.
 
 use std::collections::VecDeque;
+use std::ops::{Deref, DerefMut};
 use std::path::PathBuf;
 
-use crate::edges::EdgeWatch;
 use crate::error::Error;
 use crate::gmii::{Collector, Feeder, Sent, Transfer};
 use crate::plant::Plant;
-use crate::soc::{ETH, Pins, SYS, Silicon};
+use crate::soc::{ETH, SYS, Silicon};
+use crate::world::World;
 
 /// The Ethernet clock of a gigabit PHY, one byte per cycle.
 pub const ETH_CLK_HZ: u64 = 125_000_000;
@@ -77,65 +78,6 @@ pub enum Stop {
     Frame,
 }
 
-/// A watched output.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Output {
-    /// The output gate.
-    Gate,
-    /// The status LED.
-    Led,
-    /// General output n.
-    Gpio(u8),
-    /// PWM output n.
-    Pwm(u8),
-}
-
-/// An output changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PinEvent {
-    /// Sys clock.
-    pub clock: u64,
-    /// Which.
-    pub output: Output,
-    /// Its new level.
-    pub level: bool,
-}
-
-/// Which outputs leave [`PinEvent`]s.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PinWatch {
-    /// The gate (default on: it changes seldom and matters always).
-    pub gate: bool,
-    /// The LED.
-    pub led: bool,
-    /// General outputs.
-    pub gpio: u32,
-    /// PWM outputs.
-    pub pwm: u16,
-}
-
-impl Default for PinWatch {
-    fn default() -> Self {
-        PinWatch {
-            gate: true,
-            led: false,
-            gpio: 0,
-            pwm: 0,
-        }
-    }
-}
-
-/// The last whole cycle of a PWM output, in sys clocks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct PwmCycle {
-    /// Clock of the last rising edge.
-    pub last_rise: Option<u64>,
-    /// High time of the last cycle.
-    pub high: Option<u64>,
-    /// Rise to rise of the last cycle.
-    pub period: Option<u64>,
-}
-
 /// When and where to write waveforms.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TraceWindow {
@@ -151,8 +93,7 @@ pub struct TraceWindow {
 #[derive(Debug)]
 pub struct Board<S> {
     silicon: S,
-    pins: Pins,
-    seen: Pins,
+    world: World,
     clockwork: Clockwork,
     now: u64,
     next_sys: u64,
@@ -162,15 +103,6 @@ pub struct Board<S> {
     collector: Collector,
     sent: VecDeque<Sent>,
     received: VecDeque<Transfer>,
-    /// STEP/DIR pins.
-    pub edges: EdgeWatch,
-    /// What is wired to the board. Change it freely; [`Self::settle`] puts its levels on the pins at once.
-    pub plant: Plant,
-    /// Which other outputs to log.
-    pub watch: PinWatch,
-    events: Vec<PinEvent>,
-    pwm: [PwmCycle; 16],
-    gpio_in: u32,
     trace: Option<TraceWindow>,
     tracing: bool,
 }
@@ -179,10 +111,9 @@ impl<S: Silicon> Board<S> {
     /// Put silicon on a board. Nothing runs yet; see [`Self::reset`].
     pub fn new(silicon: S, sys_hz: u64, plant: Plant) -> Self {
         let clockwork = Clockwork::new(sys_hz);
-        let mut board = Board {
+        Board {
             silicon,
-            pins: Pins::default(),
-            seen: Pins::default(),
+            world: World::new(plant, sys_hz),
             clockwork,
             now: 0,
             next_sys: clockwork.sys_period,
@@ -192,37 +123,24 @@ impl<S: Silicon> Board<S> {
             collector: Collector::default(),
             sent: VecDeque::new(),
             received: VecDeque::new(),
-            edges: EdgeWatch::default(),
-            plant,
-            watch: PinWatch::default(),
-            events: Vec::new(),
-            pwm: Default::default(),
-            gpio_in: 0,
             trace: None,
             tracing: false,
-        };
-        board.settle();
-        board
+        }
     }
 
     /// Hold reset for 32 clocks; `prepare` gets the silicon after the first of them (the place to fill its ROM).
     pub fn reset(&mut self, prepare: impl FnOnce(&mut S)) {
-        self.pins.sys_rst = 1;
+        self.world.pins.sys_rst = 1;
         self.run_until(self.clock + 1);
         prepare(&mut self.silicon);
         let end = self.clock + 31;
         while self.run_until(end) != Stop::Time {}
-        self.pins.sys_rst = 0;
+        self.world.pins.sys_rst = 0;
     }
 
     /// The silicon itself.
     pub fn silicon(&mut self) -> &mut S {
         &mut self.silicon
-    }
-
-    /// All pins as they stand.
-    pub fn pins(&self) -> &Pins {
-        &self.pins
     }
 
     /// Sys clocks since power-up.
@@ -242,28 +160,7 @@ impl<S: Silicon> Board<S> {
 
     /// Stop or start the CPU's clock; everything else runs on.
     pub fn freeze_cpu(&mut self, frozen: bool) {
-        self.pins.cpu_freeze = frozen.into();
-    }
-
-    /// Drive the external reset pin.
-    pub fn ext_reset(&mut self, high: bool) {
-        self.pins.ext_reset = high.into();
-    }
-
-    /// Drive the general inputs that the plant does not.
-    pub fn gpio_in(&mut self, levels: u32) {
-        self.gpio_in = levels;
-        self.settle();
-    }
-
-    /// Put the plant's levels on the pins (after changing the plant by hand).
-    pub fn settle(&mut self) {
-        let levels = self.plant.levels();
-        let mask = self.plant.gpio_mask();
-        self.pins.enc_a = levels.a;
-        self.pins.enc_b = levels.b;
-        self.pins.enc_i = levels.index;
-        self.pins.gpio_in = (self.gpio_in & !mask) | (levels.gpio & mask);
+        self.world.pins.cpu_freeze = frozen.into();
     }
 
     /// Queue bytes for the board's receiver, preamble and FCS included ([`crate::gmii::encode`]).
@@ -284,16 +181,6 @@ impl<S: Silicon> Board<S> {
     /// A frame the board has sent in full.
     pub fn take_transfer(&mut self) -> Option<Transfer> {
         self.received.pop_front()
-    }
-
-    /// Changes of watched outputs since the last call.
-    pub fn take_events(&mut self) -> Vec<PinEvent> {
-        std::mem::take(&mut self.events)
-    }
-
-    /// The last cycle of a PWM output.
-    pub fn pwm_cycle(&self, n: usize) -> PwmCycle {
-        self.pwm[n]
     }
 
     /// Write waveforms of a window of time. Needs the SoC loaded with tracing.
@@ -367,32 +254,12 @@ impl<S: Silicon> Board<S> {
         } else {
             0
         };
-        self.silicon.rise(&mut self.pins, clocks, time_ps);
+        self.silicon.rise(&mut self.world.pins, clocks, time_ps);
         if sys {
-            self.after_sys();
+            self.clock += 1;
+            self.world.observe(self.clock);
         }
         eth && self.after_eth()
-    }
-
-    #[inline]
-    fn after_sys(&mut self) {
-        self.clock += 1;
-        let (p, s) = (&self.pins, &self.seen);
-        if (p.step, p.dir, p.gate) != (s.step, s.dir, s.gate) {
-            let (forward, backward) = self.edges.change(self.clock, p.step, p.dir, p.gate != 0);
-            if forward | backward != 0 {
-                self.plant.steps(forward, backward);
-                self.settle();
-            }
-        }
-        let (p, s) = (&self.pins, &self.seen);
-        if (p.gpio_out, p.pwm_out, p.led, p.gate) != (s.gpio_out, s.pwm_out, s.led, s.gate) {
-            self.outputs_changed();
-        }
-        self.seen = self.pins;
-        if self.plant.moving() && self.plant.turn(self.clock) {
-            self.settle();
-        }
     }
 
     #[inline]
@@ -400,60 +267,19 @@ impl<S: Silicon> Board<S> {
         if !self.feeder.idle() {
             self.sent.extend(self.feeder.edge(self.now));
             let byte = self.feeder.byte();
-            self.pins.gmii_rx_dv = byte.is_some().into();
-            self.pins.gmii_rx_data = byte.unwrap_or(0);
+            self.world.pins.gmii_rx_dv = byte.is_some().into();
+            self.world.pins.gmii_rx_data = byte.unwrap_or(0);
         }
-        if self.pins.gmii_tx_en != 0 || self.collector.active() {
+        if self.world.pins.gmii_tx_en != 0 || self.collector.active() {
             let done =
                 self.collector
-                    .edge(self.now, self.pins.gmii_tx_en != 0, self.pins.gmii_tx_data);
+                    .edge(self.now, self.world.pins.gmii_tx_en != 0, self.world.pins.gmii_tx_data);
             if let Some(transfer) = done {
                 self.received.push_back(transfer);
                 return true;
             }
         }
         false
-    }
-
-    #[cold]
-    fn outputs_changed(&mut self) {
-        let (clock, watch) = (self.clock, self.watch);
-        let (pins, seen) = (self.pins, self.seen);
-        let mut log = |output, level| {
-            self.events.push(PinEvent {
-                clock,
-                output,
-                level,
-            })
-        };
-        if watch.gate && pins.gate != seen.gate {
-            log(Output::Gate, pins.gate != 0);
-        }
-        if watch.led && pins.led != seen.led {
-            log(Output::Led, pins.led != 0);
-        }
-        let gpio = pins.gpio_out ^ seen.gpio_out;
-        for n in bits(gpio & watch.gpio) {
-            log(Output::Gpio(n), pins.gpio_out >> n & 1 != 0);
-        }
-        let pwm = pins.pwm_out ^ seen.pwm_out;
-        for n in bits(u32::from(pwm)) {
-            let high = pins.pwm_out >> n & 1 != 0;
-            if watch.pwm >> n & 1 != 0 {
-                log(Output::Pwm(n), high);
-            }
-            let cycle = &mut self.pwm[usize::from(n)];
-            if high {
-                cycle.period = cycle.last_rise.map(|t| clock - t);
-                cycle.last_rise = Some(clock);
-            } else {
-                cycle.high = cycle.last_rise.map(|t| clock - t);
-            }
-        }
-        if gpio != 0 {
-            self.plant.outputs(pins.gpio_out);
-            self.settle();
-        }
     }
 
     /// Finish waveforms and edge files.
@@ -463,24 +289,31 @@ impl<S: Silicon> Board<S> {
             self.tracing = false;
             self.trace = None;
         }
-        self.edges.finish_recording()
+        self.world.edges.finish_recording()
     }
 }
 
-fn bits(mut word: u32) -> impl Iterator<Item = u8> {
-    std::iter::from_fn(move || {
-        let n = word.trailing_zeros();
-        (n < 32).then(|| {
-            word &= word - 1;
-            n as u8
-        })
-    })
+/// A board's pins are the world's: `board.edges`, `board.plant`, `board.pins()`.
+impl<S> Deref for Board<S> {
+    type Target = World;
+
+    fn deref(&self) -> &World {
+        &self.world
+    }
+}
+
+impl<S> DerefMut for Board<S> {
+    fn deref_mut(&mut self) -> &mut World {
+        &mut self.world
+    }
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
     use crate::gmii::encode;
+    use crate::soc::Pins;
+    use crate::world::Output;
 
     /// Silicon in Rust: sends every received byte back four Ethernet clocks later, steps channel 0 every 10 sys clocks
     /// backward unless input 0 is high, shows input 1 at output 1, closes its gate on ext_reset, and counts a 7-of-20 PWM.

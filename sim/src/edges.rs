@@ -10,9 +10,14 @@
 //! ```
 //!
 //! A pulse cut short because the gate closed in that very clock is no violation: the gate must win.
+//!
+//! Up/down: both pins carry pulses, each held to rules 1 and 2. Quadrature: every edge of either pin is a step, no two closer
+//! than steplen + stepspace, never both at once.
 
 use std::io::{BufWriter, Write};
 use std::path::Path;
+
+use wire::map::StepType;
 
 use crate::error::Error;
 
@@ -122,6 +127,8 @@ pub struct Channel {
     pub shortest: Shortest,
     /// The rules.
     pub timing: Timing,
+    /// What the two pins carry.
+    pub kind: StepType,
 }
 
 impl Default for Channel {
@@ -140,6 +147,7 @@ impl Default for Channel {
                 dirhold: u64::MAX,
             },
             timing: Timing::default(),
+            kind: StepType::StepDir,
         }
     }
 }
@@ -183,6 +191,11 @@ impl EdgeWatch {
     /// Check this channel against these minima from now on.
     pub fn set_timing(&mut self, n: usize, timing: Timing) {
         self.channels[n].timing = timing;
+    }
+
+    /// What this channel's two pins carry from now on. Set it before the channel moves.
+    pub fn set_kind(&mut self, n: usize, kind: StepType) {
+        self.channels[n].kind = kind;
     }
 
     /// Polarity at the pins, one bit per channel, as in the stepgens' mode registers: STEP active low instead of high, DIR
@@ -250,19 +263,47 @@ impl EdgeWatch {
             let n = moved.trailing_zeros() as usize;
             let bit = 1u16 << n;
             moved &= moved - 1;
-            if (dir ^ old_dir) & bit != 0 {
-                self.dir_edge(clock, n, step & old_step & bit != 0, closed_now);
-            }
-            if step & !old_step & bit != 0 {
-                let ahead = dir & bit == 0;
+            let [a, b] = [step & bit != 0, dir & bit != 0];
+            let [old_a, old_b] = [old_step & bit != 0, old_dir & bit != 0];
+            let mut stepped = |ahead| {
                 if ahead {
                     forward |= bit;
                 } else {
                     backward |= bit;
                 }
-                self.rise(clock, n, ahead);
-            } else if !step & old_step & bit != 0 {
-                self.fall(clock, n, closed_now);
+            };
+            match self.channels[n].kind {
+                StepType::StepDir => {
+                    if b != old_b {
+                        self.dir_edge(clock, n, a && old_a, closed_now);
+                    }
+                    if a && !old_a {
+                        stepped(!b);
+                        self.rise(clock, n, !b);
+                    } else if !a && old_a {
+                        self.fall(clock, n, closed_now);
+                    }
+                }
+                StepType::UpDown => {
+                    for (now, old, ahead) in [(a, old_a, true), (b, old_b, false)] {
+                        if now && !old {
+                            stepped(ahead);
+                            self.rise(clock, n, ahead);
+                        } else if !now && old {
+                            self.fall(clock, n, closed_now);
+                        }
+                    }
+                }
+                StepType::Quadrature => {
+                    if a != old_a && b != old_b {
+                        self.judge(clock, n, Rule::Dirhold, 1, Some(0));
+                        continue;
+                    }
+                    // After one edge, A and the old B differ: A leads, forwards.
+                    let ahead = a != old_b;
+                    stepped(ahead);
+                    self.quadrature(clock, n, ahead);
+                }
             }
         }
         (forward, backward)
@@ -299,6 +340,17 @@ impl EdgeWatch {
         if !self.gate {
             self.judge(clock, n, Rule::Gate, 1, Some(0));
         }
+    }
+
+    fn quadrature(&mut self, clock: u64, n: usize, forward: bool) {
+        let channel = &mut self.channels[n];
+        let timing = channel.timing;
+        let took = channel.last_rise.map(|t| clock - t);
+        // Neither line's level means anything: the time since the last edge is all there is to judge.
+        channel.last_fall = None;
+        self.rise(clock, n, forward);
+        let needed = timing.steplen.max(1) + timing.stepspace.max(1);
+        self.judge(clock, n, Rule::Stepspace, needed, took);
     }
 
     fn fall(&mut self, clock: u64, n: usize, closed_now: bool) {
@@ -554,6 +606,37 @@ mod tests {
         w.change(20, 2, 0, true);
         assert_eq!(w.change(30, 0, 0, true), (0, 2));
         assert_eq!((w.channel(1).count, w.channel(1).pulses), (0, 2));
+    }
+
+    #[test]
+    fn up_and_down_pulses_count_on_their_own_pins() {
+        let mut w = watch(T);
+        w.set_kind(0, StepType::UpDown);
+        assert_eq!(w.change(100, 1, 0, true), (1, 0));
+        w.change(105, 0, 0, true);
+        assert_eq!(w.change(112, 0, 1, true), (0, 1));
+        w.change(117, 0, 0, true);
+        assert_eq!(w.change(124, 0, 1, true), (0, 1));
+        assert_eq!((w.channel(0).count, w.channel(0).pulses), (-1, 3));
+        assert_eq!(w.violations(), []);
+    }
+
+    #[test]
+    fn every_quadrature_edge_is_a_step() {
+        let mut w = watch(T);
+        w.set_kind(0, StepType::Quadrature);
+        let walk = [(1, 0), (1, 1), (0, 1), (0, 0), (1, 0), (0, 0), (0, 1)];
+        for (i, (a, b)) in walk.into_iter().enumerate() {
+            w.change(100 + 12 * i as u64, a, b, true);
+        }
+        assert_eq!(
+            (w.channel(0).count, w.channel(0).pulses),
+            (3, walk.len() as u64)
+        );
+        assert_eq!(w.violations(), []);
+        w.change(195 - 12, 1, 1, true);
+        w.change(195, 0, 0, true);
+        assert_eq!(w.violation_count(), 2, "too soon, and both at once");
     }
 
     #[test]

@@ -30,6 +30,14 @@ pub enum Error {
         /// Where the parser stopped.
         source: serde_json::Error,
     },
+    /// The plant file describes no plant.
+    #[error("{path} describes no plant: {why}")]
+    Plant {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
     /// The Verilated library is missing or is no such library.
     #[error(
         "cannot load {path}: {source}; build it with `cargo xtask sim` or sim/verilator/build.sh"

@@ -33,6 +33,7 @@ pub mod rig;
 pub mod segment;
 pub mod server;
 pub mod soc;
+pub mod world;
 
 pub use board::Board;
 pub use error::Error;

@@ -1,26 +1,90 @@
-//! The machine behind the pins: motors that follow every pulse, encoders on their shafts, wires from outputs to inputs and
-//! switches that an axis runs into.
+//! The machine behind the pins: motors that follow every pulse, encoders on their shafts, a spindle behind a PWM, wires from
+//! outputs to inputs, and switches and probes that an axis runs into.
 //!
-//! It is rigid and ideal: a pulse is a movement. It knows no rates; the edges it makes are as far apart as its encoder's
-//! `gap` says and catch up with the pulses as fast as that allows.
+//! Axes are rigid and ideal: a pulse is a movement. The edges they make are as far apart as the encoder's `gap` says and catch
+//! up with the pulses as fast as that allows. A spindle has inertia: its speed follows the PWM's duty with a first-order lag.
+//!
+//! A plant can be written down as TOML ([`Plant::read`]); positions are motor steps:
+//!
+//! ```toml
+//! [[axis]]                # a motor on a stepgen and an encoder on its shaft
+//! stepgen = 0
+//! encoder = 0
+//! counts = 1              # quadrature counts (x4) per `per_steps` steps; negative turns the other way
+//! per_steps = 1
+//! counts_per_rev = 4000   # index at every multiple
+//! index_at = 0            # ... plus this many counts
+//! stepgen_index = true    # the index also reaches the stepgen's own index pin
+//!
+//! [[switch]]              # home switch, limit switch, probe: closed from a position on, open again on the way back
+//! stepgen = 2
+//! at = -1500
+//! above = false           # closed at and below `at`; true: at and above
+//! input = 6
+//! inverted = false        # true: normally closed, low when touched
+//!
+//! [[spindle]]             # speed = duty x max_rps, reached with a lag; encoder and one index per revolution
+//! pwm = 0
+//! up_down = false         # false: direction from the PWM's second pin; true: pulses on the second pin turn backwards
+//! encoder = 5
+//! counts_per_rev = 400
+//! max_rps = 50.0
+//! lag_ms = 50.0           # time constant
+//! enable_output = 1       # optional: general output that must be high
+//! reverse_output = 2      # optional: general output that turns it over
+//!
+//! [[wire]]                # a general output at a general input
+//! output = 3
+//! input = 7
+//! inverted = false
+//! ```
+
+use std::path::Path;
+
+use serde::Deserialize;
 
 use crate::edges::CHANNELS;
+use crate::error::Error;
 
 /// One axis: a motor on a stepgen and an encoder on the motor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Axis {
     /// Stepgen that turns the motor.
     pub stepgen: usize,
     /// Encoder on its shaft.
     pub encoder: usize,
     /// Quadrature counts (x4) per `per_steps` steps; negative turns the encoder the other way round.
+    #[serde(default = "one")]
     pub counts: i64,
     /// See `counts`.
+    #[serde(default = "one")]
     pub per_steps: i64,
     /// Quadrature counts per revolution: the index is high for the one count at each multiple.
+    #[serde(default = "thousand_lines")]
     pub counts_per_rev: i64,
+    /// Counts from zero to the index.
+    #[serde(default)]
+    pub index_at: i64,
+    /// The index also reaches the stepgen's own index pin.
+    #[serde(default = "yes")]
+    pub stepgen_index: bool,
     /// Least sys clocks between two encoder edges, at least 1. The gateware's synchroniser and filter need a few.
+    #[serde(default = "few")]
     pub gap: u32,
+}
+
+const fn one() -> i64 {
+    1
+}
+const fn thousand_lines() -> i64 {
+    4000
+}
+const fn few() -> u32 {
+    4
+}
+const fn yes() -> bool {
+    true
 }
 
 impl Axis {
@@ -30,16 +94,19 @@ impl Axis {
         Axis {
             stepgen: n,
             encoder: n,
-            counts: 1,
-            per_steps: 1,
-            counts_per_rev: 4000,
-            gap: 4,
+            counts: one(),
+            per_steps: one(),
+            counts_per_rev: thousand_lines(),
+            index_at: 0,
+            stepgen_index: yes(),
+            gap: few(),
         }
     }
 }
 
-/// A switch that an axis holds down from a position on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// A switch that an axis holds down from a position on, or a probe that touches there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Switch {
     /// Stepgen whose steps move the dog.
     pub stepgen: usize,
@@ -49,17 +116,56 @@ pub struct Switch {
     pub above: bool,
     /// General input it is wired to.
     pub input: usize,
+    /// Normally closed: low when pressed.
+    #[serde(default)]
+    pub inverted: bool,
 }
 
 /// A wire from a general output to a general input.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Wire {
     /// General output.
     pub output: usize,
     /// General input.
     pub input: usize,
     /// Through an inverter.
+    #[serde(default)]
     pub inverted: bool,
+}
+
+/// A spindle: speed from the duty of a PWM, an encoder with an index.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Spindle {
+    /// PWM that commands it.
+    pub pwm: usize,
+    /// False: the PWM's second pin says which way. True: pulses on the second pin turn backwards.
+    #[serde(default)]
+    pub up_down: bool,
+    /// Encoder on its shaft.
+    pub encoder: usize,
+    /// Quadrature counts per revolution, one index each.
+    #[serde(default = "hundred_lines")]
+    pub counts_per_rev: i64,
+    /// Revolutions per second at 100 % duty.
+    pub max_rps: f64,
+    /// Time constant of its speed, milliseconds.
+    #[serde(default = "brisk")]
+    pub lag_ms: f64,
+    /// General output that must be high for it to turn.
+    #[serde(default)]
+    pub enable_output: Option<usize>,
+    /// General output that turns it over.
+    #[serde(default)]
+    pub reverse_output: Option<usize>,
+}
+
+const fn hundred_lines() -> i64 {
+    400
+}
+const fn brisk() -> f64 {
+    50.0
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -75,6 +181,112 @@ struct Shaft {
     ready: u64,
 }
 
+/// Speed and angle are integrated in ticks of a tenth of a millisecond; in between the speed is constant.
+const TICKS_PER_SECOND: u64 = 10_000;
+
+#[derive(Clone, Copy, Debug)]
+struct Rotor {
+    spindle: Spindle,
+    /// Counts per clock, signed.
+    speed: f64,
+    /// Encoder count the phases show.
+    shown: i64,
+    /// How far past `shown`, in counts, at the clock `since`; 0 to 1.
+    fraction: f64,
+    since: u64,
+    /// Levels of the PWM's two pins, and the clocks they have been high since the last tick.
+    pins: [bool; 2],
+    pins_since: u64,
+    high: [u64; 2],
+    /// Next tick; `u64::MAX` at rest.
+    tick: u64,
+    last_tick: u64,
+    /// Next encoder edge at this speed; `u64::MAX` is none.
+    edge: u64,
+}
+
+impl Rotor {
+    fn next(&self) -> u64 {
+        self.tick.min(self.edge)
+    }
+
+    fn wake(&mut self, clock: u64, hz: u64) {
+        if self.tick == u64::MAX {
+            self.since = clock;
+            self.last_tick = clock;
+            self.tick = clock + (hz / TICKS_PER_SECOND).max(1);
+        }
+    }
+
+    /// The pins have been as they were until now.
+    fn account(&mut self, clock: u64) {
+        let clocks = clock - self.pins_since.max(self.last_tick).min(clock);
+        for (high, pin) in self.high.iter_mut().zip(self.pins) {
+            *high += clocks * u64::from(pin);
+        }
+        self.pins_since = clock;
+    }
+
+    /// Move to `clock`; true when the count changed.
+    fn turn(&mut self, clock: u64, hz: u64, outputs: u32) -> bool {
+        let before = self.shown;
+        self.fraction += self.speed * (clock - self.since) as f64;
+        self.since = clock;
+        if clock >= self.edge {
+            // The edge was due by this clock; rounding must not make it due again in the next.
+            let up = self.speed > 0.0;
+            self.shown += if up { 1 } else { -1 };
+            self.fraction = (self.fraction - if up { 1.0 } else { -1.0 }).clamp(0.0, BELOW_ONE);
+        }
+        self.fraction = self.fraction.clamp(0.0, BELOW_ONE);
+        if clock >= self.tick {
+            self.accelerate(clock, hz, outputs);
+        }
+        self.edge = match self.speed {
+            v if v > 0.0 => clock + clocks_for((1.0 - self.fraction) / v),
+            v if v < 0.0 => clock + clocks_for(self.fraction / -v),
+            _ => u64::MAX,
+        };
+        before != self.shown
+    }
+
+    fn accelerate(&mut self, clock: u64, hz: u64, outputs: u32) {
+        self.account(clock);
+        let clocks = (clock - self.last_tick) as f64;
+        let [first, second] = self.high.map(|high| high as f64 / clocks);
+        let s = &self.spindle;
+        let on = |output: Option<usize>| output.map(|n| outputs >> n & 1 != 0);
+        let duty = match (s.up_down, on(s.enable_output).unwrap_or(true)) {
+            (_, false) => 0.0,
+            (true, true) => first - second,
+            (false, true) if second > 0.5 => -first,
+            (false, true) => first,
+        };
+        let duty = if on(s.reverse_output).unwrap_or(false) { -duty } else { duty };
+        let full = s.max_rps * s.counts_per_rev as f64 / hz as f64;
+        let share = (clocks / (s.lag_ms.max(1e-3) * 1e-3 * hz as f64)).min(1.0);
+        self.speed += (duty * full - self.speed) * share;
+        self.high = [0; 2];
+        self.last_tick = clock;
+        let pulses = self.pins[0] || (self.spindle.up_down && self.pins[1]);
+        let still = duty == 0.0 && !pulses;
+        if still && self.speed.abs() < full.abs() * 1e-4 {
+            self.speed = 0.0;
+            self.tick = u64::MAX;
+        } else {
+            self.tick = clock + (hz / TICKS_PER_SECOND).max(1);
+        }
+    }
+}
+
+/// The largest fraction of a count that is not a whole one.
+const BELOW_ONE: f64 = 1.0 - f64::EPSILON;
+
+/// At least one clock, and no more than an hour of them.
+fn clocks_for(clocks: f64) -> u64 {
+    clocks.ceil().clamp(1.0, 2e11) as u64
+}
+
 /// Levels the plant puts on the board's inputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Levels {
@@ -84,21 +296,57 @@ pub struct Levels {
     pub b: u16,
     /// Index.
     pub index: u16,
+    /// Index pins of the stepgens.
+    pub step_index: u16,
     /// General inputs the plant drives; see [`Plant::gpio_mask`].
     pub gpio: u32,
 }
 
 /// The machine.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Plant {
+    hz: u64,
     shafts: Vec<Shaft>,
+    rotors: Vec<Rotor>,
     switches: Vec<Switch>,
     wires: Vec<Wire>,
     steps: [i64; CHANNELS],
     levels: Levels,
+    gpio_mask: u32,
     gpio_out: u32,
-    /// Some shaft's encoder has yet to reach its target.
-    moving: bool,
+    /// Sys clock of the next edge or tick; 0 is "look", `u64::MAX` is rest.
+    next: u64,
+}
+
+impl Default for Plant {
+    fn default() -> Self {
+        Plant {
+            hz: 60_000_000,
+            shafts: Vec::new(),
+            rotors: Vec::new(),
+            switches: Vec::new(),
+            wires: Vec::new(),
+            steps: [0; CHANNELS],
+            levels: Levels::default(),
+            gpio_mask: 0,
+            gpio_out: 0,
+            next: u64::MAX,
+        }
+    }
+}
+
+/// What a plant file may hold.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(default)]
+    axis: Vec<Axis>,
+    #[serde(default)]
+    switch: Vec<Switch>,
+    #[serde(default)]
+    spindle: Vec<Spindle>,
+    #[serde(default)]
+    wire: Vec<Wire>,
 }
 
 impl Plant {
@@ -116,10 +364,59 @@ impl Plant {
         Self::new((0..n).map(Axis::direct))
     }
 
+    /// Adds what a TOML file says; an axis or spindle takes the place of whatever had its encoder.
+    pub fn read(&mut self, path: &Path) -> Result<(), Error> {
+        let text = std::fs::read_to_string(path).map_err(|source| Error::Read {
+            path: path.into(),
+            source,
+        })?;
+        self.parse(&text).map_err(|why| Error::Plant {
+            path: path.into(),
+            why,
+        })
+    }
+
+    fn parse(&mut self, text: &str) -> Result<(), String> {
+        let file: File = toml::from_str(text).map_err(|e| e.to_string())?;
+        let channel = |what: &str, n: usize, most: usize| match n < most {
+            true => Ok(()),
+            false => Err(format!("{what} {n}: there are {most} at most, from 0")),
+        };
+        for axis in file.axis {
+            channel("axis.stepgen", axis.stepgen, CHANNELS)?;
+            channel("axis.encoder", axis.encoder, CHANNELS)?;
+            self.add_axis(axis);
+        }
+        for spindle in file.spindle {
+            channel("spindle.pwm", spindle.pwm, CHANNELS)?;
+            channel("spindle.encoder", spindle.encoder, CHANNELS)?;
+            for output in [spindle.enable_output, spindle.reverse_output] {
+                channel("spindle output", output.unwrap_or(0), 32)?;
+            }
+            self.add_spindle(spindle);
+        }
+        for switch in file.switch {
+            channel("switch.stepgen", switch.stepgen, CHANNELS)?;
+            channel("switch.input", switch.input, 32)?;
+            self.add_switch(switch);
+        }
+        for wire in file.wire {
+            channel("wire.output", wire.output, 32)?;
+            channel("wire.input", wire.input, 32)?;
+            self.add_wire(wire);
+        }
+        Ok(())
+    }
+
+    /// How many sys clocks a second has; only spindles care.
+    pub fn set_clock(&mut self, sys_hz: u64) {
+        self.hz = sys_hz.max(TICKS_PER_SECOND);
+    }
+
     /// Put another axis on the machine. Its encoder starts at the count its stepgen's pulses so far give.
     pub fn add_axis(&mut self, axis: Axis) {
+        self.free_encoder(axis.encoder);
         let at = Self::count(&axis, self.steps[axis.stepgen]);
-        self.shafts.retain(|s| s.axis.encoder != axis.encoder);
         self.shafts.push(Shaft {
             axis,
             target: at,
@@ -127,18 +424,44 @@ impl Plant {
             shown: at,
             ready: 0,
         });
-        self.show(self.shafts.len() - 1);
+        self.show_shaft(self.shafts.len() - 1);
+    }
+
+    /// Put a spindle on the machine; it stands.
+    pub fn add_spindle(&mut self, spindle: Spindle) {
+        self.free_encoder(spindle.encoder);
+        self.rotors.push(Rotor {
+            spindle,
+            speed: 0.0,
+            shown: 0,
+            fraction: 0.0,
+            since: 0,
+            pins: [false; 2],
+            pins_since: 0,
+            high: [0; 2],
+            tick: u64::MAX,
+            last_tick: 0,
+            edge: u64::MAX,
+        });
+        self.show_rotor(self.rotors.len() - 1);
+    }
+
+    fn free_encoder(&mut self, encoder: usize) {
+        self.shafts.retain(|s| s.axis.encoder != encoder);
+        self.rotors.retain(|r| r.spindle.encoder != encoder);
     }
 
     /// Put a switch on the machine.
     pub fn add_switch(&mut self, switch: Switch) {
         self.switches.push(switch);
+        self.gpio_mask |= 1 << switch.input;
         self.settle();
     }
 
     /// Put a wire on the machine.
     pub fn add_wire(&mut self, wire: Wire) {
         self.wires.push(wire);
+        self.gpio_mask |= 1 << wire.input;
         self.settle();
     }
 
@@ -147,17 +470,13 @@ impl Plant {
         for shaft in self.shafts.iter_mut().filter(|s| s.axis.encoder == encoder) {
             shaft.slip += counts;
             shaft.target += counts;
-            self.moving = true;
+            self.next = 0;
         }
     }
 
     /// General inputs that wires or switches drive.
     pub fn gpio_mask(&self) -> u32 {
-        self.wires
-            .iter()
-            .map(|w| 1u32 << w.input)
-            .chain(self.switches.iter().map(|s| 1u32 << s.input))
-            .fold(0, |m, b| m | b)
+        self.gpio_mask
     }
 
     /// What the plant puts on the inputs now.
@@ -165,28 +484,40 @@ impl Plant {
         self.levels
     }
 
-    /// Count the encoder shows now; `None` when no axis has it.
+    /// Count the encoder shows now; `None` when nothing has it.
     pub fn encoder_count(&self, encoder: usize) -> Option<i64> {
-        self.shafts
-            .iter()
-            .find(|s| s.axis.encoder == encoder)
-            .map(|s| s.shown)
+        let axis = self.shafts.iter().find(|s| s.axis.encoder == encoder);
+        let spindle = self.rotors.iter().find(|r| r.spindle.encoder == encoder);
+        axis.map(|s| s.shown).or(spindle.map(|r| r.shown))
     }
 
-    /// Still turning: [`Self::turn`] must be called every clock.
+    /// Speed of the spindle on this encoder, revolutions per second.
+    pub fn spindle_rps(&self, encoder: usize) -> Option<f64> {
+        let rotor = self.rotors.iter().find(|r| r.spindle.encoder == encoder)?;
+        Some(rotor.speed * self.hz as f64 / rotor.spindle.counts_per_rev as f64)
+    }
+
+    /// The next sys clock in which something moves by itself: [`Self::turn`] must be called then. `u64::MAX` is rest.
     #[inline]
-    pub fn moving(&self) -> bool {
-        self.moving
+    pub fn next(&self) -> u64 {
+        self.next
     }
 
     /// These stepgens stepped.
     pub fn steps(&mut self, forward: u16, backward: u16) {
-        for n in 0..CHANNELS {
+        let mut moved = forward | backward;
+        while moved != 0 {
+            let n = moved.trailing_zeros() as usize;
+            moved &= moved - 1;
             self.steps[n] += i64::from(forward >> n & 1) - i64::from(backward >> n & 1);
         }
         for shaft in &mut self.shafts {
-            shaft.target = Self::count(&shaft.axis, self.steps[shaft.axis.stepgen]) + shaft.slip;
-            self.moving |= shaft.target != shaft.shown;
+            if (forward | backward) >> shaft.axis.stepgen & 1 != 0 {
+                shaft.target = Self::count(&shaft.axis, self.steps[shaft.axis.stepgen]) + shaft.slip;
+                if shaft.target != shaft.shown {
+                    self.next = 0;
+                }
+            }
         }
         if !self.switches.is_empty() {
             self.settle();
@@ -199,10 +530,24 @@ impl Plant {
         self.settle();
     }
 
-    /// One sys clock of turning: at most one encoder edge per shaft, `gap` clocks apart. True when a level changed.
+    /// PWM pins changed at `clock`: levels of first and second pins.
+    pub fn pwm(&mut self, clock: u64, out: u16, dir: u16) {
+        for rotor in &mut self.rotors {
+            let pins = [out, dir].map(|word| word >> rotor.spindle.pwm & 1 != 0);
+            if pins != rotor.pins {
+                rotor.account(clock);
+                rotor.pins = pins;
+                rotor.wake(clock, self.hz);
+                self.next = self.next.min(rotor.next());
+            }
+        }
+    }
+
+    /// Whatever moves by itself has come to sys clock `clock`: at most one encoder edge per shaft, `gap` clocks apart. True
+    /// when a level changed.
     pub fn turn(&mut self, clock: u64) -> bool {
         let mut changed = false;
-        self.moving = false;
+        self.next = u64::MAX;
         for i in 0..self.shafts.len() {
             let shaft = &mut self.shafts[i];
             if shaft.shown == shaft.target {
@@ -212,9 +557,19 @@ impl Plant {
                 shaft.shown += (shaft.target - shaft.shown).signum();
                 shaft.ready = clock + u64::from(shaft.axis.gap.max(1));
                 changed = true;
-                self.show(i);
+                self.show_shaft(i);
             }
-            self.moving |= self.shafts[i].shown != self.shafts[i].target;
+            if self.shafts[i].shown != self.shafts[i].target {
+                self.next = self.next.min(self.shafts[i].ready);
+            }
+        }
+        for i in 0..self.rotors.len() {
+            let rotor = &mut self.rotors[i];
+            if clock >= rotor.next() && rotor.turn(clock, self.hz, self.gpio_out) {
+                changed = true;
+                self.show_rotor(i);
+            }
+            self.next = self.next.min(self.rotors[i].next());
         }
         changed
     }
@@ -223,18 +578,27 @@ impl Plant {
         (steps * axis.counts).div_euclid(axis.per_steps.max(1))
     }
 
-    /// Phases of a count: A leads B when counting up.
-    fn show(&mut self, i: usize) {
+    fn show_shaft(&mut self, i: usize) {
         let Shaft { axis, shown, .. } = self.shafts[i];
-        let bit = 1u16 << axis.encoder;
-        let phase = shown.rem_euclid(4);
-        let put = |word: &mut u16, on: bool| if on { *word |= bit } else { *word &= !bit };
-        put(&mut self.levels.a, phase == 1 || phase == 2);
-        put(&mut self.levels.b, phase >= 2);
-        put(
-            &mut self.levels.index,
-            shown.rem_euclid(axis.counts_per_rev.max(1)) == 0,
-        );
+        let index = self.show(axis.encoder, shown, axis.counts_per_rev, axis.index_at);
+        if axis.stepgen_index {
+            put(&mut self.levels.step_index, axis.stepgen, index);
+        }
+    }
+
+    fn show_rotor(&mut self, i: usize) {
+        let Rotor { spindle, shown, .. } = self.rotors[i];
+        self.show(spindle.encoder, shown, spindle.counts_per_rev, 0);
+    }
+
+    /// Phases of a count: A leads B when counting up. Returns the index.
+    fn show(&mut self, encoder: usize, count: i64, per_rev: i64, index_at: i64) -> bool {
+        let phase = count.rem_euclid(4);
+        let index = (count - index_at).rem_euclid(per_rev.max(1)) == 0;
+        put(&mut self.levels.a, encoder, phase == 1 || phase == 2);
+        put(&mut self.levels.b, encoder, phase >= 2);
+        put(&mut self.levels.index, encoder, index);
+        index
     }
 
     fn settle(&mut self) {
@@ -250,10 +614,15 @@ impl Plant {
             } else {
                 at <= switch.at
             };
-            gpio |= u32::from(pressed) << switch.input;
+            gpio |= u32::from(pressed != switch.inverted) << switch.input;
         }
         self.levels.gpio = gpio;
     }
+}
+
+fn put(word: &mut u16, n: usize, on: bool) {
+    let bit = 1u16 << n;
+    *word = if on { *word | bit } else { *word & !bit };
 }
 
 #[cfg(test)]
@@ -290,7 +659,7 @@ mod tests {
             if let Some((_, by)) = steps.next_if(|(at, _)| *at == clock) {
                 plant.steps(u16::from(*by > 0), u16::from(*by < 0));
             }
-            if plant.moving() {
+            if clock >= plant.next() {
                 plant.turn(clock);
             }
             counter.see(plant.levels());
@@ -306,7 +675,7 @@ mod tests {
         let (counter, plant) = follow(Axis::direct(0), &steps, 2000);
         assert_eq!((counter.count, counter.illegal), (40, 0));
         assert_eq!(plant.encoder_count(0), Some(40));
-        assert!(!plant.moving());
+        assert_eq!(plant.next(), u64::MAX);
     }
 
     #[test]
@@ -381,6 +750,7 @@ mod tests {
             at: -2,
             above: false,
             input: 9,
+            inverted: false,
         });
         assert_eq!(plant.gpio_mask(), 1 << 5 | 1 << 6 | 1 << 9);
         assert_eq!(plant.levels().gpio, 1 << 6);
@@ -404,5 +774,108 @@ mod tests {
             plant.turn(clock);
         }
         assert_eq!(plant.encoder_count(0), Some(26));
+    }
+
+    #[test]
+    fn an_index_reaches_encoder_and_stepgen_at_its_count() {
+        let mut plant = Plant::new([Axis {
+            counts_per_rev: 8,
+            index_at: 3,
+            ..Axis::direct(2)
+        }]);
+        let mut seen = vec![];
+        for clock in 0..100 {
+            let levels = plant.levels();
+            assert_eq!(levels.index, levels.step_index);
+            if levels.index == 4 {
+                seen.push(plant.encoder_count(2).unwrap());
+            }
+            if clock % 8 == 0 {
+                plant.steps(4, 0);
+            }
+            if clock >= plant.next() {
+                plant.turn(clock);
+            }
+        }
+        seen.dedup();
+        assert_eq!(seen, [3, 11]);
+    }
+
+    /// A PWM of 3000 clocks at `duty` percent for `clocks`, from `start`; returns the counter and the indexes seen.
+    fn spin(plant: &mut Plant, start: u64, clocks: u64, duty: u64, dir: u16) -> (Counter, u32) {
+        let (mut counter, mut indexes, mut index_was) = (Counter::default(), 0, true);
+        let last = plant.levels();
+        counter.last = (last.a & 1, last.b & 1);
+        for clock in start..start + clocks {
+            match (clock - start) % 3000 {
+                0 => plant.pwm(clock, u16::from(duty != 0), dir),
+                n if n == duty * 30 => plant.pwm(clock, u16::from(duty == 100), dir),
+                _ => {}
+            }
+            if clock >= plant.next() {
+                plant.turn(clock);
+            }
+            counter.see(plant.levels());
+            let index = plant.levels().index & 1 != 0;
+            indexes += u32::from(index && !index_was);
+            index_was = index;
+        }
+        (counter, indexes)
+    }
+
+    #[test]
+    fn a_spindle_follows_its_duty_and_shows_an_index_per_turn() {
+        let mut plant = Plant::default();
+        plant.set_clock(1_000_000);
+        plant
+            .parse("[[spindle]]\npwm = 0\nencoder = 0\ncounts_per_rev = 100\nmax_rps = 50\nlag_ms = 20")
+            .unwrap();
+        spin(&mut plant, 0, 300_000, 60, 0);
+        assert!((plant.spindle_rps(0).unwrap() - 30.0).abs() < 1.5);
+        let (counter, indexes) = spin(&mut plant, 300_000, 1_002_000, 60, 0);
+        assert!((2990..=3020).contains(&counter.count), "{}", counter.count);
+        assert!((29..=31).contains(&indexes), "{indexes}");
+        assert_eq!(counter.illegal, 0);
+        // Reversed it passes through zero and counts down; without pulses it comes to rest and asks for no more time.
+        spin(&mut plant, 1_302_000, 300_000, 60, 1);
+        assert!((plant.spindle_rps(0).unwrap() + 30.0).abs() < 1.5);
+        let (counter, _) = spin(&mut plant, 1_602_000, 600_000, 0, 0);
+        assert!(counter.count < 0 && counter.illegal == 0);
+        assert_eq!((plant.next(), plant.spindle_rps(0)), (u64::MAX, Some(0.0)));
+    }
+
+    #[test]
+    fn a_spindle_wants_its_enable() {
+        let mut plant = Plant::default();
+        plant.set_clock(1_000_000);
+        plant
+            .parse("[[spindle]]\npwm = 0\nencoder = 0\nmax_rps = 50\nenable_output = 3\nup_down = true")
+            .unwrap();
+        spin(&mut plant, 0, 90_000, 50, 0);
+        assert_eq!(plant.encoder_count(0), Some(0));
+        plant.outputs(8);
+        spin(&mut plant, 90_000, 90_000, 50, 0);
+        assert!(plant.encoder_count(0).unwrap() > 100);
+    }
+
+    #[test]
+    fn a_probe_closes_and_opens_at_its_position() {
+        let mut plant = Plant::default();
+        plant
+            .parse("[[switch]]\nstepgen = 1\nat = 2\nabove = true\ninput = 6\ninverted = true")
+            .unwrap();
+        let mut levels = vec![];
+        for (forward, backward) in [(2, 0), (2, 0), (2, 0), (0, 2), (0, 2)] {
+            plant.steps(forward, backward);
+            levels.push(plant.levels().gpio >> 6);
+        }
+        assert_eq!(levels, [1, 0, 0, 0, 1]);
+    }
+
+    #[test]
+    fn a_plant_file_says_what_is_wrong_with_it() {
+        let refused = |text: &str| Plant::default().parse(text).unwrap_err();
+        assert!(refused("[[axis]]\nstepgen = 16\nencoder = 0").contains("axis.stepgen 16"));
+        assert!(refused("[[axis]]\nstepgen = 0\nencoder = 0\nspeed = 1").contains("speed"));
     }
 }

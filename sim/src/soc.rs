@@ -12,7 +12,7 @@ use serde::Deserialize;
 use crate::error::Error;
 
 /// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
-const SHIM_ABI: u32 = 3;
+const SHIM_ABI: u32 = 4;
 
 /// Bit of the sys clock in [`Silicon::rise`].
 pub const SYS: u32 = 1;
@@ -33,6 +33,10 @@ pub struct Pins {
     pub enc_b: u16,
     /// In: encoder index.
     pub enc_i: u16,
+    /// In: index pins of the stepgens, bit n = stepgen n.
+    pub step_index: u16,
+    /// In: index masks of the encoders.
+    pub enc_mask: u16,
     /// In: byte from the PHY.
     pub gmii_rx_data: u8,
     /// In: byte from the PHY is valid.
@@ -51,8 +55,14 @@ pub struct Pins {
     pub step: u16,
     /// Out: DIR pins.
     pub dir: u16,
-    /// Out: PWM pins.
+    /// Out: the inverted copies of STEP, for differential lines.
+    pub step_n: u16,
+    /// Out: the inverted copies of DIR.
+    pub dir_n: u16,
+    /// Out: first PWM pins.
     pub pwm_out: u16,
+    /// Out: second PWM pins.
+    pub pwm_dir: u16,
     /// Out: byte to the PHY.
     pub gmii_tx_data: u8,
     /// Out: byte to the PHY is valid.
@@ -62,10 +72,10 @@ pub struct Pins {
     /// Out: the output gate; 1 = outputs live.
     pub gate: u8,
     #[doc(hidden)]
-    pub reserved_out: u16,
+    pub reserved_out: u32,
 }
 
-const _: () = assert!(size_of::<Pins>() == 32);
+const _: () = assert!(size_of::<Pins>() == 44);
 
 /// Anything that behaves as the board's digital part at its pins: the Verilated SoC, or a few lines of Rust in a test.
 pub trait Silicon {

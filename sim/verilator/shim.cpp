@@ -35,23 +35,23 @@ bool Vsoc___024root___eval_phase__nba(Vsoc___024root*);
 #endif
 
 namespace {
-constexpr uint32_t ABI_VERSION = 3;
+constexpr uint32_t ABI_VERSION = 4;
 constexpr uint32_t SYS = 1, ETH = 2;
 
 struct Pins {
     // in
     uint32_t gpio_in;
-    uint16_t enc_a, enc_b, enc_i;
+    uint16_t enc_a, enc_b, enc_i, step_index, enc_mask;
     uint8_t gmii_rx_data, gmii_rx_dv;
     uint8_t ext_reset, cpu_freeze, sys_rst, reserved_in;
     // out
     uint32_t gpio_out;
-    uint16_t step, dir, pwm_out;
+    uint16_t step, dir, step_n, dir_n, pwm_out, pwm_dir;
     uint8_t gmii_tx_data, gmii_tx_en;
     uint8_t led, gate;
-    uint16_t reserved_out;
+    uint32_t reserved_out;
 };
-static_assert(sizeof(Pins) == 32, "mirrored in sim/src/soc.rs");
+static_assert(sizeof(Pins) == 44, "mirrored in sim/src/soc.rs");
 
 struct Soc {
     VerilatedContext context;
@@ -92,6 +92,8 @@ struct Soc {
         m.enc_a = p.enc_a;
         m.enc_b = p.enc_b;
         m.enc_i = p.enc_i;
+        m.step_index = p.step_index;
+        m.enc_mask = p.enc_mask;
         m.gmii_rx_data = p.gmii_rx_data;
         m.gmii_rx_dv = p.gmii_rx_dv;
         m.ext_reset = p.ext_reset;
@@ -104,7 +106,10 @@ struct Soc {
         p.gpio_out = m.gpio_out;
         p.step = m.step;
         p.dir = m.dir;
+        p.step_n = m.step_n;
+        p.dir_n = m.dir_n;
         p.pwm_out = m.pwm_out;
+        p.pwm_dir = m.pwm_dir;
         p.gmii_tx_data = m.gmii_tx_data;
         p.gmii_tx_en = m.gmii_tx_en;
         p.led = m.led;
