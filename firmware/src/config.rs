@@ -1,18 +1,42 @@
 //! Which settings exist, what they may be, and which may change under a running machine.
+//!
+//! A combination of mode bits that means nothing is refused, not ignored: a machine configured by
+//! accident moves by accident.
 
 use crate::cores::Setting;
 use wire::Refusal;
 use wire::describe::Channels;
-use wire::map::{self, BoardConfig, StepgenConfig};
+use wire::exchange::PWM_PERIOD_MAX;
+use wire::map::{
+    self, BoardConfig, CountMode, DEBOUNCE_MAX, DIR_CLOCKS_MAX, ENCODER_FILTER_MAX, PROBE_ENABLE,
+    PROBE_INPUT_MASK, PROBE_INVERT, STEP_CLOCKS_MAX, StepType, StepgenConfig,
+};
 
-/// Gateware width of the two step timings.
-const STEP_CLOCKS_MAX: u32 = (1 << 16) - 1;
-/// Gateware width of the two direction timings and of a PWM period.
-const LONG_CLOCKS_MAX: u32 = (1 << 24) - 1;
+/// Step and direction inversion, step type, index inversion.
+const STEPGEN_MODE_BITS: u32 = map::STEPGEN_STEP_INVERT
+    | map::STEPGEN_DIR_INVERT
+    | 3 << map::STEPGEN_TYPE_SHIFT
+    | map::STEPGEN_INDEX_INVERT;
+/// Inversion, type, dither, swapped pins.
+const PWM_MODE_BITS: u32 =
+    map::PWM_INVERT | 3 << map::PWM_TYPE_SHIFT | map::PWM_DITHER | map::PWM_SWAP;
+/// Counting mode; index and mask polarity, mask, clear on index.
+const ENCODER_MODE_BITS: u32 = 7
+    | map::ENCODER_INDEX_INVERT
+    | map::ENCODER_MASK_ENABLE
+    | map::ENCODER_MASK_INVERT
+    | map::ENCODER_CLEAR_ON_INDEX;
+/// Which input, whether at all, and its polarity.
+const PROBE_BITS: u32 = PROBE_INPUT_MASK | PROBE_ENABLE | PROBE_INVERT;
+/// A type field of two bits with three meanings.
+const NO_TYPE: u32 = 3;
 /// 0.1 ms: a tenth of the shortest servo period anybody runs. Shorter only ever bites by accident.
 const TIMEOUT_MIN_PER_SECOND: u32 = 10_000;
 /// 10 s: longer is no watchdog.
 const TIMEOUT_MAX_SECONDS: u64 = 10;
+
+const DEBOUNCE: u32 = map::CONFIG_DEBOUNCE - map::CONFIG;
+const DEBOUNCE_END: u32 = DEBOUNCE + 4 * 32;
 
 /// The setting at this byte address of the config window, if this board has it.
 #[inline(never)]
@@ -43,12 +67,20 @@ pub fn setting_at(address: u32, channels: Channels) -> Option<Setting> {
             1 => Setting::EncoderFilter(channel),
             _ => return None,
         },
-        0xc00..0xc10 => Setting::Board(match word {
+        0xc00..0xc14 => Setting::Board(match word {
             0 => BoardConfig::WatchdogTimeout,
             1 => BoardConfig::WatchdogGrace,
             2 => BoardConfig::GpioSafe,
-            _ => BoardConfig::GpioInvert,
+            3 => BoardConfig::GpioInvert,
+            _ => BoardConfig::Probe,
         }),
+        DEBOUNCE..DEBOUNCE_END => {
+            let input = ((offset - DEBOUNCE) / 4) as u8;
+            if input >= channels.inputs {
+                return None;
+            }
+            Setting::Debounce(input)
+        }
         _ => return None,
     };
     Some(setting)
@@ -63,6 +95,7 @@ pub const fn live_safe(setting: Setting) -> bool {
         | Setting::PwmMode(_)
         | Setting::EncoderMode(_)
         | Setting::EncoderFilter(_)
+        | Setting::Debounce(_)
         | Setting::Board(_) => false,
     }
 }
@@ -80,15 +113,27 @@ pub fn check(
         Setting::Stepgen(_, StepgenConfig::Steplen | StepgenConfig::Stepspace) => {
             1..=STEP_CLOCKS_MAX
         }
-        Setting::Stepgen(_, StepgenConfig::Dirsetup | StepgenConfig::Dirhold) => {
-            0..=LONG_CLOCKS_MAX
-        }
+        Setting::Stepgen(_, StepgenConfig::Dirsetup | StepgenConfig::Dirhold) => 0..=DIR_CLOCKS_MAX,
         Setting::Stepgen(_, StepgenConfig::StopAccel) => 0..=u32::MAX,
-        Setting::Stepgen(_, StepgenConfig::Mode) => 0..=3,
-        Setting::PwmPeriod(_) => 0..=LONG_CLOCKS_MAX,
-        Setting::PwmMode(_) => 0..=1,
-        Setting::EncoderMode(_) => 0..=0,
-        Setting::EncoderFilter(_) => 0..=255,
+        Setting::Stepgen(_, StepgenConfig::Mode) => {
+            let kind = value >> map::STEPGEN_TYPE_SHIFT & 3;
+            return allow(value & !STEPGEN_MODE_BITS == 0 && kind != NO_TYPE);
+        }
+        Setting::PwmPeriod(_) => 0..=PWM_PERIOD_MAX,
+        Setting::PwmMode(_) => {
+            let kind = value >> map::PWM_TYPE_SHIFT & 3;
+            return allow(value & !PWM_MODE_BITS == 0 && kind != NO_TYPE);
+        }
+        Setting::EncoderMode(_) => {
+            let counting = CountMode::from_code(value & 7).is_some();
+            return allow(value & !ENCODER_MODE_BITS == 0 && counting);
+        }
+        Setting::EncoderFilter(_) => 0..=ENCODER_FILTER_MAX,
+        Setting::Debounce(_) => 0..=DEBOUNCE_MAX,
+        Setting::Board(BoardConfig::Probe) => {
+            let there = value & PROBE_INPUT_MASK < u32::from(channels.inputs);
+            return allow(value & !PROBE_BITS == 0 && (there || value & PROBE_ENABLE == 0));
+        }
         Setting::Board(BoardConfig::WatchdogTimeout) => {
             let most = clocks(TIMEOUT_MAX_SECONDS * u64::from(clock_hz));
             clock_hz / TIMEOUT_MIN_PER_SECOND..=*most.end()
@@ -100,12 +145,14 @@ pub fn check(
             0..=mask(channels.outputs)
         }
     };
-    if range.contains(&value) {
-        Ok(())
-    } else {
-        Err(Refusal::Value)
-    }
+    allow(range.contains(&value))
 }
+
+const fn allow(yes: bool) -> Result<(), Refusal> {
+    if yes { Ok(()) } else { Err(Refusal::Value) }
+}
+
+const _: () = assert!(StepType::from_code(NO_TYPE).is_none());
 
 /// The lowest `count` bits.
 fn mask(count: u8) -> u32 {
@@ -140,7 +187,7 @@ mod tests {
                 found.push(setting);
             }
         }
-        assert_eq!(found.len(), 6 * 6 + 6 * 2 + 6 * 2 + 4);
+        assert_eq!(found.len(), 6 * 6 + 6 * 2 + 6 * 2 + 5 + 12);
         assert_eq!(setting_at(map::CONFIG + map::CONFIG_LEN, SIX), None);
         assert_eq!(setting_at(0, SIX), None);
     }
@@ -163,21 +210,55 @@ mod tests {
     fn timings_are_refused_beyond_what_the_gateware_can_count() {
         for field in [StepgenConfig::Steplen, StepgenConfig::Stepspace] {
             let setting = Setting::Stepgen(0, field);
-            assert!(!ok(setting, 0) && ok(setting, 1) && ok(setting, 65535) && !ok(setting, 65536));
+            assert!(!ok(setting, 0) && ok(setting, 1) && ok(setting, 8191) && !ok(setting, 8192));
         }
         for field in [StepgenConfig::Dirsetup, StepgenConfig::Dirhold] {
             let setting = Setting::Stepgen(0, field);
-            assert!(ok(setting, 0) && ok(setting, 0xff_ffff) && !ok(setting, 0x100_0000));
+            assert!(ok(setting, 0) && ok(setting, 65_535) && !ok(setting, 65_536));
+        }
+        let period = Setting::PwmPeriod(0);
+        assert!(ok(period, 0x1f_ffff) && !ok(period, 0x20_0000));
+        let debounce = Setting::Debounce(0);
+        assert!(ok(debounce, 0) && ok(debounce, 65_535) && !ok(debounce, 65_536));
+        assert!(ok(Setting::EncoderFilter(0), 255) && !ok(Setting::EncoderFilter(0), 256));
+    }
+
+    #[test]
+    fn a_mode_is_refused_unless_every_bit_of_it_means_something() {
+        for value in (0..0x400).chain([1 << 10, 1 << 31, u32::MAX]) {
+            let (kind, counting) = (value >> 2 & 3, value & 7);
+            let stepgen = Setting::Stepgen(0, StepgenConfig::Mode);
+            assert_eq!(ok(stepgen, value), value < 32 && kind != 3, "{value:#x}");
+            let kind = value >> 1 & 3;
+            let pwm = Setting::PwmMode(0);
+            assert_eq!(ok(pwm, value), value < 32 && kind != 3, "{value:#x}");
+            let encoder = Setting::EncoderMode(0);
+            let meant = value < 256 && counting < 6 && value & 8 == 0;
+            assert_eq!(ok(encoder, value), meant, "{value:#x}");
         }
     }
 
     #[test]
-    fn reserved_mode_bits_are_refused() {
-        assert!(ok(Setting::Stepgen(0, StepgenConfig::Mode), 3));
-        assert!(!ok(Setting::Stepgen(0, StepgenConfig::Mode), 4));
-        assert!(!ok(Setting::PwmMode(0), 2));
-        assert!(!ok(Setting::EncoderMode(0), 1));
-        assert!(ok(Setting::EncoderFilter(0), 255) && !ok(Setting::EncoderFilter(0), 256));
+    fn the_probe_is_an_input_the_board_has_or_none() {
+        let probe = Setting::Board(BoardConfig::Probe);
+        for input in 0..32 {
+            assert!(ok(probe, input), "disabled, whatever it names");
+            assert_eq!(ok(probe, input | PROBE_ENABLE), input < 12, "{input}");
+            assert_eq!(ok(probe, input | PROBE_ENABLE | PROBE_INVERT), input < 12);
+        }
+        assert!(!ok(probe, 1 << 5) && !ok(probe, 1 << 10) && !ok(probe, 1 << 31));
+    }
+
+    #[test]
+    fn every_input_has_its_own_debounce() {
+        let setting = |input: u32| setting_at(map::CONFIG_DEBOUNCE + 4 * input, SIX);
+        assert_eq!(setting(0), Some(Setting::Debounce(0)));
+        assert_eq!(setting(11), Some(Setting::Debounce(11)));
+        assert_eq!(setting(12), None, "an input the board does not have");
+        let all = Channels { inputs: 32, ..SIX };
+        let last = setting_at(map::CONFIG_DEBOUNCE + 4 * 31, all);
+        assert_eq!(last, Some(Setting::Debounce(31)));
+        assert_eq!(setting_at(map::CONFIG_DEBOUNCE + 4 * 32, all), None);
     }
 
     #[test]

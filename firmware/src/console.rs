@@ -4,11 +4,12 @@
 //! password and cannot stop a machine. A line too long, control bytes and telnet's option
 //! negotiation are swallowed without a word of damage.
 
-use crate::cores::{Board, LATCH_ENCODER, LATCH_STEPGEN, Setting};
+use crate::cores::{Board, LATCH_ENCODER, LATCH_LATCH, LATCH_STEPGEN, Setting};
 use crate::log;
 use crate::server::Server;
 use crate::text::{Out, Sink};
 use wire::Refusal;
+use wire::exchange::EDGE_TIME_BITS;
 use wire::map::{self, BoardConfig, StepgenConfig};
 
 /// Longest line. The longest command with its argument is a quarter of this.
@@ -207,7 +208,7 @@ fn status<B: Board>(server: &Server, board: &mut B, vitals: &Vitals, out: &mut O
         .hex(ident.version)
         .end();
     let (used, size) = vitals.stack;
-    out.text("boot     ").hex(server.boot_id()).end();
+    out.text("boot     ").hex(server.boot().id).end();
     out.text("stack    ")
         .number(used)
         .text(" of ")
@@ -306,11 +307,13 @@ fn stepgen<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut
 
 fn encoder<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut Out) {
     for n in chosen(only, server.ident().channels.encoders) {
-        let at = LATCH_ENCODER + 3 * usize::from(n);
-        let [count, latch, edge] = [0, 1, 2].map(|word| board.latched(at + word));
+        let at = LATCH_ENCODER + 2 * usize::from(n);
+        let [count, edge] = [at, at + 1].map(|word| board.latched(word));
+        let latch = board.latched(LATCH_LATCH + usize::from(n));
         out.number(n.into()).text(": ").signed(count as i32);
-        out.text(", index at ").signed(latch as i32);
-        out.text(", last edge at 0x").hex(edge).end();
+        out.text(", latch ").signed(latch as i32);
+        out.text(", errors ").number(edge >> EDGE_TIME_BITS);
+        out.text(", edge at 0x").hex(edge << 8 >> 8).end();
     }
 }
 
@@ -337,7 +340,7 @@ fn log<B: Board>(server: &Server, board: &mut B, out: &mut Out) {
         .number(head.min(size));
     out.text(" kept; `ferrocnc log` decodes them").end();
     let length = board.panic(4).min(map::PANIC_TEXT_LEN);
-    out.text("boot ").hex(server.boot_id());
+    out.text("boot ").hex(server.boot().id);
     out.text(", deaths since power-up ")
         .number(board.panic(0))
         .end();

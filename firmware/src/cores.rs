@@ -6,21 +6,35 @@
 
 use wire::describe::Channels;
 
-/// `command` page: stepgen enables 15:0, index arms 31:16.
+/// `command` page: stepgen enables 15:0, encoder index arms 31:16.
 pub const STAGE_ENABLES: usize = 0;
+/// `command` page: outputs.
+pub const STAGE_OUTPUTS: usize = 1;
+/// `command` page: stepgen index arms 15:0, encoder probe arms 31:16.
+pub const STAGE_ARMS: usize = 2;
+/// `command` page: stepgen probe arms 15:0.
+pub const STAGE_PROBE_ARMS: usize = 3;
 /// `command` page: first stepgen word; two per stepgen.
-pub const STAGE_STEPGEN: usize = 2;
+pub const STAGE_STEPGEN: usize = 4;
 /// `command` page: first PWM word; one per PWM.
-pub const STAGE_PWM: usize = 34;
+pub const STAGE_PWM: usize = 36;
+/// Words of the `command` page.
+pub const STAGE_WORDS: usize = STAGE_PWM + wire::exchange::MAX_CHANNELS;
 
 /// `status` page: sample time, low and high.
 pub const LATCH_SAMPLE: usize = 0;
-/// `status` page: inputs, then index and rate-limit flags.
+/// `status` page: inputs, then three words of flags, as in a status block.
 pub const LATCH_INPUTS: usize = 2;
+/// `status` page: e-stop inputs that have tripped.
+pub const LATCH_ESTOP: usize = 6;
 /// `status` page: first stepgen word; three per stepgen.
-pub const LATCH_STEPGEN: usize = 4;
-/// `status` page: first encoder word; three per encoder.
-pub const LATCH_ENCODER: usize = 52;
+pub const LATCH_STEPGEN: usize = 8;
+/// `status` page: first encoder word; two per encoder.
+pub const LATCH_ENCODER: usize = 56;
+/// `status` page: the latches, by [`wire::exchange::Latch::code`].
+pub const LATCH_LATCH: usize = 88;
+/// Words of the `status` page.
+pub const LATCH_WORDS: usize = LATCH_LATCH + 2 * wire::exchange::MAX_CHANNELS;
 
 /// Strobe: what was staged takes effect, on every channel on one clock.
 pub const STROBE_COMMIT: u32 = 1 << 0;
@@ -59,6 +73,8 @@ impl Gate {
     const RESET: u32 = 1 << 3;
     const RESET_PIN: u32 = 1 << 4;
     const AWAKE: u32 = 1 << 5;
+    const ESTOP: u32 = 1 << 6;
+    const ESTOP_PIN: u32 = 1 << 7;
 
     /// Outputs are live.
     pub const fn open(self) -> bool {
@@ -84,6 +100,26 @@ impl Gate {
     pub const fn awake(self) -> bool {
         self.0 & Self::AWAKE != 0
     }
+    /// The latched e-stop.
+    pub const fn estop(self) -> bool {
+        self.0 & Self::ESTOP != 0
+    }
+    /// An e-stop input is active now.
+    pub const fn estop_pin(self) -> bool {
+        self.0 & Self::ESTOP_PIN != 0
+    }
+    /// A pin stops the machine, or did: external reset or e-stop.
+    pub const fn pinned(self) -> bool {
+        self.0 & (Self::RESET | Self::RESET_PIN | Self::ESTOP | Self::ESTOP_PIN) != 0
+    }
+    /// A pin stops the machine now: nothing can be cleared.
+    pub const fn pinned_now(self) -> bool {
+        self.0 & (Self::RESET_PIN | Self::ESTOP_PIN) != 0
+    }
+    /// Something is latched that only [`Control::Clear`] forgets.
+    pub const fn latched(self) -> bool {
+        self.0 & (Self::BITTEN | Self::RESET | Self::ESTOP) != 0
+    }
 }
 
 /// Orders to the gate.
@@ -96,7 +132,7 @@ pub enum Control {
     SoftStop,
     /// Close now.
     Close,
-    /// Forget a latched bite or reset; the gateware only obeys with the gate closed and the pin low.
+    /// Forget a latched bite, reset or e-stop; the gateware only obeys with the gate closed and no pin active.
     Clear,
 }
 
@@ -104,7 +140,7 @@ pub enum Control {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Led {
-    /// Dark.
+    /// Dark: not started yet.
     Off = 0,
     /// Armed.
     On = 1,
@@ -114,6 +150,12 @@ pub enum Led {
     Fast = 3,
     /// A host owns the motion, not armed.
     Double = 4,
+    /// External reset or e-stop, active or not yet cleared.
+    Triple = 5,
+    /// Alive, but nothing comes over the cable: link down, as far as known.
+    Heartbeat = 6,
+    /// A soft stop is running.
+    Flicker = 7,
 }
 
 /// A setting of the config window.
@@ -123,12 +165,14 @@ pub enum Setting {
     Stepgen(u8, wire::map::StepgenConfig),
     /// A PWM's period in clocks.
     PwmPeriod(u8),
-    /// A PWM's mode; bit 0 inverts.
+    /// A PWM's mode.
     PwmMode(u8),
-    /// An encoder's mode; 0 is x4.
+    /// An encoder's mode.
     EncoderMode(u8),
     /// Clocks an encoder input must be stable.
     EncoderFilter(u8),
+    /// Looks an input must be stable for ([`wire::map::DEBOUNCE_CLOCKS`]).
+    Debounce(u8),
     /// The board's.
     Board(wire::map::BoardConfig),
 }
@@ -137,6 +181,8 @@ pub enum Setting {
 pub trait Board {
     /// The wall clock.
     fn now(&mut self) -> u64;
+    /// Its low word.
+    fn now_lo(&mut self) -> u32;
     /// The wall clock when the last frame had arrived, low word.
     fn arrival_lo(&mut self) -> u32;
     /// Its high word.
@@ -155,6 +201,8 @@ pub trait Board {
     fn feed(&mut self, token: u32);
     /// The gate.
     fn gate(&mut self) -> Gate;
+    /// Why the gate closed last ([`wire::GateClose`]); the gateware remembers it through a restart.
+    fn last_close(&mut self) -> u32;
     /// Orders the gate.
     fn control(&mut self, order: Control);
     /// Reads a setting.

@@ -1,11 +1,19 @@
 //! How the board says what it is: everything in `wire::describe`, put together from the parts.
 
 use crate::cores::Ident;
+use crate::postmortem::Boot;
+use wire::GateClose;
 use wire::describe::{Describe, OBSTACLE_ABI};
 use wire::exchange::StateWord;
 
 /// The describe block of this board in this state.
-pub fn describe(ident: &Ident, abi: u32, boot_id: u32, state: StateWord) -> Describe {
+pub fn describe(
+    ident: &Ident,
+    abi: u32,
+    boot: Boot,
+    state: StateWord,
+    gate_close: GateClose,
+) -> Describe {
     Describe {
         wire_version: wire::WIRE_VERSION,
         abi_firmware: abi,
@@ -15,10 +23,12 @@ pub fn describe(ident: &Ident, abi: u32, boot_id: u32, state: StateWord) -> Desc
         clock_hz: ident.clock_hz,
         channels: ident.channels,
         features: ident.features,
-        boot_id,
+        boot_id: boot.id,
         blob_words: ident.blob_words,
         state,
         obstacles: obstacles(ident, abi),
+        reset_reason: boot.reset,
+        gate_close,
     }
 }
 

@@ -13,7 +13,8 @@
 //! code runs on MAC slots and on slices.
 
 use crate::cores::{
-    Board, Control, LATCH_ENCODER, LATCH_INPUTS, LATCH_SAMPLE, LATCH_STEPGEN, STAGE_PWM,
+    Board, Control, LATCH_ENCODER, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_SAMPLE,
+    LATCH_STEPGEN, STAGE_ARMS, STAGE_ENABLES, STAGE_OUTPUTS, STAGE_PROBE_ARMS, STAGE_PWM,
     STAGE_STEPGEN, STROBE_COMMIT, STROBE_COMMIT_AT, STROBE_SAMPLE,
 };
 use crate::safety::Event;
@@ -27,6 +28,9 @@ use wire::exchange::{
 use wire::{Refusal, etherbone};
 
 const FLAGS_KNOWN: u32 = FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME;
+/// The last word before the channels: 16 probe arms, then 5 bits of [`wire::exchange::Latch::code`].
+const SELECT_SHIFT: u32 = 16;
+const SELECT_BITS: u32 = 5;
 
 /// The command block's words, each once, in order. They are taken and put by the handful: on the
 /// softcore a word loaded and used at once costs two clocks more than one loaded earlier.
@@ -37,8 +41,8 @@ pub trait Request {
     fn take2(&mut self) -> [u32; 2];
     /// The next four words.
     fn take4(&mut self) -> [u32; 4];
-    /// The next seven words.
-    fn take7(&mut self) -> [u32; 7];
+    /// The next nine words.
+    fn take9(&mut self) -> [u32; 9];
     /// Asked after the last word, before anything takes effect: did all of it arrive as it was sent?
     fn intact(&mut self) -> bool;
 }
@@ -86,6 +90,14 @@ pub const fn reply_head(shape: &Shape) -> [u32; 3] {
 /// Words of an answer before its status block.
 pub const REPLY_OVERHEAD: usize = 4;
 
+/// Loads words of the status page into names, then puts them: see [`Request`] for why.
+macro_rules! copy {
+    ($board:ident, $reply:ident, $at:expr, $($name:ident $word:literal)+) => {
+        $(let $name = $board.latched($at + $word);)+
+        $($reply.put($name);)+
+    };
+}
+
 impl Server {
     /// Executes one exchange. `request` delivers the command block; into `reply` go the sequence
     /// number and the status block. On a refusal nothing took effect, whatever was put already.
@@ -98,10 +110,21 @@ impl Server {
         reply: &mut impl Reply,
     ) -> Result<(), Refusal> {
         // Judge.
-        let [token, sequence, flags, apply_lo, apply_hi, enables, outputs] = request.take7();
+        let [
+            token,
+            sequence,
+            flags,
+            apply_lo,
+            apply_hi,
+            enables,
+            outputs,
+            arms,
+            probe_arms,
+        ] = request.take9();
         self.session.check(peer, token)?;
         judge_sequence(sequence, self.session.last_sequence())?;
-        if flags & !FLAGS_KNOWN != 0 {
+        let select = probe_arms >> SELECT_SHIFT;
+        if flags & !FLAGS_KNOWN | select >> SELECT_BITS != 0 {
             return Err(Refusal::Value);
         }
         let mut gate = board.gate();
@@ -112,8 +135,11 @@ impl Server {
             self.forget_timed(board);
         }
         let shape = self.shape;
-        board.stage(0, enables);
-        board.stage(1, outputs);
+        board.stage(STAGE_ENABLES, enables);
+        board.stage(STAGE_OUTPUTS, outputs);
+        board.stage(STAGE_ARMS, arms);
+        // The register has no bits for the selection above the arms.
+        board.stage(STAGE_PROBE_ARMS, probe_arms);
         let mut at = STAGE_STEPGEN;
         for _ in 0..shape.stepgens / 2 {
             let [a, b, c, d] = request.take4();
@@ -164,12 +190,13 @@ impl Server {
             }
             board.feed(sequence);
             self.session.accept(sequence);
+            self.select = select;
         }
 
         // Answer. `session_yours` and `accepted` are true, or we were not here.
         let [arrival_lo, arrival_hi] = [board.arrival_lo(), board.arrival_hi()];
         let [sample_lo, sample_hi] = [board.latched(LATCH_SAMPLE), board.latched(LATCH_SAMPLE + 1)];
-        let [inputs, marks] = [board.latched(LATCH_INPUTS), board.latched(LATCH_INPUTS + 1)];
+        let [estop, inputs] = [board.latched(LATCH_ESTOP), board.latched(LATCH_INPUTS)];
         let state = self.state_word(gate) | STATE_ANSWER;
         reply.put(sequence);
         reply.put(state);
@@ -180,12 +207,14 @@ impl Server {
         reply.put(sample_hi);
         reply.put(left);
         reply.put(self.counters.refused_total);
-        reply.put(self.boot_id);
-        reply.put(0);
+        reply.put(self.boot.id);
+        reply.put(estop);
         reply.put(inputs);
-        reply.put(marks);
-        copy(board, reply, LATCH_STEPGEN, shape.stepgens);
-        copy(board, reply, LATCH_ENCODER, shape.encoders);
+        let latch = board.latched(LATCH_LATCH + select as usize);
+        copy!(board, reply, LATCH_INPUTS, a 1 b 2 c 3);
+        reply.put(latch);
+        copy_stepgens(board, reply, shape.stepgens);
+        copy_encoders(board, reply, shape.encoders);
         if whole {
             Ok(())
         } else {
@@ -249,70 +278,41 @@ impl Server {
     }
 }
 
-/// Copies the three words of each of `count` channels into the answer, up to four channels at a time.
+/// Copies the three words of each of `count` stepgens into the answer, up to four stepgens at a time.
 #[inline(always)]
-fn copy(board: &mut impl Board, reply: &mut impl Reply, mut at: usize, count: usize) {
+fn copy_stepgens(board: &mut impl Board, reply: &mut impl Reply, count: usize) {
+    let mut at = LATCH_STEPGEN;
     for _ in 0..count / 4 {
-        let (a, b, c) = (
-            board.latched(at),
-            board.latched(at + 1),
-            board.latched(at + 2),
-        );
-        let (d, e, f) = (
-            board.latched(at + 3),
-            board.latched(at + 4),
-            board.latched(at + 5),
-        );
-        let (g, h, i) = (
-            board.latched(at + 6),
-            board.latched(at + 7),
-            board.latched(at + 8),
-        );
-        let (j, k, l) = (
-            board.latched(at + 9),
-            board.latched(at + 10),
-            board.latched(at + 11),
-        );
-        put3(reply, a, b, c);
-        put3(reply, d, e, f);
-        put3(reply, g, h, i);
-        put3(reply, j, k, l);
+        copy!(board, reply, at, a 0 b 1 c 2 d 3 e 4 f 5 g 6 h 7 i 8 j 9 k 10 l 11);
         at += 4 * STATUS_STEPGEN;
     }
     if count & 2 != 0 {
-        let (a, b, c) = (
-            board.latched(at),
-            board.latched(at + 1),
-            board.latched(at + 2),
-        );
-        let (d, e, f) = (
-            board.latched(at + 3),
-            board.latched(at + 4),
-            board.latched(at + 5),
-        );
-        put3(reply, a, b, c);
-        put3(reply, d, e, f);
+        copy!(board, reply, at, a 0 b 1 c 2 d 3 e 4 f 5);
         at += 2 * STATUS_STEPGEN;
     }
     if count & 1 != 0 {
-        let (a, b, c) = (
-            board.latched(at),
-            board.latched(at + 1),
-            board.latched(at + 2),
-        );
-        put3(reply, a, b, c);
+        copy!(board, reply, at, a 0 b 1 c 2);
     }
 }
 
+/// Copies the two words of each of `count` encoders into the answer, up to four encoders at a time.
 #[inline(always)]
-fn put3(reply: &mut impl Reply, a: u32, b: u32, c: u32) {
-    reply.put(a);
-    reply.put(b);
-    reply.put(c);
+fn copy_encoders(board: &mut impl Board, reply: &mut impl Reply, count: usize) {
+    let mut at = LATCH_ENCODER;
+    for _ in 0..count / 4 {
+        copy!(board, reply, at, a 0 b 1 c 2 d 3 e 4 f 5 g 6 h 7);
+        at += 4 * STATUS_ENCODER;
+    }
+    if count & 2 != 0 {
+        copy!(board, reply, at, a 0 b 1 c 2 d 3);
+        at += 2 * STATUS_ENCODER;
+    }
+    if count & 1 != 0 {
+        copy!(board, reply, at, a 0 b 1);
+    }
 }
 
-// Stepgens and encoders are copied alike.
-const _: () = assert!(STATUS_STEPGEN == STATUS_ENCODER);
+const _: () = assert!(STATUS_STEPGEN == 3 && STATUS_ENCODER == 2);
 
 /// Bits of a state word that only an answer to an accepted command carries.
 pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;
@@ -346,7 +346,7 @@ impl Request for SliceRequest<'_> {
         self.next()
     }
 
-    fn take7(&mut self) -> [u32; 7] {
+    fn take9(&mut self) -> [u32; 9] {
         self.next()
     }
 

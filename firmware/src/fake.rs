@@ -1,6 +1,7 @@
 //! A board in a notebook: remembers what was written, answers what the test prepared.
 
 use crate::cores::*;
+use crate::postmortem::Boot;
 use crate::server::Server;
 use crate::session::Peer;
 use crate::{log, postmortem};
@@ -8,7 +9,7 @@ use std::collections::HashMap;
 use std::vec::Vec;
 use wire::describe::Channels;
 use wire::exchange::{Command, REQUEST_OVERHEAD, STATUS_MAX, Status};
-use wire::{MAX_WORDS, Refusal, map};
+use wire::{MAX_WORDS, Refusal, ResetReason, map};
 
 pub const SIX: Channels = Channels {
     stepgens: 6,
@@ -27,6 +28,10 @@ pub const BOB: Peer = Peer {
 };
 pub const ABI: u32 = 0xab1a_b1ab;
 pub const CLOCK: u32 = 60_000_000;
+pub const BOOT: Boot = Boot {
+    id: 9,
+    reset: ResetReason::Requested,
+};
 
 /// Everything that could have been done to the machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,12 +46,14 @@ pub enum Change {
 #[derive(Clone, Debug)]
 pub struct Notebook {
     pub now: u64,
-    pub staged: [u32; 50],
-    pub live: [u32; 50],
-    pub latched: [u32; 100],
+    pub staged: [u32; STAGE_WORDS],
+    pub live: [u32; STAGE_WORDS],
+    pub latched: [u32; LATCH_WORDS],
     pub commit_at: u64,
     pub gate: u32,
     pub pin: bool,
+    pub estop: bool,
+    pub close: u32,
     pub led: Led,
     pub done: Vec<Change>,
     settings: HashMap<String, u32>,
@@ -58,12 +65,14 @@ impl Notebook {
     pub fn new() -> Self {
         Notebook {
             now: 1_000,
-            staged: [0; 50],
-            live: [0; 50],
+            staged: [0; STAGE_WORDS],
+            live: [0; STAGE_WORDS],
             latched: core::array::from_fn(|word| 0x1000 + word as u32),
             commit_at: 0,
             gate: 0,
             pin: false,
+            estop: false,
+            close: 0,
             led: Led::Off,
             done: Vec::new(),
             settings: HashMap::new(),
@@ -85,9 +94,15 @@ impl Notebook {
     }
 }
 
+/// Bite, external reset, e-stop.
+const LATCHED: u32 = 0b0100_1100;
+
 impl Board for Notebook {
     fn now(&mut self) -> u64 {
         self.now
+    }
+    fn now_lo(&mut self) -> u32 {
+        self.now as u32
     }
     fn arrival_lo(&mut self) -> u32 {
         self.now as u32
@@ -117,20 +132,28 @@ impl Board for Notebook {
         self.done.push(Change::Feed(token));
     }
     fn gate(&mut self) -> Gate {
-        Gate(if self.pin {
-            self.gate | 0b1_1000
-        } else {
-            self.gate
-        })
+        // A pin closes the gate and latches; while it is active its second bit is up.
+        if self.pin {
+            self.gate = self.gate & !0b10_0011 | 0b1000;
+        }
+        if self.estop {
+            self.gate = self.gate & !0b10_0011 | 0b100_0000;
+        }
+        Gate(self.gate | u32::from(self.pin) << 4 | u32::from(self.estop) << 7)
+    }
+    fn last_close(&mut self) -> u32 {
+        self.close
     }
     fn control(&mut self, order: Control) {
         self.done.push(Change::Order(order));
         match order {
-            Control::Arm if self.gate & 0b1100 == 0 && !self.pin => self.gate = Gate::LIVE.0,
+            Control::Arm if self.gate & LATCHED == 0 && !self.pin && !self.estop => {
+                self.gate = Gate::LIVE.0;
+            }
             Control::Arm => {}
             Control::SoftStop => self.gate |= 0b10,
-            Control::Close => self.gate &= 0b1100,
-            Control::Clear if !self.pin => self.gate &= !0b1100,
+            Control::Close => self.gate &= LATCHED,
+            Control::Clear if !self.pin && !self.estop => self.gate &= !LATCHED,
             Control::Clear => {}
         }
     }
@@ -187,11 +210,11 @@ impl Rig {
             blob_words: 3,
         };
         let mut rig = Rig {
-            server: Server::new(ident, ABI, 9),
+            server: Server::new(ident, ABI, BOOT),
             board: Notebook::new(),
             sequence: 0,
         };
-        rig.server.start(&mut rig.board, false);
+        rig.server.start(&mut rig.board);
         rig
     }
 

@@ -366,8 +366,8 @@ impl<F: Frame> crate::exchange::Request for Command<'_, F> {
     }
 
     #[inline(always)]
-    fn take7(&mut self) -> [u32; 7] {
-        take!(self, a, b, c, d, e, f, g)
+    fn take9(&mut self) -> [u32; 9] {
+        take!(self, a, b, c, d, e, f, g, h, i)
     }
 
     #[inline(always)]

@@ -3,6 +3,7 @@
 //! The record lies in RAM nobody clears. A checksum tells a record from whatever power-up left there.
 
 use crate::text::{Out, Sink};
+use wire::ResetReason;
 use wire::map::{PANIC, PANIC_TEXT, PANIC_TEXT_LEN};
 
 const TEXT_LEN: usize = PANIC_TEXT_LEN as usize;
@@ -14,8 +15,8 @@ pub struct Record {
     check: u32,
     boots: u32,
     deaths: u32,
-    /// 1 between a death and the boot after it.
-    died: u32,
+    /// Why the next start will be one, as a [`ResetReason`].
+    parting: u32,
     length: u32,
     text: [u8; TEXT_LEN],
 }
@@ -25,8 +26,8 @@ pub struct Record {
 pub struct Boot {
     /// Changes with every start.
     pub id: u32,
-    /// The last run ended in a panic or trap.
-    pub crashed: bool,
+    /// Why this start was one.
+    pub reset: ResetReason,
 }
 
 impl Record {
@@ -35,7 +36,7 @@ impl Record {
         check: 0,
         boots: 0,
         deaths: 0,
-        died: 0,
+        parting: 0,
         length: 0,
         text: [0; TEXT_LEN],
     };
@@ -44,30 +45,35 @@ impl Record {
     /// that a board which lost power is not mistaken for the one before.
     pub fn boot(&mut self, seed: u32) -> Boot {
         if self.check != self.sum() {
-            *self = Record::EMPTY;
+            *self = Record::EMPTY; // whose parting word is power-up
             self.boots = seed << 16;
         }
         self.boots = self.boots.wrapping_add(1);
         let boot = Boot {
             id: self.boots,
-            crashed: self.died != 0,
+            reset: ResetReason::from_code(self.parting as u8).unwrap_or(ResetReason::Unknown),
         };
-        self.died = 0;
-        self.check = self.sum();
+        // Whoever leaves without a word leaves this one.
+        self.part(ResetReason::Unknown);
         boot
     }
 
+    /// Leaves word why the next start will be one.
+    pub fn part(&mut self, why: ResetReason) {
+        self.parting = why as u32;
+        self.check = self.sum();
+    }
+
     /// Writes the obituary. What does not fit is cut off.
-    pub fn die(&mut self, cause: impl FnOnce(&mut Out)) {
+    pub fn die(&mut self, why: ResetReason, cause: impl FnOnce(&mut Out)) {
         if self.check != self.sum() {
             *self = Record::EMPTY;
         }
         self.deaths = self.deaths.wrapping_add(1);
-        self.died = 1;
         self.length = 0;
         self.text = [0; TEXT_LEN];
         cause(&mut Out(self));
-        self.check = self.sum();
+        self.part(why);
     }
 
     /// How often it died since power-up.
@@ -94,7 +100,7 @@ impl Record {
 
     /// FNV-1a over everything but the sum, never 0: cleared memory is no record.
     fn sum(&self) -> u32 {
-        let words = [self.boots, self.deaths, self.died, self.length];
+        let words = [self.boots, self.deaths, self.parting, self.length];
         let bytes = words.iter().flat_map(|word| word.to_le_bytes());
         let hash = bytes
             .chain(self.text.iter().copied())
@@ -122,28 +128,37 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_boot_finds_no_crash_and_every_boot_has_another_id() {
+    fn the_first_boot_is_a_power_up_and_every_boot_has_another_id() {
         let mut record = Record::EMPTY;
         let first = record.boot(3);
         assert_eq!(
             first,
             Boot {
                 id: 0x3_0001,
-                crashed: false
+                reset: ResetReason::PowerUp
             }
         );
         assert_eq!(record.boot(99).id, 0x3_0002);
     }
 
     #[test]
+    fn a_restart_on_request_says_so_and_one_without_a_word_is_unknown() {
+        let mut record = Record::EMPTY;
+        let _ = record.boot(0);
+        record.part(ResetReason::Requested);
+        assert_eq!(record.boot(0).reset, ResetReason::Requested);
+        assert_eq!(record.boot(0).reset, ResetReason::Unknown);
+    }
+
+    #[test]
     fn a_death_is_told_once_as_a_crash_and_stays_readable() {
         let mut record = Record::EMPTY;
         let _ = record.boot(0);
-        record.die(|out| {
+        record.die(ResetReason::Panic, |out| {
             out.text("panicked at ").text("x.rs:").number(1);
         });
-        assert!(record.boot(0).crashed);
-        assert!(!record.boot(0).crashed);
+        assert_eq!(record.boot(0).reset, ResetReason::Panic);
+        assert_eq!(record.boot(0).reset, ResetReason::Unknown);
         assert_eq!(
             (record.deaths(), record.text()),
             (1, &b"panicked at x.rs:1"[..])
@@ -159,7 +174,7 @@ mod tests {
             check: 5,
             boots: 7,
             deaths: 9,
-            died: 1,
+            parting: 2,
             length: 4_000_000,
             text: [255; TEXT_LEN],
         };
@@ -167,7 +182,7 @@ mod tests {
             record.boot(0),
             Boot {
                 id: 1,
-                crashed: false
+                reset: ResetReason::PowerUp
             }
         );
         assert_eq!((record.deaths(), record.text()), (0, &b""[..]));
@@ -182,10 +197,10 @@ mod tests {
     fn a_long_text_is_cut_off() {
         let mut record = Record::EMPTY;
         let _ = record.boot(0);
-        record.die(|out| {
+        record.die(ResetReason::Trap, |out| {
             out.text(&"x".repeat(300));
         });
         assert_eq!(record.text().len(), TEXT_LEN);
-        assert!(record.boot(0).crashed);
+        assert_eq!(record.boot(0).reset, ResetReason::Trap);
     }
 }

@@ -4,23 +4,26 @@
 //!            booted            edge, then a fresh command
 //!   Boot ------------> Disarmed -----------------------> Armed
 //!     |                 ^    ^                           |  |
-//!     | crashed         |    | at rest, host's wish      |  | gate closed by gateware
+//!     | stopped badly   |    | at rest, host's wish      |  | gate closed by gateware
 //!     v                 |    +---------- Stopping <------+  |
 //!   Faulted ------------+                 | at rest, fault  |
 //!     ^   resync, cause gone, new edge    |                 |
 //!     +-----------------------------------+-----------------+
 //! ```
 //!
-//! The gateware closes the gate by itself on a bite, an external reset or silence; this machine only
-//! finds out. What it decides is when the gate may open again, and that it is never by accident: the
+//! The gateware closes the gate by itself on a bite, an external reset, an e-stop input or silence; this
+//! machine only finds out. What it decides is when the gate may open again, and that it is never by accident: the
 //! ABI must fit, a session must exist, the host must say `enable`, raise `enable-request` after having
 //! been seen with it low, and send one more command after that.
 //!
 //! It never touches a position. `position_trusted` says whether pulses were cut off: by the external
-//! reset, by a grace period that ended before the motors did, by the firmware's own death.
+//! reset or an e-stop, by a grace period that ended before the motors did, by the firmware's own death.
+//!
+//! After a restart the gateware still knows why the gate closed last, and that is where the machine
+//! goes on: a bite or an e-stop under a hung CPU is not forgotten by resetting the CPU.
 
 use crate::cores::{Control, Gate};
-use wire::{FaultReason, State};
+use wire::{FaultReason, GateClose, ResetReason, State};
 
 /// 2 s at 60 MHz. A soft stop that takes longer than any watchdog grace is not a stop; the gateware's
 /// own limit is `watchdog.grace`, this one catches a grace that was configured away.
@@ -33,8 +36,10 @@ pub enum Event {
     Booted {
         /// Gateware and firmware know the same registers.
         abi_fits: bool,
-        /// The last run ended in a panic or trap.
-        crashed: bool,
+        /// Why the firmware started.
+        reset: ResetReason,
+        /// Why the gate closed last, as the gateware remembers it.
+        close: GateClose,
     },
     /// A host acquired the session: what it knew before no longer counts.
     Acquired,
@@ -189,7 +194,11 @@ impl Safety {
     /// The one function. Total: every event in every state.
     pub fn step(self, event: Event, now: u64) -> (Safety, Effects) {
         match event {
-            Event::Booted { abi_fits, crashed } => self.booted(abi_fits, crashed),
+            Event::Booted {
+                abi_fits,
+                reset,
+                close,
+            } => self.booted(abi_fits, reset, close),
             Event::Acquired => self.acquired(now),
             Event::Lost => self.lost(now),
             Event::Command {
@@ -203,7 +212,7 @@ impl Safety {
         }
     }
 
-    fn booted(mut self, abi_fits: bool, crashed: bool) -> (Safety, Effects) {
+    fn booted(mut self, abi_fits: bool, reset: ResetReason, close: GateClose) -> (Safety, Effects) {
         match self.state {
             State::Boot => {}
             State::Disarmed | State::Armed | State::Stopping | State::Faulted => {
@@ -211,12 +220,25 @@ impl Safety {
             }
         }
         self.abi_fits = abi_fits;
-        self.state = State::Disarmed;
-        if crashed {
-            self.state = State::Faulted;
-            self.reason = FaultReason::FirmwareFault;
-            self.position_trusted = false;
-        }
+        self.reason = match (reset, close) {
+            (ResetReason::Panic | ResetReason::Trap, _) => FaultReason::FirmwareFault,
+            (ResetReason::PowerUp | ResetReason::Requested | ResetReason::Unknown, close) => {
+                match close {
+                    GateClose::Never | GateClose::Order | GateClose::SoftStop => FaultReason::None,
+                    GateClose::Bite => FaultReason::Watchdog,
+                    GateClose::ExternalReset => FaultReason::ExternalReset,
+                    GateClose::EStop => FaultReason::EStop,
+                    GateClose::SystemReset => FaultReason::FirmwareFault,
+                }
+            }
+        };
+        self.state = if self.reason == FaultReason::None {
+            State::Disarmed
+        } else {
+            State::Faulted
+        };
+        // A bite stops softly; everything else cuts pulses off.
+        self.position_trusted = matches!(self.reason, FaultReason::None | FaultReason::Watchdog);
         if !abi_fits {
             self.state = State::Faulted;
             self.reason = FaultReason::AbiMismatch;
@@ -272,14 +294,14 @@ impl Safety {
                 next.request = Request::High;
             }
             State::Disarmed if next.request == Request::Edge => {
-                // A bite or reset that came while disarmed is latched in gateware, too.
-                if gate.bitten() || gate.reset() {
+                // A bite, reset or e-stop that came while disarmed is latched in gateware, too.
+                if gate.latched() {
                     effects.order = Some(Control::Clear);
                 }
             }
             State::Faulted if next.request == Request::Edge => {
                 // The cause must be gone, and a wrong ABI is never gone.
-                if next.abi_fits && !gate.open() && !gate.reset_pin() {
+                if next.abi_fits && !gate.open() && !gate.pinned_now() {
                     next.state = State::Disarmed;
                     effects.order = Some(Control::Clear);
                 } else {
@@ -295,9 +317,8 @@ impl Safety {
         match self.state {
             State::Boot => (self, Effects::NONE),
             State::Armed => {
-                if gate.reset() || gate.reset_pin() {
-                    self.position_trusted = false;
-                    self.enter_fault(FaultReason::ExternalReset)
+                if gate.pinned() {
+                    self.pinned(gate)
                 } else if gate.bitten() {
                     self.bitten(gate, now)
                 } else if !gate.open() {
@@ -309,9 +330,8 @@ impl Safety {
                 }
             }
             State::Stopping => {
-                if gate.reset() || gate.reset_pin() {
-                    self.position_trusted = false;
-                    return self.enter_fault(FaultReason::ExternalReset);
+                if gate.pinned() {
+                    return self.pinned(gate);
                 }
                 let bitten_meanwhile = gate.bitten() && self.reason != FaultReason::Watchdog;
                 if bitten_meanwhile {
@@ -360,6 +380,16 @@ impl Safety {
         (self, effects)
     }
 
+    /// A pin closed the gate in mid-step.
+    fn pinned(mut self, gate: Gate) -> (Safety, Effects) {
+        self.position_trusted = false;
+        self.enter_fault(if gate.reset() || gate.reset_pin() {
+            FaultReason::ExternalReset
+        } else {
+            FaultReason::EStop
+        })
+    }
+
     fn enter_fault(mut self, reason: FaultReason) -> (Safety, Effects) {
         self.state = State::Faulted;
         self.reason = reason;
@@ -390,7 +420,7 @@ impl Safety {
     }
 
     fn clear_to_arm(gate: Gate) -> bool {
-        !gate.bitten() && !gate.reset() && !gate.reset_pin() && !gate.open()
+        !gate.bitten() && !gate.pinned() && !gate.open()
     }
 }
 
@@ -416,6 +446,8 @@ mod tests {
     const BITTEN: Gate = Gate(0b00_0100);
     const RESET_HIGH: Gate = Gate(0b01_1000);
     const RESET_LATCHED: Gate = Gate(0b00_1000);
+    const ESTOP_ACTIVE: Gate = Gate(0b1100_0000);
+    const ESTOP_LATCHED: Gate = Gate(0b0100_0000);
 
     fn command(enable: bool, request: bool, gate: Gate) -> Event {
         Event::Command {
@@ -433,8 +465,18 @@ mod tests {
 
     const BOOTED: Event = Event::Booted {
         abi_fits: true,
-        crashed: false,
+        reset: ResetReason::PowerUp,
+        close: GateClose::Never,
     };
+
+    fn booted(reset: ResetReason, close: GateClose) -> Safety {
+        let abi_fits = true;
+        run(&[Event::Booted {
+            abi_fits,
+            reset,
+            close,
+        }])
+    }
 
     fn ready() -> Vec<Event> {
         vec![
@@ -478,11 +520,17 @@ mod tests {
             Event::JobUnderrun,
         ];
         for abi_fits in [false, true] {
-            for crashed in [false, true] {
-                events.push(Event::Booted { abi_fits, crashed });
+            for &reset in ResetReason::ALL {
+                for &close in GateClose::ALL {
+                    events.push(Event::Booted {
+                        abi_fits,
+                        reset,
+                        close,
+                    });
+                }
             }
         }
-        for gate in (0..64).map(Gate) {
+        for gate in (0..256).map(Gate) {
             events.push(Event::Gate(gate));
             for enable in [false, true] {
                 for request in [false, true] {
@@ -510,10 +558,7 @@ mod tests {
                 "{context}"
             );
             assert!(before.session && before.abi_fits, "{context}");
-            assert!(
-                !gate.reset() && !gate.reset_pin() && !gate.bitten(),
-                "{context}"
-            );
+            assert!(!gate.pinned() && !gate.latched(), "{context}");
             assert_eq!(before.state, State::Disarmed, "{context}");
         }
         let became_armed = before.state != State::Armed && after.state == State::Armed;
@@ -545,7 +590,7 @@ mod tests {
             assert_eq!(before.request, Request::Low, "{context}");
         }
         if let Event::Command { gate, .. } | Event::Gate(gate) = event
-            && (gate.reset_pin() || gate.reset() || gate.bitten() || !gate.open())
+            && (gate.pinned() || gate.bitten() || !gate.open())
             && !became_armed
         {
             assert_ne!(
@@ -644,7 +689,7 @@ mod tests {
     proptest! {
         #[test]
         fn no_sequence_of_events_breaks_an_invariant(
-            picks in proptest::collection::vec((0usize..4096, 0u64..STOP_LIMIT_CLOCKS), 1..200)
+            picks in proptest::collection::vec((0usize..1 << 14, 0u64..STOP_LIMIT_CLOCKS), 1..200)
         ) {
             let events = all_events();
             let (mut machine, mut now) = (Safety::new(), 0u64);
@@ -694,7 +739,8 @@ mod tests {
         let mut machine = run(&[
             Event::Booted {
                 abi_fits: false,
-                crashed: false,
+                reset: ResetReason::PowerUp,
+                close: GateClose::Never,
             },
             Event::Acquired,
         ]);
@@ -804,15 +850,94 @@ mod tests {
     }
 
     #[test]
-    fn a_crash_is_remembered_after_the_restart() {
-        let machine = run(&[Event::Booted {
-            abi_fits: true,
-            crashed: true,
-        }]);
+    fn an_e_stop_stops_hard_and_holds_until_the_input_is_idle_and_an_edge_clears_it() {
+        let (mut machine, effects) = armed().step(Event::Gate(ESTOP_ACTIVE), 0);
+        assert_eq!(effects.order, Some(Control::Close));
+        assert!(!effects.end_session, "the host shall tell its operator");
         assert_eq!(
             (machine.state(), machine.reason()),
-            (State::Faulted, FaultReason::FirmwareFault)
+            (State::Faulted, FaultReason::EStop)
         );
         assert!(!machine.position_trusted());
+        for level in [false, true, true] {
+            machine = machine.step(command(true, level, ESTOP_ACTIVE), 1).0;
+        }
+        assert_eq!(machine.state(), State::Faulted);
+        machine = machine.step(command(true, true, ESTOP_LATCHED), 2).0;
+        assert_eq!(machine.state(), State::Faulted, "a level is no edge");
+        machine = machine.step(command(true, false, ESTOP_LATCHED), 3).0;
+        let (machine, effects) = machine.step(command(true, true, ESTOP_LATCHED), 4);
+        assert_eq!(effects.order, Some(Control::Clear));
+        assert_eq!(machine.reason(), FaultReason::EStop);
+        assert_eq!(
+            machine.step(command(true, true, CLOSED), 5).0.state(),
+            State::Armed
+        );
+    }
+
+    #[test]
+    fn an_e_stop_during_a_soft_stop_is_the_reason() {
+        let machine = armed().step(command(false, true, LIVE), 0).0;
+        let machine = machine.step(Event::Gate(ESTOP_ACTIVE), 1).0;
+        assert_eq!(
+            (machine.state(), machine.reason()),
+            (State::Faulted, FaultReason::EStop)
+        );
+    }
+
+    #[test]
+    fn an_e_stop_while_disarmed_keeps_it_from_arming_until_cleared() {
+        let mut machine = run(&[BOOTED, Event::Acquired]);
+        for gate in [ESTOP_ACTIVE, ESTOP_LATCHED] {
+            machine = machine.step(command(true, false, gate), 0).0;
+            let (edge, effects) = machine.step(command(true, true, gate), 0);
+            assert_eq!(effects.order, Some(Control::Clear));
+            machine = edge.step(command(true, true, gate), 0).0;
+            assert_eq!(machine.state(), State::Disarmed);
+        }
+    }
+
+    #[test]
+    fn after_a_restart_the_machine_goes_on_where_the_gate_closed() {
+        use FaultReason as Why;
+        use ResetReason as Reset;
+        for (reset, close, reason, trusted) in [
+            (Reset::PowerUp, GateClose::Never, Why::None, true),
+            (Reset::Requested, GateClose::SoftStop, Why::None, true),
+            (Reset::Unknown, GateClose::Order, Why::None, true),
+            (Reset::Unknown, GateClose::Bite, Why::Watchdog, true),
+            (
+                Reset::Unknown,
+                GateClose::ExternalReset,
+                Why::ExternalReset,
+                false,
+            ),
+            (Reset::Unknown, GateClose::EStop, Why::EStop, false),
+            (
+                Reset::PowerUp,
+                GateClose::SystemReset,
+                Why::FirmwareFault,
+                false,
+            ),
+            (Reset::Panic, GateClose::Order, Why::FirmwareFault, false),
+            (Reset::Trap, GateClose::Order, Why::FirmwareFault, false),
+            (Reset::Trap, GateClose::EStop, Why::FirmwareFault, false),
+        ] {
+            let machine = booted(reset, close);
+            let state = if reason == Why::None {
+                State::Disarmed
+            } else {
+                State::Faulted
+            };
+            assert_eq!(
+                (
+                    machine.state(),
+                    machine.reason(),
+                    machine.position_trusted()
+                ),
+                (state, reason, trusted),
+                "{reset}, {close}"
+            );
+        }
     }
 }

@@ -8,18 +8,22 @@
 //! reason and nothing else.
 
 use crate::cores::{
-    Board, Control, Gate, Ident, LATCH_INPUTS, LATCH_SAMPLE, Led, STROBE_COMMIT, STROBE_SAMPLE,
+    Board, Control, Gate, Ident, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_SAMPLE, Led,
+    STROBE_COMMIT, STROBE_SAMPLE,
 };
 use crate::exchange::{REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
+use crate::postmortem::Boot;
 use crate::safety::{Effects, Event, Safety};
 use crate::session::{Peer, Session};
 use crate::{config, describe, log, service};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
-use wire::{MAX_WORDS, Refusal, map};
+use wire::{GateClose, MAX_WORDS, Refusal, map};
 
 /// 10 ms: nobody watches an idle machine faster than this, and a sample costs nothing.
 const IDLE_SAMPLE_PER_SECOND: u32 = 100;
+/// 3 s without a frame of any kind: the cable, more likely than a network without a broadcast.
+const QUIET_SECONDS: u32 = 3;
 
 const WINDOW: u32 = 0x1000;
 const STATUS_WORDS_END: u32 = map::STATUS + 0x400;
@@ -49,7 +53,7 @@ pub struct Server {
     pub(crate) ident: Ident,
     pub(crate) shape: Shape,
     pub(crate) abi: u32,
-    pub(crate) boot_id: u32,
+    pub(crate) boot: Boot,
     pub(crate) session: Session,
     pub(crate) safety: Safety,
     pub(crate) counters: Counters,
@@ -57,22 +61,26 @@ pub struct Server {
     state_word: u32,
     /// A timed commit may still be waiting in gateware.
     pub(crate) commit_pending: bool,
+    /// Whose latch the last answer carried.
+    pub(crate) select: u32,
     /// The owner spoke since the last [`Server::poll`].
     pub(crate) spoke: bool,
     /// Something was committed since the machine was last put to rest.
     committed: bool,
     sampled_at: u64,
+    /// Frames when last looked, and when that number was new.
+    frames: (u32, u64),
     restart: bool,
 }
 
 impl Server {
     /// A server for this board, in state `Boot`. `abi` is the firmware's.
-    pub const fn new(ident: Ident, abi: u32, boot_id: u32) -> Self {
+    pub const fn new(ident: Ident, abi: u32, boot: Boot) -> Self {
         Server {
             shape: Shape::new(ident.channels),
             ident,
             abi,
-            boot_id,
+            boot,
             session: Session::new(),
             safety: Safety::new(),
             counters: Counters {
@@ -84,17 +92,23 @@ impl Server {
             },
             state_word: 0,
             commit_pending: false,
+            select: 0,
             spoke: false,
             committed: true,
             sampled_at: 0,
+            frames: (0, 0),
             restart: false,
         }
     }
 
     /// Ends start-up: gate closed, machine at rest.
-    pub fn start<B: Board>(&mut self, board: &mut B, crashed: bool) {
-        let abi_fits = self.ident.abi == self.abi;
-        self.event(board, Event::Booted { abi_fits, crashed });
+    pub fn start<B: Board>(&mut self, board: &mut B) {
+        let event = Event::Booted {
+            abi_fits: self.ident.abi == self.abi,
+            reset: self.boot.reset,
+            close: last_close(board),
+        };
+        self.event(board, event);
         self.poll(board);
     }
 
@@ -128,9 +142,9 @@ impl Server {
         &mut self.counters
     }
 
-    /// This start's number.
-    pub fn boot_id(&self) -> u32 {
-        self.boot_id
+    /// This start: its number and its reason.
+    pub fn boot(&self) -> Boot {
+        self.boot
     }
 
     /// Firmware's ABI number.
@@ -186,6 +200,9 @@ impl Server {
         if core::mem::take(&mut self.spoke) {
             self.session.heard(now);
         }
+        if self.counters.frames_rx != self.frames.0 {
+            self.frames = (self.counters.frames_rx, now);
+        }
         if self.safety.at_rest() {
             if self.session.silent(now, self.ident.clock_hz) {
                 self.session.kill();
@@ -200,7 +217,7 @@ impl Server {
                 board.strobe(STROBE_SAMPLE);
             }
         }
-        board.led(self.led());
+        board.led(self.led(gate, now));
     }
 
     /// What the machine is doing, to somebody who owns the session or does not.
@@ -216,6 +233,7 @@ impl Server {
             accepted: false,
             // Whoever reads this got it over the link.
             link: true,
+            estop: gate.estop(),
         }
     }
 
@@ -228,6 +246,7 @@ impl Server {
             u32::from(gate.open()) << 17
                 | u32::from(gate.bitten()) << 19
                 | u32::from(gate.reset_pin()) << 20
+                | u32::from(gate.estop()) << 23
         };
         self.state_word | gate
     }
@@ -254,7 +273,8 @@ impl Server {
         if let Some(order) = effects.order {
             board.control(order);
             self.committed |= order == Control::Arm;
-            board.led(self.led());
+            let (gate, now) = (board.gate(), board.now());
+            board.led(self.led(gate, now));
         }
     }
 
@@ -264,20 +284,25 @@ impl Server {
             board.commit_at(u64::MAX);
             self.commit_pending = false;
         }
-        for word in 0..crate::cores::STAGE_PWM + wire::exchange::MAX_CHANNELS {
+        for word in 0..crate::cores::STAGE_WORDS {
             board.stage(word, 0);
         }
         board.strobe(STROBE_COMMIT);
         self.committed = false;
     }
 
-    fn led(&self) -> Led {
+    fn led(&self, gate: Gate, now: u64) -> Led {
         use wire::State;
+        let quiet = u64::from(QUIET_SECONDS) * u64::from(self.ident.clock_hz);
+        let (frames, heard) = self.frames;
         match self.safety.state() {
             State::Boot => Led::Off,
+            State::Disarmed | State::Faulted if gate.pinned() => Led::Triple,
             State::Disarmed if self.session.owner().is_some() => Led::Double,
+            State::Disarmed if frames == 0 || now.wrapping_sub(heard) >= quiet => Led::Heartbeat,
             State::Disarmed => Led::Slow,
-            State::Armed | State::Stopping => Led::On,
+            State::Armed => Led::On,
+            State::Stopping => Led::Flicker,
             State::Faulted => Led::Fast,
         }
     }
@@ -364,7 +389,7 @@ impl Server {
         let now = board.now();
         let mut judge = Judge {
             ident: &self.ident,
-            boot_id: self.boot_id,
+            boot_id: self.boot.id,
             session: self.session,
             safety: self.safety,
             peer,
@@ -389,7 +414,7 @@ impl Server {
             match address {
                 map::SESSION_ACQUIRE => {
                     let now = board.now();
-                    if self.session.acquire(peer, value, self.boot_id, now).is_ok() {
+                    if self.session.acquire(peer, value, self.boot.id, now).is_ok() {
                         self.event(board, Event::Acquired);
                     }
                 }
@@ -436,7 +461,7 @@ impl Server {
             map::COUNTERS..map::LOG => self.counter((address - map::COUNTERS) / 4),
             map::LOG => board.log(log::Read::Head),
             LOG_SIZE => board.log(log::Read::Size),
-            LOG_BOOT => self.boot_id,
+            LOG_BOOT => self.boot.id,
             map::LOG_RING..map::PANIC => {
                 board.log(log::Read::Ring(((address - map::LOG_RING) / 4) as usize))
             }
@@ -448,7 +473,8 @@ impl Server {
 
     fn describe_word<B: Board>(&self, board: &mut B, word: u32, peer: Peer) -> u32 {
         let state = self.state(board.gate(), self.session.is_owner(peer));
-        let words = describe::describe(&self.ident, self.abi, self.boot_id, state).to_words();
+        let close = last_close(board);
+        let words = describe::describe(&self.ident, self.abi, self.boot, state, close).to_words();
         words.get(word as usize).copied().unwrap_or(0)
     }
 
@@ -467,8 +493,10 @@ impl Server {
             4 | 5 => board.latched(LATCH_SAMPLE + word - 4),
             6 => board.watchdog_left(),
             7 => self.counters.refused_total,
-            8 => self.boot_id,
-            10 | 11 => board.latched(LATCH_INPUTS + word - 10),
+            8 => self.boot.id,
+            9 => board.latched(LATCH_ESTOP),
+            10..=13 => board.latched(LATCH_INPUTS + word - 10),
+            14 => board.latched(LATCH_LATCH + self.select as usize),
             _ if word >= STATUS_HEAD && word < encoders_at => {
                 board.latched(crate::cores::LATCH_STEPGEN + word - STATUS_HEAD)
             }
@@ -492,6 +520,11 @@ impl Server {
                 .unwrap_or(0),
         }
     }
+}
+
+/// Why the gate closed last; a gateware that says what nobody knows was built from another map.
+fn last_close(board: &mut impl Board) -> GateClose {
+    GateClose::from_code(board.last_close() as u8).unwrap_or(GateClose::SystemReset)
 }
 
 const STATE_ENABLED: u32 = 1 << 17;

@@ -7,7 +7,7 @@ use crate::config;
 use crate::cores::Setting;
 use wire::Refusal;
 use wire::describe::Channels;
-use wire::map::{self, BoardConfig, StepgenConfig};
+use wire::map::{self, BoardConfig};
 
 /// Bytes per CSR page.
 const PAGE: u32 = 0x800;
@@ -15,11 +15,12 @@ const PAGE: u32 = 0x800;
 const SCRATCH: u32 = map::SERVICE + 4;
 const PAGE_GPIO: u32 = 11;
 const PAGE_LED: u32 = 12;
+const PAGE_DEBOUNCE: u32 = 13;
 const PAGE_STEPGEN: u32 = 16;
 const PAGE_ENCODER: u32 = 32;
 const PAGE_PWM: u32 = 48;
-/// Pages 0..=4 are LiteX's, 8..=12 and 14.. ours.
-const PAGES: u64 = 0x1f | 0x1f << 8 | !0 << 14;
+/// Pages 0, 1, 3 and 4 are LiteX's, 8 and up ours.
+const PAGES: u64 = 0b1_1011 | !0 << 8;
 
 /// What a raw write means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,6 +49,7 @@ pub fn check_write(
     }
 }
 
+/// A register that is a setting lies on its page as in its block of the config window.
 #[inline(never)]
 fn target(address: u32, channels: Channels) -> Result<Target, Refusal> {
     if !readable(address) {
@@ -58,31 +60,22 @@ fn target(address: u32, channels: Channels) -> Result<Target, Refusal> {
     }
     let offset = address - map::SERVICE;
     let (page, word) = (offset / PAGE, offset % PAGE / 4);
-    let channel = (page % 16) as u8;
-    let setting = match (page, word) {
+    let block = page % 16 * map::CONFIG_STRIDE;
+    let in_block = word < map::CONFIG_STRIDE / 4;
+    let config = match (page, word) {
         (PAGE_LED, 0) => return Ok(Target::Harmless),
-        (PAGE_GPIO, 1) => Setting::Board(BoardConfig::GpioSafe),
-        (PAGE_GPIO, 2) => Setting::Board(BoardConfig::GpioInvert),
-        (PAGE_STEPGEN..PAGE_ENCODER, 0..6) if channel < channels.stepgens => {
-            let field = match word {
-                0 => StepgenConfig::Steplen,
-                1 => StepgenConfig::Stepspace,
-                2 => StepgenConfig::Dirsetup,
-                3 => StepgenConfig::Dirhold,
-                4 => StepgenConfig::StopAccel,
-                _ => StepgenConfig::Mode,
-            };
-            Setting::Stepgen(channel, field)
-        }
-        (PAGE_ENCODER..PAGE_PWM, 0) if channel < channels.encoders => Setting::EncoderMode(channel),
-        (PAGE_ENCODER..PAGE_PWM, 1) if channel < channels.encoders => {
-            Setting::EncoderFilter(channel)
-        }
-        (PAGE_PWM.., 0) if channel < channels.pwms => Setting::PwmPeriod(channel),
-        (PAGE_PWM.., 1) if channel < channels.pwms => Setting::PwmMode(channel),
+        (PAGE_GPIO, 1) => map::CONFIG_BOARD + 4 * BoardConfig::GpioSafe as u32,
+        (PAGE_GPIO, 2) => map::CONFIG_BOARD + 4 * BoardConfig::GpioInvert as u32,
+        (PAGE_GPIO, 7) => map::CONFIG_BOARD + 4 * BoardConfig::Probe as u32,
+        (PAGE_DEBOUNCE, 0..32) => map::CONFIG_DEBOUNCE + 4 * word,
+        (PAGE_STEPGEN..PAGE_ENCODER, _) if in_block => map::CONFIG_STEPGEN + block + 4 * word,
+        (PAGE_ENCODER..PAGE_PWM, _) if in_block => map::CONFIG_ENCODER + block + 4 * word,
+        (PAGE_PWM.., _) if in_block => map::CONFIG_PWM + block + 4 * word,
         _ => return Err(Refusal::ReadOnly),
     };
-    Ok(Target::Setting(setting))
+    config::setting_at(config, channels)
+        .map(Target::Setting)
+        .ok_or(Refusal::ReadOnly)
 }
 
 #[cfg(test)]
@@ -108,10 +101,10 @@ mod tests {
 
     #[test]
     fn the_identifier_and_every_core_can_be_read() {
-        for page in [0, 1, 2, 3, 8, 9, 10, 11, 12, 14, 15, 16, 31, 32, 48, 63] {
+        for page in [0, 1, 3, 4, 8, 9, 10, 11, 12, 13, 14, 15, 16, 31, 32, 48, 63] {
             assert!(readable(map::SERVICE + page * PAGE), "page {page}");
         }
-        for page in [5, 6, 7, 13, 64, 1000] {
+        for page in [2, 5, 6, 7, 64, 1000] {
             assert!(!readable(map::SERVICE + page * PAGE), "page {page}");
         }
         assert!(!readable(0x8000_0000) && !readable(0));
@@ -119,7 +112,7 @@ mod tests {
 
     #[test]
     fn nothing_that_opens_the_gate_moves_an_axis_or_cuts_the_network_can_be_written() {
-        for page in [1, 2, 3, 4, 8, 9, 10, 14, 15] {
+        for page in [1, 3, 4, 8, 9, 10, 14, 15] {
             for word in 0..64 {
                 assert_eq!(
                     write(page, word, 0),
@@ -148,5 +141,37 @@ mod tests {
         assert_eq!(write(11, 1, 0xfff), Ok(()));
         assert_eq!(write(11, 1, 0x1000), Err(Refusal::Value));
         assert_eq!(write(48, 0, 3000), Ok(()));
+        assert_eq!(write(48, 1, 6), Err(Refusal::Value));
+        assert_eq!(write(32, 0, 0xf5), Ok(()));
+        assert_eq!(write(32, 0, 0xf6), Err(Refusal::Value));
+        assert_eq!(write(13, 11, 1000), Ok(()));
+        assert_eq!(write(13, 12, 1000), Err(Refusal::ReadOnly));
+        assert_eq!(write(11, 7, 0x10b), Ok(()));
+        assert_eq!(write(11, 7, 0x10c), Err(Refusal::Value));
+    }
+
+    #[test]
+    fn what_is_not_a_setting_is_read_only() {
+        for (page, word) in [
+            (11, 0),
+            (11, 3),
+            (11, 4),
+            (11, 5),
+            (11, 6),
+            (11, 8),
+            (12, 1),
+            (13, 32),
+            (16, 6),
+            (16, 16),
+            (32, 2),
+            (32, 16),
+            (48, 2),
+        ] {
+            assert_eq!(
+                write(page, word, 0),
+                Err(Refusal::ReadOnly),
+                "page {page} word {word}"
+            );
+        }
     }
 }

@@ -283,7 +283,7 @@ fn lane() -> Lane {
     let Class::Ours(datagram) = look(&udp_frame(&[0; 116], true)) else {
         panic!()
     };
-    Lane::new(&US, datagram, 25)
+    Lane::new(&US, datagram, 27)
 }
 
 /// Runs a frame down the lane as the firmware does; the answer's payload if there was one.
@@ -347,7 +347,8 @@ fn a_damaged_exchange_is_refused_before_anything_takes_effect() {
     let command = block(&mut rig);
     let before = rig.board.changes();
     let frame = udp_frame(&request(&command), true);
-    for at in 58 + 12..frame.len() {
+    // Token, sequence, flags and the bits behind the latch's number are judged before the sum is known.
+    for at in (58 + 12..frame.len()).filter(|at| *at != 58 + 32) {
         let mut bad = frame.clone();
         bad[at] ^= 0x10;
         let why = down_the_lane(&mut rig, bad).expect("still this lane's");
@@ -423,7 +424,7 @@ fn a_rehearsal_walks_to_the_end_and_does_nothing() {
     assert_eq!(outcome, Err(Refusal::Checksum));
     assert_eq!(
         slot.0.len(),
-        PAYLOAD_WORD + 4 + 48,
+        PAYLOAD_WORD + 4 + 45,
         "it did not get to the end"
     );
     assert_eq!(rig.board.changes(), before);
@@ -434,9 +435,9 @@ fn a_rehearsal_walks_to_the_end_and_does_nothing() {
 proptest! {
     #[test]
     fn the_lane_agrees_with_the_textbook_on_every_checksum(
-        words in proptest::collection::vec(prop_oneof![any::<u32>(), Just(0u32), Just(u32::MAX)], 25)
+        words in proptest::collection::vec(prop_oneof![any::<u32>(), Just(0u32), Just(u32::MAX)], 27)
     ) {
-        let mut payload = [0x4e6f_1044u32, 0, 0x000f_1900, 0x0003_0000].to_vec();
+        let mut payload = [0x4e6f_1044u32, 0, 0x000f_1b00, 0x0003_0000].to_vec();
         payload.extend(words);
         let bytes: Vec<u8> = payload.iter().flat_map(|word| word.to_be_bytes()).collect();
         let frame = Bytes(udp_frame(&bytes, true));

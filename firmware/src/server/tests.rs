@@ -1,10 +1,10 @@
 use super::*;
-use crate::cores::{STROBE_COMMIT_AT, Setting};
+use crate::cores::{STAGE_WORDS, STROBE_COMMIT_AT, Setting};
 use crate::fake::*;
 use proptest::prelude::*;
-use wire::exchange::{Command, PWM_ENABLE, Status};
+use wire::exchange::{Command, Latch, PWM_ENABLE, Status};
 use wire::map::{BoardConfig, StepgenConfig};
-use wire::units::{Accel, Clocks, StepRate};
+use wire::units::{Accel, Clocks, Count, StepRate};
 use wire::{FaultReason, State};
 
 const HEADER: u32 = 0x4e6f_1044;
@@ -244,7 +244,7 @@ proptest! {
     #[test]
     fn no_words_whatever_panic_or_change_anything_without_the_session(
         words in proptest::collection::vec(prop_oneof![
-            any::<u32>(), Just(HEADER), Just(0x000f_0101), Just(0x000f_1900), Just(map::COMMAND),
+            any::<u32>(), Just(HEADER), Just(0x000f_0101), Just(0x000f_1b00), Just(map::COMMAND),
             Just(map::CONFIG), Just(map::SERVICE + 0x8000), Just(map::SESSION_RELEASE),
         ], 0..40)
     ) {
@@ -435,6 +435,8 @@ fn while_armed_only_what_is_safe_live_can_change() {
         map::CONFIG_ENCODER + 4,
         map::CONFIG_BOARD,
         map::CONFIG_BOARD + 8,
+        map::CONFIG_BOARD + 16,
+        map::CONFIG_DEBOUNCE,
     ] {
         assert_eq!(rig.write(address, 1), Err(Refusal::Armed), "{address:#x}");
     }
@@ -450,7 +452,7 @@ fn a_setting_out_of_range_is_refused_and_the_old_one_stays() {
     let mut rig = Rig::new();
     rig.acquire();
     rig.write(map::CONFIG_STEPGEN, 60).unwrap();
-    assert_eq!(rig.write(map::CONFIG_STEPGEN, 65_536), Err(Refusal::Value));
+    assert_eq!(rig.write(map::CONFIG_STEPGEN, 8_192), Err(Refusal::Value));
     assert_eq!(rig.read(map::CONFIG_STEPGEN), Ok(60));
 }
 
@@ -514,6 +516,10 @@ fn an_exchange_commits_samples_feeds_and_answers() {
     command.stepgen[5] = (StepRate(-7), Accel(9));
     command.pwm[5] = PWM_ENABLE | 100;
     command.gpio_out = 0xa5;
+    command.index_arm = 0x11;
+    command.stepgen_index_arm = 0x22;
+    command.probe_arm = 0x14;
+    command.stepgen_probe_arm = 0x28;
     let status = rig.exchange_as(ALICE, &command).unwrap();
     assert_eq!(
         rig.board.done,
@@ -522,9 +528,9 @@ fn an_exchange_commits_samples_feeds_and_answers() {
             Change::Feed(command.sequence)
         ]
     );
-    assert_eq!(rig.board.live[..2], [0x3f, 0xa5]);
-    assert_eq!(rig.board.live[12..14], [-7i32 as u32, 9]);
-    assert_eq!(rig.board.live[39], PWM_ENABLE | 100);
+    assert_eq!(rig.board.live[..4], [0x0011_003f, 0xa5, 0x0014_0022, 0x28]);
+    assert_eq!(rig.board.live[14..16], [-7i32 as u32, 9]);
+    assert_eq!(rig.board.live[41], PWM_ENABLE | 100);
     assert_eq!(status.sequence, command.sequence);
     assert_eq!(status.arrival, Clocks(0x1_2345_6789));
     assert_eq!(status.sample, Clocks::from_words(0x1000, 0x1001));
@@ -532,8 +538,17 @@ fn an_exchange_commits_samples_feeds_and_answers() {
         (status.gpio_in, status.boot_id, status.watchdog_left),
         (0x1002, 9, 300_000)
     );
-    assert_eq!(status.stepgen[5].1, StepRate(0x1000 + 4 + 17));
-    assert_eq!(status.encoder[5].edge_time, 0x1000 + 52 + 17);
+    assert_eq!(
+        (status.index_latched, status.stepgen_index_latched),
+        (0x1003, 0x1004)
+    );
+    assert_eq!(
+        (status.stepgen_probe_latched, status.estop),
+        (0x1005, 0x1006)
+    );
+    assert_eq!(status.stepgen[5].1, StepRate(0x1000 + 8 + 17));
+    assert_eq!(status.encoder[0].count, Count(0x1000 + 56));
+    assert_eq!(status.encoder[5].edge_time, 0x1000 + 56 + 11);
     assert!(status.state.accepted && status.state.session_yours && status.state.enabled);
 }
 
@@ -541,13 +556,13 @@ fn an_exchange_commits_samples_feeds_and_answers() {
 fn a_command_block_of_another_length_is_refused() {
     let mut rig = Rig::armed();
     let before = rig.board.changes();
-    for count in [1, 24, 26, 55] {
+    for count in [1, 26, 28, 57] {
         let mut words = vec![HEADER, 0, 0x000f_0000 | count << 8, map::COMMAND];
         words.extend(vec![0; count as usize]);
         assert_eq!(rig.send(&words), Err(Refusal::BlockLength), "{count} words");
     }
-    let mut words = vec![HEADER, 0, 0x000f_1900, map::COMMAND + 4];
-    words.extend([0; 25]);
+    let mut words = vec![HEADER, 0, 0x000f_1b00, map::COMMAND + 4];
+    words.extend([0; 27]);
     assert_eq!(rig.send(&words), Err(Refusal::BlockLength));
     words[3] = map::COMMAND - 4;
     assert_eq!(rig.send(&words), Err(Refusal::BlockLength));
@@ -615,6 +630,42 @@ fn unknown_flags_are_refused() {
     let mut request = command.emit_request(SIX, &mut buffer).unwrap().to_vec();
     request[6] |= 1 << 3;
     assert_eq!(rig.send(&request), Err(Refusal::Value));
+    request[6] &= !(1 << 3);
+    request[12] |= 1 << 21;
+    assert_eq!(rig.send(&request), Err(Refusal::Value), "behind the latch");
+}
+
+#[test]
+fn the_answer_carries_the_latch_the_command_selected() {
+    let mut rig = Rig::armed();
+    for (latch, word) in [
+        (Latch::Encoder(0), 88),
+        (Latch::Encoder(15), 103),
+        (Latch::Stepgen(0), 104),
+        (Latch::Stepgen(5), 109),
+        (Latch::Stepgen(15), 119),
+    ] {
+        let command = Command {
+            latch,
+            ..rig.command(true, true)
+        };
+        let status = rig.exchange_as(ALICE, &command).unwrap();
+        assert_eq!(status.latch, Count(0x1000 + word), "{latch:?}");
+        let looked_at = rig.read_as(BOB, map::STATUS + 4 * 14);
+        assert_eq!(looked_at, Ok(0x1000 + word), "{latch:?}");
+    }
+}
+
+#[test]
+fn a_selection_arms_nothing_the_gateware_would_see() {
+    let mut rig = Rig::armed();
+    let command = Command {
+        latch: Latch::Stepgen(15),
+        ..rig.command(true, true)
+    };
+    rig.exchange_as(ALICE, &command).unwrap();
+    // The register is 16 bits wide.
+    assert_eq!(rig.board.live[3] as u16, 0);
 }
 
 #[test]
@@ -629,7 +680,7 @@ fn a_disarmed_machine_answers_samples_and_executes_nothing() {
         rig.board.done,
         [Change::Strobe(STROBE_SAMPLE), Change::Feed(1)]
     );
-    assert_eq!(rig.board.live, [0; 50]);
+    assert_eq!(rig.board.live, [0; STAGE_WORDS]);
     assert_eq!(
         (status.state.state, status.state.enabled),
         (State::Disarmed, false)
@@ -684,15 +735,16 @@ fn an_apply_time_is_set_before_the_strobe_and_the_next_command_replaces_it() {
 fn looking_at_the_status_changes_nothing_and_shows_the_last_exchange() {
     let mut rig = Rig::armed();
     let before = rig.board.done.len();
-    let words: Vec<u32> = (0..48)
+    let words: Vec<u32> = (0..45)
         .map(|word| rig.read_as(BOB, map::STATUS + 4 * word).unwrap())
         .collect();
     assert_eq!(rig.board.done.len(), before);
     let status = Status::parse(&words, SIX).unwrap();
     assert_eq!(status.sequence, rig.sequence);
     assert!(!status.state.accepted && !status.state.session_yours && status.state.enabled);
-    assert_eq!(status.encoder[5].edge_time, 0x1000 + 52 + 17);
-    assert_eq!(rig.read_as(BOB, map::STATUS + 4 * 48), Ok(0));
+    assert_eq!(status.encoder[5].edge_time, 0x1000 + 56 + 11);
+    assert_eq!((status.gpio_in, status.estop), (0x1002, 0x1006));
+    assert_eq!(rig.read_as(BOB, map::STATUS + 4 * 45), Ok(0));
 }
 
 #[test]
@@ -747,11 +799,11 @@ fn at_rest_nothing_stale_waits_behind_the_gate() {
     command.stepgen[0].0 = StepRate(1000);
     rig.exchange_as(ALICE, &command).unwrap();
     rig.server.poll(&mut rig.board);
-    assert_eq!(rig.board.live[2], 1000);
+    assert_eq!(rig.board.live[4], 1000);
     rig.board.bite();
     rig.server.poll(&mut rig.board);
     rig.server.poll(&mut rig.board);
-    assert_eq!(rig.board.live, [0; 50]);
+    assert_eq!(rig.board.live, [0; STAGE_WORDS]);
 }
 
 #[test]
@@ -783,7 +835,7 @@ fn a_board_of_another_abi_describes_itself_and_never_arms() {
 #[test]
 fn the_short_way_to_a_state_word_says_what_the_long_one_says() {
     for mut rig in [Rig::new(), Rig::armed(), Rig::with_abi(1)] {
-        for gate in (0..64).map(Gate) {
+        for gate in (0..256).map(Gate) {
             assert_eq!(
                 rig.server.state_word(gate),
                 rig.server.state(gate, false).to_word()
@@ -805,7 +857,7 @@ fn the_short_way_to_a_state_word_says_what_the_long_one_says() {
 fn the_description_is_one_the_host_understands() {
     let mut rig = Rig::new();
     rig.acquire();
-    let words: [u32; 16] = core::array::from_fn(|word| rig.read(4 * word as u32).unwrap());
+    let words: [u32; 18] = core::array::from_fn(|word| rig.read(4 * word as u32).unwrap());
     let describe = wire::describe::Describe::parse(&words).unwrap();
     assert_eq!(
         (describe.channels, describe.clock_hz, describe.boot_id),
@@ -813,6 +865,12 @@ fn the_description_is_one_the_host_understands() {
     );
     assert_eq!(describe.firmware_version, crate::VERSION);
     assert!(describe.state.session_yours && describe.obstacles == 0);
+    assert_eq!(
+        (describe.reset_reason, describe.gate_close),
+        (wire::ResetReason::Requested, GateClose::Never)
+    );
+    rig.board.close = GateClose::EStop as u32;
+    assert_eq!(rig.read(4 * 17), Ok(5));
     assert_eq!(rig.read(0xfc), Ok(0));
     assert_eq!(rig.read(0x108), Ok(0xb10b_0002));
     assert_eq!(rig.read(0x10c), Ok(0), "behind the blob");
@@ -832,7 +890,7 @@ fn log_and_obituary_can_be_read() {
     let mut rig = Rig::new();
     rig.board.ring.push(b"hello");
     let _ = rig.board.record.boot(0);
-    rig.board.record.die(|out| {
+    rig.board.record.die(wire::ResetReason::Panic, |out| {
         out.text("boom");
     });
     assert_eq!(rig.read(map::LOG), Ok(5));
@@ -850,23 +908,88 @@ fn log_and_obituary_can_be_read() {
 #[test]
 fn the_led_tells_the_states_apart() {
     let mut rig = Rig::new();
-    assert_eq!(rig.board.led, Led::Slow);
+    let shows = |rig: &mut Rig, led: Led| {
+        rig.server.poll(&mut rig.board);
+        assert_eq!(rig.board.led, led);
+    };
+    shows(&mut rig, Led::Heartbeat);
+    rig.server.counters_mut().frames_rx += 1;
+    shows(&mut rig, Led::Slow);
+    rig.board.now += 3 * u64::from(CLOCK);
+    shows(&mut rig, Led::Heartbeat);
+    rig.server.counters_mut().frames_rx += 1;
+    shows(&mut rig, Led::Slow);
     rig.acquire();
-    rig.server.poll(&mut rig.board);
-    assert_eq!(rig.board.led, Led::Double);
+    shows(&mut rig, Led::Double);
     rig.arm();
-    rig.server.poll(&mut rig.board);
-    assert_eq!(rig.board.led, Led::On);
+    shows(&mut rig, Led::On);
+    rig.exchange(false, true).unwrap();
+    shows(&mut rig, Led::Flicker);
+    rig.board.gate = 0;
+    shows(&mut rig, Led::Double);
+    rig.arm();
     rig.board.bite();
-    rig.server.poll(&mut rig.board);
-    assert_eq!(rig.board.led, Led::Fast);
+    shows(&mut rig, Led::Fast);
+    rig.board.estop = true;
+    shows(&mut rig, Led::Triple);
+    rig.board.estop = false;
+    shows(&mut rig, Led::Triple);
+}
+
+#[test]
+fn an_e_stop_keeps_the_session_and_comes_back_by_the_documented_way_only() {
+    let mut rig = Rig::armed();
+    rig.board.estop = true;
+    let status = rig.exchange(true, true).unwrap();
+    assert_eq!(
+        (status.state.state, status.state.reason),
+        (State::Faulted, FaultReason::EStop)
+    );
+    assert!(status.state.estop && !status.state.enabled && !status.state.position_trusted);
+    for _ in 0..2 {
+        // An edge while the input is still active clears nothing.
+        rig.exchange(true, false).unwrap();
+        rig.exchange(true, true).unwrap();
+        let status = rig.exchange(true, true).unwrap();
+        assert_eq!(status.state.state, State::Faulted);
+    }
+    rig.board.estop = false;
+    let status = rig.exchange(true, true).unwrap();
+    assert_eq!(
+        (status.state.state, status.state.estop),
+        (State::Faulted, true),
+        "released is not forgotten"
+    );
+    rig.exchange(true, false).unwrap();
+    rig.exchange(true, true).unwrap();
+    let status = rig.exchange(true, true).unwrap();
+    assert_eq!(
+        (status.state.state, status.state.reason, status.state.estop),
+        (State::Armed, FaultReason::None, false)
+    );
+}
+
+#[test]
+fn a_board_restarted_under_a_hung_cpu_still_knows_why_it_stopped() {
+    for (close, reason) in [
+        (GateClose::Never, FaultReason::None),
+        (GateClose::Bite, FaultReason::Watchdog),
+        (GateClose::EStop, FaultReason::EStop),
+    ] {
+        let mut rig = Rig::new();
+        rig.board.close = close as u32;
+        let ident = *rig.server.ident();
+        rig.server = Server::new(ident, ABI, BOOT);
+        rig.server.start(&mut rig.board);
+        assert_eq!(rig.server.safety().reason(), reason, "{close}");
+    }
 }
 
 #[test]
 fn only_the_board_settings_are_named_board() {
     // The match in `config` has a wildcard over word numbers; this pins its last arm.
-    let setting = config::setting_at(map::CONFIG_BOARD + 12, SIX);
-    assert_eq!(setting, Some(Setting::Board(BoardConfig::GpioInvert)));
+    let setting = config::setting_at(map::CONFIG_BOARD + 16, SIX);
+    assert_eq!(setting, Some(Setting::Board(BoardConfig::Probe)));
     let setting = config::setting_at(map::CONFIG_STEPGEN + 20, SIX);
     assert_eq!(setting, Some(Setting::Stepgen(0, StepgenConfig::Mode)));
 }
