@@ -6,6 +6,7 @@
 
 use crate::cores::{Board, LATCH_ENCODER, LATCH_LATCH, LATCH_STEPGEN, Setting};
 use crate::log;
+use crate::net::Us;
 use crate::server::Server;
 use crate::text::{Out, Sink};
 use wire::Refusal;
@@ -136,10 +137,6 @@ pub struct Vitals {
     pub stack: (u32, u32),
     /// Frames the MAC dropped for want of a slot, a wrong preamble or a wrong CRC.
     pub mac_errors: [u32; 3],
-    /// Our IPv4 address.
-    pub ip: u32,
-    /// UDP port of the Etherbone server.
-    pub port: u16,
 }
 
 /// Answers into `out`; what does not fit there is lost.
@@ -147,6 +144,7 @@ pub fn answer<B: Board>(
     ask: Ask,
     server: &Server,
     board: &mut B,
+    us: &Us,
     vitals: &Vitals,
     out: &mut dyn Sink,
 ) {
@@ -158,7 +156,7 @@ pub fn answer<B: Board>(
             }
         }
         Ask::Status => status(server, board, vitals, &mut out),
-        Ask::Net => net(server, vitals, &mut out),
+        Ask::Net => net(server, us, vitals, &mut out),
         Ask::Regs(page) => regs(page, board, &mut out),
         Ask::Stepgen(only) => stepgen(only, server, board, &mut out),
         Ask::Encoder(only) => encoder(only, server, board, &mut out),
@@ -181,12 +179,8 @@ fn status<B: Board>(server: &Server, board: &mut B, vitals: &Vitals, out: &mut O
     out.text("session  ");
     match server.session().owner() {
         Some(owner) => {
-            for (place, byte) in owner.ip.to_be_bytes().into_iter().enumerate() {
-                out.text(if place == 0 { "" } else { "." })
-                    .number(byte.into());
-            }
-            out.text(":").number(owner.port.into());
-            out.text(", last sequence ")
+            out.address(owner.ip, owner.port)
+                .text(", last sequence ")
                 .number(server.session().last_sequence())
                 .end();
         }
@@ -217,12 +211,8 @@ fn status<B: Board>(server: &Server, board: &mut B, vitals: &Vitals, out: &mut O
         .end();
 }
 
-fn net(server: &Server, vitals: &Vitals, out: &mut Out) {
-    out.text("address ");
-    for (n, byte) in vitals.ip.to_be_bytes().into_iter().enumerate() {
-        out.text(if n == 0 { "" } else { "." }).number(byte.into());
-    }
-    out.text(":").number(vitals.port.into()).end();
+fn net(server: &Server, us: &Us, vitals: &Vitals, out: &mut Out) {
+    out.text("address ").address(us.ip, us.port).end();
     let counters = server.counters();
     out.text("frames in ")
         .number(counters.frames_rx)
@@ -364,6 +354,12 @@ mod tests {
     use super::*;
     use crate::fake::Rig;
 
+    const US: Us = Us {
+        mac: [0; 6],
+        ip: 0xc0a8_0232,
+        port: 1234,
+    };
+
     fn ask(line: &[u8]) -> Vec<Ask> {
         let mut collector = Line::default();
         line.iter()
@@ -378,6 +374,7 @@ mod tests {
             Ask::parse(line),
             &rig.server,
             &mut rig.board,
+            &US,
             &Vitals::default(),
             &mut out,
         );
@@ -456,6 +453,7 @@ mod tests {
                 Ask::parse(line),
                 &rig.server,
                 &mut rig.board,
+                &US,
                 &Vitals::default(),
                 &mut out,
             );

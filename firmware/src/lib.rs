@@ -6,6 +6,8 @@
 //! registers.
 //!
 //! ```text
+//!   bytes --> machine --+
+//!                       |
 //!   frame words --> net ----> exchange (hot) ---------+
 //!                    |                                |--> cores::Board --> registers
 //!                    +--> server (everything else) ---+
@@ -15,6 +17,7 @@
 //!
 //! | module | what it does and refuses |
 //! |---|---|
+//! | [`machine`] | everything below tied together, for whoever has a board: the image, the simulator |
 //! | [`cores`] | the board as the lib sees it: a trait |
 //! | [`net`] | recognises plain UDP to us and checks it; leaves everything else to the IP stack |
 //! | [`server`] | Etherbone: checks a whole datagram, then executes all of it or nothing |
@@ -37,6 +40,7 @@ pub mod cores;
 pub mod describe;
 pub mod exchange;
 pub mod log;
+pub mod machine;
 pub mod net;
 pub mod postmortem;
 pub mod safety;

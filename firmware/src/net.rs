@@ -148,6 +148,17 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
     })
 }
 
+/// Words of a payload of so many bytes; refused when there is no datagram of that length.
+pub fn payload_words(bytes: usize) -> Result<usize, Refusal> {
+    if bytes > wire::MAX_PAYLOAD {
+        return Err(Refusal::Oversized);
+    }
+    if !bytes.is_multiple_of(4) {
+        return Err(Refusal::Ragged);
+    }
+    Ok(bytes / 4)
+}
+
 /// A payload word.
 pub fn payload_word(frame: &impl Frame, options: usize, index: usize) -> u32 {
     frame.word(PAYLOAD_WORD + options + index)

@@ -50,6 +50,15 @@ impl Out<'_> {
         self.number(number.unsigned_abs())
     }
 
+    /// An IPv4 address and a port.
+    pub fn address(&mut self, ip: u32, port: u16) -> &mut Self {
+        let [a, b, c, d] = ip.to_be_bytes();
+        for byte in [a, b, c] {
+            self.number(byte.into()).text(".");
+        }
+        self.number(d.into()).text(":").number(port.into())
+    }
+
     /// Eight hexadecimal digits.
     pub fn hex(&mut self, number: u32) -> &mut Self {
         let digits: [u8; 8] = core::array::from_fn(|at| {
@@ -111,6 +120,14 @@ mod tests {
             }),
             "4294967295 -2147483648"
         );
+    }
+
+    #[test]
+    fn an_address_looks_like_one() {
+        let text = said(|out| {
+            out.address(0xc0a8_0232, 1234);
+        });
+        assert_eq!(text, "192.168.2.50:1234");
     }
 
     #[test]
