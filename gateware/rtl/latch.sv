@@ -1,0 +1,46 @@
+// latch: decides in which clock a count is latched: the first index or probe edge after its arming.
+//
+// One count can be latched per channel; tally.sv keeps it. While a flag is up nothing latches again, and a flag stays
+// until its own arm bit falls. Levels are not edges: an index that is high when it is armed has to fall first.
+//
+//   arm_index      __/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\____
+//   index          ______/‾‾‾‾‾\______/‾‾‾‾\_________
+//   capture        ______/‾\_________________________    first edge only
+//   pending        ________/‾‾‾‾\____________________    tally.sv: the value is on its way, 16 clocks at most
+//   index_latched  _______________/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\__    never before the value can be read
+//
+// An edge in the same clock as the rise of its arm bit does not count; one in the clock after does. An edge while
+// `pending` is not captured: only arming anew within 16 clocks of a capture could want that.
+//
+`default_nettype none
+module latch (
+    input  wire  clk,
+    input  wire  arm_index,     // levels, already committed
+    input  wire  arm_probe,
+    input  wire  index,         // levels, synchronous, 1 is active
+    input  wire  probe,
+    input  wire  pending,       // tally.pending of this channel
+    output wire  capture,       // this clock's count is latched
+    output logic index_latched,
+    output logic probe_latched
+);
+    logic index_was = 1'b1, probe_was = 1'b1;    // 1 while not armed: what comes before arming is no edge
+    logic index_flag = 1'b0, probe_flag = 1'b0;  // up at once; shown to the outside once the value is there
+    initial index_latched = 1'b0;
+    initial probe_latched = 1'b0;
+
+    wire index_edge = arm_index & index & ~index_was;
+    wire probe_edge = arm_probe & probe & ~probe_was;
+    wire free = ~(index_flag | probe_flag | pending);
+    assign capture = free & (index_edge | probe_edge);
+
+    always_ff @(posedge clk) begin
+        index_was <= index | ~arm_index;
+        probe_was <= probe | ~arm_probe;
+        index_flag <= arm_index & (index_flag | (free & index_edge));
+        probe_flag <= arm_probe & (probe_flag | (free & probe_edge));
+        index_latched <= arm_index & index_flag & ~pending;
+        probe_latched <= arm_probe & probe_flag & ~pending;
+    end
+endmodule
+`default_nettype wire

@@ -1,0 +1,124 @@
+// tally: the wide part of every count, kept in LUT RAM and visited one channel a clock.
+//
+// A channel counts in five bits of its own, `delta`, what happened since its last visit. The visit, every 16 clocks, adds
+// that to the channel's 32-bit total. A sample or a capture is exact to its clock all the same: the clock it comes in
+// catches `delta`, and the next visit writes total + caught into a RAM of its own. It knows no pulses and no edges; a
+// channel must not count 16 in 16 clocks in one direction, which neither core can.
+//
+//   clk       0   1   2   3   4       16  17  18
+//   sample    _/‾‾‾\________________________________     any time; here while channel 2 is visited in clock 3
+//   visit[2]  _____________/‾‾‾\____________________     total += delta, delta restarts at this clock's event
+//   sampled       old        |   | new                   addr = 2: right two clocks after the visit,
+//                                                        so all channels are 18 clocks after the strobe
+//
+// Position of a channel in a clock: total + delta, without the event of that clock. That is what a strobe or a capture
+// keeps. A strobe within 18 clocks of another one: the words are those of the later one, 18 clocks after it; totals do
+// not notice. A capture must not come while the channel is `pending`; latch.sv sees to that.
+//
+// A capture with `clear` keeps the count and restarts it at 0 in the same clock: total + delta is 0 in the next clock,
+// or the event of the capture's own clock.
+//
+//   delta     {channel n: bits 5n+4..5n}, signed, events since visit[n] and including the event of that clock
+//   visit[n]  one clock in 16, and at a clearing capture: delta[n] restarts, at this clock's event
+//   pending   capture[n] is being written; a flag that says "latched" must wait until it falls and one clock more
+//   turn      the same rotation, one-hot, always 16 long and without the clears; sampling: a visit now writes its sample.
+//             Both are for edges.sv, whose words then belong to the same clock.
+//   sampled, latched   read without a clock at `addr`
+//
+`default_nettype none
+module tally #(
+    parameter integer CHANNELS = 16  // 1 to 16
+) (
+    input  wire                    clk,
+    input  wire [5*CHANNELS-1:0]   delta,
+    input  wire                    sample,
+    input  wire [CHANNELS-1:0]     capture,
+    input  wire [CHANNELS-1:0]     clear,
+    input  wire [3:0]              addr,
+    output wire [CHANNELS-1:0]     visit,
+    output logic [CHANNELS-1:0]    pending,
+    output logic [15:0]            turn,
+    output logic                   sampling,
+    output wire [31:0]             sampled,
+    output wire [31:0]             latched
+);
+    logic [3:0] at    = 4'd0;   // the channel visited in this clock: turn, in binary
+    logic [3:0] behind = 4'd15;  // the one of the clock before, whose words are written now
+    logic [3:0] last = 4'd0;  // where the rotation of the sample ends
+
+    logic [CHANNELS-1:0]   clearing = {CHANNELS{1'b0}};    // the total restarts at the next visit
+    logic [CHANNELS-1:0]   afresh   = {CHANNELS{1'b0}};    // the strobe came after such a capture
+    logic [5*CHANNELS-1:0] caught   = {5*CHANNELS{1'b0}};  // delta at the strobe; 0 if the visit has added it
+    logic [5*CHANNELS-1:0] held     = {5*CHANNELS{1'b0}};  // delta at the capture; likewise
+
+    assign visit = turn[CHANNELS-1:0] | (capture & clear);
+
+    integer n;
+    always_ff @(posedge clk) begin
+        turn <= {turn[14:0], turn[15]};
+        at   <= at + 4'd1;
+        behind <= at;
+        if (sample) last <= at;
+        sampling <= sample | (sampling & (at != last));
+        for (n = 0; n < CHANNELS; n = n + 1) begin
+            pending[n]  <= capture[n] | (pending[n] & ~turn[n]);
+            clearing[n] <= (capture[n] & clear[n]) | (clearing[n] & ~turn[n]);
+            if (turn[n]) afresh[n] <= 1'b0;
+            else if (sample) afresh[n] <= clearing[n];
+            if (turn[n]) caught[5*n +: 5] <= 5'd0;
+            else if (sample) caught[5*n +: 5] <= delta[5*n +: 5];
+            if (turn[n]) held[5*n +: 5] <= 5'd0;
+            else if (capture[n]) held[5*n +: 5] <= delta[5*n +: 5];
+        end
+    end
+
+    // Absent channels read 0, so that a short board costs short multiplexers and the rotation stays as long.
+    wire [79:0] delta_all    = 80'(delta);
+    wire [79:0] caught_all   = 80'(caught);
+    wire [79:0] held_all     = 80'(held);
+    wire [15:0] clearing_all = 16'(clearing);
+    wire [15:0] afresh_all   = 16'(afresh);
+    wire [15:0] pending_all  = 16'(pending);
+
+    logic [31:0] totals  [0:15];
+    logic [31:0] samples [0:15];
+    logic [31:0] latches [0:15];
+    wire  [31:0] total = totals[at];
+    assign sampled = samples[addr];
+    assign latched = latches[addr];
+
+    // The visit reads; the clock after it adds and writes. `total` as it is here has nothing of this rotation in it.
+    logic [31:0] base_total = 32'd0, base_sample = 32'd0, base_latch = 32'd0;
+    logic [4:0]  add_total = 5'd0, add_sample = 5'd0, add_latch = 5'd0;
+    logic        to_sample = 1'b0, to_latch = 1'b0;
+
+    function automatic [31:0] sum(input [31:0] base, input [4:0] few);
+        sum = base + {{27{few[4]}}, few};
+    endfunction
+
+    always_ff @(posedge clk) begin
+        base_total  <= clearing_all[at] ? 32'd0 : total;
+        base_sample <= afresh_all[at] ? 32'd0 : total;
+        base_latch  <= total;
+        add_total   <= delta_all[5*at +: 5];
+        add_sample  <= caught_all[5*at +: 5];
+        add_latch   <= held_all[5*at +: 5];
+        to_sample   <= sampling;
+        to_latch    <= pending_all[at];
+        totals[behind] <= sum(base_total, add_total);
+        if (to_sample) samples[behind] <= sum(base_sample, add_sample);
+        if (to_latch) latches[behind] <= sum(base_latch, add_latch);
+    end
+
+    initial begin
+        turn     = 16'd1;
+        sampling = 1'b0;
+        pending  = {CHANNELS{1'b0}};
+        for (int i = 0; i < 16; i++) begin
+            totals[i]  = 32'd0;
+            samples[i] = 32'd0;
+            latches[i] = 32'd0;
+        end
+    end
+endmodule
+`default_nettype wire
