@@ -3,8 +3,8 @@
 use crate::soc::{self, Mac, Parts, RxFrame, Soc, TxSlot};
 use firmware::console::{self, Ask, Vitals};
 use firmware::exchange::SlotReply;
+use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
 use firmware::net::{self, Class, Datagram, Lane, Us};
-use firmware::server::Server;
 use firmware::text::Sink as _;
 use smoltcp::iface::{Config, Interface, SocketHandle, SocketSet};
 use smoltcp::socket::tcp;
@@ -16,8 +16,6 @@ use wire::{CONSOLE_PORT, Refusal};
 const ANSWER_MAX: usize = 1000;
 /// Room for that and for what the other side has not acknowledged yet.
 const CONSOLE_TEXT: usize = 2048;
-/// A thousand chores a second: TCP timers and the LED are in no hurry, a bite should be told soon.
-const CHORES_PER_SECOND: u32 = 1000;
 /// Looks at the MAC between two looks at the clock: some 20 us.
 const POLLS: u32 = 128;
 /// 10 ms between two looks at TCP's timers.
@@ -44,18 +42,13 @@ pub type SocketMemory = [smoltcp::iface::SocketStorage<'static>; 1];
 
 /// Everything that runs.
 pub struct App {
-    soc: Soc,
+    machine: Machine<Soc>,
     mac: Mac,
-    server: Server,
-    us: Us,
     lane: Option<Lane>,
     /// Something that is not the fast lane ran.
     cold: bool,
     stack: Stack,
-    chores_at: u32,
-    chores_every: u32,
     stack_in: u8,
-    told: wire::State,
 }
 
 /// The IP stack and what is spoken over it.
@@ -71,16 +64,14 @@ impl App {
     /// Puts it together and ends start-up.
     pub fn new(parts: Parts) -> Self {
         let Parts {
-            mut soc,
+            soc,
             mut mac,
             memory,
             boot,
             ident,
-            us,
         } = parts;
-        let mut server = Server::new(ident, soc::ABI, boot.id);
-        server.start(&mut soc, boot.crashed);
-        defmt::info!("boot {=u32:x}, crashed {=bool}", boot.id, boot.crashed);
+        let machine = Machine::start(soc, ident, soc::ABI, boot);
+        defmt::info!("boot {=u32:x}, reset {=u8}", boot.id, boot.reset.code());
         if ident.abi != soc::ABI {
             defmt::error!(
                 "ABI: firmware {=u32:x}, gateware {=u32:x}; will not arm",
@@ -88,16 +79,16 @@ impl App {
                 ident.abi
             );
         }
-        let stack = Stack::new(&mut mac, &us, &mut memory.tcp_rx, &mut memory.tcp_tx);
+        let stack = Stack::new(
+            &mut mac,
+            &machine.us,
+            &mut memory.tcp_rx,
+            &mut memory.tcp_tx,
+        );
         App {
-            chores_at: soc.now_lo(),
-            chores_every: ident.clock_hz / CHORES_PER_SECOND,
             stack_in: CHORES_PER_STACK,
-            told: server.safety().state(),
-            soc,
+            machine,
             mac,
-            server,
-            us,
             lane: None,
             cold: false,
             stack,
@@ -130,10 +121,10 @@ impl App {
                 if !done {
                     self.frame();
                 }
-                self.chores_if(1);
+                self.chores_if(BEHIND_A_FRAME);
             } else {
                 // Somebody who exchanges gets his chores behind the answer; wait for that a while.
-                self.chores_if(3);
+                self.chores_if(IDLE);
             }
         }
     }
@@ -151,12 +142,11 @@ impl App {
             // The last answer has not left yet: nobody waits for this one.
             return false;
         }
-        let shape = *self.server.shape();
+        let shape = *self.machine.server.shape();
         let mut reply = SlotReply::resume(&mut slot);
         let peer = lane.datagram.peer;
-        let served = self
-            .server
-            .exchange(&mut self.soc, peer, &mut command, &mut reply);
+        let Machine { board, server, .. } = &mut self.machine;
+        let served = server.exchange(board, peer, &mut command, &mut reply);
         if !genuine {
             return true;
         }
@@ -164,13 +154,13 @@ impl App {
             Ok(()) => {
                 self.mac
                     .send_lane(SlotReply::<TxSlot>::frame_length(&shape));
-                self.server.exchanged();
-                self.server.counters_mut().frames_tx += 1;
+                self.machine.server.exchanged();
+                self.machine.server.counters_mut().frames_tx += 1;
             }
-            Err(why) => self.server.refuse(why),
+            Err(why) => self.machine.server.refuse(why),
         }
         self.mac.release();
-        self.server.counters_mut().frames_rx += 1;
+        self.machine.server.counters_mut().frames_rx += 1;
         true
     }
 
@@ -179,8 +169,11 @@ impl App {
     #[inline(never)]
     fn rehearsal(&mut self) -> Option<((RxFrame, usize), TxSlot)> {
         self.cold = false;
-        let lane = self.lane.as_ref().filter(|_| self.server.may_rehearse())?;
-        let session = self.server.session();
+        let lane = self
+            .lane
+            .as_ref()
+            .filter(|_| self.machine.server.may_rehearse())?;
+        let session = self.machine.server.session();
         let token = session.token_for(lane.datagram.peer);
         let sequence = session.last_sequence().wrapping_add(1);
         let length = lane.rehearse(token, sequence, self.mac.rehearsal_words()?);
@@ -193,19 +186,19 @@ impl App {
     fn frame(&mut self) {
         self.cold = true;
         let (frame, length) = self.mac.frame();
-        self.server.counters_mut().frames_rx += 1;
-        match net::classify(&frame, length, &self.us) {
+        self.machine.server.counters_mut().frames_rx += 1;
+        match net::classify(&frame, length, &self.machine.us) {
             Class::Ours(datagram) => {
                 let words = self.copy_payload(&datagram);
                 self.mac.release();
                 match words {
                     Ok(count) => self.datagram(&datagram, count),
-                    Err(why) => self.server.refuse(why),
+                    Err(why) => self.machine.server.refuse(why),
                 }
             }
             Class::Refused(why) => {
                 self.mac.release();
-                self.server.refuse(why);
+                self.machine.server.refuse(why);
             }
             Class::Other => {
                 self.mac.take_for_stack();
@@ -215,13 +208,7 @@ impl App {
     }
 
     fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
-        if datagram.length > wire::MAX_PAYLOAD {
-            return Err(Refusal::Oversized);
-        }
-        if !datagram.length.is_multiple_of(4) {
-            return Err(Refusal::Ragged);
-        }
-        let count = datagram.length / 4;
+        let count = net::payload_words(datagram.length)?;
         let (frame, _) = self.mac.frame();
         for (index, word) in self.mac.input.words().iter_mut().take(count).enumerate() {
             *word = net::payload_word(&frame, datagram.options, index);
@@ -232,28 +219,27 @@ impl App {
     fn datagram(&mut self, datagram: &Datagram, count: usize) {
         let Mac { input, output, .. } = &mut self.mac;
         let words = input.words().get(..count).unwrap_or(&[]);
-        let served = self
-            .server
-            .datagram(&mut self.soc, words, datagram.peer, output.words());
+        let served = self.machine.datagram(words, datagram.peer, output.words());
         let Ok(reply) = served else {
             return;
         };
         let reply = reply.len();
         if reply != 0 {
             let mut slot = self.mac.slot();
-            net::emit_headers(&mut slot, &self.us, datagram, reply * 4);
+            net::emit_headers(&mut slot, &self.machine.us, datagram, reply * 4);
             let words = self.mac.output.words().get(..reply).unwrap_or(&[]);
             let length = net::emit_payload(&mut slot, words);
             self.mac.send(length);
-            self.server.counters_mut().frames_tx += 1;
+            self.machine.server.counters_mut().frames_tx += 1;
         }
         let opened = self
             .lane
             .is_some_and(|lane| lane.datagram.peer == datagram.peer);
-        if !opened && datagram.options == 0 && self.server.session().is_owner(datagram.peer) {
+        if !opened && datagram.options == 0 && self.machine.server.session().is_owner(datagram.peer)
+        {
             self.open_lane(*datagram);
         }
-        if self.server.wants_restart() {
+        if self.machine.server.wants_restart() {
             defmt::warn!("restart on request");
             soc::restart();
         }
@@ -261,10 +247,10 @@ impl App {
 
     /// The owner's exchanges take the fast lane from now on.
     fn open_lane(&mut self, datagram: Datagram) {
-        let shape = *self.server.shape();
+        let shape = *self.machine.server.shape();
         self.mac.wait_lane();
         let payload = SlotReply::<TxSlot>::frame_length(&shape) - net::HEADERS;
-        let us = self.us;
+        let us = self.machine.us;
         let mut slot = self.mac.lane_slot();
         SlotReply::prepare(
             &mut slot,
@@ -277,9 +263,7 @@ impl App {
     /// Does the chores if `periods` of theirs have passed.
     #[inline(always)]
     fn chores_if(&mut self, periods: u32) {
-        let now = self.soc.now_lo();
-        if now.wrapping_sub(self.chores_at) >= self.chores_every * periods {
-            self.chores_at = now;
+        if self.machine.due(periods) {
             self.chores();
         }
     }
@@ -287,16 +271,9 @@ impl App {
     #[inline(never)]
     #[unsafe(link_section = ".trap.hot.chores")]
     fn chores(&mut self) {
-        self.server.poll(&mut self.soc);
-        let state = self.server.safety().state();
-        if state != self.told {
-            self.told = state;
+        if let Some((state, reason)) = self.machine.chores() {
             self.cold = true;
-            defmt::info!(
-                "state {=u8}, reason {=u8}",
-                state.code(),
-                self.server.safety().reason().code()
-            );
+            defmt::info!("state {=u8}, reason {=u8}", state.code(), reason.code());
         }
         soc::check_stack();
         // A hundredth of a second is fine enough for TCP's timers.
@@ -312,7 +289,7 @@ impl App {
     #[inline(never)]
     fn stack_poll(&mut self) {
         self.cold = true;
-        let now = soc::instant(&mut self.soc);
+        let now = soc::instant(&mut self.machine.board);
         self.stack
             .interface
             .poll(now, &mut self.mac, &mut self.stack.sockets);
@@ -321,7 +298,7 @@ impl App {
             .interface
             .poll(now, &mut self.mac, &mut self.stack.sockets);
         let sent = self.mac.sent_for_stack();
-        let counters = self.server.counters_mut();
+        let counters = self.machine.server.counters_mut();
         counters.frames_tx = counters.frames_tx.wrapping_add(sent);
     }
 
@@ -365,11 +342,9 @@ impl App {
             let vitals = Vitals {
                 stack: soc::stack_used(),
                 mac_errors: self.mac.errors(),
-                ip: self.us.ip,
-                port: self.us.port,
             };
             let mut sink = Sink::new(socket);
-            console::answer(ask, &self.server, &mut self.soc, &vitals, &mut sink);
+            self.machine.answer(ask, &vitals, &mut sink);
             if ask != Ask::Quit {
                 sink.put(console::PROMPT.as_bytes());
             }

@@ -14,13 +14,12 @@ pub use stack::{check as check_stack, used as stack_used};
 use crate::app::{Memory, SocketMemory};
 use core::ptr::{read_volatile, write_volatile};
 use firmware::cores::{self, Board, Control, Gate, Ident, Led, Setting};
-use firmware::net::Us;
+use firmware::machine::BLOB_MAX;
 use firmware::{log, postmortem as record};
 use litex_pac::{Peripherals, abi};
 use smoltcp::time::Instant;
-use wire::board::{Blob, Kind};
 use wire::describe::Channels;
-use wire::map::{BoardConfig, StepgenConfig};
+use wire::map::BoardConfig;
 
 /// The register map this image was built for.
 pub const ABI: u32 = abi::ABI;
@@ -28,25 +27,27 @@ pub const ABI: u32 = abi::ABI;
 // The lib numbers the words of two pages by itself, because it must not know this crate.
 const _: () = {
     assert!(abi::COMMAND_ENABLES == cores::STAGE_ENABLES);
+    assert!(abi::COMMAND_GPIO_OUT == cores::STAGE_OUTPUTS);
+    assert!(abi::COMMAND_ARMS == cores::STAGE_ARMS);
+    assert!(abi::COMMAND_PROBE_ARMS == cores::STAGE_PROBE_ARMS);
     assert!(abi::COMMAND_STEPGEN == cores::STAGE_STEPGEN);
     assert!(abi::COMMAND_PWM == cores::STAGE_PWM);
     assert!(abi::STATUS_SAMPLE_LO == cores::LATCH_SAMPLE);
     assert!(abi::STATUS_GPIO_IN == cores::LATCH_INPUTS);
     assert!(abi::STATUS_STEPGEN == cores::LATCH_STEPGEN);
     assert!(abi::STATUS_ENCODER == cores::LATCH_ENCODER);
+    assert!(abi::STATUS_ESTOP == cores::LATCH_ESTOP);
+    assert!(abi::STATUS_FLAGS0 == cores::LATCH_INPUTS + 1);
+    assert!(abi::STATUS_FLAGS1 == cores::LATCH_INPUTS + 2);
+    assert!(abi::STATUS_FLAGS2 == cores::LATCH_INPUTS + 3);
+    assert!(abi::STATUS_LATCH == cores::LATCH_LATCH);
     assert!(abi::STROBE_COMMIT == cores::STROBE_COMMIT);
     assert!(abi::STROBE_SAMPLE == cores::STROBE_SAMPLE);
     assert!(abi::STROBE_COMMIT_AT == cores::STROBE_COMMIT_AT);
     assert!(abi::CSR_BASE as u32 == wire::map::SERVICE);
     assert!(abi::STEPGEN_MAX == wire::exchange::MAX_CHANNELS);
+    assert!(abi::BOARD_ROM_SIZE <= BLOB_MAX);
 };
-
-/// 192.168.2.50, as Lcnc; for a board whose ROM names none.
-const FALLBACK_IP: u32 = 0xc0a8_0232;
-/// Locally administered; for a board whose ROM names none.
-const FALLBACK_MAC: [u8; 6] = [0x12, 0xe2, 0xd5, 0, 0, 1];
-/// 5 ms, hostmot2's default: five missed periods of a 1 kHz servo thread.
-const WATCHDOG_PER_SECOND: u32 = 200;
 
 /// What start-up found, for [`crate::app::App`].
 pub struct Parts {
@@ -56,12 +57,10 @@ pub struct Parts {
     pub mac: Mac,
     /// Buffers.
     pub memory: &'static mut Memory,
-    /// Boot id, and whether the last run died.
+    /// Boot id, and why this start was one.
     pub boot: record::Boot,
     /// The gateware's identity.
     pub ident: Ident,
-    /// Our addresses.
-    pub us: Us,
 }
 
 /// The registers.
@@ -89,17 +88,14 @@ pub fn start() -> Parts {
     stack::paint();
     let boot = postmortem::boot(soc.now_lo());
     let ident = soc.ident();
-    soc.defaults(&ident);
     // SAFETY: as above; the only reference to MEMORY there ever is.
     let memory = unsafe { &mut *(&raw mut MEMORY) };
-    let us = addresses(&ident);
     Parts {
         soc,
         mac: Mac::new(),
         memory,
         boot,
         ident,
-        us,
     }
 }
 
@@ -107,45 +103,6 @@ pub fn start() -> Parts {
 pub fn instant(soc: &mut Soc) -> Instant {
     let per_us = u64::from((soc.p.ident.sys_clk_hz().read().bits() / 1_000_000).max(1));
     Instant::from_micros((soc.now() / per_us) as i64)
-}
-
-/// MAC, IP and port from the board information ROM.
-fn addresses(ident: &Ident) -> Us {
-    let mut us = Us {
-        mac: FALLBACK_MAC,
-        ip: FALLBACK_IP,
-        port: wire::DEFAULT_PORT,
-    };
-    let mut bytes = [0; abi::BOARD_ROM_SIZE];
-    let words = ident.blob_words.min(abi::BOARD_ROM_SIZE as u32 / 4) as usize;
-    for (index, chunk) in bytes
-        .as_chunks_mut::<4>()
-        .0
-        .iter_mut()
-        .take(words)
-        .enumerate()
-    {
-        *chunk = blob_word(index).to_be_bytes();
-    }
-    let Ok(blob) = Blob::new_checked(&bytes) else {
-        return us;
-    };
-    for entry in blob.entries() {
-        match entry.kind {
-            Kind::Mac => us.mac = entry.value.try_into().unwrap_or(us.mac),
-            Kind::Ipv4 => us.ip = entry.value.try_into().map_or(us.ip, u32::from_be_bytes),
-            Kind::Port => us.port = entry.value.try_into().map_or(us.port, u16::from_be_bytes),
-            Kind::Board
-            | Kind::Configuration
-            | Kind::Stepgen
-            | Kind::Encoder
-            | Kind::Pwm
-            | Kind::Input
-            | Kind::Output
-            | Kind::Pins => {}
-        }
-    }
-    us
 }
 
 fn blob_word(word: usize) -> u32 {
@@ -157,13 +114,6 @@ fn blob_word(word: usize) -> u32 {
 }
 
 impl Soc {
-    /// Low word of the wall clock.
-    #[inline(always)]
-    pub fn now_lo(&mut self) -> u32 {
-        self.p.timebase.snapshot().write(|w| unsafe { w.bits(1) });
-        self.p.timebase.now_lo().read().bits()
-    }
-
     fn ident(&self) -> Ident {
         let ident = &self.p.ident;
         let channels0 = ident.channels0().read().bits();
@@ -183,24 +133,6 @@ impl Soc {
         }
     }
 
-    /// What a board is before a host configures it: slow enough for any drive, watchful.
-    fn defaults(&mut self, ident: &Ident) {
-        let per_us = ident.clock_hz / 1_000_000;
-        for n in 0..ident.channels.stepgens {
-            // 5 us pulses, 20 us around a change of direction: slower than the slowest driver chip's data sheet.
-            self.set(Setting::Stepgen(n, StepgenConfig::Steplen), 5 * per_us);
-            self.set(Setting::Stepgen(n, StepgenConfig::Stepspace), 5 * per_us);
-            self.set(Setting::Stepgen(n, StepgenConfig::Dirsetup), 20 * per_us);
-            self.set(Setting::Stepgen(n, StepgenConfig::Dirhold), 20 * per_us);
-        }
-        self.set(
-            Setting::Board(BoardConfig::WatchdogTimeout),
-            ident.clock_hz / WATCHDOG_PER_SECOND,
-        );
-        // 1 s: longer than any soft stop a machine can be asked to make.
-        self.set(Setting::Board(BoardConfig::WatchdogGrace), ident.clock_hz);
-    }
-
     fn setting_address(which: Setting) -> usize {
         let (base, channel, word) = match which {
             Setting::Stepgen(n, field) => (abi::CSR_STEPGEN0, n, field as usize),
@@ -212,6 +144,8 @@ impl Soc {
             Setting::Board(BoardConfig::WatchdogGrace) => (abi::CSR_WATCHDOG, 0, 1),
             Setting::Board(BoardConfig::GpioSafe) => (abi::CSR_GPIO, 0, 1),
             Setting::Board(BoardConfig::GpioInvert) => (abi::CSR_GPIO, 0, 2),
+            Setting::Board(BoardConfig::Probe) => (abi::CSR_GPIO, 0, 7),
+            Setting::Debounce(n) => (abi::CSR_DEBOUNCE, 0, usize::from(n)),
         };
         base + usize::from(channel) * abi::CSR_PAGE + word * 4
     }
@@ -221,6 +155,12 @@ impl Board for Soc {
     fn now(&mut self) -> u64 {
         let lo = self.now_lo();
         u64::from(self.p.timebase.now_hi().read().bits()) << 32 | u64::from(lo)
+    }
+
+    #[inline(always)]
+    fn now_lo(&mut self) -> u32 {
+        self.p.timebase.snapshot().write(|w| unsafe { w.bits(1) });
+        self.p.timebase.now_lo().read().bits()
     }
 
     #[inline(always)]
@@ -281,6 +221,10 @@ impl Board for Soc {
     #[inline(always)]
     fn gate(&mut self) -> Gate {
         Gate(self.p.watchdog.status().read().bits())
+    }
+
+    fn last_close(&mut self) -> u32 {
+        self.p.watchdog.last_close().read().bits()
     }
 
     fn control(&mut self, order: Control) {

@@ -10,6 +10,7 @@ use firmware::postmortem::{Boot, Record};
 use firmware::text::Out;
 use litex_pac::{Ident, Timebase, Watchdog, abi};
 use riscv::register::{mcause, mepc, mtval};
+use wire::ResetReason;
 
 #[unsafe(link_section = ".uninit.record")]
 static mut RECORD: MaybeUninit<Record> = MaybeUninit::uninit();
@@ -40,8 +41,14 @@ pub fn microseconds() -> u64 {
     now / u64::from((ident.sys_clk_hz().read().bits() / 1_000_000).max(1))
 }
 
-/// Starts the firmware again. The gateware keeps its positions and its clock.
+/// Somebody asked for it.
 pub fn restart() -> ! {
+    record().part(ResetReason::Requested);
+    again()
+}
+
+/// Starts the firmware again. The gateware keeps its positions and its clock.
+fn again() -> ! {
     close_gate();
     // SAFETY: the reset vector; everything is initialised anew from there. Interrupts were never enabled.
     unsafe { asm!("fence.i", "jr zero", options(noreturn)) }
@@ -55,18 +62,18 @@ fn close_gate() {
         .write(|w| unsafe { w.bits(abi::KEY_STOP) });
 }
 
-fn die(cause: impl FnOnce(&mut Out)) -> ! {
+fn die(why: ResetReason, cause: impl FnOnce(&mut Out)) -> ! {
     close_gate();
-    record().die(cause);
+    record().die(why, cause);
     if !logger::busy() {
         defmt::error!("died: {=[u8]:a}", record().text());
     }
-    restart()
+    again()
 }
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
-    die(|out| {
+    die(ResetReason::Panic, |out| {
         // The message would bring all of `core::fmt` into the image, 5 KiB; file and line say which panic
         // it was.
         out.text("panic");
@@ -78,7 +85,7 @@ fn panic(info: &PanicInfo<'_>) -> ! {
 
 #[unsafe(export_name = "ExceptionHandler")]
 fn exception(_frame: &riscv_rt::TrapFrame) -> ! {
-    die(|out| {
+    die(ResetReason::Trap, |out| {
         out.text("trap: cause ")
             .number(mcause::read().code() as u32);
         out.text(" at 0x").hex(mepc::read() as u32);
@@ -88,7 +95,7 @@ fn exception(_frame: &riscv_rt::TrapFrame) -> ! {
 
 #[unsafe(export_name = "DefaultHandler")]
 fn interrupt() -> ! {
-    die(|out| {
+    die(ResetReason::Trap, |out| {
         out.text("an interrupt, and nobody enabled one");
     })
 }
