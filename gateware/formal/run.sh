@@ -6,7 +6,8 @@
 #
 #   NAME  TOP  DEPTH  MODE  WIDTH  MUTATION
 #
-#   NAME      the promise, words joined by `_`; the sources see it as `PROVE_NAME, so that a proof asserts only what it is for
+#   NAME      the promise, words joined by `_`; the sources see it as `PROVE_NAME, so that a proof asserts only what it is for,
+#             and `BROKEN in the broken core, so that it is the promise which catches it and not what holds the proof together
 #   TOP       the module to prove: a wrapper in CORE.sv, or the core itself with properties under `ifdef FORMAL
 #   DEPTH     K, or K:M when the broken core needs M clocks from power-up to show (the mutation is searched to M, else to K)
 #   MODE      induction: no counterexample in K clocks from power-up, and K clocks that hold make the next one hold: unbounded
@@ -33,12 +34,13 @@ command -v "$yosys" >/dev/null && command -v "$smtbmc" >/dev/null || { yosys=yow
 command -v z3 >/dev/null || { echo "FAIL: no z3 in PATH; pip install -r gateware/requirements.txt brings one"; exit 1; }
 
 model() {  # folder: writes FOLDER/model.smt2 from the sources in it. Relative paths only: YoWASP sees no others.
-    local set="" pair
+    local set="" pair broken=""
+    [ "${1##*/}" = sound ] || broken=-DBROKEN
     if [ "$width" != full ]; then
         for pair in ${width//,/ }; do set+=" -set ${pair%%=*} ${pair#*=}"; done
         set="chparam$set $top;"
     fi
-    (cd "$1" && nice "$yosys" -q -p "read_verilog -formal -sv -DPROVE_$name $files; $set prep -top $top; async2sync; dffunmap; write_smt2 -wires model.smt2") >"$1/yosys.log" 2>&1
+    (cd "$1" && nice "$yosys" -q -p "read_verilog -formal -sv -DPROVE_$name $broken $files; $set prep -top $top; async2sync; dffunmap; write_smt2 -wires model.smt2") >"$1/yosys.log" 2>&1
 }
 
 solve() {  # folder log arguments
