@@ -10,8 +10,12 @@ root=$(cd "$(dirname "$0")/.." && pwd)
 target=riscv32im-unknown-none-elf
 out=$root/target/firmware
 # `relax` lets the linker shorten calls, 2.5 KiB. The outliner shares equal runs of instructions between functions,
-# 1.7 KiB; it leaves alone what has a section of its own, which is everything on the way of an exchange. Names of this machine's folders are no use in panic messages, and cost ROM.
-flags="-Ctarget-feature=+relax -Cllvm-args=-enable-machine-outliner --remap-path-prefix=$root/="
+# 1.7 KiB; it leaves alone what has a section of its own, which is everything on the way of an exchange. The passes
+# throw away arguments nobody reads once all is inlined: the messages of panics, 5 KiB with what formats them (see
+# src/soc/postmortem.rs). Names of this machine's folders are no use in panic messages, and cost ROM.
+flags="-Ctarget-feature=+relax -Cllvm-args=-enable-machine-outliner"
+flags+=" -Cpasses=deadargelim,function(sroa,dse,adce,simplifycfg),deadargelim,globaldce"
+flags+=" --remap-path-prefix=$root/="
 for folder in "${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/; do flags+=" --remap-path-prefix=$folder="; done
 common=(build --manifest-path "$root/Cargo.toml" --package ferrocnc-firmware --bin ferrocnc-firmware --features soc
     --profile firmware-image --target "$target" --target-dir "$out")
