@@ -23,5 +23,7 @@ int (*ready)(int) = hal_ready;
 void *(*malloc_)(long) = hal_malloc;
 int (*pin_new)(const char *, hal_type_t, hal_pin_dir_t, void **, int) = hal_pin_new;
 int (*param_new)(const char *, hal_type_t, hal_param_dir_t, void *, int) = hal_param_new;
+int (*pin_alias)(const char *, const char *) = hal_pin_alias;
+int (*param_alias)(const char *, const char *) = hal_param_alias;
 int (*export_funct)(const char *, void (*)(void *, long), void *, int, int, int) = hal_export_funct;
 void (*print_msg)(msg_level_t, const char *, ...) = rtapi_print_msg;

@@ -124,6 +124,22 @@ impl Identity {
         Ok(Identity { describe, blob })
     }
 
+    /// What the board file says of a channel's pins beyond where they are: `dir=` of a PWM, `estop=` of an
+    /// input. `class` is the first letter of the entry.
+    pub fn has_pin(&self, class: u8, channel: usize, pin: &str) -> bool {
+        self.blob().entries().any(|entry| {
+            entry.kind == wire::board::Kind::Pins
+                && usize::from(entry.channel) == channel
+                && entry.value.split_first().is_some_and(|(first, text)| {
+                    *first == class
+                        && text.split(|byte| *byte == b' ').any(|word| {
+                            word.strip_prefix(pin.as_bytes())
+                                .is_some_and(|rest| rest.first() == Some(&b'='))
+                        })
+                })
+        })
+    }
+
     /// The names.
     pub fn blob(&self) -> Blob<'_> {
         // Checked in `new`; nothing changes it since.
@@ -351,14 +367,16 @@ pub(crate) fn single_record(words: &[u32]) -> Option<(u32, &[u32])> {
 }
 
 /// What [`Session::from_words`] understands, in this order.
-pub(crate) const SESSION_WORDS: [u32; 6] = [
+pub(crate) const SESSION_WORDS: [u32; 8] = [
     map::SESSION_TOKEN,
     map::SESSION_LAST_SEQ,
-    // Of the describe block: wire version, both channel words, boot id.
+    // Of the describe block: wire version, both channel words, boot id, reset reason, gate close.
     map::DESCRIBE + 4,
     map::DESCRIBE + 4 * 7,
     map::DESCRIBE + 4 * 8,
     map::DESCRIBE + 4 * 10,
+    map::DESCRIBE + 4 * 16,
+    map::DESCRIBE + 4 * 17,
 ];
 
 /// A session just taken, and what is needed to know that the board is still the same.
@@ -374,6 +392,10 @@ pub struct Session {
     pub channels: [u32; 2],
     /// The firmware's boot id.
     pub boot_id: u32,
+    /// Code of a [`wire::ResetReason`].
+    pub reset_reason: u32,
+    /// Code of a [`wire::GateClose`].
+    pub gate_close: u32,
 }
 
 impl Session {
@@ -386,12 +408,16 @@ impl Session {
                 channels0,
                 channels1,
                 boot_id,
+                reset_reason,
+                gate_close,
             ] if token != 0 => Some(Session {
                 token,
                 last_sequence,
                 wire_version,
                 channels: [channels0, channels1],
                 boot_id,
+                reset_reason,
+                gate_close,
             }),
             _ => None,
         }

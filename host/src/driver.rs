@@ -38,21 +38,28 @@ use crate::address::Address;
 use crate::blocks::arming::ArmRequest;
 use crate::blocks::encoder::Encoder;
 use crate::blocks::gpio;
+use crate::blocks::latch::Sight;
 use crate::blocks::packets::Packets;
 use crate::blocks::pwm::Pwm;
-use crate::blocks::stepgen::Stepgen;
+use crate::blocks::stepgen::{Sample, Stepgen};
 use crate::blocks::wallclock::Wallclock;
 use crate::blocks::watchdog::Watchdog;
 use crate::blocks::{Feedback, Outlook, Period};
 use crate::client::{Identity, SESSION_WORDS, Session, single_record};
-use crate::hal::{Backend, ExportError, Exporter, In, Level, Line, Messenger, Out, Param};
+use crate::clock::{BoardClock, Timebase};
+use crate::hal::{
+    Backend, Catalogue, ExportError, Exporter, In, Level, Line, Messenger, Out, Param,
+};
 use crate::link::Link;
-use crate::settings::{Disarmed, Periods, Sync};
+use crate::settings::{Disarmed, INPUTS, Periods, Sync};
 use std::net::Ipv4Addr;
+use std::sync::Arc;
 use std::time::Instant;
 use wire::board::Kind;
 use wire::describe::Channels;
-use wire::exchange::{COMMAND_MAX, Command, MAX_CHANNELS, REQUEST_OVERHEAD, Status};
+use wire::exchange::{COMMAND_MAX, Command, Latch, MAX_CHANNELS, REQUEST_OVERHEAD, Status};
+use wire::map::{PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT};
+use wire::units::Clocks;
 use wire::{FaultReason, MAX_WORDS, ReplyWriter, State, etherbone, map};
 
 /// 100 ms between two requests for the session: a board that starts is found soon, one that is off
@@ -66,6 +73,9 @@ const OWNER_WORDS: [u32; 3] = [
     map::SESSION_OWNER_IP,
     map::SESSION_OWNER_PORT,
 ];
+/// 250 us: four commands are sent in some 60 us and are there some 50 us later, so all boards have theirs
+/// when the moment comes, and the rest of the period is left for what comes late.
+const APPLY_DELAY_NS: u32 = 250_000;
 /// Tries after which settings without a receipt are worth a message: 5 x 20 periods.
 const REFUSED_TRIES: u32 = 5;
 
@@ -92,7 +102,13 @@ struct Pins {
     state: Out<u32>,
     position_trusted: Out<bool>,
     refused_total: Out<u32>,
+    estop: Out<bool>,
+    reset_reason: Out<u32>,
+    gate_close: Out<u32>,
     io_error: Param<bool>,
+    probe_input: Param<i32>,
+    probe_invert: Param<bool>,
+    apply_delay: Param<u32>,
 }
 
 /// A board and everything HAL sees of it.
@@ -124,8 +140,14 @@ pub struct Driver {
     foreign_owner: Option<(u32, u32)>,
     tag: u32,
     sequence: u32,
+    /// The last command sent in this session.
+    last: Option<Command>,
     /// The command just sent awaits its answer.
     awaiting: bool,
+    /// It is the repetition of one that was sent last period, so two answers may come.
+    repeated: bool,
+    /// `read-request` was called since the last `write`.
+    request_seen: bool,
     /// Answers missing in a row.
     missing: u32,
     /// An answer came in this session: the board has seen our `enable-request` low.
@@ -133,6 +155,19 @@ pub struct Driver {
     state: State,
     reason: FaultReason,
     live: bool,
+
+    time: Arc<Timebase>,
+    /// The common moment used last.
+    moment: u64,
+    clock: BoardClock,
+    /// Sequence number and time of sending of the last two commands.
+    sent: [(u32, i64); 2],
+    /// From `read-request` to `write`, as it was last time; `None` without a `read-request`.
+    request_to_write: Option<i64>,
+    /// When the last command takes effect, if not at once.
+    apply_at: Option<Clocks>,
+
+    catalogue: Catalogue,
 }
 
 impl Driver {
@@ -153,7 +188,8 @@ impl Driver {
             let room = crate::hal::NAME_MAX - format!("ferrocnc.{index}.{class}..{longest}").len();
             channel_names((0..count).map(|n| blob.text(kind, n)), room)
         };
-        let mut hal = Exporter::new(backend, format!("ferrocnc.{index}"));
+        let mut catalogue = Catalogue::default();
+        let mut hal = Exporter::new(backend, format!("ferrocnc.{index}")).listed(&mut catalogue);
         let pins = Pins {
             enable: hal.input("enable")?,
             enable_request: hal.input("enable-request")?,
@@ -162,8 +198,17 @@ impl Driver {
             state: hal.output("state")?,
             position_trusted: hal.output("position-trusted")?,
             refused_total: hal.output("refused-total")?,
+            estop: hal.output("estop")?,
+            reset_reason: hal.output("last-reset-reason")?,
+            gate_close: hal.output("last-gate-close")?,
             io_error: hal.param("io-error", false)?,
+            probe_input: hal.param("probe-input", -1)?,
+            probe_invert: hal.param("probe-invert", false)?,
+            apply_delay: hal.param("apply-delay-ns", 0)?,
         };
+        pins.reset_reason
+            .set(u32::from(describe.reset_reason.code()));
+        pins.gate_close.set(u32::from(describe.gate_close.code()));
         let packets = Packets::export(&mut hal)?;
         let watchdog = Watchdog::export(&mut hal)?;
         let wallclock = Wallclock::export(&mut hal)?;
@@ -184,25 +229,17 @@ impl Driver {
             names(Kind::Encoder, "encoder", "velocity-rpm", channels.encoders),
             |hal, _| Encoder::export(hal),
         )?;
-        let has_direction = |n: usize| {
-            blob.entries().any(|entry| {
-                entry.kind == Kind::Pins
-                    && usize::from(entry.channel) == n
-                    && entry.value.first() == Some(&b'p')
-                    && entry.value.windows(4).any(|text| text == b"dir=")
-            })
-        };
         let pwms = each(
             &mut hal,
             "pwm",
             names(Kind::Pwm, "pwm", "invert-output", channels.pwms),
-            |hal, n| Pwm::export(hal, has_direction(n)),
+            |hal, n| Pwm::export(hal, identity.has_pin(b'p', n, "dir")),
         )?;
         let inputs = each(
             &mut hal,
             "gpio",
             names(Kind::Input, "gpio", "in-not", channels.inputs),
-            |hal, _| gpio::Input::export(hal),
+            |hal, n| gpio::Input::export(hal, identity.has_pin(b'i', n, "estop")),
         )?;
         let outputs = each(
             &mut hal,
@@ -240,14 +277,63 @@ impl Driver {
             foreign_owner: None,
             tag: 0,
             sequence: 0,
+            last: None,
             awaiting: false,
+            repeated: false,
+            request_seen: false,
             missing: 0,
             answered: false,
             state: describe.state.state,
             // What it stopped for before us is the board's past, not an event.
             reason: describe.state.reason,
             live: false,
+            time: Timebase::new(),
+            moment: 0,
+            clock: BoardClock::new(describe.clock_hz),
+            sent: [(0, 0); 2],
+            request_to_write: None,
+            apply_at: None,
+            catalogue,
         })
+    }
+
+    /// Makes this one of several boards that act at the same moments. With more than one, commands carry an
+    /// apply time from the start; `apply-delay-ns` says otherwise.
+    pub fn join(&mut self, time: &Arc<Timebase>, boards: usize) {
+        self.time = Arc::clone(time);
+        if boards > 1 {
+            self.pins.apply_delay.set(APPLY_DELAY_NS);
+        }
+    }
+
+    /// What was exported, by logical name.
+    pub fn catalogue(&self) -> &Catalogue {
+        &self.catalogue
+    }
+
+    /// How many channels of each kind there are.
+    pub fn channels(&self) -> Channels {
+        self.channels
+    }
+
+    /// Repeats the last command, so that `read` finds feedback from the beginning of this period instead of
+    /// the end of the last. Of several boards, all requests go out before the first answer is waited for.
+    pub fn read_request(&mut self, _period_ns: i64) {
+        let Phase::Online { .. } = self.phase else {
+            return;
+        };
+        let Some(last) = self.last else { return };
+        self.sequence = self.sequence.wrapping_add(1);
+        let command = Command {
+            sequence: self.sequence,
+            // Its time has come, or the period is over anyway.
+            apply_at: None,
+            ..last
+        };
+        // Not sent: then the answer to the command before is all there will be, and `read` says so.
+        self.awaiting |= self.transmit(&command);
+        self.repeated = true;
+        self.request_seen = true;
     }
 
     /// Collects the answer to the last command and publishes what it says.
@@ -258,11 +344,18 @@ impl Driver {
             deadline += self.packets.patience(period_ns);
         }
         match self.collect(deadline) {
-            Some(status) => self.answered(&status, period),
+            Some(status) => {
+                let whole = status.sequence == self.sequence;
+                self.answered(&status, period);
+                if !whole {
+                    self.packets.one_of_two_missing();
+                }
+            }
             None if self.awaiting => self.unanswered(period),
             None => {}
         }
         self.awaiting = false;
+        self.repeated = false;
     }
 
     /// Sends what is wanted of the board in the coming period.
@@ -330,19 +423,26 @@ impl Driver {
     }
 
     /// Receives until the answer to the last command is there or the deadline has passed; whatever
-    /// else arrives is seen to on the way.
+    /// else arrives is seen to on the way. If the last command repeated the one before, the answer to that
+    /// one is the next best.
     fn collect(&mut self, deadline: Instant) -> Option<Status> {
         let status_words = wire::exchange::status_words(self.channels);
+        let mut second_best = None;
         while let Some(words) = self.link.receive(deadline) {
             let Some((base, payload)) = single_record(words) else {
                 continue;
             };
             if payload.len() == status_words {
+                let newest = base == self.sequence;
+                let repeats = self.repeated && base == self.sequence.wrapping_sub(1);
                 if self.awaiting
-                    && base == self.sequence
+                    && (newest || repeats)
                     && let Ok(status) = Status::parse_reply(words, self.channels)
                 {
-                    return Some(status);
+                    if newest {
+                        return Some(status);
+                    }
+                    second_best = Some(status);
                 }
             } else if let [token, ip, port] = *payload {
                 if let Phase::Acquiring { tag, .. } = self.phase
@@ -361,7 +461,7 @@ impl Driver {
                 self.acquired(session, announced);
             }
         }
-        None
+        second_best
     }
 
     fn acquired(&mut self, session: Option<Session>, announced: bool) {
@@ -382,7 +482,17 @@ impl Driver {
         } else if announced {
             self.info(format_args!("the board answers again"));
         }
+        self.pins.reset_reason.set(session.reset_reason);
+        self.pins.gate_close.set(session.gate_close);
         self.sequence = session.last_sequence;
+        self.last = None;
+        self.apply_at = None;
+        for stepgen in &mut self.stepgens {
+            stepgen.forget_latch();
+        }
+        for encoder in &mut self.encoders {
+            encoder.forget_latch();
+        }
         self.phase = Phase::Online {
             token: session.token,
         };
@@ -400,7 +510,47 @@ impl Driver {
         self.missing = 0;
         self.answered = true;
         self.arm.accepted(status.sequence);
-        if !self.wallclock.sampled(status.sample, period.clock_hz) {
+        self.follow_clock(status, period.clock_hz);
+        self.follow_state(status, period.clock_hz);
+
+        let outlook = self.outlook(status, period);
+        let selected = self.last.map_or(Latch::Encoder(u8::MAX), |last| last.latch);
+        let sight = |latch: Latch, index: u16, probe: u16| {
+            let (Latch::Encoder(n) | Latch::Stepgen(n)) = latch;
+            Sight {
+                sequence: status.sequence,
+                live: status.state.enabled && status.state.state == State::Armed,
+                index: index >> n & 1 != 0,
+                probe: probe >> n & 1 != 0,
+                value: (selected == latch).then_some(status.latch),
+            }
+        };
+        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
+            let (position, rate) = status.stepgen[n];
+            let (index, probe) = (status.stepgen_index_latched, status.stepgen_probe_latched);
+            let sample = Sample {
+                position,
+                rate,
+                limited: status.rate_limited >> n & 1 != 0,
+                sight: sight(Latch::Stepgen(n as u8), index, probe),
+            };
+            stepgen.sampled(&sample, outlook, period);
+        }
+        for (n, encoder) in self.encoders.iter_mut().enumerate() {
+            let (index, probe) = (status.index_latched, status.probe_latched);
+            let sight = sight(Latch::Encoder(n as u8), index, probe);
+            let illegal = status.illegal >> n & 1 != 0;
+            encoder.sampled(&status.encoder[n], illegal, &sight, status.sample, period);
+        }
+        for (n, input) in self.inputs.iter().enumerate() {
+            input.sampled(status.gpio_in >> n & 1 != 0, status.estop >> n & 1 != 0);
+        }
+    }
+
+    /// The board's clock: for the operator, for the apply time, and to notice that the fabric was reset.
+    fn follow_clock(&mut self, status: &Status, clock_hz: f64) {
+        if !self.wallclock.sampled(status.sample, clock_hz) {
+            self.clock.forget();
             for stepgen in &mut self.stepgens {
                 stepgen.rebase();
             }
@@ -408,26 +558,40 @@ impl Driver {
                 encoder.rebase();
             }
         }
-        self.follow_state(status, period.clock_hz);
+        let sent = self.sent.iter().find(|sent| sent.0 == status.sequence);
+        if let Some((_, host)) = sent {
+            self.clock.exchanged(*host, status.arrival);
+            if let Some((offset, drift)) = self.clock.compared(*host) {
+                self.wallclock.compared(offset, drift);
+            }
+        }
+    }
 
-        let outlook = match (status.state.enabled, status.state.state) {
-            (true, State::Armed) => Outlook::Commanded,
+    /// What the board does from this sample to the moment the next command takes effect.
+    fn outlook(&self, status: &Status, period: Period) -> Outlook {
+        let repeated = self.repeated && status.sequence == self.sequence;
+        let ahead = match self.request_to_write {
+            // The command has been in force for a while; the next one is due after what the last one took.
+            Some(nanos) if repeated => {
+                let delay = i64::from(self.apply_delay());
+                let clocks = (nanos + delay) as f64 * 1e-9 * period.clock_hz;
+                Clocks((clocks as u64).min(2 * period.clocks.0))
+            }
+            Some(_) | None => period.clocks,
+        };
+        match (status.state.enabled, status.state.state) {
+            (true, State::Armed) => {
+                let lead = match self.apply_at {
+                    Some(at) if !repeated => at.0.saturating_sub(status.sample.0),
+                    Some(_) | None => 0,
+                };
+                let lead = Clocks(lead.min(2 * period.clocks.0));
+                Outlook::Commanded { lead, ahead }
+            }
             (true, State::Boot | State::Disarmed | State::Stopping | State::Faulted) => {
-                Outlook::Stopping
+                Outlook::Stopping { ahead }
             }
             (false, _) => Outlook::Still,
-        };
-        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
-            let (position, rate) = status.stepgen[n];
-            let limited = status.rate_limited >> n & 1 != 0;
-            stepgen.sampled(position, rate, limited, outlook, period);
-        }
-        for (n, encoder) in self.encoders.iter_mut().enumerate() {
-            let latched = status.index_latched >> n & 1 != 0;
-            encoder.sampled(&status.encoder[n], latched, status.sample, period);
-        }
-        for (n, input) in self.inputs.iter().enumerate() {
-            input.sampled(status.gpio_in >> n & 1 != 0);
         }
     }
 
@@ -448,6 +612,7 @@ impl Driver {
         self.pins.fault_reason.set(u32::from(word.reason.code()));
         self.pins.position_trusted.set(word.position_trusted);
         self.pins.refused_total.set(status.refused.0);
+        self.pins.estop.set(word.estop);
         self.live = armed;
         self.state = word.state;
         if word.reason != self.reason {
@@ -461,7 +626,8 @@ impl Driver {
                 | FaultReason::LinkDown
                 | FaultReason::FirmwareFault
                 | FaultReason::JobUnderrun
-                | FaultReason::AbiMismatch => self.error(format_args!(
+                | FaultReason::AbiMismatch
+                | FaultReason::EStop => self.error(format_args!(
                     "the board stopped the machine: {}; remove the cause, then enable again",
                     word.reason
                 )),
@@ -547,11 +713,21 @@ impl Driver {
         for (words, stepgen) in wanted.stepgen.iter_mut().zip(&mut self.stepgens) {
             *words = stepgen.configure(clock_hz);
         }
+        let input = self.pins.probe_input.get();
+        if (0..INPUTS as i32).contains(&input) {
+            wanted.probe = input as u32 & PROBE_INPUT_MASK | PROBE_ENABLE;
+            if self.pins.probe_invert.get() {
+                wanted.probe |= PROBE_INVERT;
+            }
+        }
+        for (looks, input) in wanted.debounce.iter_mut().zip(&self.inputs) {
+            *looks = input.debounce(clock_hz);
+        }
         for (words, encoder) in wanted.encoder.iter_mut().zip(&self.encoders) {
             *words = encoder.configure(clock_hz);
         }
-        for (word, pwm) in wanted.pwm_mode.iter_mut().zip(&self.pwms) {
-            *word = pwm.mode();
+        for (word, pwm) in wanted.pwm_mode.iter_mut().zip(&mut self.pwms) {
+            *word = pwm.configure();
         }
         for (n, output) in self.outputs.iter().enumerate() {
             wanted.gpio_invert |= u32::from(output.inverted()) << n;
@@ -561,16 +737,46 @@ impl Driver {
 
     fn send_command(&mut self, token: u32, settled: bool, period: Period) {
         self.sequence = self.sequence.wrapping_add(1);
-        let command = self.make_command(token, settled, period);
-        let mut words = [0; REQUEST_OVERHEAD + COMMAND_MAX];
-        if let Some(request) = command.emit_request(self.channels, &mut words) {
-            // Unsent is unanswered, and the next `read` counts it; it does not wait for it though.
-            if !self.link.send(request) {
-                self.unanswered(period);
-            } else {
-                self.awaiting = true;
-            }
+        let mut command = self.make_command(token, settled, period);
+        self.apply_at = self.apply_time(period).filter(|_| self.live);
+        command.apply_at = self.apply_at;
+        self.last = Some(command);
+        let repeated_at = self.sent[0].1;
+        let repeated = self.request_seen;
+        // Unsent is unanswered, and the next `read` counts it; it does not wait for it though.
+        if self.transmit(&command) {
+            self.awaiting = true;
+        } else {
+            self.unanswered(period);
         }
+        self.request_to_write = repeated.then(|| self.sent[0].1 - repeated_at);
+        self.request_seen = false;
+    }
+
+    /// Sends a command; `false` if the network would not take it.
+    fn transmit(&mut self, command: &Command) -> bool {
+        let mut words = [0; REQUEST_OVERHEAD + COMMAND_MAX];
+        let Some(request) = command.emit_request(self.channels, &mut words) else {
+            return false;
+        };
+        self.sent = [(command.sequence, self.time.now()), self.sent[0]];
+        self.link.send(request)
+    }
+
+    /// The moment all boards apply this period's command, by this one's clock.
+    fn apply_time(&mut self, period: Period) -> Option<Clocks> {
+        let delay = self.apply_delay();
+        if delay == 0 {
+            return None;
+        }
+        let moment = self.time.moment(&mut self.moment);
+        // Longer than a period and the next command would replace it before its time.
+        let delay = i64::from(delay).min((period.seconds * 1e9) as i64);
+        self.clock.board_at(moment + delay)
+    }
+
+    fn apply_delay(&self) -> u32 {
+        self.pins.apply_delay.get()
     }
 
     fn make_command(&mut self, token: u32, settled: bool, period: Period) -> Command {
@@ -598,16 +804,40 @@ impl Driver {
             command.stepgen[n] = (target.rate, target.accel);
             command.stepgen_enable |= u16::from(target.enable) << n;
         }
-        for (n, encoder) in self.encoders.iter().enumerate() {
-            command.index_arm |= u16::from(encoder.command()) << n;
+        let sequence = self.sequence;
+        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
+            let (index, probe) = stepgen.arms(live, sequence);
+            command.stepgen_index_arm |= u16::from(index) << n;
+            command.stepgen_probe_arm |= u16::from(probe) << n;
         }
-        for (word, pwm) in command.pwm.iter_mut().zip(&self.pwms) {
-            *word = pwm.command(period.clock_hz);
+        for (n, encoder) in self.encoders.iter_mut().enumerate() {
+            let (index, probe) = encoder.command(live, sequence);
+            command.index_arm |= u16::from(index) << n;
+            command.probe_arm |= u16::from(probe) << n;
+        }
+        command.latch = self.next_latch();
+        let arrived = self.periods.arrived();
+        for (n, (word, pwm)) in command.pwm.iter_mut().zip(&self.pwms).enumerate() {
+            let has = arrived.map_or(u32::MAX, |periods| periods.0[n]);
+            *word = pwm.command(has, period.clock_hz);
         }
         for (n, output) in self.outputs.iter().enumerate() {
             command.gpio_out |= u32::from(output.command()) << n;
         }
         command
+    }
+
+    /// Whose latch to ask for: the next after the last one that has something, so that nobody waits for ever.
+    fn next_latch(&self) -> Latch {
+        let last = self.last.map_or(0, |last| last.latch.code());
+        let wants = |latch: &Latch| match *latch {
+            Latch::Encoder(n) => self.encoders.get(usize::from(n)).map(Encoder::wants_value),
+            Latch::Stepgen(n) => self.stepgens.get(usize::from(n)).map(Stepgen::wants_value),
+        };
+        let mut latches = (1..=32).map(|n| Latch::from_code((last + n) & 31));
+        latches
+            .find(|latch| wants(latch) == Some(true))
+            .unwrap_or_default()
     }
 
     fn send_acquire(&mut self) -> u32 {
@@ -686,7 +916,7 @@ fn each<T>(
     mut export: impl FnMut(&mut Exporter<'_>, usize) -> Result<T, ExportError>,
 ) -> Result<Vec<T>, ExportError> {
     let each = names.iter().enumerate();
-    each.map(|(n, name)| export(&mut hal.under(&format!("{class}.{name}")), n))
+    each.map(|(n, name)| export(&mut hal.channel(class, name, n), n))
         .collect()
 }
 

@@ -31,6 +31,11 @@ impl Fenced {
         self.guard(|driver| driver.read(period_ns));
     }
 
+    /// `ferrocnc.<n>.read-request`.
+    pub fn read_request(&mut self, period_ns: i64) {
+        self.guard(|driver| driver.read_request(period_ns));
+    }
+
     /// `ferrocnc.<n>.write`.
     pub fn write(&mut self, period_ns: i64) {
         self.guard(|driver| driver.write(period_ns));

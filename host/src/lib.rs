@@ -40,6 +40,7 @@
 pub mod address;
 pub mod blocks;
 pub mod client;
+pub mod clock;
 pub mod driver;
 pub mod fence;
 pub mod hal;

@@ -5,6 +5,7 @@
 
 use crate::address::{self, Address};
 use crate::client::{Client, ClientError};
+use crate::clock::Timebase;
 use crate::driver::Driver;
 use crate::fence::{Fenced, install_quiet_hook};
 use crate::hal::ffi::Api;
@@ -154,10 +155,11 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
         component,
         boards: Vec::new(),
     };
+    let (time, count) = (Timebase::new(), boards.len());
     for (index, (address, (client, identity))) in boards.into_iter().zip(clients).enumerate() {
         let link = Link::new(client.into_socket())
             .map_err(|error| LoadError::Client(ClientError::Socket(address.clone(), error)))?;
-        let driver = Driver::export(
+        let mut driver = Driver::export(
             &mut loaded.component,
             index,
             address,
@@ -166,6 +168,7 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
             messenger(api),
         )
         .map_err(LoadError::Export)?;
+        driver.join(&time, count);
         loaded
             .boards
             .push(Box::new(Fenced::new(driver, messenger(api))));
@@ -190,11 +193,12 @@ fn connect(address: &Address) -> Result<(Client, crate::client::Identity), Clien
 fn functions(component: &Component, index: usize, board: &mut Fenced) -> Result<(), ExportError> {
     let argument: *mut Fenced = board;
     for (name, function) in [
-        ("read", read as crate::hal::ffi::Funct),
+        ("read-request", read_request as crate::hal::ffi::Funct),
+        ("read", read),
         ("write", write as crate::hal::ffi::Funct),
     ] {
         let name = CString::new(format!("ferrocnc.{index}.{name}")).unwrap_or_default();
-        // SAFETY: both functions take a `Fenced`; the box outlives the component in `Loaded`.
+        // SAFETY: all functions take a `Fenced`; the box outlives the component in `Loaded`.
         unsafe { component.function(&name, function, argument.cast())? };
     }
     Ok(())
@@ -204,6 +208,12 @@ unsafe extern "C" fn read(board: *mut c_void, period_ns: c_long) {
     // SAFETY: HAL passes back what `functions` registered, and calls from one thread at a time.
     let board = unsafe { &mut *board.cast::<Fenced>() };
     board.read(nanos(period_ns));
+}
+
+unsafe extern "C" fn read_request(board: *mut c_void, period_ns: c_long) {
+    // SAFETY: as in `read`.
+    let board = unsafe { &mut *board.cast::<Fenced>() };
+    board.read_request(nanos(period_ns));
 }
 
 unsafe extern "C" fn write(board: *mut c_void, period_ns: c_long) {

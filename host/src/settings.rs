@@ -32,7 +32,14 @@ pub struct Disarmed {
     pub watchdog: [u32; 2],
     /// Which outputs are inverted.
     pub gpio_invert: u32,
+    /// As [`map::BoardConfig::Probe`] takes it.
+    pub probe: u32,
+    /// Per input.
+    pub debounce: [u32; INPUTS],
 }
+
+/// Most inputs a board can have.
+pub const INPUTS: usize = 32;
 
 impl Default for Disarmed {
     fn default() -> Self {
@@ -42,6 +49,8 @@ impl Default for Disarmed {
             pwm_mode: [0; MAX_CHANNELS],
             watchdog: [0; 2],
             gpio_invert: 0,
+            probe: 0,
+            debounce: [0; INPUTS],
         }
     }
 }
@@ -63,10 +72,12 @@ impl Group for Disarmed {
             fits &= record(at(map::CONFIG_PWM, n) + 4, &[*word]);
         }
         fits &= record(map::CONFIG_BOARD, &self.watchdog);
-        fits & record(
+        fits &= record(
             map::CONFIG_BOARD + 4 * map::BoardConfig::GpioInvert as u32,
-            &[self.gpio_invert],
-        )
+            &[self.gpio_invert, self.probe],
+        );
+        let inputs = usize::from(channels.inputs);
+        fits && (inputs == 0 || record(map::CONFIG_DEBOUNCE, &self.debounce[..inputs]))
     }
 }
 
@@ -109,6 +120,11 @@ impl<G: Group> Sync<G> {
     /// The board has exactly this.
     pub fn settled(&self, wanted: &G) -> bool {
         self.arrived.as_ref() == Some(wanted)
+    }
+
+    /// What the board is known to have.
+    pub fn arrived(&self) -> Option<&G> {
+        self.arrived.as_ref()
     }
 
     /// Whether this period's datagram is due, and if so puts it into `words`.
@@ -184,7 +200,7 @@ mod tests {
             .unwrap();
         let packet = Packet::new_checked(request).unwrap();
         let written: usize = packet.records().map(|record| record.writes.len()).sum();
-        assert_eq!(written, 16 * 6 + 16 * 2 + 16 + 3);
+        assert_eq!(written, 16 * 6 + 16 * 2 + 16 + 4 + 32);
         assert_eq!(packet.records().last().unwrap().return_base, 7);
     }
 

@@ -403,17 +403,20 @@ fn the_external_reset_is_named_and_holds_until_it_is_gone() {
 #[test]
 fn inputs_outputs_and_pwm_travel_with_the_exchange() {
     let mut rig = Rig::armed();
-    rig.board.look().knobs.gpio_in = 1 << 1 | 1 << 11;
+    rig.board.look().knobs.gpio_in = 1 << 1 | 1 << 10;
     rig.hal.set("ferrocnc.0.gpio.spindle-reverse.out", true);
     rig.hal.set("ferrocnc.0.pwm.spindle.value", 0.5);
     rig.hal.set("ferrocnc.0.pwm.spindle.enable", true);
     rig.run(2);
     assert!(rig.hal.get::<bool>("ferrocnc.0.gpio.limit-y.in"));
     assert!(!rig.hal.get::<bool>("ferrocnc.0.gpio.limit-y.in-not"));
-    assert!(rig.hal.get::<bool>("ferrocnc.0.gpio.11.in"));
+    assert!(rig.hal.get::<bool>("ferrocnc.0.gpio.10.in"));
     let board = rig.board.look();
     assert_eq!(board.command.gpio_out, 1 << 2);
-    assert_eq!(board.command.pwm[0], wire::exchange::PWM_ENABLE | 30_000);
+    assert_eq!(
+        board.command.pwm[0],
+        wire::exchange::PWM_ENABLE | 30_000 << 8
+    );
 }
 
 #[test]

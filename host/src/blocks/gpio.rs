@@ -1,32 +1,56 @@
 //! `gpio.<nn>`: inputs and outputs, each numbered from 00 or by the board's name for it.
 //!
-//! An input has `in` and `in-not` (bit out), an output has `out` (bit in) and the parameter
-//! `invert`, which reaches the board while it is disarmed. (hostmot2 says `invert_output`; that would leave
-//! a name like `spindle-reverse` no room in the 41 characters old HALs have.) While the gate is closed an output
-//! carries the board's safe level, whatever `out` says.
+//! An input has `in` and `in-not` (bit out) and the parameter `debounce-ns` (u32): a change must last that
+//! long to be believed, up to 35 ms at 60 MHz. One that the board file calls an e-stop input has `estop`
+//! (bit out) besides: it has tripped; latched by the gateware until the machine is armed again. An output
+//! has `out` (bit in) and the parameter `invert`. Parameters reach the board while it is disarmed.
+//! (hostmot2 says `invert_output`; that would leave a name like `spindle-reverse` no room in the 41
+//! characters old HALs have.) While the gate is closed an output carries the board's safe level, whatever
+//! `out` says.
 
 use crate::hal::{ExportError, Exporter, In, Out, Param};
+use wire::map::{DEBOUNCE_CLOCKS, DEBOUNCE_MAX};
+use wire::units::Clocks;
 
 /// One input.
 #[derive(Debug)]
 pub struct Input {
     value: Out<bool>,
     inverse: Out<bool>,
+    estop: Option<Out<bool>>,
+    debounce: Param<u32>,
 }
 
 impl Input {
     /// Exports the pins.
-    pub fn export(hal: &mut Exporter<'_>) -> Result<Self, ExportError> {
+    pub fn export(hal: &mut Exporter<'_>, is_estop: bool) -> Result<Self, ExportError> {
         Ok(Input {
             value: hal.output("in")?,
             inverse: hal.output("in-not")?,
+            estop: if is_estop {
+                Some(hal.output("estop")?)
+            } else {
+                None
+            },
+            debounce: hal.param("debounce-ns", 0)?,
         })
     }
 
-    /// Takes the level.
-    pub fn sampled(&self, level: bool) {
+    /// Takes the level, and whether it has tripped as an e-stop.
+    pub fn sampled(&self, level: bool, tripped: bool) {
         self.value.set(level);
         self.inverse.set(!level);
+        if let Some(estop) = &self.estop {
+            estop.set(tripped);
+        }
+    }
+
+    /// How many looks in a row must agree.
+    pub fn debounce(&self, clock_hz: f64) -> u32 {
+        let nanos = u64::from(self.debounce.get());
+        let clocks = Clocks::from_nanos_ceil(nanos, clock_hz as u32).0;
+        let looks = clocks.div_ceil(u64::from(DEBOUNCE_CLOCKS));
+        looks.min(u64::from(DEBOUNCE_MAX)) as u32
     }
 }
 
@@ -54,5 +78,34 @@ impl Output {
     /// Whether the board inverts it.
     pub fn inverted(&self) -> bool {
         self.invert.get()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hal::fake::FakeHal;
+
+    #[test]
+    fn a_debounce_is_never_shorter_than_asked_and_never_beyond_its_register() {
+        let mut hal = FakeHal::new();
+        let input = Input::export(&mut Exporter::new(&mut hal, "i"), false).unwrap();
+        // One look every 533 ns at 60 MHz.
+        for (nanos, looks) in [(0u32, 0), (1, 1), (533, 1), (534, 2), (1_000_000, 1875)] {
+            hal.set("i.debounce-ns", nanos);
+            assert_eq!(input.debounce(60e6), looks, "{nanos} ns");
+        }
+        hal.set("i.debounce-ns", u32::MAX);
+        assert_eq!(input.debounce(60e6), 65_535);
+    }
+
+    #[test]
+    fn only_an_estop_input_has_an_estop_pin() {
+        let mut hal = FakeHal::new();
+        let input = Input::export(&mut Exporter::new(&mut hal, "e"), true).unwrap();
+        input.sampled(false, true);
+        assert!(hal.get::<bool>("e.estop") && !hal.get::<bool>("e.in"));
+        let _ = Input::export(&mut Exporter::new(&mut hal, "i"), false).unwrap();
+        assert!(!hal.list().any(|(name, _, _)| name == "i.estop"));
     }
 }

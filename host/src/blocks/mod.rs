@@ -5,6 +5,7 @@
 pub mod arming;
 pub mod encoder;
 pub mod gpio;
+pub mod latch;
 pub mod packets;
 pub mod pwm;
 pub mod stepgen;
@@ -39,10 +40,18 @@ impl Period {
 /// What the board does between a sample and the next one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outlook {
-    /// It executes the command the sample answered.
-    Commanded,
+    /// It goes on with the command before for `lead`, then executes the one the sample answered for `ahead`.
+    Commanded {
+        /// From the sample to the apply time, 0 if it was applied at once.
+        lead: Clocks,
+        /// From there to the next command.
+        ahead: Clocks,
+    },
     /// It comes to rest by itself.
-    Stopping,
+    Stopping {
+        /// From the sample to the next command.
+        ahead: Clocks,
+    },
     /// Its gate is closed: nothing moves.
     Still,
 }
@@ -67,8 +76,8 @@ pub(crate) fn scale_or_one(scale: f64) -> f64 {
     }
 }
 
-/// A time parameter as a register of `bits` bits.
-pub(crate) fn nanos_to_register(nanos: u32, clock_hz: f64, least: u32, bits: u32) -> u32 {
+/// A time parameter as a register, between the least and the most it can hold.
+pub(crate) fn nanos_to_register(nanos: u32, clock_hz: f64, least: u32, most: u32) -> u32 {
     let clocks = Clocks::from_nanos_ceil(u64::from(nanos), clock_hz as u32).0;
-    (clocks.min((1u64 << bits) - 1) as u32).max(least)
+    clocks.clamp(u64::from(least), u64::from(most)) as u32
 }

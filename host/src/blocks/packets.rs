@@ -46,6 +46,12 @@ impl Packets {
         self.level.set(level.max(0));
     }
 
+    /// An answer is missing, but another one of the same period came.
+    pub fn one_of_two_missing(&self) {
+        self.error.set(true);
+        self.total.set(self.total.get().wrapping_add(1));
+    }
+
     /// An answer is missing; `true` when that was one too many.
     #[must_use]
     pub fn missing(&self) -> bool {

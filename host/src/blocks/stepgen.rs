@@ -11,10 +11,15 @@
 //! | `position-fb` | float out | predicted to the end of the period, sub-step |
 //! | `velocity-fb` | float out | the velocity there |
 //! | `rate-limited` | bit out | more was asked than the step timing allows |
+//! | `position-reset` | bit in | while true `counts` and position are 0; moves nothing |
+//! | `index-enable` | bit io | set it; at the next index the position restarts there and it falls |
+//! | `probe-enable` | bit io | set it; when the probe trips the place is latched and it falls |
+//! | `count-latched`, `position-latched` | s32, float out | where the last index or probe was |
 //!
 //! Parameters, all read/write: `position-scale` (steps per unit), `maxvel`, `maxaccel` (0: no limit),
-//! `steplen`, `stepspace`, `dirsetup`, `dirhold` (ns), `step-invert`, `dir-invert`. The timings and
-//! inversions reach the board while it is disarmed.
+//! `steplen`, `stepspace` (ns, up to 136 us at 60 MHz), `dirsetup`, `dirhold` (ns, up to 1.09 ms), `step-type`
+//! ([`StepType`]: 0 step/dir, 1 up/down, 2 quadrature), `step-invert`, `dir-invert`, `index-invert`. What
+//! concerns the pins reaches the board while it is disarmed.
 //!
 //! # The position loop
 //!
@@ -24,13 +29,20 @@
 //! 0.5 per period, or by ramping whichever way makes it smaller when matching takes longer than a
 //! period. The result stays within reach of one period at `maxaccel`, so a board that hears nothing
 //! further holds a velocity that was meant.
+//!
+//! When an index or `position-reset` moves the origin, LinuxCNC moves its command by as much in the same
+//! period. That is no motion: the feed-forward is taken from the new origin when that is what happened.
 
+use super::latch::{Latching, Sight, Source};
 use super::{Feedback, Outlook, Period, nanos_to_register, scale_or_one};
-use crate::hal::{ExportError, Exporter, In, Out, Param};
+use crate::hal::{ExportError, Exporter, In, Io, Out, Param};
 use motion::Ramp;
 use motion::ramp::VELOCITY_FRACTION;
-use wire::map::STEPGEN_CONFIG_WORDS;
-use wire::units::{Accel, Position, StepRate};
+use wire::map::{
+    DIR_CLOCKS_MAX, STEP_CLOCKS_MAX, STEPGEN_CONFIG_WORDS, STEPGEN_DIR_INVERT,
+    STEPGEN_INDEX_INVERT, STEPGEN_STEP_INVERT, STEPGEN_TYPE_SHIFT, StepType,
+};
+use wire::units::{Accel, Count, Position, StepRate};
 
 /// 5 us: every driver on the market manages that; fast ones are told so with `setp`.
 const DEFAULT_STEP_NS: u32 = 5_000;
@@ -48,6 +60,11 @@ pub struct Stepgen {
     position_fb: Out<f64>,
     velocity_fb: Out<f64>,
     rate_limited: Out<bool>,
+    position_reset: In<bool>,
+    index_enable: Io<bool>,
+    probe_enable: Io<bool>,
+    count_latched: Out<i32>,
+    position_latched: Out<f64>,
     position_scale: Param<f64>,
     maxvel: Param<f64>,
     maxaccel: Param<f64>,
@@ -55,20 +72,40 @@ pub struct Stepgen {
     stepspace: Param<u32>,
     dirsetup: Param<u32>,
     dirhold: Param<u32>,
+    step_type: Param<u32>,
     step_invert: Param<bool>,
     dir_invert: Param<bool>,
+    index_invert: Param<bool>,
 
     track: Track,
+    latch: Latching,
     /// The stepgen as predicted for the next command; its position counts from `track`.
     ramp: Ramp,
     /// `position-cmd` of the last period.
     last_cmd: f64,
+    /// By how much the origin moved since, in units.
+    shifted: f64,
     /// What was asked last.
     sent: Target,
+    /// And before that: in force until the last command is applied.
+    before: Target,
     /// The step timing as the board has it, in clocks per step.
     clocks_per_step: f64,
     /// The host had to clamp.
     clamped: bool,
+}
+
+/// What an answer says about one stepgen.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// Where it was.
+    pub position: Position,
+    /// How fast.
+    pub rate: StepRate,
+    /// The step timing held it back.
+    pub limited: bool,
+    /// Its latch.
+    pub sight: Sight,
 }
 
 /// What goes into the command block for one stepgen.
@@ -94,6 +131,11 @@ impl Stepgen {
             position_fb: hal.output("position-fb")?,
             velocity_fb: hal.output("velocity-fb")?,
             rate_limited: hal.output("rate-limited")?,
+            position_reset: hal.input("position-reset")?,
+            index_enable: hal.both("index-enable", false)?,
+            probe_enable: hal.both("probe-enable", false)?,
+            count_latched: hal.output("count-latched")?,
+            position_latched: hal.output("position-latched")?,
             position_scale: hal.param("position-scale", 1.0)?,
             maxvel: hal.param("maxvel", 0.0)?,
             maxaccel: hal.param("maxaccel", 1.0)?,
@@ -101,12 +143,17 @@ impl Stepgen {
             stepspace: hal.param("stepspace", DEFAULT_STEP_NS)?,
             dirsetup: hal.param("dirsetup", DEFAULT_DIR_NS)?,
             dirhold: hal.param("dirhold", DEFAULT_DIR_NS)?,
+            step_type: hal.param("step-type", StepType::StepDir as u32)?,
             step_invert: hal.param("step-invert", false)?,
             dir_invert: hal.param("dir-invert", false)?,
+            index_invert: hal.param("index-invert", false)?,
             track: Track::default(),
+            latch: Latching::default(),
             ramp: Ramp::default(),
             last_cmd: 0.0,
+            shifted: 0.0,
             sent: Target::default(),
+            before: Target::default(),
             clocks_per_step: 1.0,
             clamped: false,
         })
@@ -114,52 +161,77 @@ impl Stepgen {
 
     /// This channel's configuration block.
     pub fn configure(&mut self, clock_hz: f64) -> [u32; STEPGEN_CONFIG_WORDS as usize] {
-        let steplen = nanos_to_register(self.steplen.get(), clock_hz, 1, 16);
-        let stepspace = nanos_to_register(self.stepspace.get(), clock_hz, 1, 16);
+        let time =
+            |nanos: &Param<u32>, least, most| nanos_to_register(nanos.get(), clock_hz, least, most);
+        let steplen = time(&self.steplen, 1, STEP_CLOCKS_MAX);
+        let stepspace = time(&self.stepspace, 1, STEP_CLOCKS_MAX);
         self.clocks_per_step = f64::from(steplen) + f64::from(stepspace);
+        let bit = |parameter: &Param<bool>, bit: u32| u32::from(parameter.get()) * bit;
+        // A number that means nothing is the default, not whatever the gateware makes of it.
+        let kind = StepType::from_code(self.step_type.get()).unwrap_or_default();
         [
             steplen,
             stepspace,
-            nanos_to_register(self.dirsetup.get(), clock_hz, 0, 24),
-            nanos_to_register(self.dirhold.get(), clock_hz, 0, 24),
+            time(&self.dirsetup, 0, DIR_CLOCKS_MAX),
+            time(&self.dirhold, 0, DIR_CLOCKS_MAX),
             self.stop_accel(clock_hz).0,
-            u32::from(self.step_invert.get()) | u32::from(self.dir_invert.get()) << 1,
+            bit(&self.step_invert, STEPGEN_STEP_INVERT)
+                | bit(&self.dir_invert, STEPGEN_DIR_INVERT)
+                | bit(&self.index_invert, STEPGEN_INDEX_INVERT)
+                | (kind as u32) << STEPGEN_TYPE_SHIFT,
         ]
     }
 
     /// Takes what the board sampled, predicts it to the next command and publishes it.
-    pub fn sampled(
-        &mut self,
-        position: Position,
-        rate: StepRate,
-        limited: bool,
-        outlook: Outlook,
-        period: Period,
-    ) {
+    pub fn sampled(&mut self, sample: &Sample, outlook: Outlook, period: Period) {
+        let &Sample { position, rate, .. } = sample;
         self.track.update(position);
+        self.follow_origin(&sample.sight);
+        let predict = |from: Position, rate, target: Target, clocks| {
+            Ramp::predict(from, rate, target.rate, target.accel, clocks)
+        };
+        let stop = Target {
+            accel: self.stop_accel(period.clock_hz),
+            ..Target::default()
+        };
         self.ramp = match outlook {
-            Outlook::Commanded => Ramp::predict(
-                position,
-                rate,
-                self.sent.rate,
-                self.sent.accel,
-                period.clocks,
-            ),
-            Outlook::Stopping => Ramp::predict(
-                position,
-                rate,
-                StepRate(0),
-                self.stop_accel(period.clock_hz),
-                period.clocks,
-            ),
+            Outlook::Commanded { lead, ahead } => {
+                let applied = predict(position, rate, self.before, lead);
+                let at = Position(applied.position);
+                predict(at, applied.rate(), self.sent, ahead)
+            }
+            Outlook::Stopping { ahead } => predict(position, rate, stop, ahead),
             Outlook::Still => Ramp {
                 position: position.0,
                 ..Ramp::default()
             },
         };
         self.counts.set(self.track.pulses() as i32);
-        self.rate_limited.set(limited || self.clamped);
+        self.rate_limited.set(sample.limited || self.clamped);
         self.publish(period.clock_hz);
+    }
+
+    /// Moves the origin, if an index or the operator says so.
+    fn follow_origin(&mut self, sight: &Sight) {
+        let scale = scale_or_one(self.position_scale.get());
+        if let Some((source, value)) = self.latch.answered(sight) {
+            let at = self.track.pulses_at(value);
+            self.count_latched.set(at as i32);
+            self.position_latched.set(at as f64 / scale);
+            match source {
+                Source::Index => {
+                    self.track.restart(at);
+                    self.shifted += at as f64 / scale;
+                    self.index_enable.set(false);
+                }
+                Source::Probe => self.probe_enable.set(false),
+            }
+        }
+        if self.position_reset.get() {
+            let at = self.track.pulses();
+            self.track.restart(at);
+            self.shifted += at as f64 / scale;
+        }
     }
 
     /// One answer is missing: the board is assumed to do what it was last told.
@@ -171,15 +243,33 @@ impl Stepgen {
     /// The fabric was reset: it counts from nothing, the machine stands where it stood.
     pub fn rebase(&mut self) {
         self.track.rebase();
+        self.latch.forget();
+    }
+
+    /// Nothing is known of the board's latch any more.
+    pub fn forget_latch(&mut self) {
+        self.latch.forget();
+    }
+
+    /// Whether to latch at the next index and at the probe.
+    pub fn arms(&mut self, live: bool, sequence: u32) -> (bool, bool) {
+        let (index, probe) = (self.index_enable.get(), self.probe_enable.get());
+        self.latch.command(index, probe, live, sequence)
+    }
+
+    /// Whether the latch holds a value to be fetched.
+    pub fn wants_value(&self) -> bool {
+        self.latch.wants_value()
     }
 
     /// What to ask for in the coming period. Not `live`: nothing, whatever the pins say.
     pub fn command(&mut self, live: bool, feedback: Feedback, period: Period) -> Target {
         let scale = scale_or_one(self.position_scale.get());
         let cmd = self.position_cmd.get();
-        let feed_forward = (cmd - self.last_cmd) / period.seconds * scale;
+        let feed_forward = self.advance_of(cmd) / period.seconds * scale;
         self.last_cmd = cmd;
         self.clamped = false;
+        self.before = self.sent;
         if !live || !self.enable.get() {
             self.sent = Target {
                 accel: self.stop_accel(period.clock_hz),
@@ -208,6 +298,18 @@ impl Stepgen {
             accel: Accel::from_steps(accel, period.clock_hz),
         };
         self.sent
+    }
+
+    /// How far the command moved in a period. If the origin moved too, the smaller movement is the true one:
+    /// either the command followed the origin, or it knows nothing of it.
+    fn advance_of(&mut self, cmd: f64) -> f64 {
+        let moved = cmd - self.last_cmd;
+        let followed = moved + core::mem::take(&mut self.shifted);
+        if followed.abs() < moved.abs() {
+            followed
+        } else {
+            moved
+        }
     }
 
     /// Limits a rate to `maxvel` and to what the step timing allows.
@@ -250,6 +352,8 @@ struct Track {
     last: Option<Position>,
     /// The same without wraps, in the register's unit, half-step bias included.
     total: i128,
+    /// Pulses at which the position is 0.
+    origin: i64,
 }
 
 impl Track {
@@ -270,8 +374,20 @@ impl Track {
         }
     }
 
+    /// Pulses from the origin.
     fn pulses(&self) -> i64 {
-        (self.total >> 32) as i64
+        (self.total >> 32) as i64 - self.origin
+    }
+
+    /// The same where the low half of the register's pulses was `value`, not long ago.
+    fn pulses_at(&self, value: Count) -> i64 {
+        let last = self.last.map_or(0, Position::pulses);
+        self.pulses() - i64::from(Count(last as u32).since(value))
+    }
+
+    /// Makes this place, counted from the present origin, the new one.
+    fn restart(&mut self, at: i64) {
+        self.origin += at;
     }
 
     /// Steps at `register`, somewhere near the last sample.
@@ -279,7 +395,7 @@ impl Track {
         let last = self.last.map_or(register, |position| position.0);
         let here = self.total + i128::from(register.wrapping_sub(last));
         let fraction = (here & 0xffff_ffff) as f64 / 4_294_967_296.0;
-        (here >> 32) as f64 + (fraction - 0.5)
+        ((here >> 32) as i64 - self.origin) as f64 + (fraction - 0.5)
     }
 }
 
@@ -349,6 +465,8 @@ mod tests {
         stepgen: Stepgen,
         fabric: Ramp,
         period: Period,
+        sequence: u32,
+        latch: Option<u32>,
     }
 
     impl Bench {
@@ -366,6 +484,8 @@ mod tests {
                 stepgen,
                 fabric: Ramp::default(),
                 period: Period::new(1_000_000, CLOCK),
+                sequence: 0,
+                latch: None,
             };
             bench.settle(1);
             bench
@@ -374,8 +494,25 @@ mod tests {
         /// One servo period: read, then write as LinuxCNC commands `position`.
         fn step(&mut self, position: f64) -> Target {
             let (sampled, rate) = (Position(self.fabric.position), self.fabric.rate());
-            self.stepgen
-                .sampled(sampled, rate, false, Outlook::Commanded, self.period);
+            self.sequence += 1;
+            let sample = Sample {
+                position: sampled,
+                rate,
+                limited: false,
+                sight: Sight {
+                    sequence: self.sequence,
+                    live: true,
+                    index: self.latch.is_some(),
+                    value: self.latch.map(Count),
+                    ..Sight::default()
+                },
+            };
+            let outlook = Outlook::Commanded {
+                lead: Clocks(0),
+                ahead: self.period.clocks,
+            };
+            self.stepgen.sampled(&sample, outlook, self.period);
+            self.stepgen.arms(true, self.sequence + 1);
             self.hal.set("s.position-cmd", position);
             // The prediction of this read is for the next command, one period on; the fabric is
             // there when the command it was made from has run.
@@ -585,8 +722,104 @@ mod tests {
         bench.hal.set("s.dirhold", 0u32);
         bench.hal.set("s.dir-invert", true);
         let words = bench.stepgen.configure(f64::from(CLOCK));
-        assert_eq!(words[..4], [1, 61, 0x00ff_ffff, 0]);
+        assert_eq!(words[..4], [1, 61, 0xffff, 0]);
         assert_eq!(words[5], 2);
+        bench.hal.set("s.steplen", u32::MAX);
+        bench.hal.set("s.step-type", 2u32);
+        bench.hal.set("s.index-invert", true);
+        let words = bench.stepgen.configure(f64::from(CLOCK));
+        assert_eq!((words[0], words[5]), (8191, 2 | 2 << 2 | 1 << 4));
+        bench.hal.set("s.step-type", 3u32);
+        assert_eq!(bench.stepgen.configure(f64::from(CLOCK))[5], 2 | 1 << 4);
+    }
+
+    #[test]
+    fn an_index_moves_the_origin_and_not_the_motor() {
+        let mut bench = Bench::new(100.0, 1000.0);
+        bench.hal.set("s.index-enable", true);
+        let mut command = 0.0;
+        for _ in 0..200 {
+            command += 0.01;
+            bench.step(command);
+        }
+        assert!(bench.hal.get::<bool>("s.index-enable"));
+        // The index was 20 pulses ago.
+        let before: f64 = bench.hal.get("s.position-fb");
+        let there = bench.pulses() - 20;
+        bench.latch = Some(there as u32);
+        let velocity = bench.fabric.velocity;
+        for n in 0..50 {
+            // LinuxCNC reads the feedback, then moves its command by as much in the same period.
+            let followed = command - there as f64 / 100.0;
+            command = followed + 0.01;
+            let target = if n == 0 {
+                bench.step(command)
+            } else {
+                command = bench.hal.get::<f64>("s.position-cmd") + 0.01;
+                bench.step(command)
+            };
+            bench.latch = None;
+            let rate = target.rate.to_hz(f64::from(CLOCK));
+            assert!((rate - 1000.0).abs() < 20.0, "{n}: {rate} steps/s");
+        }
+        assert!(!bench.hal.get::<bool>("s.index-enable"));
+        assert_eq!(bench.hal.get::<i32>("s.count-latched"), there as i32);
+        let after: f64 = bench.hal.get("s.position-fb");
+        let travelled = 0.5;
+        assert!((after - (before - there as f64 / 100.0) - travelled).abs() < 0.03);
+        assert!((bench.fabric.velocity - velocity).abs() < velocity / 20);
+    }
+
+    #[test]
+    fn a_command_that_does_not_follow_the_origin_is_no_jump_either() {
+        let mut bench = Bench::new(100.0, 1000.0);
+        bench.stepgen.shifted = 5.0;
+        bench.stepgen.last_cmd = 1.0;
+        assert_eq!(bench.stepgen.advance_of(1.25), 0.25);
+        bench.stepgen.shifted = 5.0;
+        assert_eq!(bench.stepgen.advance_of(-3.75), 0.25);
+        assert_eq!(bench.stepgen.shifted, 0.0);
+    }
+
+    #[test]
+    fn a_position_reset_holds_the_count_at_zero_and_moves_nothing() {
+        let mut bench = Bench::new(100.0, 1000.0);
+        for position in trapezoid(1.0, 10.0, 300.0) {
+            bench.step(position);
+        }
+        bench.settle(100);
+        bench.hal.set("s.position-reset", true);
+        for _ in 0..5 {
+            bench.step(0.0);
+        }
+        bench.hal.set("s.position-reset", false);
+        bench.settle(20);
+        assert_eq!(bench.hal.get::<i32>("s.counts"), 0);
+        assert_eq!(bench.pulses(), 100);
+    }
+
+    #[test]
+    fn a_command_applied_later_is_predicted_from_then_on() {
+        let mut bench = Bench::new(1.0, 0.0);
+        bench.stepgen.before = Target {
+            rate: StepRate::from_hz(1000.0, f64::from(CLOCK)),
+            ..Target::default()
+        };
+        bench.stepgen.sent.rate = StepRate::from_hz(2000.0, f64::from(CLOCK));
+        let sample = Sample {
+            position: Position::ZERO,
+            rate: bench.stepgen.before.rate,
+            limited: false,
+            sight: Sight::default(),
+        };
+        let outlook = Outlook::Commanded {
+            lead: Clocks(30_000),
+            ahead: Clocks(60_000),
+        };
+        bench.stepgen.sampled(&sample, outlook, bench.period);
+        // Half a millisecond at 1 kHz, one at 2 kHz.
+        let fb: f64 = bench.hal.get("s.position-fb");
+        assert!((fb - 2.5).abs() < 1e-3, "{fb}");
     }
 
     proptest! {

@@ -1,7 +1,9 @@
-//! `wallclock.*`: the board's own 64-bit clock.
+//! `wallclock.*`: the board's own 64-bit clock, and what it reads beside this computer's.
 //!
 //! `ticks-msb`, `ticks-lsb` (u32 out): clocks since power-up at the last sample.
 //! `interval` (float out): seconds from the sample before to the last one, by the board's clock.
+//! `offset-ns` (float out): what the board's clock is ahead of this computer's monotonic one, ns.
+//! `drift-ppm` (float out): how much faster it runs.
 
 use crate::hal::{ExportError, Exporter, Out};
 use wire::units::Clocks;
@@ -12,6 +14,8 @@ pub struct Wallclock {
     msb: Out<u32>,
     lsb: Out<u32>,
     interval: Out<f64>,
+    offset: Out<f64>,
+    drift: Out<f64>,
     last: Option<Clocks>,
 }
 
@@ -23,6 +27,8 @@ impl Wallclock {
             msb: hal.output("ticks-msb")?,
             lsb: hal.output("ticks-lsb")?,
             interval: hal.output("interval")?,
+            offset: hal.output("offset-ns")?,
+            drift: hal.output("drift-ppm")?,
             last: None,
         })
     }
@@ -41,5 +47,11 @@ impl Wallclock {
                 true
             }
         }
+    }
+
+    /// Takes what has been learnt about the two clocks.
+    pub fn compared(&self, offset_ns: f64, drift_ppm: f64) {
+        self.offset.set(offset_ns);
+        self.drift.set(drift_ppm);
     }
 }

@@ -8,11 +8,18 @@ use std::sync::{Arc, Mutex};
 /// One exported pin or parameter.
 struct Entry {
     name: String,
+    alias: Option<String>,
     ty: Type,
     direction: Direction,
     /// Where our side looks for the pointer; null for a parameter.
     slot: *mut *mut c_void,
     value: *mut c_void,
+}
+
+impl Entry {
+    fn is(&self, name: &str) -> bool {
+        self.name == name || self.alias.as_deref() == Some(name)
+    }
 }
 
 /// The fake.
@@ -38,6 +45,13 @@ impl FakeHal {
         self.entries
             .iter()
             .map(|entry| (entry.name.as_str(), entry.ty, entry.direction))
+    }
+
+    /// Second names with type and direction.
+    pub fn aliases(&self) -> impl Iterator<Item = (&str, Type, Direction)> {
+        self.entries
+            .iter()
+            .filter_map(|entry| Some((entry.alias.as_deref()?, entry.ty, entry.direction)))
     }
 
     /// The value of a pin or parameter.
@@ -71,7 +85,7 @@ impl FakeHal {
         let entry = self
             .entries
             .iter_mut()
-            .find(|entry| entry.name == name && !entry.slot.is_null())
+            .find(|entry| entry.is(name) && !entry.slot.is_null())
             .expect("no such pin");
         entry.value = fresh;
         // SAFETY: the slot lies in `memory`.
@@ -102,7 +116,7 @@ impl FakeHal {
 
     #[track_caller]
     fn find(&self, name: &str, ty: Type) -> &Entry {
-        let entry = self.entries.iter().find(|entry| entry.name == name);
+        let entry = self.entries.iter().find(|entry| entry.is(name));
         let entry = entry.unwrap_or_else(|| panic!("nothing is called {name}"));
         assert_eq!(entry.ty, ty, "the type of {name}");
         entry
@@ -115,7 +129,7 @@ impl FakeHal {
     }
 
     fn add(&mut self, entry: Entry) -> i32 {
-        if self.entries.iter().any(|known| known.name == entry.name) {
+        if self.entries.iter().any(|known| known.is(&entry.name)) {
             return -libc::EINVAL;
         }
         self.entries.push(entry);
@@ -142,6 +156,7 @@ impl Backend for FakeHal {
         unsafe { slot.write_volatile(value) };
         self.add(Entry {
             name: name.to_string_lossy().into_owned(),
+            alias: None,
             ty,
             direction,
             slot,
@@ -158,10 +173,30 @@ impl Backend for FakeHal {
     ) -> i32 {
         self.add(Entry {
             name: name.to_string_lossy().into_owned(),
+            alias: None,
             ty,
             direction,
             slot: core::ptr::null_mut(),
             value,
         })
+    }
+
+    fn alias(&mut self, name: &CStr, alias: &CStr, pin: bool) -> i32 {
+        let (name, alias) = (name.to_string_lossy(), alias.to_string_lossy());
+        if self.entries.iter().any(|known| known.is(&alias)) {
+            return -libc::EINVAL;
+        }
+        let entry = self
+            .entries
+            .iter_mut()
+            .find(|entry| entry.is(&name) && entry.slot.is_null() != pin);
+        match entry {
+            // As in HAL: one alias each.
+            Some(entry) if entry.alias.is_none() => {
+                entry.alias = Some(alias.into_owned());
+                0
+            }
+            Some(_) | None => -libc::EINVAL,
+        }
     }
 }

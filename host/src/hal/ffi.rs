@@ -60,6 +60,10 @@ api! {
     hal_pin_new: fn(*const c_char, c_int, c_int, *mut *mut c_void, c_int) -> c_int;
     /// New parameter: name, type, direction, the value itself, component.
     hal_param_new: fn(*const c_char, c_int, c_int, *mut c_void, c_int) -> c_int;
+    /// Second name for a pin: its name, the other one.
+    hal_pin_alias: fn(*const c_char, *const c_char) -> c_int;
+    /// Second name for a parameter.
+    hal_param_alias: fn(*const c_char, *const c_char) -> c_int;
     /// New realtime function: name, function, argument, uses floating point, reentrant, component.
     hal_export_funct: fn(*const c_char, Funct, *mut c_void, c_int, c_int, c_int) -> c_int;
     /// Message to the log, and under LinuxCNC to the operator; lock-free from realtime threads.

@@ -107,6 +107,8 @@ pub trait Backend {
         direction: Direction,
         value: *mut c_void,
     ) -> i32;
+    /// Gives a pin (or a parameter) of ours a second name; both are good from then on.
+    fn alias(&mut self, name: &CStr, alias: &CStr, pin: bool) -> i32;
 }
 
 /// Says something to the operator. Must not allocate: it is called from the servo thread.
@@ -232,10 +234,102 @@ unsafe impl<T: Value, D> Send for Pin<T, D> {}
 // SAFETY: as above.
 unsafe impl<T: Value> Send for Param<T> {}
 
+/// Where a value lives, whatever its type: what glue between pins needs.
+#[derive(Clone, Copy, Debug)]
+pub struct Handle {
+    ty: Type,
+    place: Place,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Place {
+    /// HAL's pointer to the value.
+    Pin(NonNull<*mut c_void>),
+    /// The value itself.
+    Param(NonNull<c_void>),
+}
+
+impl Handle {
+    fn address(&self) -> *mut c_void {
+        match self.place {
+            // SAFETY: the slot lies in backend memory that outlives us, and HAL keeps a valid pointer in it.
+            Place::Pin(slot) => unsafe { slot.as_ptr().read_volatile() },
+            Place::Param(value) => value.as_ptr(),
+        }
+    }
+
+    /// The value as a number; a bit is 0 or 1.
+    pub fn get(&self) -> f64 {
+        fn read<T: Value>(at: *mut c_void) -> T {
+            // SAFETY: `at` points to a value of the type the handle was made with.
+            unsafe { T::from_raw(at.cast::<T::Raw>().read_volatile()) }
+        }
+        let at = self.address();
+        match self.ty {
+            Type::Bit => f64::from(u8::from(read::<bool>(at))),
+            Type::Float => read(at),
+            Type::S32 => f64::from(read::<i32>(at)),
+            Type::U32 => f64::from(read::<u32>(at)),
+        }
+    }
+
+    /// Sets it, saturating at what its type can hold.
+    pub fn set(&self, value: f64) {
+        fn write<T: Value>(at: *mut c_void, value: T) {
+            // SAFETY: as in `get`.
+            unsafe { at.cast::<T::Raw>().write_volatile(value.to_raw()) }
+        }
+        let at = self.address();
+        match self.ty {
+            Type::Bit => write(at, value != 0.0),
+            Type::Float => write(at, value),
+            Type::S32 => write(at, value as i32),
+            Type::U32 => write(at, value as u32),
+        }
+    }
+
+    /// Its type.
+    pub fn ty(&self) -> Type {
+        self.ty
+    }
+}
+
+// SAFETY: as for `Pin` and `Param`.
+unsafe impl Send for Handle {}
+
+/// Something exported, and how to find it again.
+#[derive(Clone, Debug)]
+pub struct Exported {
+    /// Class, number, pin: `stepgen.0.position-cmd` whatever the board calls its channel 0.
+    pub logical: String,
+    /// What HAL knows it by.
+    pub name: CString,
+    /// Which way it goes.
+    pub direction: Direction,
+    /// The value.
+    pub handle: Handle,
+}
+
+/// Everything exported for one board, by logical name: for those who build other names on top of it.
+#[derive(Clone, Debug, Default)]
+pub struct Catalogue(Vec<Exported>);
+
+impl Catalogue {
+    /// The pin or parameter of this logical name.
+    pub fn find(&self, logical: &str) -> Option<&Exported> {
+        self.0.iter().find(|exported| exported.logical == logical)
+    }
+}
+
 /// Exports pins and parameters under one prefix.
 pub struct Exporter<'b> {
     backend: &'b mut dyn Backend,
+    catalogue: Option<&'b mut Catalogue>,
     prefix: String,
+    /// The prefix for what would be too long under the usual one.
+    short: Option<String>,
+    logical: String,
+    limit: usize,
 }
 
 impl<'b> Exporter<'b> {
@@ -243,16 +337,50 @@ impl<'b> Exporter<'b> {
     pub fn new(backend: &'b mut dyn Backend, prefix: impl Into<String>) -> Self {
         Exporter {
             backend,
+            catalogue: None,
             prefix: prefix.into(),
+            short: None,
+            logical: String::new(),
+            limit: NAME_MAX,
         }
+    }
+
+    /// Notes down everything exported.
+    #[must_use]
+    pub fn listed(mut self, catalogue: &'b mut Catalogue) -> Self {
+        self.catalogue = Some(catalogue);
+        self
+    }
+
+    /// Names may be as long as HAL takes them: somebody else chose them.
+    #[must_use]
+    pub fn with_foreign_names(mut self) -> Self {
+        self.limit = ffi::HAL_NAME_LEN;
+        self
     }
 
     /// The same one level down.
     pub fn under(&mut self, name: &str) -> Exporter<'_> {
-        let prefix = format!("{}.{name}", self.prefix);
         Exporter {
             backend: self.backend,
-            prefix,
+            catalogue: self.catalogue.as_deref_mut(),
+            prefix: format!("{}.{name}", self.prefix),
+            short: self.short.as_ref().map(|short| format!("{short}.{name}")),
+            logical: format!("{}{name}.", self.logical),
+            limit: self.limit,
+        }
+    }
+
+    /// A channel: `class.name`, and `class.number` for those of its pins whose names would become too
+    /// long.
+    pub fn channel(&mut self, class: &str, name: &str, number: usize) -> Exporter<'_> {
+        Exporter {
+            backend: self.backend,
+            catalogue: self.catalogue.as_deref_mut(),
+            prefix: format!("{}.{class}.{name}", self.prefix),
+            short: Some(format!("{}.{class}.{number:02}", self.prefix)),
+            logical: format!("{class}.{number}."),
+            limit: self.limit,
         }
     }
 
@@ -283,23 +411,68 @@ impl<'b> Exporter<'b> {
         self.parameter(name, Direction::ReadOnly, initial)
     }
 
+    /// A pin or parameter of a type and direction known at run time only.
+    pub fn export(
+        &mut self,
+        name: &str,
+        ty: Type,
+        direction: Direction,
+        initial: f64,
+    ) -> Result<Handle, ExportError> {
+        let place = match (ty, direction) {
+            (Type::Bit, Direction::ReadOnly | Direction::ReadWrite) => {
+                self.param_place::<bool>(name, direction)?
+            }
+            (Type::Float, Direction::ReadOnly | Direction::ReadWrite) => {
+                self.param_place::<f64>(name, direction)?
+            }
+            (Type::S32, Direction::ReadOnly | Direction::ReadWrite) => {
+                self.param_place::<i32>(name, direction)?
+            }
+            (Type::U32, Direction::ReadOnly | Direction::ReadWrite) => {
+                self.param_place::<u32>(name, direction)?
+            }
+            (ty, Direction::In | Direction::Out | Direction::Io) => {
+                Place::Pin(self.slot(name, ty, direction)?)
+            }
+        };
+        let handle = Handle { ty, place };
+        handle.set(initial);
+        Ok(handle)
+    }
+
+    /// Gives something exported a second name.
+    pub fn alias(&mut self, exported: &Exported, name: &str) -> Result<(), ExportError> {
+        let (text, alias) = self.full_name(name)?;
+        let pin = matches!(exported.handle.place, Place::Pin(_));
+        let result = self.backend.alias(&exported.name, &alias, pin);
+        check(text, result)
+    }
+
     fn pin<T: Value, D>(
         &mut self,
         name: &str,
         direction: Direction,
     ) -> Result<Pin<T, D>, ExportError> {
-        let (text, name) = self.full_name(name)?;
-        let slot = self.memory::<*mut T::Raw>(&text)?;
-        // SAFETY: `memory` asked the backend for a pointer's room.
-        let result = unsafe {
-            self.backend
-                .pin(&name, T::TYPE, direction, slot.as_ptr().cast())
-        };
-        check(text, result)?;
         Ok(Pin {
-            slot,
+            slot: self.slot(name, T::TYPE, direction)?.cast(),
             direction: PhantomData,
         })
+    }
+
+    fn slot(
+        &mut self,
+        name: &str,
+        ty: Type,
+        direction: Direction,
+    ) -> Result<NonNull<*mut c_void>, ExportError> {
+        let (text, full) = self.full_name(name)?;
+        let slot = self.memory::<*mut c_void>(&text)?;
+        // SAFETY: `memory` asked the backend for a pointer's room.
+        let result = unsafe { self.backend.pin(&full, ty, direction, slot.as_ptr()) };
+        check(text, result)?;
+        self.note(name, full, ty, direction, Place::Pin(slot));
+        Ok(slot)
     }
 
     fn parameter<T: Value>(
@@ -308,26 +481,60 @@ impl<'b> Exporter<'b> {
         direction: Direction,
         initial: T,
     ) -> Result<Param<T>, ExportError> {
-        let (text, name) = self.full_name(name)?;
-        let value = self.memory::<T::Raw>(&text)?;
-        // SAFETY: `memory` asked the backend for a `T::Raw`'s room, which is `T::TYPE`'s.
-        let result = unsafe {
-            self.backend
-                .param(&name, T::TYPE, direction, value.as_ptr().cast())
-        };
-        check(text, result)?;
+        let value = self.value::<T>(name, direction)?;
         let param = Param { value };
         param.set(initial);
         Ok(param)
     }
 
+    fn param_place<T: Value>(
+        &mut self,
+        name: &str,
+        direction: Direction,
+    ) -> Result<Place, ExportError> {
+        Ok(Place::Param(self.value::<T>(name, direction)?.cast()))
+    }
+
+    fn value<T: Value>(
+        &mut self,
+        name: &str,
+        direction: Direction,
+    ) -> Result<NonNull<T::Raw>, ExportError> {
+        let (text, full) = self.full_name(name)?;
+        let value = self.memory::<T::Raw>(&text)?;
+        // SAFETY: `memory` asked the backend for a `T::Raw`'s room, which is `T::TYPE`'s.
+        let result = unsafe {
+            self.backend
+                .param(&full, T::TYPE, direction, value.as_ptr().cast())
+        };
+        check(text, result)?;
+        self.note(name, full, T::TYPE, direction, Place::Param(value.cast()));
+        Ok(value)
+    }
+
+    fn note(&mut self, name: &str, full: CString, ty: Type, direction: Direction, place: Place) {
+        if let Some(catalogue) = &mut self.catalogue {
+            catalogue.0.push(Exported {
+                logical: format!("{}{name}", self.logical),
+                name: full,
+                direction,
+                handle: Handle { ty, place },
+            });
+        }
+    }
+
     fn full_name(&self, name: &str) -> Result<(String, CString), ExportError> {
-        let text = format!("{}.{name}", self.prefix);
+        let mut text = format!("{}.{name}", self.prefix);
+        if text.len() > self.limit
+            && let Some(short) = &self.short
+        {
+            text = format!("{short}.{name}");
+        }
         let refused = |text: &str| ExportError {
             name: text.to_owned(),
             errno: -libc::ENAMETOOLONG,
         };
-        if text.len() > NAME_MAX {
+        if text.len() > self.limit {
             return Err(refused(&text));
         }
         let name = CString::new(text.as_str()).map_err(|_| refused(&text))?;
@@ -401,6 +608,39 @@ mod tests {
             .output::<bool>("stepgen.a-name-nobody-would-give-a-channel.position-fb")
             .unwrap_err();
         assert_eq!(refused.errno, -libc::ENAMETOOLONG);
+    }
+
+    #[test]
+    fn a_pin_too_long_for_its_channels_name_goes_by_its_number() {
+        let mut hal = FakeHal::new();
+        let mut catalogue = Catalogue::default();
+        let mut exporter = Exporter::new(&mut hal, "ferrocnc.0").listed(&mut catalogue);
+        let mut channel = exporter.channel("encoder", "spindle", 5);
+        let _: Out<f64> = channel.output("position").unwrap();
+        let _: Out<f64> = channel.output("position-latched").unwrap();
+        let name = |logical: &str| catalogue.find(logical).unwrap().name.clone();
+        assert_eq!(
+            name("encoder.5.position").to_str(),
+            Ok("ferrocnc.0.encoder.spindle.position")
+        );
+        assert_eq!(
+            name("encoder.5.position-latched").to_str(),
+            Ok("ferrocnc.0.encoder.05.position-latched")
+        );
+    }
+
+    #[test]
+    fn an_alias_is_the_same_pin() {
+        let mut hal = FakeHal::new();
+        let mut catalogue = Catalogue::default();
+        let mut exporter = Exporter::new(&mut hal, "ferrocnc.0").listed(&mut catalogue);
+        let pin: In<f64> = exporter.input("velocity-cmd").unwrap();
+        let exported = catalogue.find("velocity-cmd").unwrap();
+        let mut theirs = Exporter::new(&mut hal, "Lcnc.00");
+        theirs.alias(exported, "vel-cmd").unwrap();
+        hal.set("Lcnc.00.vel-cmd", 2.5);
+        assert_eq!(pin.get(), 2.5);
+        assert_eq!(hal.get::<f64>("ferrocnc.0.velocity-cmd"), 2.5);
     }
 
     #[test]

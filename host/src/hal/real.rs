@@ -89,6 +89,16 @@ impl Backend for Component {
             (self.api.hal_param_new)(name.as_ptr(), ty as i32, direction as i32, value, self.id)
         }
     }
+
+    fn alias(&mut self, name: &CStr, alias: &CStr, pin: bool) -> i32 {
+        let give = if pin {
+            self.api.hal_pin_alias
+        } else {
+            self.api.hal_param_alias
+        };
+        // SAFETY: two C strings HAL copies.
+        unsafe { give(name.as_ptr(), alias.as_ptr()) }
+    }
 }
 
 /// Prints through RTAPI: lock-free from the servo thread, and on the operator's screen when LinuxCNC

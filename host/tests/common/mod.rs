@@ -7,6 +7,7 @@
 //! Time is either the wall clock or, in lockstep, one servo period per exchange.
 #![allow(dead_code)]
 
+use ferrocnc::clock::Timebase;
 use motion::Ramp;
 use motion::ramp::COMMIT_CLOCKS;
 use std::collections::HashMap;
@@ -16,10 +17,11 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 use wire::board;
 use wire::describe::{self, Channels, Describe};
-use wire::exchange::{self, Command, EncoderStatus, StateWord, Status};
+use wire::exchange::{self, Command, EncoderStatus, Latch, StateWord, Status};
 use wire::units::{Accel, Clocks, Count, Position, StepRate};
 use wire::{
-    FaultReason, MAX_PAYLOAD, MAX_WORDS, Packet, Refusal, ReplyWriter, State, etherbone, map,
+    FaultReason, GateClose, MAX_PAYLOAD, MAX_WORDS, Packet, Refusal, ReplyWriter, ResetReason,
+    State, etherbone, map,
 };
 
 pub const CLOCK_HZ: u32 = 60_000_000;
@@ -62,7 +64,10 @@ pub const MILL6: &[(u8, u8, &str)] = &[
     (7, 4, "flood"),
     (7, 5, "brake"),
     (7, 6, "lamp"),
+    (6, 11, "estop"),
     (8, 0, "sstep=j1:0 dir=j1:1"),
+    (8, 1, "ppin=j3:1 dir=j3:2"),
+    (8, 11, "ipin=bus:7 estop=high"),
 ];
 
 /// Where the board's time comes from.
@@ -72,6 +77,42 @@ pub enum Time {
     Wall,
     /// So many clocks pass from one exchange to the next, whatever the wall says.
     Lockstep(u64),
+    /// What [`Script`] makes of the time a test says.
+    Scripted,
+}
+
+/// A crystal of its own, and a network with delays.
+#[derive(Debug)]
+pub struct Script {
+    pub host: Arc<Timebase>,
+    /// The board's clock is ahead by so much at time 0,
+    pub offset_ns: f64,
+    /// and runs faster by so much.
+    pub ppm: f64,
+    /// Delays of datagrams, in ns: this at least, and up to twice as much.
+    pub delay_ns: f64,
+    pub seed: u64,
+}
+
+impl Script {
+    /// The board's clock when it is so late here.
+    pub fn clocks(&self, host_ns: f64) -> f64 {
+        (host_ns * (1.0 + self.ppm * 1e-6) + self.offset_ns) * f64::from(CLOCK_HZ) / 1e9
+    }
+
+    /// How late it is here when the board's clock says that.
+    pub fn host_ns(&self, clocks: f64) -> f64 {
+        (clocks * 1e9 / f64::from(CLOCK_HZ) - self.offset_ns) / (1.0 + self.ppm * 1e-6)
+    }
+
+    fn arrival(&mut self) -> u64 {
+        self.seed ^= self.seed >> 12;
+        self.seed ^= self.seed << 25;
+        self.seed ^= self.seed >> 27;
+        let random =
+            (self.seed.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 40) as f64 / f64::from(1 << 24);
+        self.clocks(self.host.now() as f64 + self.delay_ns * (1.0 + random)) as u64
+    }
 }
 
 /// Ways to go wrong, and what goes in at the pins.
@@ -93,8 +134,16 @@ pub struct Knobs {
     pub external_reset: bool,
     /// Levels of the inputs.
     pub gpio_in: u32,
-    /// Encoder 0 has an index pulse at this count.
+    /// Encoder 0 and stepgen 0 have an index pulse at this count.
     pub index_at: Option<i32>,
+    /// The probe trips when stepgen 0 comes there.
+    pub probe_at: Option<i32>,
+    /// Encoder 0 counts so many less than stepgen 0.
+    pub encoder_lag: i32,
+    /// Illegal transitions at encoder 0.
+    pub quad_errors: u8,
+    /// E-stop inputs pressed.
+    pub estop: u32,
     /// Say this instead of our wire version.
     pub wire_version: Option<u32>,
     /// Say this as the gateware's ABI.
@@ -141,6 +190,46 @@ impl Axis {
     }
 }
 
+/// One channel's latch.
+#[derive(Clone, Copy, Debug, Default)]
+struct FakeLatch {
+    index: bool,
+    probe: bool,
+    /// Caught by the index (or else the probe), and where.
+    caught: Option<(bool, i32)>,
+    before: i32,
+}
+
+impl FakeLatch {
+    fn turn(&mut self, count: i32, index_at: Option<i32>, probe_at: Option<i32>) {
+        let passed = |at: &i32| self.before < *at && *at <= count;
+        if self.caught.is_none() {
+            if let Some(at) = index_at.filter(|at| self.index && passed(at)) {
+                self.caught = Some((true, at));
+            } else if let Some(at) = probe_at.filter(|at| self.probe && passed(at)) {
+                self.caught = Some((false, at));
+            }
+        }
+        self.before = count;
+    }
+
+    fn arm(&mut self, index: bool, probe: bool) {
+        (self.index, self.probe) = (index, probe);
+        if let Some((by_index, _)) = self.caught
+            && !(if by_index { index } else { probe })
+        {
+            self.caught = None;
+        }
+    }
+
+    fn flags(&self) -> (u16, u16) {
+        match self.caught {
+            Some((by_index, _)) => (by_index.into(), (!by_index).into()),
+            None => (0, 0),
+        }
+    }
+}
+
 /// The board's mind. Tests look at it through [`FakeBoard::look`].
 #[derive(Debug)]
 pub struct Mind {
@@ -150,6 +239,7 @@ pub struct Mind {
     started: Instant,
     pub now: u64,
     pub boot_id: u32,
+    pub reset_reason: ResetReason,
     pub state: State,
     pub reason: FaultReason,
     pub gate: bool,
@@ -172,7 +262,14 @@ pub struct Mind {
     /// Datagrams seen of any kind.
     pub datagrams: u32,
     pub refused: u32,
-    latch: Option<i32>,
+    /// Of encoder 0 and stepgen 0.
+    latches: [FakeLatch; 2],
+    /// A command that waits for its time.
+    pending: Option<Command>,
+    /// When commands took effect, by the board's clock.
+    pub applied: Vec<u64>,
+    estop_latched: u32,
+    pub script: Option<Script>,
     held_back: Option<Vec<u32>>,
     names: Vec<(u8, u8, String)>,
     last_status: Status,
@@ -190,6 +287,7 @@ impl Mind {
             started: Instant::now(),
             now: 1000,
             boot_id: 1,
+            reset_reason: ResetReason::PowerUp,
             state: State::Disarmed,
             reason: FaultReason::None,
             gate: false,
@@ -208,7 +306,11 @@ impl Mind {
             exchanges: 0,
             datagrams: 0,
             refused: 0,
-            latch: None,
+            latches: [FakeLatch::default(); 2],
+            pending: None,
+            applied: Vec::new(),
+            estop_latched: 0,
+            script: None,
             held_back: None,
             names: names
                 .iter()
@@ -231,6 +333,7 @@ impl Mind {
     /// The firmware starts again; the fabric goes on.
     pub fn reboot(&mut self) {
         self.boot_id += 1;
+        self.reset_reason = ResetReason::Panic;
         self.close(State::Faulted, FaultReason::FirmwareFault);
         self.owner = None;
     }
@@ -238,6 +341,7 @@ impl Mind {
     /// Everything starts again.
     pub fn power_cycle(&mut self) {
         self.reboot();
+        self.reset_reason = ResetReason::PowerUp;
         self.reason = FaultReason::None;
         self.state = State::Disarmed;
         self.now = 1000;
@@ -254,6 +358,10 @@ impl Mind {
                     as u64
             }
             Time::Lockstep(clocks) => self.now + if exchange { clocks } else { 0 },
+            Time::Scripted => match &mut self.script {
+                Some(script) if exchange => script.arrival().max(self.now),
+                Some(_) | None => self.now,
+            },
         };
         self.advance(now.saturating_sub(self.now));
     }
@@ -283,6 +391,12 @@ impl Mind {
             };
             self.close(next, self.reason);
         }
+        if self.knobs.estop != 0 {
+            self.estop_latched |= self.knobs.estop;
+            if self.gate {
+                self.close(State::Faulted, FaultReason::EStop);
+            }
+        }
         if self.knobs.external_reset && self.gate {
             self.reset_latched = true;
             self.close(State::Faulted, FaultReason::ExternalReset);
@@ -290,14 +404,44 @@ impl Mind {
     }
 
     fn run(&mut self, clocks: u64) {
+        let at = self.pending.and_then(|command| command.apply_at);
+        if let Some(at) = at.filter(|at| at.0 < self.now + clocks) {
+            let before = at.0.saturating_sub(self.now);
+            let command = self.pending.take().expect("it has a time");
+            self.run(before);
+            self.commit(&command);
+            return self.run(clocks - before);
+        }
         for axis in &mut self.axes {
             axis.advance(clocks);
         }
         self.now += clocks;
     }
 
+    fn commit(&mut self, command: &Command) {
+        if self.state != State::Armed {
+            return;
+        }
+        self.applied.push(self.now);
+        for (n, axis) in self.axes.iter_mut().enumerate() {
+            let (rate, accel) = command.stepgen[n];
+            if command.stepgen_enable >> n & 1 != 0 {
+                axis.commit(rate, accel);
+            } else {
+                axis.commit(StepRate(0), accel);
+            }
+        }
+        let bit = |arms: u16| arms & 1 != 0;
+        self.latches[0].arm(bit(command.index_arm), bit(command.probe_arm));
+        self.latches[1].arm(
+            bit(command.stepgen_index_arm),
+            bit(command.stepgen_probe_arm),
+        );
+    }
+
     fn stop(&mut self, reason: FaultReason) {
         self.state = State::Stopping;
+        self.pending = None;
         self.reason = reason;
         self.request = None;
         for n in 0..exchange::MAX_CHANNELS {
@@ -456,22 +600,30 @@ impl Mind {
         for (n, axis) in self.axes.iter().enumerate() {
             stepgen[n] = (Position(axis.ramp.position), axis.ramp.rate());
             encoder[n].count = Count(axis.pulses() as u32);
-            encoder[n].edge_time = self.now as u32;
+            encoder[n].edge_time = self.now as u32 & 0x00ff_ffff;
         }
-        self.follow_index(&command);
-        if let Some(at) = self.latch {
-            encoder[0].latch = Count(at as u32);
-        }
+        let here = self.axes[0].pulses() as i32;
+        let counted = here - self.knobs.encoder_lag;
+        encoder[0].count = Count(counted as u32);
+        encoder[0].errors = self.knobs.quad_errors;
+        let (index_at, probe_at) = (self.knobs.index_at, self.knobs.probe_at);
+        let lag = self.knobs.encoder_lag;
+        self.latches[0].turn(counted, index_at, probe_at.map(|at| at - lag));
+        self.latches[1].turn(here, index_at, probe_at);
+        let [encoder_flags, stepgen_flags] = self.latches.map(|latch| latch.flags());
+        // A channel that was not asked for says something, too.
+        let latch = match command.latch {
+            Latch::Encoder(0) => self.latches[0].caught.map_or(-1, |(_, at)| at),
+            Latch::Stepgen(0) => self.latches[1].caught.map_or(-1, |(_, at)| at),
+            Latch::Encoder(_) | Latch::Stepgen(_) => -1,
+        };
         self.decide(&command);
-        if self.state == State::Armed {
-            for (n, axis) in self.axes.iter_mut().enumerate() {
-                let (rate, accel) = command.stepgen[n];
-                if command.stepgen_enable >> n & 1 != 0 {
-                    axis.commit(rate, accel);
-                } else {
-                    axis.commit(StepRate(0), accel);
-                }
+        self.pending = None;
+        match command.apply_at {
+            Some(at) if self.state == State::Armed && at.0 > self.now => {
+                self.pending = Some(command);
             }
+            Some(_) | None => self.commit(&command),
         }
         self.fed = self.now;
         self.last_sequence = command.sequence;
@@ -485,10 +637,15 @@ impl Mind {
             watchdog_left: left,
             refused: Count(self.refused),
             boot_id: self.boot_id,
-            link: 0,
+            estop: self.estop_latched,
             gpio_in: self.knobs.gpio_in,
-            index_latched: u16::from(self.latch.is_some()),
+            index_latched: encoder_flags.0,
+            probe_latched: encoder_flags.1,
+            illegal: 0,
             rate_limited: 0,
+            stepgen_index_latched: stepgen_flags.0,
+            stepgen_probe_latched: stepgen_flags.1,
+            latch: Count(latch as u32),
             stepgen,
             encoder,
         };
@@ -504,17 +661,6 @@ impl Mind {
         Ok(buffer)
     }
 
-    fn follow_index(&mut self, command: &Command) {
-        if command.index_arm & 1 == 0 {
-            self.latch = None;
-        } else if let Some(at) = self.knobs.index_at
-            && self.latch.is_none()
-            && self.axes[0].pulses() >= i64::from(at)
-        {
-            self.latch = Some(at);
-        }
-    }
-
     /// The firmware's rules: seen low, then high, then one more command.
     fn decide(&mut self, command: &Command) {
         let edge = self.request == Some(false) && command.enable_request;
@@ -526,9 +672,10 @@ impl Mind {
         match self.state {
             State::Armed if !command.enable => self.stop(FaultReason::HostDisable),
             State::Disarmed | State::Faulted if edge => {
-                if !self.knobs.external_reset {
+                if !self.knobs.external_reset && self.knobs.estop == 0 {
                     self.state = State::Disarmed;
                     self.bitten = false;
+                    self.estop_latched = 0;
                     self.reset_latched = false;
                     self.edge = true;
                     return;
@@ -557,6 +704,7 @@ impl Mind {
             external_reset: self.knobs.external_reset,
             accepted: answer,
             link: true,
+            estop: self.estop_latched != 0,
         }
     }
 
@@ -579,6 +727,8 @@ impl Mind {
             } else {
                 describe::OBSTACLE_ABI
             },
+            reset_reason: self.reset_reason,
+            gate_close: GateClose::Never,
         }
     }
 
@@ -616,6 +766,13 @@ impl FakeBoard {
     /// `mill6` on a free port.
     pub fn mill6(time: Time) -> Self {
         Self::start("127.0.0.1:0", time)
+    }
+
+    /// `mill6` with a clock of its own.
+    pub fn scripted(script: Script) -> Self {
+        let board = Self::mill6(Time::Scripted);
+        board.look().script = Some(script);
+        board
     }
 
     /// `mill6` at an address.

@@ -103,7 +103,10 @@ fn to_json(identity: &Identity) -> Value {
         "position_trusted": describe.state.position_trusted,
         "bitten": describe.state.bitten,
         "external_reset": describe.state.external_reset,
+        "estop": describe.state.estop,
         "obstacles": describe.obstacles,
+        "last_reset_reason": describe.reset_reason.text(),
+        "last_gate_close": describe.gate_close.text(),
         "default_mac": mac,
         "default_ip": ip,
         "default_port": port,
@@ -168,6 +171,13 @@ fn to_text(identity: &Identity) -> String {
         doing += ", will not arm: ABI mismatch";
     }
     line("state", doing);
+    line(
+        "last",
+        format!(
+            "started by {}, gate: {}",
+            describe.reset_reason, describe.gate_close
+        ),
+    );
     if let (Some(mac), Some(ip), Some(port)) = network(identity) {
         line("default", format!("{ip}:{port}, MAC {mac}"));
     }

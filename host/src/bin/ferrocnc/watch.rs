@@ -94,7 +94,9 @@ impl Look {
                 json!({
                     "name": name(Kind::Encoder, n),
                     "count": encoder.count.0 as i32,
-                    "latch": encoder.latch.0 as i32,
+                    "errors": encoder.errors,
+                    "index_latched": status.index_latched >> n & 1 != 0,
+                    "probe_latched": status.probe_latched >> n & 1 != 0,
                 })
             })
             .collect();
@@ -108,6 +110,7 @@ impl Look {
             "position_trusted": status.state.position_trusted,
             "bitten": status.state.bitten,
             "external_reset": status.state.external_reset,
+            "estop": status.state.estop,
             "owner": self.owner.map(|owner| owner.to_string()),
             "sequence": status.sequence,
             "sample_clock": status.sample.0,
@@ -134,7 +137,7 @@ impl Look {
         // Writing to a String cannot fail.
         let _ = writeln!(
             text,
-            "{}{}{}{}{}",
+            "{}{}{}{}{}{}",
             word.state,
             if word.enabled { ", outputs live" } else { "" },
             match word.reason {
@@ -147,6 +150,7 @@ impl Look {
             } else {
                 ""
             },
+            if word.estop { ", e-stop" } else { "" },
         );
         let _ = writeln!(
             text,
@@ -194,15 +198,21 @@ impl Look {
                 rate.to_hz(clock)
             );
         }
-        let _ = writeln!(text, "\n{:<20} {:>14} {:>16}", "encoder", "count", "index");
+        let _ = writeln!(
+            text,
+            "\n{:<20} {:>14} {:>16}",
+            "encoder", "count", "latched"
+        );
         for (n, encoder) in status.encoder[..channels.encoders.into()]
             .iter()
             .enumerate()
         {
             let latched = if status.index_latched >> n & 1 != 0 {
-                (encoder.latch.0 as i32).to_string()
+                "index"
+            } else if status.probe_latched >> n & 1 != 0 {
+                "probe"
             } else {
-                "-".to_owned()
+                "-"
             };
             let _ = writeln!(
                 text,
