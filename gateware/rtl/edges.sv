@@ -52,40 +52,63 @@ module edges #(
         end
     end
 
-    wire [63:0] stamp_all        = 64'(stamp);
-    wire [63:0] stamp_caught_all = 64'(stamp_caught);
-    wire [15:0] seen_all         = 16'(seen);
-    wire [15:0] seen_caught_all  = 16'(seen_caught);
-    wire [15:0] wrong_all        = 16'(wrong);
-    wire [15:0] wrong_caught_all = 16'(wrong_caught);
+    // Words that are 0 unless visited, put together by an OR: as in tally.sv.
+    logic [15:0] away = 16'hFFFE;  // ~turn
+    logic [4*CHANNELS-1:0] stamp_shown = {4*CHANNELS{1'b0}}, stamp_caught_shown = {4*CHANNELS{1'b0}};
+    logic [CHANNELS-1:0]   seen_shown = {CHANNELS{1'b0}}, seen_caught_shown = {CHANNELS{1'b0}};
+    logic [CHANNELS-1:0]   wrong_shown = {CHANNELS{1'b0}}, wrong_caught_shown = {CHANNELS{1'b0}};
+    logic [3:0]            edge_at, edge_at_caught;
+
+    always_ff @(posedge clk) begin
+        away <= {away[14:0], away[15]};
+        for (n = 0; n < CHANNELS; n = n + 1)
+            if (away[n]) begin
+                stamp_shown[4*n +: 4]        <= 4'd0;
+                stamp_caught_shown[4*n +: 4] <= 4'd0;
+                seen_shown[n]                <= 1'b0;
+                seen_caught_shown[n]         <= 1'b0;
+                wrong_shown[n]               <= 1'b0;
+                wrong_caught_shown[n]        <= 1'b0;
+            end else begin
+                stamp_shown[4*n +: 4]        <= stamp[4*n +: 4];
+                stamp_caught_shown[4*n +: 4] <= stamp_caught[4*n +: 4];
+                seen_shown[n]                <= seen[n];
+                seen_caught_shown[n]         <= seen_caught[n];
+                wrong_shown[n]               <= wrong[n];
+                wrong_caught_shown[n]        <= wrong_caught[n];
+            end
+    end
+
+    always_comb begin
+        edge_at        = 4'd0;
+        edge_at_caught = 4'd0;
+        for (int c = 0; c < CHANNELS; c++) begin
+            edge_at        = edge_at | stamp_shown[4*c +: 4];
+            edge_at_caught = edge_at_caught | stamp_caught_shown[4*c +: 4];
+        end
+    end
 
     logic [23:0] times         [0:15];
     logic [7:0]  errors        [0:15];
     logic [31:0] samples       [0:15];
     assign sampled = samples[addr];
 
-    // The edge was 1 to 16 clocks before the visit: visit - 1 - (at - stamp - 1 mod 16), which is visit + (-16 + (stamp - at mod 16)).
+    // The edge was 1 to 16 clocks before the visit, so its time is visit - 16 + (edge_at - at modulo 16).
     logic [23:0] visited = 24'd0, time_old = 24'd0;
     logic [7:0]  errors_old = 8'd0;
-    logic [3:0]  ago = 4'd0, ago_caught = 4'd0;
-    logic        edge_new = 1'b0, edge_caught = 1'b0, error_new = 1'b0, error_caught = 1'b0, to_sample = 1'b0;
+    logic        to_sample = 1'b0;
+    wire  [3:0]  ago = edge_at - behind, ago_caught = edge_at_caught - behind;
     wire  [23:0] time_new    = visited + {20'hFFFFF, ago};
     wire  [23:0] time_caught = visited + {20'hFFFFF, ago_caught};
 
     always_ff @(posedge clk) begin
-        visited      <= now;
-        time_old     <= times[at];
-        errors_old   <= errors[at];
-        ago          <= stamp_all[4*at +: 4] - at;
-        ago_caught   <= stamp_caught_all[4*at +: 4] - at;
-        edge_new     <= seen_all[at];
-        edge_caught  <= seen_caught_all[at];
-        error_new    <= wrong_all[at];
-        error_caught <= wrong_caught_all[at];
-        to_sample    <= sampling;
-        if (edge_new) times[behind] <= time_new;
-        errors[behind] <= errors_old + {7'd0, error_new};
-        if (to_sample) samples[behind] <= {errors_old + {7'd0, error_caught}, edge_caught ? time_caught : time_old};
+        visited    <= now;
+        time_old   <= times[at];
+        errors_old <= errors[at];
+        to_sample  <= sampling;
+        if (|seen_shown) times[behind] <= time_new;
+        if (|wrong_shown) errors[behind] <= errors_old + 8'd1;
+        if (to_sample) samples[behind] <= {errors_old + {7'd0, |wrong_caught_shown}, |seen_caught_shown ? time_caught : time_old};
     end
 
     initial begin

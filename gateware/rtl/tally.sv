@@ -72,13 +72,42 @@ module tally #(
         end
     end
 
-    // Absent channels read 0, so that a short board costs short multiplexers and the rotation stays as long.
-    wire [79:0] delta_all    = 80'(delta);
-    wire [79:0] caught_all   = 80'(caught);
-    wire [79:0] held_all     = 80'(held);
-    wire [15:0] clearing_all = 16'(clearing);
-    wire [15:0] afresh_all   = 16'(afresh);
-    wire [15:0] pending_all  = 16'(pending);
+    // Of all channels' words the visited one is wanted. Words that are 0 unless visited are put together by an OR, which is a
+    // third of a multiplexer, and being 0 is the reset of a flip-flop, which is free.
+    logic [5*CHANNELS-1:0] delta_shown = {5*CHANNELS{1'b0}}, caught_shown = {5*CHANNELS{1'b0}}, held_shown = {5*CHANNELS{1'b0}};
+    logic [CHANNELS-1:0]   pending_shown = {CHANNELS{1'b0}};
+    logic [4:0]            add_total, add_sample, add_latch;
+    logic                  to_latch;
+
+    logic [15:0] away = 16'hFFFE;  // ~turn
+
+    always_ff @(posedge clk) begin
+        away <= {away[14:0], away[15]};
+        for (n = 0; n < CHANNELS; n = n + 1)
+            if (away[n]) begin
+                delta_shown[5*n +: 5]  <= 5'd0;
+                caught_shown[5*n +: 5] <= 5'd0;
+                held_shown[5*n +: 5]   <= 5'd0;
+                pending_shown[n]       <= 1'b0;
+            end else begin
+                delta_shown[5*n +: 5]  <= delta[5*n +: 5];
+                caught_shown[5*n +: 5] <= caught[5*n +: 5];
+                held_shown[5*n +: 5]   <= held[5*n +: 5];
+                pending_shown[n]       <= pending[n];
+            end
+    end
+
+    always_comb begin
+        add_total  = 5'd0;
+        add_sample = 5'd0;
+        add_latch  = 5'd0;
+        for (int c = 0; c < CHANNELS; c++) begin
+            add_total  = add_total | delta_shown[5*c +: 5];
+            add_sample = add_sample | caught_shown[5*c +: 5];
+            add_latch  = add_latch | held_shown[5*c +: 5];
+        end
+        to_latch = |pending_shown;
+    end
 
     logic [31:0] totals  [0:15];
     logic [31:0] samples [0:15];
@@ -89,22 +118,17 @@ module tally #(
 
     // The visit reads; the clock after it adds and writes. `total` as it is here has nothing of this rotation in it.
     logic [31:0] base_total = 32'd0, base_sample = 32'd0, base_latch = 32'd0;
-    logic [4:0]  add_total = 5'd0, add_sample = 5'd0, add_latch = 5'd0;
-    logic        to_sample = 1'b0, to_latch = 1'b0;
+    logic        to_sample = 1'b0;
 
     function automatic [31:0] sum(input [31:0] base, input [4:0] few);
         sum = base + {{27{few[4]}}, few};
     endfunction
 
     always_ff @(posedge clk) begin
-        base_total  <= clearing_all[at] ? 32'd0 : total;
-        base_sample <= afresh_all[at] ? 32'd0 : total;
+        base_total  <= |(clearing & turn[CHANNELS-1:0]) ? 32'd0 : total;
+        base_sample <= |(afresh & turn[CHANNELS-1:0]) ? 32'd0 : total;
         base_latch  <= total;
-        add_total   <= delta_all[5*at +: 5];
-        add_sample  <= caught_all[5*at +: 5];
-        add_latch   <= held_all[5*at +: 5];
         to_sample   <= sampling;
-        to_latch    <= pending_all[at];
         totals[behind] <= sum(base_total, add_total);
         if (to_sample) samples[behind] <= sum(base_sample, add_sample);
         if (to_latch) latches[behind] <= sum(base_latch, add_latch);
