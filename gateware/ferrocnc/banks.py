@@ -328,11 +328,11 @@ class Cores(LiteXModule):
         self.sync += self.probe.eq(select[8] & (Array(list(raw) + [0] * (32 - len(raw)))[select[:5]] ^ select[9]))
         fabric.live(rm.GPIO, "probe", Cat(select[:5], Constant(0, 3), select[8:]))
 
-    def _latch(self, index, probe_arm, index_arm, indexed, probed):
+    def _latch(self, index, probe_arm, index_arm, pending, indexed, probed):
         """The latch of one channel; returns its capture pulse."""
         capture = Signal()
         self.specials += Instance("latch",
-            i_clk=self.clk, i_arm_index=index_arm, i_arm_probe=probe_arm, i_index=index, i_probe=self.probe,
+            i_clk=self.clk, i_arm_index=index_arm, i_arm_probe=probe_arm, i_index=index, i_probe=self.probe, i_pending=pending,
             o_capture=capture, o_index_latched=indexed, o_probe_latched=probed)
         return capture
 
@@ -342,7 +342,7 @@ class Cores(LiteXModule):
             self.comb += self.all_stopped.eq(1)
             return
         (enables, _), (_, index_arms), (_, probe_arms) = (arms[name] for name in ("enables", "arms", "probe_arms"))
-        visit, deltas, captures, stopped = Signal(16), [], [], []
+        visit, pending, deltas, captures, stopped = Signal(channels), Signal(channels), [], [], []
         for n in range(channels):
             b = rm.STEPGEN[n]
             # -2^31 has no positive twin; taking it as -(2^31-1) keeps |velocity| representable for everyone downstream.
@@ -368,7 +368,7 @@ class Cores(LiteXModule):
             meta, index = Signal(reset_less=True), Signal(reset_less=True)
             meta.attr.add("keep"), index.attr.add("keep")
             self.sync += [meta.eq(self.pads.step_index[n]), index.eq(meta ^ mode[4])]
-            captures.append(self._latch(index, probe_arms[n], index_arms[n], index_flags[n], probe_flags[n]))
+            captures.append(self._latch(index, probe_arms[n], index_arms[n], pending[n], index_flags[n], probe_flags[n]))
             deltas.append(delta)
             stopped.append(rest)
         self.comb += self.all_stopped.eq(reduce(lambda a, b: a & b, stopped))
@@ -387,7 +387,7 @@ class Cores(LiteXModule):
         sampled, latched = Signal(32), Signal(32)
         self.specials += Instance("tally",
             p_CHANNELS=channels, i_clk=self.clk, i_delta=Cat(*deltas), i_sample=self.sample, i_capture=Cat(*captures),
-            i_clear=Constant(0, channels), i_addr=at, o_visit=visit, o_sampled=sampled, o_latched=latched)
+            i_clear=Constant(0, channels), i_addr=at, o_visit=visit, o_pending=pending, o_sampled=sampled, o_latched=latched)
         status = fabric.page_hit(rm.STATUS.page)
         fabric.reads(status & high, sampled)
         fabric.reads(status & latches, latched)
@@ -397,20 +397,25 @@ class Cores(LiteXModule):
         if not channels:
             return
         (_, enables), (_, both) = arms["enables"], arms["arms"]
-        visit, deltas, captures, clears = Signal(16), [], [], []
+        visit, pending, turn, sampling = Signal(channels), Signal(channels), Signal(16), Signal()
+        deltas, captures, clears, moves, illegals_now = [], [], [], [], []
         for n in range(channels):
             b = rm.ENCODER[n]
             mode, delta = fabric.storage(b, "mode", 8), Signal(5)
-            index, illegal, waited = Signal(), Signal(), Signal()
+            index, moved, illegal, waited = (Signal() for _ in range(4))
             self.specials += Instance("encoder",
                 i_clk=self.clk, i_a=self.pads.enc_a[n], i_b=self.pads.enc_b[n], i_index=self.pads.enc_i[n], i_mask=self.pads.enc_mask[n],
                 i_mode=mode, i_filter=fabric.storage(b, "filter", 8), i_visit=visit[n],
-                o_delta=delta, o_index_level=index, o_illegal=illegal)
+                o_delta=delta, o_index_level=index, o_moved=moved, o_illegal=illegal)
             self.sync += waited.eq(illegal | (waited & ~self.sample))
             self.comb += illegals[n].eq(waited)
-            captures.append(self._latch(index, both[16 + n], enables[16 + n], index_flags[n], probe_flags[n]))
-            clears.append(mode[7])
-            deltas.append(delta)
+            arm = enables[16 + n]
+            captures.append(self._latch(index, both[16 + n], arm, pending[n], index_flags[n], probe_flags[n]))
+            # Only the index clears, not the probe: the same edge that the latch sees.
+            index_was = Signal(reset=1, reset_less=True)
+            self.sync += index_was.eq(index | ~arm)
+            clears.append(mode[7] & index & ~index_was)
+            deltas.append(delta), moves.append(moved), illegals_now.append(illegal)
 
         # count and edge words alternate from an address whose half is 12 mod 16; the latches follow from 8 mod 16.
         word = fabric.word
@@ -424,7 +429,11 @@ class Cores(LiteXModule):
         ]
         self.specials += Instance("tally",
             p_CHANNELS=channels, i_clk=self.clk, i_delta=Cat(*deltas), i_sample=self.sample, i_capture=Cat(*captures),
-            i_clear=Cat(*clears), i_addr=at, o_visit=visit, o_sampled=sampled, o_latched=latched)
+            i_clear=Cat(*clears), i_addr=at, o_visit=visit, o_pending=pending, o_turn=turn, o_sampling=sampling,
+            o_sampled=sampled, o_latched=latched)
+        self.specials += Instance("edges",
+            p_CHANNELS=channels, i_clk=self.clk, i_turn=turn, i_sampling=sampling, i_sample=self.sample,
+            i_moved=Cat(*moves), i_illegal=Cat(*illegals_now), i_now=self.now[:24], i_addr=at, o_sampled=edge)
         status = fabric.page_hit(rm.STATUS.page)
         fabric.reads(status & counts & ~word[0], sampled)
         fabric.reads(status & counts & word[0], edge)

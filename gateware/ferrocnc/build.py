@@ -145,33 +145,84 @@ def _print(found):
     return missed
 
 
+# How big it is ----------------------------------------------------------------------------------------------------
+
+# The same machine on the same tools: 6 step generators, 6 encoders, 6 PWM, 12 inputs, 12 outputs, 5A-75B, 40 MHz, Etherbone in
+# gateware instead of a CPU. LiteX-CNC 1.3.4 was placed and routed with yosys 0.70 and nextpnr 0.11.1, one seed; Lcnc (f6c0d75) was
+# elaborated and simulated, not placed.
+PEERS = {
+    "LiteX-CNC 1.3.4, as mill6": {"lut4": 9461, "ccu2c": 2160, "ff": 7412, "ebr": 4, "dsp": 0, "lutram": 150, "trellis_comb": 15399},
+    "Lcnc f6c0d75, as mill6": None,
+}
+AVAILABLE = 24_288  # TRELLIS_COMB of an LFE5U-25F
+_COLUMNS = (("LUT4", "lut4"), ("CCU2C", "ccu2c"), ("FF", "ff"), ("EBR", "ebr"), ("DSP", "dsp"), ("COMB", "trellis_comb"))
+
+
 def bench(root, out, report=None):
-    """Synthesises every core alone and every board, and prints what they cost."""
+    """Synthesises and packs every core alone and the named boards, and prints what they cost.
+
+    COMB is what nextpnr packs: LUTs, two per carry cell and the cells it adds to get in and out of a carry chain, LUT RAM. A core
+    alone is mapped for area, because nothing tells which of its paths matter; in a board the tools know.
+    """
     out = Path(out).resolve()
-    out.mkdir(parents=True, exist_ok=True)
     cores, boards = {}, {}
+    sources = " ".join(str(source) for source in sorted(ferro.RTL.glob("*.sv")))
     for source in sorted(ferro.RTL.glob("*.sv")):
         folder = out / source.stem
-        folder.mkdir(exist_ok=True)
-        script = f'read_verilog -sv {source}; {ecp5.ABC9}; synth_ecp5 -top {source.stem}; tee -o stat.txt stat'
+        folder.mkdir(parents=True, exist_ok=True)
+        script = f"read_verilog -sv {sources}; {ecp5.ABC9_AREA}; synth_ecp5 -top {source.stem} -json {TOP}.json; tee -o stat.txt stat"
         _tool("yosys", ["-q", "-p", script], folder, "yosys.log")
-        cores[source.stem] = _synthesis(folder / "stat.txt")
-    for name in ("mill6", "max"):
-        folder = out / name
-        board = read_board(root / "boards" / f"{name}.toml")
-        soc = ecp5.BoardSoC(board, all_pins=False)
-        _bare_synthesis(soc, folder)
-        boards[name] = _synthesis(folder / "stat.txt")
-    print("| what | LUT4 | CCU2C | FF | EBR | DSP |\n|---|---|---|---|---|---|")
-    for name, c in {**cores, **boards}.items():
-        print(f"| {name} | {c['lut4']} | {c['ccu2c']} | {c['ff']} | {c['ebr']} | {c['dsp']} |")
+        cores[source.stem] = _synthesis(folder / "stat.txt") | _packed(folder)
+    for name in ("mill6", "max", "none"):
+        board = read_board(root / "boards" / f"{'max' if name == 'none' else name}.toml")
+        if name == "none":
+            for kind in ("stepgen", "encoder", "pwm", "gpio_in", "gpio_out"):
+                setattr(board, kind, [])
+        _bare_synthesis(ecp5.BoardSoC(board, all_pins=False), out / name)
+        boards[name] = _synthesis(out / name / "stat.txt") | _packed(out / name)
+    for line in size_tables(cores, boards):
+        print(line)
     if report:
         Path(report).parent.mkdir(parents=True, exist_ok=True)
-        Path(report).write_text(json.dumps({"boards": boards, "cores": cores}, indent=2) + "\n")
+        Path(report).write_text(json.dumps({"boards": boards, "cores": cores, "peers": PEERS}, indent=2) + "\n")
     return 0
 
 
+def size_tables(cores, boards):
+    """Two tables: the cores, alone; the boards, beside the peers'."""
+    def row(name, c):
+        return f"| {name} | " + " | ".join(str(c[key]) for _, key in _COLUMNS) + " |"
+
+    head = " | ".join(name for name, _ in _COLUMNS)
+    yield f"| core | {head} |"
+    yield "|---" * (len(_COLUMNS) + 1) + "|"
+    for name, c in cores.items():
+        yield row(name, c)
+    yield f"| board | {head} |"
+    yield "|---" * (len(_COLUMNS) + 1) + "|"
+    for name, what in (("none", "no channel: CPU, MAC, memories, timebase, watchdog"), ("mill6", "mill6: 6 + 6 + 6, 12 + 12"), ("max", "max: 16 + 16 + 16, 32 + 32")):
+        yield row(what, boards[name])
+    sets = rm.MAX_STEPGEN
+    each = {key: round((boards["max"][key] - boards["none"][key]) / sets) for _, key in _COLUMNS}
+    yield row("each stepgen + encoder + PWM + 2 inputs + 2 outputs of max, banks included", each)
+    for name, c in PEERS.items():
+        yield row(name, c) if c else f"| {name} | " + " | ".join("not measured" for _ in _COLUMNS) + " |"
+    used = boards["max"]["trellis_comb"]
+    yield f"| max leaves free of {AVAILABLE} COMB | | | | | | {AVAILABLE - used} ({1 - used / AVAILABLE:.1%}) |"
+
+
+def _packed(folder):
+    """TRELLIS_COMB after packing: what the placer has to find room for."""
+    args = ["--json", f"{TOP}.json", "--lpf-allow-unconstrained", "--pack-only", "--write", "packed.json", "--25k", "--package", "CABGA256", "--speed", "6"]
+    if (folder / f"{TOP}.lpf").exists():
+        args += ["--lpf", f"{TOP}.lpf"]
+    _tool("nextpnr-ecp5", args, folder, "pack.log")
+    cells = json.loads((folder / "packed.json").read_text())["modules"][TOP if (folder / f"{TOP}.lpf").exists() else folder.name]["cells"]
+    return {"trellis_comb": sum(cell["type"] == "TRELLIS_COMB" for cell in cells.values())}
+
+
 def _bare_synthesis(soc, folder):
+    """A board without pins, synthesised: every pin on whichever pad the placer takes."""
     folder.mkdir(parents=True, exist_ok=True)
     here = os.getcwd()
     try:
@@ -179,6 +230,8 @@ def _bare_synthesis(soc, folder):
         soc.platform.build(soc, build_dir=str(folder), build_name=TOP, run=False)
     finally:
         os.chdir(here)
+    lpf = (folder / f"{TOP}.lpf").read_text().splitlines(keepends=True)
+    (folder / f"{TOP}.lpf").write_text("".join(line for line in lpf if f'SITE "{ecp5.ANY_BALL}"' not in line))
     script = (folder / f"{TOP}.ys").read_text() + "\ntee -o stat.txt stat\n"
     (folder / f"{TOP}.ys").write_text(script)
     _tool("yosys", ["-q", f"{TOP}.ys"], folder, "yosys.log")

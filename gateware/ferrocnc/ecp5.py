@@ -12,6 +12,7 @@ from .board import BoardError, pins_missing
 
 # ABC9's default script without &mfs, with which yosys 0.70 does not come back, and with a fifth of the depth given away for area:
 ABC9 = 'scratchpad -set abc9.script "+&scorr;&sweep;&dc2;&dch,-f,-r;&ps;&if,-R,20,-W,300,-v"'
+ABC9_AREA = ABC9.replace("&if,", "&if,-a,")
 # Without these the 125 MHz Ethernet clock closes in one run of three; with them in every run.
 PLACER = " --placer-heap-timingweight 30 --placer-heap-critexp 4 "
 

@@ -87,6 +87,11 @@ class Bank:
         return 4 * [r.name for r in self.regs].index(name)
 
 
+def mask(reg):
+    """The bits that mean something: those of its fields, or all."""
+    return sum((1 << f.width) - 1 << f.lsb for f in reg.fields) or 0xFFFF_FFFF
+
+
 def _bit(name, lsb, doc):
     return Field(name, lsb, 1, doc)
 

@@ -15,6 +15,7 @@ using B = Bench<Vcores>;
 struct Register {
     uint32_t at;
     std::string access;
+    uint32_t mask;  // the bits it has
 };
 
 struct Bus {
@@ -22,17 +23,19 @@ struct Bus {
     std::map<std::string, Register> map;
     uint64_t now = 0;  // the wall clock, counted here
     std::vector<int64_t> pulses = std::vector<int64_t>(16);
-    uint32_t step_was = 0;
+    uint32_t step_was = 0, widest_step = 0;
     std::vector<uint64_t> first_rise = std::vector<uint64_t>(16);
 
     explicit Bus(B &b) : b(b) {
         std::ifstream file(MAP);
-        std::string name, at, access;
-        while (file >> name >> at >> access) map[name] = {uint32_t(strtoul(at.c_str(), nullptr, 16)), access};
+        auto hex = [](const std::string &text) { return uint32_t(strtoul(text.c_str(), nullptr, 16)); };
+        std::string name, at, access, mask;
+        while (file >> name >> at >> access >> mask) map[name] = {hex(at), access, hex(mask)};
     }
     void clock() {
         b.edge();
         now++;
+        CHECK(b, b.core->step_n == uint32_t(~b.core->step & widest_step) && b.core->dir_n == uint32_t(~b.core->dir & widest_step), "a differential copy is no copy");
         const uint32_t rises = b.core->step & ~step_was;
         step_was = b.core->step;
         for (unsigned n = 0; n < 16; n++)
@@ -76,10 +79,12 @@ int main(int argc, char **argv) {
     Bus k(b);
     auto &c = *b.core;
     auto &r = b.random;
-    c.we = c.rst = c.ext_reset = c.inputs = c.enc_a = c.enc_b = c.enc_i = 0;
+    c.we = c.rst = c.ext_reset = c.inputs = c.enc_a = c.enc_b = c.enc_i = c.enc_mask = c.step_index = 0;
     c.frame_done = c.frame_slot = c.frame_pending = c.pending_slot = 0;
     c.abi = 0x12345678;
-    k.run(8);
+    b.settle();
+    k.widest_step = c.step | c.step_n;  // a bit per channel
+    k.run(40);
 
     // Who it is.
     k.expect("ident.magic", 0x46436e43);
@@ -87,12 +92,19 @@ int main(int argc, char **argv) {
     const uint32_t counts = k.read("ident.channels0"), pins = k.read("ident.channels1"), hz = k.read("ident.sys_clk_hz");
     const unsigned steps = counts & 255, encoders = counts >> 8 & 255, pwms = counts >> 16 & 255, ins = pins & 255, outs = pins >> 8 & 255;
     CHECK(b, hz >= 10000000 && steps && encoders && pwms && ins && outs, "an empty board");
+    CHECK(b, k.widest_step == (1u << steps) - 1, "%u step generators, pins %x", steps, k.widest_step);
+    const uint32_t estops = k.read("gpio.estop_mask"), trigger = k.read("gpio.estop_level");
+    CHECK(b, estops && !(trigger & ~estops) && estops >> (ins - 1) == 1, "e-stop inputs %x, level %x", estops, trigger);
+    const uint32_t free_inputs = uint32_t((1ull << ins) - 1) & ~estops;
+    auto drive = [&](uint32_t levels) { c.inputs = (levels & free_inputs) | (estops & ~trigger); };  // no e-stop active
+    drive(0);
 
     // Every register: absent channels read 0 and ignore writes; present ones read back what was written.
     auto present = [&](const std::string &name) {
         for (auto [kind, n] : {std::pair{"stepgen", steps}, {"encoder", encoders}, {"pwm", pwms}})
             for (auto prefix : {std::string(kind), std::string("command.") + kind, std::string("status.") + kind})
                 if (name.rfind(prefix, 0) == 0 && isdigit(name[prefix.size()])) return unsigned(atoi(name.c_str() + prefix.size())) < n;
+        if (name.rfind("debounce.in", 0) == 0) return unsigned(atoi(name.c_str() + 11)) < ins;
         return true;
     };
     std::map<std::string, uint32_t> wrote;
@@ -104,14 +116,16 @@ int main(int argc, char **argv) {
         if (reg.access == "rw" && present(name)) wrote[name] = value;
     }
     for (auto &[name, value] : wrote) {
-        const uint32_t mask = name == "led.pattern" ? 7 : name.rfind("gpio.", 0) == 0 ? uint32_t((1ull << outs) - 1) : ~0u;
-        k.expect(name, value & mask);
+        uint32_t mask = k.map[name].mask;
+        if (name == "gpio.safe" || name == "gpio.invert_out" || name == "command.gpio_out") mask = uint32_t((1ull << outs) - 1);
+        const uint32_t is = k.read(name);
+        CHECK(b, (is & mask) == (value & mask), "%s reads %08x, wrote %08x", name.c_str(), is, value);
     }
     for (auto &[name, reg] : k.map)
         if (reg.access == "wo" || !present(name)) k.expect(name, 0), absent++;
     for (unsigned n = 0; n < 4000; n++) {  // nothing answers between the registers
         const uint32_t address = r.below(1 << 16);
-        bool known = address < 8 * 512;
+        bool known = address < 8 * 512;  // LiteX's
         for (auto &[name, reg] : k.map) known |= reg.at == address;
         if (!known) CHECK(b, k.peek(address) == 0, "something at word %x", address);
     }
@@ -151,7 +165,7 @@ int main(int argc, char **argv) {
         k.write(nth("command.stepgen", n, "_accel"), 0);
         CHECK(b, c.step == 0, "moves before the strobe");
     }
-    for (unsigned n = 0; n < pwms; n++) k.write(nth("command.pwm", n, "_width"), 0x40000000 | 100);
+    for (unsigned n = 0; n < pwms; n++) k.write(nth("command.pwm", n, "_width"), 0x40000000 | 100 << 8);
     k.write("command.gpio_out", 0x5a5a5a5a);
     k.write("command.enables", 0x0000ffff);
     k.run(300);
@@ -168,14 +182,14 @@ int main(int argc, char **argv) {
     for (unsigned round = 0; round < 200; round++) {
         for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), r.one_in(6) ? 0x80000000 : uint32_t(r.next()));
         k.run(r.below(300));
-        c.inputs = r.next() & ((1ull << ins) - 1);
-        k.run(4);
+        drive(uint32_t(r.next()));
+        k.run(40);  // a debouncer without a limit takes 35 clocks
         const auto at_strobe = k.pulses;
         c.adr = k.at("timebase.strobe"), c.dat_w = round & 1 ? 3 : 2, c.we = 1;
         k.clock();
         const auto one_later = k.pulses;
         c.we = 0;
-        k.clock();
+        k.run(18);  // until the tallies have been everywhere
         const uint64_t when = k.read64("status.sample");
         k.run(r.below(50));
         CHECK(b, when == k.read64("status.sample"), "reading changed the sample");
@@ -192,14 +206,14 @@ int main(int argc, char **argv) {
     k.write("timebase.strobe", 3);
     k.run(300);
     k.write("timebase.strobe", 2);
-    CHECK(b, k.read("status.flags") >> 16 == 1, "limited flags %x", k.read("status.flags"));
+    CHECK(b, k.read("status.flags0") >> 16 == 1, "limited flags %x", k.read("status.flags0"));
     k.write("stepgen0.steplen", 1);
     k.write("command.stepgen0_velocity", 1000);
     k.write("timebase.strobe", 1);
     k.run(300);
     k.write("timebase.strobe", 2);
     k.write("timebase.strobe", 2);
-    CHECK(b, k.read("status.flags") >> 16 == 0, "limited flags %x", k.read("status.flags"));
+    CHECK(b, k.read("status.flags0") >> 16 == 0, "limited flags %x", k.read("status.flags0"));
 
     // A commit at its time, to the clock.
     for (unsigned round = 0; round < 50; round++) {
@@ -225,31 +239,126 @@ int main(int argc, char **argv) {
         k.expect("timebase.status", 0);
     }
 
-    // Encoders: a few edges, an index.
+    // Sampled words of one clock, right when the tallies have been everywhere.
+    auto sample = [&] {
+        k.write("timebase.strobe", 2);
+        k.run(18);
+    };
+    // Arm bits of the four kinds of latch; a channel has one latch, for its index and for the probe.
+    auto arm = [&](uint32_t enc_index, uint32_t enc_probe, uint32_t step_index, uint32_t step_probe) {
+        k.write("command.enables", enc_index << 16 | 0xffff);
+        k.write("command.arms", enc_probe << 16 | step_index);
+        k.write("command.probe_arms", step_probe);
+        k.write("timebase.strobe", 1);
+        k.run(40);
+        sample();
+    };
+    auto flags = [&](uint32_t enc_index, uint32_t enc_probe, uint32_t step_index, uint32_t step_probe) {
+        const uint32_t is[4] = {k.read("status.flags0") & 0xffff, k.read("status.flags1") >> 16, k.read("status.flags1") & 0xffff, k.read("status.flags2") & 0xffff};
+        CHECK(b, is[0] == enc_index && is[1] == enc_probe && is[2] == step_index && is[3] == step_probe, "flags %x %x %x %x", is[0], is[1], is[2], is[3]);
+    };
+
+    // Encoders: a few edges, an index, an edge nobody makes.
     for (unsigned n = 0; n < encoders; n++) {
         static const int gray[4] = {0, 1, 3, 2};
         const unsigned edges = 5 + n;
-        k.write("command.enables", 0xffff | 1u << (16 + n));
-        k.write("timebase.strobe", 1);
+        arm(1u << n, 0, 0, 0);
         for (unsigned e = 1; e <= edges; e++) {
             c.enc_a = (c.enc_a & ~(1u << n)) | (gray[e & 3] & 1) << n, c.enc_b = (c.enc_b & ~(1u << n)) | (gray[e & 3] >> 1) << n;
             k.run(8);
             if (e == 3) c.enc_i |= 1u << n;
             k.run(8);
         }
-        k.write("timebase.strobe", 2);
+        k.run(40);
+        sample();
         k.expect(nth("status.encoder", n, "_count"), edges);
         k.expect(nth("status.encoder", n, "_latch"), 3);
-        CHECK(b, (k.read("status.flags") & 0xffff) == 1u << n, "index flags %x", k.read("status.flags"));
-        CHECK(b, uint32_t(k.read("status.sample_lo") - k.read(nth("status.encoder", n, "_edge_time"))) < 100, "edge time");
+        flags(1u << n, 0, 0, 0);
+        const uint32_t edge = k.read(nth("status.encoder", n, "_edge"));
+        CHECK(b, edge >> 24 == 0 && (k.read("status.sample_lo") - edge & 0xffffff) < 100, "edge word %x, sample at %x", edge, k.read("status.sample_lo"));
         c.enc_a ^= 1u << n, c.enc_b ^= 1u << n;
-        k.run(8);
-        k.expect(nth("encoder", n, ".errors"), 1);
-        k.write("command.enables", 0xffff);
-        k.write("timebase.strobe", 1);
+        k.run(40);
+        sample();
+        CHECK(b, k.read(nth("status.encoder", n, "_edge")) >> 24 == 1 && k.read("status.flags2") >> 16 == 1u << n, "an illegal edge is not told");
+        sample();
+        CHECK(b, k.read("status.flags2") >> 16 == 0, "an illegal edge is told twice");
+        arm(0, 0, 0, 0);
+        flags(0, 0, 0, 0);
+    }
+    // Modes reach the core: the counter, the polarity of the index, its mask, and clear on index.
+    for (unsigned n = 0; n < encoders; n++) {
+        k.write(nth("encoder", n, ".mode"), 3 | 1 << 4 | 1 << 5 | 1 << 7);
+        k.run(40);
+        arm(1u << n, 0, 0, 0);
+        const uint32_t from = k.read(nth("status.encoder", n, "_count"));
+        auto turn = [&](unsigned edges) {
+            while (edges--) c.enc_a &= ~(1u << n), k.run(8), c.enc_a |= 1u << n, k.run(8);
+        };
+        turn(2);
+        c.enc_i &= ~(1u << n), k.run(8), c.enc_i |= 1u << n, k.run(40);
+        flags(0, 0, 0, 0);
+        c.enc_mask |= 1u << n;
+        k.run(40);
+        c.enc_i &= ~(1u << n), k.run(8), turn(3), k.run(40);
+        sample();
+        k.expect(nth("status.encoder", n, "_latch"), from + 2);
+        k.expect(nth("status.encoder", n, "_count"), 3);
+        flags(1u << n, 0, 0, 0);
+        c.enc_i |= 1u << n, c.enc_mask &= ~(1u << n);
+        arm(0, 0, 0, 0);
+        k.write(nth("encoder", n, ".mode"), 0);
+    }
+    // The probe: one input for everybody, each with its own arm bit; then the index pins of the step generators.
+    for (unsigned round = 0; round < 4; round++) {
+        const unsigned input = r.below(ins - 1), low = r.below(2);
+        drive(low ? ~0u : 0);
+        k.write("gpio.probe", input | 1 << 8 | low << 9);
+        k.run(40);
+        const uint32_t who_e = r.next() & ((1u << encoders) - 1), who_s = r.next() & ((1u << steps) - 1);
+        for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), 0);
+        arm(0, who_e, 0, who_s);
+        flags(0, 0, 0, 0);
+        drive(low ? ~(1u << input) : 1u << input);
+        k.run(40);
+        sample();
+        flags(0, who_e, 0, who_s);
+        for (unsigned n = 0; n < encoders; n++)
+            if (who_e >> n & 1) k.expect(nth("status.encoder", n, "_latch"), k.read(nth("status.encoder", n, "_count")));
+        for (unsigned n = 0; n < steps; n++)
+            if (who_s >> n & 1) k.expect(nth("status.stepgen", n, "_latch"), k.read(nth("status.stepgen", n, "_position_hi")));
+        arm(0, 0, 0, 0);
+        flags(0, 0, 0, 0);
+        k.write("gpio.probe", 0);
+
+        const unsigned n = r.below(steps), invert = r.below(2);
+        k.write(nth("stepgen", n, ".mode"), invert << 4);
+        c.step_index = invert << n;
         k.run(4);
-        k.write("timebase.strobe", 2);
-        CHECK(b, !(k.read("status.flags") & 0xffff), "an index flag outlives its arm bit");
+        arm(0, 0, (1u << steps) - 1, 0);
+        c.step_index ^= 1u << n;
+        k.run(40);
+        sample();
+        flags(0, 0, 1u << n, 0);
+        k.expect(nth("status.stepgen", n, "_latch"), k.read(nth("status.stepgen", n, "_position_hi")));
+        c.step_index = 0;
+        k.write(nth("stepgen", n, ".mode"), 0);
+        k.run(4);
+        arm(0, 0, 0, 0);
+    }
+    // Debounce: an input's own limit, and only its own.
+    for (unsigned n = 0; n < ins; n++) {
+        if (estops >> n & 1) continue;
+        drive(0);
+        k.run(80);
+        k.write("debounce.in" + std::to_string(n), 3);
+        k.run(40);  // the limit is taken at the next visit
+        drive(~0u);
+        k.run(80);
+        k.expect("gpio.in_now", free_inputs & ~(1u << n) | (estops & ~trigger));
+        k.expect("gpio.raw_now", c.inputs);
+        k.run(80);
+        k.expect("gpio.in_now", c.inputs);
+        k.write("debounce.in" + std::to_string(n), 0);
     }
 
     // Arrivals: each frame keeps its own time, also when it has to queue.
@@ -280,8 +389,38 @@ int main(int argc, char **argv) {
     k.run(3);
     CHECK(b, !c.gate && !c.step && !c.pwm && c.outputs == 0x0c, "STOP: gate %d step %x pwm %x out %x", c.gate, c.step, c.pwm, c.outputs);
     k.expect("watchdog.status", 0);
+    k.expect("watchdog.last_close", 3);
     c.ext_reset = 1;
     k.run(4);
     k.expect("watchdog.status", 0x18);
+    c.ext_reset = 0;
+    k.run(4);
+    k.write("watchdog.control", 0x434c5231);
+    k.write("watchdog.control", 0x41524d31);
+    k.expect("watchdog.status", 0x21);
+
+    // Every e-stop input: the gate in 4 clocks, latched by name, no way back while it is active.
+    for (unsigned n = 0; n < ins; n++) {
+        if (!(estops >> n & 1)) continue;
+        c.inputs ^= 1u << n;
+        k.run(4);
+        CHECK(b, !c.gate, "e-stop input %u does not close the gate", n);
+        k.write("watchdog.control", 0x434c5231);
+        k.write("watchdog.control", 0x41524d31);
+        k.expect("watchdog.status", 0xc0);
+        k.expect("watchdog.last_close", 5);
+        drive(0);
+        k.run(8);
+        k.expect("watchdog.status", 0x40);
+        k.write("timebase.strobe", 2);
+        k.expect("status.estop", 1u << n);
+        k.write("watchdog.control", 0x41524d31);
+        CHECK(b, !c.gate, "arms with an e-stop latched");
+        k.write("watchdog.control", 0x434c5231);
+        k.write("timebase.strobe", 2);
+        k.expect("status.estop", 0);
+        k.write("watchdog.control", 0x41524d31);
+        k.expect("watchdog.status", 0x21);
+    }
     return b.pass("%zu registers, %zu read back, %u absent or write-only; %u+%u+%u channels", k.map.size(), wrote.size(), absent, steps, encoders, pwms);
 }

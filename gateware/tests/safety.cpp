@@ -4,9 +4,12 @@
 
 using B = Bench<Vsafety>;
 
+constexpr uint32_t RELEASED = 2;  // e-stop pin 0 triggers high, pin 1 low
+enum Close { NEVER, BITE, EXT_RESET, STOP_KEY, SOFT_STOP, E_STOP, SYSTEM_RESET };
+
 struct Board {
     B b;
-    uint64_t open_clocks = 0, bites = 0, resets = 0, worst_reset = 0, worst_pins = 0, best_bite = ~0ull, worst_bite = 0, grace_cut = 0;
+    uint64_t open_clocks = 0, bites = 0, resets = 0, estops = 0, worst_reset = 0, worst_pins = 0, best_bite = ~0ull, worst_bite = 0, grace_cut = 0;
     uint32_t token = 1;
     bool was_step = false, was_gate = false, live = false;
     int64_t pulses = 0;
@@ -50,16 +53,17 @@ struct Board {
         b.settle();
         return c().gate;
     }
+    void closed_by(Close why) { CHECK(b, c().last_close == why, "closed by %u, says %u", why, c().last_close); }
     void command(int32_t velocity, uint32_t accel) {
         c().velocity = velocity, c().accel = accel;
         pulse(c().commit);
     }
     void recover() {
-        c().pin = 0;
-        run(4);
+        c().pin = 0, c().estop_pins = RELEASED;
+        run(6);
         pulse(c().clear);
         run(2);
-        expect(!c().bitten && !c().reset_latched, "cleared, but still latched");
+        expect(!c().bitten && !c().reset_latched && !c().estop_latched && !c().estop_inputs, "cleared, but still latched");
     }
 };
 
@@ -67,12 +71,13 @@ int main(int argc, char **argv) {
     Board k(argc, argv);
     auto &c = k.c();
     auto &r = k.b.random;
-    c.rst = c.token_we = c.arm = c.soft_stop = c.shut = c.clear = c.commit = 0, c.pin = 1;
+    c.rst = c.token_we = c.arm = c.soft_stop = c.shut = c.clear = c.commit = c.kind = 0, c.pin = 1, c.estop_pins = RELEASED;
     c.timeout = 200, c.grace = 100, c.steplen = 2, c.out_safe = 0xA5, c.out_value = 0x5A, c.stop_accel = 0;
 
     // Powered, nobody home: asleep, no bite, and not to be armed while the pin is high.
     k.run(1000);
     k.expect(!c.gate && !c.bitten && c.reset_latched, "power-up with the reset pin high");
+    k.closed_by(NEVER);
     k.expect(!k.arm(), "armed with the reset pin high");
     c.pin = 0;
     k.run(4);
@@ -83,6 +88,20 @@ int main(int argc, char **argv) {
     k.run(2);
     k.expect(c.reset_latched, "cleared while the pin was high");
     k.recover();
+    // An e-stop input that is active at power-up is an e-stop, and clearing it is no way around it.
+    for (uint32_t pins : {RELEASED ^ 1, RELEASED ^ 2}) {
+        c.estop_pins = pins;
+        k.run(6);
+        k.pulse(c.clear);
+        k.run(2);
+        k.expect(c.estop_latched && c.estop_inputs == (pins ^ RELEASED), "cleared with an e-stop input active");
+        k.expect(!k.arm(), "armed with an e-stop input active");
+        c.estop_pins = RELEASED;
+        k.run(6);
+        k.expect(!k.arm(), "armed with an e-stop latched");
+        k.recover();
+    }
+    k.closed_by(NEVER);
 
     for (unsigned round = 0; round < 20000; round++) {
         c.timeout = 20 + r.below(300), c.grace = 1 + r.below(400);
@@ -99,7 +118,7 @@ int main(int argc, char **argv) {
             k.feed(++k.token);
             k.expect(c.gate && c.remaining == c.timeout, "a fed watchdog does not start again");
         }
-        switch (r.below(6)) {
+        switch (r.below(8)) {
         case 0: {  // silence, or the same token again and again: the bite comes exactly timeout clocks after the last new one
             const bool repeat = r.one_in(2);
             uint64_t clocks = 0;
@@ -126,6 +145,7 @@ int main(int argc, char **argv) {
                 k.expect(stop <= c.grace + 3, "the gate outlives its grace");
             }
             k.grace_cut += stop > c.grace;
+            k.closed_by(BITE);
             k.run(5);
             k.expect(!k.arm() && c.bitten, "armed while bitten");
             k.bites++;
@@ -142,7 +162,25 @@ int main(int argc, char **argv) {
             if (r.one_in(2)) c.pin = 0;
             k.run(6);
             k.expect(!k.arm() && c.reset_latched && !c.bitten, "armed after an external reset");
+            k.closed_by(EXT_RESET);
             k.resets++;
+            break;
+        }
+        case 6:
+        case 7: {  // an e-stop input, however short once it has been seen: gate and pins, from the pin
+            c.estop_pins = RELEASED ^ (1 + r.below(3));
+            const uint32_t which = c.estop_pins ^ RELEASED;
+            uint64_t clocks = 0, pins = 0;
+            for (; c.gate; clocks++) k.clock(), k.expect(clocks < 10, "ignores an e-stop input");
+            pins = clocks;
+            for (; c.step || c.pwm_out || c.out_pins != uint8_t(c.out_safe ^ 0x0f); pins++) k.clock(), k.expect(pins < 10, "an output survives");
+            k.worst_reset = clocks > k.worst_reset ? clocks : k.worst_reset, k.worst_pins = pins > k.worst_pins ? pins : k.worst_pins;
+            if (r.one_in(2)) c.estop_pins = RELEASED;
+            k.run(6);
+            if (r.one_in(2)) k.pulse(c.rst), k.run(2);  // a reset of the system forgets no e-stop
+            k.expect(!k.arm() && c.estop_latched && c.estop_inputs == which && !c.bitten, "armed after an e-stop");
+            k.closed_by(E_STOP);
+            k.estops++;
             break;
         }
         case 3:  // close now
@@ -151,6 +189,7 @@ int main(int argc, char **argv) {
             k.expect(!c.gate, "does not close");
             k.run(3);
             k.expect(!c.bitten, "closing is no bite");
+            k.closed_by(STOP_KEY);
             break;
         case 4: {  // soft stop on request: no bite
             k.pulse(c.soft_stop);
@@ -158,19 +197,22 @@ int main(int argc, char **argv) {
             for (; c.gate; n++) k.clock(), k.expect(n <= c.grace + 3, "the gate outlives its grace");
             k.run(2);
             k.expect(!c.bitten && !c.armed, "a soft stop on request is no bite");
+            k.closed_by(SOFT_STOP);
             break;
         }
         default:  // a reset of the system
             k.pulse(c.rst);
             k.b.settle();
             k.expect(!c.gate, "the gate survives a reset of the system");
+            k.run(1);
+            k.closed_by(SYSTEM_RESET);
         }
         const int64_t position = c.position;
         k.run(r.below(20));
         k.expect(int64_t(c.position) == position, "the position moved with the gate closed");
         k.recover();
     }
-    CHECK(k.b, k.worst_reset <= 4 && k.worst_pins <= 4, "external reset takes %llu clocks to the gate, %llu to the pins", (unsigned long long)k.worst_reset, (unsigned long long)k.worst_pins);
-    return k.b.pass("%llu bites, timeout + 1 clocks each, %llu ended by grace; %llu external resets, gate in %llu, pins in %llu clocks",
-                    (unsigned long long)k.bites, (unsigned long long)k.grace_cut, (unsigned long long)k.resets, (unsigned long long)k.worst_reset, (unsigned long long)k.worst_pins);
+    CHECK(k.b, k.worst_reset <= 4 && k.worst_pins <= 4, "a stop pin takes %llu clocks to the gate, %llu to the pins", (unsigned long long)k.worst_reset, (unsigned long long)k.worst_pins);
+    return k.b.pass("%llu bites, timeout + 1 clocks each, %llu ended by grace; %llu external resets and %llu e-stops, gate in %llu, pins in %llu clocks",
+                    (unsigned long long)k.bites, (unsigned long long)k.grace_cut, (unsigned long long)k.resets, (unsigned long long)k.estops, (unsigned long long)k.worst_reset, (unsigned long long)k.worst_pins);
 }
