@@ -24,10 +24,6 @@ def main():
     machine = headless.Machine()
     result = {"exit": 0, "text": "the program ran to its end"}
     try:
-        # The fabric's own latch catches the probe too: exact to the step, whatever the servo period saw.
-        subprocess.run(["halcmd", "-s", "setp", "ferrocnc.0.probe-input", "6"], check=True)
-        subprocess.run(["halcmd", "-s", "setp", "ferrocnc.0.probe-enable", "1"], check=False)
-        subprocess.run(["halcmd", "-s", "setp", "ferrocnc.0.stepgen.z.probe-enable", "1"], check=True)
         machine.run()
         if machine.heard:
             raise headless.GiveUp(6, machine.heard[0])
