@@ -96,5 +96,69 @@ module gpio #(
         live     <= gate & (live | commit);
         out_pins <= ((gate & live) ? held : safe) ^ invert;
     end
+
+`ifdef FORMAL  // what gateware/formal proves: the promises, told without the logic above
+    logic [1:0] f_age = 2'd0;
+    always_ff @(posedge clk) f_age <= &f_age ? f_age : f_age + 2'd1;
+
+    // An output is safe unless the gate was open and something has been committed since it opened.
+    logic               f_live = 1'b0, f_driven = 1'b0;
+    logic [OUTPUTS-1:0] f_value, f_safe, f_wanted;
+    always_ff @(posedge clk) begin
+        f_live   <= gate & (f_live | commit);
+        f_driven <= gate & f_live;
+        f_safe   <= safe ^ invert;
+        f_wanted <= f_value ^ invert;
+        if (commit) f_value <= value;
+`ifdef PROVE_outputs_are_safe_unless_committed_since_the_gate_opened
+        if (f_age != 2'd0) assert (out_pins == (f_driven ? f_wanted : f_safe));
+`ifndef BROKEN
+        assert (live == f_live);
+        assert (~live | held == f_value);
+`endif
+`endif
+    end
+
+    // An e-stop needs three clocks and no program; its latch falls only when asked to, and only when released.
+    logic [INPUTS-1:0] f_pins1, f_pins2;
+    logic       [31:0] f_active, f_latched;
+    logic              f_clear;
+    always_ff @(posedge clk) begin
+        f_pins1   <= in_pins;
+        f_pins2   <= f_pins1;
+        f_active  <= (32'(f_pins2) ^ ~ESTOP_LEVEL) & ESTOP_MASK;
+        f_latched <= estop_latched;
+        f_clear   <= clear;
+`ifdef PROVE_an_estop_is_seen_in_three_clocks_and_latched
+        if (&f_age) assert (estop == |f_active);
+        if (&f_age) assert ((f_active & ~estop_latched) == 32'd0);
+        if (&f_age) assert ((f_latched & ~estop_latched & (f_clear ? f_active : 32'hFFFFFFFF)) == 32'd0);
+        assert ((estop_latched & ~ESTOP_MASK) == 32'd0);
+`endif
+    end
+
+    // Any one input: it changes at the visit at which it has differed limit + 1 times in a row, and at no other.
+    (* anyconst *) logic [4:0] f_pin;
+    logic  [4:0] f_turn = 5'd0;
+    logic [15:0] f_limit = 16'd0, f_loaded = 16'd0, f_seen = 16'd0;  // now; when the run began; visits that differed so far
+    logic        f_in = 1'b0;
+    wire         f_differs = raw[f_pin] != in[f_pin];
+    always_ff @(posedge clk) begin
+        f_turn <= f_turn + 5'd1;
+        if (debounce_we & debounce_pin == f_pin) f_limit <= debounce_limit;
+        if (f_turn == f_pin) begin
+            if (f_differs & f_seen == f_loaded) f_in <= ~f_in;
+            f_seen <= (f_differs & f_seen != f_loaded) ? f_seen + 16'd1 : 16'd0;
+            if (~f_differs | f_seen == f_loaded) f_loaded <= f_limit;
+        end
+`ifdef PROVE_an_input_changes_after_limit_plus_one_visits_in_a_row
+        assert (in[f_pin] == f_in);
+`ifndef BROKEN
+        assert (pin == f_turn & limits[f_pin] == f_limit);
+        assert (f_seen <= f_loaded & lefts[f_pin] == f_loaded - f_seen);
+`endif
+`endif
+    end
+`endif
 endmodule
 `default_nettype wire

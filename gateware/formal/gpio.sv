@@ -1,0 +1,13 @@
+// A board with e-stop inputs for the proofs: 0 and 11 trigger high, 31 low. The promises stand beside the logic in gpio.sv.
+`default_nettype none
+module gpio_promises (
+    input wire        clk, gate, commit, debounce_we, clear,
+    input wire [31:0] value, safe, invert, in_pins,
+    input wire  [4:0] debounce_pin,
+    input wire [15:0] debounce_limit
+);
+    logic [31:0] in, raw, estop_latched, out_pins;
+    logic        estop;
+    gpio #(.ESTOP_MASK(32'h80000801), .ESTOP_LEVEL(32'h00000801)) core (.*);
+endmodule
+`default_nettype wire
