@@ -1,7 +1,7 @@
 //! Ties the lib to the hardware: one loop, no interrupts, no heap.
 
 use crate::soc::{self, Mac, Parts, RxFrame, Soc, TxSlot};
-use firmware::console::{self, Ask, Vitals};
+use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
 use firmware::exchange::SlotReply;
 use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
 use firmware::net::{self, Class, Datagram, Lane, Us};
@@ -12,9 +12,7 @@ use smoltcp::time::Instant;
 use smoltcp::wire::{EthernetAddress, HardwareAddress, IpCidr, Ipv4Address};
 use wire::{CONSOLE_PORT, Refusal};
 
-/// Longest answer of a console command, in bytes: sixteen encoders.
-const ANSWER_MAX: usize = 1000;
-/// Room for that and for what the other side has not acknowledged yet.
+/// Room for the longest answer and for what the other side has not acknowledged yet.
 const CONSOLE_TEXT: usize = 2048;
 /// Looks at the MAC between two looks at the clock: some 20 us.
 const POLLS: u32 = 128;

@@ -4,13 +4,15 @@
 //! password and cannot stop a machine. A line too long, control bytes and telnet's option
 //! negotiation are swallowed without a word of damage.
 
-use crate::cores::{Board, LATCH_ENCODER, LATCH_LATCH, LATCH_STEPGEN, Setting};
+use crate::cores::{
+    Board, LATCH_ENCODER, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_STEPGEN, Setting,
+};
 use crate::log;
 use crate::net::Us;
-use crate::server::Server;
+use crate::server::{Server, last_close};
 use crate::text::{Out, Sink};
 use wire::Refusal;
-use wire::exchange::EDGE_TIME_BITS;
+use wire::exchange::{EDGE_TIME_BITS, MAX_CHANNELS};
 use wire::map::{self, BoardConfig, StepgenConfig};
 
 /// Longest line. The longest command with its argument is a quarter of this.
@@ -19,14 +21,19 @@ pub const LINE_MAX: usize = 64;
 /// Greets whoever connects, and asks for the next line.
 pub const PROMPT: &str = "ferrocnc> ";
 
-const HELP: [&str; 9] = [
+/// Longest answer, in bytes: sixteen encoders.
+pub const ANSWER_MAX: usize = 1100;
+
+const HELP: [&str; 11] = [
     "help          this",
     "status        what the machine is doing, and why it stopped",
     "net           frames and refusals by reason",
     "regs [page]   the CSR pages, or the first words of one",
     "stepgen [n]   positions, rates, timings",
-    "encoder [n]   counts",
-    "watchdog      timeout, time left, bites",
+    "encoder [n]   counts, latches, errors, modes",
+    "pwm [n]       periods and modes",
+    "gpio          inputs, e-stop, probe",
+    "watchdog      timeout, time left, what closed the gate",
     "log           where the log stands, and the last obituary",
     "quit          good bye",
 ];
@@ -46,6 +53,10 @@ pub enum Ask {
     Stepgen(Option<u8>),
     /// All encoders, or one.
     Encoder(Option<u8>),
+    /// All PWMs, or one.
+    Pwm(Option<u8>),
+    /// Inputs.
+    Gpio,
     /// The watchdog.
     Watchdog,
     /// Log and last panic.
@@ -78,9 +89,11 @@ impl Ask {
             "regs" => return Ask::Regs(number),
             "stepgen" => return Ask::Stepgen(number),
             "encoder" => return Ask::Encoder(number),
+            "pwm" => return Ask::Pwm(number),
             "help" | "?" => Ask::Help,
             "status" => Ask::Status,
             "net" => Ask::Net,
+            "gpio" => Ask::Gpio,
             "watchdog" => Ask::Watchdog,
             "log" => Ask::Log,
             "quit" | "exit" => Ask::Quit,
@@ -160,6 +173,8 @@ pub fn answer<B: Board>(
         Ask::Regs(page) => regs(page, board, &mut out),
         Ask::Stepgen(only) => stepgen(only, server, board, &mut out),
         Ask::Encoder(only) => encoder(only, server, board, &mut out),
+        Ask::Pwm(only) => pwm(only, server, board, &mut out),
+        Ask::Gpio => gpio(board, &mut out),
         Ask::Watchdog => watchdog(server, board, &mut out),
         Ask::Log => log(server, board, &mut out),
         Ask::Quit => out.text("bye").end(),
@@ -202,7 +217,8 @@ fn status<B: Board>(server: &Server, board: &mut B, vitals: &Vitals, out: &mut O
         .hex(ident.version)
         .end();
     let (used, size) = vitals.stack;
-    out.text("boot     ").hex(server.boot().id).end();
+    out.text("boot     ").hex(server.boot().id);
+    out.text(", ").text(server.boot().reset.text()).end();
     out.text("stack    ")
         .number(used)
         .text(" of ")
@@ -279,6 +295,8 @@ fn stepgen<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut
             .text(" steps, ");
         out.signed(hz as i32).text(" steps/s");
         if only.is_some() {
+            let latch = board.latched(LATCH_LATCH + MAX_CHANNELS + usize::from(n));
+            out.text(", latch ").signed(latch as i32);
             for (name, field) in [
                 ("steplen", StepgenConfig::Steplen),
                 ("stepspace", StepgenConfig::Stepspace),
@@ -303,7 +321,40 @@ fn encoder<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut
         out.number(n.into()).text(": ").signed(count as i32);
         out.text(", latch ").signed(latch as i32);
         out.text(", errors ").number(edge >> EDGE_TIME_BITS);
-        out.text(", edge at 0x").hex(edge << 8 >> 8).end();
+        out.text(", edge at 0x").hex(edge << 8 >> 8);
+        if only.is_some() {
+            out.text("\r\n    mode 0x")
+                .hex(board.setting(Setting::EncoderMode(n)));
+            out.text(", filter ")
+                .number(board.setting(Setting::EncoderFilter(n)))
+                .text(" clocks");
+        }
+        out.end();
+    }
+}
+
+fn pwm<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut Out) {
+    for n in chosen(only, server.ident().channels.pwms) {
+        out.number(n.into()).text(": period ");
+        out.number(board.setting(Setting::PwmPeriod(n)));
+        out.text(" clocks, mode 0x");
+        out.hex(board.setting(Setting::PwmMode(n))).end();
+    }
+}
+
+fn gpio<B: Board>(board: &mut B, out: &mut Out) {
+    out.text("inputs 0x").hex(board.latched(LATCH_INPUTS));
+    out.text(", e-stop latched 0x")
+        .hex(board.latched(LATCH_ESTOP))
+        .end();
+    let probe = board.setting(Setting::Board(BoardConfig::Probe));
+    out.text("probe ");
+    if probe & map::PROBE_ENABLE == 0 {
+        out.text("none").end();
+    } else {
+        out.text("input ").number(probe & map::PROBE_INPUT_MASK);
+        out.either(probe & map::PROBE_INVERT != 0, ", active low", "")
+            .end();
     }
 }
 
@@ -317,6 +368,12 @@ fn watchdog<B: Board>(server: &Server, board: &mut B, out: &mut Out) {
     out.text("external reset ")
         .either(gate.reset_pin(), "high", "low");
     out.either(gate.reset(), ", latched", "").end();
+    out.text("e-stop ")
+        .either(gate.estop_pin(), "active", "idle");
+    out.either(gate.estop(), ", latched", "").end();
+    out.text("gate closed last: ")
+        .text(last_close(board).text())
+        .end();
     out.text("timeout ")
         .number(timeout / per_us)
         .text(" us, left ");
@@ -353,6 +410,7 @@ fn log<B: Board>(server: &Server, board: &mut B, out: &mut Out) {
 mod tests {
     use super::*;
     use crate::fake::Rig;
+    use wire::describe::Channels;
 
     const US: Us = Us {
         mac: [0; 6],
@@ -442,6 +500,10 @@ mod tests {
             "stepgen 5",
             "stepgen 6",
             "encoder",
+            "encoder 5",
+            "pwm",
+            "pwm 7",
+            "gpio",
             "watchdog",
             "log",
             "quit",
@@ -467,6 +529,65 @@ mod tests {
         assert!(said("net").contains("refused 0"));
         assert_eq!(said("stepgen").lines().count(), 6);
         assert_eq!(said("stepgen 6"), "");
+        assert!(said("stepgen 5").contains(", latch 4205"));
+        assert!(said("status").contains(", reboot requested"));
+        assert!(said("watchdog").contains("e-stop idle\r\ngate closed last: never opened"));
+        assert!(said("gpio").contains("inputs 0x00001002, e-stop latched 0x00001006"));
+        assert_eq!(said("pwm").lines().count(), 6);
         assert!(said("rm -rf").contains("try help"));
+    }
+
+    #[test]
+    fn the_probe_is_told_by_its_input() {
+        let mut rig = Rig::new();
+        let probe = Setting::Board(BoardConfig::Probe);
+        for (value, text) in [
+            (5, "probe none\r\n"),
+            (map::PROBE_ENABLE | 5, "probe input 5\r\n"),
+            (
+                map::PROBE_ENABLE | map::PROBE_INVERT | 5,
+                "probe input 5, active low\r\n",
+            ),
+        ] {
+            rig.board.set(probe, value);
+            let mut out = String::new();
+            gpio(&mut rig.board, &mut Out(&mut out));
+            assert!(out.ends_with(text), "{out}");
+        }
+    }
+
+    #[test]
+    fn the_longest_answer_of_the_largest_board_is_not_cut_off() {
+        let mut rig = Rig::new();
+        let mut ident = *rig.server.ident();
+        ident.channels = Channels {
+            stepgens: 16,
+            encoders: 16,
+            pwms: 16,
+            inputs: 32,
+            outputs: 32,
+        };
+        rig.server = Server::new(ident, 0, rig.server.boot());
+        rig.board.latched.fill(0x8000_0001);
+        for line in [
+            "help",
+            "status",
+            "net",
+            "regs",
+            "regs 14",
+            "stepgen",
+            "stepgen 0",
+            "encoder",
+            "pwm",
+            "gpio",
+            "watchdog",
+            "log",
+        ] {
+            let mut out = String::new();
+            let ask = Ask::parse(line);
+            let vitals = Vitals::default();
+            answer(ask, &rig.server, &mut rig.board, &US, &vitals, &mut out);
+            assert!(out.len() <= ANSWER_MAX, "{line}: {} bytes", out.len());
+        }
     }
 }

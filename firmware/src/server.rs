@@ -523,7 +523,7 @@ impl Server {
 }
 
 /// Why the gate closed last; a gateware that says what nobody knows was built from another map.
-fn last_close(board: &mut impl Board) -> GateClose {
+pub(crate) fn last_close(board: &mut impl Board) -> GateClose {
     GateClose::from_code(board.last_close() as u8).unwrap_or(GateClose::SystemReset)
 }
 
