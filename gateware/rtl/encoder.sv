@@ -40,10 +40,10 @@ module encoder #(
     (* keep *) logic a_sync = 1'b1, b_sync = 1'b0, i_sync = 1'b0, m_sync = 1'b0;
 
     wire [1:0] level;
-    wire       known, index_seen;
+    wire       known, index_seen, index_known;
     wire       index_in = (i_sync ^ mode[4]) & ((m_sync ^ mode[6]) | ~mode[5]);
     debounce #(.LINES(2), .WIDTH(FILTER)) shaft (.clk(clk), .lines({a_sync, b_sync}), .filter(filter), .level(level), .known(known));
-    debounce #(.LINES(1), .WIDTH(FILTER)) mark (.clk(clk), .lines(index_in), .filter(filter), .level(index_seen), .known());
+    debounce #(.LINES(1), .WIDTH(FILTER)) mark (.clk(clk), .lines(index_in), .filter(filter), .level(index_seen), .known(index_known));
 
     logic a_was = 1'b0, b_was = 1'b0, live = 1'b0;
     wire  a_now = level[1], b_now = level[0];
@@ -85,6 +85,6 @@ module encoder #(
 
     initial delta = 5'd0;
     initial index_level = 1'b0;
-    wire unused = &{1'b0, mode[7], mode[3]};
+    wire unused = &{1'b0, mode[7], mode[3], index_known};
 endmodule
 `default_nettype wire

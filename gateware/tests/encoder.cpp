@@ -1,4 +1,5 @@
-// The encoder against a shaft: a quadrature source that bounces, glitches, reverses and passes its index.
+// The encoder against a shaft and against pulse trains: every mode, edges as close as the filter allows, glitches one clock too
+// short, lines that change together, an index with mask and polarity, and pins that know nothing of the clock.
 #include "Vencoder.h"
 #include "bench.h"
 
@@ -7,87 +8,171 @@ int main(int argc, char **argv) {
     Random &r = b.random;
     auto &c = *b.core;
     static const int gray[4] = {0, 1, 3, 2};  // bit 0 is A: A leads counts up
-    uint32_t now = 0xFFFFF000;                // the wall clock's low word wraps early
-    int64_t position = 0;
-    uint64_t edges = 0, indices = 0, glitches = 0, illegal = 0;
-    uint32_t last_count = 0, last_time = 0;
+    int64_t total = 0;                        // as the tally keeps it
+    uint64_t moves = 0, illegal = 0, edges = 0, glitches = 0, indices = 0, lies = 0;
+    const unsigned phase = r.below(16);
 
+    auto small = [](unsigned v) { return int(v) - (v & 16 ? 32 : 0); };
+    auto count = [&] { return total + small(c.delta); };
     auto clock = [&] {
-        c.now = now;
+        c.visit = b.clocks % 16 == phase;
+        b.settle();
+        const int before = small(c.delta);
+        const bool moved = c.moved, visit = c.visit;
+        illegal += c.illegal, moves += moved;
+        CHECK(b, !(c.moved && c.illegal), "a guess at an illegal transition");
+        if (visit) total += before;
         b.edge();
-        if (c.count != last_count) {
-            CHECK(b, c.edge_time == now, "edge time %08x, expected %08x", c.edge_time, now);
-            last_time = now, last_count = c.count;
-        } else CHECK(b, c.edge_time == last_time, "edge time moved without an edge");
-        now++;
+        const int change = small(c.delta) - (visit ? 0 : before);
+        CHECK(b, change == 0 ? !moved : moved && (change == 1 || change == -1), "moved %d, but delta changes by %d", moved, change);
+        CHECK(b, small(c.delta) <= 9 && small(c.delta) >= -9, "delta %d", small(c.delta));
     };
-    auto put = [&](int state, bool index) { c.a = gray[state & 3] & 1, c.b = gray[state & 3] >> 1, c.index = index; };
     auto wait = [&](uint64_t n) { while (n--) clock(); };
+    auto put = [&](int state) { c.a = state & 1, c.b = state >> 1 & 1; };
 
-    c.arm = 0, c.filter = 0;
-    put(0, false);
-    wait(20);
-    CHECK(b, c.count == 0 && c.errors == 0, "counts at rest");
+    // Power-up with the pins anywhere: a level is not an edge.
+    const int rest = r.below(4);
+    put(rest);
+    c.index = c.mask = 0, c.mode = 0, c.filter = r.one_in(2) ? 0 : r.below(256);
+    wait(300);
+    CHECK(b, count() == 0 && moves == 0 && illegal == 0, "counts at power-up");
 
-    for (unsigned round = 0; round < 3000; round++) {
-        c.filter = r.one_in(4) ? 0 : r.one_in(8) ? 255 : r.below(32);
-        const unsigned settled = c.filter + 6;  // two flip-flops, the filter, the counter, and one to spare
-        wait(settled);
-        for (unsigned move = 0; move < 60; move++) {
-            const int direction = r.one_in(2) ? 1 : -1;
-            for (uint64_t steps = r.below(12); steps; steps--) {
-                position += direction;
-                edges++;
-                put(position, false);
-                wait(c.filter + 1);  // the shortest a level may last and still count
+    int state = rest;  // of the pins: bit 0 A, bit 1 B
+    for (unsigned round = 0; round < 4000; round++) {
+        const unsigned mode = r.below(8), filter = r.one_in(3) ? 0 : r.one_in(20) ? 255 : r.below(32), settled = filter + 8;
+        const bool index_invert = r.one_in(2), masked = r.one_in(2), mask_invert = r.one_in(2);
+        // The mode changes B as a counter sees it, and a wider filter has to be counted up to.
+        c.filter = filter, c.mode = mode | index_invert << 4 | masked << 5 | mask_invert << 6 | r.below(2) << 7 | r.below(2) << 3;
+        c.index = index_invert, c.mask = !mask_invert;
+        wait(300 + settled);
+        int64_t expected = count();
+        uint64_t wrong = illegal;
+
+        auto model = [&](int to) {  // what a believed change from `state` to `to` counts
+            const bool a = to & 1, bb = to >> 1, a_was = state & 1, b_was = state >> 1, a_edge = a != a_was, b_edge = bb != b_was;
+            if (mode < 3) {
+                if (a_edge && b_edge) return wrong++, 0;
+                const int direction = a != b_was ? 1 : -1;
+                if (mode == 0) return a_edge || b_edge ? direction : 0;
+                if (mode == 1) return a_edge ? direction : 0;
+                return a_edge && !bb ? direction : 0;
             }
-            if (c.filter && r.one_in(3)) {  // a glitch one clock too short, on any line
+            const int rise_a = a && !a_was, rise_b = bb && !b_was;
+            if (mode == 3) return rise_a;
+            if (mode == 5 || mode == 7) return rise_a - rise_b;
+            return rise_a ? bb ? -1 : 1 : 0;
+        };
+        auto go = [&](int to) {
+            expected += model(to), edges++;
+            state = to;
+            put(to);
+        };
+
+        const bool quadrature = mode < 3;
+        int at = 0;
+        while (gray[at] != state) at++;
+        for (unsigned move = 0; move < 12; move++) {
+            const int direction = r.one_in(2) ? 1 : -1;
+            for (uint64_t steps = r.below(20); steps; steps--) {
+                if (quadrature) at += direction, go(gray[at & 3]);
+                else go(r.below(4));
+                wait(filter + 2 + (r.one_in(4) ? r.below(5) : 0));  // the shortest a pair may last and still count
+            }
+            if (r.one_in(3)) {  // one clock too short, on any lines
                 wait(settled);
-                const int line = r.below(3);
-                const uint32_t before = c.count, moved = c.edge_time;
-                const uint16_t errors = c.errors;
-                (line == 0 ? c.a : line == 1 ? c.b : c.index) ^= 1;
-                wait(c.filter);
-                (line == 0 ? c.a : line == 1 ? c.b : c.index) ^= 1;
-                wait(settled);
-                CHECK(b, c.count == before && c.edge_time == moved && c.errors == errors, "a glitch of %u clocks counted through a filter of %u", c.filter, c.filter);
+                const uint64_t before = moves, errors = illegal;
+                const int lines = 1 + r.below(15);
+                // A counter's B may do as it pleases.
+                auto flip = [&] { c.a ^= lines & 1, c.b ^= lines >> 1 & 1, c.index ^= lines >> 2 & 1, c.mask ^= lines >> 3 & 1; };
+                flip(), wait(filter + 1), flip();
+                for (unsigned n = 0; n < settled; n++) {
+                    clock();
+                    CHECK(b, !c.index_level, "a glitch of %u clocks is an index", filter + 1);
+                }
+                CHECK(b, moves == before && illegal == errors, "a glitch of %u clocks counted through a filter of %u", filter + 1, filter);
                 glitches++;
             }
+            if (quadrature && r.one_in(6)) {  // both lines at once: told, not counted
+                wait(settled);
+                at += 2, go(gray[at & 3]);
+                wait(filter + 2);
+                lies++;
+            }
         }
         wait(settled);
-        CHECK(b, int32_t(c.count) == int32_t(position), "count %d, the shaft is at %lld", int32_t(c.count), (long long)position);
+        CHECK(b, count() == expected, "mode %u, filter %u: count %lld, expected %lld", mode, filter, (long long)count(), (long long)expected);
+        CHECK(b, illegal == wrong, "mode %u: %llu illegal, expected %llu", mode, (unsigned long long)illegal, (unsigned long long)wrong);
 
-        // The index: armed latches once, unarmed never.
-        const bool armed = r.one_in(2);
-        c.arm = armed;
-        wait(2);
-        const uint32_t latch_before = c.latch;
-        put(position, true);
-        wait(settled);
-        CHECK(b, c.latched == armed, "latched %d, armed %d", c.latched, armed);
-        CHECK(b, int32_t(c.latch) == int32_t(armed ? position : latch_before), "latched %d", int32_t(c.latch));
-        put(position, false);
-        wait(settled);
-        put(++position, true);
-        wait(settled);
-        CHECK(b, !armed || int32_t(c.latch) == int32_t(position - 1), "a second index moved the latch");
-        put(position, false);
-        c.arm = 0;
-        wait(settled);
-        CHECK(b, !c.latched, "the flag outlives its arm bit");
-        indices += armed;
-
-        if (r.one_in(4)) {  // both lines at once: counted as an error, not as a move
-            const uint16_t before = c.errors;
-            put(position + 2, false);
+        // A counter whose B chatters at every clock.
+        if (mode == 3) {
+            for (unsigned n = 0; n < 5; n++) {
+                c.a = 0;
+                for (unsigned k = 0; k < filter + 3; k++) c.b ^= 1, clock();
+                expected += 1, c.a = 1;
+                for (unsigned k = 0; k < filter + 3; k++) c.b ^= 1, clock();
+            }
             wait(settled);
-            CHECK(b, uint16_t(c.errors - before) == 1 && int32_t(c.count) == int32_t(position), "an illegal transition moved the count");
-            put(position, false);
-            wait(settled);
-            illegal += 2;
-            CHECK(b, c.errors == uint16_t(illegal), "errors %u, expected %u", c.errors, unsigned(uint16_t(illegal)));
+            CHECK(b, count() == expected, "a counter hears its B");
+            state |= 1;
         }
+
+        // The index, as its polarity and mask say, rises with the count of the edge it came with.
+        CHECK(b, !c.index_level, "an index out of nothing");
+        const bool allowed = !masked || r.one_in(2);
+        c.mask = masked ? allowed != mask_invert : r.below(2);
+        wait(settled);
+        expected = count();
+        at = 0;
+        while (gray[at] != state) at++;
+        const int direction = r.one_in(2) ? 1 : -1;
+        if (quadrature) at += direction, go(gray[at & 3]);
+        c.index = !index_invert;
+        bool rose = false;
+        for (unsigned n = 0; n < settled; n++) {
+            const bool was = c.index_level;
+            clock();
+            if (c.index_level && !was) {
+                CHECK(b, count() == expected, "at the index the count is %lld, expected %lld", (long long)count(), (long long)expected);
+                rose = true;
+            }
+        }
+        CHECK(b, rose == allowed && c.index_level == allowed, "index level %d, mask %d", c.index_level, allowed);
+        if (masked && allowed) {  // the mask takes it away again
+            c.mask ^= 1;
+            wait(settled);
+            CHECK(b, !c.index_level, "an index through the mask");
+        }
+        c.index = index_invert;
+        wait(settled);
+        CHECK(b, !c.index_level, "the index stays");
+        indices += rose;
     }
-    return b.pass("%llu edges, %llu indices, %llu glitches, %llu illegal", (unsigned long long)edges, (unsigned long long)indices,
-                  (unsigned long long)glitches, (unsigned long long)illegal);
+
+    // A shaft that knows nothing of the clock: transitions filter + 3 clocks apart in real time, each pin seen up to a clock late.
+    uint64_t free_edges = 0;
+    for (unsigned round = 0; round < 300; round++) {
+        const unsigned filter = r.one_in(2) ? 0 : r.below(20);
+        const double period = filter + 3 + (r.one_in(2) ? 0 : r.below(1000) / 200.0);
+        c.mode = 0, c.filter = filter;
+        wait(300);
+        int at = 0;
+        while (gray[at] != state) at++;
+        int64_t expected = count();
+        const uint64_t before = illegal;
+        double due = double(b.clocks) + 1 + r.below(1000) / 1000.0;
+        int direction = 1;
+        for (unsigned step = 0; step < 400; step++) {
+            if (r.one_in(50)) direction = -direction;
+            const double seen = due + r.below(1000) / 1000.0;  // the flip-flop that wavers
+            while (double(b.clocks) < seen) clock();
+            at += direction, expected += direction, state = gray[at & 3], free_edges++;
+            put(state);
+            due += period;
+        }
+        wait(filter + 8);
+        CHECK(b, count() == expected && illegal == before, "at f_clk / %.3f, filter %u: count %lld, expected %lld, %llu illegal", period, filter,
+              (long long)count(), (long long)expected, (unsigned long long)(illegal - before));
+    }
+    return b.pass("%llu edges, %llu glitches, %llu illegal, %llu indices, %llu asynchronous edges", (unsigned long long)edges, (unsigned long long)glitches,
+                  (unsigned long long)lies, (unsigned long long)indices, (unsigned long long)free_edges);
 }
