@@ -1,31 +1,126 @@
-// The stepgen at its pins: four timings, one pulse per step of position, the ramp to the last bit.
+// The stepgen at its pins, in its three kinds: the timings, one pulse per step of position, the ramp to the last bit.
 //
-// The checker sees STEP and DIR as a drive does and keeps its own clocks. It knows the ramp only as
-// `velocity += clamp(target - velocity, -accel, +accel)`.
+// Two watchers stand beside the core. The drive sees the pins only, decodes the pulses as a motor's drive does and keeps
+// its own clocks. The ghost says when a pulse may start at the earliest, and expects it then: the core may be neither
+// hasty nor slow. It knows the ramp only as `velocity += clamp(target - velocity, -accel, +accel)`. The bench plays the
+// tally: it comes by every 16 clocks, or sooner, and adds `delta` up.
+#include <algorithm>
+
 #include "Vstepgen.h"
 #include "bench.h"
 
 using B = Bench<Vstepgen>;
+static constexpr uint64_t LONG_AGO = 1u << 30;
 
 struct Settings {
-    uint32_t steplen, stepspace, dirsetup, dirhold, stop_accel;
-    bool step_invert, dir_invert;
+    uint32_t steplen = 1, stepspace = 1, dirsetup = 0, dirhold = 0, stop_accel = 0;
+    bool step_invert = false, dir_invert = false;
+    unsigned kind = 0;
+};
+
+// What a drive sees. `one` and `two` are the pins without their inversion.
+struct Drive {
+    B &b;
+    bool one = false, two = false;
+    uint64_t high = 0, low = LONG_AGO, since_dir = LONG_AGO, since_edge = LONG_AGO;
+    int last = 0;           // direction of the last pulse, 0: none yet
+    bool changed = false;   // direction changed since that pulse
+    int64_t counted = 0;
+    uint64_t pulses = 0, reversals = 0;
+
+    explicit Drive(B &b) : b(b) {}
+
+    // The drive is off while settings change: it forgets levels, and what it waited for is long ago.
+    void reset(bool one_, bool two_) {
+        one = one_, two = two_;
+        low = since_dir = since_edge = LONG_AGO;
+        last = 0;
+    }
+
+    void pulse(int sign) {
+        pulses++, counted += sign;
+        reversals += last == -sign;
+        last = sign;
+    }
+
+    // After every clock; `gate` as it was at the edge.
+    void clock(const Settings &s, bool gate, bool one_now, bool two_now) {
+        const uint64_t steplen = std::max(1u, s.steplen), stepspace = std::max(1u, s.stepspace);
+        const uint64_t turning = uint64_t(std::max(1u, s.dirhold)) + std::max(1u, s.dirsetup);
+        if (s.kind == 2) {
+            if (one_now != one || two_now != two) {
+                CHECK(b, (one_now != one) != (two_now != two), "both quadrature lines changed at once");
+                CHECK(b, gate, "a quadrature line changed with the gate closed");
+                const int sign = (one_now != one) == (one == two) ? 1 : -1;  // A leads B: forwards
+                CHECK(b, since_edge >= steplen + stepspace, "quadrature edges %llu apart, not %llu", (unsigned long long)since_edge, (unsigned long long)(steplen + stepspace));
+                CHECK(b, sign != -last || since_edge >= steplen + turning, "reversal after %llu of %llu", (unsigned long long)since_edge, (unsigned long long)(steplen + turning));
+                pulse(sign);
+                since_edge = 0;
+            }
+            since_edge++;
+        } else if (s.kind == 1) {
+            CHECK(b, !(one_now && two_now), "up and down at once");
+            const bool was = one || two, is = one_now || two_now;
+            CHECK(b, !was || !is || one == one_now, "the pulse changed lines");
+            if (is && !was) {
+                const int sign = one_now ? 1 : -1;
+                CHECK(b, low >= stepspace, "stepspace %llu of %llu", (unsigned long long)low, (unsigned long long)stepspace);
+                CHECK(b, sign != -last || low >= turning, "reversal after %llu of %llu", (unsigned long long)low, (unsigned long long)turning);
+                pulse(sign);
+            }
+            level(s, gate, was, is);
+        } else {
+            if (two_now != two) {
+                CHECK(b, gate, "DIR moved with the gate closed");
+                CHECK(b, !one && !one_now, "DIR moved during a pulse");
+                CHECK(b, low >= std::max(1u, s.dirhold) || changed, "dirhold %llu of %u", (unsigned long long)low, s.dirhold);
+                since_dir = 0;
+                changed = true;
+            }
+            if (one_now && !one) {
+                CHECK(b, low >= stepspace, "stepspace %llu of %llu", (unsigned long long)low, (unsigned long long)stepspace);
+                CHECK(b, since_dir >= std::max(1u, s.dirsetup), "dirsetup %llu of %u", (unsigned long long)since_dir, s.dirsetup);
+                pulse(two_now ? -1 : 1);
+                changed = false;
+            }
+            level(s, gate, one, one_now);
+            since_dir++;
+        }
+        one = one_now, two = two_now;
+    }
+
+    void level(const Settings &s, bool gate, bool was, bool is) {
+        if (is && !was) {
+            CHECK(b, gate, "a pulse rose with the gate closed");
+            high = 0;
+        }
+        if (was && !is) {
+            CHECK(b, high >= std::max(1u, s.steplen) || !gate, "steplen %llu of %u", (unsigned long long)high, s.steplen);
+            low = 0;
+        }
+        CHECK(b, gate || !is, "a pulse with the gate closed");
+        high += is, low += !is;
+    }
 };
 
 struct Checker {
     B &b;
-    Settings s{1, 1, 0, 0, 0, false, false};
+    Settings s;
+    Drive drive{b};
     // The ramp, as documented.
     int64_t velocity = 0;  // s32.24
     int64_t target = 0;
     uint32_t limit = 0;
     bool halted = true, fresh = false;
-    // The pins, as a drive sees them. Far in the past: nothing restricts the first edge.
-    bool step = false, dir = false;
-    uint64_t high = 0, low = 1u << 30, since_dir = 1u << 30;
-    int64_t position = 1ll << 31, emitted = 0;
-    uint64_t pulses = 0, reversals = 0, waits = 0, waiting = 0, halting = 0;
-    bool cut = false;
+    // The ghost.
+    bool pulse = false, reverse = false, a = false, bb = false;
+    uint64_t high = 0, low = LONG_AGO, since_dir = LONG_AGO;
+    int64_t position = 1ll << 31;
+    uint64_t waits = 0, waiting = 0, halting = 0, quiet = 0;
+    // The tally.
+    int32_t total = 0;
+    unsigned since_visit = 0;
+    int least = 0, most = 0;
 
     explicit Checker(B &b) : b(b) {}
 
@@ -36,20 +131,30 @@ struct Checker {
         return velocity + int64_t(d);
     }
 
+    static int delta(const Vstepgen &c) { return c.delta & 16 ? int(c.delta) - 32 : c.delta; }
+
     void clock() {
         auto &c = *b.core;
+        since_visit++;
+        c.visit = since_visit >= 16 || b.random.one_in(64);
         b.settle();
+        const uint64_t steplen = std::max(1u, s.steplen), stepspace = std::max(1u, s.stepspace);
+        const uint64_t dirsetup = std::max(1u, s.dirsetup), dirhold = std::max(1u, s.dirhold);
         const bool gate = c.gate, halt = c.stop || !gate, take = c.commit && !halt;
         const int64_t v = velocity >> 24;
         CHECK(b, int32_t(c.velocity_now) == int32_t(v), "velocity is %d, the ramp says %lld", int32_t(c.velocity_now), (long long)v);
-        const bool waited = c.waits;
-        // A pulse may start if the drive has had its times; the core may not be slower than that either.
-        const bool allowed = !step && low >= s.stepspace && since_dir >= s.dirsetup && dir == (v < 0);
-        const bool turn = gate && !step && low >= s.dirhold && ((v < 0 && !dir) || (v > 0 && dir));
+        const bool allowed = !pulse && low >= stepspace && since_dir >= dirsetup && reverse == (v < 0);
+        const bool turn = gate && !pulse && low >= dirhold && ((v < 0 && !reverse) || (v > 0 && reverse));
         const int64_t next = int64_t(uint64_t(position) + uint64_t(v));
         const bool due = (next >> 32) != (position >> 32);
+        const bool waited = c.waits;
         CHECK(b, waited == (gate && due && !allowed), "a pulse %s; due %d, allowed %d, low %llu of %u, since dir %llu of %u",
               waited ? "waits without reason" : "does not wait", due, allowed, (unsigned long long)low, s.stepspace, (unsigned long long)since_dir, s.dirsetup);
+        if (c.visit) {
+            total = int32_t(uint32_t(total) + uint32_t(delta(c)));
+            least = std::min(least, delta(c)), most = std::max(most, delta(c));
+            since_visit = 0;
+        }
 
         // The ramp.
         const bool pause = take || fresh || (halt && !halted);
@@ -60,158 +165,249 @@ struct Checker {
         else if (take) target = c.enable ? int32_t(c.velocity) : 0, limit = c.enable ? c.accel : s.stop_accel;
         velocity = velocity_next;
 
+        // The ghost.
+        const bool start = gate && due && allowed;
+        const bool end = pulse && (high >= steplen || (!gate && s.kind != 2));
+        if (start) (a == bb) != reverse ? a = !a : bb = !bb;
+        if (turn) reverse = !reverse, since_dir = 0;
+        if (start) pulse = true, high = 0;
+        if (end) pulse = false, low = 0;
+        high += pulse, low += !pulse, since_dir++;
+
         b.edge();
 
-        // The pins after the edge.
-        const bool step_now = c.step ^ s.step_invert, dir_now = c.dir ^ s.dir_invert;
-        if (dir_now != dir) {
-            CHECK(b, turn, "DIR moved without need or too early: STEP %d, low for %llu of %u", step, (unsigned long long)low, s.dirhold);
-            CHECK(b, !step_now, "DIR moved together with STEP");
-            since_dir = 0;
-            reversals++;
-        } else CHECK(b, !turn, "DIR did not move promptly");
-        if (step_now && !step) {
-            CHECK(b, gate, "STEP rose with the gate closed");
-            CHECK(b, low >= s.stepspace, "stepspace %llu of %u", (unsigned long long)low, s.stepspace);
-            CHECK(b, since_dir >= s.dirsetup, "dirsetup %llu of %u", (unsigned long long)since_dir, s.dirsetup);
-            pulses++;
-            emitted += dir_now ? -1 : 1;
-            high = 0;
-        }
-        if (!step_now && step) {
-            CHECK(b, high >= s.steplen || !gate, "steplen %llu of %u", (unsigned long long)high, s.steplen);
-            low = 0;
-        }
-        if (step_now && step) CHECK(b, high < s.steplen, "STEP longer than steplen %u", s.steplen);
-        if (!gate) CHECK(b, !step_now, "STEP active with the gate closed");
-        step = step_now, dir = dir_now;
-        high += step, low += !step, since_dir++;
+        const bool one = c.step ^ s.step_invert, two = c.dir ^ s.dir_invert;
+        drive.clock(s, gate, one, two);
+        const bool one_due = s.kind == 2 ? a : s.kind == 1 ? pulse && !reverse : pulse;
+        const bool two_due = s.kind == 2 ? bb : s.kind == 1 ? pulse && reverse : reverse;
+        CHECK(b, one == one_due && two == two_due, "kind %u: STEP %d DIR %d, promptly would be %d %d", s.kind, one, two, one_due, two_due);
 
-        // Position: what was emitted, and in between exactly the sum of the velocities.
-        const int64_t now = int64_t(c.position);
-        CHECK(b, int32_t(now >> 32) == int32_t(emitted), "position says %d pulses, the pins had %lld", int32_t(now >> 32), (long long)emitted);
-        CHECK(b, now == (!gate || waited ? position : next), "position %016llx, expected %016llx", (long long)now, (long long)(waited ? position : next));
+        // Position: what the drive counted, and in between exactly the sum of the velocities.
+        const int32_t pulses = int32_t(uint32_t(total) + uint32_t(delta(c)));
+        const int64_t now = int64_t(uint64_t(uint32_t(pulses)) << 32 | c.fraction);
+        CHECK(b, pulses == int32_t(drive.counted), "position says %d pulses, the pins had %lld", pulses, (long long)drive.counted);
+        CHECK(b, now == (!gate || waited ? position : next), "position %016llx, expected %016llx", (long long)now, (long long)(!gate || waited ? position : next));
         position = now;
         waits += waited;
         waiting = waited ? waiting + 1 : 0;
-        CHECK(b, waiting <= uint64_t(s.steplen) + s.stepspace + s.dirsetup + s.dirhold + 4 || reversals, "a pulse never comes");
+        CHECK(b, waiting <= steplen + stepspace + dirsetup + dirhold + 4, "a pulse never comes");
 
         halting = halt && gate ? halting + 1 : 0;
-        if (c.stopped) CHECK(b, halt && velocity == 0 && !step, "stopped, but velocity %lld, STEP %d", (long long)velocity, step);
-        const bool rests = halting > 4 && velocity == 0 && !step;
+        if (c.stopped) CHECK(b, halt && velocity == 0 && !pulse, "stopped, but velocity %lld, pulse %d", (long long)velocity, pulse);
+        const bool rests = halting > 4 && velocity == 0 && !pulse;
         quiet = rests ? quiet + 1 : 0;
         CHECK(b, quiet < 3 || c.stopped, "at rest but not stopped");
     }
-    uint64_t quiet = 0;
+
+    void clocks(uint64_t n) {
+        while (n--) clock();
+    }
+
+    void commit(int32_t velocity, uint32_t accel, bool enable = true) {
+        auto &c = *b.core;
+        c.commit = 1, c.enable = enable, c.velocity = uint32_t(velocity), c.accel = accel;
+        clock();
+        c.commit = 0;
+    }
+
+    // Close the gate, let the old times pass, change the settings, open it again.
+    void reconfigure(const Settings &to) {
+        auto &c = *b.core;
+        c.gate = 0, c.commit = 0;
+        clocks(s.steplen + s.stepspace + s.dirhold + s.dirsetup + 4);
+        c.steplen = to.steplen, c.stepspace = to.stepspace, c.dirsetup = to.dirsetup, c.dirhold = to.dirhold;
+        c.stop_accel = to.stop_accel, c.step_invert = to.step_invert, c.dir_invert = to.dir_invert, c.kind = to.kind;
+        s = to;
+        c.visit = 0;
+        b.edge();
+        since_visit++;
+        drive.reset(c.step ^ s.step_invert, c.dir ^ s.dir_invert);
+        low = since_dir = LONG_AGO;
+        CHECK(b, (s.kind == 2 || !drive.one) && (s.kind != 1 || !drive.two), "a pin is not at its inactive level behind a closed gate");
+        c.stop = 0;
+        clock();
+        c.gate = 1;
+    }
 };
 
 static int32_t any_velocity(Random &r) {
-    static const int32_t edges[] = {0, 1, -1, INT32_MAX, -INT32_MAX, 2, -2, 1 << 30, -(1 << 30), 0x55555555, -0x55555555};
+    static const int32_t edges[] = {0, 1, -1, INT32_MAX, -INT32_MAX, INT32_MIN, 2, -2, 1 << 30, -(1 << 30), 0x55555555, -0x55555555};
     if (r.one_in(3)) return edges[r.below(sizeof edges / sizeof *edges)];
-    const int32_t v = int32_t(r.up_to_bits(r.one_in(4) ? 31 : 31));
+    const int32_t v = int32_t(r.up_to_bits(31));
     return r.one_in(2) ? v : -v;
 }
 
-static uint32_t fast_velocity(Random &r) { return 0x7FFFFFFF >> r.below(6); }
+static int32_t fast_velocity(Random &r) { return 0x7FFFFFFF >> r.below(6); }
 
-static Settings any_settings(Random &r) {
+static Settings any_settings(Random &r, unsigned round) {
     const unsigned bits = r.one_in(3) ? 1 : r.one_in(2) ? 4 : r.one_in(20) ? 12 : 7;
-    const uint32_t len = r.up_to_bits(bits), space = r.up_to_bits(bits);
-    return {len, space, uint32_t(r.up_to_bits(bits + 1)), uint32_t(r.up_to_bits(bits + 1)),
-            r.one_in(4) ? 0 : uint32_t(r.up_to_bits(32)), r.one_in(2), r.one_in(2)};
+    Settings s;
+    s.steplen = r.up_to_bits(bits), s.stepspace = r.up_to_bits(bits);
+    s.dirsetup = r.up_to_bits(bits + 1), s.dirhold = r.up_to_bits(bits + 1);
+    s.stop_accel = r.one_in(4) ? 0 : uint32_t(r.up_to_bits(32));
+    s.step_invert = r.one_in(2), s.dir_invert = r.one_in(2);
+    s.kind = round % 4;
+    return s;
 }
 
-static void apply(Checker &k, const Settings &s) {
+static void random_rounds(Checker &k, uint64_t wanted) {
+    Random &r = k.b.random;
     auto &c = *k.b.core;
-    k.s = s;
-    c.steplen = s.steplen, c.stepspace = s.stepspace, c.dirsetup = s.dirsetup, c.dirhold = s.dirhold;
-    c.stop_accel = s.stop_accel, c.step_invert = s.step_invert, c.dir_invert = s.dir_invert;
-    // 0 is read as 1: with that the checker's ">=" says exactly what the pins do.
-    k.s.steplen += !s.steplen, k.s.stepspace += !s.stepspace;
-}
-
-// Close the gate, let the old times pass, change the settings, open it again.
-static void reconfigure(Checker &k, const Settings &s) {
-    auto &c = *k.b.core;
-    const Settings old = k.s;
-    c.gate = 0, c.commit = 0;
-    k.clock();
-    for (uint32_t i = 0; i < old.stepspace + old.dirhold + old.dirsetup + 2; i++) k.clock();
-    // Turning a pin over is no edge to a drive that is off: forget the level, keep the times.
-    apply(k, s);
-    k.b.edge();
-    k.low = k.since_dir = 1u << 30;
-    c.stop = 0;
-    k.clock();
-    c.gate = 1;
-}
-
-int main(int argc, char **argv) {
-    B b("stepgen", argc, argv);
-    Random &r = b.random;
-    Checker k(b);
-    auto &c = *b.core;
-    c.gate = c.stop = c.commit = c.enable = 0;
-    apply(k, k.s);
-    const uint64_t wanted = argc > 2 ? strtoull(argv[2], nullptr, 0) : 2000000;
-
-    for (unsigned round = 0; k.pulses < wanted || round < 400; round++) {
-        reconfigure(k, any_settings(r));
+    for (unsigned round = 0; k.drive.pulses < wanted || round < 400; round++) {
+        k.reconfigure(any_settings(r, round));
         const unsigned style = r.below(4);
         const uint64_t commits = 20 + r.below(60);
         for (uint64_t n = 0; n < commits; n++) {
-            c.commit = 1;
-            c.enable = !r.one_in(12);
+            const bool enable = !r.one_in(12);
             switch (style) {
             case 0:  // anything
-                c.velocity = any_velocity(r), c.accel = r.one_in(3) ? 0 : uint32_t(r.up_to_bits(32));
+                k.commit(any_velocity(r), r.one_in(3) ? 0 : uint32_t(r.up_to_bits(32)), enable);
                 break;
             case 1:  // full rate and back, with and without a ramp
-                c.velocity = n & 1 ? fast_velocity(r) : -fast_velocity(r), c.accel = r.one_in(2) ? 0 : 0xFFFFFFFF >> r.below(8);
+                k.commit(n & 1 ? fast_velocity(r) : -fast_velocity(r), r.one_in(2) ? 0 : 0xFFFFFFFF >> r.below(8), enable);
                 break;
             case 2:  // hard on the pulse engine, one way
-                c.velocity = fast_velocity(r), c.accel = 0;
+                k.commit(fast_velocity(r), 0, enable);
                 break;
             default:  // around zero, slow ramps
-                c.velocity = int32_t(r.below(7)) - 3, c.accel = uint32_t(r.up_to_bits(26));
+                k.commit(int32_t(r.below(7)) - 3, uint32_t(r.up_to_bits(26)), enable);
             }
-            k.clock();
-            c.commit = 0;
             for (uint64_t i = r.one_in(5) ? r.below(4) : r.below(400); i; i--) {
                 if (r.one_in(3000)) {  // a soft stop, sometimes waited for, sometimes cut by the gate
                     c.stop = 1;
-                    for (uint64_t j = r.below(600); j; j--) k.clock();
+                    k.clocks(r.below(600));
                     if (r.one_in(2)) {
                         c.gate = 0;
-                        k.clock();
-                        k.clock();
+                        k.clocks(2);
                         c.gate = 1;
                     }
                     c.stop = 0;
                 }
                 if (r.one_in(2000)) {  // the gate, in any phase
                     c.gate = 0;
-                    for (uint64_t j = 1 + r.below(6); j; j--) k.clock();
+                    k.clocks(1 + r.below(6));
                     c.gate = 1;
                 }
                 k.clock();
             }
         }
     }
-    // The widest times, once: no counter may be shorter than its register.
-    for (unsigned wide = 0; wide < 4; wide++) {
-        Settings s{1, 1, 0, 0, 0, false, false};
-        (wide == 0 ? s.steplen : wide == 1 ? s.stepspace : wide == 2 ? s.dirsetup : s.dirhold) = wide < 2 ? 0xFFFF : 0x12345;
-        reconfigure(k, s);
-        const uint64_t before = k.pulses;
-        for (unsigned n = 0; n < 8; n++) {
-            c.commit = 1, c.enable = 1, c.accel = 0, c.velocity = n & 2 ? -0x7FFFFFFF : 0x7FFFFFFF;
-            k.clock();
-            c.commit = 0;
-            for (unsigned i = 0; i < 60000; i++) k.clock();
-        }
-        CHECK(b, k.pulses > before, "no pulse at the widest time %u", wide);
+}
+
+// The fastest: as many pulses as the times allow, to the clock, both ways, in every kind.
+static void full_rate(Checker &k) {
+    for (const uint32_t half : {1u, 20u, 25u, 30u})  // 20, 25, 30: 500 ns at 40, 50, 60 MHz, so that 1 MHz comes out exactly
+        for (unsigned kind = 0; kind < 3; kind++)
+            for (const int32_t velocity : {INT32_MAX, INT32_MIN}) {
+                Settings s;
+                s.steplen = s.stepspace = half, s.kind = kind;
+                k.reconfigure(s);
+                k.commit(velocity, 0);
+                k.clocks(16 * half);
+                const int64_t before = k.drive.counted;
+                const uint64_t n = 1000;
+                k.clocks(2 * half * n);
+                CHECK(k.b, std::llabs(k.drive.counted - before) == int64_t(n), "kind %u: %lld pulses in %llu clocks at %u/%u", kind,
+                      (long long)(k.drive.counted - before), (unsigned long long)(2 * half * n), half, half);
+            }
+    CHECK(k.b, k.least == -8 && k.most == 8, "16 clocks at full rate: delta %d to %d, not -8 to 8", k.least, k.most);
+}
+
+// 1 MHz asked for at 500/500 ns: it fits without a single wait. 40, 50, 60 MHz.
+static void a_megahertz(Checker &k) {
+    for (const uint32_t mhz : {40u, 50u, 60u}) {
+        Settings s;
+        s.steplen = s.stepspace = mhz / 2;
+        k.reconfigure(s);
+        k.commit(int32_t((uint64_t(1) << 32) / mhz), 0);
+        k.clocks(4 * mhz);
+        const int64_t before = k.drive.counted;
+        const uint64_t waits = k.waits;
+        k.clocks(10000 * mhz);
+        CHECK(k.b, std::llabs(k.drive.counted - before - 10000) <= 1, "1 MHz at %u MHz: %lld pulses in 10 ms", mhz, (long long)(k.drive.counted - before));
+        CHECK(k.b, k.waits == waits, "1 MHz at %u MHz: %llu clocks waited", mhz, (unsigned long long)(k.waits - waits));
     }
-    return b.pass("%llu pulses at the pins = position, %llu reversals, %llu clocks waited", (unsigned long long)k.pulses,
-                  (unsigned long long)k.reversals, (unsigned long long)k.waits);
+}
+
+// enable = 0 reaches the core: it comes to rest, and no time and no stop and no gate wakes it, only a commit with enable.
+static void enable_reaches_the_core(Checker &k) {
+    auto &c = *k.b.core;
+    for (unsigned kind = 0; kind < 3; kind++) {
+        Settings s;
+        s.kind = kind, s.stop_accel = 0xFFFFFFFF;
+        k.reconfigure(s);
+        k.commit(1 << 22, 0);
+        k.clocks(2000);
+        CHECK(k.b, k.velocity >> 24 == 1 << 22, "does not run");
+        k.commit(1 << 22, 0, false);
+        k.clocks(20000);  // 2^22 at 256 a clock, and some
+        const int64_t rest = k.drive.counted;
+        CHECK(k.b, k.velocity == 0, "disabled, and still at %lld", (long long)(k.velocity >> 24));
+        k.commit(1 << 22, 0, false);
+        k.clocks(2000);
+        c.stop = 1;
+        k.clocks(20);
+        CHECK(k.b, c.stopped, "not stopped");
+        k.commit(1 << 22, 0);  // ignored while stopping
+        c.stop = 0;
+        k.clocks(2000);
+        c.gate = 0;
+        k.commit(1 << 22, 0);  // ignored behind a closed gate
+        k.clocks(3);
+        c.gate = 1;
+        k.clocks(2000);
+        CHECK(k.b, k.drive.counted == rest, "moved without a command");
+        k.commit(1 << 22, 0);
+        k.clocks(2000);
+        CHECK(k.b, k.drive.counted != rest, "does not run again");
+    }
+}
+
+// The gate closes in every clock of a pulse, and opens again as soon as it can.
+static void gate_in_mid_pulse(Checker &k) {
+    auto &c = *k.b.core;
+    for (unsigned kind = 0; kind < 3; kind++)
+        for (unsigned phase = 0; phase < 40; phase++) {
+            Settings s;
+            s.steplen = 9, s.stepspace = 7, s.dirsetup = 11, s.dirhold = 5, s.kind = kind;
+            k.reconfigure(s);
+            k.commit(phase & 1 ? INT32_MAX : -INT32_MAX, 0);
+            k.clocks(40 + phase);
+            c.gate = 0;
+            k.clock();
+            c.gate = 1;
+            k.commit(phase & 2 ? INT32_MAX : -INT32_MAX, 0);
+            k.clocks(100);
+        }
+}
+
+// The widest times, once: no counter may be shorter than its register.
+static void widest_times(Checker &k) {
+    for (unsigned wide = 0; wide < 4; wide++) {
+        Settings s;
+        (wide == 0 ? s.steplen : wide == 1 ? s.stepspace : wide == 2 ? s.dirsetup : s.dirhold) = wide < 2 ? 0x1FFF : 0xFFFF;
+        k.reconfigure(s);
+        const uint64_t before = k.drive.pulses;
+        for (unsigned n = 0; n < 8; n++) {
+            k.commit(n & 2 ? -INT32_MAX : INT32_MAX, 0);
+            k.clocks(50000);
+        }
+        CHECK(k.b, k.drive.pulses > before, "no pulse at the widest time %u", wide);
+    }
+}
+
+int main(int argc, char **argv) {
+    B b("stepgen", argc, argv);
+    Checker k(b);
+    auto &c = *b.core;
+    c.gate = c.stop = c.commit = c.enable = 0;
+    c.steplen = c.stepspace = 1;
+    full_rate(k);
+    a_megahertz(k);
+    enable_reaches_the_core(k);
+    gate_in_mid_pulse(k);
+    widest_times(k);
+    random_rounds(k, argc > 2 ? strtoull(argv[2], nullptr, 0) : 2000000);
+    return b.pass("%llu pulses at the pins = position, %llu reversals, %llu clocks waited", (unsigned long long)k.drive.pulses,
+                  (unsigned long long)k.drive.reversals, (unsigned long long)k.waits);
 }
