@@ -104,5 +104,120 @@ module pwm (
         out = 1'b0;
         dir = 1'b0;
     end
+
+`ifdef FORMAL  // what gateware/formal proves: the promises, told without the logic above
+    // What was last committed, and what it was when this period began: all that may decide about this period.
+    logic [28:0] f_next = 29'd0;
+    logic        f_next_dir = 1'b0;
+    logic [20:0] f_at = 21'd0, f_period = 21'd0;
+    logic [21:0] f_width = 22'd0;  // in clocks, with what dither added
+    logic        f_dir = 1'b0, f_silent = 1'b1;
+    logic  [1:0] f_kind = 2'd0;
+    logic [28:0] f_asked = 29'd0;
+    logic  [8:0] f_part = 9'd0;  // fractions collected, and the carry of the last
+    logic [23:0] f_before = 24'd0;  // what was owed when this period began
+    wire         f_edge  = ~gate | {1'b0, f_at} + 22'd1 >= {1'b0, f_period};
+    wire   [8:0] f_parts = {1'b0, f_part[7:0]} + {1'b0, f_next[7:0]};
+    always_ff @(posedge clk) begin
+        f_next     <= ~gate ? 29'd0 : ~commit ? f_next : enable ? width : 29'd0;
+        f_next_dir <= gate & (commit ? direction : f_next_dir);
+        f_at       <= f_edge ? 21'd0 : f_at + 21'd1;
+        if (f_edge) begin
+            f_period <= period;
+            f_kind   <= kind;
+            f_width  <= {1'b0, f_next[28:8]} + {21'd0, dither & f_parts[8]};
+            f_asked  <= f_next;
+            f_part   <= gate ? f_parts : 9'd0;
+            f_before <= gate ? sum : 24'd0;
+            f_dir    <= gate & f_next_dir;
+            f_silent <= ~gate;
+        end
+`ifndef BROKEN
+        assert (count == f_at & this_period == f_period & next_width == f_next & next_dir == f_next_dir);
+        assert (f_at == 21'd0 | f_at < f_period);
+        assert (sum[7:0] == f_part[7:0]);
+        if (f_silent) assert (sum == 24'd0);
+        assert (f_width == {1'b0, f_asked[28:8]} + {21'd0, longer});
+`ifdef PROVE_dither_is_never_a_clock_in_debt
+        assert (f_next[28:8] < period & f_asked[28:8] < period);
+        if (~f_silent) assert (f_period == period & f_kind != PDM & longer == f_part[8]);
+        if (~f_silent) assert ({8'd0, sum[7:0]} == {8'd0, f_before[7:0]} + {8'd0, f_asked[7:0]} - {7'd0, longer, 8'd0});
+`endif
+`ifdef PROVE_density_is_never_a_bit_in_debt
+        assert (f_next <= 29'h1000000 & f_asked <= 29'h1000000 & (f_silent | pdm));
+`endif
+        if (~f_silent & pdm & f_asked <= 29'h1000000) assert ({6'd0, sum[23:8]} == {6'd0, f_before[23:8]} + f_width - {5'd0, on, 16'd0});
+        assert (f_width == {1'b0, this_width} + {21'd0, longer});
+        assert (pdm == (f_kind == PDM) & up_down == (f_kind == UP_DOWN) & this_dir == f_dir);
+        if (f_silent) assert (~on);
+        else if (~pdm) assert (on == (f_at <= this_width));
+`endif
+    end
+
+    // The pins show all that two clocks later, if the gate has been open since.
+    logic        f_live1 = 1'b0, f_live2 = 1'b0, f_dir1 = 1'b0, f_dir2 = 1'b0, f_end1 = 1'b0, f_end2 = 1'b0, f_bit1 = 1'b0, f_bit2 = 1'b0;
+    logic  [1:0] f_kind1 = 2'd0, f_kind2 = 2'd0;
+    logic [20:0] f_at1 = 21'd0, f_at2 = 21'd0, f_period1 = 21'd0, f_period2 = 21'd0;
+    logic [21:0] f_width1 = 22'd0, f_width2 = 22'd0;
+    logic        f_swap = 1'b0, f_invert = 1'b0;
+    logic [28:0] f_asked1 = 29'd0, f_asked2 = 29'd0;
+    logic [23:0] f_before1 = 24'd0, f_before2 = 24'd0;
+    logic [32:0] f_debt = 33'd0;  // commanded less given, since the gate opened: clocks / 256, or bits / 65536
+    logic [21:0] f_high = 22'd0;  // clocks the pins were active in this period, until now
+    wire         f_plus  = (f_swap ? dir : out) ^ f_invert;
+    wire         f_minus = (f_swap ? out : dir) ^ (f_invert & f_kind2 == UP_DOWN);
+    wire         f_active = f_plus | (f_kind2 == UP_DOWN & f_minus);
+    wire  [21:0] f_total  = f_high + {21'd0, f_active};
+    wire  [21:0] f_wanted = f_width2 < {1'b0, f_period2} ? f_width2 : {1'b0, f_period2};
+    always_ff @(posedge clk) begin
+        {f_live1, f_live2}     <= {gate & ~f_silent, gate & f_live1};
+        {f_dir1, f_dir2}       <= {f_dir, f_dir1};
+        {f_end1, f_end2}       <= {f_edge, f_end1};
+        {f_bit1, f_bit2}       <= {on, f_bit1};
+        {f_kind1, f_kind2}     <= {f_kind, f_kind1};
+        {f_at1, f_at2}         <= {f_at, f_at1};
+        {f_period1, f_period2} <= {f_period, f_period1};
+        {f_width1, f_width2}   <= {f_width, f_width1};
+        {f_asked1, f_asked2}   <= {f_asked, f_asked1};
+        {f_before1, f_before2} <= {f_before, f_before1};
+        {f_swap, f_invert}     <= {swap, invert};
+        f_high                 <= (f_end2 | ~f_live2) ? 22'd0 : f_total;
+        if (~f_live2) f_debt <= 33'd0;
+        else if (f_end2) f_debt <= f_debt + (f_kind2 == PDM ? {11'd0, f_width2} - {16'd0, f_plus, 16'd0} : {4'd0, f_asked2} - {3'd0, f_total, 8'd0});
+`ifndef BROKEN
+        assert (minus_pulses == (f_kind1 == UP_DOWN));
+        if (~f_live1) assert (~plus & (f_kind1 != UP_DOWN | ~minus));
+        else if (f_kind1 == PDM) assert (plus == f_bit1 & minus == f_dir1);
+        else if (f_kind1 == UP_DOWN) assert (plus == (f_period1 != 0 & f_at1 < f_width1 & ~f_dir1) & minus == (f_period1 != 0 & f_at1 < f_width1 & f_dir1));
+        else assert (plus == (f_period1 != 0 & f_at1 < f_width1) & minus == f_dir1);
+        if (f_live2 & f_kind2 != PDM) assert (f_active == (f_period2 != 0 & f_at2 < f_width2));
+        if (f_live2 & f_kind2 != PDM) assert (f_high == (f_at2 < f_width2 ? {1'b0, f_at2} : f_width2) | f_period2 == 0);
+`endif
+`ifdef PROVE_dither_is_never_a_clock_in_debt
+`ifndef BROKEN
+        if (f_live2) assert (f_debt == {25'd0, f_before2[7:0]});
+`endif
+        assert (f_debt < 33'd256);
+`endif
+`ifdef PROVE_density_is_never_a_bit_in_debt
+`ifndef BROKEN
+        if (f_live2) assert (f_debt == {17'd0, f_before2[23:8]});
+`endif
+        assert (f_debt < 33'd65536);
+        if (f_live2) assert (f_plus == f_bit2);  // and a bit is one level for `period` clocks
+`endif
+`ifdef PROVE_high_time_per_period_is_the_width
+        if (f_live2 & f_end2 & f_kind2 != PDM) assert (f_total == f_wanted);
+`endif
+`ifdef PROVE_up_and_down_are_never_both_active_and_never_the_wrong_one
+        if (f_kind2 == UP_DOWN) assert (~(f_plus & f_minus));
+        if (f_kind2 == UP_DOWN) assert (~(f_dir2 ? f_plus : f_minus));
+`endif
+`ifdef PROVE_nothing_is_active_behind_a_closed_gate_nor_until_committed
+        if (~f_live2) assert (~f_active);
+        if (~f_live2 & f_kind2 != UP_DOWN) assert (~f_minus);
+`endif
+    end
+`endif
 endmodule
 `default_nettype wire
