@@ -51,6 +51,7 @@ use crate::hal::{
     Backend, Catalogue, ExportError, Exporter, In, Level, Line, Messenger, Out, Param,
 };
 use crate::link::Link;
+use crate::names::Glue;
 use crate::settings::{Disarmed, INPUTS, Periods, Sync};
 use std::net::Ipv4Addr;
 use std::sync::Arc;
@@ -168,6 +169,7 @@ pub struct Driver {
     apply_at: Option<Clocks>,
 
     catalogue: Catalogue,
+    glue: Glue,
 }
 
 impl Driver {
@@ -294,7 +296,13 @@ impl Driver {
             request_to_write: None,
             apply_at: None,
             catalogue,
+            glue: Glue::default(),
         })
+    }
+
+    /// Keeps other names for our pins alive from here on.
+    pub fn adopt(&mut self, glue: Glue) {
+        self.glue = glue;
     }
 
     /// Makes this one of several boards that act at the same moments. With more than one, commands carry an
@@ -356,10 +364,12 @@ impl Driver {
         }
         self.awaiting = false;
         self.repeated = false;
+        self.glue.outputs();
     }
 
     /// Sends what is wanted of the board in the coming period.
     pub fn write(&mut self, period_ns: i64) {
+        self.glue.inputs();
         let period = Period::new(period_ns, self.clock_hz);
         match self.phase {
             Phase::Online { token } => {

@@ -10,6 +10,8 @@
 //! | [`fence`] | a panic stops the machine, not the process |
 //! | [`driver`] | one board in the servo thread: read, write, session, state; the timing model |
 //! | [`blocks`] | one function block each: pins, units, policy; also the list of pins |
+//! | [`names`] | other drivers' names for the same pins |
+//! | [`clock`] | what time it is on a board; one moment for several |
 //! | [`settings`] | parameters on their way to the board |
 //! | [`link`] | the socket in the servo thread |
 //! | [`client`] | the socket everywhere else: blocking requests, board identity, session |
@@ -19,7 +21,8 @@
 //! # Pins of a board
 //!
 //! Functions `ferrocnc.<n>.read` and `ferrocnc.<n>.write`: `read` first and `write` last in the servo
-//! thread. Board-wide, as `ferrocnc.<n>.<name>`:
+//! thread. `ferrocnc.<n>.read-request`, optional and before every `read`: feedback from the beginning of the
+//! period instead of the end of the last, for one more datagram each way. Board-wide, as `ferrocnc.<n>.<name>`:
 //!
 //! | name | | |
 //! |---|---|---|
@@ -29,12 +32,20 @@
 //! | `state` | u32 out | [`wire::State`]: 0 boot, 1 disarmed, 2 armed, 3 stopping, 4 faulted |
 //! | `fault-reason` | u32 out | [`wire::FaultReason`]: why it stopped last |
 //! | `position-trusted` | bit out | no pulse was cut off since it was armed, and the board answers |
+//! | `estop` | bit out | an e-stop input has tripped; latched until armed again |
 //! | `refused-total` | u32 out | datagrams the board refused since it started |
+//! | `last-reset-reason` | u32 out | [`wire::ResetReason`]: why the firmware started last |
+//! | `last-gate-close` | u32 out | [`wire::GateClose`]: why the gateware closed the outputs last |
 //! | `io-error` | bit param | the board was given up, or the driver halted; cleared by arming |
+//! | `probe-input` | s32 param | which input trips the probe latches; -1 for none |
+//! | `probe-invert` | bit param | it is active low |
+//! | `apply-delay-ns` | u32 param | commands take effect this long after `write`, on all boards at once; 0: on arrival |
 //!
 //! then [`blocks::packets`], [`blocks::watchdog`], [`blocks::wallclock`], and per channel
 //! [`blocks::stepgen`], [`blocks::encoder`], [`blocks::pwm`], [`blocks::gpio`], with the board's own name
-//! for the channel where it has one and two digits where not.
+//! for the channel where it has one and two digits where not. A pin whose name would be longer than 41
+//! characters goes by its channel's two digits: `encoder.05.position-latched` of the encoder `spindle`.
+//! `docs/pins.md` has them all in one table, beside what other drivers call them.
 #![deny(unsafe_op_in_unsafe_fn)]
 
 pub mod address;
@@ -46,4 +57,5 @@ pub mod fence;
 pub mod hal;
 pub mod link;
 pub mod module;
+pub mod names;
 pub mod settings;

@@ -8,10 +8,11 @@ use crate::client::{Client, ClientError};
 use crate::clock::Timebase;
 use crate::driver::Driver;
 use crate::fence::{Fenced, install_quiet_hook};
-use crate::hal::ffi::Api;
+use crate::hal::ffi::{Api, Funct};
 use crate::hal::real::{Component, messenger, print};
 use crate::hal::{ExportError, Level};
 use crate::link::Link;
+use crate::names::{self, Does, NamesError, Scheme};
 use core::ffi::{CStr, c_char, c_int, c_long, c_void};
 use core::sync::atomic::{AtomicPtr, Ordering};
 use std::ffi::CString;
@@ -31,6 +32,7 @@ macro_rules! exported {
 }
 
 static BOARDS: AtomicPtr<c_char> = AtomicPtr::new(core::ptr::null_mut());
+static NAMES: AtomicPtr<c_char> = AtomicPtr::new(core::ptr::null_mut());
 
 // RTAPI_MP_STRING(boards, "...") and the usual declarations.
 exported!(rtapi_info_type_boards, c"s".as_ptr());
@@ -38,6 +40,12 @@ exported!(rtapi_info_address_boards, (&raw const BOARDS));
 exported!(
     rtapi_info_description_boards,
     c"Boards to drive: IP[:port][,IP[:port]...], at most 4".as_ptr()
+);
+exported!(rtapi_info_type_names, c"s".as_ptr());
+exported!(rtapi_info_address_names, (&raw const NAMES));
+exported!(
+    rtapi_info_description_names,
+    c"Pins under other drivers' names as well: lcnc, or litexcnc[:NAME[,NAME...]]".as_ptr()
 );
 exported!(rtapi_info_license, c"GPL".as_ptr());
 exported!(
@@ -58,6 +66,7 @@ static LOADED: AtomicPtr<Loaded> = AtomicPtr::new(core::ptr::null_mut());
 /// Why `loadrt` fails.
 enum LoadError {
     Address(address::AddressError),
+    Names(NamesError),
     Client(ClientError),
     Export(ExportError),
     Hal(&'static str, i32),
@@ -67,6 +76,7 @@ impl core::fmt::Display for LoadError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             LoadError::Address(error) => write!(f, "parameter boards: {error}"),
+            LoadError::Names(error) => write!(f, "parameter names: {error}"),
             LoadError::Client(error) => error.fmt(f),
             LoadError::Export(error) => error.fmt(f),
             LoadError::Hal(what, errno) => write!(
@@ -81,7 +91,7 @@ impl core::fmt::Display for LoadError {
 impl LoadError {
     fn errno(&self) -> c_int {
         match self {
-            LoadError::Address(_) => -libc::EINVAL,
+            LoadError::Address(_) | LoadError::Names(_) => -libc::EINVAL,
             LoadError::Client(error) => match error {
                 ClientError::Silent { .. } => -libc::ETIMEDOUT,
                 ClientError::Socket(_, error) => -error.raw_os_error().unwrap_or(libc::EIO),
@@ -143,6 +153,7 @@ pub extern "C" fn rtapi_app_exit() {
 
 fn load(api: Api) -> Result<Loaded, LoadError> {
     let boards = address::parse_list(&parameter(&BOARDS)).map_err(LoadError::Address)?;
+    let scheme = Scheme::parse(&parameter(&NAMES)).map_err(LoadError::Names)?;
     // Talk to the boards first: if one is missing HAL has never heard of us.
     let clients = boards
         .iter()
@@ -169,11 +180,30 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
         )
         .map_err(LoadError::Export)?;
         driver.join(&time, count);
+        let mut functions = vec![
+            (format!("ferrocnc.{index}.read-request"), READ_REQUEST),
+            (format!("ferrocnc.{index}.read"), READ),
+            (format!("ferrocnc.{index}.write"), WRITE),
+        ];
+        if let Some(scheme) = &scheme {
+            let glue = names::export(scheme, &mut loaded.component, index, &identity, &driver)
+                .map_err(LoadError::Export)?;
+            driver.adopt(glue);
+            let prefix = scheme.prefix(index, &identity);
+            functions.extend(scheme.functions().iter().map(|(name, does)| {
+                let function = match does {
+                    Does::Read => READ,
+                    Does::Write => WRITE,
+                    Does::Both => UPDATE,
+                };
+                (format!("{prefix}.{name}"), function)
+            }));
+        }
         loaded
             .boards
             .push(Box::new(Fenced::new(driver, messenger(api))));
         if let Some(board) = loaded.boards.last_mut() {
-            functions(&loaded.component, index, board).map_err(LoadError::Export)?;
+            register(&loaded.component, &functions, board).map_err(LoadError::Export)?;
         }
     }
     let ready = loaded.component.ready();
@@ -190,35 +220,48 @@ fn connect(address: &Address) -> Result<(Client, crate::client::Identity), Clien
     Ok((client, identity))
 }
 
-fn functions(component: &Component, index: usize, board: &mut Fenced) -> Result<(), ExportError> {
+const READ_REQUEST: Funct = read_request;
+const READ: Funct = read;
+const WRITE: Funct = write;
+const UPDATE: Funct = update;
+
+fn register(
+    component: &Component,
+    functions: &[(String, Funct)],
+    board: &mut Fenced,
+) -> Result<(), ExportError> {
     let argument: *mut Fenced = board;
-    for (name, function) in [
-        ("read-request", read_request as crate::hal::ffi::Funct),
-        ("read", read),
-        ("write", write as crate::hal::ffi::Funct),
-    ] {
-        let name = CString::new(format!("ferrocnc.{index}.{name}")).unwrap_or_default();
+    for (name, function) in functions {
+        let name = CString::new(name.as_str()).unwrap_or_default();
         // SAFETY: all functions take a `Fenced`; the box outlives the component in `Loaded`.
-        unsafe { component.function(&name, function, argument.cast())? };
+        unsafe { component.function(&name, *function, argument.cast())? };
     }
     Ok(())
 }
 
-unsafe extern "C" fn read(board: *mut c_void, period_ns: c_long) {
-    // SAFETY: HAL passes back what `functions` registered, and calls from one thread at a time.
-    let board = unsafe { &mut *board.cast::<Fenced>() };
-    board.read(nanos(period_ns));
-}
-
 unsafe extern "C" fn read_request(board: *mut c_void, period_ns: c_long) {
-    // SAFETY: as in `read`.
+    // SAFETY: HAL passes back what `register` registered, and calls from one thread at a time.
     let board = unsafe { &mut *board.cast::<Fenced>() };
     board.read_request(nanos(period_ns));
 }
 
-unsafe extern "C" fn write(board: *mut c_void, period_ns: c_long) {
-    // SAFETY: as in `read`.
+unsafe extern "C" fn read(board: *mut c_void, period_ns: c_long) {
+    // SAFETY: as in `read_request`.
     let board = unsafe { &mut *board.cast::<Fenced>() };
+    board.read(nanos(period_ns));
+}
+
+unsafe extern "C" fn write(board: *mut c_void, period_ns: c_long) {
+    // SAFETY: as in `read_request`.
+    let board = unsafe { &mut *board.cast::<Fenced>() };
+    board.write(nanos(period_ns));
+}
+
+/// Lcnc's one function for both.
+unsafe extern "C" fn update(board: *mut c_void, period_ns: c_long) {
+    // SAFETY: as in `read_request`.
+    let board = unsafe { &mut *board.cast::<Fenced>() };
+    board.read(nanos(period_ns));
     board.write(nanos(period_ns));
 }
 
