@@ -271,9 +271,11 @@ impl<S: Silicon> Board<S> {
             self.world.pins.gmii_rx_data = byte.unwrap_or(0);
         }
         if self.world.pins.gmii_tx_en != 0 || self.collector.active() {
-            let done =
-                self.collector
-                    .edge(self.now, self.world.pins.gmii_tx_en != 0, self.world.pins.gmii_tx_data);
+            let done = self.collector.edge(
+                self.now,
+                self.world.pins.gmii_tx_en != 0,
+                self.world.pins.gmii_tx_data,
+            );
             if let Some(transfer) = done {
                 self.received.push_back(transfer);
                 return true;

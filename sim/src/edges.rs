@@ -207,6 +207,12 @@ impl EdgeWatch {
         self.dir_inverted = dir_inverted;
     }
 
+    /// The pins stand like this, and nothing is to be made of how they came there.
+    pub(crate) fn adopt(&mut self, step: u16, dir: u16) {
+        self.step = step ^ self.step_inverted;
+        self.dir = dir ^ self.dir_inverted;
+    }
+
     /// The broken rules, the first [`Self::KEPT_VIOLATIONS`] of them.
     pub fn violations(&self) -> &[Violation] {
         &self.violations

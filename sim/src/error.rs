@@ -30,6 +30,14 @@ pub enum Error {
         /// Where the parser stopped.
         source: serde_json::Error,
     },
+    /// No board of this name is known.
+    #[error("no board {name}: {why}")]
+    Board {
+        /// What was asked for.
+        name: String,
+        /// What is wrong.
+        why: String,
+    },
     /// The plant file describes no plant.
     #[error("{path} describes no plant: {why}")]
     Plant {

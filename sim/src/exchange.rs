@@ -208,21 +208,24 @@ impl Meter {
             reply_bytes: wire_len,
         };
         if let Some(head) = request.sequence.and_then(|s| StatusHead::parse(payload, s)) {
-            self.answered += 1;
             self.turnarounds.push(timing.turnaround as u32);
-            // The command that opens the gate arrives while the watchdog still sleeps and has nothing left.
-            let was_enabled = self
-                .last_state
-                .is_some_and(|state| StatusHead { state, ..head }.enabled());
-            self.last_state = Some(head.state);
-            if head.enabled() && was_enabled {
-                self.watchdog_margin = Some(
-                    self.watchdog_margin
-                        .map_or(head.watchdog_left, |m| m.min(head.watchdog_left)),
-                );
-            }
+            self.answer(head);
         }
         Some(timing)
+    }
+
+    /// An exchange has been answered like this.
+    pub(crate) fn answer(&mut self, head: StatusHead) {
+        self.answered += 1;
+        // The command that opens the gate arrives while the watchdog still sleeps and has nothing left.
+        let was_enabled = self
+            .last_state
+            .is_some_and(|state| StatusHead { state, ..head }.enabled());
+        self.last_state = Some(head.state);
+        if head.enabled() && was_enabled {
+            let least = self.watchdog_margin.unwrap_or(u32::MAX);
+            self.watchdog_margin = Some(least.min(head.watchdog_left));
+        }
     }
 }
 

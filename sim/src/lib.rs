@@ -22,20 +22,24 @@
 //! Everything but [`soc`] is plain Rust over the [`soc::Silicon`] trait and is tested without any FPGA tool.
 
 pub mod board;
+pub mod card;
 pub mod edges;
 pub mod error;
 pub mod exchange;
 pub mod firmware;
 pub mod gmii;
+pub mod model;
 pub mod plant;
 pub mod report;
 pub mod rig;
 pub mod segment;
 pub mod server;
 pub mod soc;
+pub mod twin;
 pub mod world;
 
 pub use board::Board;
 pub use error::Error;
 pub use rig::Rig;
 pub use soc::{Pins, Soc};
+pub use twin::Twin;

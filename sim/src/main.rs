@@ -10,8 +10,12 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use clap::{Parser, ValueEnum};
 use sim::board::TraceWindow;
+use sim::card::Card;
+use sim::plant::{Axis, Plant};
 use sim::rig::{Rig, Setup};
-use sim::server::{Mode, Options, Server};
+use sim::server::{Device, Mode, Options, Server};
+use sim::twin::Twin;
+use wire::describe::Channels;
 
 /// How simulated time passes.
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -22,19 +26,49 @@ enum TimeMode {
     Free,
 }
 
-/// The FerroCNC board in simulation: Verilated gateware, real firmware, real sockets.
+/// What stands behind the sockets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Backend {
+    /// The Verilated gateware with the release image inside: exact, some 0.9 million clocks a second.
+    Rtl,
+    /// The twin, firmware library on models of the cores: the same pins, faster than real time, needs no FPGA tool.
+    Model,
+}
+
+/// The FerroCNC board in simulation: Verilated gateware and real firmware, or their twin in Rust; real sockets.
+///
+///   ferrocnc-sim --soc target/sim/mill6 --firmware ELF          the gateware, clock by clock
+///   ferrocnc-sim --backend model --board mill6 --mode free      the twin in real time, e.g. for LinuxCNC at 1 kHz
+///   ferrocnc-sim --backend model --board mill6 --plant P.toml   in lockstep, with switches, probe and spindle (docs: sim::plant)
 ///
 /// Prints one line beginning with `ready` on stdout when the board answers, then serves until SIGINT, SIGTERM or the control
 /// command `quit`.
 #[derive(Parser, Debug)]
-#[command(version)]
+#[command(version, verbatim_doc_comment)]
 struct Arguments {
-    /// Directory of libferrocnc_soc.so and manifest.json (target/sim/NAME).
-    #[arg(long, value_name = "DIR")]
-    soc: PathBuf,
+    /// What stands behind the sockets.
+    #[arg(long, value_enum, default_value_t = Backend::Rtl)]
+    backend: Backend,
+    /// Directory of libferrocnc_soc.so and manifest.json (target/sim/NAME); model: of board.bin and manifest.json.
+    #[arg(long, value_name = "DIR", required_if_eq("backend", "rtl"))]
+    soc: Option<PathBuf>,
     /// Firmware ELF.
-    #[arg(long, value_name = "ELF")]
-    firmware: PathBuf,
+    #[arg(long, value_name = "ELF", required_if_eq("backend", "rtl"))]
+    firmware: Option<PathBuf>,
+    /// Model: which board, by the name of its file under boards/ (mill6, max, or any that has been elaborated).
+    #[arg(long, value_name = "NAME", default_value = "mill6")]
+    board: String,
+    /// Model: a board of so many stepgens,encoders,PWMs,inputs,outputs instead of a named one.
+    #[arg(long, value_name = "N,N,N,N,N", value_parser = parse_channels)]
+    channels: Option<Channels>,
+    /// Model: the clock of such a board, Hz.
+    #[arg(
+        long,
+        value_name = "HZ",
+        default_value_t = 60_000_000,
+        requires = "channels"
+    )]
+    clock: u32,
     /// Loopback address that stands for the board's UDP port 1234.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:1234")]
     udp: SocketAddr,
@@ -53,7 +87,8 @@ struct Arguments {
     /// Lockstep: the servo period in nanoseconds.
     #[arg(long, value_name = "NS", default_value_t = 1_000_000)]
     period_ns: u64,
-    /// Free: at most this many nanoseconds of board time per second of this machine (1e9 is real time).
+    /// Free: at most this many nanoseconds of board time per second of this machine; 1e9 is real time, 0 is as fast as it
+    /// goes. When not given the twin keeps real time and the gateware runs as fast as it goes.
     #[arg(long, value_name = "NS")]
     pace: Option<f64>,
     /// Lockstep: silence of the host after which the board runs on by itself.
@@ -68,9 +103,13 @@ struct Arguments {
     /// Encoder counts per motor step at the pins (the plant).
     #[arg(long, value_name = "N", default_value_t = 1)]
     encoder_scale: i64,
-    /// No encoders at the pins.
+    /// No encoders at the pins but those of --plant.
     #[arg(long)]
     no_plant: bool,
+    /// What else is wired to the board: axes, switches, probes, spindles, wires, in TOML (`cargo doc`, sim::plant). Its axes
+    /// and spindles take the place of the encoders on the motors.
+    #[arg(long, value_name = "TOML")]
+    plant: Option<PathBuf>,
     /// Write the report here at the end.
     #[arg(long, value_name = "JSON")]
     report: Option<PathBuf>,
@@ -94,81 +133,146 @@ struct Arguments {
     boot_clocks: u64,
 }
 
+fn parse_channels(text: &str) -> Result<Channels, String> {
+    let counts: Vec<u8> = text
+        .split(',')
+        .map(|count| count.trim().parse().map_err(|e| format!("{count:?}: {e}")))
+        .collect::<Result<_, _>>()?;
+    let [stepgens, encoders, pwms, inputs, outputs] = counts[..] else {
+        return Err(format!("five counts, not {}", counts.len()));
+    };
+    if [stepgens, encoders, pwms].iter().any(|n| *n > 16) || inputs > 32 || outputs > 32 {
+        return Err("at most 16,16,16,32,32".into());
+    }
+    Ok(Channels {
+        stepgens,
+        encoders,
+        pwms,
+        inputs,
+        outputs,
+    })
+}
+
+impl Arguments {
+    fn plant(&self) -> anyhow::Result<Plant> {
+        let mut plant = match self.no_plant {
+            true => Plant::default(),
+            false => Plant::new((0..16).map(|n| Axis {
+                counts: self.encoder_scale,
+                ..Axis::direct(n)
+            })),
+        };
+        if let Some(path) = &self.plant {
+            plant.read(path)?;
+        }
+        Ok(plant)
+    }
+
+    /// The Verilated board, answering.
+    fn gateware(&self) -> anyhow::Result<Rig> {
+        let missing = "the rtl backend needs --soc and --firmware";
+        let soc = self.soc.as_ref().context(missing)?;
+        let firmware = self.firmware.as_ref().context(missing)?;
+        let mut setup = Setup::new(soc, firmware);
+        setup.board_ip = self.board_ip;
+        setup.boot_clocks = self.boot_clocks;
+        setup.plant = self.plant()?;
+        setup.trace = self.trace.as_ref().map(|path| TraceWindow {
+            path: path.clone(),
+            from: self.trace_from,
+            clocks: self.trace_cycles,
+        });
+        let started = Instant::now();
+        let mut rig = Rig::boot(setup)?;
+        eprintln!(
+            "sim: the board answers after {} clocks ({:.1} s)",
+            rig.clock(),
+            started.elapsed().as_secs_f64()
+        );
+        if let Some(path) = &self.edges {
+            rig.record_edges(path)?;
+        }
+        Ok(rig)
+    }
+
+    /// The twin, switched on.
+    fn twin(&self) -> anyhow::Result<Twin> {
+        let card = match (&self.channels, &self.soc) {
+            (Some(channels), _) => Card::plain(*channels, self.clock),
+            (None, Some(folder)) => Card::read(folder)?,
+            (None, None) => Card::named(&self.board)?,
+        };
+        let mut twin = Twin::start(card, self.plant()?);
+        if let Some(path) = &self.edges {
+            twin.record_edges(path)?;
+        }
+        Ok(twin)
+    }
+
+    /// Serves a board until told to stop, and gives it back.
+    fn serve<D: Device>(&self, mut device: D) -> anyhow::Result<D> {
+        let stop = Arc::new(AtomicBool::new(false));
+        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+            signal_hook::flag::register(signal, stop.clone()).context("cannot take signals")?;
+        }
+        for _ in 0..self.ping {
+            match device.ping() {
+                Some(clocks) => eprintln!("sim: ping {clocks} clocks"),
+                None => eprintln!("sim: ping: no answer"),
+            }
+        }
+        let sys_hz = device.clockwork().sys_hz as f64;
+        let real_time = match self.backend {
+            Backend::Rtl => None,
+            Backend::Model => Some(1e9),
+        };
+        let mode = match self.mode {
+            TimeMode::Lockstep => Mode::Lockstep {
+                period: device.clocks(Duration::from_nanos(self.period_ns)),
+            },
+            TimeMode::Free => Mode::Free {
+                pace: self
+                    .pace
+                    .or(real_time)
+                    .filter(|ns| *ns > 0.0)
+                    .map(|ns| ns * 1e-9 * sys_hz),
+            },
+        };
+        let options = Options {
+            udp: self.udp,
+            console: Some(self.console),
+            control: self.control,
+            stdin: self.stdin,
+            mode,
+            silence: Duration::from_millis(self.silence_ms),
+            orphan_clocks: device.clocks(Duration::from_millis(self.orphan_ms)),
+            report: self.report.clone(),
+        };
+        let server = Server::bind(device, options, stop).context("cannot listen")?;
+        println!("{}", server.ready_line());
+        std::io::stdout().flush()?;
+        let mut device = server.run();
+        let report = device.report();
+        eprintln!(
+            "sim: {} clocks at {:.0} kcycle/s, {:.2} times real time",
+            report.clocks, report.kcycles_per_second, report.times_real_time
+        );
+        if let Some(path) = &self.report {
+            report.write(path)?;
+            eprintln!("sim: report in {}", path.display());
+        }
+        Ok(device)
+    }
+}
+
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, stop.clone()).context("cannot take signals")?;
-    }
-
-    let mut setup = Setup::new(&arguments.soc, &arguments.firmware);
-    setup.board_ip = arguments.board_ip;
-    setup.boot_clocks = arguments.boot_clocks;
-    setup.plant = match arguments.no_plant {
-        true => sim::plant::Plant::default(),
-        false => sim::plant::Plant::new((0..16).map(|n| sim::plant::Axis {
-            counts: arguments.encoder_scale,
-            ..sim::plant::Axis::direct(n)
-        })),
+    let steps = match arguments.backend {
+        Backend::Rtl => arguments.serve(arguments.gateware()?)?.finish()?,
+        Backend::Model => arguments.serve(arguments.twin()?)?.finish()?,
     };
-    setup.trace = arguments.trace.map(|path| TraceWindow {
-        path,
-        from: arguments.trace_from,
-        clocks: arguments.trace_cycles,
-    });
-    let started = Instant::now();
-    let mut rig = Rig::boot(setup)?;
-    eprintln!(
-        "sim: the board answers after {} clocks ({:.1} s)",
-        rig.clock(),
-        started.elapsed().as_secs_f64()
-    );
-    for _ in 0..arguments.ping {
-        match rig.ping() {
-            Some(clocks) => eprintln!("sim: ping {clocks} clocks"),
-            None => eprintln!("sim: ping: no answer"),
-        }
-    }
-    if let Some(path) = &arguments.edges {
-        rig.record_edges(path)?;
-    }
-
-    let sys_hz = rig.board.clockwork().sys_hz;
-    let mode = match arguments.mode {
-        TimeMode::Lockstep => Mode::Lockstep {
-            period: rig.clocks(Duration::from_nanos(arguments.period_ns)),
-        },
-        TimeMode::Free => Mode::Free {
-            pace: arguments.pace.map(|ns| ns * 1e-9 * sys_hz as f64),
-        },
-    };
-    let options = Options {
-        udp: arguments.udp,
-        console: Some(arguments.console),
-        control: arguments.control,
-        stdin: arguments.stdin,
-        mode,
-        silence: Duration::from_millis(arguments.silence_ms),
-        orphan_clocks: rig.clocks(Duration::from_millis(arguments.orphan_ms)),
-        report: arguments.report.clone(),
-    };
-    let server = Server::bind(rig, options, stop).context("cannot listen")?;
-    println!("{}", server.ready_line());
-    std::io::stdout().flush()?;
-    let mut rig = server.run();
-
-    let report = rig.report();
-    let steps = rig.finish()?;
     if let Some(path) = &arguments.edges {
         eprintln!("sim: {steps} steps in {}", path.display());
-    }
-    eprintln!(
-        "sim: {} clocks at {:.0} kcycle/s",
-        report.clocks, report.kcycles_per_second
-    );
-    if let Some(path) = &arguments.report {
-        report.write(path)?;
-        eprintln!("sim: report in {}", path.display());
     }
     Ok(())
 }

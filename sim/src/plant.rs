@@ -262,7 +262,11 @@ impl Rotor {
             (false, true) if second > 0.5 => -first,
             (false, true) => first,
         };
-        let duty = if on(s.reverse_output).unwrap_or(false) { -duty } else { duty };
+        let duty = if on(s.reverse_output).unwrap_or(false) {
+            -duty
+        } else {
+            duty
+        };
         let full = s.max_rps * s.counts_per_rev as f64 / hz as f64;
         let share = (clocks / (s.lag_ms.max(1e-3) * 1e-3 * hz as f64)).min(1.0);
         self.speed += (duty * full - self.speed) * share;
@@ -513,7 +517,8 @@ impl Plant {
         }
         for shaft in &mut self.shafts {
             if (forward | backward) >> shaft.axis.stepgen & 1 != 0 {
-                shaft.target = Self::count(&shaft.axis, self.steps[shaft.axis.stepgen]) + shaft.slip;
+                shaft.target =
+                    Self::count(&shaft.axis, self.steps[shaft.axis.stepgen]) + shaft.slip;
                 if shaft.target != shaft.shown {
                     self.next = 0;
                 }

@@ -5,21 +5,38 @@ use std::path::Path;
 
 use serde::Serialize;
 
+use crate::board::Clockwork;
 use crate::edges::CHANNELS;
 use crate::error::Error;
-use crate::exchange::Spread;
+use crate::exchange::{Meter, Spread};
 use crate::rig::{FrameCounts, Rig};
 use crate::soc::Silicon;
+use crate::world::World;
+
+/// What a report is made of.
+pub(crate) struct Seen<'r> {
+    pub backend: &'static str,
+    pub world: &'r World,
+    pub clockwork: Clockwork,
+    pub clocks: u64,
+    pub kcycles_per_second: f64,
+    pub meter: &'r Meter,
+    pub frames: FrameCounts,
+}
 
 /// A whole run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
+    /// What made the edges: `rtl` or `model`.
+    pub backend: &'static str,
     /// Frequency of the simulated sys clock, Hz.
     pub sys_clk_hz: u64,
     /// Simulated sys clocks.
     pub clocks: u64,
     /// Thousands of sys clocks simulated per second of the machine's time.
     pub kcycles_per_second: f64,
+    /// Board time per time of this machine while it simulated.
+    pub times_real_time: f64,
     /// Every stepgen that has stepped, and every one before the last such.
     pub axes: Vec<AxisReport>,
     /// Broken rules of step timing in all.
@@ -99,13 +116,26 @@ pub struct Counters {
 impl Counters {
     /// Ask the board; `None` when it does not answer.
     pub fn read<S: Silicon>(rig: &mut Rig<S>) -> Option<Self> {
-        let counters = rig.read_block(wire::map::COUNTERS, 3 + wire::Refusal::ALL.len() as u32)?;
+        let counters = rig.read_block(wire::map::COUNTERS, COUNTERS)?;
         let describe = rig.read_block(wire::map::DESCRIBE, 9)?;
-        let stepgens = (describe[7] & 0xff) as usize;
+        let stepgens = describe[7] & 0xff;
+        let status = rig.read_block(wire::map::STATUS, status_words(stepgens));
+        Some(Self::from_words(&counters, &status.unwrap_or_default()))
+    }
+
+    /// The same, a word at a time.
+    pub(crate) fn gather(mut read: impl FnMut(u32) -> Option<u32>) -> Option<Self> {
+        let mut block = |base: u32, count: u32| -> Option<Vec<u32>> {
+            (0..count).map(|word| read(base + 4 * word)).collect()
+        };
+        let counters = block(wire::map::COUNTERS, COUNTERS)?;
+        let stepgens = block(wire::map::DESCRIBE, 9)?[7] & 0xff;
+        let status = block(wire::map::STATUS, status_words(stepgens))?;
+        Some(Self::from_words(&counters, &status))
+    }
+
+    fn from_words(counters: &[u32], status: &[u32]) -> Self {
         let head = wire::exchange::STATUS_HEAD;
-        let status = rig
-            .read_block(wire::map::STATUS, (head + 3 * stepgens) as u32)
-            .unwrap_or_default();
         // s32.32 starting at half a step: the integer part is the pulses emitted.
         let positions = status
             .get(head..)
@@ -113,7 +143,7 @@ impl Counters {
             .chunks_exact(3)
             .map(|w| i64::from(w[1] as i32))
             .collect();
-        Some(Counters {
+        Counters {
             frames_rx: counters[0],
             frames_tx: counters[1],
             exchanges: counters[2],
@@ -123,14 +153,21 @@ impl Counters {
                 .zip(counters[3..].iter().copied())
                 .collect(),
             positions,
-        })
+        }
     }
 }
 
+/// Words of the counter window.
+const COUNTERS: u32 = 3 + wire::Refusal::ALL.len() as u32;
+
+fn status_words(stepgens: u32) -> u32 {
+    wire::exchange::STATUS_HEAD as u32 + 3 * stepgens
+}
+
 impl Report {
-    pub(crate) fn of<S: Silicon>(rig: &Rig<S>, board: Option<Counters>) -> Self {
-        let sys_clk_hz = rig.board.clockwork().sys_hz;
-        let edges = &rig.board.edges;
+    pub(crate) fn of(seen: &Seen, board: Option<Counters>) -> Self {
+        let sys_clk_hz = seen.clockwork.sys_hz;
+        let (edges, plant) = (&seen.world.edges, &seen.world.plant);
         let used = (0..CHANNELS)
             .rev()
             .find(|n| edges.channel(*n).pulses != 0)
@@ -143,16 +180,19 @@ impl Report {
                 pulses_at_pins: channel.count,
                 pulses_total: channel.pulses,
                 reversals: channel.reversals,
-                encoder_at_pins: rig.board.plant.encoder_count(n),
+                encoder_at_pins: plant.encoder_count(n),
                 firmware_counts: board.as_ref().and_then(|b| b.positions.get(n).copied()),
             }
         });
-        let meter = &rig.meter;
+        let meter = seen.meter;
         let margin = meter.watchdog_margin;
+        let round = |figure: f64| (figure * 10.0).round() / 10.0;
         Report {
+            backend: seen.backend,
             sys_clk_hz,
-            clocks: rig.clock(),
-            kcycles_per_second: (rig.kcycles_per_second() * 10.0).round() / 10.0,
+            clocks: seen.clocks,
+            kcycles_per_second: round(seen.kcycles_per_second),
+            times_real_time: round(seen.kcycles_per_second * 1e3 / sys_clk_hz as f64),
             axes: axes.collect(),
             timing_violations: edges.violation_count(),
             exchange: ExchangeReport {
@@ -169,10 +209,10 @@ impl Report {
                 margin_min_clocks: margin,
                 margin_min_ms: margin.map(|m| f64::from(m) * 1e3 / sys_clk_hz as f64),
             },
-            frames: rig.frames,
+            frames: seen.frames,
             board,
             last_state: meter.last_state,
-            gate_open: rig.pins().gate != 0,
+            gate_open: seen.world.pins().gate != 0,
         }
     }
 

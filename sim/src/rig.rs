@@ -26,7 +26,7 @@ use crate::exchange::{Meter, Timing, is_request};
 use crate::firmware::Image;
 use crate::gmii;
 use crate::plant::Plant;
-use crate::report::{Counters, Report};
+use crate::report::{Counters, Report, Seen};
 use crate::segment::{
     BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, Segment,
 };
@@ -80,7 +80,7 @@ pub struct Faults {
 }
 
 /// Counts one fault down; true when it strikes.
-fn strike(count: &mut u32) -> bool {
+pub(crate) fn strike(count: &mut u32) -> bool {
     let hit = *count > 0;
     *count -= u32::from(hit);
     hit
@@ -568,7 +568,18 @@ impl<S: Silicon> Rig<S> {
     /// is dead or frozen leaves them out.
     pub fn report(&mut self) -> Report {
         let own = Counters::read(self);
-        Report::of(self, own)
+        Report::of(
+            &Seen {
+                backend: "rtl",
+                world: &self.board,
+                clockwork: self.board.clockwork(),
+                clocks: self.clock(),
+                kcycles_per_second: self.kcycles_per_second(),
+                meter: &self.meter,
+                frames: self.frames,
+            },
+            own,
+        )
     }
 }
 

@@ -431,7 +431,6 @@ impl Segment {
         matches!(socket.state(), tcp::State::Closed | tcp::State::TimeWait) && !socket.can_recv()
     }
 
-
     /// Send what fits; how many bytes that was.
     pub fn send(&mut self, connection: Connection, bytes: &[u8]) -> usize {
         self.tcp(connection).send_slice(bytes).unwrap_or(0)

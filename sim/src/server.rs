@@ -24,10 +24,152 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
 use std::time::{Duration, Instant};
 
-use crate::exchange::{Spread, is_request, wants_reply};
-use crate::rig::Rig;
+use crate::board::Clockwork;
+use crate::exchange::{Meter, Spread, is_request, wants_reply};
+use crate::report::Report;
+use crate::rig::{Faults, FrameCounts, Rig};
 use crate::segment::{BOARD_PORT, CONSOLE_PORT, Connection, HOST_IP, Nat};
 use crate::soc::Silicon;
+use crate::world::World;
+
+/// A board that can be served: datagrams and console lines in, answers out, and time that passes only when told to.
+pub trait Device {
+    /// One visitor's line to the console.
+    type Console: Copy;
+
+    /// Sys clocks since power-up.
+    fn clock(&self) -> u64;
+    /// How time is divided.
+    fn clockwork(&self) -> Clockwork;
+    /// Puts a datagram from a host's `port` on the way to the board.
+    fn post(&mut self, port: u16, payload: &[u8]);
+    /// Lets time pass to the sys clock `until` or to the next answer; true when something may have come.
+    fn pass(&mut self, until: u64) -> bool;
+    /// Answers, with the port of the host they are for.
+    fn take_replies(&mut self) -> Vec<(u16, Vec<u8>)>;
+    /// Longest wait for the answer to `payload`, or for it to take effect, sys clocks.
+    fn wait_for(&self, payload: &[u8]) -> u64;
+
+    /// A visitor comes.
+    fn open(&mut self) -> Self::Console;
+    /// He types; how many bytes were taken.
+    fn type_in(&mut self, console: Self::Console, bytes: &[u8]) -> usize;
+    /// What the board has said to him since.
+    fn heard(&mut self, console: Self::Console) -> Vec<u8>;
+    /// Bytes typed that the board has not got yet.
+    fn untold(&mut self, console: Self::Console) -> usize;
+    /// He leaves.
+    fn hang_up(&mut self, console: Self::Console);
+    /// The board has said good bye.
+    fn hung_up(&mut self, console: Self::Console) -> bool;
+    /// Both have.
+    fn closed(&mut self, console: Self::Console) -> bool;
+    /// He is gone.
+    fn forget(&mut self, console: Self::Console);
+
+    /// Pins, edges, plant.
+    fn world(&self) -> &World;
+    /// The same, to be changed.
+    fn world_mut(&mut self) -> &mut World;
+    /// Stops or starts the CPU.
+    fn freeze_cpu(&mut self, frozen: bool);
+    /// Faults of the cable.
+    fn faults(&mut self) -> &mut Faults;
+    /// Measurements of exchanges.
+    fn meter(&self) -> &Meter;
+    /// Frames passed.
+    fn frames(&self) -> FrameCounts;
+    /// Round trip of a ping, sys clocks.
+    fn ping(&mut self) -> Option<u64>;
+    /// Thousands of sys clocks simulated per second of this machine.
+    fn kcycles_per_second(&self) -> f64;
+    /// Everything worth reporting.
+    fn report(&mut self) -> Report;
+
+    /// A duration in sys clocks.
+    fn clocks(&self, time: Duration) -> u64 {
+        self.clockwork().clocks_in_ns(time.as_nanos() as u64)
+    }
+}
+
+impl<S: Silicon> Device for Rig<S> {
+    type Console = Connection;
+
+    fn clock(&self) -> u64 {
+        Rig::clock(self)
+    }
+    fn clockwork(&self) -> Clockwork {
+        self.board.clockwork()
+    }
+    fn post(&mut self, port: u16, payload: &[u8]) {
+        Rig::post(self, (HOST_IP, port), BOARD_PORT, payload);
+    }
+    fn pass(&mut self, until: u64) -> bool {
+        self.advance(until)
+    }
+    fn take_replies(&mut self) -> Vec<(u16, Vec<u8>)> {
+        let datagrams = self.take_datagrams().into_iter();
+        datagrams.map(|(d, _)| (d.to.1, d.payload)).collect()
+    }
+    fn wait_for(&self, payload: &[u8]) -> u64 {
+        if wants_reply(payload) {
+            Rig::wait_for(self, payload)
+        } else {
+            self.patience / 10
+        }
+    }
+    fn open(&mut self) -> Connection {
+        self.segment.connect(CONSOLE_PORT)
+    }
+    fn type_in(&mut self, console: Connection, bytes: &[u8]) -> usize {
+        self.segment.send(console, bytes)
+    }
+    fn heard(&mut self, console: Connection) -> Vec<u8> {
+        self.segment.recv(console)
+    }
+    fn untold(&mut self, console: Connection) -> usize {
+        self.segment.unsent(console)
+    }
+    fn hang_up(&mut self, console: Connection) {
+        self.segment.close(console);
+    }
+    fn hung_up(&mut self, console: Connection) -> bool {
+        self.segment.hung_up(console)
+    }
+    fn closed(&mut self, console: Connection) -> bool {
+        self.segment.closed(console)
+    }
+    fn forget(&mut self, console: Connection) {
+        self.segment.drop_connection(console);
+    }
+    fn world(&self) -> &World {
+        &self.board
+    }
+    fn world_mut(&mut self) -> &mut World {
+        &mut self.board
+    }
+    fn freeze_cpu(&mut self, frozen: bool) {
+        self.board.freeze_cpu(frozen);
+    }
+    fn faults(&mut self) -> &mut Faults {
+        &mut self.faults
+    }
+    fn meter(&self) -> &Meter {
+        &self.meter
+    }
+    fn frames(&self) -> FrameCounts {
+        self.frames
+    }
+    fn ping(&mut self) -> Option<u64> {
+        Rig::ping(self)
+    }
+    fn kcycles_per_second(&self) -> f64 {
+        Rig::kcycles_per_second(self)
+    }
+    fn report(&mut self) -> Report {
+        Rig::report(self)
+    }
+}
 
 /// How simulated time passes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,23 +217,23 @@ enum Event {
     Command(String, Option<TcpStream>),
 }
 
-struct Console {
+struct Console<C> {
     stream: TcpStream,
-    connection: Connection,
+    connection: C,
     waiting: Vec<u8>,
     ended: bool,
 }
 
-/// A rig being served.
-pub struct Server<S> {
-    rig: Rig<S>,
+/// A board being served.
+pub struct Server<D: Device> {
+    rig: D,
     options: Options,
     udp: UdpSocket,
     console_address: Option<SocketAddr>,
     control_address: Option<SocketAddr>,
     events: Receiver<Event>,
     nat: Nat<SocketAddr>,
-    consoles: HashMap<u64, Console>,
+    consoles: HashMap<u64, Console<D::Console>>,
     stop: Arc<AtomicBool>,
     quit: bool,
     /// Sys clock at which the present servo period ends.
@@ -106,9 +248,9 @@ pub struct Server<S> {
 /// machine's time.
 const SLICE: u64 = 1000;
 
-impl<S: Silicon> Server<S> {
+impl<D: Device> Server<D> {
     /// Open the sockets. `stop` ends [`Self::run`] when somebody (a signal handler) sets it.
-    pub fn bind(rig: Rig<S>, options: Options, stop: Arc<AtomicBool>) -> std::io::Result<Self> {
+    pub fn bind(rig: D, options: Options, stop: Arc<AtomicBool>) -> std::io::Result<Self> {
         let (sender, events) = channel();
         let udp = UdpSocket::bind(options.udp)?;
         let console = options.console.map(TcpListener::bind).transpose()?;
@@ -167,12 +309,12 @@ impl<S: Silicon> Server<S> {
             address(self.udp.local_addr().ok()),
             address(self.console_address),
             address(self.control_address),
-            self.rig.board.clockwork().sys_hz,
+            self.rig.clockwork().sys_hz,
         )
     }
 
     /// Serve until told to stop; gives the rig back for its report.
-    pub fn run(mut self) -> Rig<S> {
+    pub fn run(mut self) -> D {
         while !self.quit && !self.stop.load(Ordering::Relaxed) {
             match self.options.mode {
                 Mode::Lockstep { period } => self.lockstep(period),
@@ -223,12 +365,7 @@ impl<S: Silicon> Server<S> {
             }
             Ok(Event::Datagram(sender, payload)) => {
                 let port = self.post(sender, &payload);
-                let patience = if wants_reply(&payload) {
-                    self.rig.wait_for(&payload)
-                } else {
-                    self.rig.patience / 10
-                };
-                let until = self.rig.clock() + patience;
+                let until = self.rig.clock() + self.rig.wait_for(&payload);
                 while self.rig.clock() < until && !self.pass_frame(until).contains(&port) {}
             }
             Ok(event) => {
@@ -264,7 +401,7 @@ impl<S: Silicon> Server<S> {
     /// Put a datagram of the outside world on the segment; the virtual port it comes from there.
     fn post(&mut self, sender: SocketAddr, payload: &[u8]) -> u16 {
         let port = self.nat.port(sender);
-        self.rig.post((HOST_IP, port), BOARD_PORT, payload);
+        self.rig.post(port, payload);
         port
     }
 
@@ -279,15 +416,15 @@ impl<S: Silicon> Server<S> {
     fn pass_frame(&mut self, until: u64) -> Vec<u16> {
         // Slices keep signals and consoles alive in long waits.
         let until = until.min(self.rig.clock() + 20 * SLICE);
-        if !self.rig.advance(until) {
+        if !self.rig.pass(until) {
             return Vec::new();
         }
         let mut ports = Vec::new();
-        for (datagram, _) in self.rig.take_datagrams() {
-            ports.push(datagram.to.1);
-            if let Some(sender) = self.nat.sender(datagram.to.1) {
+        for (port, payload) in self.rig.take_replies() {
+            ports.push(port);
+            if let Some(sender) = self.nat.sender(port) {
                 // A host that is gone refuses the datagram; the board would not know either.
-                let _ = self.udp.send_to(&datagram.payload, sender);
+                let _ = self.udp.send_to(&payload, sender);
             }
         }
         self.pump_consoles();
@@ -300,7 +437,7 @@ impl<S: Silicon> Server<S> {
                 self.post(sender, &payload);
             }
             Event::Opened(id, stream) => {
-                let connection = self.rig.segment.connect(CONSOLE_PORT);
+                let connection = self.rig.open();
                 self.consoles.insert(
                     id,
                     Console {
@@ -336,33 +473,30 @@ impl<S: Silicon> Server<S> {
 
     /// Bytes both ways between real console connections and the segment. True while something moved.
     fn pump_consoles(&mut self) -> bool {
-        let segment = &mut self.rig.segment;
+        let rig = &mut self.rig;
         let mut moved = false;
         self.consoles.retain(|_, console| {
-            let sent = segment.send(console.connection, &console.waiting);
+            let sent = rig.type_in(console.connection, &console.waiting);
             console.waiting.drain(..sent);
-            let heard = segment.recv(console.connection);
+            let heard = rig.heard(console.connection);
             moved |= sent != 0 || !heard.is_empty();
             if !heard.is_empty() && console.stream.write_all(&heard).is_err() {
                 // Nobody listens any more. The board still has to hear it, or it keeps its only console for them.
                 console.ended = true;
                 console.waiting.clear();
             }
-            if console.ended
-                && console.waiting.is_empty()
-                && segment.unsent(console.connection) == 0
-            {
-                segment.close(console.connection);
+            if console.ended && console.waiting.is_empty() && rig.untold(console.connection) == 0 {
+                rig.hang_up(console.connection);
             }
-            if segment.hung_up(console.connection) {
+            if rig.hung_up(console.connection) {
                 // Our good bye has to follow the board's, or it waits for it and lets nobody else in.
                 let _ = console.stream.shutdown(std::net::Shutdown::Both);
-                segment.close(console.connection);
+                rig.hang_up(console.connection);
             }
-            let over = segment.closed(console.connection);
+            let over = rig.closed(console.connection);
             if over {
                 let _ = console.stream.shutdown(std::net::Shutdown::Both);
-                segment.drop_connection(console.connection);
+                rig.forget(console.connection);
             }
             !over
         });
@@ -410,14 +544,14 @@ impl<S: Silicon> Server<S> {
             },
             "ext-reset" => match level(rest) {
                 Some(on) => {
-                    self.rig.ext_reset(on != 0);
+                    self.rig.world_mut().ext_reset(on != 0);
                     format!("ok ext_reset={}", u8::from(on != 0))
                 }
                 None => "error: ext-reset takes 0 or 1".into(),
             },
             "gpio-in" => match rest.and_then(|t| number(t)) {
                 Some(mask) => {
-                    self.rig.gpio_in(mask as u32);
+                    self.rig.world_mut().gpio_in(mask as u32);
                     format!("ok gpio_in={mask:#010x}")
                 }
                 None => "error: gpio-in takes a mask".into(),
@@ -433,11 +567,11 @@ impl<S: Silicon> Server<S> {
             },
             "drop-to-board" | "drop-from-board" => match rest.and_then(|t| number(t)) {
                 Some(n) if words[0] == "drop-to-board" => {
-                    self.rig.faults.drop_to_board = n as u32;
+                    self.rig.faults().drop_to_board = n as u32;
                     format!("ok drop_to_board={n}")
                 }
                 Some(n) => {
-                    self.rig.faults.drop_from_board = n as u32;
+                    self.rig.faults().drop_from_board = n as u32;
                     format!("ok drop_from_board={n}")
                 }
                 None => "error: how many frames?".into(),
@@ -447,7 +581,7 @@ impl<S: Silicon> Server<S> {
                 None => "error: no answer".into(),
             },
             "pins" => {
-                let p = self.rig.pins();
+                let p = self.rig.world().pins();
                 format!(
                     "ok clock={} gate={} step={:#06x} dir={:#06x} pwm={:#06x} gpio_out={:#010x} gpio_in={:#010x} led={}",
                     self.rig.clock(),
@@ -461,11 +595,11 @@ impl<S: Silicon> Server<S> {
                 )
             }
             "counts" => {
-                let counts = self.rig.board.edges.counts().map(|n| n.to_string());
+                let counts = self.rig.world().edges.counts().map(|n| n.to_string());
                 format!("ok clock={} counts={}", self.rig.clock(), counts.join(","))
             }
             "stats" => {
-                let meter = &self.rig.meter;
+                let meter = self.rig.meter();
                 let spread = Spread::of(&meter.turnarounds).unwrap_or_default();
                 format!(
                     "ok clock={} kcycles_per_second={:.0} exchanges={} answered={} turnaround={}/{}/{} violations={} frames={}/{}",
@@ -476,9 +610,9 @@ impl<S: Silicon> Server<S> {
                     spread.min,
                     spread.median,
                     spread.max,
-                    self.rig.board.edges.violation_count(),
-                    self.rig.frames.to_board,
-                    self.rig.frames.from_board
+                    self.rig.world().edges.violation_count(),
+                    self.rig.frames().to_board,
+                    self.rig.frames().from_board
                 )
             }
             "report" => match self.options.report.clone() {

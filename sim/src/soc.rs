@@ -77,6 +77,28 @@ pub struct Pins {
 
 const _: () = assert!(size_of::<Pins>() == 44);
 
+impl Pins {
+    /// The outputs of `other`.
+    pub(crate) fn take_outputs(&mut self, other: &Pins) {
+        let inputs = *self;
+        *self = Pins {
+            gpio_in: inputs.gpio_in,
+            enc_a: inputs.enc_a,
+            enc_b: inputs.enc_b,
+            enc_i: inputs.enc_i,
+            step_index: inputs.step_index,
+            enc_mask: inputs.enc_mask,
+            gmii_rx_data: inputs.gmii_rx_data,
+            gmii_rx_dv: inputs.gmii_rx_dv,
+            ext_reset: inputs.ext_reset,
+            cpu_freeze: inputs.cpu_freeze,
+            sys_rst: inputs.sys_rst,
+            reserved_in: 0,
+            ..*other
+        };
+    }
+}
+
 /// Anything that behaves as the board's digital part at its pins: the Verilated SoC, or a few lines of Rust in a test.
 pub trait Silicon {
     /// One rising edge of the clocks in `clocks` ([`SYS`], [`ETH`] or both), with the inputs of `pins` stable before it;
@@ -110,7 +132,15 @@ impl Manifest {
             path: path.clone(),
             source,
         })?;
-        serde_json::from_slice(&text).map_err(|source| Error::Manifest { path, source })
+        Self::parse(&text, &path)
+    }
+
+    /// From its text; `path` is for the message.
+    pub(crate) fn parse(text: &[u8], path: &Path) -> Result<Self, Error> {
+        serde_json::from_slice(text).map_err(|source| Error::Manifest {
+            path: path.into(),
+            source,
+        })
     }
 }
 

@@ -128,6 +128,13 @@ impl World {
         self.pins.gpio_in = (self.gpio_in & !mask) | (levels.gpio & mask);
     }
 
+    /// The step pins have been turned over by a setting: as they stand is how they stood.
+    pub(crate) fn look_again(&mut self) {
+        let p = &self.pins;
+        self.edges.adopt(p.step, p.dir);
+        (self.seen.step, self.seen.dir) = (p.step, p.dir);
+    }
+
     /// Changes of watched outputs since the last call.
     pub fn take_events(&mut self) -> Vec<PinEvent> {
         std::mem::take(&mut self.events)

@@ -1,0 +1,197 @@
+//! What a board is, without its gateware: the information blob and the clock, as elaboration writes them.
+//!
+//! Nobody but `gateware/ferrocnc/board.py` reads board files; this reads what that wrote. `target/sim/NAME` is the latest
+//! word; where nothing has been elaborated the committed copies under `sim/boards` stand in (`sim/boards/regen.py`).
+
+use std::path::{Path, PathBuf};
+
+use wire::board::{Blob, HEADER_LEN, Kind, MAGIC, VERSION, crc32};
+use wire::describe::Channels;
+
+use crate::error::Error;
+use crate::soc::Manifest;
+
+/// A board's facts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Card {
+    /// The blob.
+    pub blob: Vec<u8>,
+    /// Hertz.
+    pub clock_hz: u32,
+    /// How many of each.
+    pub channels: Channels,
+    /// Inputs that stop the machine, one bit each.
+    pub estop_mask: u32,
+    /// The level at which they do.
+    pub estop_level: u32,
+}
+
+const BUILT_IN: [(&str, &[u8], &[u8]); 2] = [
+    (
+        "max",
+        include_bytes!("../boards/max/board.bin"),
+        include_bytes!("../boards/max/manifest.json"),
+    ),
+    (
+        "mill6",
+        include_bytes!("../boards/mill6/board.bin"),
+        include_bytes!("../boards/mill6/manifest.json"),
+    ),
+];
+
+impl Card {
+    /// The board of this name.
+    pub fn named(name: &str) -> Result<Self, Error> {
+        let folder = elaborated(name);
+        if folder.join("board.bin").is_file() {
+            return Self::read(&folder);
+        }
+        let built_in = BUILT_IN.iter().find(|(known, _, _)| *known == name);
+        let Some((_, blob, manifest)) = built_in else {
+            return Err(Error::Board {
+                name: name.into(),
+                why: format!(
+                    "there is no {} and it is none of {:?}; elaborate it (`cargo xtask sim`) or say --channels and --clock",
+                    folder.join("board.bin").display(),
+                    BUILT_IN.map(|(known, _, _)| known)
+                ),
+            });
+        };
+        let manifest = Manifest::parse(manifest, Path::new(name))?;
+        Self::parse(name, blob.to_vec(), manifest.sys_clk_hz)
+    }
+
+    /// The board whose `board.bin` and `manifest.json` lie in this folder.
+    pub fn read(folder: &Path) -> Result<Self, Error> {
+        let manifest = Manifest::read(folder)?;
+        let path = folder.join("board.bin");
+        let blob = std::fs::read(&path).map_err(|source| Error::Read {
+            path: path.clone(),
+            source,
+        })?;
+        Self::parse(&path.display().to_string(), blob, manifest.sys_clk_hz)
+    }
+
+    /// A board nobody has described: so many stepgens, encoders, PWMs, inputs and outputs.
+    pub fn plain(channels: Channels, clock_hz: u32) -> Self {
+        let mut body = Vec::new();
+        let mut entry = |kind: u8, channel: u8, text: &str| {
+            body.extend([kind, channel, text.len() as u8, 0]);
+            body.extend(text.bytes());
+            body.resize(body.len().next_multiple_of(4), 0);
+        };
+        entry(1, 0, "twin");
+        entry(2, 0, "twin");
+        let c = channels;
+        let counts = [
+            (3, c.stepgens),
+            (4, c.encoders),
+            (5, c.pwms),
+            (6, c.inputs),
+            (7, c.outputs),
+        ];
+        for (kind, count) in counts {
+            for n in 0..count {
+                entry(kind, n, &n.to_string());
+            }
+        }
+        let head = [
+            MAGIC,
+            VERSION,
+            (HEADER_LEN + body.len()) as u32,
+            crc32(&body),
+        ];
+        let mut blob: Vec<u8> = head.iter().flat_map(|word| word.to_be_bytes()).collect();
+        blob.extend(body);
+        Card {
+            blob,
+            clock_hz,
+            channels,
+            estop_mask: 0,
+            estop_level: 0,
+        }
+    }
+
+    fn parse(name: &str, blob: Vec<u8>, clock_hz: u64) -> Result<Self, Error> {
+        let wrong = |why: String| Error::Board {
+            name: name.into(),
+            why,
+        };
+        let checked = Blob::new_checked(&blob).map_err(|e| wrong(e.to_string()))?;
+        let mut channels = Channels::default();
+        let (mut estop_mask, mut estop_level) = (0, 0);
+        for entry in checked.entries() {
+            match entry.kind {
+                Kind::Stepgen => channels.stepgens += 1,
+                Kind::Encoder => channels.encoders += 1,
+                Kind::Pwm => channels.pwms += 1,
+                Kind::Input => channels.inputs += 1,
+                Kind::Output => channels.outputs += 1,
+                Kind::Pins => {
+                    let text = std::str::from_utf8(entry.value).unwrap_or_default();
+                    let level = text.strip_prefix('i').and_then(|pins| {
+                        pins.split(' ').find_map(|pin| pin.strip_prefix("estop="))
+                    });
+                    if let Some(level) = level {
+                        estop_mask |= 1 << (entry.channel & 31);
+                        estop_level |= u32::from(level == "high") << (entry.channel & 31);
+                    }
+                }
+                Kind::Board | Kind::Configuration | Kind::Mac | Kind::Ipv4 | Kind::Port => {}
+            }
+        }
+        Ok(Card {
+            clock_hz: u32::try_from(clock_hz).map_err(|e| wrong(e.to_string()))?,
+            channels,
+            estop_mask,
+            estop_level,
+            blob,
+        })
+    }
+
+    /// The blob as the words of its ROM.
+    pub fn words(&self) -> Vec<u32> {
+        let chunks = self.blob.chunks(4);
+        chunks
+            .map(|c| c.iter().fold(0, |word, byte| word << 8 | u32::from(*byte)))
+            .collect()
+    }
+}
+
+/// Where elaboration puts a board's simulation.
+fn elaborated(name: &str) -> PathBuf {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent();
+    root.unwrap_or(Path::new(".")).join("target/sim").join(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_committed_boards_can_be_read() {
+        for (name, blob, manifest) in BUILT_IN {
+            let manifest = Manifest::parse(manifest, Path::new(name)).unwrap();
+            let card = Card::parse(name, blob.to_vec(), manifest.sys_clk_hz).unwrap();
+            assert!(
+                card.channels.stepgens >= 6 && card.clock_hz >= 40_000_000,
+                "{card:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_plain_board_describes_itself() {
+        let channels = Channels {
+            stepgens: 6,
+            encoders: 6,
+            pwms: 6,
+            inputs: 12,
+            outputs: 12,
+        };
+        let plain = Card::plain(channels, 60_000_000);
+        let read = Card::parse("plain", plain.blob.clone(), 60_000_000).unwrap();
+        assert_eq!(read, plain);
+        assert_eq!(plain.words()[0], MAGIC);
+    }
+}

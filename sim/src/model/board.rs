@@ -1,0 +1,1059 @@
+//! All cores of one board behind the register map, as `gateware/ferrocnc/banks.py` wires them.
+//!
+//! Time passes in one of two ways, with the same bits. [`Board::clock`] makes one rising edge of everything, with the register
+//! bus as it stands before it. [`Board::run`] goes from event to event: every channel is a *lane* that knows until when it is
+//! quiet, and is left alone until then. What all lanes share (gate, stop, probe, strobes) changes seldom; when it does, one
+//! edge of everything is made.
+
+use wire::describe::Channels;
+use wire::exchange::PWM_PERIOD_MAX;
+use wire::map::{DIR_CLOCKS_MAX, STEP_CLOCKS_MAX};
+
+use litex_pac::abi;
+
+use super::encoder::{self, Encoder};
+use super::extreset::Extreset;
+use super::gpio::{self, Gpio};
+use super::latch::{self, Latch};
+use super::led::Led;
+use super::pwm::{self, Pwm};
+use super::stepgen::{self, Stepgen};
+use super::tally::{ROTATION, Tally};
+use super::timebase::{self, Timebase};
+use super::watchdog::{self, Watchdog};
+use crate::soc::Pins;
+
+const fn page(address: usize) -> u32 {
+    ((address - abi::CSR_BASE) / abi::CSR_PAGE) as u32
+}
+
+/// Pages of the map.
+pub mod pages {
+    use super::{abi, page};
+    /// Who the gateware is.
+    pub const IDENT: u32 = page(abi::CSR_IDENT);
+    /// Wall clock and strobes.
+    pub const TIMEBASE: u32 = page(abi::CSR_TIMEBASE);
+    /// The gate.
+    pub const WATCHDOG: u32 = page(abi::CSR_WATCHDOG);
+    /// Inputs and outputs.
+    pub const GPIO: u32 = page(abi::CSR_GPIO);
+    /// The status LED.
+    pub const LED: u32 = page(abi::CSR_LED);
+    /// Debounce limits.
+    pub const DEBOUNCE: u32 = page(abi::CSR_DEBOUNCE);
+    /// Staged commands.
+    pub const COMMAND: u32 = page(abi::CSR_COMMAND);
+    /// The last sample.
+    pub const STATUS: u32 = page(abi::CSR_STATUS);
+    /// Settings of stepgen 0.
+    pub const STEPGEN: u32 = page(abi::CSR_STEPGEN0);
+    /// Settings of encoder 0.
+    pub const ENCODER: u32 = page(abi::CSR_ENCODER0);
+    /// Settings of PWM 0.
+    pub const PWM: u32 = page(abi::CSR_PWM0);
+}
+
+const CHANNELS: usize = abi::STEPGEN_MAX;
+
+/// What a board is built with.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Build {
+    /// How many of each.
+    pub channels: Channels,
+    /// Hertz.
+    pub clock_hz: u32,
+    /// Inputs that stop the machine.
+    pub estop_mask: u32,
+    /// The level at which they do.
+    pub estop_level: u32,
+    /// ABI number.
+    pub abi: u32,
+    /// Gateware version.
+    pub version: u32,
+    /// Words of the board information ROM.
+    pub rom_words: u32,
+}
+
+/// The register bus and the MAC's signals before an edge.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Bus {
+    /// A write: word address and data.
+    pub write: Option<(u32, u32)>,
+    /// System reset.
+    pub rst: bool,
+    /// A frame is complete in this slot.
+    pub frame_done: Option<bool>,
+    /// The frame in this slot is presented.
+    pub frame_pending: Option<bool>,
+}
+
+/// What all lanes see alike.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Common {
+    gate: bool,
+    stop: bool,
+    reset_pin: bool,
+    estop: bool,
+    probe: bool,
+    all_stopped: bool,
+}
+
+/// What happens to all lanes in one clock.
+#[derive(Clone, Copy, Debug, Default)]
+struct Strobes {
+    commit: bool,
+    sample: bool,
+    now: u64,
+}
+
+/// Registers that are nobody's state but what was written.
+#[derive(Clone, Debug)]
+struct Regs {
+    timeout: u32,
+    grace: u32,
+    commit_at: [u32; 2],
+    safe: u32,
+    invert: u32,
+    probe: u32,
+    led: u32,
+    enables: u32,
+    outputs: u32,
+    arms: u32,
+    probe_arms: u32,
+    /// The three words of bits as committed.
+    enables_now: u32,
+    arms_now: u32,
+    probe_arms_now: u32,
+    velocity: [u32; CHANNELS],
+    accel: [u32; CHANNELS],
+    pwm: [u32; CHANNELS],
+    stepgen: [stepgen::Settings; CHANNELS],
+    encoder: [[u32; 2]; CHANNELS],
+    pwm_set: [[u32; 2]; CHANNELS],
+    debounce: [u16; 32],
+}
+
+#[derive(Clone, Debug, Default)]
+struct StepLane {
+    at: u64,
+    core: Stepgen,
+    latch: Latch,
+    tally: Tally,
+    pin: bool,
+    meta: bool,
+    index: bool,
+    waited: bool,
+    fraction: u32,
+    velocity: u32,
+}
+
+#[derive(Clone, Debug, Default)]
+struct EncoderLane {
+    at: u64,
+    core: Encoder,
+    latch: Latch,
+    tally: Tally,
+    edge: Tally,
+    pins: [bool; 4],
+    waited: bool,
+}
+
+#[derive(Clone, Debug, Default)]
+struct PwmLane {
+    at: u64,
+    core: Pwm,
+}
+
+#[derive(Clone, Debug)]
+struct Hub {
+    at: u64,
+    extreset: Extreset,
+    watchdog: Watchdog,
+    timebase: Timebase,
+    gpio: Gpio,
+    led: Led,
+    probe: bool,
+    inputs: u32,
+    reset: bool,
+}
+
+/// A board's cores and banks.
+#[derive(Clone, Debug)]
+pub struct Board {
+    build: Build,
+    clock: u64,
+    /// The next edge to be made explicitly: the hub, then stepgens, encoders, PWMs.
+    next: Vec<u64>,
+    /// The next edge to be made of everything.
+    full: u64,
+    common: Common,
+    regs: Regs,
+    hub: Hub,
+    steps: Vec<StepLane>,
+    encoders: Vec<EncoderLane>,
+    pwms: Vec<PwmLane>,
+    /// A bus write on its way to the registers.
+    write: Option<(u32, u32)>,
+    now_caught: u64,
+    slot_time: [u64; 2],
+    arrival: u64,
+    sample: u64,
+    gpio_caught: u32,
+    estop_caught: u32,
+    flags_caught: [u32; 3],
+    out: Pins,
+}
+
+fn bit(word: u32, n: usize) -> bool {
+    word >> n & 1 != 0
+}
+
+fn put(word: &mut u16, n: usize, on: bool) {
+    *word = *word & !(1 << n) | u16::from(on) << n;
+}
+
+impl Regs {
+    fn stepgen_input(&self, n: usize, common: &Common, commit: bool) -> stepgen::Input {
+        // -2^31 has no positive twin.
+        let velocity = self.velocity[n] | u32::from(self.velocity[n] == 0x8000_0000);
+        stepgen::Input {
+            gate: common.gate,
+            stop: common.stop,
+            commit,
+            enable: bit(self.enables, n),
+            velocity: velocity as i32,
+            accel: self.accel[n],
+            set: self.stepgen[n],
+        }
+    }
+
+    fn stepgen_latch(&self, n: usize, index: bool, pending: bool, common: &Common) -> latch::Input {
+        latch::Input {
+            pending,
+            arm_index: bit(self.arms_now, n),
+            arm_probe: bit(self.probe_arms_now, n),
+            index,
+            probe: common.probe,
+        }
+    }
+
+    fn encoder_latch(&self, n: usize, index: bool, pending: bool, common: &Common) -> latch::Input {
+        latch::Input {
+            pending,
+            arm_index: bit(self.enables_now, 16 + n),
+            arm_probe: bit(self.arms_now, 16 + n),
+            index,
+            probe: common.probe,
+        }
+    }
+
+    fn pwm_input(&self, n: usize, common: &Common, commit: bool) -> pwm::Input {
+        pwm::Input {
+            gate: common.gate,
+            commit,
+            command: self.pwm[n],
+            period: self.pwm_set[n][0],
+            mode: self.pwm_set[n][1],
+        }
+    }
+
+    fn commit_at(&self) -> u64 {
+        u64::from(self.commit_at[1]) << 32 | u64::from(self.commit_at[0])
+    }
+}
+
+impl StepLane {
+    fn clock(&mut self, n: usize, regs: &Regs, common: &Common, s: &Strobes) {
+        let input = regs.stepgen_input(n, common, s.commit);
+        let latch = regs.stepgen_latch(n, self.index, self.tally.pending(), common);
+        let capture = self.latch.capture(&latch);
+        let visit = self.at % ROTATION == n as u64;
+        let count = self.core.pulses() as u32;
+        self.tally.clock(visit, s.sample, capture, count);
+        if s.sample {
+            self.fraction = self.core.fraction();
+            self.velocity = self.core.velocity() as u32;
+        }
+        self.waited = self.core.waits(&input) || (self.waited && !s.sample);
+        self.core.clock(&input);
+        self.latch.clock(&latch);
+        self.index = self.meta != (input.set.mode & wire::map::STEPGEN_INDEX_INVERT != 0);
+        self.meta = self.pin;
+        self.at += 1;
+    }
+
+    fn quiet(&self, n: usize, regs: &Regs, common: &Common) -> u64 {
+        let input = regs.stepgen_input(n, common, false);
+        let index = self.pin != (input.set.mode & wire::map::STEPGEN_INDEX_INVERT != 0);
+        let rest = self.meta == self.pin
+            && self.index == index
+            && self.tally.quiet()
+            && self
+                .latch
+                .quiet(&regs.stepgen_latch(n, index, false, common));
+        if rest { self.core.quiet(&input) } else { 0 }
+    }
+
+    fn catch_up(&mut self, to: u64, n: usize, regs: &Regs, common: &Common) {
+        if self.at < to {
+            let input = regs.stepgen_input(n, common, false);
+            self.core.skip(to - self.at, &input);
+            self.at = to;
+        }
+    }
+}
+
+impl EncoderLane {
+    fn input(&self, n: usize, regs: &Regs, now: u64) -> encoder::Input {
+        encoder::Input {
+            pins: self.pins,
+            mode: regs.encoder[n][0],
+            filter: regs.encoder[n][1] as u8,
+            now: now as u32,
+            clear: false,
+            visit: self.at % ROTATION == n as u64,
+        }
+    }
+
+    fn clock(&mut self, n: usize, regs: &Regs, common: &Common, s: &Strobes) {
+        let mut input = self.input(n, regs, s.now);
+        let latch = regs.encoder_latch(n, self.core.index_level(), self.tally.pending(), common);
+        let capture = self.latch.capture(&latch);
+        input.clear = capture && input.mode & wire::map::ENCODER_CLEAR_ON_INDEX != 0;
+        let turn = input.visit;
+        self.tally
+            .clock(turn, s.sample, capture, self.core.count() as u32);
+        self.edge.clock(turn, s.sample, false, self.core.edge());
+        let out = self.core.clock(&input);
+        self.waited = out.illegal || (self.waited && !s.sample);
+        self.latch.clock(&latch);
+        self.at += 1;
+    }
+
+    fn quiet(&self, n: usize, regs: &Regs, common: &Common) -> u64 {
+        let input = self.input(n, regs, 0);
+        let latch = regs.encoder_latch(n, self.core.index_level(), false, common);
+        let rest = self.tally.quiet() && self.edge.quiet() && self.latch.quiet(&latch);
+        if rest { self.core.quiet(&input) } else { 0 }
+    }
+
+    fn catch_up(&mut self, to: u64, n: usize, regs: &Regs) {
+        if self.at < to {
+            self.core.skip(to - self.at, regs.encoder[n][1] as u8);
+            self.at = to;
+        }
+    }
+}
+
+impl Hub {
+    fn gpio_input(&self, regs: &Regs, common: &Common) -> gpio::Input {
+        gpio::Input {
+            gate: common.gate,
+            commit: false,
+            value: regs.outputs,
+            safe: regs.safe,
+            invert: regs.invert,
+            pins: self.inputs,
+            limit: None,
+            clear: false,
+        }
+    }
+
+    fn next_probe(&self, regs: &Regs) -> bool {
+        bit(regs.probe, 8) && bit(self.gpio.raw(), (regs.probe & 31) as usize) != bit(regs.probe, 9)
+    }
+
+    fn quiet(&self, regs: &Regs, common: &Common) -> u64 {
+        if self.probe != self.next_probe(regs) {
+            return 0;
+        }
+        self.extreset
+            .quiet(self.reset)
+            .min(self.watchdog.quiet())
+            .min(self.timebase.quiet(regs.commit_at()))
+            .min(self.gpio.quiet(&self.gpio_input(regs, common)))
+            .min(self.led.quiet(regs.led))
+    }
+
+    fn catch_up(&mut self, to: u64, regs: &Regs) {
+        let clocks = to - self.at;
+        if clocks != 0 {
+            self.watchdog.skip(clocks);
+            self.timebase.skip(clocks, regs.commit_at());
+            self.gpio.skip(clocks);
+            self.led.skip(clocks);
+            self.at = to;
+        }
+    }
+}
+
+impl Board {
+    /// A board as it powers up.
+    pub fn new(build: Build) -> Self {
+        let c = build.channels;
+        let gpio = Gpio::new(
+            c.inputs.into(),
+            c.outputs.into(),
+            build.estop_mask,
+            build.estop_level,
+        );
+        let hub = Hub {
+            at: 0,
+            extreset: Extreset::default(),
+            watchdog: Watchdog::default(),
+            timebase: Timebase::default(),
+            gpio,
+            led: Led::new(u32::BITS - build.clock_hz.leading_zeros()),
+            probe: false,
+            inputs: 0,
+            reset: false,
+        };
+        let lanes = usize::from(c.stepgens) + usize::from(c.encoders) + usize::from(c.pwms);
+        Board {
+            clock: 0,
+            next: vec![1; 1 + lanes],
+            full: 1,
+            common: Common::default(),
+            regs: Regs {
+                timeout: 0,
+                grace: 0,
+                commit_at: [0; 2],
+                safe: 0,
+                invert: 0,
+                probe: 0,
+                led: 0,
+                enables: 0,
+                outputs: 0,
+                arms: 0,
+                probe_arms: 0,
+                enables_now: 0,
+                arms_now: 0,
+                probe_arms_now: 0,
+                velocity: [0; CHANNELS],
+                accel: [0; CHANNELS],
+                pwm: [0; CHANNELS],
+                stepgen: Default::default(),
+                encoder: [[0; 2]; CHANNELS],
+                pwm_set: [[0; 2]; CHANNELS],
+                debounce: [0; 32],
+            },
+            hub,
+            steps: vec![StepLane::default(); c.stepgens.into()],
+            encoders: vec![EncoderLane::default(); c.encoders.into()],
+            pwms: vec![PwmLane::default(); c.pwms.into()],
+            write: None,
+            now_caught: 0,
+            slot_time: [0; 2],
+            arrival: 0,
+            sample: 0,
+            gpio_caught: 0,
+            estop_caught: 0,
+            flags_caught: [0; 3],
+            out: Pins::default(),
+            build,
+        }
+    }
+
+    /// What it was built with.
+    pub fn build(&self) -> &Build {
+        &self.build
+    }
+
+    /// Edges since power-up.
+    pub fn clocks(&self) -> u64 {
+        self.clock
+    }
+
+    /// The wall clock.
+    pub fn now(&self) -> u64 {
+        // It counts edges; a skipped one too.
+        self.clock
+    }
+
+    /// The output pins.
+    pub fn pins(&self) -> &Pins {
+        &self.out
+    }
+
+    /// Puts levels on the input pins, before the next edge.
+    pub fn drive(&mut self, pins: &Pins) {
+        let reset = pins.ext_reset != 0;
+        if (self.hub.inputs, self.hub.reset) != (pins.gpio_in, reset) {
+            self.hub.catch_up(self.clock, &self.regs);
+            self.hub.inputs = pins.gpio_in;
+            self.hub.reset = reset;
+            self.next[0] = self.clock + 1;
+        }
+        let old = &self.out;
+        if (old.enc_a, old.enc_b, old.enc_i, old.enc_mask)
+            != (pins.enc_a, pins.enc_b, pins.enc_i, pins.enc_mask)
+        {
+            let moved = (old.enc_a ^ pins.enc_a)
+                | (old.enc_b ^ pins.enc_b)
+                | (old.enc_i ^ pins.enc_i)
+                | (old.enc_mask ^ pins.enc_mask);
+            for (n, lane) in self.encoders.iter_mut().enumerate() {
+                if moved >> n & 1 != 0 {
+                    lane.catch_up(self.clock, n, &self.regs);
+                    lane.pins = [pins.enc_a, pins.enc_b, pins.enc_i, pins.enc_mask]
+                        .map(|w| w >> n & 1 != 0);
+                    self.next[1 + self.steps.len() + n] = self.clock + 1;
+                }
+            }
+        }
+        if old.step_index != pins.step_index {
+            let moved = old.step_index ^ pins.step_index;
+            for (n, lane) in self.steps.iter_mut().enumerate() {
+                if moved >> n & 1 != 0 {
+                    lane.catch_up(self.clock, n, &self.regs, &self.common);
+                    lane.pin = pins.step_index >> n & 1 != 0;
+                    self.next[1 + n] = self.clock + 1;
+                }
+            }
+        }
+        self.out.gpio_in = pins.gpio_in;
+        self.out.enc_a = pins.enc_a;
+        self.out.enc_b = pins.enc_b;
+        self.out.enc_i = pins.enc_i;
+        self.out.enc_mask = pins.enc_mask;
+        self.out.step_index = pins.step_index;
+        self.out.ext_reset = pins.ext_reset;
+    }
+
+    fn common_now(&self) -> Common {
+        let (reset_pin, estop) = (self.hub.extreset.active(), self.hub.gpio.estop());
+        Common {
+            gate: self.hub.watchdog.gate(reset_pin, estop),
+            stop: self.hub.watchdog.stop(),
+            reset_pin,
+            estop,
+            probe: self.hub.probe,
+            all_stopped: self.steps.iter().all(|lane| lane.core.stopped()),
+        }
+    }
+
+    fn catch_up(&mut self) {
+        let (regs, common, to) = (&self.regs, &self.common, self.clock);
+        self.hub.catch_up(to, regs);
+        for (n, lane) in self.steps.iter_mut().enumerate() {
+            lane.catch_up(to, n, regs, common);
+        }
+        for (n, lane) in self.encoders.iter_mut().enumerate() {
+            lane.catch_up(to, n, regs);
+        }
+        for (n, lane) in self.pwms.iter_mut().enumerate() {
+            if lane.at < to {
+                lane.core
+                    .skip(to - lane.at, &regs.pwm_input(n, common, false));
+                lane.at = to;
+            }
+        }
+    }
+
+    /// One rising edge of everything.
+    pub fn clock(&mut self, bus: &Bus) {
+        self.catch_up();
+        self.common = self.common_now();
+        let (regs, common) = (&mut self.regs, &self.common);
+        let hub = &mut self.hub;
+        let now = hub.timebase.now();
+
+        // The write that was on the bus one clock ago.
+        let (mut strobe, mut control, mut token, mut limit) = (0, 0, None, None);
+        let mut snapshot = false;
+        if let Some((address, data)) = self.write {
+            match (address >> 9, address & 0x1ff) {
+                (pages::TIMEBASE, 2) => snapshot = true,
+                (pages::TIMEBASE, 7) => strobe = data,
+                (pages::WATCHDOG, 2) => token = Some(data),
+                (pages::WATCHDOG, 3) => control = data,
+                (pages::DEBOUNCE, word) if word < u32::from(self.build.channels.inputs.max(1)) => {
+                    limit = Some((word as usize, data as u16));
+                }
+                _ => {}
+            }
+        }
+        let timed = strobe & abi::STROBE_COMMIT_AT != 0;
+        let strobes = Strobes {
+            commit: strobe & abi::STROBE_COMMIT != 0 || hub.timebase.due(timed),
+            sample: strobe & abi::STROBE_SAMPLE != 0,
+            now,
+        };
+
+        // What the sample catches stands before the edge.
+        if strobes.sample {
+            self.sample = now;
+            self.gpio_caught = hub.gpio.level();
+            self.estop_caught = hub.gpio.estop_latched();
+            let mut flags = [0u32; 3];
+            for (n, lane) in self.encoders.iter().enumerate() {
+                flags[0] |= u32::from(lane.latch.index_latched()) << n;
+                flags[1] |= u32::from(lane.latch.probe_latched()) << (16 + n);
+                flags[2] |= u32::from(lane.waited) << (16 + n);
+            }
+            for (n, lane) in self.steps.iter().enumerate() {
+                flags[0] |= u32::from(lane.waited) << (16 + n);
+                flags[1] |= u32::from(lane.latch.index_latched()) << n;
+                flags[2] |= u32::from(lane.latch.probe_latched()) << n;
+            }
+            self.flags_caught = flags;
+        }
+        if snapshot {
+            self.now_caught = now;
+        }
+        if let Some(slot) = bus.frame_pending {
+            self.arrival = self.slot_time[usize::from(slot)];
+        }
+        if let Some(slot) = bus.frame_done {
+            self.slot_time[usize::from(slot)] = now;
+        }
+
+        // The cores.
+        for (n, lane) in self.steps.iter_mut().enumerate() {
+            lane.clock(n, regs, common, &strobes);
+            lane.waited &= !bus.rst;
+        }
+        for (n, lane) in self.encoders.iter_mut().enumerate() {
+            lane.clock(n, regs, common, &strobes);
+            lane.waited &= !bus.rst;
+        }
+        for (n, lane) in self.pwms.iter_mut().enumerate() {
+            lane.core.clock(&regs.pwm_input(n, common, strobes.commit));
+            lane.at += 1;
+        }
+        let orders = watchdog::Input {
+            rst: bus.rst,
+            ext_reset: common.reset_pin,
+            estop: common.estop,
+            token,
+            arm: control == abi::KEY_ARM,
+            soft_stop: control == abi::KEY_SOFT,
+            shut: control == abi::KEY_STOP,
+            clear: control == abi::KEY_CLEAR,
+            timeout: regs.timeout,
+            grace: regs.grace,
+            all_stopped: common.all_stopped,
+        };
+        let mut pins = hub.gpio_input(regs, common);
+        pins.commit = strobes.commit;
+        pins.limit = limit;
+        pins.clear = hub.watchdog.cleared(&orders);
+        hub.probe = hub.next_probe(regs) && !bus.rst;
+        hub.gpio.clock(&pins);
+        hub.watchdog.clock(&orders);
+        hub.timebase.clock(timebase::Input {
+            rst: bus.rst,
+            commit_timed: timed,
+            commit_at: regs.commit_at(),
+        });
+        hub.led.clock(regs.led);
+        hub.extreset.clock(hub.reset);
+        hub.at += 1;
+
+        // The registers.
+        if strobes.commit {
+            regs.enables_now = regs.enables;
+            regs.arms_now = regs.arms;
+            regs.probe_arms_now = regs.probe_arms;
+        }
+        let write = self.write.take();
+        self.clock += 1;
+        if let Some((address, data)) = write {
+            self.store(address >> 9, address & 0x1ff, data);
+        }
+        self.write = bus.write.filter(|_| !bus.rst);
+        self.show_all();
+        self.plan_all();
+    }
+
+    fn store(&mut self, page: u32, word: u32, data: u32) {
+        let c = self.build.channels;
+        let outputs = 1u32
+            .checked_shl(c.outputs.max(1).into())
+            .unwrap_or(0)
+            .wrapping_sub(1);
+        let regs = &mut self.regs;
+        let at = word as usize;
+        let channel = |first: u32, count: u8| {
+            (first..first + u32::from(count))
+                .contains(&page)
+                .then(|| (page - first) as usize)
+        };
+        match (page, word) {
+            (pages::TIMEBASE, 5 | 6) => regs.commit_at[at - 5] = data,
+            (pages::WATCHDOG, 0) => regs.timeout = data,
+            (pages::WATCHDOG, 1) => regs.grace = data,
+            (pages::GPIO, 1) => regs.safe = data & outputs,
+            (pages::GPIO, 2) => regs.invert = data & outputs,
+            (pages::GPIO, 7) => regs.probe = data & 0x31f,
+            (pages::LED, 0) => regs.led = data & 7,
+            (pages::DEBOUNCE, _) if word < u32::from(c.inputs) => regs.debounce[at] = data as u16,
+            (pages::COMMAND, 0) => regs.enables = data,
+            (pages::COMMAND, 1) => regs.outputs = data & outputs,
+            (pages::COMMAND, 2) => regs.arms = data,
+            (pages::COMMAND, 3) => regs.probe_arms = data,
+            (pages::COMMAND, 4..36) if at < 4 + 2 * usize::from(c.stepgens) => {
+                let into = if word & 1 == 0 {
+                    &mut regs.velocity
+                } else {
+                    &mut regs.accel
+                };
+                into[(at - 4) / 2] = data;
+            }
+            (pages::COMMAND, 36..52) if at < 36 + usize::from(c.pwms) => regs.pwm[at - 36] = data,
+            _ => {
+                if let Some(n) = channel(pages::STEPGEN, c.stepgens) {
+                    let set = &mut regs.stepgen[n];
+                    match word {
+                        0 => set.steplen = data & STEP_CLOCKS_MAX,
+                        1 => set.stepspace = data & STEP_CLOCKS_MAX,
+                        2 => set.dirsetup = data & DIR_CLOCKS_MAX,
+                        3 => set.dirhold = data & DIR_CLOCKS_MAX,
+                        4 => set.stop_accel = data,
+                        5 => set.mode = data & 0x1f,
+                        _ => {}
+                    }
+                } else if let Some(n) = channel(pages::ENCODER, c.encoders) {
+                    if at < 2 {
+                        regs.encoder[n][at] = data & 0xff;
+                    }
+                } else if let Some(n) = channel(pages::PWM, c.pwms) {
+                    match word {
+                        0 => regs.pwm_set[n][0] = data & PWM_PERIOD_MAX,
+                        1 => regs.pwm_set[n][1] = data & 0x1f,
+                        _ => {}
+                    }
+                }
+            }
+        }
+    }
+
+    /// What a register reads in this clock.
+    pub fn read(&mut self, page: u32, word: u32) -> u32 {
+        self.hub.catch_up(self.clock, &self.regs);
+        self.peek(page, word)
+    }
+
+    fn peek(&self, page: u32, word: u32) -> u32 {
+        let c = self.build.channels;
+        let (regs, hub) = (&self.regs, &self.hub);
+        let at = word as usize;
+        let channel = |first: u32, count: u8| {
+            (first..first + u32::from(count))
+                .contains(&page)
+                .then(|| (page - first) as usize)
+        };
+        let half = |value: u64, odd: u32| {
+            if odd == 0 {
+                value as u32
+            } else {
+                (value >> 32) as u32
+            }
+        };
+        match (page, word) {
+            (pages::IDENT, 0) => abi::IDENT_MAGIC,
+            (pages::IDENT, 1) => self.build.abi,
+            (pages::IDENT, 2) => self.build.version,
+            (pages::IDENT, 3) => self.build.clock_hz,
+            (pages::IDENT, 4) => u32::from_le_bytes([c.stepgens, c.encoders, c.pwms, 0]),
+            (pages::IDENT, 5) => u32::from_le_bytes([c.inputs, c.outputs, 0, 0]),
+            (pages::IDENT, 7) => self.build.rom_words,
+            (pages::TIMEBASE, 0 | 1) => half(self.now_caught, word),
+            (pages::TIMEBASE, 3 | 4) => half(self.arrival, word - 3),
+            (pages::TIMEBASE, 5 | 6) => regs.commit_at[at - 5],
+            (pages::TIMEBASE, 8) => hub.timebase.pending().into(),
+            (pages::WATCHDOG, 0) => regs.timeout,
+            (pages::WATCHDOG, 1) => regs.grace,
+            (pages::WATCHDOG, 4) => hub.watchdog.status(hub.extreset.active(), hub.gpio.estop()),
+            (pages::WATCHDOG, 5) => hub.watchdog.remaining(),
+            (pages::WATCHDOG, 6) => hub.watchdog.last_token(),
+            (pages::WATCHDOG, 7) => hub.watchdog.bites(),
+            (pages::WATCHDOG, 8) => hub.watchdog.last_close().into(),
+            (pages::GPIO, 0) if c.inputs != 0 => hub.gpio.level(),
+            (pages::GPIO, 1) if c.outputs != 0 => regs.safe,
+            (pages::GPIO, 2) if c.outputs != 0 => regs.invert,
+            (pages::GPIO, 3) if c.outputs != 0 => hub.gpio.out(),
+            (pages::GPIO, 4) if c.inputs != 0 => hub.gpio.raw(),
+            (pages::GPIO, 5) => self.build.estop_mask,
+            (pages::GPIO, 6) => self.build.estop_level,
+            (pages::GPIO, 7) => regs.probe,
+            (pages::LED, 0) => regs.led,
+            (pages::DEBOUNCE, 0..32) => regs.debounce[at].into(),
+            (pages::COMMAND, 0) => regs.enables,
+            (pages::COMMAND, 1) if c.outputs != 0 => regs.outputs,
+            (pages::COMMAND, 2) => regs.arms,
+            (pages::COMMAND, 3) => regs.probe_arms,
+            (pages::COMMAND, 4..36) if word & 1 == 0 => regs.velocity[(at - 4) / 2],
+            (pages::COMMAND, 4..36) => regs.accel[(at - 4) / 2],
+            (pages::COMMAND, 36..52) => regs.pwm[at - 36],
+            (pages::STATUS, _) => self.status(at),
+            _ => {
+                if let Some(n) = channel(pages::STEPGEN, c.stepgens) {
+                    let s = &regs.stepgen[n];
+                    [
+                        s.steplen,
+                        s.stepspace,
+                        s.dirsetup,
+                        s.dirhold,
+                        s.stop_accel,
+                        s.mode,
+                    ]
+                    .get(at)
+                    .copied()
+                    .unwrap_or(0)
+                } else if let Some(n) = channel(pages::ENCODER, c.encoders) {
+                    regs.encoder[n].get(at).copied().unwrap_or(0)
+                } else if let Some(n) = channel(pages::PWM, c.pwms) {
+                    regs.pwm_set[n].get(at).copied().unwrap_or(0)
+                } else {
+                    0
+                }
+            }
+        }
+    }
+
+    /// A word of the status page.
+    pub fn status(&self, word: usize) -> u32 {
+        match word {
+            0 => self.sample as u32,
+            1 => (self.sample >> 32) as u32,
+            2 => self.gpio_caught,
+            3..6 => self.flags_caught[word - 3],
+            6 => self.estop_caught,
+            8..56 => self
+                .steps
+                .get((word - 8) / 3)
+                .map_or(0, |lane| match (word - 8) % 3 {
+                    0 => lane.fraction,
+                    1 => lane.tally.sampled(),
+                    _ => lane.velocity,
+                }),
+            56..88 => self.encoders.get((word - 56) / 2).map_or(0, |lane| {
+                if word & 1 == 0 {
+                    lane.tally.sampled()
+                } else {
+                    lane.edge.sampled()
+                }
+            }),
+            88..104 => self
+                .encoders
+                .get(word - 88)
+                .map_or(0, |lane| lane.tally.latched()),
+            104..120 => self
+                .steps
+                .get(word - 104)
+                .map_or(0, |lane| lane.tally.latched()),
+            _ => 0,
+        }
+    }
+
+    fn show_hub(&mut self) {
+        self.out.gpio_out = self.hub.gpio.out()
+            & if self.build.channels.outputs == 0 {
+                0
+            } else {
+                !0
+            };
+        self.out.led = self.hub.led.lit().into();
+        let (reset, estop) = (self.hub.extreset.active(), self.hub.gpio.estop());
+        self.out.gate = self.hub.watchdog.gate(reset, estop).into();
+    }
+
+    fn show_step(&mut self, n: usize) {
+        let [step, dir] = self.steps[n].core.pins();
+        put(&mut self.out.step, n, step);
+        put(&mut self.out.dir, n, dir);
+        put(&mut self.out.step_n, n, !step);
+        put(&mut self.out.dir_n, n, !dir);
+    }
+
+    fn show_pwm(&mut self, n: usize) {
+        let [out, dir] = self.pwms[n].core.pins();
+        put(&mut self.out.pwm_out, n, out);
+        put(&mut self.out.pwm_dir, n, dir);
+    }
+
+    fn show_all(&mut self) {
+        self.show_hub();
+        for n in 0..self.steps.len() {
+            self.show_step(n);
+        }
+        for n in 0..self.pwms.len() {
+            self.show_pwm(n);
+        }
+    }
+
+    fn plan(&mut self, at: usize, quiet: u64) {
+        self.next[at] = self.clock.saturating_add(1).saturating_add(quiet);
+    }
+
+    /// After an edge: does the next one have to be made of everything?
+    fn plan_common(&mut self) {
+        let changed = self.common_now() != self.common;
+        self.full = if changed || self.write.is_some() {
+            self.clock + 1
+        } else {
+            u64::MAX
+        };
+    }
+
+    fn plan_all(&mut self) {
+        self.plan_common();
+        if self.full != u64::MAX {
+            return;
+        }
+        let timed = self.hub.timebase.quiet(self.regs.commit_at());
+        self.plan(0, self.hub.quiet(&self.regs, &self.common));
+        if timed == 0 {
+            self.full = self.clock + 1;
+        }
+        for n in 0..self.steps.len() {
+            let quiet = self.steps[n].quiet(n, &self.regs, &self.common);
+            self.plan(1 + n, quiet);
+        }
+        let first = 1 + self.steps.len();
+        for n in 0..self.encoders.len() {
+            let quiet = self.encoders[n].quiet(n, &self.regs, &self.common);
+            self.plan(first + n, quiet);
+        }
+        let first = first + self.encoders.len();
+        for n in 0..self.pwms.len() {
+            let quiet = self.pwms[n]
+                .core
+                .quiet(&self.regs.pwm_input(n, &self.common, false));
+            self.plan(first + n, quiet);
+        }
+    }
+
+    /// Runs to the edge `until`, but not past one in which an output pin changed. True when one did.
+    pub fn run(&mut self, until: u64) -> bool {
+        while self.clock < until {
+            let next = self.next.iter().fold(self.full, |least, at| least.min(*at));
+            if next > until {
+                self.clock = until;
+                return false;
+            }
+            self.clock = next - 1;
+            let before = self.out;
+            if self.full == next {
+                self.clock(&Bus::default());
+            } else {
+                self.events(next);
+            }
+            if self.out != before {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// The edge `edge`, of the lanes that want it.
+    fn events(&mut self, edge: u64) {
+        let strobes = Strobes {
+            now: edge - 1,
+            ..Strobes::default()
+        };
+        // The commit of a timebase that comes due is everybody's.
+        if self.next[0] == edge {
+            self.hub.catch_up(edge - 1, &self.regs);
+            if self.hub.timebase.due(false) {
+                self.clock(&Bus::default());
+                return;
+            }
+            self.hub_clock();
+        }
+        self.clock = edge;
+        if self.next[0] == edge {
+            self.show_hub();
+            self.plan(0, self.hub.quiet(&self.regs, &self.common));
+        }
+        for n in 0..self.steps.len() {
+            if self.next[1 + n] == edge {
+                let lane = &mut self.steps[n];
+                lane.catch_up(edge - 1, n, &self.regs, &self.common);
+                lane.clock(n, &self.regs, &self.common, &strobes);
+                let quiet = lane.quiet(n, &self.regs, &self.common);
+                self.plan(1 + n, quiet);
+                self.show_step(n);
+            }
+        }
+        let first = 1 + self.steps.len();
+        for n in 0..self.encoders.len() {
+            if self.next[first + n] == edge {
+                let lane = &mut self.encoders[n];
+                lane.catch_up(edge - 1, n, &self.regs);
+                lane.clock(n, &self.regs, &self.common, &strobes);
+                let quiet = lane.quiet(n, &self.regs, &self.common);
+                self.plan(first + n, quiet);
+            }
+        }
+        let first = first + self.encoders.len();
+        for n in 0..self.pwms.len() {
+            if self.next[first + n] == edge {
+                let input = self.regs.pwm_input(n, &self.common, false);
+                let lane = &mut self.pwms[n];
+                lane.core.skip(edge - 1 - lane.at, &input);
+                lane.core.clock(&input);
+                lane.at = edge;
+                let quiet = lane.core.quiet(&input);
+                self.plan(first + n, quiet);
+                self.show_pwm(n);
+            }
+        }
+        self.plan_common();
+    }
+
+    /// One edge of what is not a channel, nobody writing anything.
+    fn hub_clock(&mut self) {
+        let (regs, common, hub) = (&self.regs, &self.common, &mut self.hub);
+        let pins = hub.gpio_input(regs, common);
+        hub.probe = hub.next_probe(regs);
+        hub.gpio.clock(&pins);
+        hub.watchdog.clock(&watchdog::Input {
+            ext_reset: common.reset_pin,
+            estop: common.estop,
+            timeout: regs.timeout,
+            grace: regs.grace,
+            all_stopped: common.all_stopped,
+            ..watchdog::Input::default()
+        });
+        hub.timebase.clock(timebase::Input {
+            commit_at: regs.commit_at(),
+            ..timebase::Input::default()
+        });
+        hub.led.clock(regs.led);
+        hub.extreset.clock(hub.reset);
+        hub.at += 1;
+    }
+
+    /// Writes a register without the bus and its clocks: the next edge sees it. Pulses (strobes, keys, tokens) go by
+    /// [`Board::order`].
+    pub fn set(&mut self, page: u32, word: u32, data: u32) {
+        if page != pages::COMMAND {
+            self.catch_up();
+        }
+        self.store(page, word, data);
+        if page == pages::DEBOUNCE {
+            self.order(page, word, data);
+        } else if page != pages::COMMAND {
+            self.full = self.clock + 1;
+        }
+    }
+
+    /// Puts a write into the pipeline: the next edge obeys it.
+    pub fn order(&mut self, page: u32, word: u32, data: u32) {
+        self.write = Some((page << 9 | word, data));
+        self.full = self.clock + 1;
+    }
+
+    /// The frame being dealt with arrived now.
+    pub fn arrive(&mut self) {
+        self.arrival = self.now();
+    }
+
+    /// When it did.
+    pub fn arrival(&self) -> u64 {
+        self.arrival
+    }
+}

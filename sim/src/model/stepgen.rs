@@ -1,0 +1,447 @@
+//! `stepgen.sv`: velocity in, pulses out. The ramp is [`motion::ramp`]'s; this adds the commit, the pins and their timing.
+
+use motion::ramp::{Ramp, VELOCITY_FRACTION};
+use wire::map::{DIR_CLOCKS_MAX, STEP_CLOCKS_MAX, StepType};
+use wire::units::{Accel, StepRate};
+
+/// One channel. `pulses` is the tally's total with its delta: the count as a sample in this clock would see it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Stepgen {
+    halted: bool,
+    fresh: bool,
+    braking: bool,
+    target: i32,
+    limit: u32,
+    v: i64,
+    up: bool,
+    jump: bool,
+    fraction: u32,
+    pulses: i32,
+    pulse: bool,
+    reverse: bool,
+    setup: bool,
+    step: Timer<{ STEP_CLOCKS_MAX }>,
+    direction: Timer<{ DIR_CLOCKS_MAX }>,
+    stopped: bool,
+    /// Quadrature: A and B.
+    phase: [bool; 2],
+    pins: [bool; 2],
+}
+
+impl Default for Stepgen {
+    fn default() -> Self {
+        Stepgen {
+            halted: true,
+            fresh: false,
+            braking: true,
+            target: 0,
+            limit: 0,
+            v: 0,
+            up: true,
+            jump: true,
+            fraction: 0x8000_0000,
+            pulses: 0,
+            pulse: false,
+            reverse: false,
+            setup: false,
+            step: Timer::OVER,
+            direction: Timer::OVER,
+            stopped: false,
+            phase: [false; 2],
+            pins: [false; 2],
+        }
+    }
+}
+
+/// Counts up from an event; a time is over from the clock on in which they are equal. Times of 0 and 1 are over at once.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Timer<const MASK: u32> {
+    clock: u32,
+    first: bool,
+    over: bool,
+}
+
+impl<const MASK: u32> Timer<MASK> {
+    const OVER: Self = Timer {
+        clock: 1,
+        first: false,
+        over: true,
+    };
+
+    fn done(&self, time: u32) -> bool {
+        let differ = self.clock ^ time;
+        self.over || differ == 0 || (self.first && differ == 1)
+    }
+
+    fn clock(&mut self, event: bool, done: bool) {
+        self.clock = if event { 1 } else { (self.clock + 1) & MASK };
+        self.first = event;
+        self.over = done && !event;
+    }
+
+    /// Clocks until it is done.
+    fn left(&self, time: u32) -> u64 {
+        if self.done(time) {
+            0
+        } else {
+            (time.wrapping_sub(self.clock) & MASK).into()
+        }
+    }
+
+    fn skip(&mut self, clocks: u64, time: u32) {
+        self.over = self.left(time) < clocks;
+        self.first = false;
+        self.clock = (u64::from(self.clock).wrapping_add(clocks) & u64::from(MASK)) as u32;
+    }
+}
+
+/// The settings page.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Settings {
+    /// Clocks, 0 as 1.
+    pub steplen: u32,
+    /// Clocks, 0 as 1.
+    pub stepspace: u32,
+    /// Clocks.
+    pub dirsetup: u32,
+    /// Clocks.
+    pub dirhold: u32,
+    /// Deceleration of a stop.
+    pub stop_accel: u32,
+    /// The mode register.
+    pub mode: u32,
+}
+
+impl Settings {
+    fn kind(&self) -> StepType {
+        let code = self.mode >> wire::map::STEPGEN_TYPE_SHIFT & 3;
+        StepType::from_code(code).unwrap_or_default()
+    }
+}
+
+/// What it is told in a clock.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Input {
+    /// Outputs are live.
+    pub gate: bool,
+    /// Come to rest.
+    pub stop: bool,
+    /// Take the command.
+    pub commit: bool,
+    /// The command: follow it.
+    pub enable: bool,
+    /// Its velocity.
+    pub velocity: i32,
+    /// Its acceleration limit.
+    pub accel: u32,
+    /// Settings.
+    pub set: Settings,
+}
+
+impl Stepgen {
+    /// Pulses emitted, signed.
+    pub fn pulses(&self) -> i32 {
+        self.pulses
+    }
+
+    /// Fraction of the position.
+    pub fn fraction(&self) -> u32 {
+        self.fraction
+    }
+
+    /// Velocity, integer part.
+    pub fn velocity(&self) -> i32 {
+        (self.v >> VELOCITY_FRACTION) as i32
+    }
+
+    /// A stop has been obeyed.
+    pub fn stopped(&self) -> bool {
+        self.stopped
+    }
+
+    /// The two pins.
+    pub fn pins(&self) -> [bool; 2] {
+        self.pins
+    }
+
+    fn negative(&self) -> bool {
+        self.v < 0
+    }
+
+    fn step_time(&self, set: &Settings) -> u32 {
+        if self.pulse {
+            set.steplen
+        } else {
+            set.stepspace
+        }
+    }
+
+    fn dir_time(&self, set: &Settings) -> u32 {
+        if self.setup {
+            set.dirsetup
+        } else {
+            set.dirhold
+        }
+    }
+
+    fn step_done(&self, set: &Settings) -> bool {
+        self.step.done(self.step_time(set))
+    }
+
+    fn dir_done(&self, set: &Settings) -> bool {
+        self.direction.done(self.dir_time(set))
+    }
+
+    fn sum(&self) -> i64 {
+        i64::from(self.fraction) + (self.v >> VELOCITY_FRACTION)
+    }
+
+    /// The integer part of the position wants to change in this clock.
+    fn due(&self) -> bool {
+        self.sum() >> 32 != 0
+    }
+
+    fn ready(&self, set: &Settings) -> bool {
+        !self.pulse
+            && self.step_done(set)
+            && self.reverse == self.negative()
+            && !(self.setup && !self.dir_done(set))
+    }
+
+    /// A pulse is due in this clock and has to wait.
+    pub fn waits(&self, i: &Input) -> bool {
+        i.gate && self.due() && !self.ready(&i.set)
+    }
+
+    /// The velocity wants the other direction.
+    fn wants_turn(&self) -> bool {
+        match self.negative() {
+            true => !self.reverse,
+            false => self.reverse && self.v >> VELOCITY_FRACTION != 0,
+        }
+    }
+
+    fn turns(&self, i: &Input) -> bool {
+        i.gate && !self.pulse && (self.setup || self.dir_done(&i.set)) && self.wants_turn()
+    }
+
+    /// By how much the velocity may move in a clock.
+    fn reach(&self, set: &Settings) -> u32 {
+        if self.braking {
+            set.stop_accel
+        } else {
+            self.limit
+        }
+    }
+
+    /// One rising edge. True when a pulse starts with it.
+    pub fn clock(&mut self, i: &Input) -> bool {
+        let set = &i.set;
+        let halt = i.stop || !i.gate;
+        let take = i.commit && !halt;
+        let pause = self.fresh || take || (halt && !self.halted);
+
+        // Velocity. In the clock after a new target the adder tries a move upwards, and only its comparison is used.
+        let reach = i64::from(self.reach(set));
+        let down = !self.up && !self.fresh;
+        let moved = if down { self.v - reach } else { self.v + reach };
+        let below = moved >> VELOCITY_FRACTION < i64::from(self.target);
+        let arrived = self.jump || self.up != below;
+
+        // Position.
+        let (due, ready) = (self.due(), self.ready(set));
+        let emit = i.gate && due && ready;
+        let turn = self.turns(i);
+        if i.gate && (!due || ready) {
+            self.fraction = self.sum() as u32;
+        }
+        if emit {
+            self.pulses = self.pulses.wrapping_add(if self.reverse { -1 } else { 1 });
+        }
+
+        // Timing.
+        let quadrature = set.kind() == StepType::Quadrature;
+        let (step_done, dir_done) = (self.step_done(set), self.dir_done(set));
+        let fall = self.pulse && (step_done || (!i.gate && !quadrature));
+        self.step.clock(emit || fall, step_done);
+        self.direction.clock(turn || fall, dir_done);
+        self.setup = turn || (self.setup && !fall);
+        let pulse = emit || (self.pulse && !fall);
+
+        // Pins.
+        if emit {
+            let [a, b] = self.phase;
+            let line = usize::from((a != b) != self.reverse);
+            self.phase[line] = !self.phase[line];
+        }
+        self.pins = self.polarised(set, pulse, self.reverse, self.reverse != turn);
+        self.stopped = halt && self.halted && !pause && arrived && !pulse;
+        self.pulse = pulse;
+        self.reverse ^= turn;
+
+        // Ramp and target.
+        if !i.gate {
+            self.v = 0;
+        } else if !pause {
+            self.v = if arrived {
+                i64::from(self.target) << VELOCITY_FRACTION
+            } else {
+                moved
+            };
+        }
+        if !i.gate || self.fresh {
+            // The comparison sees the move as it is added, turned over downwards.
+            let reach = self.reach(set);
+            self.jump = 0 == if down { !reach } else { reach };
+        }
+        if !i.gate {
+            self.up = true;
+        } else if self.fresh {
+            self.up = below;
+        }
+        if halt || (take && !i.enable) {
+            self.target = 0;
+            self.braking = true;
+        } else if take {
+            self.target = i.velocity;
+            self.braking = false;
+        }
+        if take {
+            self.limit = i.accel;
+        }
+        self.fresh = take || (halt && !self.halted);
+        self.halted = halt;
+        emit
+    }
+
+    fn polarised(&self, set: &Settings, pulse: bool, reverse: bool, dir: bool) -> [bool; 2] {
+        let [step, dir] = match set.kind() {
+            StepType::StepDir => [pulse, dir],
+            StepType::UpDown => [pulse && !reverse, pulse && reverse],
+            StepType::Quadrature => self.phase,
+        };
+        [
+            step != (set.mode & wire::map::STEPGEN_STEP_INVERT != 0),
+            dir != (set.mode & wire::map::STEPGEN_DIR_INVERT != 0),
+        ]
+    }
+
+    fn ramp(&self, set: &Settings) -> Ramp {
+        Ramp {
+            position: i64::from(self.fraction),
+            velocity: self.v,
+            target: StepRate(self.target),
+            accel: Accel(self.reach(set)),
+        }
+    }
+
+    /// Clocks (a lower bound) in which no pin changes, no pulse is due and `stopped` stays, the inputs being as they are.
+    pub fn quiet(&self, i: &Input) -> u64 {
+        let set = &i.set;
+        let halt = i.stop || !i.gate;
+        if self.fresh
+            || self.halted != halt
+            || self.jump != (self.reach(set) == 0)
+            || self.pins != self.polarised(set, self.pulse, self.reverse, self.reverse)
+        {
+            return 0;
+        }
+        if !i.gate {
+            let rest = self.v == 0
+                && !self.pulse
+                && self.up
+                && self.stopped
+                && self.braking
+                && self.target == 0;
+            return if rest { u64::MAX } else { 0 };
+        }
+        if self.due() || self.turns(i) {
+            return 0;
+        }
+        let mut clocks = u64::MAX;
+        let arrives = self.ramp(set).clocks_to_target();
+        // `stopped` rises when a halt has brought the velocity to rest and the pulse is over.
+        if self.stopped != (halt && arrives == 0 && !self.pulse) {
+            return 0;
+        }
+        if halt && arrives != 0 {
+            clocks = arrives - 1;
+        }
+        if self.pulse {
+            clocks = clocks.min(self.step.left(set.steplen));
+        } else if self.wants_turn() {
+            clocks = clocks.min(self.direction.left(self.dir_time(set)));
+        }
+        if self.v == 0 && arrives == 0 {
+            return clocks;
+        }
+        clocks
+            .min(self.clocks_to_turn(arrives, set))
+            .min(self.clocks_to_due(arrives, set))
+    }
+
+    /// No fewer than these clocks until a turn is wanted that is not wanted now.
+    fn clocks_to_turn(&self, arrives: u64, set: &Settings) -> u64 {
+        let goal = i64::from(self.target) << VELOCITY_FRACTION;
+        // The velocity at which DIR would move: below 0 going down, a whole unit going up.
+        let edge = if self.reverse {
+            1 << VELOCITY_FRACTION
+        } else {
+            0
+        };
+        let (from, to) = (self.v >= edge, goal >= edge);
+        if arrives == 0 || from == to {
+            return u64::MAX;
+        }
+        match u64::from(self.reach(set)) {
+            0 => 0,
+            limit => (self.v.abs_diff(edge) / limit).min(arrives - 1),
+        }
+    }
+
+    /// No fewer than these clocks until the integer part of the position wants to change.
+    fn clocks_to_due(&self, arrives: u64, set: &Settings) -> u64 {
+        let rate = self.v >> VELOCITY_FRACTION;
+        // Clocks at a constant rate until the fraction leaves 0..2^32.
+        let steady = |fraction: u32, rate: i64| match rate {
+            0 => u64::MAX,
+            1.. => ((1u64 << 32) - u64::from(fraction)).div_ceil(rate as u64) - 1,
+            _ => u64::from(fraction) / rate.unsigned_abs(),
+        };
+        if arrives == 0 {
+            return steady(self.fraction, rate);
+        }
+        // While it ramps no clock moves further than the faster of both ends.
+        let fastest = rate.abs().max(i64::from(self.target).abs()) + 1;
+        let up = steady(self.fraction, fastest).min(steady(self.fraction, -fastest));
+        if up >= 64 {
+            return up;
+        }
+        // Close to it: count the clocks one by one, which is as fast as the closed form.
+        let (mut ramp, mut clocks) = (self.ramp(set), 0);
+        while clocks < 4096 {
+            let sum = ramp.position + (ramp.velocity >> VELOCITY_FRACTION);
+            if sum >> 32 != 0 {
+                break;
+            }
+            ramp.clock();
+            clocks += 1;
+        }
+        clocks
+    }
+
+    /// That many quiet clocks at once.
+    pub fn skip(&mut self, clocks: u64, i: &Input) {
+        if clocks == 0 {
+            return;
+        }
+        self.step.skip(clocks, self.step_time(&i.set));
+        self.direction.skip(clocks, self.dir_time(&i.set));
+        if i.gate {
+            let mut ramp = self.ramp(&i.set);
+            ramp.advance(clocks);
+            self.fraction = ramp.position as u32;
+            self.v = ramp.velocity;
+        }
+    }
+}

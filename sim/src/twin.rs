@@ -1,0 +1,598 @@
+//! The twin: the firmware's library on the cores' models, behind the same sockets as the Verilated board.
+//!
+//! No CPU, no MAC, no frames: a datagram goes into [`firmware::machine::Machine`] as the image would put it there, and the
+//! verbs of [`firmware::cores::Board`] become register writes of [`model::Board`]. What happens at the pins is the gateware's,
+//! clock by clock; when the firmware does something is a round figure (see [`ANSWER`]), for nobody fetches instructions here.
+//!
+//! Time passes from event to event, so an idle board costs next to nothing.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use firmware::console::{self, Ask, Vitals};
+use firmware::cores::{self, Control, Gate, Ident, Led, Setting};
+use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
+use firmware::postmortem::Record;
+use firmware::session::Peer;
+use firmware::{log, text};
+use litex_pac::abi;
+use wire::map::{BoardConfig, StepType, StepgenConfig};
+use wire::{MAX_WORDS, ResetReason};
+
+use crate::board::Clockwork;
+use crate::card::Card;
+use crate::edges::{Recorder, Timing};
+use crate::error::Error;
+use crate::exchange::{Meter, StatusHead, is_request, sequence, wants_reply};
+use crate::model::{self, board::pages};
+use crate::plant::Plant;
+use crate::report::{Counters, Report, Seen};
+use crate::rig::{Faults, FrameCounts, strike};
+use crate::server::Device;
+use crate::world::World;
+
+/// Clocks from a request's arrival to its execution, and from there to its answer. The image takes some 970 clocks from the
+/// last byte in to the first byte out (`cargo xtask bench exchange`), and acts in the middle.
+pub const ANSWER: [u64; 2] = [480, 490];
+/// Clocks after a strobe until every word of a sample can be read: `tally.sv`.
+const SAMPLED: u64 = 20;
+/// Clocks of a register access of the CPU.
+const ACCESS: u64 = 2;
+/// The host's address on the board's cable, as the Verilated board sees it.
+const HOST: u32 = 0xc0a8_0201;
+
+/// The firmware's board: registers, pins and what is wired to them.
+#[derive(Debug)]
+pub struct Desk {
+    model: model::Board,
+    world: World,
+    blob: Vec<u32>,
+    ring: log::Ring<2048>,
+    record: Record,
+    step_inverted: u16,
+    dir_inverted: u16,
+}
+
+impl Desk {
+    fn new(card: &Card, plant: Plant) -> Self {
+        let model = model::Board::new(model::board::Build {
+            channels: card.channels,
+            clock_hz: card.clock_hz,
+            estop_mask: card.estop_mask,
+            estop_level: card.estop_level,
+            abi: abi::ABI,
+            version: firmware::VERSION,
+            rom_words: card.words().len() as u32,
+        });
+        Desk {
+            model,
+            world: World::new(plant, card.clock_hz.into()),
+            blob: card.words(),
+            ring: log::Ring::new(),
+            record: Record::EMPTY,
+            step_inverted: 0,
+            dir_inverted: 0,
+        }
+    }
+
+    fn clock(&self) -> u64 {
+        self.model.clocks()
+    }
+
+    /// Lets time pass to the sys clock `until`.
+    fn pass(&mut self, until: u64) {
+        while self.clock() < until {
+            let target = until.min(self.world.next().max(self.clock() + 1));
+            self.model.drive(&self.world.pins);
+            let changed = self.model.run(target);
+            self.world.pins.take_outputs(self.model.pins());
+            let clock = self.clock();
+            if changed || clock >= self.world.next() {
+                self.world.observe(clock);
+            }
+        }
+    }
+
+    fn order(&mut self, page: u32, word: u32, data: u32) {
+        self.model.order(page, word, data);
+        self.pass(self.clock() + ACCESS);
+    }
+
+    fn place(which: Setting) -> (u32, u32) {
+        match which {
+            Setting::Stepgen(n, field) => (pages::STEPGEN + u32::from(n), field as u32),
+            Setting::PwmPeriod(n) => (pages::PWM + u32::from(n), 0),
+            Setting::PwmMode(n) => (pages::PWM + u32::from(n), 1),
+            Setting::EncoderMode(n) => (pages::ENCODER + u32::from(n), 0),
+            Setting::EncoderFilter(n) => (pages::ENCODER + u32::from(n), 1),
+            Setting::Debounce(n) => (pages::DEBOUNCE, n.into()),
+            Setting::Board(BoardConfig::WatchdogTimeout) => (pages::WATCHDOG, 0),
+            Setting::Board(BoardConfig::WatchdogGrace) => (pages::WATCHDOG, 1),
+            Setting::Board(BoardConfig::GpioSafe) => (pages::GPIO, 1),
+            Setting::Board(BoardConfig::GpioInvert) => (pages::GPIO, 2),
+            Setting::Board(BoardConfig::Probe) => (pages::GPIO, 7),
+        }
+    }
+
+    /// The judge at the pins holds a stepgen to what it is set to.
+    fn tell_the_judge(&mut self, n: u8) {
+        let mut read =
+            |field: StepgenConfig| self.model.read(pages::STEPGEN + u32::from(n), field as u32);
+        let timing = Timing {
+            steplen: read(StepgenConfig::Steplen).into(),
+            stepspace: read(StepgenConfig::Stepspace).into(),
+            dirsetup: read(StepgenConfig::Dirsetup).into(),
+            dirhold: read(StepgenConfig::Dirhold).into(),
+        };
+        let mode = read(StepgenConfig::Mode);
+        let kind =
+            StepType::from_code(mode >> wire::map::STEPGEN_TYPE_SHIFT & 3).unwrap_or_default();
+        let put = |word: u16, bit| word & !(1 << n) | u16::from(mode & bit != 0) << n;
+        self.step_inverted = put(self.step_inverted, wire::map::STEPGEN_STEP_INVERT);
+        self.dir_inverted = put(self.dir_inverted, wire::map::STEPGEN_DIR_INVERT);
+        // A pin that is turned over is no pulse: the judge looks again once it stands.
+        self.pass(self.clock());
+        self.model.drive(&self.world.pins);
+        while self.model.run(self.model.clocks() + ACCESS) {}
+        self.world.pins.take_outputs(self.model.pins());
+        let edges = &mut self.world.edges;
+        edges.set_timing(n.into(), timing);
+        edges.set_kind(n.into(), kind);
+        edges.set_polarity(self.step_inverted, self.dir_inverted);
+        self.world.look_again();
+    }
+}
+
+impl cores::Board for Desk {
+    fn now(&mut self) -> u64 {
+        self.model.now()
+    }
+    fn now_lo(&mut self) -> u32 {
+        self.model.now() as u32
+    }
+    fn arrival_lo(&mut self) -> u32 {
+        self.model.arrival() as u32
+    }
+    fn arrival_hi(&mut self) -> u32 {
+        (self.model.arrival() >> 32) as u32
+    }
+    fn stage(&mut self, word: usize, value: u32) {
+        self.model.set(pages::COMMAND, word as u32, value);
+    }
+    fn latched(&mut self, word: usize) -> u32 {
+        self.model.status(word)
+    }
+    fn commit_at(&mut self, at: u64) {
+        // Never first, so that no half of an old time and half of a new one can be due.
+        for (word, half) in [(6, u32::MAX), (5, at as u32), (6, (at >> 32) as u32)] {
+            self.order(pages::TIMEBASE, word, half);
+        }
+    }
+    fn strobe(&mut self, strobes: u32) {
+        self.order(pages::TIMEBASE, 7, strobes);
+        if strobes & cores::STROBE_SAMPLE != 0 {
+            self.pass(self.clock() + SAMPLED);
+        }
+    }
+    fn watchdog_left(&mut self) -> u32 {
+        self.model.read(pages::WATCHDOG, 5)
+    }
+    fn feed(&mut self, token: u32) {
+        self.order(pages::WATCHDOG, 2, token);
+    }
+    fn gate(&mut self) -> Gate {
+        Gate(self.model.read(pages::WATCHDOG, 4))
+    }
+    fn last_close(&mut self) -> u32 {
+        self.model.read(pages::WATCHDOG, 8)
+    }
+    fn control(&mut self, order: Control) {
+        let key = match order {
+            Control::Arm => abi::KEY_ARM,
+            Control::SoftStop => abi::KEY_SOFT,
+            Control::Close => abi::KEY_STOP,
+            Control::Clear => abi::KEY_CLEAR,
+        };
+        self.order(pages::WATCHDOG, 3, key);
+    }
+    fn setting(&mut self, which: Setting) -> u32 {
+        let (page, word) = Self::place(which);
+        self.model.read(page, word)
+    }
+    fn set(&mut self, which: Setting, value: u32) {
+        let (page, word) = Self::place(which);
+        self.order(page, word, value);
+        if let Setting::Stepgen(n, _) = which {
+            self.tell_the_judge(n);
+        }
+    }
+    fn csr_read(&mut self, address: u32) -> u32 {
+        let offset = address.wrapping_sub(wire::map::SERVICE);
+        self.model.read(
+            offset / abi::CSR_PAGE as u32,
+            offset % abi::CSR_PAGE as u32 / 4,
+        )
+    }
+    fn csr_write(&mut self, address: u32, value: u32) {
+        let offset = address.wrapping_sub(wire::map::SERVICE);
+        let page = offset / abi::CSR_PAGE as u32;
+        self.order(page, offset % abi::CSR_PAGE as u32 / 4, value);
+        if (pages::STEPGEN..pages::ENCODER).contains(&page) {
+            self.tell_the_judge((page - pages::STEPGEN) as u8);
+        }
+    }
+    fn blob(&mut self, word: usize) -> u32 {
+        self.blob.get(word).copied().unwrap_or(0)
+    }
+    fn led(&mut self, pattern: Led) {
+        self.order(pages::LED, 0, pattern as u32);
+    }
+    fn log(&mut self, read: log::Read) -> u32 {
+        self.ring.read(read)
+    }
+    fn panic(&mut self, offset: u32) -> u32 {
+        self.record.word(offset)
+    }
+}
+
+/// Text of the console on its way out.
+#[derive(Debug, Default)]
+struct Paper(Vec<u8>);
+
+impl text::Sink for Paper {
+    fn put(&mut self, text: &[u8]) {
+        self.0.extend_from_slice(text);
+    }
+}
+
+/// Somebody at the console.
+#[derive(Debug, Default)]
+struct Visitor {
+    line: console::Line,
+    out: Paper,
+    said_goodbye: bool,
+    gone: bool,
+}
+
+#[derive(Debug)]
+struct Request {
+    port: u16,
+    payload: Vec<u8>,
+    /// Executed, answered at these clocks.
+    due: u64,
+    answered: u64,
+    reply: Option<Vec<u8>>,
+}
+
+/// A twin and the hosts that talk to it.
+#[derive(Debug)]
+pub struct Twin {
+    machine: Machine<Desk>,
+    card: Card,
+    clockwork: Clockwork,
+    requests: VecDeque<Request>,
+    replies: Vec<(u16, Vec<u8>)>,
+    visitors: Vec<Visitor>,
+    meter: Meter,
+    faults: Faults,
+    frames: FrameCounts,
+    frozen: bool,
+    chores_at: u64,
+    busy: Duration,
+    busy_clocks: u64,
+}
+
+fn ident(card: &Card) -> Ident {
+    Ident {
+        abi: abi::ABI,
+        version: firmware::VERSION,
+        clock_hz: card.clock_hz,
+        channels: card.channels,
+        features: 0,
+        blob_words: card.words().len() as u32,
+    }
+}
+
+impl Twin {
+    /// Switches a twin of this board on.
+    pub fn start(card: Card, plant: Plant) -> Self {
+        let mut desk = Desk::new(&card, plant);
+        // The time a CPU takes to come to its first instruction of ours; the pins are seen by then.
+        desk.pass(64);
+        let boot = desk.record.boot(desk.clock() as u32);
+        let machine = Machine::start(desk, ident(&card), abi::ABI, boot);
+        let clockwork = Clockwork::new(card.clock_hz.into());
+        Twin {
+            chores_at: machine.board.clock(),
+            machine,
+            card,
+            clockwork,
+            requests: VecDeque::new(),
+            replies: Vec::new(),
+            visitors: Vec::new(),
+            meter: Meter::default(),
+            faults: Faults::default(),
+            frames: FrameCounts::default(),
+            frozen: false,
+            busy: Duration::ZERO,
+            busy_clocks: 0,
+        }
+    }
+
+    /// Pins, edges and plant.
+    pub fn world(&mut self) -> &mut World {
+        &mut self.machine.board.world
+    }
+
+    /// Stream every step into a file; [`Self::finish`] closes it.
+    pub fn record_edges(&mut self, path: &std::path::Path) -> Result<(), Error> {
+        let recorder = Recorder::create(path, self.clockwork.sys_hz)?;
+        self.world().edges.record(recorder);
+        Ok(())
+    }
+
+    /// Close the edge file.
+    pub fn finish(&mut self) -> Result<u64, Error> {
+        self.world().edges.finish_recording()
+    }
+
+    fn chores_every(&self) -> u64 {
+        self.clockwork.sys_hz / 1000
+    }
+
+    fn chores(&mut self) {
+        if self.machine.chores().is_some() {
+            // A change of state; the image would log it for `ferrocnc log`, which needs the image's strings.
+        }
+        if self.machine.server.wants_restart() {
+            self.machine.board.record.part(ResetReason::Requested);
+            let boot = self.machine.board.record.boot(0);
+            let desk = Desk::new(&self.card, Plant::default());
+            let desk = std::mem::replace(&mut self.machine.board, desk);
+            self.machine = Machine::start(desk, ident(&self.card), abi::ABI, boot);
+        }
+    }
+
+    fn execute(&mut self, mut request: Request) {
+        let peer = Peer {
+            ip: HOST,
+            port: request.port,
+        };
+        self.machine.board.model.arrive();
+        let mut buffer = [0; MAX_WORDS];
+        let reply = self.machine.payload(&request.payload, peer, &mut buffer);
+        let reply = reply.unwrap_or(&[]);
+        if !reply.is_empty() {
+            let payload: Vec<u8> = reply.iter().flat_map(|word| word.to_be_bytes()).collect();
+            request.reply = Some(payload);
+        }
+        request.answered = self.machine.board.clock() + ANSWER[1];
+        if self.machine.due(BEHIND_A_FRAME) {
+            self.chores();
+        }
+        self.requests.push_front(request);
+    }
+
+    fn answer(&mut self, request: Request) -> bool {
+        let Some(payload) = request.reply else {
+            return false;
+        };
+        self.frames.from_board += 1;
+        if let Some(head) = sequence(&request.payload).and_then(|s| StatusHead::parse(&payload, s))
+        {
+            self.meter.answer(head);
+        }
+        if strike(&mut self.faults.drop_from_board) {
+            self.frames.dropped += 1;
+            return false;
+        }
+        self.replies.push((request.port, payload));
+        true
+    }
+
+    fn report_now(&mut self) -> Report {
+        let own = if self.frozen {
+            None
+        } else {
+            let peer = Peer { ip: HOST, port: 0 };
+            Counters::gather(|address| {
+                let words = [
+                    wire::etherbone::HEADER,
+                    0,
+                    wire::etherbone::BYTE_ENABLE | 1,
+                    0,
+                    address,
+                ];
+                let mut buffer = [0; MAX_WORDS];
+                let reply = self.machine.datagram(&words, peer, &mut buffer).ok()?;
+                reply.get(4).copied()
+            })
+        };
+        Report::of(
+            &Seen {
+                backend: "model",
+                world: &self.machine.board.world,
+                clockwork: self.clockwork,
+                clocks: self.machine.board.clock(),
+                kcycles_per_second: self.kcycles_per_second(),
+                meter: &self.meter,
+                frames: self.frames,
+            },
+            own,
+        )
+    }
+}
+
+impl Device for Twin {
+    type Console = usize;
+
+    fn clock(&self) -> u64 {
+        self.machine.board.clock()
+    }
+
+    fn clockwork(&self) -> Clockwork {
+        self.clockwork
+    }
+
+    fn post(&mut self, port: u16, payload: &[u8]) {
+        self.meter.requested += u64::from(is_request(payload));
+        for _ in 0..1 + u32::from(strike(&mut self.faults.duplicate_to_board)) {
+            if strike(&mut self.faults.drop_to_board) || strike(&mut self.faults.corrupt_to_board) {
+                self.frames.dropped += 1;
+                continue;
+            }
+            self.frames.to_board += 1;
+            if self.frozen {
+                continue;
+            }
+            let free = self
+                .requests
+                .back()
+                .map_or(0, |last| last.due.max(last.answered));
+            self.requests.push_back(Request {
+                port,
+                payload: payload.to_vec(),
+                due: self.clock().max(free) + ANSWER[0],
+                answered: 0,
+                reply: None,
+            });
+        }
+    }
+
+    fn pass(&mut self, until: u64) -> bool {
+        let (started, before) = (Instant::now(), self.clock());
+        let mut told = false;
+        while self.clock() < until && !told {
+            let next = match self.requests.front() {
+                Some(request) if request.answered != 0 => request.answered,
+                Some(request) => request.due,
+                None => u64::MAX,
+            };
+            let chores = if self.frozen {
+                u64::MAX
+            } else {
+                self.chores_at
+            };
+            let board = &mut self.machine.board;
+            board.pass(until.min(next).min(chores).max(board.clock() + 1));
+            if self.clock() >= chores {
+                self.chores_at = self.clock() + self.chores_every();
+                if self.machine.due(IDLE) {
+                    self.chores();
+                }
+            }
+            if self.clock() >= next
+                && let Some(request) = self.requests.pop_front()
+            {
+                if request.answered == 0 {
+                    self.execute(request);
+                } else {
+                    told = self.answer(request);
+                }
+            }
+        }
+        self.busy += started.elapsed();
+        self.busy_clocks += self.clock() - before;
+        told
+    }
+
+    fn take_replies(&mut self) -> Vec<(u16, Vec<u8>)> {
+        std::mem::take(&mut self.replies)
+    }
+
+    fn wait_for(&self, payload: &[u8]) -> u64 {
+        if wants_reply(payload) {
+            2000
+        } else {
+            ANSWER[0] + 100
+        }
+    }
+
+    fn open(&mut self) -> usize {
+        let mut visitor = Visitor::default();
+        visitor.out.0.extend(console::PROMPT.bytes());
+        self.visitors.push(visitor);
+        self.visitors.len() - 1
+    }
+
+    fn type_in(&mut self, console: usize, bytes: &[u8]) -> usize {
+        if self.frozen {
+            return 0;
+        }
+        let visitor = &mut self.visitors[console];
+        for byte in bytes {
+            let Some(ask) = visitor.line.push(*byte) else {
+                continue;
+            };
+            self.machine
+                .answer(ask, &Vitals::default(), &mut visitor.out);
+            if ask == Ask::Quit {
+                visitor.said_goodbye = true;
+                break;
+            }
+            visitor.out.0.extend(console::PROMPT.bytes());
+        }
+        bytes.len()
+    }
+
+    fn heard(&mut self, console: usize) -> Vec<u8> {
+        std::mem::take(&mut self.visitors[console].out.0)
+    }
+
+    fn untold(&mut self, _: usize) -> usize {
+        0
+    }
+
+    fn hang_up(&mut self, console: usize) {
+        self.visitors[console].gone = true;
+    }
+
+    fn hung_up(&mut self, console: usize) -> bool {
+        self.visitors[console].said_goodbye
+    }
+
+    fn closed(&mut self, console: usize) -> bool {
+        self.visitors[console].gone
+    }
+
+    fn forget(&mut self, console: usize) {
+        // Numbers stay what they are; an empty visitor is a few words.
+        self.visitors[console] = Visitor::default();
+    }
+
+    fn world(&self) -> &World {
+        &self.machine.board.world
+    }
+
+    fn world_mut(&mut self) -> &mut World {
+        &mut self.machine.board.world
+    }
+
+    fn freeze_cpu(&mut self, frozen: bool) {
+        self.frozen = frozen;
+    }
+
+    fn faults(&mut self) -> &mut Faults {
+        &mut self.faults
+    }
+
+    fn meter(&self) -> &Meter {
+        &self.meter
+    }
+
+    fn frames(&self) -> FrameCounts {
+        self.frames
+    }
+
+    fn ping(&mut self) -> Option<u64> {
+        (!self.frozen).then_some(ANSWER[0] + ANSWER[1])
+    }
+
+    fn kcycles_per_second(&self) -> f64 {
+        self.busy_clocks as f64 / self.busy.as_secs_f64().max(1e-9) / 1e3
+    }
+
+    fn report(&mut self) -> Report {
+        self.report_now()
+    }
+}
