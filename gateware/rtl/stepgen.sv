@@ -192,5 +192,125 @@ module stepgen (
         delta    = 5'd0;
         fraction = 32'h8000_0000;
     end
+
+`ifdef FORMAL
+    // ---- what must hold: gateware/formal/stepgen.proofs --------------------------------------------------------------
+    // First a drive that sees the pins and keeps its own clocks; then what it is promised, one `ifdef per proof; then what
+    // links its clocks to ours, so that induction needs one step only (not asserted of a broken core: the promise must catch it).
+    // 0 is read as 1 in every promise.
+    wire [17:0] high_least  = {5'd0, steplen} + {18'd0, steplen == 13'd0};
+    wire [17:0] low_least   = {5'd0, stepspace} + {18'd0, stepspace == 13'd0};
+    wire [17:0] setup_least = {2'd0, dirsetup} + {18'd0, dirsetup == 16'd0};
+    wire [17:0] hold_least  = {2'd0, dirhold} + {18'd0, dirhold == 16'd0};
+
+    function automatic [17:0] more(input [17:0] n);  // counts, and stays at "long ago"
+        more = &n ? n : n + 18'd1;
+    endfunction
+
+    wire one       = known & (step ^ step_invert);  // the registers power up at 0, inverted or not
+    wire two       = known & (dir ^ dir_invert);
+    wire active    = quadrature ? pulse : updown ? one | two : one;
+    wire backwards = quadrature ? (one != was_one) == (was_one != was_two) : two;
+    wire edge_seen = known & (quadrature ? one != was_one || two != was_two : active & ~was_active);
+
+    logic        known = 1'b0, was_one = 1'b0, was_two = 1'b0, was_active = 1'b0, was_open = 1'b0, was_halted = 1'b0;
+    logic        was_says = 1'b0, was_backwards = 1'b0;
+    logic [17:0] high      = 18'd0;        // clocks up to the one before
+    logic [17:0] low       = 18'h3ffff;
+    logic [17:0] since_dir = 18'h3ffff;
+    logic [17:0] since_edge = 18'h3ffff;
+    logic [31:0] counted   = 32'd0, harvested = 32'd0;
+    wire  [31:0] counted_now = counted + (edge_seen ? {{31{backwards}}, 1'b1} : 32'd0);
+
+    wire         says           = known & (quadrature | updown ? reverse : two);
+    wire  [17:0] since_dir_now  = says != was_says ? 18'd0 : since_dir;
+    wire  [17:0] since_edge_now = edge_seen ? 18'd0 : since_edge;
+    wire         last_backwards = edge_seen ? backwards : was_backwards;
+    logic [4:0]  unvisited      = 5'd1;
+
+    always_comb assume (visit | unvisited < 5'd16);  // the tally's part of the contract
+
+    always_ff @(posedge clk) begin
+        unvisited  <= visit ? 5'd1 : unvisited + 5'd1;
+        known      <= 1'b1;
+        was_one    <= one;
+        was_two    <= two;
+        was_active <= active;
+        was_open   <= gate;
+        high       <= active ? more(high) : 18'd0;
+        low        <= active ? 18'd0 : more(low);
+        was_says   <= says;
+        since_dir  <= more(since_dir_now);
+        since_edge <= more(since_edge_now);
+        was_backwards <= last_backwards;
+        counted    <= counted_now;
+        if (visit) harvested <= harvested + {{27{delta[4]}}, delta};
+    end
+
+    wire rises = known & ~was_active & active;
+    wire falls = known & was_active & ~active;
+
+    always_comb if (known) begin
+`ifdef PROVE_pulse_lasts_steplen
+        if (falls) assert (high >= high_least | ~was_open);
+`endif
+`ifdef PROVE_pulses_are_stepspace_apart
+        if (rises) assert (low >= low_least);
+`endif
+`ifdef PROVE_dir_is_stable_for_dirhold_after_a_pulse
+        if (two != was_two) assert (~active & ~was_active & low >= hold_least);
+`endif
+`ifdef PROVE_dir_is_stable_for_dirsetup_before_a_pulse
+        if (rises) assert (since_dir >= setup_least);
+`endif
+`ifdef PROVE_up_and_down_never_together_and_apart_at_a_reversal
+        assert (~(one & two));
+        if (rises) assert (low >= low_least);
+        if (rises & backwards != was_backwards) assert (low >= hold_least + setup_least);
+`endif
+`ifdef PROVE_edges_change_one_line_and_are_apart
+        assert (one == was_one | two == was_two);
+        if (edge_seen) assert (since_edge >= high_least + low_least);
+        if (edge_seen & backwards != was_backwards) assert (since_edge >= high_least + hold_least + setup_least);
+`endif
+`ifdef PROVE_count_is_what_the_pins_did
+        assert (counted_now == harvested + {{27{delta[4]}}, delta});
+`endif
+`ifdef PROVE_closed_gate_begins_nothing
+        if (~was_open & quadrature) assert (one == was_one & two == was_two);
+        if (~was_open & ~quadrature) assert (~active);
+        if (~was_open & ~quadrature & ~updown) assert (two == was_two);
+`endif
+    end
+
+`ifndef MUTATED
+    always_comb begin
+        assert (high == 18'd0 | ~was_active | ~&high);
+        if (known) assert (one == (quadrature ? a : pulse & ~(updown & reverse)));
+        if (known) assert (two == (quadrature ? b : updown ? pulse & reverse : reverse));
+        if (known) assert (was_active == (high != 18'd0) & was_active == (low == 18'd0));
+        assert (~known | was_open | quadrature | ~pulse);
+        assert (step_first == (step_clock == 13'd1 & ~step_over) & dir_first == (dir_clock == 16'd1 & ~dir_over));
+        assert (step_over | step_clock != 13'd0 & {5'd0, step_clock} <= (pulse ? high_least : low_least));
+        assert (dir_over | dir_clock != 16'd0 & {2'd0, dir_clock} <= (setup ? setup_least : hold_least));
+        assert (~pulse | ~step_over & {5'd0, step_clock} == high + 18'd1 & (~setup | dir_over));
+        if (~pulse & ~step_over) assert ({5'd0, step_clock} == low + 18'd1);
+        if (~pulse & step_over) assert (low >= low_least);
+        if (~pulse & ~setup & ~dir_over) assert ({2'd0, dir_clock} == low + 18'd1);
+        if (~pulse & (setup | dir_over)) assert (low >= hold_least);
+        if (setup & ~dir_over) assert ({2'd0, dir_clock} == since_dir_now + 18'd1);
+        if (~setup | dir_over) assert (since_dir_now >= setup_least);
+        assert (edge_seen == (pulse & step_first));
+        if (pulse | ~setup) assert (last_backwards == reverse);
+        if (~pulse & last_backwards != reverse) assert (low >= hold_least + (dir_over ? setup_least : {2'd0, dir_clock} - 18'd1));
+        if (quadrature & pulse) assert (high == since_edge_now);
+        if (quadrature & ~pulse) assert (&since_edge_now | {1'b0, since_edge_now} >= {1'b0, high_least} + {1'b0, low});
+        assert (unvisited != 5'd0 & unvisited <= 5'd16);
+        assert ($signed({delta, 1'b0}) <= $signed({1'b0, unvisited}) + $signed({5'd0, pulse}));
+        assert ($signed({delta, 1'b0}) >= -$signed({1'b0, unvisited}) - $signed({5'd0, pulse}));
+        assert (counted_now == harvested + {{27{delta[4]}}, delta});
+    end
+`endif
+`endif
 endmodule
 `default_nettype wire
