@@ -222,7 +222,7 @@ def _packed(folder):
 
 
 def _bare_synthesis(soc, folder):
-    """A board without pins, synthesised: every pin on whichever pad the placer takes."""
+    """A board synthesised, whether or not it has pins; pins without a ball go wherever the placer puts them."""
     folder.mkdir(parents=True, exist_ok=True)
     here = os.getcwd()
     try:
@@ -231,7 +231,7 @@ def _bare_synthesis(soc, folder):
     finally:
         os.chdir(here)
     lpf = (folder / f"{TOP}.lpf").read_text().splitlines(keepends=True)
-    (folder / f"{TOP}.lpf").write_text("".join(line for line in lpf if f'SITE "{ecp5.ANY_BALL}"' not in line))
+    (folder / f"{TOP}.lpf").write_text("".join(line for line in lpf if 'SITE "X"' not in line))
     script = (folder / f"{TOP}.ys").read_text() + "\ntee -o stat.txt stat\n"
     (folder / f"{TOP}.ys").write_text(script)
     _tool("yosys", ["-q", f"{TOP}.ys"], folder, "yosys.log")

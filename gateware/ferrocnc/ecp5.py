@@ -1,5 +1,8 @@
 """The real board: the same SoC on an ECP5, its pins and clock from the platform file, its PHY on RGMII."""
 
+from functools import reduce
+from operator import xor
+
 from migen import ClockDomain, Signal
 from litex.gen import LiteXModule
 from litex.build.generic_platform import IOStandard, Misc, Pins, Subsignal
@@ -30,10 +33,9 @@ _PADS = (
     ("pwm", "pin", "pwm", True), ("pwm", "dir", "pwm_dir", True),
     ("gpio_in", "pin", "inputs", False), ("gpio_out", "pin", "outputs", True),
 )
-ANY_BALL = "X"  # LiteX's word for it; `build` leaves the choice to the placer
-# A board measured without pins has these on pads all the same, so that nothing of it is optimised away: 176 for the largest one,
-# and 17 for Ethernet, clock, LED and reset, of 197. The other inputs are ferried in through one pad and a shift register.
-_FREE = {pad[:2] for pad in _PADS} - {("stepgen", "step_n"), ("stepgen", "dir_n"), ("stepgen", "index"), ("encoder", "mask")}
+# A board measured without pins must keep what the pins would have kept. Its inputs come from a shift register behind this pad,
+# its outputs leave as their parity through that one: one flip-flop for an input, a third of a LUT for an output.
+_FERRY = (("ferry_in", 0, Pins("X"), *_IN), ("ferry_out", 0, Pins("X"), *_OUT))
 
 
 class _Platform(LatticeECP5Platform):
@@ -53,11 +55,10 @@ class _Platform(LatticeECP5Platform):
             io.append(("ext_reset", 0, Pins(p.pins[board.ext_reset_pin]), *_IN))
         for kind, pin, _, output in _PADS:
             for n, channel in enumerate(getattr(board, kind)):
-                ball = p.pins[channel[pin]] if channel[pin] else ANY_BALL if not all_pins and (kind, pin) in _FREE else None
-                if ball:
-                    io.append((f"{kind}_{pin}", n, Pins(ball), *(_OUT if output else _IN)))
+                if channel[pin]:
+                    io.append((f"{kind}_{pin}", n, Pins(p.pins[channel[pin]]), *(_OUT if output else _IN)))
         if not all_pins:
-            io.append(("ferry", 0, Pins(ANY_BALL), *_IN))
+            io += _FERRY
         LatticeECP5Platform.__init__(self, p.device, io, toolchain="trellis")
 
     def do_finalize(self, fragment):
@@ -94,18 +95,20 @@ class BoardSoC(ferro.FerroSoC):
 
     def _pins(self, platform, board, all_pins):
         pads = self.cores.pads
-        ferry = None if all_pins else platform.request("ferry")
+        link, outputs = None if all_pins else platform.request("ferry_in"), []
         for kind, pin, name, output in _PADS:
             signal = getattr(pads, name)
             for n in range(len(getattr(board, kind))):
                 pad = platform.request(f"{kind}_{pin}", n, loose=True)
                 if pad is not None:
                     self.comb += pad.eq(signal[n]) if output else signal[n].eq(pad)
-                elif ferry is not None and not output:
-                    link = Signal(reset_less=True)
-                    self.sync += link.eq(ferry)
-                    self.comb += signal[n].eq(link)
-                    ferry = link
+                elif link is not None and output and not pin.endswith("_n"):
+                    outputs.append(signal[n])
+                elif link is not None and not output:
+                    self.sync += signal[n].eq(link)
+                    link = signal[n]
+        if outputs:
+            self.sync += platform.request("ferry_out").eq(reduce(xor, outputs))
         self.comb += platform.request("led").eq(pads.led ^ int(board.platform.led_active_low))
         # Without a pin there is nothing to reset; the core turns the idle level over if the file says active low.
         self.comb += pads.ext_reset.eq(platform.request("ext_reset") if board.ext_reset_pin else int(board.ext_reset_active_low))
