@@ -19,6 +19,9 @@ use wire::units::Clocks;
 const WINDOW: u32 = 64;
 /// Minima the drift is measured over: 1 s at 1 kHz. Crystals do not change in that time.
 const MINIMA: usize = 16;
+/// Minima before anything is claimed: 256 ms at 1 kHz. Without a drift a crystal 100 ppm off is 12 us away
+/// after two windows.
+const ENOUGH: usize = 4;
 /// Minima the offset is taken from: few, so that an error of the drift has no time to grow.
 const NEWEST: usize = 4;
 
@@ -93,7 +96,7 @@ impl BoardClock {
 
     /// Whether there is anything to go by.
     pub fn known(&self) -> bool {
-        self.taken > 0
+        self.taken >= ENOUGH
     }
 
     /// The board's clock at `host` ns.
@@ -130,8 +133,7 @@ impl BoardClock {
         }
         let slopes = &mut slopes[..half];
         slopes.sort_unstable_by(f64::total_cmp);
-        // Two windows apart a jitter of 1 us is 10 ppm already: no drift is the better guess until then.
-        let slope = if half < 2 { 0.0 } else { slopes[half / 2] };
+        let slope = slopes.get(half / 2).copied().unwrap_or(0.0);
         let newest = (count.saturating_sub(NEWEST)..count).map(minimum);
         let base = newest
             .map(|point| point.ahead - slope * point.at)
@@ -305,9 +307,9 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_claimed_before_the_first_window_and_after_a_jump() {
+    fn nothing_is_claimed_before_the_fourth_window_and_after_a_jump() {
         let mut clock = BoardClock::new(60_000_000);
-        for n in 0..i64::from(WINDOW) {
+        for n in 0..i64::from(WINDOW) * ENOUGH as i64 {
             assert!(clock.board_at(0).is_none());
             clock.exchanged(n * 1_000_000, Clocks(n as u64 * 60_000));
         }

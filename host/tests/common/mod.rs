@@ -7,6 +7,8 @@
 //! Time is either the wall clock or, in lockstep, one servo period per exchange.
 #![allow(dead_code)]
 
+pub mod rig;
+
 use ferrocnc::clock::Timebase;
 use motion::Ramp;
 use motion::ramp::COMMIT_CLOCKS;
@@ -784,6 +786,11 @@ impl FakeBoard {
             inputs: 12,
             outputs: 12,
         };
+        Self::of(address, channels, time)
+    }
+
+    /// One with as many channels as asked.
+    pub fn of(address: &str, channels: Channels, time: Time) -> Self {
         let socket = UdpSocket::bind(address).expect("a free UDP port");
         let SocketAddr::V4(address) = socket.local_addr().expect("its address") else {
             panic!("IPv4 only");

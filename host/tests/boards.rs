@@ -1,0 +1,283 @@
+//! Four boards on one servo thread: their requests go out together, and what is commanded takes effect at
+//! the same instant on all of them, whatever their clocks say.
+
+mod common;
+
+use common::rig::{PERIOD_NS, load_with};
+use common::{CLOCK_HZ, FakeBoard, Script, Time};
+use ferrocnc::clock::Timebase;
+use ferrocnc::driver::Driver;
+use ferrocnc::hal::fake::FakeHal;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The instants of four boards agree within this: the clock's resolution is 17 ns, the rest is what a
+/// network that delays by 20 to 40 us leaves of the least delay.
+const AGREE_NS: f64 = 3_000.0;
+
+/// A computer with four boards. Time is what the test says; delays and crystals are the boards' own.
+struct Shop {
+    time: Arc<Timebase>,
+    hal: FakeHal,
+    boards: Vec<FakeBoard>,
+    drivers: Vec<Driver>,
+    now: i64,
+}
+
+impl Shop {
+    fn new(seed: u64) -> Self {
+        let time = Timebase::scripted();
+        // Started at other times; crystals of +-100 ppm at worst.
+        let clocks = [(5e9, 43.0), (7.1e12, -61.0), (1.0, 0.0), (3e15, 97.0)];
+        let boards: Vec<FakeBoard> = clocks
+            .into_iter()
+            .zip(1u64..)
+            .map(|((offset_ns, ppm), n)| {
+                FakeBoard::scripted(Script {
+                    host: Arc::clone(&time),
+                    offset_ns,
+                    ppm,
+                    delay_ns: 20_000.0,
+                    seed: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ n,
+                })
+            })
+            .collect();
+        let mut hal = FakeHal::new();
+        let mut drivers: Vec<Driver> = boards
+            .iter()
+            .enumerate()
+            .map(|(n, board)| load_with(board, &mut hal, n).0)
+            .collect();
+        for (n, driver) in drivers.iter_mut().enumerate() {
+            driver.join(&time, boards.len());
+            hal.set(&format!("ferrocnc.{n}.packet-read-timeout"), 500_000_000);
+            // Only what the script loses may bite.
+            hal.set(&format!("ferrocnc.{n}.watchdog.timeout-ns"), 50_000_000u32);
+        }
+        Shop {
+            time,
+            hal,
+            boards,
+            drivers,
+            now: 0,
+        }
+    }
+
+    fn each(&self, pin: &str, value: bool) {
+        for n in 0..self.boards.len() {
+            self.hal.set(&format!("ferrocnc.{n}.{pin}"), value);
+        }
+    }
+
+    /// The servo thread's time goes on.
+    fn pass(&mut self, nanos: i64) {
+        self.now += nanos;
+        self.time.set(self.now);
+    }
+
+    /// Does something with one board and waits until the board has seen it: time stands meanwhile.
+    fn seen(&mut self, n: usize, what: impl FnOnce(&mut Driver)) {
+        let before = self.boards[n].look().exchanges;
+        what(&mut self.drivers[n]);
+        for _ in 0..if self.drivers[n].token().is_some() {
+            5000
+        } else {
+            20
+        } {
+            if self.boards[n].look().exchanges != before {
+                break;
+            }
+            std::thread::sleep(Duration::from_micros(20));
+        }
+    }
+
+    fn exchanges(&self) -> Vec<u32> {
+        self.boards
+            .iter()
+            .map(|board| board.look().exchanges)
+            .collect()
+    }
+
+    /// One servo period: reads, the controller, writes one after the other.
+    fn period(&mut self) {
+        for n in 0..self.drivers.len() {
+            self.drivers[n].read(PERIOD_NS);
+            self.pass(3_000);
+        }
+        self.pass(100_000);
+        for n in 0..self.drivers.len() {
+            self.seen(n, |driver| driver.write(PERIOD_NS));
+            self.pass(12_000);
+        }
+        self.pass(PERIOD_NS - 100_000 - 4 * 15_000);
+    }
+
+    fn arm(&mut self) {
+        self.each("enable", true);
+        for _ in 0..60 {
+            self.period();
+        }
+        self.each("enable-request", true);
+        for _ in 0..10 {
+            self.period();
+        }
+        for n in 0..self.boards.len() {
+            let enabled: bool = self.hal.get(&format!("ferrocnc.{n}.enabled"));
+            assert!(enabled, "board {n}: {:?}", self.hal.said());
+        }
+    }
+}
+
+#[test]
+fn four_boards_with_other_clocks_apply_a_command_at_one_instant() {
+    for seed in 1..=3 {
+        let mut shop = Shop::new(seed);
+        shop.arm();
+        for _ in 0..700 {
+            shop.period();
+        }
+        // What the last 200 commands did, in this computer's time.
+        let applied: Vec<Vec<f64>> = shop
+            .boards
+            .iter()
+            .map(|board| {
+                let board = board.look();
+                let script = board.script.as_ref().unwrap();
+                let last = board.applied.len() - 200;
+                let moments = board.applied[last..].iter();
+                moments.map(|at| script.host_ns(*at as f64)).collect()
+            })
+            .collect();
+        let mut worst = 0.0f64;
+        for n in 0..200 {
+            let moments = applied.iter().map(|moments| moments[n]);
+            let first = moments.clone().fold(f64::MAX, f64::min);
+            let last = moments.fold(f64::MIN, f64::max);
+            worst = worst.max(last - first);
+        }
+        println!("seed {seed}: four boards apply within {worst:.0} ns");
+        assert!(worst < AGREE_NS, "seed {seed}: {worst} ns apart");
+        for (n, ppm) in [(0, 43.0), (1, -61.0), (2, 0.0), (3, 97.0)] {
+            let drift: f64 = shop.hal.get(&format!("ferrocnc.{n}.wallclock.drift-ppm"));
+            assert!(
+                (drift - ppm).abs() < 15.0,
+                "seed {seed}, board {n}: {drift} ppm"
+            );
+        }
+        // The offset is the board's own, plus the fastest way there.
+        let offset: f64 = shop.hal.get("ferrocnc.0.wallclock.offset-ns");
+        let true_offset = 5e9 + 43e-6 * shop.now as f64;
+        let way = offset - true_offset;
+        assert!((0.0..45_000.0).contains(&way), "seed {seed}: {way} ns");
+    }
+}
+
+#[test]
+fn a_board_alone_applies_at_once_unless_it_is_told_otherwise() {
+    let board = FakeBoard::mill6(Time::Lockstep(u64::from(CLOCK_HZ) / 1000));
+    let mut hal = FakeHal::new();
+    let (mut driver, _) = load_with(&board, &mut hal, 0);
+    driver.join(&Timebase::new(), 1);
+    assert_eq!(hal.get::<u32>("ferrocnc.0.apply-delay-ns"), 0);
+    driver.join(&Timebase::new(), 2);
+    assert_eq!(hal.get::<u32>("ferrocnc.0.apply-delay-ns"), 250_000);
+}
+
+#[test]
+fn all_requests_are_under_way_before_the_first_answer_is_waited_for() {
+    let mut shop = Shop::new(7);
+    shop.arm();
+    for driver in &mut shop.drivers {
+        driver.read(PERIOD_NS);
+    }
+    let before = shop.exchanges();
+    for n in 0..4 {
+        shop.seen(n, |driver| driver.read_request(PERIOD_NS));
+    }
+    // Nobody has read yet, and every board has been asked.
+    let after = shop.exchanges();
+    for (n, (before, after)) in before.iter().zip(&after).enumerate() {
+        assert_eq!(after - before, 1, "board {n}");
+    }
+    let errors = |shop: &Shop| -> u32 {
+        (0..4)
+            .map(|n| {
+                shop.hal
+                    .get::<u32>(&format!("ferrocnc.{n}.packet-error-total"))
+            })
+            .sum()
+    };
+    let errors_before = errors(&shop);
+    for driver in &mut shop.drivers {
+        driver.read(PERIOD_NS);
+    }
+    assert_eq!(errors(&shop), errors_before);
+}
+
+#[test]
+fn a_read_request_brings_feedback_from_this_period_and_costs_no_pulse() {
+    let mut shop = Shop::new(11);
+    // Without apply times the exact place at the next command is known.
+    for n in 0..4 {
+        shop.hal.set(&format!("ferrocnc.{n}.apply-delay-ns"), 0u32);
+        let x = |pin: &str| format!("ferrocnc.{n}.stepgen.x.{pin}");
+        shop.hal.set(&x("position-scale"), 800.0);
+        shop.hal.set(&x("maxaccel"), 3000.0);
+        shop.hal.set(&x("steplen"), 1000u32);
+        shop.hal.set(&x("stepspace"), 1000u32);
+    }
+    shop.arm();
+    shop.each("stepgen.x.enable", true);
+    let mut worst = 0.0f64;
+    for n in 0..500 {
+        for n in 0..4 {
+            shop.seen(n, |driver| driver.read_request(PERIOD_NS));
+        }
+        shop.pass(60_000);
+        for driver in &mut shop.drivers {
+            driver.read(PERIOD_NS);
+        }
+        shop.pass(140_000);
+        let phase = f64::from(n.min(400)) / 400.0 * core::f64::consts::PI;
+        let at = 5.0 * (1.0 - phase.cos());
+        let predicted: Vec<f64> = (0..4)
+            .map(|n| shop.hal.get(&format!("ferrocnc.{n}.stepgen.x.position-fb")))
+            .collect();
+        for n in 0..4 {
+            shop.hal
+                .set(&format!("ferrocnc.{n}.stepgen.x.position-cmd"), at);
+        }
+        for n in 0..4 {
+            shop.seen(n, |driver| driver.write(PERIOD_NS));
+        }
+        // Where the boards were when that command arrived.
+        if n > 5 {
+            for (board, predicted) in shop.boards.iter().zip(&predicted) {
+                let there = board.look().pulses(0) as f64;
+                worst = worst.max((there - predicted * 800.0).abs());
+            }
+        }
+        shop.pass(PERIOD_NS - 200_000);
+    }
+    // Half a step of rounding, and what the delay's jitter of 20 us is at 31 steps per period.
+    assert!(worst < 1.5, "{worst} steps");
+    for (n, board) in shop.boards.iter().enumerate() {
+        assert_eq!(board.look().pulses(0), 8000, "board {n}");
+    }
+}
+
+#[test]
+fn one_board_that_falls_silent_leaves_the_others_alone() {
+    let mut shop = Shop::new(13);
+    shop.arm();
+    shop.hal.set("ferrocnc.2.packet-read-timeout", 1_000_000);
+    shop.boards[2].look().knobs.unplugged = true;
+    for _ in 0..20 {
+        shop.period();
+    }
+    for n in [0, 1, 3] {
+        assert!(shop.hal.get::<bool>(&format!("ferrocnc.{n}.enabled")));
+    }
+    assert!(!shop.hal.get::<bool>("ferrocnc.2.enabled"));
+    assert!(shop.hal.get::<bool>("ferrocnc.2.io-error"));
+}
