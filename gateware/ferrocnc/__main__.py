@@ -40,6 +40,8 @@ def main(argv=None):
     p = sub.add_parser("bench", help="synthesise the cores and the named boards and say how big they are")
     p.add_argument("--out", required=True)
     p.add_argument("--json", help="write the report here")
+    p.add_argument("--document", help="write the tables as Markdown here")
+    p.add_argument("--seed", type=int, help="place and route the boards, too, with this seed")
 
     sub.add_parser("tools", help="say which FPGA tools will run")
 
@@ -97,7 +99,7 @@ def _bitstream(args):
 
 def _bench(args):
     from . import build
-    return build.bench(ROOT, Path(args.out), args.json)
+    return build.bench(ROOT, Path(args.out), args.json, args.seed, args.document)
 
 
 if __name__ == "__main__":

@@ -38,13 +38,7 @@ def bitstream(board, out, firmware=None, seed=1, report=None):
     (out / f"{TOP}.bit").unlink(missing_ok=True)  # a failed build leaves no bitstream, not even an older one
     soc = elaborate(board, out)
     _tool("yosys", ["-q", "-l", f"{TOP}.rpt", f"{TOP}.ys"], out, "yosys.log")
-    device = board.platform.device.split("-")
-    (out / "nextpnr.json").unlink(missing_ok=True)
-    # A missed clock is judged here, where it can be reported: nextpnr alone would stop before saying what it reached.
-    _tool("nextpnr-ecp5", [
-        "--json", f"{TOP}.json", "--lpf", f"{TOP}.lpf", "--textcfg", f"{TOP}.config", "--report", "nextpnr.json",
-        f"--{device[1].lower().replace('f', 'k')}", "--package", "CABGA256", "--speed", device[2][0],
-        "--seed", str(seed), "--timing-allow-fail", *ecp5.PLACER.split()], out, "nextpnr.log")
+    _place(board, out, seed)
     found = _report(board, out, seed, began)
     if report:
         Path(report).parent.mkdir(parents=True, exist_ok=True)
@@ -60,6 +54,19 @@ def bitstream(board, out, firmware=None, seed=1, report=None):
     _tool("ecppack", ["--compress", config, f"{TOP}.bit"], out, "ecppack.log")
     print(f"{out / TOP}.bit: {(out / f'{TOP}.bit').stat().st_size} bytes, {'with ' + str(firmware) if firmware else 'no firmware: the CPU waits for an image'}")
     return 0
+
+
+def _place(board, folder, seed, *more):
+    """Places and routes. A missed clock is judged by who reads the report: nextpnr alone would stop before saying what it reached."""
+    (folder / "nextpnr.json").unlink(missing_ok=True)
+    _tool("nextpnr-ecp5", [
+        "--json", f"{TOP}.json", "--lpf", f"{TOP}.lpf", "--textcfg", f"{TOP}.config", "--report", "nextpnr.json", *_device(board),
+        "--seed", str(seed), "--timing-allow-fail", *ecp5.PLACER.split(), *more], folder, "nextpnr.log")
+
+
+def _device(board):
+    device = board.platform.device.split("-")
+    return f"--{device[1].lower().replace('f', 'k')}", "--package", "CABGA256", "--speed", device[2][0]
 
 
 # Firmware ---------------------------------------------------------------------------------------------------------
@@ -118,18 +125,22 @@ def _synthesis(path):
 
 def _report(board, out, seed, began):
     data = json.loads((out / "nextpnr.json").read_text())
+    used = data["utilization"]
+    return {
+        "board": board.name, "clocks": _clocks(board, data), "seed": seed, "seconds": round(time.monotonic() - began),
+        **_synthesis(out / f"{TOP}.rpt"),
+        "trellis_comb": used["TRELLIS_COMB"]["used"],
+        "utilization": {k: used[k] for k in ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "MULT18X18D") if k in used},
+    }
+
+
+def _clocks(board, data):
     clocks = {}
     for net, f in data["fmax"].items():
         # nextpnr names a clock after whichever net of it came first, so the core clock is known by what it is required to do.
         name = "eth" if "eth" in net else "sys" if abs(f["constraint"] * 1e6 - board.sys_clk_hz) < 0.01 * board.sys_clk_hz else net
         clocks[name] = {"required_mhz": round(f["constraint"], 2), "achieved_mhz": round(f["achieved"], 2)}
-    used = data["utilization"]
-    return {
-        "board": board.name, "clocks": clocks, "seed": seed, "seconds": round(time.monotonic() - began),
-        **_synthesis(out / f"{TOP}.rpt"),
-        "trellis_comb": used["TRELLIS_COMB"]["used"],
-        "utilization": {k: used[k] for k in ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "MULT18X18D") if k in used},
-    }
+    return clocks
 
 
 def _print(found):
@@ -158,8 +169,9 @@ AVAILABLE = 24_288  # TRELLIS_COMB of an LFE5U-25F
 _COLUMNS = (("LUT4", "lut4"), ("CCU2C", "ccu2c"), ("FF", "ff"), ("EBR", "ebr"), ("DSP", "dsp"), ("COMB", "trellis_comb"))
 
 
-def bench(root, out, report=None):
-    """Synthesises and packs every core alone and the named boards, and prints what they cost.
+def bench(root, out, report=None, seed=None, document=None):
+    """Synthesises and packs every core alone and the named boards, and prints what they cost. With a seed it places and routes
+    the boards, too.
 
     COMB is what nextpnr packs: LUTs, two per carry cell and the cells it adds to get in and out of a carry chain, LUT RAM. A core
     alone is mapped for area, because nothing tells which of its paths matter; in a board the tools know.
@@ -172,52 +184,83 @@ def bench(root, out, report=None):
         folder.mkdir(parents=True, exist_ok=True)
         script = f"read_verilog -sv {sources}; {ecp5.ABC9_AREA}; synth_ecp5 -top {source.stem} -json {TOP}.json; tee -o stat.txt stat"
         _tool("yosys", ["-q", "-p", script], folder, "yosys.log")
-        cores[source.stem] = _synthesis(folder / "stat.txt") | _packed(folder)
-    for name in ("mill6", "max", "none"):
+        cores[source.stem] = _synthesis(folder / "stat.txt") | _packed(folder, source.stem, ("--25k", "--package", "CABGA256", "--speed", "6"))
+    for name in ("none", "mill6", "max"):
         board = read_board(root / "boards" / f"{'max' if name == 'none' else name}.toml")
         if name == "none":
             for kind in ("stepgen", "encoder", "pwm", "gpio_in", "gpio_out"):
                 setattr(board, kind, [])
-        _bare_synthesis(ecp5.BoardSoC(board, all_pins=False), out / name)
-        boards[name] = _synthesis(out / name / "stat.txt") | _packed(out / name)
-    for line in size_tables(cores, boards):
-        print(line)
+        folder = out / name
+        _bare_synthesis(ecp5.BoardSoC(board, all_pins=name == "mill6"), folder)
+        boards[name] = _synthesis(folder / "stat.txt") | _packed(folder, TOP, ("--lpf", f"{TOP}.lpf", *_device(board)))
+        if seed is not None and name != "none":
+            _place(board, folder, seed, "--lpf-allow-unconstrained")
+            boards[name]["clocks"] = _clocks(board, json.loads((folder / "nextpnr.json").read_text()))
+            boards[name]["seed"] = seed
+    text = "\n".join(size_tables(cores, boards)) + "\n"
+    print(text)
+    if document:
+        Path(document).write_text(_SIZE_DOC + text, encoding="utf-8", newline="\n")
     if report:
         Path(report).parent.mkdir(parents=True, exist_ok=True)
-        Path(report).write_text(json.dumps({"boards": boards, "cores": cores, "peers": PEERS}, indent=2) + "\n")
+        Path(report).write_text(json.dumps({"boards": boards, "cores": cores, "peers": PEERS, "available": AVAILABLE}, indent=2) + "\n")
     return 0
 
 
-def size_tables(cores, boards):
-    """Two tables: the cores, alone; the boards, beside the peers'."""
-    def row(name, c):
-        return f"| {name} | " + " | ".join(str(c[key]) for _, key in _COLUMNS) + " |"
+_SIZE_DOC = """<!-- Written by `cargo xtask bench gateware`; do not edit. -->
+# Size
 
-    head = " | ".join(name for name, _ in _COLUMNS)
-    yield f"| core | {head} |"
-    yield "|---" * (len(_COLUMNS) + 1) + "|"
-    for name, c in cores.items():
-        yield row(name, c)
-    yield f"| board | {head} |"
-    yield "|---" * (len(_COLUMNS) + 1) + "|"
+What the gateware costs on an LFE5U-25F-6 (24 288 TRELLIS_COMB, 24 288 FF, 56 EBR, 28 DSP), with the tools of
+`gateware/requirements.txt`. COMB is counted after packing: LUTs, two for each carry cell and those that lead in and out of a carry
+chain, four and two for each LUT RAM. It is what the placer has to find room for, and the figure to compare.
+
+A core is measured alone; `tally`, `edges` and `gpio` are there once for all channels (16, 16, 32 + 32), each encoder has two
+`debounce` inside, each encoder and each step generator a `latch` beside it. `max` has no pins on a 5A-75B: its inputs come from a
+shift register behind one pad and its outputs leave as a parity through another, so that nothing is optimised away (about 40 LUTs).
+
+The peers' figures are of the same tools and the same channels: 6 step generators, 6 encoders, 6 PWM, 12 + 12 I/O, 40 MHz,
+Etherbone in gateware and no CPU. LiteX-CNC was placed and routed once; Lcnc was elaborated and simulated, never placed.
+
+"""
+
+
+def size_tables(cores, boards):
+    """The cores alone; the boards beside the peers'; the clocks, where they were routed."""
+    def row(name, c):
+        return f"| {name} | " + " | ".join(f"{c[key]:,}".replace(",", " ") for _, key in _COLUMNS) + " |"
+
+    def head(what, columns):
+        return [f"| {what} | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
+
+    columns = [name for name, _ in _COLUMNS]
+    yield from head("core", columns)
+    yield from (row(name, c) for name, c in cores.items())
+    yield ""
+    yield from head("board", columns)
     for name, what in (("none", "no channel: CPU, MAC, memories, timebase, watchdog"), ("mill6", "mill6: 6 + 6 + 6, 12 + 12"), ("max", "max: 16 + 16 + 16, 32 + 32")):
         yield row(what, boards[name])
     sets = rm.MAX_STEPGEN
-    each = {key: round((boards["max"][key] - boards["none"][key]) / sets) for _, key in _COLUMNS}
-    yield row("each stepgen + encoder + PWM + 2 inputs + 2 outputs of max, banks included", each)
+    yield row("of max, per step generator + encoder + PWM + 2 inputs + 2 outputs, banks included",
+              {key: round((boards["max"][key] - boards["none"][key]) / sets) for _, key in _COLUMNS})
     for name, c in PEERS.items():
         yield row(name, c) if c else f"| {name} | " + " | ".join("not measured" for _ in _COLUMNS) + " |"
-    used = boards["max"]["trellis_comb"]
-    yield f"| max leaves free of {AVAILABLE} COMB | | | | | | {AVAILABLE - used} ({1 - used / AVAILABLE:.1%}) |"
+    free = AVAILABLE - boards["max"]["trellis_comb"]
+    yield ""
+    yield f"`max` leaves {free:,} of {AVAILABLE:,} COMB free: {free / AVAILABLE:.1%}.".replace(",", " ")
+    routed = {name: b for name, b in boards.items() if "clocks" in b}
+    if routed:
+        yield ""
+        yield from head("placed and routed", ["clock", "asked, MHz", "reached, MHz", "slack", "seed"])
+        for name, b in routed.items():
+            for clock, f in b["clocks"].items():
+                slack = f["achieved_mhz"] / f["required_mhz"] - 1
+                yield f"| {name} | {clock} | {f['required_mhz']:g} | {f['achieved_mhz']:.1f} | {slack:+.1%} | {b['seed']} |"
 
 
-def _packed(folder):
+def _packed(folder, top, args):
     """TRELLIS_COMB after packing: what the placer has to find room for."""
-    args = ["--json", f"{TOP}.json", "--lpf-allow-unconstrained", "--pack-only", "--write", "packed.json", "--25k", "--package", "CABGA256", "--speed", "6"]
-    if (folder / f"{TOP}.lpf").exists():
-        args += ["--lpf", f"{TOP}.lpf"]
-    _tool("nextpnr-ecp5", args, folder, "pack.log")
-    cells = json.loads((folder / "packed.json").read_text())["modules"][TOP if (folder / f"{TOP}.lpf").exists() else folder.name]["cells"]
+    _tool("nextpnr-ecp5", ["--json", f"{TOP}.json", "--lpf-allow-unconstrained", "--pack-only", "--write", "packed.json", *args], folder, "pack.log")
+    cells = json.loads((folder / "packed.json").read_text())["modules"][top]["cells"]
     return {"trellis_comb": sum(cell["type"] == "TRELLIS_COMB" for cell in cells.values())}
 
 

@@ -1,6 +1,6 @@
 //! Measurements. Each prints its figures and leaves them in `target/reports/NAME.json`.
 
-use crate::{build, setup, step, target};
+use crate::{build, root, setup, step, target};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use std::process::Command;
@@ -10,7 +10,7 @@ use std::process::Command;
 pub enum What {
     /// Turnaround of the exchange on the simulated board, in clock cycles; size of the image.
     Exchange,
-    /// LUTs, flip-flops and memories per core and per board.
+    /// LUTs, flip-flops, memories and clocks per core and per board, beside the peers'; writes docs/size.md.
     Gateware,
 }
 
@@ -67,18 +67,17 @@ fn gateware() -> Result<()> {
         .arg("--out")
         .arg(target("gateware/bench"))
         .arg("--json")
-        .arg(target("reports/gateware.json"));
+        .arg(target("reports/gateware.json"))
+        .arg("--document")
+        .arg(root().join("docs/size.md"))
+        .args(["--seed", "1"]);
     let printed = step::run_quietly(
         "bench-gateware",
-        "synthesise the cores and the boards",
-        "15 min",
+        "synthesise the cores, then synthesise, place and route the boards",
+        "40 min",
         &mut bench,
     )?;
-    let table: Vec<_> = printed
-        .lines()
-        .filter(|line| line.starts_with('|'))
-        .collect();
-    println!("{}", table.join("\n"));
+    println!("{}", printed.trim_end());
     let report = target("reports/gateware.json");
     std::fs::metadata(&report)
         .with_context(|| format!("no report at {}", report.display()))
