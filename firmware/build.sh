@@ -14,7 +14,7 @@ out=$root/target/firmware
 # throw away arguments nobody reads once all is inlined: the messages of panics, 5 KiB with what formats them (see
 # src/soc/postmortem.rs). Names of this machine's folders are no use in panic messages, and cost ROM.
 flags="-Ctarget-feature=+relax -Cllvm-args=-enable-machine-outliner"
-flags+=" -Cpasses=deadargelim,function(sroa,dse,adce,simplifycfg),deadargelim,globaldce"
+flags+=" -Cpasses=deadargelim,function(dse,adce),deadargelim,globaldce"
 flags+=" --remap-path-prefix=$root/="
 for folder in "${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/; do flags+=" --remap-path-prefix=$folder="; done
 common=(build --manifest-path "$root/Cargo.toml" --package ferrocnc-firmware --bin ferrocnc-firmware --features soc

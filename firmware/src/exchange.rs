@@ -122,7 +122,10 @@ impl Server {
             probe_arms,
         ] = request.take9();
         self.session.check(peer, token)?;
-        judge_sequence(sequence, self.session.last_sequence())?;
+        let last = self.session.last_sequence();
+        if sequence.wrapping_sub(last) as i32 <= 0 {
+            return Err(not_ahead(sequence, last));
+        }
         let select = probe_arms >> SELECT_SHIFT;
         if flags & !FLAGS_KNOWN | select >> SELECT_BITS != 0 {
             return Err(Refusal::Value);
@@ -213,8 +216,8 @@ impl Server {
         let latch = board.latched(LATCH_LATCH + select as usize);
         copy!(board, reply, LATCH_INPUTS, a 1 b 2 c 3);
         reply.put(latch);
-        copy_stepgens(board, reply, shape.stepgens);
-        copy_encoders(board, reply, shape.encoders);
+        copy_stepgens(board, reply, self.shape.stepgens);
+        copy_encoders(board, reply, self.shape.encoders);
         if whole {
             Ok(())
         } else {
@@ -313,6 +316,16 @@ fn copy_encoders(board: &mut impl Board, reply: &mut impl Reply, count: usize) {
 }
 
 const _: () = assert!(STATUS_STEPGEN == 3 && STATUS_ENCODER == 2);
+
+/// Which of the two wrong ways a sequence number is; out of the way of the right one.
+#[cold]
+#[inline(never)]
+fn not_ahead(sequence: u32, last: u32) -> Refusal {
+    match judge_sequence(sequence, last) {
+        Err(why) => why,
+        Ok(()) => Refusal::Stale,
+    }
+}
 
 /// Bits of a state word that only an answer to an accepted command carries.
 pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;
