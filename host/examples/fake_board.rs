@@ -1,5 +1,5 @@
 //! A board without a board: the test suite's fake behind a real UDP port, for trying LinuxCNC and the
-//! tool. `cargo run -p ferrocnc --example fake_board -- [ADDRESS:PORT] [lockstep PERIOD_US]`
+//! tool. `cargo run -p ferrocnc --example fake_board -- [ADDRESS:PORT] [lockstep PERIOD_US] [index COUNTS]`
 #![allow(missing_docs)]
 
 #[path = "../tests/common/mod.rs"]
@@ -10,12 +10,19 @@ use common::{CLOCK_HZ, FakeBoard, Time};
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let address = arguments.first().map_or("127.0.0.1:1234", String::as_str);
-    let time = match arguments.get(2).map(|text| text.parse::<u64>()) {
+    let number = |word: &str| {
+        let at = arguments.iter().position(|argument| argument == word)?;
+        Some(arguments.get(at + 1)?.parse::<u64>())
+    };
+    let time = match number("lockstep") {
         Some(Ok(microseconds)) => Time::Lockstep(u64::from(CLOCK_HZ) * microseconds / 1_000_000),
         Some(Err(error)) => panic!("the period in microseconds: {error}"),
         None => Time::Wall,
     };
     let board = FakeBoard::start(address, time);
+    if let Some(Ok(counts)) = number("index") {
+        board.look().knobs.index_every = i32::try_from(counts).ok();
+    }
     println!("a fake mill6 board at {}", board.address);
     loop {
         std::thread::park();

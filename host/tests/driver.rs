@@ -329,6 +329,194 @@ fn the_index_restarts_the_encoder_and_clears_its_pin() {
 }
 
 #[test]
+fn a_stepgens_index_is_where_its_position_is_zero_from_then_on() {
+    let mut rig = Rig::armed();
+    rig.board.look().knobs.index_at = Some(1000);
+    rig.hal.set("ferrocnc.0.stepgen.x.index-enable", true);
+    rig.run(4);
+    rig.travel(1.0, 100);
+    assert!(rig.hal.get::<bool>("ferrocnc.0.stepgen.x.index-enable"));
+    // As LinuxCNC's homing does it: on at one speed until the index came, then the command follows.
+    let mut command: f64 = rig.hal.get("ferrocnc.0.stepgen.x.position-cmd");
+    let mut before = rig.position();
+    for _ in 0..300 {
+        rig.run(1);
+        let found = !rig.hal.get::<bool>("ferrocnc.0.stepgen.x.index-enable");
+        let fb = rig.position();
+        if found && fb < before - 0.5 {
+            // The jump of the feedback is the jump of the command.
+            command += fb - before - 0.005;
+            assert_eq!(
+                rig.hal.get::<i32>("ferrocnc.0.stepgen.x.count-latched"),
+                1000
+            );
+        } else if !found {
+            command += 0.005;
+        }
+        before = fb;
+        rig.hal.set("ferrocnc.0.stepgen.x.position-cmd", command);
+    }
+    rig.hal.set("ferrocnc.0.stepgen.x.position-cmd", 0.25);
+    rig.run(300);
+    // 0.25 units beyond the index, whatever was before.
+    assert_eq!(rig.board.look().pulses(0), 1000 + 200);
+    assert_eq!(rig.hal.get::<i32>("ferrocnc.0.stepgen.x.counts"), 200);
+    assert!((rig.position() - 0.25).abs() < 1e-6);
+}
+
+#[test]
+fn an_index_homes_to_the_same_place_over_any_lossy_wire() {
+    for seed in 1..=6u64 {
+        let mut random = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        let mut next = |limit: u64| {
+            random ^= random >> 12;
+            random ^= random << 25;
+            random ^= random >> 27;
+            (random.wrapping_mul(0x2545_f491_4f6c_dd1d) >> 33) % limit
+        };
+        let mut rig = Rig::armed();
+        rig.hal.set("ferrocnc.0.packet-error-limit", 1000);
+        rig.hal.set("ferrocnc.0.stepgen.x.control-type", true);
+        rig.hal.set("ferrocnc.0.stepgen.x.velocity-cmd", 10.0);
+        rig.board.look().knobs.index_every = Some(1000);
+        // The encoder counts from somewhere else than the stepgen.
+        rig.board.look().knobs.encoder_lag = 137;
+        rig.run(3);
+        rig.hal.set("ferrocnc.0.stepgen.x.enable", true);
+        for home in 0..3 {
+            rig.hal.set("ferrocnc.0.encoder.x.index-enable", true);
+            rig.hal.set("ferrocnc.0.stepgen.x.index-enable", true);
+            for _ in 0..600 {
+                let lose = next(5) == 0;
+                rig.hal.set(
+                    "ferrocnc.0.packet-read-timeout",
+                    if lose { 100_000 } else { 200_000_000 },
+                );
+                if lose {
+                    let mut board = rig.board.look();
+                    if next(2) == 0 {
+                        board.knobs.drop_requests = 1;
+                    } else {
+                        board.knobs.drop_replies = 1;
+                    }
+                }
+                rig.run(1);
+                // What was dropped does not come: no need to wait for it in vain.
+                rig.hal.set("ferrocnc.0.packet-read-timeout", 100_000);
+                rig.driver.read(PERIOD_NS);
+                let (a, b) = (
+                    rig.hal.get::<bool>("ferrocnc.0.encoder.x.index-enable"),
+                    rig.hal.get::<bool>("ferrocnc.0.stepgen.x.index-enable"),
+                );
+                if !a && !b {
+                    break;
+                }
+            }
+            rig.hal.set("ferrocnc.0.packet-read-timeout", 200_000_000);
+            rig.run(3);
+            for pin in ["encoder.x.index-enable", "stepgen.x.index-enable"] {
+                let waiting: bool = rig.hal.get(&format!("ferrocnc.0.{pin}"));
+                assert!(!waiting, "seed {seed}, {home}: {pin}");
+            }
+            let board = rig.board.look();
+            let counts = i64::from(rig.hal.get::<i32>("ferrocnc.0.stepgen.x.counts"));
+            let count = i64::from(rig.hal.get::<i32>("ferrocnc.0.encoder.x.count"));
+            // Zero is at an index, and not at one of long ago. The answer is one period old.
+            let (pulses, moved) = (board.pulses(0), 8 + 1);
+            let off = (pulses - counts).rem_euclid(1000);
+            assert!(off <= moved, "seed {seed}, {home}: stepgen {off} off");
+            let off = (pulses - 137 - count).rem_euclid(1000);
+            assert!(off <= moved, "seed {seed}, {home}: encoder {off} off");
+            assert!((0..2000).contains(&counts), "seed {seed}: {counts}");
+        }
+    }
+}
+
+#[test]
+fn the_probe_latches_where_it_tripped() {
+    let mut rig = Rig::armed();
+    rig.board.look().knobs.probe_at = Some(1234);
+    rig.board.look().knobs.encoder_lag = 34;
+    rig.hal.set("ferrocnc.0.stepgen.x.probe-enable", true);
+    rig.hal.set("ferrocnc.0.encoder.x.probe-enable", true);
+    rig.run(4);
+    rig.travel(2.0, 200);
+    rig.run(20);
+    assert!(!rig.hal.get::<bool>("ferrocnc.0.stepgen.x.probe-enable"));
+    assert!(!rig.hal.get::<bool>("ferrocnc.0.encoder.x.probe-enable"));
+    let latched: f64 = rig.hal.get("ferrocnc.0.stepgen.x.position-latched");
+    assert!((latched - 1234.0 / 800.0).abs() < 1e-9, "{latched}");
+    assert_eq!(
+        rig.hal.get::<i32>("ferrocnc.0.encoder.x.count-latched"),
+        1200
+    );
+    // It moved no origin.
+    assert_eq!(rig.hal.get::<i32>("ferrocnc.0.stepgen.x.counts"), 1600);
+}
+
+#[test]
+fn an_estop_input_stops_is_named_and_holds_until_armed_again() {
+    let mut rig = Rig::armed();
+    rig.board.look().knobs.estop = 1 << 11;
+    rig.run(3);
+    assert!(!rig.enabled());
+    assert_eq!(rig.reason(), u32::from(FaultReason::EStop.code()));
+    assert!(rig.hal.get::<bool>("ferrocnc.0.estop"));
+    assert!(rig.hal.get::<bool>("ferrocnc.0.gpio.estop.estop"));
+    assert!(rig.hal.said().iter().any(|s| s.contains("e-stop")));
+    rig.board.look().knobs.estop = 0;
+    rig.run(3);
+    assert!(rig.hal.get::<bool>("ferrocnc.0.estop"), "latched");
+    rig.arm();
+    assert!(rig.enabled());
+    assert!(!rig.hal.get::<bool>("ferrocnc.0.estop"));
+}
+
+#[test]
+fn probe_debounce_and_types_reach_the_board() {
+    let mut rig = Rig::new();
+    rig.hal.set("ferrocnc.0.probe-input", 6);
+    rig.hal.set("ferrocnc.0.probe-invert", true);
+    rig.hal
+        .set("ferrocnc.0.gpio.limit-z.debounce-ns", 1_000_000u32);
+    rig.hal.set("ferrocnc.0.stepgen.y.step-type", 2u32);
+    rig.hal.set("ferrocnc.0.encoder.05.index-mask-invert", true);
+    rig.hal.set("ferrocnc.0.pwm.coolant.output-type", 2u32);
+    rig.run(60);
+    let board = rig.board.look();
+    let stride = map::CONFIG_STRIDE;
+    for (address, value) in [
+        (
+            map::CONFIG_BOARD + 16,
+            6 | map::PROBE_ENABLE | map::PROBE_INVERT,
+        ),
+        (map::CONFIG_DEBOUNCE + 8, 1875),
+        (
+            map::CONFIG_STEPGEN + stride + 20,
+            2 << map::STEPGEN_TYPE_SHIFT,
+        ),
+        (map::CONFIG_ENCODER + 5 * stride, map::ENCODER_MASK_INVERT),
+        (map::CONFIG_PWM + stride + 4, 1 << map::PWM_TYPE_SHIFT),
+    ] {
+        assert_eq!(board.config[&address], value, "{address:#x}");
+    }
+}
+
+#[test]
+fn why_the_firmware_started_last_is_told_at_load_and_after_a_restart() {
+    let mut rig = Rig::armed();
+    let reason = |rig: &Rig| rig.hal.get::<u32>("ferrocnc.0.last-reset-reason");
+    assert_eq!(reason(&rig), 0);
+    rig.board.look().reboot();
+    rig.hal.set("ferrocnc.0.packet-read-timeout", 1_000_000);
+    for _ in 0..300 {
+        rig.run(1);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert_eq!(reason(&rig), u32::from(wire::ResetReason::Panic.code()));
+}
+
+#[test]
 fn the_margin_is_what_the_watchdog_had_left() {
     let mut rig = Rig::armed();
     rig.run(10);

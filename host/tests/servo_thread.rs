@@ -2,14 +2,17 @@
 
 mod common;
 
+use common::rig::load_with;
 use common::{CLOCK_HZ, FakeBoard, Time};
 use ferrocnc::address;
 use ferrocnc::client::Client;
+use ferrocnc::clock::Timebase;
 use ferrocnc::driver::Driver;
 use ferrocnc::fence::Fenced;
 use ferrocnc::hal::Messenger;
 use ferrocnc::hal::fake::FakeHal;
 use ferrocnc::link::Link;
+use ferrocnc::names::{self, Scheme};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::time::Duration;
@@ -121,6 +124,33 @@ fn the_servo_functions_never_allocate_whatever_the_board_does() {
     assert_eq!(allocations(|| run(&mut driver, 50)), 0, "no cable");
     drop(board);
     assert_eq!(allocations(|| run(&mut driver, 200)), 0, "refused");
+}
+
+#[test]
+fn other_drivers_names_and_read_requests_allocate_nothing_either() {
+    for scheme in [Scheme::Lcnc, Scheme::LitexCnc(Vec::new())] {
+        let board = FakeBoard::mill6(Time::Lockstep(u64::from(CLOCK_HZ) / 1000));
+        let mut hal = FakeHal::new();
+        let (mut driver, identity) = load_with(&board, &mut hal, 0);
+        let glue = names::export(&scheme, &mut hal, 0, &identity, &driver).unwrap();
+        driver.adopt(glue);
+        driver.join(&Timebase::new(), 2);
+        hal.set("ferrocnc.0.packet-read-timeout", 20_000_000);
+        let counted = allocations(|| {
+            run(&mut driver, 50);
+            hal.set("ferrocnc.0.enable", true);
+            hal.set("ferrocnc.0.enable-request", true);
+            hal.set("ferrocnc.0.encoder.x.index-enable", true);
+            // Beyond four windows of the clock's comparison.
+            for _ in 0..300 {
+                driver.read_request(PERIOD_NS);
+                driver.read(PERIOD_NS);
+                driver.write(PERIOD_NS);
+            }
+        });
+        assert_eq!(counted, 0, "{scheme:?}");
+        assert!(hal.get::<bool>("ferrocnc.0.enabled"), "{scheme:?}");
+    }
 }
 
 #[test]

@@ -138,6 +138,8 @@ pub struct Knobs {
     pub gpio_in: u32,
     /// Encoder 0 and stepgen 0 have an index pulse at this count.
     pub index_at: Option<i32>,
+    /// They have one every so many counts.
+    pub index_every: Option<i32>,
     /// The probe trips when stepgen 0 comes there.
     pub probe_at: Option<i32>,
     /// Encoder 0 counts so many less than stepgen 0.
@@ -608,10 +610,16 @@ impl Mind {
         let counted = here - self.knobs.encoder_lag;
         encoder[0].count = Count(counted as u32);
         encoder[0].errors = self.knobs.quad_errors;
-        let (index_at, probe_at) = (self.knobs.index_at, self.knobs.probe_at);
         let lag = self.knobs.encoder_lag;
-        self.latches[0].turn(counted, index_at, probe_at.map(|at| at - lag));
-        self.latches[1].turn(here, index_at, probe_at);
+        // Upwards the last one passed; downwards nobody tests.
+        let index_at = |here: i32| match self.knobs.index_every {
+            Some(every) => Some(here.div_euclid(every) * every),
+            None => self.knobs.index_at,
+        };
+        let (index_0, index_1) = (index_at(counted), index_at(here));
+        let probe_at = self.knobs.probe_at;
+        self.latches[0].turn(counted, index_0, probe_at.map(|at| at - lag));
+        self.latches[1].turn(here, index_1, probe_at);
         let [encoder_flags, stepgen_flags] = self.latches.map(|latch| latch.flags());
         // A channel that was not asked for says something, too.
         let latch = match command.latch {
