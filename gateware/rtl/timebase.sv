@@ -2,7 +2,7 @@
 //
 // It refuses to lose a timed commit: an apply time already past commits at once, and one that is replaced before it is
 // due, or in that very clock, is simply replaced: no request commits twice. Times compare as plain numbers, so that 2^64 - 1
-// is never (the clock needs 9 749 years at 60 MHz to come round). It knows no bus and no channel.
+// is never (the clock needs 9 700 years at 60 MHz to come round). It knows no bus and no channel.
 //
 //   clk          _/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_
 //   now          99 |100|101|102|103|104|
