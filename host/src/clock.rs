@@ -22,6 +22,9 @@ const MINIMA: usize = 16;
 /// Minima before anything is claimed: 256 ms at 1 kHz. Without a drift a crystal 100 ppm off is 12 us away
 /// after two windows.
 const ENOUGH: usize = 4;
+/// 500 ppm: two bad crystals are 200 apart. More is no crystal but a board whose time somebody else makes, as a
+/// simulated one's in lockstep, and nothing can be said about it.
+const DRIFT_MAX: f64 = 500e-6;
 /// Minima the offset is taken from: few, so that an error of the drift has no time to grow.
 const NEWEST: usize = 4;
 
@@ -96,7 +99,7 @@ impl BoardClock {
 
     /// Whether there is anything to go by.
     pub fn known(&self) -> bool {
-        self.taken >= ENOUGH
+        self.taken >= ENOUGH && self.slope.abs() <= DRIFT_MAX
     }
 
     /// The board's clock at `host` ns.
@@ -316,6 +319,16 @@ mod tests {
         assert_eq!(clock.board_at(100_000_000), Some(Clocks(6_000_000)));
         clock.forget();
         assert!(clock.board_at(0).is_none());
+    }
+
+    #[test]
+    fn a_board_whose_time_is_not_a_crystals_is_not_believed() {
+        let mut clock = BoardClock::new(60_000_000);
+        for n in 0..10_000 {
+            // A millisecond there for two here.
+            clock.exchanged(n * 2_000_000, Clocks(n as u64 * 60_000));
+        }
+        assert!(clock.board_at(20_000_000_000).is_none());
     }
 
     #[test]

@@ -165,6 +165,8 @@ pub struct Driver {
     sent: [(u32, i64); 2],
     /// From `read-request` to `write`, as it was last time; `None` without a `read-request`.
     request_to_write: Option<i64>,
+    /// When the last answered command arrived there.
+    arrival: Option<Clocks>,
     /// When the last command takes effect, if not at once.
     apply_at: Option<Clocks>,
 
@@ -294,6 +296,7 @@ impl Driver {
             clock: BoardClock::new(describe.clock_hz),
             sent: [(0, 0); 2],
             request_to_write: None,
+            arrival: None,
             apply_at: None,
             catalogue,
             glue: Glue::default(),
@@ -496,6 +499,7 @@ impl Driver {
         self.pins.gate_close.set(session.gate_close);
         self.sequence = session.last_sequence;
         self.last = None;
+        self.arrival = None;
         self.apply_at = None;
         for stepgen in &mut self.stepgens {
             stepgen.forget_latch();
@@ -568,6 +572,7 @@ impl Driver {
                 encoder.rebase();
             }
         }
+        self.arrival = Some(status.arrival);
         let sent = self.sent.iter().find(|sent| sent.0 == status.sequence);
         if let Some((_, host)) = sent {
             self.clock.exchanged(*host, status.arrival);
@@ -782,7 +787,12 @@ impl Driver {
         let moment = self.time.moment(&mut self.moment);
         // Longer than a period and the next command would replace it before its time.
         let delay = i64::from(delay).min((period.seconds * 1e9) as i64);
-        self.clock.board_at(moment + delay)
+        let at = self.clock.board_at(moment + delay)?;
+        // However wrong the clocks are compared, a command must not wait for its successor. Half a period of
+        // jitter is forgiven; what comes too early here is applied on arrival.
+        let delay = Clocks((delay as f64 * 1e-9 * period.clock_hz) as u64);
+        let latest = self.arrival?.0 + period.clocks.0 * 3 / 2 + delay.0;
+        Some(at.min(Clocks(latest)))
     }
 
     fn apply_delay(&self) -> u32 {
