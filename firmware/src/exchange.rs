@@ -216,6 +216,7 @@ impl Server {
         let latch = board.latched(LATCH_LATCH + select as usize);
         copy!(board, reply, LATCH_INPUTS, a 1 b 2 c 3);
         reply.put(latch);
+        // Read again: held in registers they would push others out.
         copy_stepgens(board, reply, self.shape.stepgens);
         copy_encoders(board, reply, self.shape.encoders);
         if whole {
