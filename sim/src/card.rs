@@ -46,6 +46,12 @@ impl Card {
         if folder.join("board.bin").is_file() {
             return Self::read(&folder);
         }
+        Self::described(name)
+    }
+
+    /// The committed description of the board of this name.
+    pub fn described(name: &str) -> Result<Self, Error> {
+        let folder = elaborated(name);
         let built_in = BUILT_IN.iter().find(|(known, _, _)| *known == name);
         let Some((_, blob, manifest)) = built_in else {
             return Err(Error::Board {

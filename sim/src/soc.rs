@@ -1,4 +1,4 @@
-//! The Verilated SoC behind its C ABI: pins in, pins out, one rising clock edge at a time.
+//! The Verilated SoC behind its C ABI: pins in, pins out, one rising clock edge at a time; and the bare cores likewise.
 //!
 //! The only file of this crate with `unsafe`: it calls a shared library made by `sim/verilator/build.sh`. It knows no
 //! frames and no time; [`crate::board`] does.
@@ -298,5 +298,140 @@ impl Drop for Soc {
             (self.trace_close)(self.handle);
             (self.free)(self.handle);
         }
+    }
+}
+
+/// Version of [`CoresPins`]; equal to `ABI_VERSION` in `verilator/cores.cpp`.
+const CORES_ABI: u32 = 1;
+
+/// Pins and register bus of the bare cores, as `struct CoresPins` in `verilator/cores.cpp`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CoresPins {
+    /// In: word address, of a read (answered after the edge) and of a write.
+    pub adr: u32,
+    /// In: data of a write.
+    pub dat_w: u32,
+    /// In: the ABI number the map will have.
+    pub abi: u32,
+    /// In: general inputs.
+    pub gpio_in: u32,
+    /// In: encoder phase A.
+    pub enc_a: u16,
+    /// In: encoder phase B.
+    pub enc_b: u16,
+    /// In: encoder index.
+    pub enc_i: u16,
+    /// In: index pins of the stepgens.
+    pub step_index: u16,
+    /// In: index masks of the encoders.
+    pub enc_mask: u16,
+    /// In: this is a write.
+    pub we: u8,
+    /// In: system reset.
+    pub rst: u8,
+    /// In: the external reset pin.
+    pub ext_reset: u8,
+    /// In: a frame is complete.
+    pub frame_done: u8,
+    /// In: in this slot.
+    pub frame_slot: u8,
+    /// In: a frame is presented.
+    pub frame_pending: u8,
+    /// In: of this slot.
+    pub pending_slot: u8,
+    #[doc(hidden)]
+    pub reserved_in: [u8; 3],
+    /// Out: what was read.
+    pub dat_r: u32,
+    /// Out: general outputs.
+    pub gpio_out: u32,
+    /// Out: STEP.
+    pub step: u16,
+    /// Out: DIR.
+    pub dir: u16,
+    /// Out: inverted STEP.
+    pub step_n: u16,
+    /// Out: inverted DIR.
+    pub dir_n: u16,
+    /// Out: first PWM pins.
+    pub pwm_out: u16,
+    /// Out: second PWM pins.
+    pub pwm_dir: u16,
+    /// Out: the LED.
+    pub led: u8,
+    /// Out: the gate.
+    pub gate: u8,
+    #[doc(hidden)]
+    pub reserved_out: [u8; 2],
+}
+
+const _: () = assert!(size_of::<CoresPins>() == 60);
+
+type CoresRiseFn = unsafe extern "C" fn(*mut c_void, *mut CoresPins);
+
+/// The Verilated cores of a board without CPU and MAC (`sim/verilator/cores.sh`).
+pub struct Cores {
+    handle: *mut c_void,
+    rise: CoresRiseFn,
+    free: HandleFn,
+    // Last: the code above lives in it.
+    _library: Library,
+}
+
+impl std::fmt::Debug for Cores {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Cores").finish_non_exhaustive()
+    }
+}
+
+impl Cores {
+    /// Load `libferrocnc_cores.so` of this folder.
+    pub fn load(folder: &Path) -> Result<Self, Error> {
+        let path = folder.join("libferrocnc_cores.so");
+        let path = std::path::absolute(&path).unwrap_or(path);
+        let err = |source| Error::Load {
+            path: path.clone(),
+            source,
+        };
+        // SAFETY: the library is ours (cores.sh); its initialisers touch nothing outside it. The symbols have the types given
+        // in cores.cpp, which the ABI version confirms before any other call.
+        unsafe {
+            let library = Library::new(&path).map_err(err)?;
+            let version = library
+                .get::<unsafe extern "C" fn() -> u32>(b"fc_cores_abi_version")
+                .map_err(err)?;
+            let theirs = version();
+            if theirs != CORES_ABI {
+                return Err(Error::ShimAbi {
+                    path: path.clone(),
+                    theirs,
+                    ours: CORES_ABI,
+                });
+            }
+            let new = *library
+                .get::<unsafe extern "C" fn() -> *mut c_void>(b"fc_cores_new")
+                .map_err(err)?;
+            Ok(Cores {
+                rise: *library.get(b"fc_cores_rise").map_err(err)?,
+                free: *library.get(b"fc_cores_free").map_err(err)?,
+                handle: new(),
+                _library: library,
+            })
+        }
+    }
+
+    /// One rising edge.
+    #[inline]
+    pub fn rise(&mut self, pins: &mut CoresPins) {
+        // SAFETY: `handle` came from fc_cores_new and is alive until drop; `pins` has the layout of the shim's struct.
+        unsafe { (self.rise)(self.handle, pins) }
+    }
+}
+
+impl Drop for Cores {
+    fn drop(&mut self) {
+        // SAFETY: last use of the handle; the library is still loaded (fields drop after this).
+        unsafe { (self.free)(self.handle) }
     }
 }

@@ -320,7 +320,9 @@ impl EncoderLane {
         let mut input = self.input(n, regs, s.now);
         let latch = regs.encoder_latch(n, self.core.index_level(), self.tally.pending(), common);
         let capture = self.latch.capture(&latch);
-        input.clear = capture && input.mode & wire::map::ENCODER_CLEAR_ON_INDEX != 0;
+        let clears = input.mode & wire::map::ENCODER_CLEAR_ON_INDEX != 0;
+        // A probe latches and clears nothing.
+        input.clear = capture && clears && self.latch.index_rises(&latch);
         let turn = input.visit;
         self.tally
             .clock(turn, s.sample, capture, self.core.count() as u32);
@@ -553,6 +555,12 @@ impl Board {
 
     /// One rising edge of everything.
     pub fn clock(&mut self, bus: &Bus) {
+        self.edge(bus);
+        // Nobody has asked yet how quiet it is: [`Board::run`] begins with an edge of everything.
+        self.full = self.clock + 1;
+    }
+
+    fn edge(&mut self, bus: &Bus) {
         self.catch_up();
         self.common = self.common_now();
         let (regs, common) = (&mut self.regs, &self.common);
@@ -664,7 +672,6 @@ impl Board {
         }
         self.write = bus.write.filter(|_| !bus.rst);
         self.show_all();
-        self.plan_all();
     }
 
     fn store(&mut self, page: u32, word: u32, data: u32) {
@@ -735,7 +742,8 @@ impl Board {
         self.peek(page, word)
     }
 
-    fn peek(&self, page: u32, word: u32) -> u32 {
+    /// The same where every edge so far was made by [`Board::clock`].
+    pub fn peek(&self, page: u32, word: u32) -> u32 {
         let c = self.build.channels;
         let (regs, hub) = (&self.regs, &self.hub);
         let at = word as usize;
@@ -937,7 +945,8 @@ impl Board {
             self.clock = next - 1;
             let before = self.out;
             if self.full == next {
-                self.clock(&Bus::default());
+                self.edge(&Bus::default());
+                self.plan_all();
             } else {
                 self.events(next);
             }
@@ -958,7 +967,8 @@ impl Board {
         if self.next[0] == edge {
             self.hub.catch_up(edge - 1, &self.regs);
             if self.hub.timebase.due(false) {
-                self.clock(&Bus::default());
+                self.edge(&Bus::default());
+                self.plan_all();
                 return;
             }
             self.hub_clock();

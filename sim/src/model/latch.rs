@@ -48,6 +48,11 @@ impl Latch {
         ]
     }
 
+    /// The index rises in this clock, armed or just disarmed: what a clearing channel takes for its index.
+    pub fn index_rises(&self, i: &Input) -> bool {
+        i.index && !self.index_was
+    }
+
     /// The count of this clock is to be kept.
     pub fn capture(&self, i: &Input) -> bool {
         self.edges(i).contains(&true)

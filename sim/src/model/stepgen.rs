@@ -289,10 +289,8 @@ impl Stepgen {
                 moved
             };
         }
-        if !i.gate || self.fresh {
-            // The comparison sees the move as it is added, turned over downwards.
-            let reach = self.reach(set);
-            self.jump = 0 == if down { !reach } else { reach };
+        if self.fresh || (self.up && !i.gate) {
+            self.jump = reach == 0;
         }
         if !i.gate {
             self.up = true;

@@ -1,0 +1,668 @@
+//! The cores in Verilog against their models in Rust, clock by clock, under random stimulus: every output pin, and every
+//! register as the bus reads it.
+//!
+//! Run as `cargo test --release -p ferrocnc-tests --features board --test lockstep` after `sim/verilator/cores.sh NAME`.
+//!
+//! | variable | meaning | default |
+//! |---|---|---|
+//! | `FERROCNC_CORES` | folder of `libferrocnc_cores.so`, as `sim/verilator/cores.sh` leaves it | `target/sim/cores-mill6` |
+//! | `FERROCNC_CORES_BOARD` | the board it was made of | `mill6` |
+//! | `FERROCNC_CLOCKS` | clocks to compare, in all | 12000000 |
+//! | `FERROCNC_SEED` | seed; printed | from the clock |
+//!
+//! The clocks are split over two processes' worth of tests (one seed each), so that two cores share the work. Each counts what
+//! happened per core and refuses a run in which too little did. `target/reports/lockstep.json` says both.
+
+use ferrocnc_tests::seed;
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg32;
+use sim::card::Card;
+use sim::model::Board;
+use sim::model::board::{Build, Bus, pages};
+use sim::soc::{Cores, CoresPins, Pins};
+use std::collections::{BTreeMap, VecDeque};
+use std::path::{Path, PathBuf};
+use wire::describe::Channels;
+
+const ARM: u32 = 0x4152_4d31;
+const SOFT: u32 = 0x534f_4654;
+const STOP: u32 = 0x5354_4f50;
+const CLEAR: u32 = 0x434c_5231;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the workspace")
+}
+
+fn from_environment<T: std::str::FromStr>(name: &str, usual: T) -> T {
+    let given = std::env::var(name).ok().and_then(|text| text.parse().ok());
+    given.unwrap_or(usual)
+}
+
+/// A line that walks a quadrature cycle, mostly legally.
+#[derive(Clone, Debug, Default)]
+struct Shaft {
+    phase: u8,
+    gap: u32,
+    left: u32,
+    forward: bool,
+    lies: bool,
+}
+
+/// What is done to the cores in a clock, and to the models alike.
+struct Stimulus {
+    random: Pcg32,
+    channels: Channels,
+    estop_mask: u32,
+    pins: Pins,
+    rst: bool,
+    /// Bus writes that wait, by page and word.
+    writes: VecDeque<(u32, u32, u32)>,
+    /// Registers worth reading.
+    registers: Vec<(u32, u32)>,
+    shafts: Vec<Shaft>,
+    servo: u32,
+    servo_every: u32,
+    chapter: u32,
+    token: u32,
+    fed: bool,
+    busy: bool,
+    reset_left: u32,
+    noise: u32,
+}
+
+impl Stimulus {
+    fn new(seed: u64, card: &Card) -> Self {
+        let c = card.channels;
+        let mut registers: Vec<(u32, u32)> = Vec::new();
+        for (page, words) in [
+            (pages::IDENT, 8),
+            (pages::TIMEBASE, 9),
+            (pages::WATCHDOG, 9),
+            (pages::GPIO, 8),
+            (pages::LED, 1),
+            (pages::DEBOUNCE, 32),
+            (pages::COMMAND, 52),
+            (pages::STATUS, 120),
+        ] {
+            registers.extend((0..words).map(|word| (page, word)));
+        }
+        for n in 0..16 {
+            registers.extend((0..6).map(|word| (pages::STEPGEN + n, word)));
+            registers.extend((0..2).map(|word| (pages::ENCODER + n, word)));
+            registers.extend((0..2).map(|word| (pages::PWM + n, word)));
+        }
+        Stimulus {
+            random: Pcg32::seed_from_u64(seed),
+            channels: c,
+            estop_mask: card.estop_mask,
+            pins: Pins::default(),
+            rst: false,
+            writes: VecDeque::new(),
+            registers,
+            shafts: vec![Shaft::default(); c.encoders.into()],
+            servo: 0,
+            servo_every: 500,
+            chapter: 0,
+            token: 0,
+            fed: true,
+            busy: true,
+            reset_left: 0,
+            noise: 20_000,
+        }
+    }
+
+    fn one_in(&mut self, n: u32) -> bool {
+        self.random.random_range(0..n) == 0
+    }
+
+    fn below(&mut self, n: u32) -> u32 {
+        self.random.random_range(0..n.max(1))
+    }
+
+    /// Any word, small and large ones alike.
+    fn spread(&mut self) -> u32 {
+        let shift = self.below(32);
+        self.random.random::<u32>() >> shift
+    }
+
+    fn write(&mut self, page: u32, word: u32, data: u32) {
+        self.writes.push_back((page, word, data));
+    }
+
+    /// New settings for everything: a chapter of some ten thousand clocks.
+    fn settings(&mut self) {
+        let c = self.channels;
+        for n in 0..c.stepgens.into() {
+            let page = pages::STEPGEN + n;
+            let short = |s: &mut Self| match s.below(6) {
+                0 => 0,
+                1 => 1,
+                2 => s.below(8),
+                3 => s.below(100),
+                4 => s.below(600),
+                _ => s.below(1 << 13),
+            };
+            let (steplen, stepspace) = (short(self), short(self));
+            let (dirsetup, dirhold) = (short(self), short(self));
+            self.write(page, 0, steplen);
+            self.write(page, 1, stepspace);
+            let long = self.one_in(12);
+            let dirsetup = if long { self.below(1 << 16) } else { dirsetup };
+            self.write(page, 2, dirsetup);
+            self.write(page, 3, dirhold);
+            let stop = if self.one_in(3) {
+                0
+            } else {
+                self.spread() | 1 << 24
+            };
+            self.write(page, 4, stop);
+            let mode = self.below(32);
+            self.write(page, 5, mode);
+        }
+        for n in 0..c.encoders.into() {
+            // Only x4 half of the time: that is what machines use.
+            let mode = self.below(256) & if self.one_in(2) { 0xf8 } else { 0xff };
+            let filter = match self.below(4) {
+                0 => 0,
+                1 => self.below(4),
+                2 => self.below(30),
+                _ => self.below(256),
+            };
+            self.write(pages::ENCODER + n, 0, mode);
+            self.write(pages::ENCODER + n, 1, filter);
+            let gap = if self.one_in(4) {
+                3
+            } else {
+                3 + self.below(40)
+            };
+            let shaft = &mut self.shafts[n as usize];
+            shaft.gap = if filter < 40 { gap + filter } else { gap * 8 };
+        }
+        for n in 0..c.pwms.into() {
+            let period = match self.below(5) {
+                0 => self.below(4),
+                1 => 3000,
+                2 => self.below(20),
+                _ => self.below(400),
+            };
+            self.write(pages::PWM + n, 0, period);
+            let mode = self.below(32);
+            self.write(pages::PWM + n, 1, mode);
+        }
+        for (word, data) in [(1, self.spread()), (2, self.spread())] {
+            self.write(pages::GPIO, word, data);
+        }
+        let probe = self.below(u32::from(c.inputs.max(1))) | self.below(4) << 8;
+        self.write(pages::GPIO, 7, probe);
+        let led = self.below(8);
+        self.write(pages::LED, 0, led);
+        for n in 0..u32::from(c.inputs) {
+            let limit = if self.one_in(2) { 0 } else { self.below(40) };
+            self.write(pages::DEBOUNCE, n, limit);
+        }
+        let timeout = if self.one_in(5) {
+            self.below(3000)
+        } else {
+            20_000
+        };
+        self.write(pages::WATCHDOG, 0, timeout);
+        let grace = if self.one_in(2) {
+            self.below(500)
+        } else {
+            8_000
+        };
+        self.write(pages::WATCHDOG, 1, grace);
+        self.servo_every = 60 + self.below(3000);
+        self.fed = !self.one_in(6);
+        self.busy = !self.one_in(3);
+        self.noise = if self.one_in(4) { 3000 } else { 60_000 };
+    }
+
+    /// What a host does once per servo period.
+    fn servo_period(&mut self) {
+        let c = self.channels;
+        for n in 0..u32::from(c.stepgens) {
+            let velocity = match self.below(10) {
+                0 => 0,
+                1 => 1,
+                2 => !0,
+                3 => 0x7fff_ffff,
+                4 => 0x8000_0000,
+                5 | 6 => self.spread(),
+                7 | 8 => self.spread().wrapping_neg(),
+                _ => self.random.random(),
+            };
+            let accel = match self.below(6) {
+                0 => 0,
+                1 => u32::MAX,
+                _ => self.spread() | 1 << 16,
+            };
+            self.write(pages::COMMAND, 4 + 2 * n, velocity);
+            self.write(pages::COMMAND, 5 + 2 * n, accel);
+        }
+        for n in 0..u32::from(c.pwms) {
+            let width = match self.below(6) {
+                0 => 0,
+                1 => 0x1fff_ffff,
+                2 => 3000 << 8,
+                3 => self.below(1 << 25),
+                _ => self.below(400 << 8),
+            };
+            let enable = if self.one_in(8) { 0 } else { 1 << 30 };
+            let direction = self.below(2) << 31;
+            self.write(pages::COMMAND, 36 + n, width | enable | direction);
+        }
+        let mostly = |s: &mut Self| s.random.random::<u32>() | s.random.random::<u32>();
+        let enables = mostly(self);
+        self.write(pages::COMMAND, 0, enables);
+        let outputs = self.random.random();
+        self.write(pages::COMMAND, 1, outputs);
+        let arms = mostly(self);
+        self.write(pages::COMMAND, 2, arms);
+        let probe_arms = mostly(self);
+        self.write(pages::COMMAND, 3, probe_arms);
+        self.strobe();
+        if self.fed {
+            self.token = self.token.wrapping_add(1);
+            let token = self.token;
+            self.write(pages::WATCHDOG, 2, token);
+        }
+        let key = match self.below(12) {
+            0..8 => ARM,
+            8 if self.one_in(2) => CLEAR,
+            9 if self.one_in(2) => self.random.random(),
+            9 => SOFT,
+            10 if self.one_in(6) => STOP,
+            _ => 0,
+        };
+        if key == ARM {
+            self.write(pages::WATCHDOG, 3, CLEAR);
+        }
+        self.write(pages::WATCHDOG, 3, key);
+        if self.one_in(4) {
+            self.write(pages::TIMEBASE, 2, 0);
+        }
+    }
+
+    fn strobe(&mut self) {
+        let strobes = match self.below(8) {
+            0 => 1,
+            1 => 2,
+            2 => self.below(8),
+            3 => 6,
+            _ => 3,
+        };
+        if strobes & 4 != 0 {
+            // Times just past and just to come, and never.
+            let now = u64::from(self.chapter_clock());
+            let at = match self.below(5) {
+                0 => u64::MAX,
+                1 => 0,
+                _ => now + u64::from(self.below(400)),
+            };
+            self.write(pages::TIMEBASE, 6, u32::MAX);
+            self.write(pages::TIMEBASE, 5, at as u32);
+            self.write(pages::TIMEBASE, 6, (at >> 32) as u32);
+        }
+        self.write(pages::TIMEBASE, 7, strobes);
+    }
+
+    fn chapter_clock(&self) -> u32 {
+        self.chapter
+    }
+
+    fn move_pins(&mut self) {
+        for n in 0..self.shafts.len() {
+            let bit = 1u16 << n;
+            if self.shafts[n].left > 0 {
+                self.shafts[n].left -= 1;
+                continue;
+            }
+            if self.one_in(50) {
+                self.shafts[n].forward = !self.shafts[n].forward;
+            }
+            let lies = self.shafts[n].lies && self.one_in(20);
+            if self.one_in(400) {
+                self.shafts[n].lies = !self.shafts[n].lies;
+            }
+            let gap = self.shafts[n].gap;
+            let jitter = if self.one_in(4) {
+                self.below(3 * gap + 1)
+            } else {
+                0
+            };
+            let shaft = &mut self.shafts[n];
+            let by = if lies {
+                2
+            } else if shaft.forward {
+                1
+            } else {
+                3
+            };
+            shaft.phase = (shaft.phase + by) & 3;
+            shaft.left = (gap.max(1) - 1) + jitter;
+            let put = |word: &mut u16, on: bool| *word = *word & !bit | if on { bit } else { 0 };
+            put(&mut self.pins.enc_a, shaft.phase == 1 || shaft.phase == 2);
+            put(&mut self.pins.enc_b, shaft.phase >= 2);
+        }
+        if self.one_in(40) {
+            let n = self.below(16);
+            match self.below(4) {
+                0 | 1 => self.pins.enc_i ^= 1 << n,
+                2 => self.pins.enc_mask ^= 1 << n,
+                _ => self.pins.step_index ^= 1 << n,
+            }
+        }
+        // Glitches of a clock or two.
+        if self.one_in(500) {
+            let n = self.below(16);
+            self.pins.enc_a ^= 1 << n;
+        }
+        if self.one_in(150) {
+            let n = self.below(self.channels.inputs.into());
+            // E-stop inputs seldom, or the gate never stays open.
+            let stops = self.estop_mask >> n & 1 != 0;
+            if !stops || self.one_in(self.noise / 100) || self.pins.gpio_in >> n & 1 != 0 {
+                self.pins.gpio_in ^= 1 << n;
+            }
+        }
+        if self.reset_left > 0 {
+            self.reset_left -= 1;
+            if self.reset_left == 0 {
+                self.pins.ext_reset = 0;
+            }
+        } else if self.one_in(self.noise * 3) {
+            self.pins.ext_reset = 1;
+            self.reset_left = 1 + self.below(20);
+        }
+        self.rst = self.one_in(self.noise * 5);
+    }
+
+    /// The bus and the MAC in this clock.
+    fn bus(&mut self) -> (u32, Bus) {
+        self.chapter = self.chapter.wrapping_add(1);
+        if self.chapter % 30_000 == 1 {
+            self.settings();
+        }
+        self.servo += 1;
+        if self.servo >= self.servo_every && self.writes.is_empty() {
+            self.servo = 0;
+            self.servo_period();
+        }
+        let mut bus = Bus {
+            rst: self.rst,
+            ..Bus::default()
+        };
+        if self.one_in(700) {
+            bus.frame_done = Some(self.one_in(2));
+        }
+        if self.one_in(300) {
+            bus.frame_pending = Some(self.one_in(2));
+        }
+        // Writes as close as the bus can carry them, and with the CPU's pauses.
+        let writes = if self.busy { 1 } else { 3 };
+        if !self.writes.is_empty() && self.one_in(writes) {
+            let (page, word, data) = self.writes.pop_front().expect("not empty");
+            bus.write = Some((page << 9 | word, data));
+            return (page << 9 | word, bus);
+        }
+        let address = if self.one_in(60) {
+            self.below(1 << 15)
+        } else {
+            let at = self.below(self.registers.len() as u32) as usize;
+            let (page, word) = self.registers[at];
+            page << 9 | word
+        };
+        (address, bus)
+    }
+}
+
+/// What happened, by core.
+#[derive(Default)]
+struct Tally {
+    counts: BTreeMap<&'static str, u64>,
+    was: Pins,
+    status_was: [u32; 8],
+    bites: u32,
+}
+
+impl Tally {
+    fn add(&mut self, what: &'static str, n: u32) {
+        *self.counts.entry(what).or_default() += u64::from(n);
+    }
+
+    fn clock(&mut self, pins: &Pins) {
+        let was = self.was;
+        self.add(
+            "stepgen: edges of STEP",
+            (pins.step ^ was.step).count_ones(),
+        );
+        self.add("stepgen: edges of DIR", (pins.dir ^ was.dir).count_ones());
+        self.add("pwm: edges", (pins.pwm_out ^ was.pwm_out).count_ones());
+        self.add(
+            "pwm: edges of the second pin",
+            (pins.pwm_dir ^ was.pwm_dir).count_ones(),
+        );
+        self.add(
+            "gpio: edges of outputs",
+            (pins.gpio_out ^ was.gpio_out).count_ones(),
+        );
+        self.add("led: edges", u32::from(pins.led != was.led));
+        self.add("watchdog: openings", u32::from(pins.gate > was.gate));
+        self.was = *pins;
+    }
+
+    /// Seldom: what only registers show.
+    fn look(&mut self, board: &Board) {
+        let status: [u32; 8] = std::array::from_fn(|word| board.status(word));
+        let was = self.status_was;
+        let risen = |word: usize| status[word] & !was[word];
+        let half = |word: u32| ((word & 0xffff).count_ones(), (word >> 16).count_ones());
+        let (encoder_index, limited) = half(risen(3));
+        let (stepgen_index, encoder_probe) = half(risen(4));
+        let (stepgen_probe, illegal) = half(risen(5));
+        self.add("gpio: debounced changes", (status[2] ^ was[2]).count_ones());
+        self.add("encoder: index latches", encoder_index);
+        self.add("encoder: probe latches", encoder_probe);
+        self.add("encoder: illegal transitions", illegal);
+        self.add("stepgen: index latches", stepgen_index);
+        self.add("stepgen: probe latches", stepgen_probe);
+        self.add("stepgen: channels that had to wait", limited);
+        self.add("gpio: e-stops latched", risen(6).count_ones());
+        self.add("timebase: samples", u32::from(status[0] != was[0]));
+        self.status_was = status;
+        let bites = board.peek(pages::WATCHDOG, 7);
+        self.add("watchdog: bites", bites.wrapping_sub(self.bites));
+        self.bites = bites;
+        let why = board.peek(pages::WATCHDOG, 8);
+        let reason = match why {
+            1 => "watchdog: looks after a bite",
+            2 => "watchdog: looks after an external reset",
+            3 => "watchdog: looks after the stop key",
+            4 => "watchdog: looks after a soft stop",
+            5 => "watchdog: looks after an e-stop",
+            6 => "watchdog: looks after a system reset",
+            _ => "watchdog: looks before the first opening",
+        };
+        self.add(reason, 1);
+        self.add(
+            "timebase: timed commits seen waiting",
+            board.peek(pages::TIMEBASE, 8),
+        );
+    }
+}
+
+struct Run {
+    seed: u64,
+    clocks: u64,
+    reads: u64,
+    seconds: f64,
+    tally: Tally,
+    counts: [u64; 2],
+}
+
+fn run(seed: u64, clocks: u64) -> Run {
+    let folder: PathBuf = from_environment("FERROCNC_CORES", root().join("target/sim/cores-mill6"));
+    let name: String = from_environment("FERROCNC_CORES_BOARD", "mill6".into());
+    let card = Card::described(&name).unwrap_or_else(|error| panic!("{error}"));
+    let mut cores = Cores::load(&folder).unwrap_or_else(|error| panic!("{error}"));
+    let mut board = Board::new(Build {
+        channels: card.channels,
+        clock_hz: card.clock_hz,
+        estop_mask: card.estop_mask,
+        estop_level: card.estop_level,
+        abi: 0x1234_5678,
+        version: 0x00_0100,
+        rom_words: card.words().len() as u32,
+    });
+    let started = std::time::Instant::now();
+    let mut stimulus = Stimulus::new(seed, &card);
+    let mut pins = CoresPins {
+        abi: 0x1234_5678,
+        ..CoresPins::default()
+    };
+    let mut tally = Tally::default();
+    let (mut reads, mut travelled) = (0, [0u64; 2]);
+    let mut counts_were = [0i32; 32];
+    for clock in 0..clocks {
+        stimulus.move_pins();
+        let (address, bus) = stimulus.bus();
+        let s = &stimulus.pins;
+        pins.adr = address;
+        pins.we = bus.write.is_some().into();
+        pins.dat_w = bus.write.map_or(0, |(_, data)| data);
+        pins.rst = bus.rst.into();
+        (pins.frame_done, pins.frame_slot) = bus.frame_done.map_or((0, 0), |slot| (1, slot.into()));
+        (pins.frame_pending, pins.pending_slot) =
+            bus.frame_pending.map_or((0, 0), |slot| (1, slot.into()));
+        (pins.gpio_in, pins.ext_reset) = (s.gpio_in, s.ext_reset);
+        (pins.enc_a, pins.enc_b, pins.enc_i) = (s.enc_a, s.enc_b, s.enc_i);
+        (pins.step_index, pins.enc_mask) = (s.step_index, s.enc_mask);
+
+        let expected = board.peek(address >> 9, address & 0x1ff);
+        board.drive(s);
+        board.clock(&bus);
+        cores.rise(&mut pins);
+        reads += 1;
+
+        let m = board.pins();
+        let theirs = (
+            pins.step,
+            pins.dir,
+            pins.step_n,
+            pins.dir_n,
+            pins.pwm_out,
+            pins.pwm_dir,
+            pins.gpio_out,
+            pins.led,
+            pins.gate,
+        );
+        let ours = (
+            m.step, m.dir, m.step_n, m.dir_n, m.pwm_out, m.pwm_dir, m.gpio_out, m.led, m.gate,
+        );
+        assert!(
+            theirs == ours,
+            "clock {clock}, seed {seed}: pins (step, dir, step_n, dir_n, pwm, pwm_dir, gpio, led, gate)\n  \
+             gateware {theirs:x?}\n  model    {ours:x?}"
+        );
+        assert!(
+            pins.dat_r == expected,
+            "clock {clock}, seed {seed}: register page {} word {}: gateware {:#x}, model {expected:#x}",
+            address >> 9,
+            address & 0x1ff,
+            pins.dat_r
+        );
+        tally.clock(m);
+        if clock % 256 == 0 {
+            tally.look(&board);
+            for (n, was) in counts_were.iter_mut().enumerate() {
+                let word = if n < 16 { 9 + 3 * n } else { 56 + 2 * (n - 16) };
+                let now = board.status(word) as i32;
+                travelled[n / 16] += u64::from(now.wrapping_sub(*was).unsigned_abs());
+                *was = now;
+            }
+        }
+    }
+    Run {
+        seed,
+        clocks,
+        reads,
+        seconds: started.elapsed().as_secs_f64(),
+        tally,
+        counts: travelled,
+    }
+}
+
+/// Less than this of anything, per million clocks, and the run has proven nothing about it.
+const LEAST_PER_MILLION: &[(&str, u64)] = &[
+    ("stepgen: edges of STEP", 10_000),
+    ("stepgen: edges of DIR", 2_000),
+    ("stepgen: index latches", 20),
+    ("stepgen: probe latches", 20),
+    ("stepgen: channels that had to wait", 50),
+    ("encoder: index latches", 20),
+    ("encoder: probe latches", 20),
+    ("encoder: illegal transitions", 50),
+    ("pwm: edges", 5_000),
+    ("pwm: edges of the second pin", 2_000),
+    ("gpio: edges of outputs", 500),
+    ("gpio: debounced changes", 100),
+    ("timebase: samples", 200),
+    ("timebase: timed commits seen waiting", 5),
+    ("watchdog: openings", 10),
+    ("watchdog: bites", 3),
+];
+
+#[test]
+fn gateware_and_models_agree_on_every_pin_and_register_in_every_clock() {
+    let clocks: u64 = from_environment("FERROCNC_CLOCKS", 12_000_000);
+    let seed = seed();
+    // Verilated models and ours are one-threaded: two of each use two cores.
+    let halves = [seed, seed ^ 0x5eed_0000_0001]
+        .map(|seed| std::thread::spawn(move || run(seed, clocks / 2)));
+    let runs = halves.map(|half| match half.join() {
+        Ok(run) => run,
+        Err(panic) => std::panic::resume_unwind(panic),
+    });
+    let mut happened: BTreeMap<&str, u64> = BTreeMap::new();
+    for run in &runs {
+        for (what, n) in &run.tally.counts {
+            *happened.entry(what).or_default() += n;
+        }
+        *happened.entry("stepgen: pulses counted").or_default() += run.counts[0];
+        *happened.entry("encoder: counts").or_default() += run.counts[1];
+        println!(
+            "seed {}: {} clocks, {} registers read, {:.0} kclk/s, no difference",
+            run.seed,
+            run.clocks,
+            run.reads,
+            run.clocks as f64 / run.seconds / 1e3
+        );
+    }
+    for (what, n) in &happened {
+        println!("  {what}: {n}");
+    }
+    let report = serde_json::json!({
+        "clocks": runs.iter().map(|run| run.clocks).sum::<u64>(),
+        "registers_read": runs.iter().map(|run| run.reads).sum::<u64>(),
+        "differences": 0,
+        "seeds": runs.iter().map(|run| run.seed).collect::<Vec<_>>(),
+        "kclocks_per_second": runs.iter().map(|run| run.clocks as f64 / run.seconds / 1e3).sum::<f64>().round(),
+        "happened": happened,
+    });
+    let folder = root().join("target/reports");
+    std::fs::create_dir_all(&folder).expect("a folder for the report");
+    let text = serde_json::to_string_pretty(&report).expect("JSON");
+    std::fs::write(folder.join("lockstep.json"), text + "\n").expect("the report");
+    let millions = clocks / 1_000_000;
+    for (what, least) in LEAST_PER_MILLION {
+        let n = happened.get(what).copied().unwrap_or(0);
+        assert!(
+            n >= least * millions,
+            "{what}: {n} in {clocks} clocks, wanted {}",
+            least * millions
+        );
+    }
+}
