@@ -34,6 +34,7 @@ def arguments():
     parser.add_argument("--out", default="target/mill", help="directory for config, samples.csv, result.json")
     parser.add_argument("--config", default=HERE, help="directory of another machine's configuration")
     parser.add_argument("--ini", default="headless.ini", help="INI file in it")
+    parser.add_argument("--hal", help="HAL file to run this machine with instead of mill.hal")
     parser.add_argument("--module", help="libferrocnc.so to link as the realtime module (root)")
     parser.add_argument("--lockstep", action="store_true", help="the board's time passes with the exchanges: wait for them")
     parser.add_argument("--patient", action="store_true", help="no realtime kernel here: long watchdog, wide following error")
@@ -80,6 +81,9 @@ def configure(options, out):
         with open(os.path.join(config, "machine.inc")) as file:
             machine = machine.replace("#INCLUDE machine.inc", file.read())
     machine = set_value(machine, "BOARD", options.board)
+    if options.hal:
+        shutil.copy(options.hal, config)
+        machine = machine.replace("HALFILE = mill.hal", f"HALFILE = {os.path.basename(options.hal)}")
     if options.lockstep:
         machine = set_value(machine, "PACKET_READ_TIMEOUT", 2_000_000_000)
         # user-request-enable is up for this long by the wall clock; a servo period may take a quarter of a second.
