@@ -145,14 +145,37 @@ impl BoardClock {
     }
 }
 
-/// This computer's time, and the moment from which all boards of a servo period count.
+/// This computer's time, and the moments from which all boards of a servo period count.
 #[derive(Debug)]
 pub struct Timebase {
     epoch: Instant,
     /// The time, when a test says it; negative: the clock's.
     scripted: AtomicI64,
+    /// When this period's answers began to be waited for.
+    pub reads: Moment,
+    /// When this period's commands began to be sent.
+    pub writes: Moment,
+}
+
+/// One moment of a servo period that several drivers share. Whoever comes for the second time begins the
+/// next one, so it needs nobody to be first.
+#[derive(Debug, Default)]
+pub struct Moment {
     generation: AtomicU64,
-    moment: AtomicI64,
+    at: AtomicI64,
+}
+
+impl Moment {
+    /// The moment, ns; `used` is what the caller was given last and begins as 0.
+    pub fn of(&self, used: &mut u64, now: i64) -> i64 {
+        let generation = self.generation.load(Relaxed);
+        if *used == generation {
+            self.at.store(now, Relaxed);
+            self.generation.store(generation + 1, Relaxed);
+        }
+        *used = self.generation.load(Relaxed);
+        self.at.load(Relaxed)
+    }
 }
 
 impl Timebase {
@@ -170,8 +193,8 @@ impl Timebase {
         Arc::new(Timebase {
             epoch: Instant::now(),
             scripted: AtomicI64::new(scripted),
-            generation: AtomicU64::new(0),
-            moment: AtomicI64::new(0),
+            reads: Moment::default(),
+            writes: Moment::default(),
         })
     }
 
@@ -186,18 +209,6 @@ impl Timebase {
     /// Moves a scripted clock.
     pub fn set(&self, nanos: i64) {
         self.scripted.store(nanos, Relaxed);
-    }
-
-    /// The moment of this servo period. Whoever comes for the second time begins the next one, so it needs
-    /// nobody to be first.
-    pub fn moment(&self, used: &mut u64) -> i64 {
-        let generation = self.generation.load(Relaxed);
-        if *used == generation {
-            self.moment.store(self.now(), Relaxed);
-            self.generation.store(generation + 1, Relaxed);
-        }
-        *used = self.generation.load(Relaxed);
-        self.moment.load(Relaxed)
     }
 }
 
@@ -333,21 +344,15 @@ mod tests {
 
     #[test]
     fn the_moment_of_a_period_is_the_same_for_all_whoever_comes_first() {
-        let time = Timebase::scripted();
-        let (mut a, mut b) = (0, 0);
+        let (moment, mut a, mut b) = (Moment::default(), 0, 0);
         for period in 1..=10 {
-            time.set(period * 1000);
-            let first = if period % 2 == 0 {
-                time.moment(&mut a)
+            let (one, other) = if period % 2 == 0 {
+                (&mut a, &mut b)
             } else {
-                time.moment(&mut b)
+                (&mut b, &mut a)
             };
-            time.set(period * 1000 + 77);
-            let second = if period % 2 == 0 {
-                time.moment(&mut b)
-            } else {
-                time.moment(&mut a)
-            };
+            let first = moment.of(one, period * 1000);
+            let second = moment.of(other, period * 1000 + 77);
             assert_eq!((first, second), (period * 1000, period * 1000), "{period}");
         }
     }

@@ -55,7 +55,7 @@ use crate::names::Glue;
 use crate::settings::{Disarmed, INPUTS, Periods, Sync};
 use std::net::Ipv4Addr;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use wire::board::Kind;
 use wire::describe::Channels;
 use wire::exchange::{COMMAND_MAX, Command, Latch, MAX_CHANNELS, REQUEST_OVERHEAD, Status};
@@ -158,8 +158,9 @@ pub struct Driver {
     live: bool,
 
     time: Arc<Timebase>,
-    /// The common moment used last.
-    moment: u64,
+    /// The common moments used last.
+    read_moment: u64,
+    write_moment: u64,
     clock: BoardClock,
     /// Sequence number and time of sending of the last two commands.
     sent: [(u32, i64); 2],
@@ -292,7 +293,8 @@ impl Driver {
             reason: describe.state.reason,
             live: false,
             time: Timebase::new(),
-            moment: 0,
+            read_moment: 0,
+            write_moment: 0,
             clock: BoardClock::new(describe.clock_hz),
             sent: [(0, 0); 2],
             request_to_write: None,
@@ -351,8 +353,12 @@ impl Driver {
     pub fn read(&mut self, period_ns: i64) {
         let period = Period::new(period_ns, self.clock_hz);
         let mut deadline = Instant::now();
+        let now = self.time.now();
+        let began = self.time.reads.of(&mut self.read_moment, now);
         if self.awaiting {
-            deadline += self.packets.patience(period_ns);
+            // Boards are waited for together: several silent ones cost no more than one.
+            let waited = Duration::from_nanos(u64::try_from(now - began).unwrap_or(0));
+            deadline += self.packets.patience(period_ns).saturating_sub(waited);
         }
         match self.collect(deadline) {
             Some(status) => {
@@ -784,7 +790,8 @@ impl Driver {
         if delay == 0 {
             return None;
         }
-        let moment = self.time.moment(&mut self.moment);
+        let now = self.time.now();
+        let moment = self.time.writes.of(&mut self.write_moment, now);
         // Longer than a period and the next command would replace it before its time.
         let delay = i64::from(delay).min((period.seconds * 1e9) as i64);
         let at = self.clock.board_at(moment + delay)?;

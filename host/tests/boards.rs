@@ -281,3 +281,47 @@ fn one_board_that_falls_silent_leaves_the_others_alone() {
     assert!(!shop.hal.get::<bool>("ferrocnc.2.enabled"));
     assert!(shop.hal.get::<bool>("ferrocnc.2.io-error"));
 }
+
+#[test]
+fn four_boards_are_waited_for_together() {
+    // Each answers 10 ms late. One after the other that is 40 ms a period; the time is printed, not judged.
+    let boards: Vec<FakeBoard> = (0..4)
+        .map(|_| FakeBoard::mill6(Time::Lockstep(u64::from(CLOCK_HZ) / 1000)))
+        .collect();
+    let mut hal = FakeHal::new();
+    let mut drivers: Vec<Driver> = boards
+        .iter()
+        .enumerate()
+        .map(|(n, board)| load_with(board, &mut hal, n).0)
+        .collect();
+    for n in 0..4 {
+        hal.set(&format!("ferrocnc.{n}.packet-read-timeout"), 500_000_000);
+    }
+    let period = |drivers: &mut [Driver]| {
+        drivers.iter_mut().for_each(|driver| driver.read(PERIOD_NS));
+        drivers
+            .iter_mut()
+            .for_each(|driver| driver.write(PERIOD_NS));
+    };
+    for _ in 0..200 {
+        period(&mut drivers);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    for board in &boards {
+        board.look().knobs.delay = Duration::from_millis(10);
+    }
+    for count in [1, 4] {
+        let start = std::time::Instant::now();
+        for _ in 0..10 {
+            for driver in &mut drivers[..count] {
+                driver.read_request(PERIOD_NS);
+            }
+            period(&mut drivers[..count]);
+        }
+        println!("{count} boards: {:?} for ten periods", start.elapsed());
+    }
+    for n in 0..4 {
+        let missing: u32 = hal.get(&format!("ferrocnc.{n}.packet-error-total"));
+        assert_eq!(missing, 0, "board {n}");
+    }
+}

@@ -142,3 +142,48 @@ fn litexcncs_column_is_what_names_litexcnc_exports() {
             .any(|(name, _, _)| name == "mill6.watchdog.reset")
     );
 }
+
+/// What a HAL file calls ours: the words that begin with `prefix`.
+fn words<'f>(file: &'f str, prefix: &str) -> Vec<&'f str> {
+    file.lines()
+        .filter_map(|line| line.split('#').next())
+        .flat_map(str::split_whitespace)
+        .filter(|word| word.starts_with(prefix))
+        .collect()
+}
+
+#[test]
+fn every_pin_the_example_files_name_exists() {
+    let litexcnc = Scheme::LitexCnc(vec!["test".to_owned()]);
+    let mill = include_str!("../examples/mill/mill.hal");
+    for (scheme, prefix, functions, file) in [
+        (None, "ferrocnc.0.", &["read", "write"][..], mill),
+        (
+            Some(Scheme::Lcnc),
+            "Lcnc.00.",
+            &["update"],
+            include_str!("../examples/peers/lcnc.hal"),
+        ),
+        (
+            Some(litexcnc),
+            "test.",
+            &["read", "write"],
+            include_str!("../examples/peers/litexcnc.hal"),
+        ),
+    ] {
+        let hal = export(scheme.as_ref());
+        let known: BTreeSet<&str> = hal
+            .list()
+            .chain(hal.aliases())
+            .map(|(name, _, _)| name)
+            .collect();
+        let used = words(file, prefix);
+        assert!(used.len() > 40, "{prefix}: {}", used.len());
+        for name in used {
+            let function = name
+                .strip_prefix(prefix)
+                .is_some_and(|f| functions.contains(&f));
+            assert!(function || known.contains(name), "{name}");
+        }
+    }
+}
