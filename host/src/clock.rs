@@ -3,7 +3,7 @@
 //! Every exchange says when this computer sent it and when the board's clock saw its last byte arrive. The
 //! difference is the offset between the two clocks plus the time on the way, and the way is never shorter
 //! than the cable: of many exchanges the ones that were fastest tell the truth, the others tell of a busy
-//! computer. So the least difference of every [`WINDOW`] exchanges is kept, a line through those minima gives
+//! computer. So the least difference of every 64 exchanges is kept, a line through those minima gives
 //! the drift (a median of slopes: a window in which nothing was fast does not bend it), and the line is laid
 //! against them from below.
 //!

@@ -16,6 +16,22 @@
 //!   feedback                                ^ = sample + one period of ramp: valid at the next *
 //! ```
 //!
+//! # Several boards
+//!
+//! All requests are on their way before `read` waits for the first answer, and it waits for all of them
+//! together. With an apply time every board's command takes effect at the same moment: the first `write` of
+//! the period says when, each driver says it by its own board's clock ([`crate::clock`]). What is predicted is
+//! then the place at the *next* such moment.
+//!
+//! `read-request`, if it is there, repeats the last command at the beginning of the period for its answer's
+//! sake: feedback is some 100 us old when the controller sees it, not a period.
+//!
+//! ```text
+//!   servo thread   Q R ctrl W               Q R ctrl W
+//!   to the board    \        \               \        \
+//!   board            * sample  * commit       * sample  * commit
+//! ```
+//!
 //! # When an answer does not come
 //!
 //! `read` waits for it until `packet-read-timeout`, then goes on. One missing answer is bridged by
