@@ -242,11 +242,17 @@ pub struct Server<D: Device> {
     last_exchange: Option<Instant>,
     /// Lockstep: the board runs by itself until this sys clock.
     orphan_until: u64,
+    /// Paced: since when, and from which sys clock, both clocks are compared.
+    pace_from: Option<(Instant, u64)>,
 }
 
 /// Sys clocks simulated between two looks at the outside world when time runs by itself: about a millisecond of the
 /// machine's time.
 const SLICE: u64 = 1000;
+/// A paced board that is later than this starts counting anew instead of hurrying.
+const LATE: Duration = Duration::from_millis(100);
+/// Shorter sleeps are longer than asked for anyway.
+const NAP: Duration = Duration::from_micros(50);
 
 impl<D: Device> Server<D> {
     /// Open the sockets. `stop` ends [`Self::run`] when somebody (a signal handler) sets it.
@@ -293,6 +299,7 @@ impl<D: Device> Server<D> {
             period_end,
             last_exchange: None,
             orphan_until: 0,
+            pace_from: None,
         })
     }
 
@@ -377,25 +384,42 @@ impl<D: Device> Server<D> {
     }
 
     fn free(&mut self, pace: Option<f64>) {
-        let (clock, started) = (self.rig.clock(), Instant::now());
-        loop {
-            match self.events.try_recv() {
-                Ok(Event::Datagram(sender, payload)) => {
-                    self.post(sender, &payload);
-                }
-                Ok(event) => self.handle(event),
-                Err(TryRecvError::Empty) => break,
-                Err(TryRecvError::Disconnected) => {
-                    self.quit = true;
-                    break;
-                }
+        let event = match self.ahead(pace) {
+            // As far as time goes: nothing to do until it goes on or somebody comes.
+            Some(wait) => self
+                .events
+                .recv_timeout(wait)
+                .map_err(|e| e == RecvTimeoutError::Disconnected),
+            None => {
+                self.pass(self.rig.clock() + SLICE);
+                self.events
+                    .try_recv()
+                    .map_err(|e| e == TryRecvError::Disconnected)
             }
+        };
+        match event {
+            Ok(Event::Datagram(sender, payload)) => {
+                self.post(sender, &payload);
+            }
+            Ok(event) => self.handle(event),
+            Err(disconnected) => self.quit |= disconnected,
         }
-        self.pass(clock + SLICE);
-        if let Some(pace) = pace {
-            let due = Duration::from_secs_f64((self.rig.clock() - clock) as f64 / pace.max(1.0));
-            std::thread::sleep(due.saturating_sub(started.elapsed()));
+    }
+
+    /// How long a paced board has to wait for this machine's clock; `None` when it has not to.
+    fn ahead(&mut self, pace: Option<f64>) -> Option<Duration> {
+        let pace = pace?.max(1.0);
+        let clock = self.rig.clock();
+        let (began, from) = *self.pace_from.get_or_insert((Instant::now(), clock));
+        let due = from + (began.elapsed().as_secs_f64() * pace) as u64;
+        if due > clock + SLICE {
+            // What this machine slept away is made up for, unless it is so much that it would look like a fault.
+            if due - clock > (LATE.as_secs_f64() * pace) as u64 {
+                self.pace_from = None;
+            }
+            return None;
         }
+        Some(Duration::from_secs_f64((clock + SLICE - due) as f64 / pace).max(NAP))
     }
 
     /// Put a datagram of the outside world on the segment; the virtual port it comes from there.
