@@ -216,7 +216,11 @@ fn litexcnc_arming_an_index_corrupts_the_speed_in_reverse() {
         1,
         "the arm bit arrived: -4500 counts is past the index at -4000"
     );
-    assert!((status.latch.0 as i32 + 4000).abs() <= 1, "{}", status.latch.0 as i32);
+    assert!(
+        (status.latch.0 as i32 + 4000).abs() <= 1,
+        "{}",
+        status.latch.0 as i32
+    );
 }
 
 /// LiteX-CNC: timings wider than their fields overflow into their neighbours.

@@ -129,8 +129,8 @@ fn linuxcnc_homes_to_the_index_probes_threads_and_closes_its_loops() {
         .rposition(|pair| pair[0] == 1.0 && pair[1] == 0.0)
         .expect("the spindle's index was waited for");
     let inside: Vec<usize> = (start..z.len())
-        .filter(|i| z[*i] < 0.8 && z[*i] > -0.8)
-        .take_while(|i| *i < start + 400)
+        .skip_while(|i| z[*i] >= 0.8)
+        .take_while(|i| z[*i] > -0.8)
         .collect();
     assert!(inside.len() > 50, "the thread has {} periods", inside.len());
     let (first, last) = (inside[0], inside[inside.len() - 1]);
@@ -178,4 +178,153 @@ fn pulses(report: &Path) -> Vec<i64> {
     axes.iter()
         .map(|axis| axis["pulses_at_pins"].as_i64().expect("pulses"))
         .collect()
+}
+
+/// The mill with a HAL file in another driver's names, on the twin; how many steps each axis stands off its command.
+fn mill_with(peer: &str) -> Vec<i64> {
+    let folder = out(peer);
+    let report = folder.join("sim.json");
+    let mut twin = Simulator::twin(&[
+        "--mode",
+        "lockstep",
+        "--report",
+        &report.display().to_string(),
+    ]);
+    let log = std::fs::File::create(folder.join("run.log")).expect("a log");
+    let _ = Command::new("python3")
+        .arg(root().join("host/examples/mill/run.py"))
+        .args(["--board", &twin.udp().to_string(), "--lockstep", "--hal"])
+        .arg(root().join(format!("host/examples/peers/{peer}.hal")))
+        .arg("--program")
+        .arg(root().join("tests/linuxcnc/short.ngc"))
+        .arg("--out")
+        .arg(&folder)
+        .stdin(Stdio::null())
+        .stdout(log.try_clone().expect("its log"))
+        .stderr(log)
+        .status();
+    twin.finish();
+    let said = std::fs::read_to_string(folder.join("run.log")).unwrap_or_default();
+    let result = std::fs::read_to_string(folder.join("result.json"))
+        .unwrap_or_else(|_| panic!("LinuxCNC did not run the program:\n{said}"));
+    let result: Value = serde_json::from_str(&result).expect("JSON");
+    // 5 is "beside its step", which is for the caller to judge.
+    assert!(
+        [0, 5].contains(&result["exit"].as_i64().expect("an exit code")),
+        "{}",
+        result["text"]
+    );
+    assert_eq!(result["messages"].as_array().map(Vec::len), Some(0));
+    let axes = result["axes"].as_array().expect("axes");
+    let travelled = std::fs::read_to_string(&report).expect("the report");
+    let travelled: Value = serde_json::from_str(&travelled).expect("JSON");
+    for axis in 0..2 {
+        // There and back over a millimetre of 400 steps.
+        let pulses = travelled["axes"][axis]["pulses_total"].as_i64();
+        assert!(pulses >= Some(780), "axis {axis} made {pulses:?} pulses");
+    }
+    axes.iter()
+        .map(|axis| axis["deviation_at_rest_steps"].as_i64().expect("steps"))
+        .collect()
+}
+
+#[test]
+fn an_hal_file_written_for_lcnc_moves_the_axes() {
+    // Under pid with a deadband of 0.8 steps an axis may rest on the step beside.
+    for (axis, off) in mill_with("lcnc").into_iter().enumerate() {
+        assert!(off.abs() <= 1, "axis {axis} stands {off} steps off");
+    }
+}
+
+#[test]
+fn an_hal_file_written_for_litexcnc_moves_the_axes() {
+    for (axis, off) in mill_with("litexcnc").into_iter().enumerate() {
+        assert_eq!(off, 0, "axis {axis}");
+    }
+}
+
+#[test]
+fn four_boards_share_a_servo_thread_and_cost_little_more_than_one() {
+    let folder = std::env::temp_dir().join(format!("ferrocnc-four-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let reports: Vec<PathBuf> = (0..4).map(|n| folder.join(format!("{n}.json"))).collect();
+    let mut twins: Vec<Simulator> = reports
+        .iter()
+        .map(|report| {
+            Simulator::twin(&["--mode", "free", "--report", &report.display().to_string()])
+        })
+        .collect();
+    let addresses: Vec<String> = twins.iter().map(|twin| twin.udp().to_string()).collect();
+
+    let mut hal = String::from("loadrt threads name1=servo period1=1000000 fp1=1\n");
+    hal += &format!("loadrt ferrocnc boards={}\n", addresses.join(","));
+    let each = |line: &str| -> String {
+        (0..4)
+            .map(|n| line.replace('#', &n.to_string()) + "\n")
+            .collect()
+    };
+    for function in ["read-request", "read", "write"] {
+        hal += &each(&format!("addf ferrocnc.#.{function} servo"));
+    }
+    // No realtime here: wait for late answers rather than stop.
+    hal += &each("setp ferrocnc.#.packet-read-timeout 100000000");
+    hal += &each("setp ferrocnc.#.watchdog.timeout-ns 500000000");
+    hal += &each("setp ferrocnc.#.stepgen.x.maxaccel 1000000");
+    hal += &each("setp ferrocnc.#.stepgen.x.control-type 1");
+    hal += &each("setp ferrocnc.#.stepgen.x.enable 1");
+    hal += &each("setp ferrocnc.#.enable 1");
+    hal += "start\nloadusr -w sleep 1\n";
+    hal += &each("setp ferrocnc.#.enable-request 1");
+    hal += "loadusr -w sleep 1\n";
+    hal += &each("setp ferrocnc.#.stepgen.x.velocity-cmd 5000");
+    hal += "loadusr -w sleep 2\n";
+    hal += &each("setp ferrocnc.#.stepgen.x.velocity-cmd 0");
+    hal += "loadusr -w sleep 1\n";
+    hal += &each("getp ferrocnc.#.enabled");
+    hal += &each("getp ferrocnc.#.stepgen.x.counts");
+    hal += &each("getp ferrocnc.#.wallclock.drift-ppm");
+    for function in ["read-request", "read", "write"] {
+        hal += &each(&format!("getp ferrocnc.#.{function}.time"));
+    }
+    let said = halrun("four", &hal);
+    for twin in &mut twins {
+        twin.finish();
+    }
+    let answers: Vec<&str> = said
+        .lines()
+        .filter(|line| *line == "TRUE" || *line == "FALSE" || line.parse::<f64>().is_ok())
+        .collect();
+    assert_eq!(answers.len(), 24, "{said}");
+    let number = |at: usize| answers[at].parse::<f64>().expect("a number");
+    let mut travelled = Vec::new();
+    for n in 0..4 {
+        assert_eq!(answers[n], "TRUE", "board {n} is not enabled:\n{said}");
+        let pins = pulses(&reports[n])[0];
+        assert_eq!(number(4 + n) as i64, pins, "board {n}: counts and pins");
+        travelled.push(pins);
+    }
+    let (least, most) = (travelled.iter().min(), travelled.iter().max());
+    println!(
+        "four boards, 2 s at 5000 steps/s: {travelled:?} steps; drift {:?} ppm",
+        &answers[8..12]
+    );
+    assert!(least > Some(&5000), "they hardly moved: {travelled:?}");
+    // `setp` reaches the boards one after the other: a few periods of 5 steps.
+    assert!(
+        most.zip(least)
+            .is_some_and(|(most, least)| most - least <= 100),
+        "{travelled:?}"
+    );
+
+    let of = |n: usize| -> i64 { (0..3).map(|f| number(12 + 4 * f + n) as i64).sum() };
+    // HAL's own figures of the last period; printed, for they are this machine's.
+    let (first, others) = (of(0), (1..4).map(of).sum::<i64>());
+    println!("servo thread: first board {first} ns, the other three together {others} ns");
+    let reports = root().join("target/reports");
+    std::fs::create_dir_all(&reports).expect("a folder for reports");
+    let json = serde_json::json!({
+        "steps": travelled, "first_board_ns": first, "other_three_ns": others,
+    });
+    std::fs::write(reports.join("boards.json"), format!("{json:#}\n")).expect("the report");
+    let _ = std::fs::remove_dir_all(folder);
 }

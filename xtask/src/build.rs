@@ -85,6 +85,18 @@ pub fn simulated_board(board: &str) -> Result<PathBuf> {
     Ok(soc(board))
 }
 
+/// Verilates the cores and banks of a board without the processor, for the comparison with their models.
+pub fn simulated_cores(board: &str) -> Result<()> {
+    let mut build = Command::new("bash");
+    build.args(["sim/verilator/cores.sh", board]);
+    step::run(
+        "verilate-cores",
+        &format!("verilate the cores of {board}"),
+        "1 min",
+        &mut build,
+    )
+}
+
 /// The driver, the tool and the simulator's front end.
 pub fn host() -> Result<()> {
     let mut build = Command::new("cargo");

@@ -25,12 +25,16 @@ enum Level {
     Formal,
     /// The cores at their pins, random stimulus.
     Core,
+    /// Every core against its bit-exact model, clock by clock.
+    Lockstep,
     /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
     Soc,
     /// Defects of the controllers before us, each shown not to be ours.
     Peers,
     /// LiteX's own client, ping and a console session.
     Clients,
+    /// Real LinuxCNC, our driver, the twin: homing, probing, threading, four boards, other drivers' HAL files.
+    Twin,
     /// Real LinuxCNC, our driver, the simulated board.
     Linuxcnc,
 }
@@ -40,9 +44,11 @@ const ALL: &[Level] = &[
     Level::Generated,
     Level::Formal,
     Level::Core,
+    Level::Lockstep,
     Level::Soc,
     Level::Peers,
     Level::Clients,
+    Level::Twin,
     Level::Linuxcnc,
 ];
 
@@ -64,9 +70,14 @@ pub fn run(options: &Options) -> Result<()> {
     };
     if levels.iter().any(needs_board) {
         build::everything()?;
-        if levels.contains(&Level::Linuxcnc) {
-            build::install_driver()?;
-        }
+    }
+    if levels.contains(&Level::Lockstep) {
+        build::simulated_cores(build::BOARD)?;
+    }
+    let needs_driver = |level: &Level| matches!(level, Level::Twin | Level::Linuxcnc);
+    if levels.iter().any(needs_driver) {
+        build::host()?;
+        build::install_driver()?;
     }
     let mut lines = Vec::new();
     let (mut passed, mut failed) = (0, 0);
@@ -111,9 +122,11 @@ impl Level {
             Level::Generated => "generated: registers, memory map and PAC are fresh",
             Level::Formal => "formal: pulse, count and watchdog promises, proven",
             Level::Core => "core: RTL at its pins under random stimulus",
+            Level::Lockstep => "lockstep: RTL and model, clock by clock",
             Level::Soc => "soc: Verilated board, release image, frames and faults",
             Level::Peers => "peers: defects of others, on the RTL board",
             Level::Clients => "clients: LiteX RemoteClient, ping, console",
+            Level::Twin => "twin: real LinuxCNC, our driver, the cores' models",
             Level::Linuxcnc => "linuxcnc: real LinuxCNC, our driver, simulated board",
         }
     }
@@ -142,10 +155,15 @@ impl Level {
                 "2 min",
                 "gateware/tests/run.sh",
             ),
-            Level::Soc => board_tests("soc", "10 min"),
-            Level::Peers => board_tests("peers", "3 min"),
-            Level::Clients => board_tests("clients", "2 min"),
-            Level::Linuxcnc => board_tests("linuxcnc", "10 min"),
+            Level::Lockstep => {
+                // Two runs with a seed each, side by side.
+                board_tests("lockstep", "3 min", "2")
+            }
+            Level::Soc => board_tests("soc", "10 min", "1"),
+            Level::Peers => board_tests("peers", "3 min", "2"),
+            Level::Clients => board_tests("clients", "2 min", "1"),
+            Level::Twin => board_tests("twin", "3 min", "1"),
+            Level::Linuxcnc => board_tests("linuxcnc", "10 min", "1"),
         }
     }
 }
@@ -200,9 +218,9 @@ fn maximum_board() -> Result<()> {
     )
 }
 
-/// A test binary of the `tests` crate that needs the simulated board. One at a time: LinuxCNC's HAL
-/// is one per machine, and the simulator wants a core for itself.
-fn board_tests(name: &str, expect: &str) -> Result<usize> {
+/// A test binary of the `tests` crate that needs a simulated board, so many tests at once: with LinuxCNC
+/// one, for its HAL is one per machine.
+fn board_tests(name: &str, expect: &str, threads: &str) -> Result<usize> {
     let arguments = [
         "test",
         "--release",
@@ -213,7 +231,8 @@ fn board_tests(name: &str, expect: &str) -> Result<usize> {
         "--test",
         name,
         "--",
-        "--test-threads=1",
+        "--test-threads",
+        threads,
     ];
     cargo_tests(
         &format!("test-{name}"),
