@@ -36,7 +36,7 @@ impl Led {
             2 => bit(4),
             3 => bit(2),
             4 => !bit(4) && !bit(2),
-            5 => !(bit(4) && bit(3)) && !bit(2),
+            5 => slot < 24 && !bit(2),
             6 => slot >> 1 == 0 || slot >> 1 == 2,
             _ => !bit(0),
         }

@@ -205,7 +205,7 @@ impl Stepgen {
         !self.pulse
             && self.step_done(set)
             && self.reverse == self.negative()
-            && !(self.setup && !self.dir_done(set))
+            && (!self.setup || self.dir_done(set))
     }
 
     /// A pulse is due in this clock and has to wait.
