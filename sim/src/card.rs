@@ -1,7 +1,7 @@
 //! What a board is, without its gateware: the information blob and the clock, as elaboration writes them.
 //!
-//! Nobody but `gateware/ferrocnc/board.py` reads board files; this reads what that wrote. `target/sim/NAME` is the latest
-//! word; where nothing has been elaborated the committed copies under `sim/boards` stand in (`sim/boards/regen.py`).
+//! Nobody but `gateware/ferrocnc/board.py` reads board files; this reads what that wrote: for the boards of this repository the
+//! committed copies under `sim/boards` (`sim/boards/regen.py` writes them), for any other `target/sim/NAME`.
 
 use std::path::{Path, PathBuf};
 
@@ -40,20 +40,14 @@ const BUILT_IN: [(&str, &[u8], &[u8]); 2] = [
 ];
 
 impl Card {
-    /// The board of this name.
+    /// The board of this name: a committed description, or what elaboration left in `target/sim/NAME`.
     pub fn named(name: &str) -> Result<Self, Error> {
-        let folder = elaborated(name);
-        if folder.join("board.bin").is_file() {
-            return Self::read(&folder);
-        }
-        Self::described(name)
-    }
-
-    /// The committed description of the board of this name.
-    pub fn described(name: &str) -> Result<Self, Error> {
-        let folder = elaborated(name);
         let built_in = BUILT_IN.iter().find(|(known, _, _)| *known == name);
         let Some((_, blob, manifest)) = built_in else {
+            let folder = elaborated(name);
+            if folder.join("board.bin").is_file() {
+                return Self::read(&folder);
+            }
             return Err(Error::Board {
                 name: name.into(),
                 why: format!(

@@ -506,7 +506,7 @@ struct Run {
 fn run(seed: u64, clocks: u64) -> Run {
     let folder: PathBuf = from_environment("FERROCNC_CORES", root().join("target/sim/cores-mill6"));
     let name: String = from_environment("FERROCNC_CORES_BOARD", "mill6".into());
-    let card = Card::described(&name).unwrap_or_else(|error| panic!("{error}"));
+    let card = Card::named(&name).unwrap_or_else(|error| panic!("{error}"));
     let mut cores = Cores::load(&folder).unwrap_or_else(|error| panic!("{error}"));
     let mut board = Board::new(Build {
         channels: card.channels,
