@@ -17,6 +17,9 @@ module debounce #(
     input  wire [WIDTH-1:0]  filter,
     output logic [LINES-1:0] level,
     output logic             known  // since power-up, `level` is what the lines were
+`ifdef FORMAL
+    , output wire [LINES-1:0] f_was, output wire [WIDTH-1:0] f_still
+`endif
 );
     logic [LINES-1:0] was = {LINES{1'b0}};
     logic [WIDTH-1:0] still = {WIDTH{1'b0}};
@@ -35,5 +38,28 @@ module debounce #(
             known <= 1'b1;
         end
     end
+
+`ifdef FORMAL
+    assign f_was = was;  // encoder.sv reasons with these
+    assign f_still = still;
+    logic [WIDTH+1:0] f_run = 1;  // clocks `was` has been what it is; its power-up value counts as one
+    logic [WIDTH+1:0] f_age = 0;  // the same of the lines alone
+    logic [LINES-1:0] f_level = 0;
+    always_ff @(posedge clk) begin
+        f_run   <= moved ? 1 : &f_run ? f_run : f_run + 1'b1;
+        f_age   <= moved | f_age == 0 ? 1 : &f_age ? f_age : f_age + 1'b1;
+        f_level <= level;
+    end
+    always_comb begin
+        assert (still == (f_run > filter ? filter : f_run - 1));
+        assert (f_run != 0 & (f_age == f_run | (was == 0 & level == 0 & (f_run == f_age + 1 | &f_run))));
+`ifdef PROVE_a_pulse_of_filter_plus_one_clocks_is_never_seen
+        if (level != f_level) assert (level == was & f_age >= filter + 2);
+`endif
+`ifdef PROVE_filter_plus_two_clocks_at_rest_are_always_seen
+        if (f_age >= filter + 2) assert (level == was & known);
+`endif
+    end
+`endif
 endmodule
 `default_nettype wire

@@ -42,8 +42,16 @@ module encoder #(
     wire [1:0] level;
     wire       known, index_seen, index_known;
     wire       index_in = (i_sync ^ mode[4]) & ((m_sync ^ mode[6]) | ~mode[5]);
-    debounce #(.LINES(2), .WIDTH(FILTER)) shaft (.clk(clk), .lines({a_sync, b_sync}), .filter(filter), .level(level), .known(known));
-    debounce #(.LINES(1), .WIDTH(FILTER)) mark (.clk(clk), .lines(index_in), .filter(filter), .level(index_seen), .known(index_known));
+    debounce #(.LINES(2), .WIDTH(FILTER)) shaft (
+`ifdef FORMAL
+        .f_was(f_was), .f_still(f_still),
+`endif
+        .clk(clk), .lines({a_sync, b_sync}), .filter(filter), .level(level), .known(known));
+    debounce #(.LINES(1), .WIDTH(FILTER)) mark (
+`ifdef FORMAL
+        .f_was(f_mark_was), .f_still(f_mark_still),
+`endif
+        .clk(clk), .lines(index_in), .filter(filter), .level(index_seen), .known(index_known));
 
     logic a_was = 1'b0, b_was = 1'b0, live = 1'b0;
     wire  a_now = level[1], b_now = level[0];
@@ -86,5 +94,159 @@ module encoder #(
     initial delta = 5'd0;
     initial index_level = 1'b0;
     wire unused = &{1'b0, mode[7], mode[3], index_known};
+
+`ifdef FORMAL  // what gateware/formal proves: the shaft as its pins show it, and the count that is due for it
+    wire [1:0]        f_was;
+    wire [FILTER-1:0] f_still, f_mark_still;
+    wire              f_mark_was;
+    wire [1:0]        f_pins = {a, b & (mode[2:0] != 3'd3)};
+    logic [1:0]       f_last = 0;
+    logic [2:0]       f_any = 0;  // behind the pins, behind the flip-flops, behind those of the filter: no longer power-up
+    // The ghosts count modulo 256: they are never more than three apart, so what is equal modulo 256 is equal.
+`ifdef PROVE_total_and_delta_are_the_count
+    localparam integer F = 32;
+`else
+    localparam integer F = 8;
+`endif
+    logic [F-1:0]     f_told = 0, f_lies = 0;
+    always_ff @(posedge clk) begin
+        f_any  <= {f_any[1:0], 1'b1};
+        f_last <= f_pins;
+        if (moved) f_told <= up ? f_told + 1 : f_told - 1;
+        if (illegal) f_lies <= f_lies + 1;
+    end
+
+`ifdef PROVE_total_and_delta_are_the_count
+    // Any pins at all; visits at most 16 clocks apart, as the tally's are.
+    logic [31:0] f_total = 0;
+    logic [4:0]  f_gap = 0;
+    logic        f_moved = 0;
+    wire  [4:0]  f_size = delta[4] ? -delta : delta;
+    always_ff @(posedge clk) begin
+        if (visit) f_total <= f_total + {{27{delta[4]}}, delta};
+        f_gap   <= visit ? 1 : f_gap + 1;
+        f_moved <= moved;
+    end
+    always_comb begin
+        assume (visit | f_gap < 16);
+        assert (f_gap <= 16 & f_size <= (f_gap + f_moved) >> 1);
+        assert (f_total + {{27{delta[4]}}, delta} == f_told);
+    end
+`else
+    // A pair of levels lasts filter + 2 clocks or more. What it should count, told without the logic above:
+    function automatic f_up(input [2:0] kind, input [1:0] from, input [1:0] to);
+        f_up = kind == 0 ? {from, to} == 4'b00_10 | {from, to} == 4'b10_11 | {from, to} == 4'b11_01 | {from, to} == 4'b01_00
+             : kind == 1 ? {from, to} == 4'b00_10 | {from, to} == 4'b11_01
+             : kind == 2 ? {from, to} == 4'b00_10
+             : kind == 3 ? to[1] > from[1]
+             : kind == 4 | kind == 6 ? to[1] > from[1] & ~to[0]
+             : to[1] > from[1] & ~(to[0] > from[0]);
+    endfunction
+    function automatic f_down(input [2:0] kind, input [1:0] from, input [1:0] to);
+        f_down = kind < 3 ? f_up(kind, to, from)
+               : kind == 3 ? 1'b0
+               : kind == 4 | kind == 6 ? to[1] > from[1] & to[0]
+               : to[0] > from[0] & ~(to[1] > from[1]);
+    endfunction
+    function automatic [F-1:0] f_step(input [2:0] kind, input [1:0] from, input [1:0] to);
+        f_step = f_up(kind, from, to) ? 1 : f_down(kind, from, to) ? -1 : 0;
+    endfunction
+    function automatic f_lie(input [2:0] kind, input [1:0] from, input [1:0] to);
+        f_lie = kind < 3 & (from ^ to) == 2'b11;
+    endfunction
+
+    wire        f_moves = f_any[0] & f_pins != f_last;
+    wire [F-1:0] f_step_pins = f_step(mode[2:0], f_last, f_pins), f_step_level = f_step(mode[2:0], level, f_was);
+    wire [F-1:0] f_step_last = f_step(mode[2:0], {a_was, b_was}, level);
+    wire        f_lie_pins = f_lie(mode[2:0], f_last, f_pins), f_lie_to_level = f_lie(mode[2:0], level, f_was);
+    wire        f_lie_to_last = f_lie(mode[2:0], {a_was, b_was}, level);
+    logic [FILTER+1:0] f_age = 0, f_age_sync = 0, f_age_was = 0;  // clocks that the pair at this stage has been there
+    logic [2:0]  f_turned = 0;  // of each stage: this pair is not the one of power-up
+    logic        f_rested = 0;  // the pair before was all counted when this one came
+    logic [F-1:0] f_due = 0, f_due_sync = 0, f_due_was = 0, f_due_level = 0, f_due_last = 0, f_before = 0;
+    logic [F-1:0] f_lie_due = 0, f_lie_sync = 0, f_lie_was = 0, f_lie_level = 0, f_lie_last = 0;
+    always_ff @(posedge clk) begin
+        f_age      <= ~f_any[0] | f_moves ? 1 : &f_age ? f_age : f_age + 1;
+        f_age_sync <= f_age;
+        f_age_was  <= f_age_sync;
+        f_turned   <= {f_turned[1:0], f_turned[0] | f_moves};
+        if (f_moves) f_rested <= f_age >= filter + 5;
+        if (f_moves) f_before <= f_due;
+        if (f_moves) f_due <= f_due + f_step_pins;
+        if (f_moves) f_lie_due <= f_lie_due + f_lie_pins;
+        {f_due_sync, f_lie_sync} <= {f_due, f_lie_due};
+        {f_due_was, f_lie_was}   <= {f_due_sync, f_lie_sync};
+        if ({a_sync, b_sync} == f_was & f_still == filter) {f_due_level, f_lie_level} <= {f_due_was, f_lie_was};
+        {f_due_last, f_lie_last} <= {f_due_level, f_lie_level};
+    end
+
+    always_comb begin
+        if (f_moves) assume (f_age >= filter + 2);
+`ifdef PROVE_count_is_exact_for_every_legal_sequence
+        assume (~mode[2] & mode[1:0] != 3);
+        if (f_moves) assume (^(f_pins ^ f_last));
+`endif
+        // Stage by stage, what is due there differs by what the pairs there differ.
+        if (f_any[0]) assert (f_age != 0);
+        if (f_any[2]) assert (f_age_was > filter ? f_still == filter : f_still >= f_age_was - 1 & f_still <= filter);
+        if (f_turned[2]) assert (f_age_was > filter | f_still == f_age_was - 1);
+        if (f_any[2] & f_age_was >= filter + 2) assert (known & level == f_was);
+        if (known) assert (f_any[2] & f_due_was - f_due_level == f_step_level);
+        if (known) assert (f_lie_was - f_lie_level == f_lie_to_level);
+        if (~known) assert (f_due_was == 0 & f_due_level == 0 & f_lie_was == 0 & f_lie_level == 0);
+        if (live) assert (known & f_due_level - f_due_last == f_step_last);
+        if (live) assert (f_lie_level - f_lie_last == f_lie_to_last);
+        if (~live) assert (f_due_last == 0 & f_due_level == 0 & f_lie_last == 0 & f_lie_level == 0);
+        assert (f_told == f_due_last & f_lies == f_lie_last);
+        if (f_rested) assert (f_turned[0] & (f_age >= filter + 4 | f_due_level == f_before) & (f_age >= filter + 5 | f_due_last == f_before));
+        // The promise: filter + 5 clocks after an edge it has been counted, and not a clock before.
+        if (f_age >= filter + 5) assert (f_told == f_due & f_lies == f_lie_due);
+        else if (f_rested) assert (f_told == f_before);
+    end
+
+`ifdef PROVE_count_is_exact_for_every_legal_sequence
+    // The shaft's position in quarters of a line, and x4, x2 and x1 by arithmetic: none of them can run away.
+    logic [F+1:0] f_position = 0, f_start = 0;
+    wire  [F+1:0] f_at_rest = {{F{1'b0}}, f_pins[0], ^f_pins};
+    wire         f_forward = f_pins[1] ^ f_last[0];
+    always_ff @(posedge clk) begin
+        if (~f_any[0]) {f_position, f_start} <= {f_at_rest, f_at_rest};
+        else if (f_moves) f_position <= f_forward ? f_position + 1 : f_position - 1;
+    end
+    wire [F+1:0] f_half = (f_position + 1 >> 1) - (f_start + 1 >> 1), f_whole = (f_position + 3 >> 2) - (f_start + 3 >> 2);
+    always_comb if (f_any[0]) begin
+        assert (f_last == {^f_position[1:0], f_position[1]});
+        assert (f_due == (mode[1:0] == 0 ? f_position[F-1:0] - f_start[F-1:0] : mode[1:0] == 1 ? f_half[F-1:0] : f_whole[F-1:0]));
+        assert ({f_lie_due, f_lie_sync, f_lie_was, f_lie_level, f_lie_last, f_lies} == 0);
+    end
+`endif
+`ifdef PROVE_the_index_is_as_late_as_the_count
+    wire  f_index = (index ^ mode[4]) & (~mode[5] | (mask ^ mode[6]));
+    logic f_index_last = 0, f_index_before = 0, f_index_rested = 0;
+    logic [2:0] f_index_turned = 0;
+    logic [FILTER+1:0] f_index_age = 0, f_index_sync = 0, f_index_was = 0;
+    wire  f_index_moves = f_any[0] & f_index != f_index_last;
+    always_ff @(posedge clk) begin
+        f_index_last  <= f_index;
+        f_index_age   <= ~f_any[0] | f_index_moves ? 1 : &f_index_age ? f_index_age : f_index_age + 1;
+        f_index_sync  <= f_index_age;
+        f_index_was   <= f_index_sync;
+        f_index_turned <= {f_index_turned[1:0], f_index_turned[0] | f_index_moves};
+        if (f_index_moves) f_index_before <= f_index_last;
+        if (f_index_moves) f_index_rested <= f_index_age >= filter + 5;
+    end
+    always_comb begin
+        if (f_index_moves) assume (f_index_age >= filter + 2);
+        if (f_any[0]) assert (f_index_age != 0);
+        if (f_any[2]) assert (f_index_was > filter ? f_mark_still == filter : f_mark_still >= f_index_was - 1 & f_mark_still <= filter);
+        if (f_any[2] & f_index_was >= filter + 2) assert (index_seen == f_mark_was);
+        if (f_index_turned[2]) assert (f_index_was > filter | f_mark_still == f_index_was - 1);
+        if (f_index_rested) assert (f_index_turned[0] & (f_index_age >= filter + 4 | index_seen == f_index_before));
+        if (f_index_age >= filter + 5) assert (index_level == f_index_last);
+        else if (f_index_rested) assert (index_level == f_index_before & f_index_before != f_index_last);
+    end
+`endif
+`endif
+`endif
 endmodule
 `default_nettype wire
