@@ -157,8 +157,13 @@ impl Pwm {
             return if rest { u64::MAX } else { 0 };
         }
         if self.off() {
-            let rest = idle && self.on != self.pdm && self.count == 0;
-            return if rest { u64::MAX } else { 0 };
+            // A period of none: everything is reloaded in every clock, and only the sum sees it.
+            let rest = self.steady(i) && self.count == 0 && self.on != self.pdm;
+            return if rest && (!self.pdm || idle) {
+                u64::MAX
+            } else {
+                0
+            };
         }
         if self.count >= self.this_period {
             return 0;
@@ -174,8 +179,24 @@ impl Pwm {
 
     /// That many quiet clocks at once.
     pub fn skip(&mut self, clocks: u64, i: &Input) {
-        if i.gate && !self.off() {
+        if !i.gate || clocks == 0 {
+            return;
+        }
+        if !self.off() {
             self.count += clocks as u32;
+            return;
+        }
+        let width = self.next_width;
+        let times = |n: u64, part: u32| (n as u32).wrapping_mul(part);
+        if i.dither() {
+            let before = self.sum.wrapping_add(times(clocks - 1, width));
+            self.longer = (before & 0xff) + (width & 0xff) > 0xff;
+            self.sum = before.wrapping_add(width) & 0xff_ffff;
+        } else {
+            let low = self.sum.wrapping_add(times(clocks, width & 0xff)) & 0xff;
+            let high = (self.sum >> 8).wrapping_add(times(clocks, width >> 8)) & 0xffff;
+            self.sum = high << 8 | low;
+            self.longer = false;
         }
     }
 }
