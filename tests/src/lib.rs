@@ -440,6 +440,21 @@ impl Machine {
         self.clock() - raised
     }
 
+    /// Levels at the general inputs.
+    pub fn inputs(&mut self, levels: u32) {
+        self.rig.gpio_in(levels);
+    }
+
+    /// Puts these levels at the inputs; how many clocks until the gate is closed and every output at its safe level.
+    pub fn inputs_until_safe(&mut self, levels: u32) -> u64 {
+        let raised = self.clock();
+        self.rig.gpio_in(levels);
+        while (self.gate_open() || self.outputs() != 0) && self.clock() < raised + 1000 {
+            self.rig.run(1);
+        }
+        self.clock() - raised
+    }
+
     /// A bit flips in the instruction memory: the next ping runs into an illegal instruction. Once the gate has closed the
     /// memory is as it was, as after a soft error.
     pub fn trap_cpu(&mut self) {

@@ -624,6 +624,89 @@ fn the_external_reset_pin_needs_no_cpu() {
 }
 
 #[test]
+fn an_estop_input_needs_no_cpu_and_is_latched_until_it_is_released_and_asked_for_again() {
+    // `estop` in boards/mill6.toml: input 11, high trips.
+    const ESTOP: u32 = 1 << 11;
+    let mut machine = Machine::armed();
+    let mut command = machine.enabled_command();
+    command.gpio_out = 0xff;
+    command.stepgen[0] = (StepRate::from_hz(1e5, machine.clock_hz()), Accel::UNLIMITED);
+    for _ in 0..3 {
+        machine.exchange_and_wait(&mut command);
+    }
+    machine.freeze_cpu();
+    let clocks = machine.inputs_until_safe(ESTOP);
+    assert!(
+        clocks <= 4,
+        "it took {clocks} clocks from the pin to safe outputs"
+    );
+    let pulses = machine.pulses(0);
+
+    // A machine with a running CPU: same input, and what the host is told.
+    let mut machine = Machine::armed();
+    for _ in 0..3 {
+        machine.exchange_and_wait(&mut command);
+    }
+    machine.inputs_until_safe(ESTOP);
+    let status = machine.exchange_and_wait(&mut command);
+    assert_eq!(
+        (status.state.state, status.state.reason, status.estop),
+        (State::Faulted, FaultReason::EStop, ESTOP)
+    );
+    let stood = machine.pulses(0);
+    for request in [false, true, false, true] {
+        command.enable_request = request;
+        machine.exchange_and_wait(&mut command);
+        assert!(!machine.gate_open(), "pressed, nothing arms");
+    }
+    machine.inputs(0);
+    machine.exchange_and_wait(&mut command);
+    assert!(!machine.gate_open(), "released is not asked for");
+    command.stepgen[0].0 = StepRate(0);
+    machine.rearm(&mut command);
+    assert_eq!(
+        machine.pulses(0),
+        stood,
+        "no step on the way; the first machine stood at {pulses}"
+    );
+}
+
+#[test]
+fn the_probe_latches_every_armed_channel_on_the_same_clock() {
+    let mut machine = Machine::start();
+    machine.acquire();
+    machine.configure();
+    let probe = map::CONFIG_BOARD + 4 * map::BoardConfig::Probe as u32;
+    machine.write(probe, map::PROBE_ENABLE | 6);
+    let mut command = machine.enabled_command();
+    machine.rearm(&mut command);
+    (command.probe_arm, command.stepgen_probe_arm) = (0x3f, 0x3f);
+    for axis in 0..6 {
+        let rate = 50e3 * (axis as f64 - 2.5);
+        command.stepgen[axis].0 = StepRate::from_hz(rate, machine.clock_hz());
+    }
+    for _ in 0..5 {
+        machine.exchange_and_wait(&mut command);
+    }
+    machine.inputs(1 << 6);
+    let touched: Vec<i64> = (0..6).map(|axis| machine.pulses(axis)).collect();
+    for _ in 0..5 {
+        machine.exchange_and_wait(&mut command);
+    }
+    for axis in 0..6u8 {
+        for latch in [Latch::Stepgen(axis), Latch::Encoder(axis)] {
+            command.latch = latch;
+            let status = machine.exchange_and_wait(&mut command);
+            assert_eq!(status.stepgen_probe_latched, 0x3f);
+            assert_eq!(status.probe_latched, 0x3f);
+            let off = i64::from(status.latch.0 as i32) - touched[usize::from(axis)];
+            // Two clocks of the synchroniser, and for an encoder its edges' way through the plant.
+            assert!(off.abs() <= 1, "{latch:?} is {off} steps off");
+        }
+    }
+}
+
+#[test]
 fn a_trap_closes_the_gate_and_leaves_its_message() {
     let mut machine = Machine::armed();
     let mut command = machine.enabled_command();
