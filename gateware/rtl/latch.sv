@@ -42,5 +42,32 @@ module latch (
         index_latched <= arm_index & index_flag & ~pending;
         probe_latched <= arm_probe & probe_flag & ~pending;
     end
+
+`ifdef FORMAL  // what gateware/formal proves: a source is ready once it has been low while armed; its next high level is an edge
+    logic f_index_ready = 0, f_probe_ready = 0, f_pending = 0;
+    logic f_index_done = 0, f_probe_done = 0;  // has captured, and its arm bit has not fallen since
+    wire  f_index_edge = arm_index & f_index_ready & index, f_probe_edge = arm_probe & f_probe_ready & probe;
+    always_ff @(posedge clk) begin
+        f_index_ready <= arm_index & ~index;
+        f_probe_ready <= arm_probe & ~probe;
+        f_index_done  <= arm_index & (f_index_done | (capture & f_index_edge));
+        f_probe_done  <= arm_probe & (f_probe_done | (capture & f_probe_edge));
+        f_pending     <= pending;
+    end
+    always_comb begin
+        assert (f_index_ready == ~index_was & f_probe_ready == ~probe_was);
+        assert (f_index_done == index_flag & f_probe_done == probe_flag);
+`ifdef PROVE_once_per_arming_and_the_first_edge_wins
+        assert (capture == ((f_index_edge | f_probe_edge) & ~f_index_done & ~f_probe_done & ~pending));
+`endif
+`ifdef PROVE_never_without_arming
+        assert (~capture | (arm_index & f_index_ready & index) | (arm_probe & f_probe_ready & probe));
+        assert (~(index_latched & ~f_index_done & arm_index) & ~(probe_latched & ~f_probe_done & arm_probe));
+`endif
+`ifdef PROVE_a_flag_waits_for_its_value
+        assert (~(index_latched | probe_latched) | ~f_pending);
+`endif
+    end
+`endif
 endmodule
 `default_nettype wire

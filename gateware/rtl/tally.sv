@@ -41,6 +41,9 @@ module tally #(
     output logic                   sampling,
     output wire [31:0]             sampled,
     output wire [31:0]             latched
+`ifdef FORMAL
+    , input wire [3:0] f_channel, input wire [31:0] f_position, output logic [31:0] f_latched  // any one channel, what it has counted
+`endif
 );
     logic [3:0] at    = 4'd0;   // the channel visited in this clock: turn, in binary
     logic [3:0] behind = 4'd15;  // the one of the clock before, whose words are written now
@@ -144,5 +147,53 @@ module tally #(
             latches[i] = 32'd0;
         end
     end
+
+`ifdef FORMAL  // what gateware/formal proves of any one channel
+    // What the RAM holds, or will when the write of this clock is done.
+    wire         f_behind = behind == f_channel;
+    wire  [31:0] f_total  = f_behind ? sum(base_total, add_total) : totals[f_channel];
+    wire  [4:0]  f_delta = delta[5*f_channel +: 5], f_caught = caught[5*f_channel +: 5], f_held = held[5*f_channel +: 5];
+    wire         f_clearing = clearing[f_channel], f_pending = pending[f_channel], f_afresh = afresh[f_channel];
+    wire  [3:0]  f_coming = f_channel - at, f_ends = last - at, f_begun = at - last;
+
+    logic [31:0] f_sampled = 0;
+    initial f_latched = 0;
+    logic        f_waits = 0, f_was_pending = 0;  // the sample is not written yet
+    logic [4:0]  f_since = 31;                    // clocks since the strobe
+    always_ff @(posedge clk) begin
+        f_was_pending <= f_pending;
+        f_since <= sample ? 1 : &f_since ? f_since : f_since + 1;
+        f_waits <= sample | (f_waits & at != f_channel);
+        if (sample) f_sampled <= f_position;
+        if (capture[f_channel]) f_latched <= f_position;
+    end
+
+    integer i;
+    always_comb begin
+        assert (behind == at - 4'd1 & turn == 16'd1 << at & away == ~turn);
+        for (i = 0; i < CHANNELS; i = i + 1)
+            assert (behind == i | {delta_shown[5*i +: 5], caught_shown[5*i +: 5], held_shown[5*i +: 5], pending_shown[i]} == 0);
+        assert (f_pending | ~f_clearing);
+        assert (f_clearing | ~f_afresh);
+        assert (f_position == (f_clearing ? 0 : f_total) + {{27{f_delta[4]}}, f_delta});
+        // A sample waits, is being written, or can be read; 18 clocks after the strobe it can.
+        assert (f_since != 0 & sampling == (f_since <= 16) & (~sampling | f_begun == f_since[3:0]));
+        assert (f_waits == (sampling & f_coming <= f_ends));
+        if (f_waits) assert (f_sampled == (f_afresh ? 0 : f_total) + {{27{f_caught[4]}}, f_caught});
+        else if (f_behind & to_sample) assert (f_sampled == sum(base_sample, add_sample));
+        else assert (f_sampled == samples[f_channel]);
+`ifdef PROVE_a_sample_is_the_count_at_the_strobe
+        assert (addr != f_channel | f_since < 18 | sampled == f_sampled);
+`endif
+        // A capture likewise.
+        if (f_pending) assert (f_latched == f_total + {{27{f_held[4]}}, f_held});
+        else if (f_behind & to_latch) assert (f_latched == sum(base_latch, add_latch));
+        else assert (f_latched == latches[f_channel]);
+        assert (f_was_pending | ~(f_behind & to_latch) | f_pending);
+`ifdef PROVE_a_latched_flag_shows_the_count_at_the_capture
+        assert (addr != f_channel | f_pending | f_was_pending | latched == f_latched);
+`endif
+    end
+`endif
 endmodule
 `default_nettype wire
