@@ -1,19 +1,24 @@
-//! The simulated board: the Verilated SoC, the release firmware inside it, and a virtual Ethernet around it.
+//! The simulated board, twice: the Verilated SoC with the release firmware inside it and a virtual Ethernet around it; and its
+//! twin, the firmware's library on the cores' models, which needs no FPGA tool and outruns real time.
 //!
-//! Nothing below the MAC's byte interface is stubbed: frames enter as GMII bytes with preamble and FCS, the firmware is the
-//! ELF that goes into the bitstream, and what leaves at the STEP/DIR pins is counted clock by clock. Above the MAC the crate
-//! offers the board to ordinary programs (real UDP and TCP sockets on loopback, no root) and to tests ([`Rig`]).
+//! Of the first, nothing below the MAC's byte interface is stubbed: frames enter as GMII bytes with preamble and FCS, the
+//! firmware is the ELF that goes into the bitstream, and what leaves at the STEP/DIR pins is counted clock by clock. Above the
+//! MAC the crate offers either to ordinary programs (real UDP and TCP sockets on loopback, no root), the first also to tests
+//! ([`Rig`]).
 //!
 //! ```text
 //!   LinuxCNC, litex_server, nc                    tests
 //!        | UDP / TCP on 127.0.0.1                   |
 //!   [server]  time modes, sockets, report         [rig]  in-process API
-//!        +----------------------+-------------------+
-//!                            [segment]  virtual Ethernet: hosts, ARP, ICMP, TCP, NAT of host ports
-//!                               | Ethernet frames
-//!   [edges] [plant] <-pins- [board]  two clocks, GMII bytes, timestamps
-//!                               |
-//!                            [soc]  libferrocnc_soc.so: Verilator's model of gateware + firmware ROM
+//!        |--------------------+---------------------+
+//!     [twin]                 [segment]  virtual Ethernet: hosts, ARP, ICMP, TCP, NAT of host ports
+//!        | firmware lib         | Ethernet frames
+//!     [model]                [board]  two clocks, GMII bytes, timestamps
+//!        |                      |
+//!        |                   [soc]  libferrocnc_soc.so: Verilator's model of gateware + firmware ROM
+//!        +----------+-----------+
+//!                 pins
+//!                [world]  [edges] judge them, [plant] is wired to them
 //! ```
 //!
 //! Time is simulated time, counted in clocks of the board's own `sys` clock. It advances only when somebody calls for it,

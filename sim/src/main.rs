@@ -17,6 +17,11 @@ use sim::server::{Device, Mode, Options, Server};
 use sim::twin::Twin;
 use wire::describe::Channels;
 
+const PLANT_HELP: &str = concat!(
+    "What else is wired to the board. Its axes and spindles take the place of the encoders on the motors. Such a file:\n\n",
+    include_str!("../plant.example.toml")
+);
+
 /// How simulated time passes.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum TimeMode {
@@ -39,7 +44,7 @@ enum Backend {
 ///
 ///   ferrocnc-sim --soc target/sim/mill6 --firmware ELF          the gateware, clock by clock
 ///   ferrocnc-sim --backend model --board mill6 --mode free      the twin in real time, e.g. for LinuxCNC at 1 kHz
-///   ferrocnc-sim --backend model --board mill6 --plant P.toml   in lockstep, with switches, probe and spindle (docs: sim::plant)
+///   ferrocnc-sim --backend model --board mill6 --plant P.toml   in lockstep, with switches, probe and spindle
 ///
 /// Prints one line beginning with `ready` on stdout when the board answers, then serves until SIGINT, SIGTERM or the control
 /// command `quit`.
@@ -106,9 +111,8 @@ struct Arguments {
     /// No encoders at the pins but those of --plant.
     #[arg(long)]
     no_plant: bool,
-    /// What else is wired to the board: axes, switches, probes, spindles, wires, in TOML (`cargo doc`, sim::plant). Its axes
-    /// and spindles take the place of the encoders on the motors.
-    #[arg(long, value_name = "TOML")]
+    /// What else is wired to the board: axes, switches, probes, spindles, wires. `--help` shows such a file.
+    #[arg(long, value_name = "TOML", long_help = PLANT_HELP)]
     plant: Option<PathBuf>,
     /// Write the report here at the end.
     #[arg(long, value_name = "JSON")]

@@ -4,39 +4,10 @@
 //! Axes are rigid and ideal: a pulse is a movement. The edges they make are as far apart as the encoder's `gap` says and catch
 //! up with the pulses as fast as that allows. A spindle has inertia: its speed follows the PWM's duty with a first-order lag.
 //!
-//! A plant can be written down as TOML ([`Plant::read`]); positions are motor steps:
+//! A plant can be written down as TOML ([`Plant::read`]):
 //!
 //! ```toml
-//! [[axis]]                # a motor on a stepgen and an encoder on its shaft
-//! stepgen = 0
-//! encoder = 0
-//! counts = 1              # quadrature counts (x4) per `per_steps` steps; negative turns the other way
-//! per_steps = 1
-//! counts_per_rev = 4000   # index at every multiple
-//! index_at = 0            # ... plus this many counts
-//! stepgen_index = true    # the index also reaches the stepgen's own index pin
-//!
-//! [[switch]]              # home switch, limit switch, probe: closed from a position on, open again on the way back
-//! stepgen = 2
-//! at = -1500
-//! above = false           # closed at and below `at`; true: at and above
-//! input = 6
-//! inverted = false        # true: normally closed, low when touched
-//!
-//! [[spindle]]             # speed = duty x max_rps, reached with a lag; encoder and one index per revolution
-//! pwm = 0
-//! up_down = false         # false: direction from the PWM's second pin; true: pulses on the second pin turn backwards
-//! encoder = 5
-//! counts_per_rev = 400
-//! max_rps = 50.0
-//! lag_ms = 50.0           # time constant
-//! enable_output = 1       # optional: general output that must be high
-//! reverse_output = 2      # optional: general output that turns it over
-//!
-//! [[wire]]                # a general output at a general input
-//! output = 3
-//! input = 7
-//! inverted = false
+#![doc = include_str!("../plant.example.toml")]
 //! ```
 
 use std::path::Path;
@@ -875,6 +846,14 @@ mod tests {
             levels.push(plant.levels().gpio >> 6);
         }
         assert_eq!(levels, [1, 0, 0, 0, 1]);
+    }
+
+    #[test]
+    fn the_example_is_a_plant() {
+        let mut plant = Plant::default();
+        plant.parse(include_str!("../plant.example.toml")).unwrap();
+        assert_eq!(plant.gpio_mask(), 1 << 6 | 1 << 7);
+        assert_eq!(plant.spindle_rps(5), Some(0.0));
     }
 
     #[test]

@@ -341,8 +341,9 @@ impl Twin {
     }
 
     fn chores(&mut self) {
-        if self.machine.chores().is_some() {
-            // A change of state; the image would log it for `ferrocnc log`, which needs the image's strings.
+        if let Some((state, reason)) = self.machine.chores() {
+            // The image logs this for `ferrocnc log`, which needs the image's strings; here somebody sits in front of it.
+            eprintln!("sim: {state}, reason {reason}");
         }
         if self.machine.server.wants_restart() {
             self.machine.board.record.part(ResetReason::Requested);

@@ -3,12 +3,14 @@
 #
 #   sim/verilator/cores.sh [NAME [DIR]]        boards/NAME.toml (mill6) -> DIR/libferrocnc_cores.so (target/sim/cores-NAME)
 #
-# Skips in a blink when no input changed. Verilator and Python as for build.sh.
+# RTL=DIR takes the cores from elsewhere: a broken one must make the test fail. Skips in a blink when no input changed.
+# Verilator and Python as for build.sh.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 repo=$(cd "$here/../.." && pwd)
 board=${1:-mill6}
 out=${2:-$repo/target/sim/cores-$board}
+rtl=${RTL:-$repo/gateware/rtl}
 venv=${FERROCNC_VENV:-$repo/target/venv}
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
@@ -25,7 +27,7 @@ else
     [ -x "$verilator" ] || { echo "sim: no Verilator 5 in PATH and none in $venv: run 'cargo xtask setup'" >&2; exit 1; }
     export PATH=$venv/bin:$PATH # its makefile calls `python`
 fi
-sources=("$out/cores.v" "$repo"/gateware/rtl/*.sv)
+sources=("$out/cores.v" "$rtl"/*.sv)
 stamp=$(cat "$0" "$here/cores.cpp" "${sources[@]}" | sha256sum | cut -d' ' -f1)
 if [ -f "$out/libferrocnc_cores.so" ] && [ "$(cat "$out/stamp" 2>/dev/null)" = "$stamp" ]; then
     echo "sim: $out/libferrocnc_cores.so is up to date"

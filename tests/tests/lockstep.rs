@@ -1,7 +1,7 @@
 //! The cores in Verilog against their models in Rust, clock by clock, under random stimulus: every output pin, and every
 //! register as the bus reads it.
 //!
-//! Run as `cargo test --release -p ferrocnc-tests --features board --test lockstep` after `sim/verilator/cores.sh NAME`.
+//! Run as `cargo test --release -p ferrocnc-tests --features board --test lockstep` after `sim/verilator/cores.sh mill6`.
 //!
 //! | variable | meaning | default |
 //! |---|---|---|
@@ -10,8 +10,8 @@
 //! | `FERROCNC_CLOCKS` | clocks to compare, in all | 12000000 |
 //! | `FERROCNC_SEED` | seed; printed | from the clock |
 //!
-//! The clocks are split over two processes' worth of tests (one seed each), so that two cores share the work. Each counts what
-//! happened per core and refuses a run in which too little did. `target/reports/lockstep.json` says both.
+//! The clocks are split over two threads with a seed each. What happened is counted per core, and a run in which too little
+//! did is refused. `target/reports/lockstep.json` has the figures.
 
 use ferrocnc_tests::seed;
 use rand::{Rng, SeedableRng};
