@@ -65,7 +65,8 @@ module tally #(
         sampling <= sample | (sampling & (at != last));
         for (n = 0; n < CHANNELS; n = n + 1) begin
             pending[n]  <= capture[n] | (pending[n] & ~turn[n]);
-            clearing[n] <= (capture[n] & clear[n]) | (clearing[n] & ~turn[n]);
+            if (capture[n] & clear[n]) clearing[n] <= 1'b1;
+            else if (turn[n]) clearing[n] <= 1'b0;
             if (turn[n]) afresh[n] <= 1'b0;
             else if (sample) afresh[n] <= clearing[n];
             if (turn[n]) caught[5*n +: 5] <= 5'd0;
