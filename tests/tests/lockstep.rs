@@ -70,6 +70,10 @@ struct Stimulus {
     busy: bool,
     reset_left: u32,
     noise: u32,
+    /// Clocks between two edges of index and mask pins, on average.
+    marks: u32,
+    /// Clocks for which they flap.
+    flap: u32,
 }
 
 impl Stimulus {
@@ -110,6 +114,8 @@ impl Stimulus {
             busy: true,
             reset_left: 0,
             noise: 20_000,
+            marks: 40,
+            flap: 0,
         }
     }
 
@@ -286,6 +292,21 @@ impl Stimulus {
         }
     }
 
+    /// Arms and strobes as close together as the bus can carry them: what a rotation of the tallies has to sort out.
+    fn storm(&mut self) {
+        for _ in 0..8 {
+            let word = [0, 2, 3][self.below(3) as usize];
+            let arms = if self.one_in(2) { 0 } else { !0 };
+            // Enables of stepgens stay: a storm is about latches.
+            let arms = if word == 0 { arms | 0xffff } else { arms };
+            self.write(pages::COMMAND, word, arms);
+            let strobes = 1 + self.below(3);
+            self.write(pages::TIMEBASE, 7, strobes);
+        }
+        self.marks = 4 + self.below(40);
+        self.flap = 40;
+    }
+
     fn strobe(&mut self) {
         let strobes = match self.below(8) {
             0 => 1,
@@ -347,7 +368,12 @@ impl Stimulus {
             put(&mut self.pins.enc_a, shaft.phase == 1 || shaft.phase == 2);
             put(&mut self.pins.enc_b, shaft.phase >= 2);
         }
-        if self.one_in(40) {
+        if self.flap > 0 {
+            self.flap -= 1;
+            self.pins.enc_i ^= self.random.random::<u16>() & self.random.random::<u16>();
+            self.pins.step_index ^= self.random.random::<u16>() & self.random.random::<u16>();
+        }
+        if self.one_in(self.marks) {
             let n = self.below(16);
             match self.below(4) {
                 0 | 1 => self.pins.enc_i ^= 1 << n,
@@ -385,6 +411,9 @@ impl Stimulus {
         self.chapter = self.chapter.wrapping_add(1);
         if self.chapter % 30_000 == 1 {
             self.settings();
+        }
+        if self.one_in(1500) && self.writes.is_empty() {
+            self.storm();
         }
         self.servo += 1;
         if self.servo >= self.servo_every && self.writes.is_empty() {
