@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Proves the promises of the cores, and that every proof can fail. One line per proof; any failure is exit code 1.
-#   gateware/formal/run.sh [CORE...]      JOBS=N: proofs at once (2); OUT=DIR; FORMAL_TIMEOUT=seconds for one proof (280)
+#   gateware/formal/run.sh [CORE...]      JOBS=N: proofs at once (2); OUT=DIR; FORMAL_TIMEOUT=seconds for one proof (600)
 #
 # CORE.proofs lists the proofs of one core, CORE.sv (if there is one) holds the wrappers around it. A line of CORE.proofs is
 #
@@ -25,7 +25,7 @@ here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
 rtl=${RTL:-$here/../rtl}
 out=${OUT:-$root/target/gateware/formal}
-limit=${FORMAL_TIMEOUT:-280}
+limit=${FORMAL_TIMEOUT:-600}
 venv=$root/target/venv/bin
 PATH=$PATH:$venv  # z3 and YoWASP, where the system has none
 
