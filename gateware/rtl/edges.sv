@@ -25,6 +25,9 @@ module edges #(
     input  wire [23:0]         now,
     input  wire [3:0]          addr,
     output wire [31:0]         sampled
+`ifdef FORMAL
+    , input wire [3:0] f_channel
+`endif
 );
     logic [3:0] at   = 4'd0;
     logic [3:0] behind = 4'd15;
@@ -118,5 +121,50 @@ module edges #(
             samples[i] = 32'd0;
         end
     end
+
+`ifdef FORMAL  // what gateware/formal proves of any one channel
+    logic [23:0] f_time = 0, f_time_sampled = 0;
+    logic [7:0]  f_errors = 0, f_errors_sampled = 0;
+    logic        f_wrong = 0, f_waits = 0, f_started = 0;
+    logic [4:0]  f_since = 31;  // clocks since the strobe
+    wire         f_here = at == f_channel;
+    always_ff @(posedge clk) begin
+        f_started <= 1;
+        f_since   <= sample ? 1 : &f_since ? f_since : f_since + 1;
+        f_waits   <= sample | (f_waits & ~f_here);
+        f_wrong   <= illegal[f_channel] | (f_wrong & ~f_here);
+        if (moved[f_channel]) f_time <= now;
+        if (illegal[f_channel] & (f_here | ~f_wrong)) f_errors <= f_errors + 1;
+        if (sample) {f_time_sampled, f_errors_sampled} <= {f_time, f_errors};
+    end
+
+    wire        f_behind = behind == f_channel;
+    wire [23:0] f_old    = f_behind ? |seen_shown ? time_new : time_old : times[f_channel];
+    wire [7:0]  f_count  = f_behind ? errors_old + {7'd0, |wrong_shown} : errors[f_channel];
+    wire [3:0]  f_gone   = at - f_channel - 4'd1, f_coming = f_channel - at;
+    wire [23:0] f_ago = now - f_time - 24'd1, f_ago_sampled = now - f_time_sampled - 24'd1;
+    wire [3:0]  f_stamp = stamp[4*f_channel +: 4], f_stamp_caught = stamp_caught[4*f_channel +: 4];
+    integer j;
+    always_comb begin
+        assume (sampling == (f_since <= 16));  // proven of the tally
+        assert (f_since != 0 & behind == at - 4'd1 & turn == 16'd1 << at & away == ~(16'd1 << at));
+        assert (f_waits == (sampling & {1'b0, f_coming} <= 5'd16 - f_since));
+        assert (f_started ? visited == now - 24'd1 : {seen_shown, seen_caught_shown} == 0);
+        for (j = 0; j < CHANNELS; j = j + 1)
+            assert (behind == j | {stamp_shown[4*j +: 4], stamp_caught_shown[4*j +: 4], seen_shown[j], seen_caught_shown[j], wrong_shown[j], wrong_caught_shown[j]} == 0);
+        // The last edge was since the visit, and the stamp tells when; or before it, and the RAM knows.
+        if (seen[f_channel]) assert (f_ago <= {20'd0, f_gone} & f_stamp == at - 4'd1 - f_ago[3:0]);
+        else assert (f_time == f_old);
+        assert (f_wrong == wrong[f_channel] & f_errors == f_count + {7'd0, f_wrong});
+        if (f_waits) begin
+            if (seen_caught[f_channel]) assert (f_ago_sampled <= {20'd0, f_gone} & f_stamp_caught == at - 4'd1 - f_ago_sampled[3:0]);
+            else assert (f_time_sampled == f_old);
+            assert (f_errors_sampled == f_count + {7'd0, wrong_caught[f_channel]});
+        end else if (f_behind & to_sample)
+            assert ({f_errors_sampled, f_time_sampled} == {errors_old + {7'd0, |wrong_caught_shown}, |seen_caught_shown ? time_caught : time_old});
+        else assert ({f_errors_sampled, f_time_sampled} == samples[f_channel]);
+        assert (addr != f_channel | f_since < 18 | sampled == {f_errors_sampled, f_time_sampled});
+    end
+`endif
 endmodule
 `default_nettype wire
