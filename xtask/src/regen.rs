@@ -1,9 +1,10 @@
-//! The generated files: register map -> SVD, memory.x, docs/registers.md, ABI constants -> PAC.
+//! The generated files: register map -> SVD, memory.x, docs/registers.md, ABI constants -> PAC; board files -> the twin's boards.
 
 use crate::{build, root, setup, step, target};
 use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 /// Every file the generators write.
 const GENERATED: &[&str] = &[
@@ -12,6 +13,10 @@ const GENERATED: &[&str] = &[
     "docs/registers.md",
     "pac/src/abi.rs",
     "pac/src/lib.rs",
+    "sim/boards/max/board.bin",
+    "sim/boards/max/manifest.json",
+    "sim/boards/mill6/board.bin",
+    "sim/boards/mill6/manifest.json",
 ];
 
 /// Writes them again, or with `check` only compares what is committed with what they would be.
@@ -33,6 +38,12 @@ pub fn generate(check: bool) -> Result<()> {
     export.arg("--root").arg(&scratch);
     step::run("export", "export the register map", "10 s", &mut export)?;
     peripheral_access(&scratch)?;
+    let mut boards = Command::new(setup::python());
+    boards
+        .arg("sim/boards/regen.py")
+        .arg("--out")
+        .arg(scratch.join("sim/boards"));
+    step::run("boards", "describe the twin's boards", "1 s", &mut boards)?;
 
     let mut stale = Vec::new();
     for file in GENERATED {
