@@ -184,7 +184,7 @@ def bench(root, out, report=None, seed=None, document=None):
         folder.mkdir(parents=True, exist_ok=True)
         script = f"read_verilog -sv {sources}; {ecp5.ABC9_AREA}; synth_ecp5 -top {source.stem} -json {TOP}.json; tee -o stat.txt stat"
         _tool("yosys", ["-q", "-p", script], folder, "yosys.log")
-        cores[source.stem] = _synthesis(folder / "stat.txt") | _packed(folder, source.stem, ("--25k", "--package", "CABGA256", "--speed", "6"))
+        cores[source.stem] = _synthesis(folder / "stat.txt") | _packed(folder, ("--25k", "--package", "CABGA256", "--speed", "6"))
     for name in ("none", "mill6", "max"):
         board = read_board(root / "boards" / f"{'max' if name == 'none' else name}.toml")
         if name == "none":
@@ -192,7 +192,7 @@ def bench(root, out, report=None, seed=None, document=None):
                 setattr(board, kind, [])
         folder = out / name
         _bare_synthesis(ecp5.BoardSoC(board, all_pins=name == "mill6"), folder)
-        boards[name] = _synthesis(folder / "stat.txt") | _packed(folder, TOP, ("--lpf", f"{TOP}.lpf", *_device(board)))
+        boards[name] = _synthesis(folder / "stat.txt") | _packed(folder, ("--lpf", f"{TOP}.lpf", *_device(board)))
         if seed is not None and name != "none":
             _place(board, folder, seed, "--lpf-allow-unconstrained")
             boards[name]["clocks"] = _clocks(board, json.loads((folder / "nextpnr.json").read_text()))
@@ -257,11 +257,11 @@ def size_tables(cores, boards):
                 yield f"| {name} | {clock} | {f['required_mhz']:g} | {f['achieved_mhz']:.1f} | {slack:+.1%} | {b['seed']} |"
 
 
-def _packed(folder, top, args):
+def _packed(folder, args):
     """TRELLIS_COMB after packing: what the placer has to find room for."""
     _tool("nextpnr-ecp5", ["--json", f"{TOP}.json", "--lpf-allow-unconstrained", "--pack-only", "--write", "packed.json", *args], folder, "pack.log")
-    cells = json.loads((folder / "packed.json").read_text())["modules"][top]["cells"]
-    return {"trellis_comb": sum(cell["type"] == "TRELLIS_COMB" for cell in cells.values())}
+    (module,) = json.loads((folder / "packed.json").read_text())["modules"].values()
+    return {"trellis_comb": sum(cell["type"] == "TRELLIS_COMB" for cell in module["cells"].values())}
 
 
 def _bare_synthesis(soc, folder):
