@@ -251,7 +251,12 @@ fn four_boards_share_a_servo_thread_and_cost_little_more_than_one() {
     let mut twins: Vec<Simulator> = reports
         .iter()
         .map(|report| {
-            Simulator::twin(&["--mode", "free", "--report", &report.display().to_string()])
+            Simulator::twin(&[
+                "--mode",
+                "lockstep",
+                "--report",
+                &report.display().to_string(),
+            ])
         })
         .collect();
     let addresses: Vec<String> = twins.iter().map(|twin| twin.udp().to_string()).collect();
@@ -266,9 +271,8 @@ fn four_boards_share_a_servo_thread_and_cost_little_more_than_one() {
     for function in ["read-request", "read", "write"] {
         hal += &each(&format!("addf ferrocnc.#.{function} servo"));
     }
-    // No realtime here: wait for late answers rather than stop.
-    hal += &each("setp ferrocnc.#.packet-read-timeout 100000000");
-    hal += &each("setp ferrocnc.#.watchdog.timeout-ns 500000000");
+    // Every exchange is a period of the boards' time, however busy this machine is: wait for the answers.
+    hal += &each("setp ferrocnc.#.packet-read-timeout 2000000000");
     hal += &each("setp ferrocnc.#.stepgen.x.maxaccel 1000000");
     hal += &each("setp ferrocnc.#.stepgen.x.control-type 1");
     hal += &each("setp ferrocnc.#.stepgen.x.enable 1");
@@ -282,7 +286,6 @@ fn four_boards_share_a_servo_thread_and_cost_little_more_than_one() {
     hal += "loadusr -w sleep 1\n";
     hal += &each("getp ferrocnc.#.enabled");
     hal += &each("getp ferrocnc.#.stepgen.x.counts");
-    hal += &each("getp ferrocnc.#.wallclock.drift-ppm");
     for function in ["read-request", "read", "write"] {
         hal += &each(&format!("getp ferrocnc.#.{function}.time"));
     }
@@ -294,7 +297,7 @@ fn four_boards_share_a_servo_thread_and_cost_little_more_than_one() {
         .lines()
         .filter(|line| *line == "TRUE" || *line == "FALSE" || line.parse::<f64>().is_ok())
         .collect();
-    assert_eq!(answers.len(), 24, "{said}");
+    assert_eq!(answers.len(), 20, "{said}");
     let number = |at: usize| answers[at].parse::<f64>().expect("a number");
     let mut travelled = Vec::new();
     for n in 0..4 {
@@ -304,11 +307,8 @@ fn four_boards_share_a_servo_thread_and_cost_little_more_than_one() {
         travelled.push(pins);
     }
     let (least, most) = (travelled.iter().min(), travelled.iter().max());
-    println!(
-        "four boards, 2 s at 5000 steps/s: {travelled:?} steps; drift {:?} ppm",
-        &answers[8..12]
-    );
-    assert!(least > Some(&5000), "they hardly moved: {travelled:?}");
+    println!("four boards at 5000 steps/s: {travelled:?} steps");
+    assert!(least > Some(&500), "they hardly moved: {travelled:?}");
     // `setp` reaches the boards one after the other: a few periods of 5 steps.
     assert!(
         most.zip(least)
@@ -316,7 +316,7 @@ fn four_boards_share_a_servo_thread_and_cost_little_more_than_one() {
         "{travelled:?}"
     );
 
-    let of = |n: usize| -> i64 { (0..3).map(|f| number(12 + 4 * f + n) as i64).sum() };
+    let of = |n: usize| -> i64 { (0..3).map(|f| number(8 + 4 * f + n) as i64).sum() };
     // HAL's own figures of the last period; printed, for they are this machine's.
     let (first, others) = (of(0), (1..4).map(of).sum::<i64>());
     println!("servo thread: first board {first} ns, the other three together {others} ns");
