@@ -16,6 +16,7 @@
 //! | [`link`] | the socket in the servo thread |
 //! | [`client`] | the socket everywhere else: blocking requests, board identity, session |
 //! | [`address`] | `IP[:port]` |
+//! | [`image`] | a bitstream file: what it is for, whether it is whole |
 //! | [`hal`] | typed pins, the real HAL, a HAL in a `Vec` |
 //!
 //! # Pins of a board
@@ -55,6 +56,7 @@ pub mod clock;
 pub mod driver;
 pub mod fence;
 pub mod hal;
+pub mod image;
 pub mod link;
 pub mod module;
 pub mod names;
