@@ -34,6 +34,7 @@ pub mod exchange;
 pub mod firmware;
 pub mod gmii;
 pub mod model;
+pub mod nor;
 pub mod plant;
 pub mod report;
 pub mod rig;
