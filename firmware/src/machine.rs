@@ -189,7 +189,9 @@ fn addresses(board: &mut impl Board, ident: &Ident) -> Us {
             | Kind::Pwm
             | Kind::Input
             | Kind::Output
-            | Kind::Pins => {}
+            | Kind::Pins
+            | Kind::Fpga
+            | Kind::Platform => {}
         }
     }
     us

@@ -18,7 +18,7 @@ use crate::session::{Peer, Session};
 use crate::{config, describe, log, service};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
-use wire::{GateClose, MAX_WORDS, Refusal, map};
+use wire::{GateClose, LinkSpeed, MAX_WORDS, Refusal, map};
 
 /// 10 ms: nobody watches an idle machine faster than this, and a sample costs nothing.
 const IDLE_SAMPLE_PER_SECOND: u32 = 100;
@@ -241,6 +241,8 @@ impl Server {
             // Whoever reads this got it over the link.
             link: true,
             estop: gate.estop(),
+            speed: LinkSpeed::Down,
+            link_errors: 0,
         }
     }
 

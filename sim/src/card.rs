@@ -137,7 +137,13 @@ impl Card {
                         estop_level |= u32::from(level == "high") << (entry.channel & 31);
                     }
                 }
-                Kind::Board | Kind::Configuration | Kind::Mac | Kind::Ipv4 | Kind::Port => {}
+                Kind::Board
+                | Kind::Configuration
+                | Kind::Mac
+                | Kind::Ipv4
+                | Kind::Port
+                | Kind::Fpga
+                | Kind::Platform => {}
             }
         }
         Ok(Card {

@@ -23,6 +23,8 @@ pub const BLOB_AT: usize = 64;
 
 /// Obstacle to arming: gateware and firmware were built from different register maps.
 pub const OBSTACLE_ABI: u32 = 1 << 0;
+/// Obstacle to arming: an operation of the flash is running; over within seconds.
+pub const OBSTACLE_FLASH: u32 = 1 << 1;
 
 /// How many channels of each kind a board has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -95,7 +97,7 @@ pub struct Describe {
     pub blob_words: u32,
     /// As the first word of a status block.
     pub state: exchange::StateWord,
-    /// Why the board will not arm at all ([`OBSTACLE_ABI`]); 0 if nothing is in the way.
+    /// Why the board will not arm at all ([`OBSTACLE_ABI`], [`OBSTACLE_FLASH`]); 0 if nothing is in the way.
     pub obstacles: u32,
     /// Why the firmware started last.
     pub reset_reason: ResetReason,
@@ -210,7 +212,7 @@ impl Describe {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::{FaultReason, State};
+    use crate::state::{FaultReason, LinkSpeed, State};
 
     fn describe() -> Describe {
         Describe {
@@ -241,6 +243,8 @@ mod tests {
                 accepted: false,
                 link: true,
                 estop: false,
+                speed: LinkSpeed::M1000,
+                link_errors: 200,
             },
             obstacles: OBSTACLE_ABI,
             reset_reason: ResetReason::Panic,
@@ -263,10 +267,10 @@ mod tests {
         };
         assert_eq!(with(0, 0x4c63_6e01), Err(DescribeError::Magic(0x4c63_6e01)));
         assert_eq!(
-            with(1, 3),
+            with(1, 2),
             Err(DescribeError::Version {
                 ours: crate::WIRE_VERSION,
-                theirs: 3
+                theirs: 2
             })
         );
         for (at, value) in [

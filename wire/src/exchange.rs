@@ -35,7 +35,7 @@
 //! next command and finds the value in the answer. A lost frame delays that and spoils nothing.
 
 use crate::describe::Channels;
-use crate::state::{FaultReason, State};
+use crate::state::{FaultReason, LinkSpeed, State};
 use crate::units::{Accel, Clocks, Count, Position, StepRate};
 use crate::{Refusal, etherbone, map};
 
@@ -266,12 +266,23 @@ pub struct StateWord {
     pub link: bool,
     /// An e-stop input has tripped; latched.
     pub estop: bool,
+    /// How fast the link is.
+    pub speed: LinkSpeed,
+    /// Frames the MAC threw away since power-up (CRC, preamble, no slot free), modulo 256.
+    pub link_errors: u8,
 }
 
 impl StateWord {
+    /// Where the link's speed lies: above the state, which never needs six bits.
+    pub const SPEED_SHIFT: u32 = 6;
+    /// Where the count of errors lies.
+    pub const ERRORS_SHIFT: u32 = 24;
+
     /// As a word.
     pub const fn to_word(self) -> u32 {
         self.state as u32
+            | (self.speed as u32) << Self::SPEED_SHIFT
+            | (self.link_errors as u32) << Self::ERRORS_SHIFT
             | (self.reason as u32) << 8
             | (self.position_trusted as u32) << 16
             | (self.enabled as u32) << 17
@@ -285,9 +296,10 @@ impl StateWord {
 
     /// From a word; refused when it names a state or reason this version does not know.
     pub const fn from_word(word: u32) -> Result<Self, Refusal> {
-        let (Some(state), Some(reason)) = (
-            State::from_code(word as u8),
+        let (Some(state), Some(reason), Some(speed)) = (
+            State::from_code(word as u8 & 0x3f),
             FaultReason::from_code((word >> 8) as u8),
+            LinkSpeed::from_code((word >> Self::SPEED_SHIFT) as u8 & 3),
         ) else {
             return Err(Refusal::Value);
         };
@@ -302,6 +314,8 @@ impl StateWord {
             accepted: word >> 21 & 1 != 0,
             link: word >> 22 & 1 != 0,
             estop: word >> 23 & 1 != 0,
+            speed,
+            link_errors: (word >> Self::ERRORS_SHIFT) as u8,
         })
     }
 }

@@ -13,6 +13,12 @@
 //! | [`board`] | the names behind it: the board information blob |
 //! | [`exchange`] | one command block out, one status block back, once per servo period |
 //! | [`state`] | the words for what the machine is doing and why it stopped |
+//! | [`flash`] | where what lies in the SPI flash, and the operations of the flash window |
+//! | [`settings`] | the settings of a board that outlive a power cycle |
+//! | [`images`] | bitstreams in flash: meta page, stub pages, the trailer of the ROM |
+//! | [`discovery`] | finding boards whatever their address, and giving them one |
+//! | [`name`] | names of 32 bytes |
+//! | [`crc`] | the one CRC |
 //! | [`refusal`] | every reason for which a datagram is dropped, each with its own counter |
 //! | [`units`] | step rate, acceleration, position and counts as types |
 //!
@@ -23,23 +29,33 @@
 #![forbid(unsafe_code)]
 
 pub mod board;
+pub mod crc;
 pub mod describe;
+pub mod discovery;
 pub mod etherbone;
 pub mod exchange;
+pub mod flash;
+pub mod images;
 pub mod map;
+pub mod name;
 pub mod refusal;
+pub mod settings;
 pub mod state;
 pub mod units;
 
 pub use etherbone::{Packet, Record, ReplyWriter};
+pub use name::Name;
 pub use refusal::Refusal;
-pub use state::{FaultReason, GateClose, ResetReason, State};
+pub use state::{FaultReason, GateClose, LinkSpeed, ResetReason, State};
 
 /// Version of everything in this crate. Host and board must agree; unequal versions never arm.
-pub const WIRE_VERSION: u32 = 2;
+pub const WIRE_VERSION: u32 = 3;
 
 /// UDP port of the Etherbone server. LiteX's and Lcnc's default (CERN's would be 60368).
 pub const DEFAULT_PORT: u16 = 1234;
+
+/// UDP port of [`discovery`]: from the dynamic range, where nothing is registered.
+pub const DISCOVERY_PORT: u16 = 51234;
 
 /// TCP port of the debug console: telnet's.
 pub const CONSOLE_PORT: u16 = 23;

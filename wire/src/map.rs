@@ -8,6 +8,7 @@
 //! 0x0004_0000  status     read    the last status block, and counters; reading changes nothing
 //! 0x0005_0000  log        read    the defmt ring
 //! 0x0006_0000  panic      read    what the firmware last died of
+//! 0x0007_0000  flash      rw      the SPI flash: images, settings         see `flash`
 //! 0xf000_0000  service    rw      raw CSRs: reads always, writes only disarmed and by the owner
 //! ```
 
@@ -239,6 +240,48 @@ pub const PANIC: u32 = 0x0006_0000;
 pub const PANIC_TEXT: u32 = PANIC + 0x10;
 /// Longest panic text kept.
 pub const PANIC_TEXT_LEN: u32 = 256;
+
+/// The SPI flash ([`crate::flash`]). Everything may be read; written may be [`FLASH_OP`], its operands and the
+/// buffer, disarmed, by the owner or if nobody owns.
+pub const FLASH: u32 = 0x0007_0000;
+/// Write an [`crate::flash::Op`] to start it; reads as an [`crate::flash::OpWord`].
+pub const FLASH_OP: u32 = FLASH;
+/// Operand: a byte address of the flash, or for `Select` a [`crate::flash::Slot`].
+pub const FLASH_ADDRESS: u32 = FLASH + 0x4;
+/// Operand: bytes.
+pub const FLASH_OP_LENGTH: u32 = FLASH + 0x8;
+/// What `Crc` found.
+pub const FLASH_CRC: u32 = FLASH + 0xc;
+/// JEDEC id: manufacturer << 16 | type << 8 | capacity; 0 if no flash answers.
+pub const FLASH_JEDEC: u32 = FLASH + 0x10;
+/// The flash's unique id, upper half; both 0 if it has none.
+pub const FLASH_UID_HI: u32 = FLASH + 0x14;
+/// The lower half.
+pub const FLASH_UID_LO: u32 = FLASH + 0x18;
+/// Bytes of the flash; 0 if it is none this version knows the layout of.
+pub const FLASH_SIZE: u32 = FLASH + 0x1c;
+/// Which image runs ([`crate::flash::Running`]).
+pub const FLASH_RUNNING: u32 = FLASH + 0x20;
+/// Which slot loads at the next power-up: 0 none (the golden image does), or a [`crate::flash::Slot`].
+pub const FLASH_SELECTED: u32 = FLASH + 0x24;
+/// Build id of what runs, 0 if it was never packed.
+pub const FLASH_BUILD_ID: u32 = FLASH + 0x28;
+/// Where the settings in force are from ([`crate::flash::Origin`]).
+pub const FLASH_ORIGIN: u32 = FLASH + 0x2c;
+/// The link ([`crate::flash::LinkWord`]).
+pub const FLASH_LINK: u32 = FLASH + 0x30;
+/// 1 if the flash itself protects the golden image and nothing else.
+pub const FLASH_PROTECTED: u32 = FLASH + 0x34;
+/// The address in force, which DHCP may have given.
+pub const FLASH_IP: u32 = FLASH + 0x38;
+/// One page, bytes packed big-endian: for `Program` and `SaveSettings`, from `Read`.
+pub const FLASH_BUFFER: u32 = FLASH + 0x100;
+/// Words of the buffer.
+pub const FLASH_BUFFER_WORDS: u32 = 64;
+/// The settings in force ([`crate::settings::Settings`] words, the key blanked).
+pub const FLASH_SETTINGS: u32 = FLASH + 0x200;
+/// Length of the flash window in bytes.
+pub const FLASH_LEN: u32 = 0x300;
 
 /// Raw CSRs at the address they have on the board's own bus.
 pub const SERVICE: u32 = 0xf000_0000;

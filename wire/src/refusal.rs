@@ -72,6 +72,8 @@ refusals! {
     Value = "value", "a value is out of range";
     /// A wrong IPv4 or UDP checksum.
     Checksum = "checksum", "a checksum is wrong";
+    /// An operation of the flash is running; ask again when it is done.
+    Busy = "busy", "a flash operation is still running";
 }
 
 impl Refusal {

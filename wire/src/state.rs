@@ -112,3 +112,29 @@ wire_enum! {
         SystemReset = 6, "system reset";
     }
 }
+
+wire_enum! {
+    /// How fast the Ethernet link is; what the PHY says in band.
+    LinkSpeed {
+        /// Down, or not known yet.
+        Down = 0, "down";
+        /// 10 Mbit/s.
+        M10 = 1, "10 Mbit/s";
+        /// 100 Mbit/s.
+        M100 = 2, "100 Mbit/s";
+        /// 1000 Mbit/s.
+        M1000 = 3, "1000 Mbit/s";
+    }
+}
+
+impl LinkSpeed {
+    /// In Mbit/s; 0 when down.
+    pub const fn mbit(self) -> u32 {
+        match self {
+            LinkSpeed::Down => 0,
+            LinkSpeed::M10 => 10,
+            LinkSpeed::M100 => 100,
+            LinkSpeed::M1000 => 1000,
+        }
+    }
+}

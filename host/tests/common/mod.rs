@@ -715,6 +715,8 @@ impl Mind {
             accepted: answer,
             link: true,
             estop: self.estop_latched != 0,
+            speed: wire::LinkSpeed::M1000,
+            link_errors: 0,
         }
     }
 

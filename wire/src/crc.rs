@@ -1,0 +1,94 @@
+//! CRC-32 as Ethernet, zip and Python's `binascii.crc32` count it: the one everything here uses.
+
+/// Half a byte at a time: 64 bytes of table, four times as fast as bit by bit. A whole image in flash is
+/// summed up by a softcore.
+const TABLE: [u32; 16] = {
+    let mut table = [0; 16];
+    let mut index = 0;
+    while index < 16 {
+        let mut crc = index as u32;
+        let mut bit = 0;
+        while bit < 4 {
+            crc = if crc & 1 != 0 {
+                crc >> 1 ^ 0xedb8_8320
+            } else {
+                crc >> 1
+            };
+            bit += 1;
+        }
+        table[index] = crc;
+        index += 1;
+    }
+    table
+};
+
+/// A CRC being counted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Crc32(u32);
+
+impl Default for Crc32 {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Crc32 {
+    /// Of nothing yet.
+    pub const fn new() -> Self {
+        Crc32(!0)
+    }
+
+    /// Goes on with these bytes.
+    pub fn update(&mut self, bytes: &[u8]) {
+        let step = |crc: u32| crc >> 4 ^ TABLE[crc as usize & 15];
+        self.0 = bytes
+            .iter()
+            .fold(self.0, |crc, byte| step(step(crc ^ u32::from(*byte))));
+    }
+
+    /// Goes on with the big-endian bytes of these words.
+    pub fn update_words(&mut self, words: &[u32]) {
+        for word in words {
+            self.update(&word.to_be_bytes());
+        }
+    }
+
+    /// The CRC of everything so far.
+    pub const fn value(self) -> u32 {
+        !self.0
+    }
+}
+
+/// The CRC of these bytes.
+pub fn crc32(bytes: &[u8]) -> u32 {
+    let mut crc = Crc32::new();
+    crc.update(bytes);
+    crc.value()
+}
+
+/// The CRC of the big-endian bytes of these words.
+pub fn crc32_words(words: &[u32]) -> u32 {
+    let mut crc = Crc32::new();
+    crc.update_words(words);
+    crc.value()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_crc_is_the_one_everybody_else_computes() {
+        assert_eq!(crc32(b"123456789"), 0xcbf4_3926);
+        assert_eq!(crc32(b""), 0);
+        assert_eq!(crc32_words(&[0x3132_3334, 0x3536_3738]), crc32(b"12345678"));
+    }
+
+    #[test]
+    fn it_may_be_counted_in_pieces() {
+        let mut crc = Crc32::new();
+        crc.update(b"1234");
+        crc.update(b"56789");
+        assert_eq!(crc.value(), crc32(b"123456789"));
+    }
+}

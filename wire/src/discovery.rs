@@ -1,0 +1,323 @@
+//! Finding boards whatever their address is, and giving them one. UDP, port [`crate::DISCOVERY_PORT`].
+//!
+//! ```text
+//! word 0 "FDIS"   1 version, 1   2 kind   3 nonce   4, 5 unique id hi, lo   6.. payload
+//!
+//! kind  who            payload
+//! 1     Who   host     none                 ids 0: any board answers; else only that one
+//! 2     Here  board    [`Here`], 32 words
+//! 3     Set   host     [`Settings`]         only the board with that unique id takes it
+//! 4     Done  board    [`OpResult`]         once the settings lie in flash, or why not
+//! ```
+//!
+//! Requests go to 255.255.255.255, a subnet's broadcast address or the board's own. Answers go to
+//! 255.255.255.255 and the sender's port, so they arrive whatever net board and host are in; the nonce says
+//! whose they are. What has not this form is counted and not answered; so is a request with a unique id that
+//! is not the board's, without being counted.
+//!
+//! A Set that was saved is in force after the next start, and the board starts anew by itself right behind
+//! its Done. A Set while the machine is armed or owned is answered [`OpResult::Armed`]. A Set that comes again
+//! (its Done was lost) is answered again; settings equal to those saved are not written twice.
+
+use crate::flash::{OpResult, Origin, Running};
+use crate::settings::{self, Settings, mac_from_words, mac_to_words};
+use crate::{LinkSpeed, Name, Refusal};
+
+/// "FDIS".
+pub const MAGIC: u32 = 0x4644_4953;
+/// Version of the layout.
+pub const VERSION: u32 = 1;
+/// Words before the payload.
+pub const HEAD: usize = 6;
+/// Words of a [`Here`].
+pub const HERE_WORDS: usize = 8 + 3 * Name::WORDS;
+/// Words of the longest message.
+pub const WORDS_MAX: usize = HEAD + HERE_WORDS;
+
+const WHO: u32 = 1;
+const HERE: u32 = 2;
+const SET: u32 = 3;
+const DONE: u32 = 4;
+
+/// A message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Message {
+    /// Comes back in the answer.
+    pub nonce: u32,
+    /// The flash's unique id, hi and lo: whom it is for, or from. Zeros: any board, or one without.
+    pub uid: [u32; 2],
+    /// The rest.
+    pub body: Body,
+}
+
+/// What a message is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Body {
+    /// Who is there?
+    Who,
+    /// I am.
+    Here(Here),
+    /// Take these settings.
+    Set(Settings),
+    /// They are taken, or not.
+    Done(OpResult),
+}
+
+/// What a board says of itself to whoever looks for boards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Here {
+    /// MAC address.
+    pub mac: [u8; 6],
+    /// IPv4 address in force.
+    pub ip: u32,
+    /// UDP port of the Etherbone server.
+    pub port: u16,
+    /// The address is a DHCP server's.
+    pub dhcp: bool,
+    /// The machine is not at rest.
+    pub armed: bool,
+    /// A host owns the session.
+    pub owned: bool,
+    /// Which image runs.
+    pub running: Running,
+    /// Where the settings are from.
+    pub origin: Origin,
+    /// How fast the link is.
+    pub speed: LinkSpeed,
+    /// Version of this crate on the board.
+    pub wire_version: u32,
+    /// Major << 16 | minor << 8 | patch.
+    pub firmware_version: u32,
+    /// Build id, 0 if never packed.
+    pub build_id: u32,
+    /// Name from the settings.
+    pub name: Name,
+    /// Name of the configuration.
+    pub configuration: Name,
+    /// Name of the platform.
+    pub platform: Name,
+}
+
+impl Here {
+    /// As words.
+    pub fn to_words(&self) -> [u32; HERE_WORDS] {
+        let [mac_hi, mac_lo] = mac_to_words(self.mac);
+        let flags = u32::from(self.dhcp)
+            | u32::from(self.armed) << 1
+            | u32::from(self.owned) << 2
+            | self.running.code() << 4
+            | self.origin.code() << 8
+            | (self.speed as u32) << 12;
+        let head = [
+            mac_hi,
+            mac_lo,
+            self.ip,
+            u32::from(self.port),
+            flags,
+            self.wire_version,
+            self.firmware_version,
+            self.build_id,
+        ];
+        let names = [self.name, self.configuration, self.platform];
+        let mut words = [0; HERE_WORDS];
+        let all = head
+            .into_iter()
+            .chain(names.into_iter().flat_map(Name::to_words));
+        for (place, word) in words.iter_mut().zip(all) {
+            *place = word;
+        }
+        words
+    }
+
+    /// Reads and checks. Flags nobody knows are ignored: a newer board is found by an older host.
+    pub fn parse(words: &[u32; HERE_WORDS]) -> Result<Self, Refusal> {
+        let [
+            mac_hi,
+            mac_lo,
+            ip,
+            port,
+            flags,
+            wire_version,
+            firmware_version,
+            build_id,
+            names @ ..,
+        ] = words;
+        let name = |n: usize| {
+            let words = names.as_chunks().0.get(n).ok_or(Refusal::Value)?;
+            Name::from_words(words)
+        };
+        Ok(Here {
+            mac: mac_from_words([*mac_hi, *mac_lo]).ok_or(Refusal::Value)?,
+            ip: *ip,
+            port: u16::try_from(*port).map_err(|_| Refusal::Value)?,
+            dhcp: flags & 1 != 0,
+            armed: flags >> 1 & 1 != 0,
+            owned: flags >> 2 & 1 != 0,
+            running: Running::from_code(flags >> 4 & 3).ok_or(Refusal::Value)?,
+            origin: Origin::from_code(flags >> 8 & 3).ok_or(Refusal::Value)?,
+            speed: LinkSpeed::from_code((flags >> 12 & 3) as u8).ok_or(Refusal::Value)?,
+            wire_version: *wire_version,
+            firmware_version: *firmware_version,
+            build_id: *build_id,
+            name: name(0)?,
+            configuration: name(1)?,
+            platform: name(2)?,
+        })
+    }
+}
+
+impl Message {
+    /// Writes it; returns the words used.
+    pub fn emit<'b>(&self, buffer: &'b mut [u32; WORDS_MAX]) -> &'b [u32] {
+        let kind = match self.body {
+            Body::Who => WHO,
+            Body::Here(_) => HERE,
+            Body::Set(_) => SET,
+            Body::Done(_) => DONE,
+        };
+        let [uid_hi, uid_lo] = self.uid;
+        let head = [MAGIC, VERSION, kind, self.nonce, uid_hi, uid_lo];
+        for (place, word) in buffer.iter_mut().zip(head) {
+            *place = word;
+        }
+        let mut put = |words: &[u32]| {
+            for (place, word) in buffer.iter_mut().skip(HEAD).zip(words) {
+                *place = *word;
+            }
+            HEAD + words.len()
+        };
+        let used = match &self.body {
+            Body::Who => HEAD,
+            Body::Here(here) => put(&here.to_words()),
+            Body::Set(settings) => put(&settings.to_words()),
+            Body::Done(result) => put(&[result.code()]),
+        };
+        buffer.get(..used).unwrap_or(&[])
+    }
+
+    /// Reads and checks all of it.
+    pub fn parse(words: &[u32]) -> Result<Self, Refusal> {
+        let Some((&[magic, version, kind, nonce, uid_hi, uid_lo], payload)) =
+            words.split_first_chunk::<HEAD>()
+        else {
+            return Err(Refusal::Short);
+        };
+        if magic != MAGIC {
+            return Err(Refusal::Magic);
+        }
+        if version != VERSION {
+            return Err(Refusal::Version);
+        }
+        let body = match kind {
+            WHO if payload.is_empty() => Body::Who,
+            HERE => Body::Here(Here::parse(exactly(payload)?)?),
+            SET => {
+                let words: &[u32; settings::WORDS] = exactly(payload)?;
+                Body::Set(Settings::parse(words).map_err(|_| Refusal::Value)?)
+            }
+            DONE => {
+                let [code] = *exactly(payload)?;
+                Body::Done(OpResult::from_code(code).ok_or(Refusal::Value)?)
+            }
+            WHO => return Err(Refusal::BlockLength),
+            _ => return Err(Refusal::Value),
+        };
+        Ok(Message {
+            nonce,
+            uid: [uid_hi, uid_lo],
+            body,
+        })
+    }
+}
+
+fn exactly<const N: usize>(words: &[u32]) -> Result<&[u32; N], Refusal> {
+    words.try_into().map_err(|_| Refusal::BlockLength)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn here() -> Here {
+        Here {
+            mac: [2, 1, 2, 3, 4, 5],
+            ip: 0xc0a8_0232,
+            port: 1234,
+            dhcp: true,
+            armed: false,
+            owned: true,
+            running: Running::Golden,
+            origin: Origin::FactoryPin,
+            speed: LinkSpeed::M100,
+            wire_version: crate::WIRE_VERSION,
+            firmware_version: 0x100,
+            build_id: 9,
+            name: Name::new("mill").unwrap(),
+            configuration: Name::new("75b_v8_26o23i6p").unwrap(),
+            platform: Name::new("5a-75b-8.0").unwrap(),
+        }
+    }
+
+    fn message(body: Body) -> Message {
+        Message {
+            nonce: 77,
+            uid: [1, 2],
+            body,
+        }
+    }
+
+    #[test]
+    fn every_message_survives_the_wire() {
+        for body in [
+            Body::Who,
+            Body::Here(here()),
+            Body::Set(Settings::default()),
+            Body::Done(OpResult::Armed),
+        ] {
+            let mut buffer = [0; WORDS_MAX];
+            let words = message(body).emit(&mut buffer);
+            assert_eq!(Message::parse(words), Ok(message(body)));
+        }
+    }
+
+    #[test]
+    fn a_message_cut_short_or_too_long_is_refused() {
+        for body in [
+            Body::Who,
+            Body::Here(here()),
+            Body::Set(Settings::default()),
+            Body::Done(OpResult::Ok),
+        ] {
+            let mut buffer = [0; WORDS_MAX];
+            let length = message(body).emit(&mut buffer).len();
+            let mut longer = [0; WORDS_MAX + 1];
+            longer[..WORDS_MAX].copy_from_slice(&buffer);
+            for other in (0..=length + 1).filter(|other| *other != length) {
+                let parsed = Message::parse(&longer[..other]);
+                let why = if other < HEAD {
+                    Refusal::Short
+                } else {
+                    Refusal::BlockLength
+                };
+                assert_eq!(parsed, Err(why), "{other} of {length} words");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_no_message_says_why() {
+        let mut buffer = [0; WORDS_MAX];
+        message(Body::Set(Settings::default())).emit(&mut buffer);
+        for (word, value, why) in [
+            (0, 0x4e6f_1044, Refusal::Magic),
+            (1, 2, Refusal::Version),
+            (2, 9, Refusal::Value),
+            (HEAD + 31, 0, Refusal::Value), // the settings' CRC
+        ] {
+            let mut bad = buffer;
+            bad[word] = value;
+            let words = &bad[..HEAD + settings::WORDS];
+            assert_eq!(Message::parse(words), Err(why), "word {word}");
+        }
+    }
+}

@@ -1,0 +1,376 @@
+//! The settings of a board that outlive a power cycle: who it is on the network.
+//!
+//! ```text
+//! word  0 "FSET"          4 IPv4 address        8 MAC, lower 32 bits     18..21 key
+//!       1 version, 1      5 prefix length       9 UDP port               22..30 zero
+//!       2 sequence        6 gateway, 0 none     10..17 name              31 CRC-32 of words 0..30
+//!       3 flags           7 MAC, upper 16
+//! ```
+//!
+//! Two copies lie in flash, a sector each. The newest whole one is in force; saving goes to the other, so a
+//! power cut at any moment leaves the old or the new. The board numbers the sequence itself.
+//!
+//! The key is never read back: the flash window shows zeros in its place, and [`Settings::keep_key`] saves
+//! everything else and leaves the key as it is.
+
+use crate::crc::crc32_words;
+use crate::{DEFAULT_PORT, DISCOVERY_PORT, Name};
+
+/// "FSET".
+pub const MAGIC: u32 = 0x4653_4554;
+/// Version of the layout.
+pub const VERSION: u32 = 1;
+/// Words.
+pub const WORDS: usize = 32;
+
+/// Flag: ask a DHCP server for the address; `ip` is what the board falls back to.
+pub const FLAG_DHCP: u32 = 1 << 0;
+/// Flag, only in what is to be saved: keep the key that is saved already.
+pub const FLAG_KEEP_KEY: u32 = 1 << 1;
+
+/// A board's settings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// The higher one of two copies is newer, modulo 2^32.
+    pub sequence: u32,
+    /// Ask a DHCP server; `ip` is the fallback.
+    pub dhcp: bool,
+    /// Save with the key that is saved already. Not kept in flash.
+    pub keep_key: bool,
+    /// IPv4 address.
+    pub ip: u32,
+    /// Bits of the netmask, 1..=30.
+    pub prefix: u8,
+    /// IPv4 address of the gateway, 0 for none.
+    pub gateway: u32,
+    /// MAC address; all zeros: made from the flash's unique id ([`mac_of_uid`]).
+    pub mac: [u8; 6],
+    /// UDP port of the Etherbone server.
+    pub port: u16,
+    /// Name of the board.
+    pub name: Name,
+    /// Pre-shared key, all zeros for none.
+    pub key: [u32; 4],
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings {
+            sequence: 0,
+            dhcp: false,
+            keep_key: false,
+            ip: 0xc0a8_0232, // 192.168.2.50, as Lcnc
+            prefix: 24,
+            gateway: 0,
+            mac: [0; 6],
+            port: DEFAULT_PORT,
+            name: Name::EMPTY,
+            key: [0; 4],
+        }
+    }
+}
+
+/// Why words are no settings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SettingsError {
+    /// Does not begin with "FSET": erased, or something else.
+    Magic,
+    /// Another layout.
+    Version(u32),
+    /// The CRC does not fit.
+    Crc,
+    /// A value no board can have; its word.
+    Value(usize),
+}
+
+impl core::fmt::Display for SettingsError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            SettingsError::Magic => f.write_str("no settings are saved"),
+            SettingsError::Version(theirs) => write!(
+                f,
+                "the saved settings have layout {theirs}, this side knows {VERSION}; set them anew"
+            ),
+            SettingsError::Crc => {
+                f.write_str("the saved settings are damaged (CRC); set them anew")
+            }
+            SettingsError::Value(word) => {
+                write!(f, "word {word} of the settings is out of range")
+            }
+        }
+    }
+}
+
+impl core::error::Error for SettingsError {}
+
+impl Settings {
+    /// As words, CRC included.
+    pub fn to_words(&self) -> [u32; WORDS] {
+        let [m0, m1, m2, m3, m4, m5] = self.mac;
+        let mut words = [0; WORDS];
+        let head = [
+            MAGIC,
+            VERSION,
+            self.sequence,
+            u32::from(self.dhcp) | u32::from(self.keep_key) << 1,
+            self.ip,
+            u32::from(self.prefix),
+            self.gateway,
+            u32::from(u16::from_be_bytes([m0, m1])),
+            u32::from_be_bytes([m2, m3, m4, m5]),
+            u32::from(self.port),
+        ];
+        let all = head.into_iter().chain(self.name.to_words()).chain(self.key);
+        for (place, word) in words.iter_mut().zip(all) {
+            *place = word;
+        }
+        words[WORDS - 1] = sum(&words);
+        words
+    }
+
+    /// Reads and checks everything.
+    pub fn parse(words: &[u32; WORDS]) -> Result<Self, SettingsError> {
+        let [
+            magic,
+            version,
+            sequence,
+            flags,
+            ip,
+            prefix,
+            gateway,
+            mac_hi,
+            mac_lo,
+            port,
+            n0,
+            n1,
+            n2,
+            n3,
+            n4,
+            n5,
+            n6,
+            n7,
+            k0,
+            k1,
+            k2,
+            k3,
+            rest @ ..,
+            crc,
+        ] = *words;
+        if magic != MAGIC {
+            return Err(SettingsError::Magic);
+        }
+        if version != VERSION {
+            return Err(SettingsError::Version(version));
+        }
+        if crc != sum(words) {
+            return Err(SettingsError::Crc);
+        }
+        if flags & !(FLAG_DHCP | FLAG_KEEP_KEY) != 0 {
+            return Err(SettingsError::Value(3));
+        }
+        let settings = Settings {
+            sequence,
+            dhcp: flags & FLAG_DHCP != 0,
+            keep_key: flags & FLAG_KEEP_KEY != 0,
+            ip,
+            prefix: u8::try_from(prefix).map_err(|_| SettingsError::Value(5))?,
+            gateway,
+            mac: mac_from_words([mac_hi, mac_lo]).ok_or(SettingsError::Value(7))?,
+            port: u16::try_from(port).map_err(|_| SettingsError::Value(9))?,
+            name: Name::from_words(&[n0, n1, n2, n3, n4, n5, n6, n7])
+                .map_err(|_| SettingsError::Value(10))?,
+            key: [k0, k1, k2, k3],
+        };
+        if rest.iter().any(|word| *word != 0) {
+            return Err(SettingsError::Value(22));
+        }
+        settings.check()?;
+        Ok(settings)
+    }
+
+    /// Could a board live with these? [`Settings::parse`] asked already.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        if !matches!(self.prefix, 1..=30) {
+            return Err(SettingsError::Value(5));
+        }
+        if !host_address(self.ip, self.prefix) {
+            return Err(SettingsError::Value(4));
+        }
+        if self.gateway != 0 && !unicast(self.gateway) {
+            return Err(SettingsError::Value(6));
+        }
+        if self.mac[0] & 1 != 0 {
+            return Err(SettingsError::Value(7)); // a group's
+        }
+        if self.port == 0 || self.port == DISCOVERY_PORT {
+            return Err(SettingsError::Value(9));
+        }
+        Ok(())
+    }
+
+    /// The same without the key: as everybody may read them.
+    pub fn blanked(mut self) -> Self {
+        self.key = [0; 4];
+        self
+    }
+
+    /// Is this copy newer than the other? Right across the wrap of the sequence.
+    pub fn newer_than(&self, other: &Settings) -> bool {
+        self.sequence.wrapping_sub(other.sequence) as i32 > 0
+    }
+}
+
+/// CRC-32 of everything before the CRC.
+fn sum(words: &[u32; WORDS]) -> u32 {
+    let [body @ .., _] = words;
+    crc32_words(body)
+}
+
+/// An address one host can have: not of a loop, a group, or nobody.
+pub const fn unicast(ip: u32) -> bool {
+    let first = ip >> 24;
+    first != 0 && first != 127 && first < 224
+}
+
+/// An address one host of its net can have: neither the net's nor its broadcast address.
+pub const fn host_address(ip: u32, prefix: u8) -> bool {
+    let host = ip & !netmask(prefix);
+    unicast(ip) && host != 0 && host != !netmask(prefix)
+}
+
+/// The netmask with so many bits.
+pub const fn netmask(prefix: u8) -> u32 {
+    match u32::MAX.checked_shr(prefix as u32) {
+        Some(host) => !host,
+        None => u32::MAX,
+    }
+}
+
+/// A MAC address from its upper 16 and lower 32 bits; `None` when the upper word has more.
+pub const fn mac_from_words([hi, lo]: [u32; 2]) -> Option<[u8; 6]> {
+    if hi >> 16 != 0 {
+        return None;
+    }
+    let ([_, _, a, b], [c, d, e, f]) = (hi.to_be_bytes(), lo.to_be_bytes());
+    Some([a, b, c, d, e, f])
+}
+
+/// A MAC address as its upper 16 and lower 32 bits.
+pub const fn mac_to_words([a, b, c, d, e, f]: [u8; 6]) -> [u32; 2] {
+    [
+        u32::from_be_bytes([0, 0, a, b]),
+        u32::from_be_bytes([c, d, e, f]),
+    ]
+}
+
+/// A board's own MAC address: locally administered, the rest a hash of the flash's unique id, so that boards
+/// fresh from the shop do not share one.
+pub fn mac_of_uid([hi, lo]: [u32; 2]) -> [u8; 6] {
+    let first = crc32_words(&[hi, lo]);
+    let second = crc32_words(&[lo, hi, first]);
+    let [a, b, c, d] = first.to_be_bytes();
+    // 0x02: locally administered, one station.
+    [0x02, second as u8, a, b, c, d]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings() -> Settings {
+        Settings {
+            sequence: 7,
+            dhcp: true,
+            gateway: 0xc0a8_0201,
+            mac: [2, 1, 2, 3, 4, 5],
+            name: Name::new("mill").unwrap(),
+            key: [1, 2, 3, 4],
+            ..Settings::default()
+        }
+    }
+
+    fn with(word: usize, value: u32) -> Result<Settings, SettingsError> {
+        let mut words = settings().to_words();
+        words[word] = value;
+        words[WORDS - 1] = sum(&words);
+        Settings::parse(&words)
+    }
+
+    #[test]
+    fn settings_survive_the_flash() {
+        for settings in [settings(), Settings::default()] {
+            assert_eq!(Settings::parse(&settings.to_words()), Ok(settings));
+        }
+    }
+
+    #[test]
+    fn any_flipped_bit_is_noticed() {
+        let good = settings().to_words();
+        for bit in 0..WORDS * 32 {
+            let mut bad = good;
+            bad[bit / 32] ^= 1 << (bit % 32);
+            assert!(Settings::parse(&bad).is_err(), "bit {bit}");
+        }
+        assert_eq!(
+            Settings::parse(&[u32::MAX; WORDS]),
+            Err(SettingsError::Magic)
+        );
+        assert_eq!(Settings::parse(&[0; WORDS]), Err(SettingsError::Magic));
+    }
+
+    #[test]
+    fn a_board_nobody_could_reach_is_refused_even_with_a_right_crc() {
+        for (word, value) in [
+            (3, 4),           // a flag nobody knows
+            (4, 0),           // nobody
+            (4, 0x7f00_0001), // itself
+            (4, 0xe000_0001), // a group
+            (4, 0xc0a8_02ff), // everybody
+            (4, 0xc0a8_0200), // the net
+            (5, 0),
+            (5, 31),
+            (5, 280),
+            (6, 0xffff_ffff),
+            (7, 0x0100), // a group's MAC
+            (7, 0x1_0200),
+            (9, 0),
+            (9, 51234),
+            (9, 65536),
+            (10, 0x0a00_0000), // a control character
+            (22, 1),
+            (30, 1),
+        ] {
+            assert_eq!(
+                with(word, value),
+                Err(SettingsError::Value(word.min(22))),
+                "{word} {value:x}"
+            );
+        }
+        assert_eq!(with(1, 2), Err(SettingsError::Version(2)));
+        assert!(with(9, 1).is_ok() && with(5, 30).is_ok());
+    }
+
+    #[test]
+    fn newer_is_newer_across_the_wrap() {
+        let at = |sequence| Settings {
+            sequence,
+            ..settings()
+        };
+        assert!(at(1).newer_than(&at(0)) && !at(0).newer_than(&at(1)));
+        assert!(at(0).newer_than(&at(u32::MAX)) && !at(u32::MAX).newer_than(&at(0)));
+        assert!(!at(5).newer_than(&at(5)));
+    }
+
+    #[test]
+    fn the_key_can_be_blanked() {
+        assert_eq!(settings().blanked().key, [0; 4]);
+    }
+
+    #[test]
+    fn a_mac_of_the_unique_id_is_ours_alone_and_its_own() {
+        let (one, other) = (mac_of_uid([1, 2]), mac_of_uid([1, 3]));
+        assert_ne!(one, other);
+        assert_eq!((one[0], other[0]), (2, 2));
+        assert_eq!(mac_from_words(mac_to_words(one)), Some(one));
+    }
+}
