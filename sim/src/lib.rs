@@ -33,6 +33,7 @@ pub mod error;
 pub mod exchange;
 pub mod firmware;
 pub mod gmii;
+pub mod loader;
 pub mod model;
 pub mod nor;
 pub mod plant;
