@@ -96,9 +96,9 @@ class FabricBus(LiteXModule):
         self.comb += strobe.eq(self.write_hit(bank.page, bank.offset(name) // 4))
         return strobe
 
-    def storage(self, bank, name, width=32, data=None):
-        """What was last written. Keeps its value through a reset of the CPU: firmware writes what it wants at boot."""
-        signal = Signal(width, reset_less=True, name=f"{bank.name}_{name}")
+    def storage(self, bank, name, width=32, data=None, reset=0):
+        """What was last written, `reset` at power-up. Keeps its value through a reset of the CPU: firmware writes what it wants at boot."""
+        signal = Signal(width, reset=reset, reset_less=True, name=f"{bank.name}_{name}")
         self.sync += If(self.write_hit(bank.page, bank.offset(name) // 4), signal.eq(self.data if data is None else data))
         return signal
 
@@ -166,6 +166,11 @@ class Pads:
         self.inputs = Signal(max(1, channels.inputs))
         self.outputs = Signal(max(1, channels.outputs))
         self.ext_reset = Signal()
+        self.factory = Signal()  # 1 is active
+        self.spi_cs_n = Signal()
+        self.spi_clk = Signal()
+        self.spi_mosi = Signal()
+        self.spi_miso = Signal()
         self.led = Signal()
         self.gate = Signal()
 
@@ -173,7 +178,8 @@ class Pads:
 class Cores(LiteXModule):
     """All cores of one board and their banks. `arrival` is the wall clock of the frame the MAC presents."""
 
-    def __init__(self, channels, sys_clk_hz, rom_words, ext_reset_active_low=False, estop_mask=0, estop_level=0):
+    def __init__(self, channels, sys_clk_hz, rom_words, ext_reset_active_low=False, estop_mask=0, estop_level=0,
+                 safe_mask=0, invert_mask=0):
         self.pads = pads = Pads(channels)
         self.abi = Signal(32)            # constant; the SoC knows it once its map is final
         self.frame_done = Signal()       # MAC: a frame is complete in `frame_slot`
@@ -193,7 +199,8 @@ class Cores(LiteXModule):
         self.comb += [pads.gate.eq(self.gate), pads.step_n.eq(~pads.step), pads.dir_n.eq(~pads.dir)]
         self._ident(fabric, channels, sys_clk_hz, rom_words)
         self._led(fabric, sys_clk_hz)
-        self._gpio(fabric, channels, estop, estop_mask, estop_level)
+        self._flash(fabric)
+        self._gpio(fabric, channels, estop, estop_mask, estop_level, safe_mask, invert_mask)
         arms = {name: self._committed(fabric, name) for name in ("enables", "arms", "probe_arms")}
         self._stepgens(fabric, channels.stepgen, arms)
         self._encoders(fabric, channels.encoder, arms)
@@ -293,12 +300,26 @@ class Cores(LiteXModule):
         fabric.live(rm.LED, "pattern", pattern)
         self.specials += Instance("led", p_BITS=int(sys_clk_hz).bit_length(), i_clk=self.clk, i_pattern=pattern, o_lit=self.pads.led)
 
-    def _gpio(self, fabric, channels, estop, estop_mask, estop_level):
+    def _flash(self, fabric):
+        b, busy, received = rm.FLASH, Signal(), Signal(32)
+        select, length = fabric.storage(b, "control", 1), fabric.storage(b, "length", 6)
+        meta, factory = Signal(reset_less=True), Signal(reset_less=True)
+        meta.attr.add("keep"), factory.attr.add("keep")
+        self.sync += [meta.eq(self.pads.factory), factory.eq(meta)]
+        self.specials += Instance("spi",
+            i_clk=self.clk, i_select=select, i_start=fabric.pulse(b, "data"), i_data=fabric.data, i_length=length[:5],
+            o_busy=busy, o_received=received,
+            o_cs_n=self.pads.spi_cs_n, o_sck=self.pads.spi_clk, o_mosi=self.pads.spi_mosi, i_miso=self.pads.spi_miso)
+        for name, value in (("control", select), ("data", received), ("length", length), ("status", Cat(busy, factory))):
+            fabric.live(b, name, value)
+
+    def _gpio(self, fabric, channels, estop, estop_mask, estop_level, safe_mask, invert_mask):
         n_in, n_out = len(self.pads.inputs), len(self.pads.outputs)
         level, raw, latched, out = Signal(n_in), Signal(n_in), Signal(32), Signal(n_out)
         value = fabric.storage(rm.COMMAND, "gpio_out", n_out)
-        safe = fabric.storage(rm.GPIO, "safe", n_out)
-        invert = fabric.storage(rm.GPIO, "invert_out", n_out)
+        # What the outputs are before there is any firmware is the board file's.
+        safe = fabric.storage(rm.GPIO, "safe", n_out, reset=safe_mask)
+        invert = fabric.storage(rm.GPIO, "invert_out", n_out, reset=invert_mask)
         # The limits are written straight into the core's RAM: the low bits of the word's address are the pin.
         limit_we = fabric.write_page(rm.DEBOUNCE.page, max(1, channels.inputs))
         self.specials += Instance("gpio",

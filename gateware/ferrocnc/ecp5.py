@@ -3,7 +3,7 @@
 from functools import reduce
 from operator import xor
 
-from migen import ClockDomain, Signal
+from migen import ClockDomain, Instance, Signal
 from litex.gen import LiteXModule
 from litex.build.generic_platform import IOStandard, Misc, Pins, Subsignal
 from litex.build.lattice import LatticeECP5Platform
@@ -38,6 +38,11 @@ _PADS = (
 _FERRY = (("ferry_in", 0, Pins("X"), *_IN), ("ferry_out", 0, Pins("X"), *_OUT))
 
 
+def _factory(board):
+    """(pin, active low) of the factory pin."""
+    return getattr(board, "factory_pin", None), getattr(board, "factory_active_low", False)
+
+
 class _Platform(LatticeECP5Platform):
     default_clk_name = "clk"
 
@@ -51,8 +56,12 @@ class _Platform(LatticeECP5Platform):
             ("eth_clocks", 0, Subsignal("tx", Pins(eth["tx_clk"])), Subsignal("rx", Pins(eth["rx_clk"])), _LVCMOS),
             ("eth", 0, *(Subsignal(k, Pins(eth[k])) for k in ("mdio", "mdc", "rx_ctl", "rx_data", "tx_ctl", "tx_data")), _LVCMOS),
         ]
-        if board.ext_reset_pin:
-            io.append(("ext_reset", 0, Pins(p.pins[board.ext_reset_pin]), *_IN))
+        for name, pin in (("ext_reset", board.ext_reset_pin), ("factory", _factory(board)[0])):
+            if pin and not any(pad[0] == "ext_reset" and pin == board.ext_reset_pin for pad in io):
+                io.append((name, 0, Pins(p.pins[pin]), *_IN))
+        if flash := getattr(p, "flash", None):
+            io += [(f"flash_{k}", 0, Pins(flash[k]), _LVCMOS, Misc("SLEWRATE=SLOW")) for k in ("cs", "mosi")]
+            io.append(("flash_miso", 0, Pins(flash["miso"]), _LVCMOS, Misc("PULLMODE=UP")))
         for kind, pin, _, output in _PADS:
             for n, channel in enumerate(getattr(board, kind)):
                 if channel[pin]:
@@ -111,4 +120,22 @@ class BoardSoC(ferro.FerroSoC):
             self.sync += platform.request("ferry_out").eq(reduce(xor, outputs))
         self.comb += platform.request("led").eq(pads.led ^ int(board.platform.led_active_low))
         # Without a pin there is nothing to reset; the core turns the idle level over if the file says active low.
-        self.comb += pads.ext_reset.eq(platform.request("ext_reset") if board.ext_reset_pin else int(board.ext_reset_active_low))
+        reset = platform.request("ext_reset") if board.ext_reset_pin else int(board.ext_reset_active_low)
+        self.comb += pads.ext_reset.eq(reset)
+        pin, active_low = _factory(board)
+        if pin:
+            # The external reset's own pin, or another.
+            self.comb += pads.factory.eq((reset if pin == board.ext_reset_pin else platform.request("factory")) ^ int(active_low))
+        self._flash(platform, board, pads)
+
+    def _flash(self, platform, board, pads):
+        if not getattr(board.platform, "flash", None):
+            self.comb += pads.spi_miso.eq(1)
+            return
+        self.comb += [
+            platform.request("flash_cs").eq(pads.spi_cs_n),
+            platform.request("flash_mosi").eq(pads.spi_mosi),
+            pads.spi_miso.eq(platform.request("flash_miso")),
+        ]
+        # The flash's clock is the pin the FPGA configures itself through: no ball, but a primitive.
+        self.specials += Instance("USRMCLK", i_USRMCLKI=pads.spi_clk, i_USRMCLKTS=0)

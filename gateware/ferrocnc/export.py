@@ -168,6 +168,10 @@ def abi_rs(banks, abi):
     ):
         out += const(f"{name}_BASE", f"0x{origin:08x}", f"First byte of {what}.", "usize")
         out += const(f"{name}_SIZE", f"0x{size:x}", f"Bytes of {what}.", "usize")
+    out += const("ROM_TRAILER", f"0x{rm.ROM[0] + rm.ROM[1] - rm.ROM_TRAILER:08x}", "First byte of the trailer: four words, `TRAILER_MAGIC`, build id, role, 0.", "usize")
+    out += const("TRAILER_MAGIC", f"0x{rm.TRAILER_MAGIC:08x}", "First word of a trailer: \"FTRL\".")
+    out += const("ROLE_IMAGE", rm.ROLE_IMAGE, "Third word of a trailer: an image of a slot.")
+    out += const("ROLE_GOLDEN", rm.ROLE_GOLDEN, "Third word of a trailer: the golden image.")
     out += const("ETHMAC_RX_SLOTS", rm.ETHMAC_RX_SLOTS, "Receive slots; the first is at `ETHMAC_BASE`.", "usize")
     out += const("ETHMAC_TX_SLOTS", rm.ETHMAC_TX_SLOTS, "Transmit slots; the first follows the last receive slot.", "usize")
     out += const("ETHMAC_SLOT_SIZE", f"0x{rm.ETHMAC_SLOT:x}", "Bytes of one slot.", "usize")
@@ -218,7 +222,7 @@ def memory_x():
     return f"""/* {HEADER} */
 MEMORY
 {{
-    rom : ORIGIN = 0x{rm.ROM[0]:08x}, LENGTH = 0x{rm.ROM[1]:x}
+    rom : ORIGIN = 0x{rm.ROM[0]:08x}, LENGTH = 0x{rm.ROM[1] - rm.ROM_TRAILER:x} /* the trailer behind it is the bitstream's */
     ram : ORIGIN = 0x{rm.RAM[0]:08x}, LENGTH = 0x{rm.RAM[1]:x}
 }}
 
@@ -248,7 +252,7 @@ def registers_md(banks, abi):
         "|---|---|---|---|",
     ]
     for name, (origin, size), what in (
-        ("rom", rm.ROM, "the image"), ("ram", rm.RAM, "data, bss, stack"),
+        ("rom", rm.ROM, f"the image; its last {rm.ROM_TRAILER} bytes are the trailer: \"FTRL\", build id, role (1 image, 2 golden), 0"), ("ram", rm.RAM, "data, bss, stack"),
         ("ethmac", rm.ETHMAC, f"{rm.ETHMAC_RX_SLOTS} receive and {rm.ETHMAC_TX_SLOTS} transmit slots of {rm.ETHMAC_SLOT} bytes"),
         ("board rom", rm.BOARD_ROM, "board info blob; big-endian words, laid out in `wire::board`"),
     ):

@@ -9,7 +9,7 @@ A page is 0x800 bytes, a register one 32-bit word; within a page the order of th
 
 from dataclasses import dataclass, field as _f
 
-WIRE_LAYOUT = 2
+WIRE_LAYOUT = 3
 """Version of the exchange's word layout (`wire::map`). Part of the ABI number: either changes, both refuse to arm."""
 
 # Memory -----------------------------------------------------------------------------------------------------------
@@ -18,10 +18,15 @@ CSR_BASE = 0xF000_0000
 CSR_PAGE = 0x800
 CSR_ADDRESS_WIDTH = 16
 
-ROM = (0x0000_0000, 0x10800)  # 66 KiB, 33 EBR: the image; smoltcp's TCP alone is 16 KiB without compressed instructions
+ROM = (0x0000_0000, 0x11800)  # 70 KiB, 35 EBR: the image; smoltcp's TCP alone is 16 KiB without compressed instructions
+ROM_TRAILER = 0x10  # the ROM's last bytes, not the linker's: what the bitstream says about itself, see `TRAILER`
 RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: data, bss, 6 KiB of stack
 ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
 BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
+TRAILER = ("magic", "build", "role", "zero")  # words of the trailer; `TRAILER_MAGIC` where there is one
+TRAILER_MAGIC = 0x4654_524C  # "FTRL"
+ROLE_IMAGE = 1
+ROLE_GOLDEN = 2
 ETHMAC_RX_SLOTS = 2
 ETHMAC_TX_SLOTS = 2
 ETHMAC_SLOT = 0x800
@@ -211,6 +216,19 @@ LED = Bank("led", 12, "led", "The board's one LED.", (
     )),
 ))
 
+FLASH = Bank("flash", 64, "flash", "The wires to the configuration flash, raw: SPI mode 0, most significant bit first, f_clk / 4.", (
+    Reg("control", "rw", "The flash's chip select. Survives a reset: firmware deselects first.", (
+        _bit("select", 0, "1: CS is low. It rises no earlier than a transfer's end, and stays high for 4 clocks at least."),
+    )),
+    Reg("data", "rw", "Writing starts a transfer of `length` bits, bit 31 first; ignored while busy or not selected. Reads what came in, the last bit in "
+        "bit 0; above it what has not been sent of the word written, so 0 if that was 0."),
+    Reg("length", "rw", "How many bits a transfer has.", (Field("bits", 0, 6, "Bits, 1 to 32; 0 is taken as 32."),)),
+    Reg("status", "ro", "The transfer, and a pin that is only looked at while starting.", (
+        _bit("busy", 0, "1: a transfer is running or waits for CS."),
+        _bit("factory_pin", 1, "1: the factory pin is active now."),
+    )),
+))
+
 
 def _command():
     regs = [
@@ -338,7 +356,7 @@ STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", f"Timing, kind and polari
 ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", f"Counting mode and filter of encoder {n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
 PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n}.", PWM_REGS) for n in range(MAX_PWM))
 
-BANKS = (IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM
+BANKS = (IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH,)
 
 
 def check():

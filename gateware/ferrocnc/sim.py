@@ -27,6 +27,7 @@ PORTS = (
     ("enc_a", rm.MAX_ENCODER), ("enc_b", rm.MAX_ENCODER), ("enc_i", rm.MAX_ENCODER), ("enc_mask", rm.MAX_ENCODER),
     ("pwm_out", rm.MAX_PWM), ("pwm_dir", rm.MAX_PWM), ("gpio_in", rm.MAX_IN), ("gpio_out", rm.MAX_OUT),
     ("ext_reset", 1), ("led", 1), ("gate", 1), ("cpu_freeze", 1),
+    ("spi_cs_n", 1), ("spi_clk", 1), ("spi_mosi", 1), ("spi_miso", 1), ("factory", 1), ("link_status", 4),
 )
 
 
@@ -82,9 +83,7 @@ class GMIIPHY(LiteXModule):
         self.comb += [
             self.cd_eth_rx.clk.eq(clk), self.cd_eth_tx.clk.eq(clk),
             self.cd_eth_rx.rst.eq(reset), self.cd_eth_tx.rst.eq(reset),
-            self.rx.inband_status.fields.link_status.eq(1),
-            self.rx.inband_status.fields.clock_speed.eq(2),
-            self.rx.inband_status.fields.duplex_status.eq(1),
+            self.rx.inband_status.status.eq(platform.request("link_status")),
             sink.ready.eq(1),
         ]
         self.sync.eth_tx += [tx_en.eq(sink.valid), tx_data.eq(sink.data)]  # the ODDR's register
@@ -115,6 +114,10 @@ class SimSoC(ferro.FerroSoC):
             self.comb += signal.eq(platform.request(port))
         # The port is active high whatever the board: the pin's own polarity is put back before the core.
         self.comb += pads.ext_reset.eq(platform.request("ext_reset") ^ int(board.ext_reset_active_low))
+        for port in ("spi_cs_n", "spi_clk", "spi_mosi"):
+            self.comb += platform.request(port).eq(getattr(pads, port))
+        for port in ("spi_miso", "factory"):
+            self.comb += getattr(pads, port).eq(platform.request(port))
 
     def _freeze(self, freeze):
         """A hung CPU: its clock stops between edges and it asks the bus for nothing. Change `cpu_freeze` while sys_clk is low."""
@@ -180,7 +183,8 @@ def elaborate_cores(board, out):
     """Writes cores.v, the cores and their banks with the CSR bus as ports, and the map as cores.map: for `tests/cores.cpp`."""
     out = Path(out).resolve()
     out.mkdir(parents=True, exist_ok=True)
-    cores = banks.Cores(board.channels, board.sys_clk_hz, len(blob(board)) // 4, estop_mask=board.estop_mask, estop_level=board.estop_level)
+    cores = banks.Cores(board.channels, board.sys_clk_hz, len(blob(board)) // 4, estop_mask=board.estop_mask, estop_level=board.estop_level,
+                        **dict(zip(("safe_mask", "invert_mask"), ferro.power_up_masks(board))))
     cores.cd_sys = ClockDomain()
     bus, pads = cores.bus, cores.pads
     ports = {

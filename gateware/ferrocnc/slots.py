@@ -12,7 +12,7 @@ end: where the shifted frame has bytes left over after its last word, one more w
 
 from migen import Cat, If, Mux, Replicate, Signal
 from litex.gen import LiteXModule
-from litex.soc.interconnect import stream
+from litex.soc.interconnect import stream, wishbone
 from liteeth import mac as liteeth_mac
 from liteeth.common import eth_phy_description
 from liteeth.mac.wishbone import LiteEthMACWishboneInterface
@@ -69,8 +69,27 @@ class Shift(LiteXModule):
         ]
 
 
+class WordStore(LiteXModule):
+    """The CPU's side of a transmit slot: whole words in, nothing out. With byte lanes, or with a second port that reads, a slot
+    of 2 KiB takes two block RAMs; so it takes one. A store of less than a word is lost."""
+
+    def __init__(self, memory):
+        self.bus = bus = wishbone.Interface(data_width=32)
+        port = memory.get_port(write_capable=True)
+
+        # # #
+
+        self.specials += memory, port
+        self.comb += [
+            port.adr.eq(bus.adr[:len(port.adr)]),
+            port.dat_w.eq(bus.dat_w),
+            port.we.eq(bus.cyc & bus.stb & bus.we & (bus.sel == 0b1111)),
+        ]
+        self.sync += bus.ack.eq(bus.cyc & bus.stb & ~bus.ack)
+
+
 class AlignedInterface(LiteEthMACWishboneInterface):
-    """LiteEth's slots with a `Shift` in front of each direction."""
+    """LiteEth's slots with a `Shift` in front of each direction; transmit slots are written in words and never read."""
 
     def __init__(self, dw, *args, **kwargs):
         LiteEthMACWishboneInterface.__init__(self, dw, *args, **kwargs)
@@ -83,6 +102,16 @@ class AlignedInterface(LiteEthMACWishboneInterface):
             self.shift_rx.source.connect(into),
             out_of.connect(self.shift_tx.sink),
         ]
+
+    def _expose_wishbone_sram_interfaces(self, bus, dw, mems, nslots, read_only, write_only):
+        if read_only:
+            LiteEthMACWishboneInterface._expose_wishbone_sram_interfaces(self, bus, dw, mems, nslots, read_only, write_only)
+            return
+        assert nslots == 2
+        stores = [WordStore(memory) for memory in mems]
+        self.submodules += stores
+        which = (mems[0].depth - 1).bit_length()
+        self.submodules += wishbone.Decoder(bus, [(lambda a, n=n: a[which] == n, store.bus) for n, store in enumerate(stores)], register=True)
 
 
 def align():

@@ -85,7 +85,7 @@ class FerroSoC(SoCCore):
             self.platform.add_source(str(source), "systemverilog")
         self.cores = cores = banks.Cores(
             self.board.channels, self.board.sys_clk_hz, len(self.blob) // 4, self.board.ext_reset_active_low,
-            self.board.estop_mask, self.board.estop_level)
+            self.board.estop_mask, self.board.estop_level, *power_up_masks(self.board))
         self.fabric_buses.append(cores.bus)
         fifo = self.ethmac.interface.sram.writer.stat_fifo
         self.comb += [
@@ -102,6 +102,11 @@ class FerroSoC(SoCCore):
             self.cores.fabric.adr.eq(self.csr_bridge.wishbone.adr),
         ]
         SoCCore.do_finalize(self)
+
+
+def power_up_masks(board):
+    """`gpio.safe` and `gpio.invert_out` before there is any firmware."""
+    return getattr(board, "safe_mask", 0), getattr(board, "invert_mask", 0)
 
 
 def random_words(count):
@@ -136,7 +141,7 @@ def litex_banks(soc):
 LITEX_DOC = {
     "ctrl": "LiteX's system controller.",
     "identifier_mem": "LiteX's identifier: one character per word, \"FerroCNC <version> <board>\", ended by 0.",
-    "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them.",
+    "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and they read what nobody wrote.",
     "ethphy": "LiteEth's PHY.",
 }
 

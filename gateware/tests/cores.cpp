@@ -32,9 +32,15 @@ struct Bus {
         std::string name, at, access, mask;
         while (file >> name >> at >> access >> mask) map[name] = {hex(at), access, hex(mask)};
     }
+    uint32_t flash = 0;  // what sits at its wires: every bit comes back 32 clocks later
+    bool sck_was = false;
     void clock() {
         b.edge();
         now++;
+        if (b.core->spi_clk && !sck_was) flash = flash << 1 | b.core->spi_mosi;
+        if (!b.core->spi_clk && sck_was) b.core->spi_miso = flash >> 31;
+        CHECK(b, b.core->spi_clk == sck_was || !b.core->spi_cs_n, "SCK moves while CS is high");
+        sck_was = b.core->spi_clk;
         CHECK(b, b.core->step_n == uint32_t(~b.core->step & widest_step) && b.core->dir_n == uint32_t(~b.core->dir & widest_step), "a differential copy is no copy");
         const uint32_t rises = b.core->step & ~step_was;
         step_was = b.core->step;
@@ -82,6 +88,7 @@ int main(int argc, char **argv) {
     c.we = c.rst = c.ext_reset = c.inputs = c.enc_a = c.enc_b = c.enc_i = c.enc_mask = c.step_index = 0;
     c.frame_done = c.frame_slot = c.frame_pending = c.pending_slot = 0;
     c.abi = 0x12345678;
+    c.spi_miso = c.factory = 0;
     b.settle();
     k.widest_step = c.step | c.step_n;  // a bit per channel
     k.run(40);
@@ -110,7 +117,7 @@ int main(int argc, char **argv) {
     std::map<std::string, uint32_t> wrote;
     unsigned absent = 0;
     for (auto &[name, reg] : k.map) {
-        if (reg.access == "ro" || name == "watchdog.control" || name == "timebase.strobe") continue;
+        if (reg.access == "ro" || name == "watchdog.control" || name == "timebase.strobe" || name == "flash.data") continue;
         const uint32_t value = r.next();
         k.write(name, value);
         if (reg.access == "rw" && present(name)) wrote[name] = value;
@@ -378,6 +385,35 @@ int main(int argc, char **argv) {
     k.run(3);
     CHECK(b, second - first == done[1] - done[0], "arrivals %llu clocks apart, expected %llu", (unsigned long long)(second - first), (unsigned long long)(done[1] - done[0]));
     CHECK(b, k.read64("timebase.arrival") == second, "an arrival is forgotten with its frame");
+
+    // The flash's wires: nothing leaves unselected; 32 bits there and back; shorter ones right-aligned.
+    auto transfer = [&](uint32_t word, unsigned bits) {
+        k.write("flash.length", bits);
+        k.write("flash.data", word);
+        k.expect("flash.status", 1);
+        k.run(4 * (bits ? bits : 32));
+        k.expect("flash.status", 0);
+        return k.read("flash.data");
+    };
+    k.write("flash.length", 32);
+    k.write("flash.data", 0xffffffff);
+    k.run(200);
+    CHECK(b, k.flash == 0 && c.spi_cs_n, "a transfer while not selected");
+    k.write("flash.control", 1);
+    k.run(8);
+    CHECK(b, !c.spi_cs_n, "not selected");
+    const uint32_t there = r.next();
+    transfer(there, 32);
+    CHECK(b, k.flash == there, "sent %08x, arrives %08x", there, k.flash);
+    CHECK(b, transfer(0x9f000000, 8) == there >> 24, "the first byte back");
+    CHECK(b, transfer(0, 0) == (there << 8 | 0x9f), "three bytes back, and the one behind them");
+    k.write("flash.control", 0);
+    k.run(4);
+    CHECK(b, c.spi_cs_n, "selected for ever");
+    c.factory = 1;
+    k.run(4);
+    k.expect("flash.status", 2);
+    c.factory = 0;
 
     // The watchdog's registers, and what STOP leaves behind.
     k.write("watchdog.token", 7);

@@ -3,15 +3,15 @@
 //! for the one comparison that decides whether a board may arm.
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version.
-pub const ABI: u32 = 0x2c399d31;
+pub const ABI: u32 = 0xee6271e2;
 /// Version of the exchange's word layout this map was made for.
-pub const WIRE_LAYOUT: u32 = 2;
+pub const WIRE_LAYOUT: u32 = 3;
 /// What `ident.magic` reads: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
 pub const ROM_BASE: usize = 0x00000000;
 /// Bytes of the image.
-pub const ROM_SIZE: usize = 0x10800;
+pub const ROM_SIZE: usize = 0x11800;
 /// First byte of data, bss and stack.
 pub const RAM_BASE: usize = 0x10000000;
 /// Bytes of data, bss and stack.
@@ -24,6 +24,14 @@ pub const ETHMAC_SIZE: usize = 0x2000;
 pub const BOARD_ROM_BASE: usize = 0x90000000;
 /// Bytes of the board info blob.
 pub const BOARD_ROM_SIZE: usize = 0x800;
+/// First byte of the trailer: four words, `TRAILER_MAGIC`, build id, role, 0.
+pub const ROM_TRAILER: usize = 0x000117f0;
+/// First word of a trailer: "FTRL".
+pub const TRAILER_MAGIC: u32 = 0x4654524c;
+/// Third word of a trailer: an image of a slot.
+pub const ROLE_IMAGE: u32 = 1;
+/// Third word of a trailer: the golden image.
+pub const ROLE_GOLDEN: u32 = 2;
 /// Receive slots; the first is at `ETHMAC_BASE`.
 pub const ETHMAC_RX_SLOTS: usize = 2;
 /// Transmit slots; the first follows the last receive slot.
@@ -59,7 +67,7 @@ pub const CSR_BASE: usize = 0xf0000000;
 /// Bytes of a page; channel n of a kind is n pages after channel 0.
 pub const CSR_PAGE: usize = 0x800;
 /// Pages in use, absent channels included.
-pub const CSR_PAGES: usize = 64;
+pub const CSR_PAGES: usize = 65;
 /// Page of `ctrl`.
 pub const CSR_CTRL: usize = 0xf0000000;
 /// Page of `identifier_mem`.
@@ -90,6 +98,8 @@ pub const CSR_STEPGEN0: usize = 0xf0008000;
 pub const CSR_ENCODER0: usize = 0xf0010000;
 /// Page of `pwm0`.
 pub const CSR_PWM0: usize = 0xf0018000;
+/// Page of `flash`.
+pub const CSR_FLASH: usize = 0xf0020000;
 /// Word of the command window: enables.
 pub const COMMAND_ENABLES: usize = 0;
 /// Word of the command window: outputs.

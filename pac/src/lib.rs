@@ -1013,14 +1013,14 @@ pub mod ctrl {
         impl crate::Resettable for BusErrorsSpec {}
     }
 }
-#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them."]
+#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and they read what nobody wrote."]
 pub type Ethmac = crate::Periph<ethmac::RegisterBlock, 0xf000_1800>;
 impl core::fmt::Debug for Ethmac {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Ethmac").finish()
     }
 }
-#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them."]
+#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and they read what nobody wrote."]
 pub mod ethmac {
     #[repr(C)]
     #[doc = "Register block"]
@@ -12327,6 +12327,190 @@ impl core::fmt::Debug for Pwm15 {
 }
 #[doc = "Period, kind and polarity of PWM 15."]
 pub use self::pwm0 as pwm15;
+#[doc = "The wires to the configuration flash, raw: SPI mode 0, most significant bit first, f_clk / 4."]
+pub type Flash = crate::Periph<flash::RegisterBlock, 0xf002_0000>;
+impl core::fmt::Debug for Flash {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        f.debug_struct("Flash").finish()
+    }
+}
+#[doc = "The wires to the configuration flash, raw: SPI mode 0, most significant bit first, f_clk / 4."]
+pub mod flash {
+    #[repr(C)]
+    #[doc = "Register block"]
+    pub struct RegisterBlock {
+        control: Control,
+        data: Data,
+        length: Length,
+        status: Status,
+    }
+    impl RegisterBlock {
+        #[doc = "0x00 - The flash's chip select. Survives a reset: firmware deselects first."]
+        #[inline(always)]
+        pub const fn control(&self) -> &Control {
+            &self.control
+        }
+        #[doc = "0x04 - Writing starts a transfer of `length` bits, bit 31 first; ignored while busy or not selected. Reads what came in, the last bit in bit 0; above it what has not been sent of the word written, so 0 if that was 0."]
+        #[inline(always)]
+        pub const fn data(&self) -> &Data {
+            &self.data
+        }
+        #[doc = "0x08 - How many bits a transfer has."]
+        #[inline(always)]
+        pub const fn length(&self) -> &Length {
+            &self.length
+        }
+        #[doc = "0x0c - The transfer, and a pin that is only looked at while starting."]
+        #[inline(always)]
+        pub const fn status(&self) -> &Status {
+            &self.status
+        }
+    }
+    #[doc = "CONTROL (rw) register accessor: The flash's chip select. Survives a reset: firmware deselects first.\n\nYou can [`read`](crate::Reg::read) this register and get [`control::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`control::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@control`] module"]
+    #[doc(alias = "CONTROL")]
+    pub type Control = crate::Reg<control::ControlSpec>;
+    #[doc = "The flash's chip select. Survives a reset: firmware deselects first."]
+    pub mod control {
+        #[doc = "Register `CONTROL` reader"]
+        pub type R = crate::R<ControlSpec>;
+        #[doc = "Register `CONTROL` writer"]
+        pub type W = crate::W<ControlSpec>;
+        #[doc = "Field `select` reader - 1: CS is low. It rises no earlier than a transfer's end, and stays high for 4 clocks at least."]
+        pub type SelectR = crate::BitReader;
+        #[doc = "Field `select` writer - 1: CS is low. It rises no earlier than a transfer's end, and stays high for 4 clocks at least."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl R {
+            #[doc = "Bit 0 - 1: CS is low. It rises no earlier than a transfer's end, and stays high for 4 clocks at least."]
+            #[inline(always)]
+            pub fn select(&self) -> SelectR {
+                SelectR::new((self.bits & 1) != 0)
+            }
+        }
+        impl W {
+            #[doc = "Bit 0 - 1: CS is low. It rises no earlier than a transfer's end, and stays high for 4 clocks at least."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, ControlSpec> {
+                SelectW::new(self, 0)
+            }
+        }
+        #[doc = "The flash's chip select. Survives a reset: firmware deselects first.\n\nYou can [`read`](crate::Reg::read) this register and get [`control::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`control::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct ControlSpec;
+        impl crate::RegisterSpec for ControlSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`control::R`](R) reader structure"]
+        impl crate::Readable for ControlSpec {}
+        #[doc = "`write(|w| ..)` method takes [`control::W`](W) writer structure"]
+        impl crate::Writable for ControlSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets CONTROL to value 0"]
+        impl crate::Resettable for ControlSpec {}
+    }
+    #[doc = "DATA (rw) register accessor: Writing starts a transfer of `length` bits, bit 31 first; ignored while busy or not selected. Reads what came in, the last bit in bit 0; above it what has not been sent of the word written, so 0 if that was 0.\n\nYou can [`read`](crate::Reg::read) this register and get [`data::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`data::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@data`] module"]
+    #[doc(alias = "DATA")]
+    pub type Data = crate::Reg<data::DataSpec>;
+    #[doc = "Writing starts a transfer of `length` bits, bit 31 first; ignored while busy or not selected. Reads what came in, the last bit in bit 0; above it what has not been sent of the word written, so 0 if that was 0."]
+    pub mod data {
+        #[doc = "Register `DATA` reader"]
+        pub type R = crate::R<DataSpec>;
+        #[doc = "Register `DATA` writer"]
+        pub type W = crate::W<DataSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        impl W {}
+        #[doc = "Writing starts a transfer of `length` bits, bit 31 first; ignored while busy or not selected. Reads what came in, the last bit in bit 0; above it what has not been sent of the word written, so 0 if that was 0.\n\nYou can [`read`](crate::Reg::read) this register and get [`data::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`data::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct DataSpec;
+        impl crate::RegisterSpec for DataSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`data::R`](R) reader structure"]
+        impl crate::Readable for DataSpec {}
+        #[doc = "`write(|w| ..)` method takes [`data::W`](W) writer structure"]
+        impl crate::Writable for DataSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets DATA to value 0"]
+        impl crate::Resettable for DataSpec {}
+    }
+    #[doc = "LENGTH (rw) register accessor: How many bits a transfer has.\n\nYou can [`read`](crate::Reg::read) this register and get [`length::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`length::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@length`] module"]
+    #[doc(alias = "LENGTH")]
+    pub type Length = crate::Reg<length::LengthSpec>;
+    #[doc = "How many bits a transfer has."]
+    pub mod length {
+        #[doc = "Register `LENGTH` reader"]
+        pub type R = crate::R<LengthSpec>;
+        #[doc = "Register `LENGTH` writer"]
+        pub type W = crate::W<LengthSpec>;
+        #[doc = "Field `bits` reader - Bits, 1 to 32; 0 is taken as 32."]
+        pub type BitsR = crate::FieldReader;
+        #[doc = "Field `bits` writer - Bits, 1 to 32; 0 is taken as 32."]
+        pub type BitsW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        impl R {
+            #[doc = "Bits 0:5 - Bits, 1 to 32; 0 is taken as 32."]
+            #[inline(always)]
+            pub fn bits_(&self) -> BitsR {
+                BitsR::new((self.bits & 0x3f) as u8)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:5 - Bits, 1 to 32; 0 is taken as 32."]
+            #[inline(always)]
+            pub fn bits_(&mut self) -> BitsW<'_, LengthSpec> {
+                BitsW::new(self, 0)
+            }
+        }
+        #[doc = "How many bits a transfer has.\n\nYou can [`read`](crate::Reg::read) this register and get [`length::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`length::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct LengthSpec;
+        impl crate::RegisterSpec for LengthSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`length::R`](R) reader structure"]
+        impl crate::Readable for LengthSpec {}
+        #[doc = "`write(|w| ..)` method takes [`length::W`](W) writer structure"]
+        impl crate::Writable for LengthSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets LENGTH to value 0"]
+        impl crate::Resettable for LengthSpec {}
+    }
+    #[doc = "STATUS (r) register accessor: The transfer, and a pin that is only looked at while starting.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@status`] module"]
+    #[doc(alias = "STATUS")]
+    pub type Status = crate::Reg<status::StatusSpec>;
+    #[doc = "The transfer, and a pin that is only looked at while starting."]
+    pub mod status {
+        #[doc = "Register `STATUS` reader"]
+        pub type R = crate::R<StatusSpec>;
+        #[doc = "Field `busy` reader - 1: a transfer is running or waits for CS."]
+        pub type BusyR = crate::BitReader;
+        #[doc = "Field `factory_pin` reader - 1: the factory pin is active now."]
+        pub type FactoryPinR = crate::BitReader;
+        impl R {
+            #[doc = "Bit 0 - 1: a transfer is running or waits for CS."]
+            #[inline(always)]
+            pub fn busy(&self) -> BusyR {
+                BusyR::new((self.bits & 1) != 0)
+            }
+            #[doc = "Bit 1 - 1: the factory pin is active now."]
+            #[inline(always)]
+            pub fn factory_pin(&self) -> FactoryPinR {
+                FactoryPinR::new(((self.bits >> 1) & 1) != 0)
+            }
+        }
+        #[doc = "The transfer, and a pin that is only looked at while starting.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct StatusSpec;
+        impl crate::RegisterSpec for StatusSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`status::R`](R) reader structure"]
+        impl crate::Readable for StatusSpec {}
+        #[doc = "`reset()` method sets STATUS to value 0"]
+        impl crate::Resettable for StatusSpec {}
+    }
+}
 #[unsafe(no_mangle)]
 static mut DEVICE_PERIPHERALS: bool = false;
 #[doc = r" All the peripherals."]
@@ -12450,6 +12634,8 @@ pub struct Peripherals {
     pub pwm14: Pwm14,
     #[doc = "PWM15"]
     pub pwm15: Pwm15,
+    #[doc = "FLASH"]
+    pub flash: Flash,
 }
 impl Peripherals {
     #[doc = r" Returns all the peripherals *once*."]
@@ -12531,6 +12717,7 @@ impl Peripherals {
             pwm13: unsafe { Pwm13::steal() },
             pwm14: unsafe { Pwm14::steal() },
             pwm15: unsafe { Pwm15::steal() },
+            flash: unsafe { Flash::steal() },
         }
     }
 }

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use crate::error::Error;
 
 /// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
-const SHIM_ABI: u32 = 4;
+const SHIM_ABI: u32 = 5;
 
 /// Bit of the sys clock in [`Silicon::rise`].
 pub const SYS: u32 = 1;
@@ -23,7 +23,7 @@ pub const ETH: u32 = 2;
 ///
 /// Field order and widths are those of `struct Pins` in `verilator/shim.cpp`.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pins {
     /// In: levels at the general inputs, bit n = input n.
     pub gpio_in: u32,
@@ -47,8 +47,12 @@ pub struct Pins {
     pub cpu_freeze: u8,
     /// In: synchronous reset of the whole SoC.
     pub sys_rst: u8,
+    /// In: the factory pin; high is active.
+    pub factory: u8,
+    /// In: what the PHY says of its link, see [`LINK_1000`].
+    pub link_status: u8,
     #[doc(hidden)]
-    pub reserved_in: u8,
+    pub reserved_in: [u8; 3],
     /// Out: levels at the general outputs.
     pub gpio_out: u32,
     /// Out: STEP pins, bit n = stepgen n.
@@ -71,11 +75,57 @@ pub struct Pins {
     pub led: u8,
     /// Out: the output gate; 1 = outputs live.
     pub gate: u8,
+    /// Out: chip select of the flash; low is selected.
+    pub spi_cs_n: u8,
+    /// Out: the flash's clock.
+    pub spi_clk: u8,
+    /// Out: data to the flash.
+    pub spi_mosi: u8,
     #[doc(hidden)]
-    pub reserved_out: u32,
+    pub reserved_out: u8,
 }
 
-const _: () = assert!(size_of::<Pins>() == 44);
+const _: () = assert!(size_of::<Pins>() == 48);
+
+/// [`Pins::link_status`]: bit 0 up, bits 2:1 the speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. A link at 1000.
+pub const LINK_1000: u8 = 0b1101;
+
+impl Default for Pins {
+    /// Everything low, but the link is up.
+    fn default() -> Self {
+        Pins {
+            gpio_in: 0,
+            enc_a: 0,
+            enc_b: 0,
+            enc_i: 0,
+            step_index: 0,
+            enc_mask: 0,
+            gmii_rx_data: 0,
+            gmii_rx_dv: 0,
+            ext_reset: 0,
+            cpu_freeze: 0,
+            sys_rst: 0,
+            factory: 0,
+            link_status: LINK_1000,
+            reserved_in: [0; 3],
+            gpio_out: 0,
+            step: 0,
+            dir: 0,
+            step_n: 0,
+            dir_n: 0,
+            pwm_out: 0,
+            pwm_dir: 0,
+            gmii_tx_data: 0,
+            gmii_tx_en: 0,
+            led: 0,
+            gate: 0,
+            spi_cs_n: 0,
+            spi_clk: 0,
+            spi_mosi: 0,
+            reserved_out: 0,
+        }
+    }
+}
 
 impl Pins {
     /// The outputs of `other`.
@@ -93,7 +143,9 @@ impl Pins {
             ext_reset: inputs.ext_reset,
             cpu_freeze: inputs.cpu_freeze,
             sys_rst: inputs.sys_rst,
-            reserved_in: 0,
+            factory: inputs.factory,
+            link_status: inputs.link_status,
+            reserved_in: [0; 3],
             ..*other
         };
     }
@@ -150,6 +202,20 @@ type WordsFn = unsafe extern "C" fn(*mut c_void) -> u32;
 type RamReadFn = unsafe extern "C" fn(*mut c_void, u32) -> u32;
 type TraceOpenFn = unsafe extern "C" fn(*mut c_void, *const c_char) -> c_int;
 type HandleFn = unsafe extern "C" fn(*mut c_void);
+type SpiCallback = unsafe extern "C" fn(*mut c_void, u8, u8, u8) -> u8;
+type OnSpiFn = unsafe extern "C" fn(*mut c_void, Option<SpiCallback>, *mut c_void);
+
+/// What sits at the flash's wires. It is told every level of CS and SCK that is new, CS being active low, and MOSI as it
+/// stands with it; what it returns is MISO from then on.
+pub type SpiDevice = Box<dyn FnMut(bool, bool, bool) -> bool + Send>;
+
+/// What the shim calls.
+unsafe extern "C" fn on_spi(context: *mut c_void, cs_n: u8, sck: u8, mosi: u8) -> u8 {
+    // SAFETY: `context` is the `SpiDevice` that `Soc::attach_spi` boxed; it lives until the shim has forgotten it, and the shim
+    // calls only from within `fc_rise`, which nothing else runs beside.
+    let device = unsafe { &mut *context.cast::<SpiDevice>() };
+    device(cs_n != 0, sck != 0, mosi != 0).into()
+}
 
 /// A Verilated SoC: gateware, with the firmware in its ROM array.
 pub struct Soc {
@@ -162,8 +228,11 @@ pub struct Soc {
     ram_read: RamReadFn,
     trace_open: TraceOpenFn,
     trace_close: HandleFn,
+    on_spi: OnSpiFn,
     free: HandleFn,
     path: PathBuf,
+    // Boxed twice: the shim holds a thin pointer to the inner box.
+    spi: Option<Box<SpiDevice>>,
     // Last: the code above lives in it.
     _library: Library,
 }
@@ -221,7 +290,9 @@ impl Soc {
                 ram_read: *library.get(b"fc_ram_read").map_err(err)?,
                 trace_open: *library.get(b"fc_trace_open").map_err(err)?,
                 trace_close: *library.get(b"fc_trace_close").map_err(err)?,
+                on_spi: *library.get(b"fc_on_spi").map_err(err)?,
                 free: *library.get(b"fc_free").map_err(err)?,
+                spi: None,
                 handle: new(),
                 path,
                 _library: library,
@@ -246,6 +317,14 @@ impl Soc {
             // SAFETY: index within the array, see above.
             unsafe { (self.rom_write)(self.handle, i as u32, *word) }
         }
+    }
+
+    /// Put a device at the flash's wires; without one MISO is 1.
+    pub fn attach_spi(&mut self, device: SpiDevice) {
+        let device = self.spi.insert(Box::new(device));
+        let context: *mut SpiDevice = &mut **device;
+        // SAFETY: see `rom_words`; `context` stays where it is until it is replaced here or freed after the handle.
+        unsafe { (self.on_spi)(self.handle, Some(on_spi), context.cast()) }
     }
 
     /// Address of the instruction that left the CPU's pipeline with the last clock edge; `None` in a stall.

@@ -32,6 +32,7 @@ struct Cores {
         context.randReset(0);
         model = std::make_unique<Vcores>(&context, "cores");
         model->clk = 0;
+        model->spi_miso = 1;
         model->eval();
     }
 };

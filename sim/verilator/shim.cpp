@@ -35,7 +35,7 @@ bool Vsoc___024root___eval_phase__nba(Vsoc___024root*);
 #endif
 
 namespace {
-constexpr uint32_t ABI_VERSION = 4;
+constexpr uint32_t ABI_VERSION = 5;
 constexpr uint32_t SYS = 1, ETH = 2;
 
 struct Pins {
@@ -43,21 +43,28 @@ struct Pins {
     uint32_t gpio_in;
     uint16_t enc_a, enc_b, enc_i, step_index, enc_mask;
     uint8_t gmii_rx_data, gmii_rx_dv;
-    uint8_t ext_reset, cpu_freeze, sys_rst, reserved_in;
+    uint8_t ext_reset, cpu_freeze, sys_rst, factory, link_status, reserved_in[3];
     // out
     uint32_t gpio_out;
     uint16_t step, dir, step_n, dir_n, pwm_out, pwm_dir;
     uint8_t gmii_tx_data, gmii_tx_en;
     uint8_t led, gate;
-    uint32_t reserved_out;
+    uint8_t spi_cs_n, spi_clk, spi_mosi, reserved_out;
 };
-static_assert(sizeof(Pins) == 44, "mirrored in sim/src/soc.rs");
+static_assert(sizeof(Pins) == 48, "mirrored in sim/src/soc.rs");
+
+// What sits at the flash's wires: told every level of CS and SCK that is new, with MOSI as it stands; answers with MISO's.
+using OnSpi = uint8_t (*)(void* context, uint8_t cs_n, uint8_t sck, uint8_t mosi);
 
 struct Soc {
     VerilatedContext context;
     std::unique_ptr<FC_MODEL> model;
     Pins driven{};        // inputs of the last full evaluation
     bool settled = false; // there was one
+    OnSpi on_spi = nullptr;
+    void* spi_context = nullptr;
+    uint8_t spi_cs_n = 1, spi_clk = 0;  // as last told
+    uint8_t spi_miso = 1, driven_miso = 1;  // nobody drives it: pulled up
 #if defined(FC_TRACE_FST) || defined(FC_TRACE_VCD)
     std::unique_ptr<Trace> trace;
 #endif
@@ -99,6 +106,9 @@ struct Soc {
         m.ext_reset = p.ext_reset;
         m.cpu_freeze = p.cpu_freeze;
         m.sys_rst = p.sys_rst;
+        m.factory = p.factory;
+        m.link_status = p.link_status;
+        m.spi_miso = driven_miso = spi_miso;
     }
 
     void sample(Pins& p) {
@@ -114,6 +124,14 @@ struct Soc {
         p.gmii_tx_en = m.gmii_tx_en;
         p.led = m.led;
         p.gate = m.gate;
+        p.spi_cs_n = m.spi_cs_n;
+        p.spi_clk = m.spi_clk;
+        p.spi_mosi = m.spi_mosi;
+        if (on_spi && (spi_cs_n != m.spi_cs_n || spi_clk != m.spi_clk)) {
+            spi_cs_n = m.spi_cs_n;
+            spi_clk = m.spi_clk;
+            spi_miso = on_spi(spi_context, m.spi_cs_n, m.spi_clk, m.spi_mosi) & 1;
+        }
     }
 };
 }  // namespace
@@ -162,7 +180,7 @@ void fc_rise(void* handle, Pins* pins, uint32_t clocks, uint64_t time_ps) {
     Pins in = *pins;
     if (soc.settled && !(clocks & SYS)) in.cpu_freeze = soc.driven.cpu_freeze;
     // eval() first works out what hangs on the inputs alone; they seldom change (5 % of the time).
-    if (soc.settled && std::memcmp(&soc.driven, &in, offsetof(Pins, gpio_out)) == 0) {
+    if (soc.settled && soc.spi_miso == soc.driven_miso && std::memcmp(&soc.driven, &in, offsetof(Pins, gpio_out)) == 0) {
         do {
             while (Vsoc___024root___eval_phase__act(root)) {
             }
@@ -186,6 +204,15 @@ void fc_rise(void* handle, Pins* pins, uint32_t clocks, uint64_t time_ps) {
     m.eval();
 #endif
     soc.sample(*pins);
+}
+
+// Puts `on_spi` at the flash's wires (null: nobody, MISO is 1). It is called from within fc_rise, after the edge; the MISO it
+// returns is seen by the next one.
+void fc_on_spi(void* handle, OnSpi on_spi, void* context) {
+    Soc& soc = *static_cast<Soc*>(handle);
+    soc.on_spi = on_spi;
+    soc.spi_context = context;
+    soc.spi_miso = 1;
 }
 
 uint32_t fc_rom_words(void* handle) {
