@@ -278,7 +278,7 @@ impl Client {
         result
     }
 
-    fn transact(
+    pub(crate) fn transact(
         &mut self,
         writes: &[(u32, &[u32])],
         reads: &[u32],

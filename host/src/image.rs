@@ -20,7 +20,9 @@
 //! The header's own text is not under the CRC. What it says is either compared (length, CRC, part against the
 //! FPGA id, platform against the board's) or only a name for people.
 
+use wire::Name;
 use wire::board::crc32;
+use wire::images::{Meta, idcode_of};
 
 /// Where the configuration begins: two dummy bytes, then the key.
 const PREAMBLE: [u8; 4] = [0xff, 0xff, 0xbd, 0xb3];
@@ -189,7 +191,7 @@ impl Image {
             });
         }
         let idcode = idcode(bytes).ok_or(ImageError::NoIdcode)?;
-        if part_idcode(&header.part) != Some(idcode) {
+        if idcode_of(&header.part) != Some(idcode) {
             return Err(ImageError::Part {
                 part: header.part,
                 idcode,
@@ -205,6 +207,20 @@ impl Image {
             crc,
             bytes: bytes.to_vec(),
         })
+    }
+}
+
+impl Image {
+    /// What its slot's meta page says of it.
+    pub fn meta(&self) -> Meta {
+        Meta {
+            length: self.bytes.len() as u32,
+            crc: self.crc,
+            build_id: self.build,
+            idcode: self.idcode,
+            configuration: Name::cut(&self.configuration),
+            platform: Name::cut(&self.platform),
+        }
     }
 }
 
@@ -295,33 +311,24 @@ pub fn idcode(bytes: &[u8]) -> Option<u32> {
     }
 }
 
-/// Chips with their JTAG ids; prjtrellis' device database has them too.
-const FPGAS: [(&str, u32); 10] = [
-    ("LFE5U-12F", 0x2111_1043),
-    ("LFE5U-25F", 0x4111_1043),
-    ("LFE5U-45F", 0x4111_2043),
-    ("LFE5U-85F", 0x4111_3043),
-    ("LFE5UM-25F", 0x0111_1043),
-    ("LFE5UM-45F", 0x0111_2043),
-    ("LFE5UM-85F", 0x0111_3043),
-    ("LFE5UM5G-25F", 0x8111_1043),
-    ("LFE5UM5G-45F", 0x8111_2043),
-    ("LFE5UM5G-85F", 0x8111_3043),
+/// Names of the chips [`wire::images::idcode_of`] knows.
+const FPGAS: [&str; 10] = [
+    "LFE5U-12F",
+    "LFE5U-25F",
+    "LFE5U-45F",
+    "LFE5U-85F",
+    "LFE5UM-25F",
+    "LFE5UM-45F",
+    "LFE5UM-85F",
+    "LFE5UM5G-25F",
+    "LFE5UM5G-45F",
+    "LFE5UM5G-85F",
 ];
-
-/// The id of a part: `LFE5U-25F-6BG256C` is an `LFE5U-25F`.
-pub fn part_idcode(part: &str) -> Option<u32> {
-    let found = FPGAS.iter().find(|(name, _)| {
-        part.strip_prefix(name)
-            .is_some_and(|rest| rest.is_empty() || rest.starts_with('-'))
-    });
-    found.map(|(_, idcode)| *idcode)
-}
 
 /// What people call the FPGA with this id.
 pub fn fpga_name(idcode: u32) -> String {
-    match FPGAS.iter().find(|(_, id)| *id == idcode) {
-        Some((name, _)) => (*name).to_owned(),
+    match FPGAS.iter().find(|name| idcode_of(name) == Some(idcode)) {
+        Some(name) => (*name).to_owned(),
         None => format!("an FPGA with id {idcode:#010x}"),
     }
 }
@@ -479,12 +486,10 @@ mod tests {
     }
 
     #[test]
-    fn a_part_has_the_id_of_its_chip_and_only_that() {
-        assert_eq!(part_idcode("LFE5U-25F-6BG256C"), Some(0x4111_1043));
-        assert_eq!(part_idcode("LFE5UM-25F-8MG285C"), Some(0x0111_1043));
-        assert_eq!(part_idcode("LFE5U-25"), None);
-        assert_eq!(part_idcode("LFE5U-25FX"), None);
-        assert_eq!(fpga_name(0x4111_1043), "LFE5U-25F");
+    fn every_chip_has_a_name_and_an_unknown_one_its_id() {
+        for name in FPGAS {
+            assert_eq!(fpga_name(idcode_of(name).unwrap()), name);
+        }
         assert!(fpga_name(7).contains("0x00000007"));
     }
 

@@ -17,6 +17,9 @@
 //! | [`client`] | the socket everywhere else: blocking requests, board identity, session |
 //! | [`address`] | `IP[:port]` |
 //! | [`image`] | a bitstream file: what it is for, whether it is whole |
+//! | [`flash`] | the board's flash over the network |
+//! | [`flash_file`] | a whole flash image, before it is written by JTAG |
+//! | [`jtag`] | openFPGALoader, run for you |
 //! | [`hal`] | typed pins, the real HAL, a HAL in a `Vec` |
 //!
 //! # Pins of a board
@@ -55,8 +58,11 @@ pub mod client;
 pub mod clock;
 pub mod driver;
 pub mod fence;
+pub mod flash;
+pub mod flash_file;
 pub mod hal;
 pub mod image;
+pub mod jtag;
 pub mod link;
 pub mod module;
 pub mod names;

@@ -1,0 +1,59 @@
+//! One bar on the terminal; without a terminal, one line per step.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::IsTerminal;
+
+/// Shows how far a long thing is.
+pub(crate) struct Bar {
+    bar: ProgressBar,
+    step: String,
+    lines: bool,
+}
+
+impl Bar {
+    /// Nothing is shown when `quiet`: the answer is for a program.
+    pub(crate) fn new(quiet: bool) -> Self {
+        let terminal = std::io::stderr().is_terminal();
+        let target = match terminal && !quiet {
+            true => ProgressDrawTarget::stderr(),
+            false => ProgressDrawTarget::hidden(),
+        };
+        let bar = ProgressBar::with_draw_target(Some(1000), target);
+        if let Ok(style) = ProgressStyle::with_template("{msg:<24} [{bar:40}] {percent:>3} % {eta}") {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        Bar {
+            bar,
+            step: String::new(),
+            lines: !terminal && !quiet,
+        }
+    }
+
+    /// `part` of 1 of a step is done.
+    pub(crate) fn show(&mut self, step: &str, part: f64) {
+        if self.step != step {
+            step.clone_into(&mut self.step);
+            self.bar.reset();
+            self.bar.set_message(step.to_owned());
+            if self.lines {
+                eprintln!("{step} ...");
+            }
+        }
+        self.bar.set_position((part * 1000.0) as u64);
+    }
+
+    /// A sentence between bars.
+    pub(crate) fn say(&self, text: &str) {
+        if self.lines {
+            eprintln!("{text}");
+        } else {
+            self.bar.println(text);
+        }
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
