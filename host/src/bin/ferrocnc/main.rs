@@ -3,7 +3,9 @@
 
 mod console;
 mod describe;
+mod flash;
 mod log;
+mod progress;
 mod watch;
 
 use anyhow::{Context, Result};
@@ -59,6 +61,11 @@ enum Command {
         #[arg(long, short)]
         follow: bool,
     },
+    /// Flash by JTAG: once in a board's life, then it is updated over the network.
+    Flash {
+        #[command(subcommand)]
+        what: flash::Flash,
+    },
     /// The board's debug console.
     Console {
         /// IP[:port] of the console; the port is telnet's if not given.
@@ -96,6 +103,7 @@ fn run(arguments: &Arguments) -> Result<()> {
             elf,
             follow,
         } => log::run(&mut open(address)?, elf, *follow, json),
+        Command::Flash { what } => flash::run(what, json),
         Command::Console { address, command } => {
             let address = parse(address, wire::CONSOLE_PORT)?;
             console::run(&address, command.as_deref(), json)

@@ -19,7 +19,8 @@ impl Bar {
             false => ProgressDrawTarget::hidden(),
         };
         let bar = ProgressBar::with_draw_target(Some(1000), target);
-        if let Ok(style) = ProgressStyle::with_template("{msg:<24} [{bar:40}] {percent:>3} % {eta}") {
+        if let Ok(style) = ProgressStyle::with_template("{msg:<24} [{bar:40}] {percent:>3} % {eta}")
+        {
             bar.set_style(style.progress_chars("=> "));
         }
         Bar {
@@ -40,15 +41,6 @@ impl Bar {
             }
         }
         self.bar.set_position((part * 1000.0) as u64);
-    }
-
-    /// A sentence between bars.
-    pub(crate) fn say(&self, text: &str) {
-        if self.lines {
-            eprintln!("{text}");
-        } else {
-            self.bar.println(text);
-        }
     }
 }
 

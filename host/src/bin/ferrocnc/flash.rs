@@ -1,0 +1,120 @@
+//! `ferrocnc flash load|write|verify`: through a JTAG cable, by openFPGALoader.
+
+use crate::progress::Bar;
+use anyhow::{Context, Result, bail};
+use clap::Subcommand;
+use ferrocnc::flash_file::FlashFile;
+use ferrocnc::image::Image;
+use ferrocnc::jtag::{DEFAULT_CABLE, Loader, Progress};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+#[derive(Subcommand)]
+pub(crate) enum Flash {
+    /// Load a bitstream into the FPGA; gone at power-off. Nothing in the flash changes.
+    Load {
+        /// NAME.bit
+        file: PathBuf,
+        #[command(flatten)]
+        cable: Cable,
+    },
+    /// Write the whole flash: the first one of a board's life. Settings on the board are lost.
+    Write {
+        /// NAME.flash
+        file: PathBuf,
+        #[command(flatten)]
+        cable: Cable,
+    },
+    /// Read the flash and compare it; settings and slot B are not looked at. The board starts anew.
+    Verify {
+        /// NAME.flash
+        file: PathBuf,
+        #[command(flatten)]
+        cable: Cable,
+    },
+}
+
+#[derive(clap::Args)]
+pub(crate) struct Cable {
+    /// JTAG cable, by openFPGALoader's name for it (openFPGALoader --list-cables).
+    #[arg(long, short, default_value = DEFAULT_CABLE)]
+    cable: String,
+    /// JTAG clock in Hz, for long wires; openFPGALoader's own if not given.
+    #[arg(long, value_name = "HZ")]
+    freq: Option<u32>,
+}
+
+impl Cable {
+    fn loader(&self) -> Loader {
+        Loader::new(&self.cable).with_frequency(self.freq)
+    }
+}
+
+pub(crate) fn run(what: &Flash, as_json: bool) -> Result<()> {
+    let mut bar = Bar::new(as_json);
+    let done = match what {
+        Flash::Load { file, cable } => load(file, &cable.loader(), &mut bar),
+        Flash::Write { file, cable } => write(file, &cable.loader(), &mut bar),
+        Flash::Verify { file, cable } => verify(file, &cable.loader(), &mut bar),
+    };
+    drop(bar);
+    let done = done?;
+    if as_json {
+        println!("{:#}", json!({ "done": done }));
+    } else {
+        println!("{done}");
+    }
+    Ok(())
+}
+
+fn read(file: &Path) -> Result<Vec<u8>> {
+    std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))
+}
+
+fn load(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
+    let image = Image::parse(&read(file)?).with_context(|| file.display().to_string())?;
+    loader.expect(image.idcode)?;
+    loader.load(file, &mut |progress| show(bar, &progress))?;
+    Ok(format!(
+        "loaded: {image}. It runs until power-off; then the board loads from its flash again"
+    ))
+}
+
+fn write(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
+    let flash = FlashFile::parse(read(file)?).with_context(|| file.display().to_string())?;
+    loader.expect(flash.image.idcode)?;
+    loader.write(file, &mut |progress| show(bar, &progress))?;
+    Ok(format!(
+        "written and verified: {} on {}, build {:08x} in slot A, golden build {:08x}. Power the board off and on",
+        flash.image.configuration,
+        flash.image.platform,
+        flash.image.build_id,
+        flash.golden.build_id
+    ))
+}
+
+fn verify(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
+    let flash = FlashFile::parse(read(file)?).with_context(|| file.display().to_string())?;
+    loader.expect(flash.image.idcode)?;
+    let copy = std::env::temp_dir().join(format!("ferrocnc-flash-{}.bin", std::process::id()));
+    let dumped = loader.dump(flash.len(), &copy, &mut |progress| show(bar, &progress));
+    let bytes = std::fs::read(&copy);
+    // Nobody misses it if it was never written.
+    let _ = std::fs::remove_file(&copy);
+    dumped?;
+    let bytes = bytes.context("openFPGALoader left no copy of the flash")?;
+    let differ = flash.compare(&bytes);
+    if let Some((piece, at)) = differ.first() {
+        let pieces: Vec<&str> = differ.iter().map(|(piece, _)| *piece).collect();
+        bail!(
+            "the flash differs from {}: {} ({piece} first at {at:#08x}); after an update over the network stubs and slot A do",
+            file.display(),
+            pieces.join(", ")
+        );
+    }
+    Ok("the flash holds what the file says".to_owned())
+}
+
+fn show(bar: &mut Bar, progress: &Progress) {
+    bar.show(&progress.step, progress.percent / 100.0);
+}
