@@ -8,6 +8,8 @@
 use std::collections::VecDeque;
 use std::ops::{Deref, DerefMut};
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::error::Error;
 use crate::gmii::{Collector, Feeder, Sent, Transfer};
@@ -99,6 +101,8 @@ pub struct Board<S> {
     next_sys: u64,
     next_eth: u64,
     clock: u64,
+    /// The same for whoever is called from inside the silicon.
+    time: Arc<AtomicU64>,
     feeder: Feeder,
     collector: Collector,
     sent: VecDeque<Sent>,
@@ -119,6 +123,7 @@ impl<S: Silicon> Board<S> {
             next_sys: clockwork.sys_period,
             next_eth: clockwork.eth_period,
             clock: 0,
+            time: Arc::default(),
             feeder: Feeder::default(),
             collector: Collector::default(),
             sent: VecDeque::new(),
@@ -146,6 +151,11 @@ impl<S: Silicon> Board<S> {
     /// Sys clocks since power-up.
     pub fn clock(&self) -> u64 {
         self.clock
+    }
+
+    /// A clock on the wall: sys clocks since power-up, for a device that the silicon calls while time passes.
+    pub fn time(&self) -> Arc<AtomicU64> {
+        self.time.clone()
     }
 
     /// Ticks since power-up.
@@ -257,6 +267,7 @@ impl<S: Silicon> Board<S> {
         self.silicon.rise(&mut self.world.pins, clocks, time_ps);
         if sys {
             self.clock += 1;
+            self.time.store(self.clock, Ordering::Relaxed);
             self.world.observe(self.clock);
         }
         eth && self.after_eth()

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use object::read::elf::{ElfFile32, ProgramHeader};
 use object::{Endianness, elf};
+use wire::images::Trailer;
 
 use crate::error::Error;
 
@@ -25,6 +26,12 @@ impl Image {
             path: path.into(),
             why,
         })
+    }
+
+    /// Puts a trailer into the last words of a ROM of this size, as packing does.
+    pub fn trailer(&mut self, trailer: Trailer, rom_words: usize) {
+        self.words.resize(rom_words - Trailer::WORDS, 0);
+        self.words.extend(trailer.to_words());
     }
 
     fn parse(data: &[u8], rom_words: usize) -> Result<Self, String> {

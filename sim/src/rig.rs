@@ -15,9 +15,11 @@
 
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use wire::etherbone;
+use wire::images::Trailer;
 
 use crate::board::{Board, Stop, TraceWindow};
 use crate::edges::Recorder;
@@ -25,6 +27,8 @@ use crate::error::Error;
 use crate::exchange::{Meter, Timing, is_request};
 use crate::firmware::Image;
 use crate::gmii;
+use crate::nor::pins::Wires;
+use crate::nor::spi::Shared;
 use crate::plant::Plant;
 use crate::report::{Counters, Report, Seen};
 use crate::segment::{
@@ -46,6 +50,12 @@ pub struct Setup {
     pub board_ip: Ipv4Addr,
     /// The machine at its pins.
     pub plant: Plant,
+    /// The flash at its wires; without one nobody answers there.
+    pub flash: Option<Shared>,
+    /// The factory pin is held.
+    pub factory: bool,
+    /// What packing would have written at the end of the ROM.
+    pub trailer: Trailer,
     /// Waveforms of a window of time.
     pub trace: Option<TraceWindow>,
     /// Longest wait for the first answer, sys clocks. 3 000 000 are 50 ms of board time: start-up is a few.
@@ -60,6 +70,9 @@ impl Setup {
             firmware: elf.into(),
             board_ip: BOARD_IP,
             plant: Plant::direct(16),
+            flash: None,
+            factory: false,
+            trailer: Trailer::NONE,
             trace: None,
             boot_clocks: 3_000_000,
         }
@@ -159,8 +172,22 @@ impl Rig<Soc> {
     pub fn power_up(setup: Setup) -> Result<Self, Error> {
         let manifest = Manifest::read(&setup.soc_dir)?;
         let mut soc = Soc::load(&setup.soc_dir, setup.trace.is_some())?;
-        let image = Image::read(&setup.firmware, soc.rom_words())?;
+        let rom_words = soc.rom_words();
+        let mut image = Image::read(&setup.firmware, rom_words)?;
+        if setup.trailer != Trailer::NONE {
+            image.trailer(setup.trailer, rom_words);
+        }
         let mut board = Board::new(soc, manifest.sys_clk_hz, setup.plant);
+        board.factory(setup.factory);
+        if let Some(flash) = setup.flash {
+            let (time, clockwork) = (board.time(), board.clockwork());
+            let mut wires = Wires::new(flash);
+            let device = move |cs_n, sck, mosi| {
+                let ticks = time.load(Ordering::Relaxed) * clockwork.sys_period;
+                wires.set(clockwork.picoseconds(ticks) / 1000, cs_n, sck, mosi)
+            };
+            board.silicon().attach_spi(Box::new(device));
+        }
         if let Some(window) = setup.trace {
             board.trace(window);
         }
@@ -357,6 +384,12 @@ impl<S: Silicon> Rig<S> {
         if let Some(id) = self.inject_frame(&frame) {
             self.meter.request(id, from, payload, wire_len);
         }
+    }
+
+    /// Put a datagram for everybody on the wire and return at once.
+    pub fn broadcast(&mut self, from: Endpoint, port: u16, payload: &[u8]) {
+        let frame = self.segment.broadcast(from, port, payload);
+        self.inject_frame(&frame);
     }
 
     /// Datagrams from the board that nobody has taken.

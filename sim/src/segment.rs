@@ -212,13 +212,24 @@ impl Segment {
 
     /// The frame of a UDP datagram; longer payloads than [`MAX_UDP`] make a frame no Ethernet carries, if asked for.
     pub fn udp(&mut self, from: Endpoint, port: u16, payload: &[u8]) -> Vec<u8> {
+        self.udp_to(from, (self.board_ip, port), payload)
+    }
+
+    /// The same to everybody: 255.255.255.255 in a broadcast frame.
+    pub fn broadcast(&mut self, from: Endpoint, port: u16, payload: &[u8]) -> Vec<u8> {
+        let mut frame = self.udp_to(from, (Ipv4Addr::BROADCAST, port), payload);
+        frame[..6].fill(0xff);
+        frame
+    }
+
+    fn udp_to(&mut self, from: Endpoint, to: Endpoint, payload: &[u8]) -> Vec<u8> {
         let udp = UdpRepr {
             src_port: from.1,
-            dst_port: port,
+            dst_port: to.1,
         };
         let ip = Ipv4Repr {
             src_addr: from.0,
-            dst_addr: self.board_ip,
+            dst_addr: to.0,
             next_header: IpProtocol::Udp,
             payload_len: udp.header_len() + payload.len(),
             hop_limit: 64,
@@ -227,7 +238,7 @@ impl Segment {
         udp.emit(
             &mut UdpPacket::new_unchecked(&mut frame[at..]),
             &from.0.into(),
-            &self.board_ip.into(),
+            &to.0.into(),
             payload.len(),
             |buffer| buffer.copy_from_slice(payload),
             &ChecksumCapabilities::default(),

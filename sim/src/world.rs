@@ -111,6 +111,16 @@ impl World {
         self.pins.ext_reset = high.into();
     }
 
+    /// Drive the factory pin: the button or jumper that makes a board forget its settings while it is held at start.
+    pub fn factory(&mut self, active: bool) {
+        self.pins.factory = active.into();
+    }
+
+    /// What the PHY says of its link, as [`crate::soc::LINK_1000`]; 0 is down.
+    pub fn link(&mut self, status: u8) {
+        self.pins.link_status = status;
+    }
+
     /// Drive the general inputs that the plant does not.
     pub fn gpio_in(&mut self, levels: u32) {
         self.gpio_in = levels;
