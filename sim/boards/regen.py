@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Writes what the twin knows of a board where nothing has been elaborated: NAME/board.bin and NAME/manifest.json.
 
-`gateware/ferrocnc/board.py` stays the only reader of board files; this needs Python and nothing else.
+The crate `config` stays the only reader of board files; this needs Python and cargo, and no tool of the gateware.
 
     python3 sim/boards/regen.py [--out DIR] [NAME...]
 """

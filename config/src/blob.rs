@@ -1,0 +1,59 @@
+//! The board info blob: what the board says about itself. Its layout's specification is `wire::board`.
+
+use crate::board::{Board, Class};
+use crate::error::Error;
+use wire::board::{HEADER_LEN, MAGIC, VERSION, crc32};
+
+/// Bytes the board has for it: one block RAM (`regmap.py`, `pac::abi::BOARD_ROM_SIZE`).
+pub const ROM: usize = 0x800;
+
+/// The blob of a configuration. Refused when it is longer than the board has room for.
+pub fn blob(board: &Board) -> Result<Vec<u8>, Error> {
+    let mut body = Vec::new();
+    entry(&mut body, 1, 0, board.platform.title.as_bytes());
+    entry(&mut body, 2, 0, board.name.as_bytes());
+    if let Some(mac) = board.mac {
+        entry(&mut body, 10, 0, &mac);
+    }
+    entry(&mut body, 11, 0, &board.ipv4);
+    entry(&mut body, 12, 0, &board.udp_port.to_be_bytes());
+    entry(&mut body, 13, 0, board.platform.device.as_bytes());
+    entry(&mut body, 14, 0, board.platform.name.as_bytes());
+    for (code, class) in (3..).zip(Class::ALL) {
+        for (n, channel) in (0..).zip(board.of(class)) {
+            entry(&mut body, code, n, channel.name.as_bytes());
+            let text = channel.text(class);
+            if !text.is_empty() {
+                entry(
+                    &mut body,
+                    8,
+                    n,
+                    format!("{}{text}", class.letter()).as_bytes(),
+                );
+            }
+        }
+    }
+    let total = HEADER_LEN + body.len();
+    if total > ROM {
+        return Err(Error {
+            file: board.file.clone(),
+            place: None,
+            key: String::new(),
+            value: String::new(),
+            problem: format!("describes itself in {total} bytes and the board has {ROM}"),
+            remedy: "shorten the names of the channels".to_owned(),
+        });
+    }
+    let head = [MAGIC, VERSION, total as u32, crc32(&body)];
+    let mut blob: Vec<u8> = head.iter().flat_map(|word| word.to_be_bytes()).collect();
+    blob.append(&mut body);
+    Ok(blob)
+}
+
+fn entry(body: &mut Vec<u8>, kind: u8, channel: u8, value: &[u8]) {
+    // A title may be any text, and nobody misses what stands behind its 255th byte.
+    let value = &value[..value.len().min(255)];
+    body.extend([kind, channel, value.len() as u8, 0]);
+    body.extend_from_slice(value);
+    body.resize(body.len().next_multiple_of(4), 0);
+}

@@ -1,0 +1,74 @@
+//! What a channel's name becomes in LinuxCNC, as far as a name can be too long for it.
+
+/// The longest name the driver gives anything (`ferrocnc::hal::NAME_MAX`; HAL itself stops at 47).
+pub const NAME_MAX: usize = 41;
+
+/// What the pins of a channel class are called: `ferrocnc.<board>.<class>.<name>.<pin>`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HalClass {
+    /// Third part of the name.
+    pub class: &'static str,
+    /// The longest last part.
+    pub longest: &'static str,
+}
+
+/// `[[stepgen]]`.
+pub const STEPGEN: HalClass = HalClass {
+    class: "stepgen",
+    longest: "position-scale",
+};
+/// `[[encoder]]`.
+pub const ENCODER: HalClass = HalClass {
+    class: "encoder",
+    longest: "velocity-rpm",
+};
+/// `[[pwm]]`.
+pub const PWM: HalClass = HalClass {
+    class: "pwm",
+    longest: "invert-output",
+};
+/// `[[gpio_in]]`.
+pub const INPUT: HalClass = HalClass {
+    class: "gpio",
+    longest: "in-not",
+};
+/// `[[gpio_out]]`.
+pub const OUTPUT: HalClass = HalClass {
+    class: "gpio",
+    longest: "invert",
+};
+
+impl HalClass {
+    /// The longest pin a channel of this name gets, on the first board.
+    pub fn pin(self, name: &str) -> String {
+        format!("ferrocnc.0.{}.{name}.{}", self.class, self.longest)
+    }
+
+    /// How long a name may be.
+    pub fn room(self) -> usize {
+        NAME_MAX - self.pin("").len()
+    }
+}
+
+/// Whether HAL can have it: lower case, digits and hyphens, a letter first.
+pub fn is_name(name: &str) -> bool {
+    name.starts_with(|c: char| c.is_ascii_lowercase())
+        && name
+            .bytes()
+            .all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
+}
+
+/// The nearest name HAL can have, of at most `room` characters; empty when nothing is left.
+pub fn nearest_name(text: &str, room: usize) -> String {
+    let mut name = String::new();
+    for c in text.chars().flat_map(char::to_lowercase) {
+        match c {
+            'a'..='z' => name.push(c),
+            '0'..='9' if !name.is_empty() => name.push(c),
+            _ if !name.is_empty() && !name.ends_with('-') => name.push('-'),
+            _ => {}
+        }
+    }
+    name.truncate(room);
+    name.trim_end_matches('-').to_owned()
+}
