@@ -11,6 +11,7 @@ use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 use wire::board::{Blob, BlobError};
 use wire::describe::{self, Describe, DescribeError};
+use wire::map::{PwmType, StepType};
 use wire::{MAX_PAYLOAD, MAX_WORDS, Packet, ReplyWriter, etherbone, map};
 
 /// How long one try waits: some hundred times a healthy board's answer, short enough that a lost
@@ -124,20 +125,42 @@ impl Identity {
         Ok(Identity { describe, blob })
     }
 
-    /// What the board file says of a channel's pins beyond where they are: `dir=` of a PWM, `estop=` of an
-    /// input. `class` is the first letter of the entry.
-    pub fn has_pin(&self, class: u8, channel: usize, pin: &str) -> bool {
-        self.blob().entries().any(|entry| {
-            entry.kind == wire::board::Kind::Pins
+    /// What the board file says of a channel's pins: the value of `step=`, `dir=`, `type=`, `estop=`. `class` is
+    /// the first letter of the entry.
+    pub fn pin(&self, class: u8, channel: usize, key: &str) -> Option<&str> {
+        self.blob().entries().find_map(|entry| {
+            let (first, text) = entry.value.split_first()?;
+            let this = entry.kind == wire::board::Kind::Pins
                 && usize::from(entry.channel) == channel
-                && entry.value.split_first().is_some_and(|(first, text)| {
-                    *first == class
-                        && text.split(|byte| *byte == b' ').any(|word| {
-                            word.strip_prefix(pin.as_bytes())
-                                .is_some_and(|rest| rest.first() == Some(&b'='))
-                        })
-                })
+                && *first == class;
+            let text = core::str::from_utf8(text).ok().filter(|_| this)?;
+            let mut words = text.split(' ');
+            words.find_map(|word| word.strip_prefix(key)?.strip_prefix('='))
         })
+    }
+
+    /// Whether the board file says anything of it.
+    pub fn has_pin(&self, class: u8, channel: usize, key: &str) -> bool {
+        self.pin(class, channel, key).is_some()
+    }
+
+    /// How the board file has this stepgen speak; what it does not say, or in words of a later version, is
+    /// step/dir.
+    pub fn step_type(&self, stepgen: usize) -> StepType {
+        match self.pin(b's', stepgen, "type") {
+            Some("up_down") => StepType::UpDown,
+            Some("quadrature") => StepType::Quadrature,
+            Some(_) | None => StepType::StepDir,
+        }
+    }
+
+    /// What the board file makes of this PWM; the same.
+    pub fn pwm_type(&self, pwm: usize) -> PwmType {
+        match self.pin(b'p', pwm, "type") {
+            Some("up_down") => PwmType::UpDown,
+            Some("pdm") => PwmType::Pdm,
+            Some(_) | None => PwmType::Pwm,
+        }
     }
 
     /// The names.

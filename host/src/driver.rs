@@ -53,6 +53,7 @@
 use crate::address::Address;
 use crate::blocks::arming::ArmRequest;
 use crate::blocks::encoder::Encoder;
+use crate::blocks::ethernet::Ethernet;
 use crate::blocks::gpio;
 use crate::blocks::latch::Sight;
 use crate::blocks::packets::Packets;
@@ -142,6 +143,7 @@ pub struct Driver {
     packets: Packets,
     watchdog: Watchdog,
     wallclock: Wallclock,
+    ethernet: Ethernet,
     stepgens: Vec<Stepgen>,
     encoders: Vec<Encoder>,
     pwms: Vec<Pwm>,
@@ -233,6 +235,8 @@ impl Driver {
         let packets = Packets::export(&mut hal)?;
         let watchdog = Watchdog::export(&mut hal)?;
         let wallclock = Wallclock::export(&mut hal)?;
+        let mut ethernet = Ethernet::export(&mut hal)?;
+        ethernet.sampled(&describe.state);
         let stepgens = each(
             &mut hal,
             "stepgen",
@@ -242,7 +246,7 @@ impl Driver {
                 "position-scale",
                 channels.stepgens,
             ),
-            |hal, _| Stepgen::export(hal),
+            |hal, n| Stepgen::export(hal, identity.step_type(n)),
         )?;
         let encoders = each(
             &mut hal,
@@ -254,7 +258,10 @@ impl Driver {
             &mut hal,
             "pwm",
             names(Kind::Pwm, "pwm", "invert-output", channels.pwms),
-            |hal, n| Pwm::export(hal, identity.has_pin(b'p', n, "dir")),
+            |hal, n| {
+                let has_direction = identity.has_pin(b'p', n, "dir");
+                Pwm::export(hal, has_direction, identity.pwm_type(n))
+            },
         )?;
         let inputs = each(
             &mut hal,
@@ -280,6 +287,7 @@ impl Driver {
             packets,
             watchdog,
             wallclock,
+            ethernet,
             stepgens,
             encoders,
             pwms,
@@ -511,6 +519,7 @@ impl Driver {
         }
         if session.boot_id != self.boot_id {
             self.boot_id = session.boot_id;
+            self.ethernet.forget();
             self.error(format_args!(
                 "the board has restarted; enable again when the machine is in order"
             ));
@@ -650,6 +659,7 @@ impl Driver {
         self.pins.position_trusted.set(word.position_trusted);
         self.pins.refused_total.set(status.refused.0);
         self.pins.estop.set(word.estop);
+        self.ethernet.sampled(&word);
         self.live = armed;
         self.state = word.state;
         if word.reason != self.reason {
@@ -686,6 +696,7 @@ impl Driver {
         self.pins.enabled.set(false);
         self.pins.position_trusted.set(false);
         self.pins.io_error.set(true);
+        self.ethernet.lost();
         let was_live = core::mem::replace(&mut self.live, false);
         if was_live {
             self.reason = FaultReason::LinkDown;

@@ -45,7 +45,7 @@
 //! | `probe-invert` | bit param | it is active low |
 //! | `apply-delay-ns` | u32 param | commands take effect this long after `write`, on all boards at once; 0: on arrival |
 //!
-//! then [`blocks::packets`], [`blocks::watchdog`], [`blocks::wallclock`], and per channel
+//! then [`blocks::packets`], [`blocks::watchdog`], [`blocks::wallclock`], [`blocks::ethernet`], and per channel
 //! [`blocks::stepgen`], [`blocks::encoder`], [`blocks::pwm`], [`blocks::gpio`], with the board's own name
 //! for the channel where it has one and two digits where not. A pin whose name would be longer than 41
 //! characters goes by its channel's two digits: `encoder.05.position-latched` of the encoder `spindle`.

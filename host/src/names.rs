@@ -492,8 +492,10 @@ fn litexcnc_pwm(
         0.0 => clock,
         hz => hz.max(1.0),
     })?;
-    names.set(&ours("output-type"), move || {
-        if frequency.get() == 0.0 { 3.0 } else { 1.0 }
+    let otherwise = names.ours(&ours("output-type"))?.handle.get();
+    names.set(&ours("output-type"), move || match frequency.get() {
+        0.0 => 3.0,
+        _ => otherwise,
     })?;
     names.lone((&theirs("type"), U32, ReadOnly), f64::from(has_direction))?;
     Ok(())

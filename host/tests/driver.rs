@@ -566,3 +566,38 @@ fn a_board_somebody_else_has_taken_meanwhile_is_told_once_with_who() {
     assert_eq!(told.len(), 1, "{said:?}");
     assert!(!rig.enabled());
 }
+
+#[test]
+fn the_link_is_shown_as_the_board_sees_it_and_is_down_when_the_board_is_silent() {
+    let mut rig = Rig::new();
+    let look = |rig: &Rig| {
+        (
+            rig.hal.get::<bool>("ferrocnc.0.link.up"),
+            rig.hal.get::<i32>("ferrocnc.0.link.speed"),
+            rig.hal.get::<u32>("ferrocnc.0.link.errors"),
+        )
+    };
+    assert_eq!(look(&rig), (true, 1000, 0));
+    rig.board.look().knobs.link = Some((wire::LinkSpeed::M100, 3));
+    rig.run(3);
+    assert_eq!(look(&rig), (true, 100, 3));
+    rig.hal.set("ferrocnc.0.packet-read-timeout", 100_000);
+    rig.board.look().knobs.unplugged = true;
+    rig.run(10);
+    assert_eq!(look(&rig), (false, 0, 3));
+}
+
+#[test]
+fn step_and_output_types_are_the_board_files_until_hal_says_otherwise() {
+    let rig = Rig::new();
+    let stepgen = |name: &str| {
+        rig.hal
+            .get::<u32>(&format!("ferrocnc.0.stepgen.{name}.step-type"))
+    };
+    assert_eq!(["x", "z", "a"].map(stepgen), [0, 2, 0]);
+    let pwm = |name: &str| {
+        rig.hal
+            .get::<u32>(&format!("ferrocnc.0.pwm.{name}.output-type"))
+    };
+    assert_eq!(["spindle", "aux-0"].map(pwm), [1, 3]);
+}

@@ -37,7 +37,11 @@ impl Bench {
 
     fn run(&self, case: &str, arguments: &[&str]) -> Output {
         // The real one may be installed here.
-        let system = if case == "absent" { "" } else { ":/usr/bin:/bin" };
+        let system = if case == "absent" {
+            ""
+        } else {
+            ":/usr/bin:/bin"
+        };
         let path = format!("{}{system}", self.path("bin").display());
         Command::new(env!("CARGO_BIN_EXE_ferrocnc"))
             .arg("flash")

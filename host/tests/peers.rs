@@ -18,6 +18,7 @@ use ferrocnc::hal::{Direction, Exporter};
 use ferrocnc::names::Scheme;
 use wire::describe::Channels;
 use wire::exchange::{EncoderStatus, PWM_FRACTION};
+use wire::map::{PwmType, StepType};
 use wire::units::{Clocks, Count, StepRate};
 use wire::{FaultReason, map};
 
@@ -69,7 +70,8 @@ fn lcnc_takes_a_late_reply_as_current_not_ours() {
 #[test]
 fn lcnc_clock_is_hard_coded_not_ours() {
     let mut hal = FakeHal::new();
-    let mut stepgen = Stepgen::export(&mut Exporter::new(&mut hal, "s")).unwrap();
+    let mut stepgen =
+        Stepgen::export(&mut Exporter::new(&mut hal, "s"), StepType::StepDir).unwrap();
     hal.set("s.steplen", 1000u32);
     for (clock, clocks) in [(40e6, 40), (50e6, 50), (60e6, 60)] {
         assert_eq!(stepgen.configure(clock)[0], clocks, "1 us at {clock} Hz");
@@ -257,7 +259,8 @@ fn litexcnc_enable_pin_is_unused_ours_stops_the_axis() {
 #[test]
 fn litexcnc_timing_fields_overflow_into_each_other_not_ours() {
     let mut hal = FakeHal::new();
-    let mut stepgen = Stepgen::export(&mut Exporter::new(&mut hal, "s")).unwrap();
+    let mut stepgen =
+        Stepgen::export(&mut Exporter::new(&mut hal, "s"), StepType::StepDir).unwrap();
     let usual = stepgen.configure(60e6);
     for (n, (name, most)) in [
         ("s.steplen", map::STEP_CLOCKS_MAX),
@@ -281,7 +284,7 @@ fn litexcnc_timing_fields_overflow_into_each_other_not_ours() {
 #[test]
 fn litexcnc_dither_is_a_no_op_ours_reaches_the_gateware() {
     let mut hal = FakeHal::new();
-    let mut pwm = Pwm::export(&mut Exporter::new(&mut hal, "p"), false).unwrap();
+    let mut pwm = Pwm::export(&mut Exporter::new(&mut hal, "p"), false, PwmType::Pwm).unwrap();
     hal.set("p.enable", true);
     hal.set("p.value", 1.0 / 3.0);
     hal.set("p.pwm-freq", 600_000.0);

@@ -4,6 +4,7 @@
 
 pub mod arming;
 pub mod encoder;
+pub mod ethernet;
 pub mod gpio;
 pub mod latch;
 pub mod packets;

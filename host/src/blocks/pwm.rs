@@ -14,7 +14,7 @@
 //!
 //! | parameter | | |
 //! |---|---|---|
-//! | `output-type` | u32 | hostmot2's: 1 PWM and direction, 2 up/down, 3 PDM and direction, 4 direction and PWM |
+//! | `output-type` | u32 | the board file's `type` if nobody sets it; hostmot2's numbers: 1 PWM and direction, 2 up/down, 3 PDM and direction, 4 direction and PWM |
 //! | `dither` | bit | spread 1/256 clocks over periods; the average is exact over 256 of them |
 //! | `invert-output` | bit | active low |
 //!
@@ -53,8 +53,12 @@ pub struct Pwm {
 }
 
 impl Pwm {
-    /// Exports the pins.
-    pub fn export(hal: &mut Exporter<'_>, has_direction: bool) -> Result<Self, ExportError> {
+    /// Exports the pins; `kind` is what the board file says it is.
+    pub fn export(
+        hal: &mut Exporter<'_>,
+        has_direction: bool,
+        kind: PwmType,
+    ) -> Result<Self, ExportError> {
         Ok(Pwm {
             value: hal.input("value")?,
             enable: hal.input("enable")?,
@@ -68,7 +72,7 @@ impl Pwm {
             curr_period: hal.output("curr-period")?,
             curr_width: hal.output("curr-width")?,
             direction: hal.output("direction")?,
-            output_type: hal.param("output-type", 1)?,
+            output_type: hal.param("output-type", number(kind))?,
             dither: hal.param("dither", false)?,
             invert: hal.param("invert-output", false)?,
             has_direction,
@@ -161,6 +165,15 @@ impl Pwm {
     }
 }
 
+/// hostmot2's number for it.
+const fn number(kind: PwmType) -> u32 {
+    match kind {
+        PwmType::Pwm => 1,
+        PwmType::UpDown => 2,
+        PwmType::Pdm => 3,
+    }
+}
+
 fn clean(value: f64, otherwise: f64) -> f64 {
     if value.is_nan() { otherwise } else { value }
 }
@@ -174,7 +187,12 @@ mod tests {
 
     fn bench(has_direction: bool) -> (FakeHal, Pwm) {
         let mut hal = FakeHal::new();
-        let pwm = Pwm::export(&mut Exporter::new(&mut hal, "p"), has_direction).unwrap();
+        let pwm = Pwm::export(
+            &mut Exporter::new(&mut hal, "p"),
+            has_direction,
+            PwmType::Pwm,
+        )
+        .unwrap();
         hal.set("p.enable", true);
         hal.set("p.scale", 100.0);
         (hal, pwm)

@@ -18,7 +18,7 @@
 //!
 //! Parameters, all read/write: `position-scale` (steps per unit), `maxvel`, `maxaccel` (0: no limit),
 //! `steplen`, `stepspace` (ns, up to 136 us at 60 MHz), `dirsetup`, `dirhold` (ns, up to 1.09 ms), `step-type`
-//! ([`StepType`]: 0 step/dir, 1 up/down, 2 quadrature), `step-invert`, `dir-invert`, `index-invert`. What
+//! ([`StepType`]: 0 step/dir, 1 up/down, 2 quadrature; the board file's `type` if nobody sets it), `step-invert`, `dir-invert`, `index-invert`. What
 //! concerns the pins reaches the board while it is disarmed.
 //!
 //! # The position loop
@@ -120,8 +120,8 @@ pub struct Target {
 }
 
 impl Stepgen {
-    /// Exports the pins.
-    pub fn export(hal: &mut Exporter<'_>) -> Result<Self, ExportError> {
+    /// Exports the pins; `kind` is what the board file says it is.
+    pub fn export(hal: &mut Exporter<'_>, kind: StepType) -> Result<Self, ExportError> {
         Ok(Stepgen {
             position_cmd: hal.input("position-cmd")?,
             velocity_cmd: hal.input("velocity-cmd")?,
@@ -143,7 +143,7 @@ impl Stepgen {
             stepspace: hal.param("stepspace", DEFAULT_STEP_NS)?,
             dirsetup: hal.param("dirsetup", DEFAULT_DIR_NS)?,
             dirhold: hal.param("dirhold", DEFAULT_DIR_NS)?,
-            step_type: hal.param("step-type", StepType::StepDir as u32)?,
+            step_type: hal.param("step-type", kind as u32)?,
             step_invert: hal.param("step-invert", false)?,
             dir_invert: hal.param("dir-invert", false)?,
             index_invert: hal.param("index-invert", false)?,
@@ -472,7 +472,8 @@ mod tests {
     impl Bench {
         fn new(scale: f64, maxaccel: f64) -> Self {
             let mut hal = FakeHal::new();
-            let mut stepgen = Stepgen::export(&mut Exporter::new(&mut hal, "s")).unwrap();
+            let mut stepgen =
+                Stepgen::export(&mut Exporter::new(&mut hal, "s"), StepType::StepDir).unwrap();
             hal.set("s.enable", true);
             hal.set("s.position-scale", scale);
             hal.set("s.maxaccel", maxaccel);

@@ -68,7 +68,10 @@ pub const MILL6: &[(u8, u8, &str)] = &[
     (7, 6, "lamp"),
     (6, 11, "estop"),
     (8, 0, "sstep=j1:0 dir=j1:1"),
+    (8, 2, "sstep=j1:4 dir=j1:5 type=quadrature"),
+    (8, 3, "sstep=j1:6 dir=j2:0 type=of-next-year"),
     (8, 1, "ppin=j3:1 dir=j3:2"),
+    (8, 4, "ppin=j3:4 type=pdm"),
     (8, 11, "ipin=bus:7 estop=high"),
 ];
 
@@ -148,6 +151,8 @@ pub struct Knobs {
     pub quad_errors: u8,
     /// E-stop inputs pressed.
     pub estop: u32,
+    /// Its link is down or slow, and has lost so many frames.
+    pub link: Option<(wire::LinkSpeed, u8)>,
     /// Say this instead of our wire version.
     pub wire_version: Option<u32>,
     /// Say this as the gateware's ABI.
@@ -703,6 +708,10 @@ impl Mind {
         self.edge = false;
     }
 
+    fn link(&self) -> (wire::LinkSpeed, u8) {
+        self.knobs.link.unwrap_or((wire::LinkSpeed::M1000, 0))
+    }
+
     fn state_word(&self, answer: bool) -> StateWord {
         StateWord {
             state: self.state,
@@ -713,10 +722,10 @@ impl Mind {
             bitten: self.bitten,
             external_reset: self.knobs.external_reset,
             accepted: answer,
-            link: true,
+            link: self.link().0 != wire::LinkSpeed::Down,
             estop: self.estop_latched != 0,
-            speed: wire::LinkSpeed::M1000,
-            link_errors: 0,
+            speed: self.link().0,
+            link_errors: self.link().1,
         }
     }
 
