@@ -77,6 +77,15 @@ struct Arguments {
     /// Loopback address that stands for the board's UDP port 1234.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:1234")]
     udp: SocketAddr,
+    /// Address that stands for the board's discovery port, UDP 51234. Answers go to the asker alone, unless --interface says
+    /// that there is a network to shout into.
+    #[arg(long, value_name = "ADDR:PORT")]
+    discovery: Option<SocketAddr>,
+    /// Model: be this network interface, e.g. one end of a veth pair in a network namespace of its own. It is given the
+    /// board's hardware and IPv4 address, at start and whenever they change; discovery is answered to everybody. Listens on
+    /// every address of the namespace: say --udp 0.0.0.0:1234 --discovery 0.0.0.0:51234. Needs root there.
+    #[arg(long, value_name = "NAME", requires = "discovery")]
+    interface: Option<String>,
     /// Loopback address that stands for the board's console, TCP port 23.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:2323")]
     console: SocketAddr,
@@ -244,6 +253,8 @@ impl Arguments {
         };
         let options = Options {
             udp: self.udp,
+            discovery: self.discovery,
+            interface: self.interface.clone(),
             console: Some(self.console),
             control: self.control,
             stdin: self.stdin,

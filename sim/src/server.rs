@@ -17,7 +17,7 @@
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,6 +32,39 @@ use crate::segment::{BOARD_PORT, CONSOLE_PORT, Connection, HOST_IP, Nat};
 use crate::soc::Silicon;
 use crate::world::World;
 
+/// Whom on the board a datagram is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Service {
+    /// The Etherbone server.
+    Etherbone,
+    /// Discovery: what is sent to everybody.
+    Discovery,
+}
+
+/// A datagram of the board's.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Reply {
+    /// Who sent it.
+    pub service: Service,
+    /// The host's port.
+    pub port: u16,
+    /// What it says.
+    pub payload: Vec<u8>,
+}
+
+/// Who a board is on the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Addresses {
+    /// Hardware address.
+    pub mac: [u8; 6],
+    /// IPv4 address.
+    pub ip: Ipv4Addr,
+    /// Bits of the netmask.
+    pub prefix: u8,
+    /// UDP port of the Etherbone server.
+    pub port: u16,
+}
+
 /// A board that can be served: datagrams and console lines in, answers out, and time that passes only when told to.
 pub trait Device {
     /// One visitor's line to the console.
@@ -42,13 +75,17 @@ pub trait Device {
     /// How time is divided.
     fn clockwork(&self) -> Clockwork;
     /// Puts a datagram from a host's `port` on the way to the board.
-    fn post(&mut self, port: u16, payload: &[u8]);
+    fn post(&mut self, port: u16, service: Service, payload: &[u8]);
     /// Lets time pass to the sys clock `until` or to the next answer; true when something may have come.
     fn pass(&mut self, until: u64) -> bool;
-    /// Answers, with the port of the host they are for.
-    fn take_replies(&mut self) -> Vec<(u16, Vec<u8>)>;
+    /// What the board has sent.
+    fn take_replies(&mut self) -> Vec<Reply>;
     /// Longest wait for the answer to `payload`, or for it to take effect, sys clocks.
-    fn wait_for(&self, payload: &[u8]) -> u64;
+    fn wait_for(&self, service: Service, payload: &[u8]) -> u64;
+    /// Who the board is on the network at present; `None` when nobody outside its cable needs to know.
+    fn addresses(&self) -> Option<Addresses> {
+        None
+    }
 
     /// A visitor comes.
     fn open(&mut self) -> Self::Console;
@@ -101,18 +138,30 @@ impl<S: Silicon> Device for Rig<S> {
     fn clockwork(&self) -> Clockwork {
         self.board.clockwork()
     }
-    fn post(&mut self, port: u16, payload: &[u8]) {
-        Rig::post(self, (HOST_IP, port), BOARD_PORT, payload);
+    fn post(&mut self, port: u16, service: Service, payload: &[u8]) {
+        match service {
+            Service::Etherbone => Rig::post(self, (HOST_IP, port), BOARD_PORT, payload),
+            Service::Discovery => self.broadcast((HOST_IP, port), wire::DISCOVERY_PORT, payload),
+        }
     }
     fn pass(&mut self, until: u64) -> bool {
         self.advance(until)
     }
-    fn take_replies(&mut self) -> Vec<(u16, Vec<u8>)> {
+    fn take_replies(&mut self) -> Vec<Reply> {
         let datagrams = self.take_datagrams().into_iter();
-        datagrams.map(|(d, _)| (d.to.1, d.payload)).collect()
+        datagrams
+            .map(|(datagram, _)| Reply {
+                service: match datagram.from.1 {
+                    wire::DISCOVERY_PORT => Service::Discovery,
+                    _ => Service::Etherbone,
+                },
+                port: datagram.to.1,
+                payload: datagram.payload,
+            })
+            .collect()
     }
-    fn wait_for(&self, payload: &[u8]) -> u64 {
-        if wants_reply(payload) {
+    fn wait_for(&self, service: Service, payload: &[u8]) -> u64 {
+        if service == Service::Discovery || wants_reply(payload) {
             Rig::wait_for(self, payload)
         } else {
             self.patience / 10
@@ -191,6 +240,12 @@ pub enum Mode {
 pub struct Options {
     /// Loopback address that stands for the board's Etherbone port.
     pub udp: SocketAddr,
+    /// Address that stands for the board's discovery port.
+    pub discovery: Option<SocketAddr>,
+    /// A network interface that is the board's: it is given the board's hardware and IPv4 address whenever they change, the
+    /// Etherbone port follows the board's, and discovery is answered to everybody. Needs root, and wants a network
+    /// namespace of its own.
+    pub interface: Option<String>,
     /// Loopback address that stands for the board's console port.
     pub console: Option<SocketAddr>,
     /// Loopback address that takes control commands, a line each.
@@ -210,7 +265,7 @@ pub struct Options {
 
 /// What the outside world did.
 enum Event {
-    Datagram(SocketAddr, Vec<u8>),
+    Datagram(Service, SocketAddr, Vec<u8>),
     Opened(u64, TcpStream),
     Typed(u64, Vec<u8>),
     Closed(u64),
@@ -228,7 +283,11 @@ struct Console<C> {
 pub struct Server<D: Device> {
     rig: D,
     options: Options,
-    udp: UdpSocket,
+    udp: Ear,
+    discovery: Option<Ear>,
+    /// What [`Options::interface`] was told last.
+    known: Option<Addresses>,
+    sender: Sender<Event>,
     console_address: Option<SocketAddr>,
     control_address: Option<SocketAddr>,
     events: Receiver<Event>,
@@ -258,14 +317,18 @@ impl<D: Device> Server<D> {
     /// Open the sockets. `stop` ends [`Self::run`] when somebody (a signal handler) sets it.
     pub fn bind(rig: D, options: Options, stop: Arc<AtomicBool>) -> std::io::Result<Self> {
         let (sender, events) = channel();
-        let udp = UdpSocket::bind(options.udp)?;
+        let udp = Ear::open(options.udp, Service::Etherbone, &sender)?;
+        let discovery = options
+            .discovery
+            .map(|at| Ear::open(at, Service::Discovery, &sender))
+            .transpose()?;
+        if let Some(discovery) = &discovery {
+            discovery.udp.set_broadcast(true)?;
+        }
         let console = options.console.map(TcpListener::bind).transpose()?;
         let control = options.control.map(TcpListener::bind).transpose()?;
         let console_address = console.as_ref().map(TcpListener::local_addr).transpose()?;
         let control_address = control.as_ref().map(TcpListener::local_addr).transpose()?;
-        let reader = udp.try_clone()?;
-        let to = sender.clone();
-        std::thread::spawn(move || read_datagrams(&reader, &to));
         if let Some(listener) = console {
             let to = sender.clone();
             std::thread::spawn(move || accept_consoles(&listener, &to));
@@ -282,13 +345,17 @@ impl<D: Device> Server<D> {
             });
         }
         if options.stdin {
-            std::thread::spawn(move || read_commands(std::io::stdin().lock(), None, &sender));
+            let to = sender.clone();
+            std::thread::spawn(move || read_commands(std::io::stdin().lock(), None, &to));
         }
         let period_end = rig.clock();
-        Ok(Server {
+        let mut server = Server {
             rig,
             options,
             udp,
+            discovery,
+            known: None,
+            sender,
             console_address,
             control_address,
             events,
@@ -300,7 +367,53 @@ impl<D: Device> Server<D> {
             last_exchange: None,
             orphan_until: 0,
             pace_from: None,
-        })
+        };
+        server.follow_addresses()?;
+        Ok(server)
+    }
+
+    /// The interface is what the board is.
+    fn follow_addresses(&mut self) -> std::io::Result<()> {
+        let Some(interface) = &self.options.interface else {
+            return Ok(());
+        };
+        let now = self.rig.addresses();
+        let Some(new) = now.filter(|_| now != self.known) else {
+            return Ok(());
+        };
+        let [a, b, c, d, e, f] = new.mac;
+        let mac = format!("{a:02x}:{b:02x}:{c:02x}:{d:02x}:{e:02x}:{f:02x}");
+        let commands = [
+            format!("link set dev {interface} down"),
+            format!("link set dev {interface} address {mac}"),
+            format!("address flush dev {interface}"),
+            format!("link set dev {interface} up"),
+            format!(
+                "address add {}/{} brd + dev {interface}",
+                new.ip, new.prefix
+            ),
+            // A board shouts out of its only cable; this machine wants to be told which that is.
+            format!("route replace 255.255.255.255 dev {interface}"),
+        ];
+        for command in commands {
+            let said = std::process::Command::new("ip")
+                .args(command.split(' '))
+                .output()?;
+            if !said.status.success() {
+                let why = String::from_utf8_lossy(&said.stderr);
+                return Err(std::io::Error::other(format!("ip {command}: {why}")));
+            }
+        }
+        if self.udp.udp.local_addr()?.port() != new.port {
+            let at = (Ipv4Addr::UNSPECIFIED, new.port).into();
+            self.udp = Ear::open(at, Service::Etherbone, &self.sender)?;
+        }
+        eprintln!(
+            "sim: {interface} is {mac}, {}/{}, port {}",
+            new.ip, new.prefix, new.port
+        );
+        self.known = Some(new);
+        Ok(())
     }
 
     /// The line that tells scripts where everything is; printed when the board answers.
@@ -313,7 +426,7 @@ impl<D: Device> Server<D> {
         let address = |a: Option<SocketAddr>| a.map_or("-".into(), |a| a.to_string());
         format!(
             "ready udp={} console={} control={} sys_clk_hz={} mode={mode}",
-            address(self.udp.local_addr().ok()),
+            address(self.udp.udp.local_addr().ok()),
             address(self.console_address),
             address(self.control_address),
             self.rig.clockwork().sys_hz,
@@ -323,6 +436,10 @@ impl<D: Device> Server<D> {
     /// Serve until told to stop; gives the rig back for its report.
     pub fn run(mut self) -> D {
         while !self.quit && !self.stop.load(Ordering::Relaxed) {
+            if let Err(error) = self.follow_addresses() {
+                eprintln!("sim: {error}");
+                break;
+            }
             match self.options.mode {
                 Mode::Lockstep { period } => self.lockstep(period),
                 Mode::Free { pace } => self.free(pace),
@@ -360,19 +477,19 @@ impl<D: Device> Server<D> {
                 .map_err(|e| e == RecvTimeoutError::Disconnected)
         };
         match event {
-            Ok(Event::Datagram(sender, payload)) if is_request(&payload) => {
+            Ok(Event::Datagram(Service::Etherbone, sender, payload)) if is_request(&payload) => {
                 // A period starts where the last one ended, unless time has been moved by something else since.
                 let start = self.rig.clock().max(self.period_end);
                 self.pass(start);
                 self.period_end = start + period;
                 self.orphan_until = 0;
-                self.post(sender, &payload);
+                self.post(Service::Etherbone, sender, &payload);
                 self.pass(self.period_end);
                 self.last_exchange = Some(Instant::now());
             }
-            Ok(Event::Datagram(sender, payload)) => {
-                let port = self.post(sender, &payload);
-                let until = self.rig.clock() + self.rig.wait_for(&payload);
+            Ok(Event::Datagram(service, sender, payload)) => {
+                let port = self.post(service, sender, &payload);
+                let until = self.rig.clock() + self.rig.wait_for(service, &payload);
                 while self.rig.clock() < until && !self.pass_frame(until).contains(&port) {}
             }
             Ok(event) => {
@@ -398,8 +515,8 @@ impl<D: Device> Server<D> {
             }
         };
         match event {
-            Ok(Event::Datagram(sender, payload)) => {
-                self.post(sender, &payload);
+            Ok(Event::Datagram(service, sender, payload)) => {
+                self.post(service, sender, &payload);
             }
             Ok(event) => self.handle(event),
             Err(disconnected) => self.quit |= disconnected,
@@ -423,9 +540,9 @@ impl<D: Device> Server<D> {
     }
 
     /// Put a datagram of the outside world on the segment; the virtual port it comes from there.
-    fn post(&mut self, sender: SocketAddr, payload: &[u8]) -> u16 {
+    fn post(&mut self, service: Service, sender: SocketAddr, payload: &[u8]) -> u16 {
         let port = self.nat.port(sender);
-        self.rig.post(port, payload);
+        self.rig.post(port, service, payload);
         port
     }
 
@@ -444,12 +561,22 @@ impl<D: Device> Server<D> {
             return Vec::new();
         }
         let mut ports = Vec::new();
-        for (port, payload) in self.rig.take_replies() {
-            ports.push(port);
-            if let Some(sender) = self.nat.sender(port) {
-                // A host that is gone refuses the datagram; the board would not know either.
-                let _ = self.udp.send_to(&payload, sender);
-            }
+        for reply in self.rig.take_replies() {
+            ports.push(reply.port);
+            let Some(sender) = self.nat.sender(reply.port) else {
+                continue;
+            };
+            // A host that is gone refuses the datagram; the board would not know either.
+            let _ = match (reply.service, &self.discovery) {
+                (Service::Discovery, Some(discovery)) if self.options.interface.is_some() => {
+                    let everybody = (Ipv4Addr::BROADCAST, sender.port());
+                    discovery.udp.send_to(&reply.payload, everybody)
+                }
+                (Service::Discovery, Some(discovery)) => {
+                    discovery.udp.send_to(&reply.payload, sender)
+                }
+                _ => self.udp.udp.send_to(&reply.payload, sender),
+            };
         }
         self.pump_consoles();
         ports
@@ -457,8 +584,8 @@ impl<D: Device> Server<D> {
 
     fn handle(&mut self, event: Event) {
         match event {
-            Event::Datagram(sender, payload) => {
-                self.post(sender, &payload);
+            Event::Datagram(service, sender, payload) => {
+                self.post(service, sender, &payload);
             }
             Event::Opened(id, stream) => {
                 let connection = self.rig.open();
@@ -655,13 +782,41 @@ impl<D: Device> Server<D> {
     }
 }
 
-fn read_datagrams(udp: &UdpSocket, to: &Sender<Event>) {
+/// A socket with somebody who reads it; both are gone when this is dropped.
+struct Ear {
+    udp: UdpSocket,
+    deaf: Arc<AtomicBool>,
+}
+
+impl Ear {
+    fn open(at: SocketAddr, service: Service, to: &Sender<Event>) -> std::io::Result<Self> {
+        let udp = UdpSocket::bind(at)?;
+        // How long a port that was given up still listens.
+        udp.set_read_timeout(Some(Duration::from_millis(200)))?;
+        let deaf = Arc::<AtomicBool>::default();
+        let (reader, to, told) = (udp.try_clone()?, to.clone(), deaf.clone());
+        std::thread::spawn(move || read_datagrams(&reader, service, &to, &told));
+        Ok(Ear { udp, deaf })
+    }
+}
+
+impl Drop for Ear {
+    fn drop(&mut self) {
+        self.deaf.store(true, Ordering::Relaxed);
+    }
+}
+
+fn read_datagrams(udp: &UdpSocket, service: Service, to: &Sender<Event>, deaf: &AtomicBool) {
     let mut buffer = vec![0; 65536];
     loop {
-        match udp.recv_from(&mut buffer) {
+        let heard = udp.recv_from(&mut buffer);
+        if deaf.load(Ordering::Relaxed) {
+            return;
+        }
+        match heard {
             Ok((n, sender)) => {
                 if to
-                    .send(Event::Datagram(sender, buffer[..n].to_vec()))
+                    .send(Event::Datagram(service, sender, buffer[..n].to_vec()))
                     .is_err()
                 {
                     return;
@@ -671,7 +826,10 @@ fn read_datagrams(udp: &UdpSocket, to: &Sender<Event>) {
             Err(e)
                 if matches!(
                     e.kind(),
-                    ErrorKind::ConnectionRefused | ErrorKind::Interrupted
+                    ErrorKind::ConnectionRefused
+                        | ErrorKind::Interrupted
+                        | ErrorKind::WouldBlock
+                        | ErrorKind::TimedOut
                 ) => {}
             Err(e) => {
                 eprintln!("sim: UDP: {e}");
@@ -800,6 +958,8 @@ mod tests {
         let any: SocketAddr = "127.0.0.1:0".parse().unwrap();
         let options = Options {
             udp: any,
+            discovery: None,
+            interface: None,
             console: None,
             control: Some(any),
             stdin: false,
@@ -811,7 +971,7 @@ mod tests {
         let stop = Arc::new(AtomicBool::new(false));
         let server = Server::bind(rig, options, stop.clone()).unwrap();
         let (udp, control) = (
-            server.udp.local_addr().unwrap(),
+            server.udp.udp.local_addr().unwrap(),
             server.control_address.unwrap(),
         );
         assert!(server.ready_line().starts_with(&format!(

@@ -28,7 +28,7 @@ use crate::model::{self, board::pages};
 use crate::plant::Plant;
 use crate::report::{Counters, Report, Seen};
 use crate::rig::{Faults, FrameCounts, strike};
-use crate::server::Device;
+use crate::server::{Device, Reply, Service};
 use crate::world::World;
 
 /// Clocks from a request's arrival to its execution, and from there to its answer. The image takes some 970 clocks from the
@@ -257,6 +257,7 @@ struct Visitor {
 #[derive(Debug)]
 struct Request {
     port: u16,
+    service: Service,
     payload: Vec<u8>,
     /// Executed, answered at these clocks.
     due: u64,
@@ -271,7 +272,7 @@ pub struct Twin {
     card: Card,
     clockwork: Clockwork,
     requests: VecDeque<Request>,
-    replies: Vec<(u16, Vec<u8>)>,
+    replies: Vec<Reply>,
     visitors: Vec<Visitor>,
     meter: Meter,
     faults: Faults,
@@ -387,7 +388,11 @@ impl Twin {
             self.frames.dropped += 1;
             return false;
         }
-        self.replies.push((request.port, payload));
+        self.replies.push(Reply {
+            service: request.service,
+            port: request.port,
+            payload,
+        });
         true
     }
 
@@ -435,7 +440,7 @@ impl Device for Twin {
         self.clockwork
     }
 
-    fn post(&mut self, port: u16, payload: &[u8]) {
+    fn post(&mut self, port: u16, service: Service, payload: &[u8]) {
         self.meter.requested += u64::from(is_request(payload));
         for _ in 0..1 + u32::from(strike(&mut self.faults.duplicate_to_board)) {
             if strike(&mut self.faults.drop_to_board) || strike(&mut self.faults.corrupt_to_board) {
@@ -452,6 +457,7 @@ impl Device for Twin {
                 .map_or(0, |last| last.due.max(last.answered));
             self.requests.push_back(Request {
                 port,
+                service,
                 payload: payload.to_vec(),
                 due: self.clock().max(free) + ANSWER[0],
                 answered: 0,
@@ -497,12 +503,12 @@ impl Device for Twin {
         told
     }
 
-    fn take_replies(&mut self) -> Vec<(u16, Vec<u8>)> {
+    fn take_replies(&mut self) -> Vec<Reply> {
         std::mem::take(&mut self.replies)
     }
 
-    fn wait_for(&self, payload: &[u8]) -> u64 {
-        if wants_reply(payload) {
+    fn wait_for(&self, service: Service, payload: &[u8]) -> u64 {
+        if service == Service::Discovery || wants_reply(payload) {
             2000
         } else {
             ANSWER[0] + 100
@@ -633,12 +639,12 @@ mod tests {
 
         fn ask(&mut self, words: &[u32]) -> Option<Vec<u32>> {
             let payload: Vec<u8> = words.iter().flat_map(|word| word.to_be_bytes()).collect();
-            self.twin.post(40_000, &payload);
+            self.twin.post(40_000, Service::Etherbone, &payload);
             let until = self.twin.clock() + 3000;
             while !self.twin.pass(until) && self.twin.clock() < until {}
-            let (port, reply) = self.twin.take_replies().pop()?;
-            assert_eq!(port, 40_000);
-            let (chunks, _) = reply.as_chunks();
+            let reply = self.twin.take_replies().pop()?;
+            assert_eq!((reply.service, reply.port), (Service::Etherbone, 40_000));
+            let (chunks, _) = reply.payload.as_chunks();
             Some(chunks.iter().map(|c| u32::from_be_bytes(*c)).collect())
         }
 
