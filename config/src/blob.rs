@@ -1,8 +1,8 @@
 //! The board info blob: what the board says about itself. Its layout's specification is `wire::board`.
 
-use crate::board::{Board, Class};
+use crate::board::{Board, Channel, Class};
 use crate::error::Error;
-use wire::board::{HEADER_LEN, MAGIC, VERSION, crc32};
+use wire::board::{HEADER_LEN, LIST, MAGIC, VERSION, crc32};
 
 /// Bytes the board has for it: one block RAM (`regmap.py`, `pac::abi::BOARD_ROM_SIZE`).
 pub const ROM: usize = 0x800;
@@ -19,19 +19,8 @@ pub fn blob(board: &Board) -> Result<Vec<u8>, Error> {
     entry(&mut body, 12, 0, &board.udp_port.to_be_bytes());
     entry(&mut body, 13, 0, board.platform.device.as_bytes());
     entry(&mut body, 14, 0, board.platform.name.as_bytes());
-    for (code, class) in (3..).zip(Class::ALL) {
-        for (n, channel) in (0..).zip(board.of(class)) {
-            entry(&mut body, code, n, channel.name.as_bytes());
-            let text = channel.text(class);
-            if !text.is_empty() {
-                entry(
-                    &mut body,
-                    8,
-                    n,
-                    format!("{}{text}", class.letter()).as_bytes(),
-                );
-            }
-        }
+    for class in Class::ALL {
+        list(&mut body, class, board.of(class));
     }
     let total = HEADER_LEN + body.len();
     if total > ROM {
@@ -48,6 +37,30 @@ pub fn blob(board: &Board) -> Result<Vec<u8>, Error> {
     let mut blob: Vec<u8> = head.iter().flat_map(|word| word.to_be_bytes()).collect();
     blob.append(&mut body);
     Ok(blob)
+}
+
+/// The channels of a class in as few entries as they go into.
+fn list(body: &mut Vec<u8>, class: Class, channels: &[Channel]) {
+    let letter = class.letter();
+    let (mut first, mut said) = (0, letter.to_string());
+    for (n, channel) in (0..).zip(channels) {
+        let text = channel.text(class);
+        let line = match text.as_str() {
+            "" => channel.name.clone(),
+            text => format!("{} {letter}{text}", channel.name),
+        };
+        if said.len() + 1 + line.len() > 255 {
+            entry(body, LIST, first, said.as_bytes());
+            (first, said) = (n, letter.to_string());
+        }
+        if n != first {
+            said.push('\n');
+        }
+        said += &line;
+    }
+    if !channels.is_empty() {
+        entry(body, LIST, first, said.as_bytes());
+    }
 }
 
 fn entry(body: &mut Vec<u8>, kind: u8, channel: u8, value: &[u8]) {

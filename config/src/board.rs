@@ -341,6 +341,12 @@ impl Channel {
         if let Some(level) = self.estop {
             let _ = write!(text, "estop={} ", level.word());
         }
+        if self.safe == Some(Level::High) {
+            text += "safe=high ";
+        }
+        if self.invert {
+            text += "invert=true ";
+        }
         text.truncate(text.trim_end().len());
         text
     }

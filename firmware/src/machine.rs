@@ -177,7 +177,7 @@ fn addresses(board: &mut impl Board, ident: &Ident) -> Us {
     let Ok(blob) = Blob::new_checked(&bytes) else {
         return us;
     };
-    for entry in blob.entries() {
+    for entry in blob.facts() {
         match entry.kind {
             Kind::Mac => us.mac = entry.value.try_into().unwrap_or(us.mac),
             Kind::Ipv4 => us.ip = entry.value.try_into().map_or(us.ip, u32::from_be_bytes),

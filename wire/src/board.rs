@@ -12,6 +12,14 @@
 //! ```
 //!
 //! Kinds nobody knows are skipped, so a newer board still describes itself to an older driver.
+//!
+//! A large machine has more channels than 2 KiB has room for entries, so channels come as lists: an entry of kind
+//! [`LIST`] holds a class letter (`s e p i o`) and then a line per channel, the first of them `channel`, each a name and,
+//! behind a space, what [`Kind::Pins`] would say. [`Blob::entries`] takes lists apart, so readers see one form:
+//!
+//! ```text
+//! 9 4 29 0 "oflood opin=j4:5\nbrake opin=j4:6"  ->  7 4 "flood", 8 4 "opin=j4:5", 7 5 "brake", 8 5 "opin=j4:6"
+//! ```
 
 pub use crate::crc::crc32;
 
@@ -19,6 +27,8 @@ pub use crate::crc::crc32;
 pub const MAGIC: u32 = 0x4642_5244;
 /// Version of the layout above.
 pub const VERSION: u32 = 1;
+/// Code of the entry that names several channels.
+pub const LIST: u8 = 9;
 /// Bytes before the first entry.
 pub const HEADER_LEN: usize = 16;
 
@@ -161,20 +171,36 @@ impl<'b> Blob<'b> {
         Ok(Blob { entries })
     }
 
-    /// The entries this version knows, in order.
+    /// The entries this version knows, in order, each channel of a list as entries of its own.
     pub fn entries(&self) -> impl Iterator<Item = Entry<'b>> + use<'b> {
-        let mut rest = self.entries;
-        core::iter::from_fn(move || {
-            let (raw, after) = split_entry(rest)?;
-            rest = after;
-            Some(raw)
+        self.raw().flat_map(|(code, channel, value)| {
+            let one = Kind::from_code(code).map(|kind| Entry {
+                kind,
+                channel,
+                value,
+            });
+            let list = if code == LIST { value } else { &[] };
+            one.into_iter().chain(channels_of(channel, list))
         })
-        .filter_map(|(code, channel, value)| {
+    }
+
+    /// As [`Blob::entries`], but for lists: what is to be known of the board itself.
+    pub fn facts(&self) -> impl Iterator<Item = Entry<'b>> + use<'b> {
+        self.raw().filter_map(|(code, channel, value)| {
             Some(Entry {
                 kind: Kind::from_code(code)?,
                 channel,
                 value,
             })
+        })
+    }
+
+    fn raw(&self) -> impl Iterator<Item = RawEntry<'b>> + use<'b> {
+        let mut rest = self.entries;
+        core::iter::from_fn(move || {
+            let (raw, after) = split_entry(rest)?;
+            rest = after;
+            Some(raw)
         })
     }
 
@@ -185,6 +211,34 @@ impl<'b> Blob<'b> {
             .find(|e| e.kind == kind && e.channel == channel)?;
         core::str::from_utf8(entry.value).ok()
     }
+}
+
+/// The channels of a list, each a name and what is said of its pins.
+fn channels_of(first: u8, list: &[u8]) -> impl Iterator<Item = Entry<'_>> {
+    let (class, lines) = list.split_first().unwrap_or((&0, &[]));
+    let class = match class {
+        b's' => Some(Kind::Stepgen),
+        b'e' => Some(Kind::Encoder),
+        b'p' => Some(Kind::Pwm),
+        b'i' => Some(Kind::Input),
+        b'o' => Some(Kind::Output),
+        _ => None,
+    };
+    let lines = lines.split(|byte| *byte == b'\n').zip(u16::from(first)..);
+    lines.flat_map(move |(line, channel)| {
+        let channel = class.and(u8::try_from(channel).ok());
+        let end = line.iter().position(|byte| *byte == b' ');
+        let entry = |kind, value| {
+            Some(Entry {
+                kind,
+                channel: channel?,
+                value,
+            })
+        };
+        let name = class.and_then(|kind| entry(kind, line.get(..end.unwrap_or(line.len()))?));
+        let pins = end.and_then(|end| entry(Kind::Pins, line.get(end + 1..)?));
+        name.into_iter().chain(pins)
+    })
 }
 
 type RawEntry<'b> = (u8, u8, &'b [u8]);
@@ -235,6 +289,38 @@ mod tests {
         assert_eq!(checked.text(Kind::Stepgen, 2), Some("z"));
         assert_eq!(checked.text(Kind::Stepgen, 1), None);
         assert_eq!(checked.entries().count(), 3);
+    }
+
+    #[test]
+    fn a_list_reads_as_its_channels() {
+        let bytes = blob(&[
+            (2, 0, b"mill6"),
+            (
+                LIST,
+                4,
+                b"oflood opin=j4:5\nbrake\nlamp opin=j5:0 safe=high",
+            ),
+            (LIST, 0, b"?x y"),
+            (LIST, 0, b""),
+            (LIST, 255, b"ilast\nbeyond"),
+        ]);
+        let checked = Blob::new_checked(&bytes).unwrap();
+        let found: Vec<_> = checked
+            .entries()
+            .map(|e| (e.kind, e.channel, e.value))
+            .collect();
+        let wanted: [(Kind, u8, &[u8]); 7] = [
+            (Kind::Configuration, 0, b"mill6"),
+            (Kind::Output, 4, b"flood"),
+            (Kind::Pins, 4, b"opin=j4:5"),
+            (Kind::Output, 5, b"brake"),
+            (Kind::Output, 6, b"lamp"),
+            (Kind::Pins, 6, b"opin=j5:0 safe=high"),
+            (Kind::Input, 255, b"last"),
+        ];
+        assert_eq!(found, wanted);
+        assert_eq!(checked.text(Kind::Output, 5), Some("brake"));
+        assert_eq!(checked.facts().count(), 1);
     }
 
     #[test]
