@@ -11,10 +11,12 @@ use anyhow::Context;
 use clap::{Parser, ValueEnum};
 use sim::board::TraceWindow;
 use sim::card::Card;
+use sim::nor::spi::Shared;
+use sim::nor::{Nor, Part};
 use sim::plant::{Axis, Plant};
 use sim::rig::{Rig, Setup};
 use sim::server::{Device, Mode, Options, Server};
-use sim::twin::Twin;
+use sim::twin::{self, Twin};
 use wire::describe::Channels;
 
 const PLANT_HELP: &str = concat!(
@@ -111,6 +113,16 @@ struct Arguments {
     /// Lockstep: how much board time it then runs on for.
     #[arg(long, value_name = "MS", default_value_t = 2000)]
     orphan_ms: u64,
+    /// The board's flash is this file, written as it changes; killed at any time it is a board whose power failed. One that is
+    /// not there is a new, erased chip. cargo xtask bitstream writes whole ones (NAME.flash).
+    #[arg(long, value_name = "FILE")]
+    flash: Option<PathBuf>,
+    /// Unique id of the flash, 16 hexadecimal digits; a dozen boards want a dozen.
+    #[arg(long, value_name = "HEX", default_value_t = format!("{:016x}", sim::twin::UID), value_parser = parse_uid)]
+    uid: String,
+    /// The factory pin is held at start: saved settings are not used.
+    #[arg(long)]
+    factory: bool,
     /// The board's address on its own virtual Ethernet.
     #[arg(long, value_name = "IP", default_value_t = sim::segment::BOARD_IP)]
     board_ip: std::net::Ipv4Addr,
@@ -166,7 +178,25 @@ fn parse_channels(text: &str) -> Result<Channels, String> {
     })
 }
 
+fn parse_uid(text: &str) -> Result<String, String> {
+    let digits: String = text.chars().filter(|c| !"-:".contains(*c)).collect();
+    match u64::from_str_radix(&digits, 16) {
+        Ok(_) if digits.len() == 16 => Ok(digits),
+        _ => Err("16 hexadecimal digits, as d162-0c8a-1b2c-3d4e".into()),
+    }
+}
+
 impl Arguments {
+    /// The board's flash.
+    fn flash(&self) -> anyhow::Result<Shared> {
+        let uid = u64::from_str_radix(&self.uid, 16)?;
+        let part = Part::W25Q32JV;
+        Ok(Shared::new(match &self.flash {
+            Some(path) => Nor::in_file(path, part, uid)?,
+            None => Nor::new(part, uid),
+        }))
+    }
+
     fn plant(&self) -> anyhow::Result<Plant> {
         let mut plant = match self.no_plant {
             true => Plant::default(),
@@ -190,6 +220,8 @@ impl Arguments {
         setup.board_ip = self.board_ip;
         setup.boot_clocks = self.boot_clocks;
         setup.plant = self.plant()?;
+        setup.flash = Some(self.flash()?);
+        setup.factory = self.factory;
         setup.trace = self.trace.as_ref().map(|path| TraceWindow {
             path: path.clone(),
             from: self.trace_from,
@@ -215,7 +247,12 @@ impl Arguments {
             (None, Some(folder)) => Card::read(folder)?,
             (None, None) => Card::named(&self.board)?,
         };
-        let mut twin = Twin::start(card, self.plant()?);
+        let mut twin = Twin::power_up(twin::Setup {
+            card,
+            plant: self.plant()?,
+            flash: self.flash()?,
+            factory: self.factory,
+        });
         if let Some(path) = &self.edges {
             twin.record_edges(path)?;
         }

@@ -390,6 +390,13 @@ impl Nor {
         self.keep(at..at + bytes.len());
     }
 
+    /// Has it protect this much (BP2:0), as a factory's programmer does.
+    pub fn lock(&mut self, bits: u8) {
+        self.kept[0] = bits << 2 & status::BP;
+        self.live = self.kept;
+        self.keep_change(&Change::Status(self.kept, false));
+    }
+
     /// The status registers, 1 to 3, as they survive a power-up.
     pub fn registers(&self) -> [u8; 3] {
         self.kept
@@ -442,13 +449,13 @@ impl Nor {
         self.dead
     }
 
-    /// Power is back: latches and volatile bits are as after a power-up, no cut is planned.
+    /// Power is back: latches and volatile bits are as after a power-up, no cut is planned, time begins anew.
     pub fn power_up(&mut self) {
         self.live = self.kept;
         (self.enabled, self.volatile_enabled, self.reset_enabled) = (false, false, false);
         (self.asleep, self.dead, self.cut, self.talk) = (false, false, None, None);
         self.live[1] &= !status::SRL;
-        self.busy_until = self.now;
+        (self.now, self.busy_until) = (0, 0);
     }
 
     // ---- time -----------------------------------------------------------------------------------------------------------
@@ -622,9 +629,9 @@ impl Nor {
             }
             0x99 => {
                 if self.reset_enabled {
-                    let cut = self.cut;
+                    let (cut, now) = (self.cut, self.now);
                     self.power_up();
-                    self.cut = cut;
+                    (self.cut, self.now, self.busy_until) = (cut, now, now);
                 }
                 return Ok(());
             }

@@ -16,6 +16,8 @@ use firmware::postmortem::Record;
 use firmware::session::Peer;
 use firmware::{log, text};
 use litex_pac::abi;
+use wire::flash::Layout;
+use wire::images::{Meta, Role, Trailer};
 use wire::map::{BoardConfig, StepType, StepgenConfig};
 use wire::{MAX_WORDS, ResetReason};
 
@@ -24,7 +26,10 @@ use crate::card::Card;
 use crate::edges::{Recorder, Timing};
 use crate::error::Error;
 use crate::exchange::{Meter, StatusHead, is_request, sequence, wants_reply};
+use crate::loader;
 use crate::model::{self, board::pages};
+use crate::nor::spi::Shared;
+use crate::nor::{Nor, Part};
 use crate::plant::Plant;
 use crate::report::{Counters, Report, Seen};
 use crate::rig::{Faults, FrameCounts, strike};
@@ -41,11 +46,67 @@ const ACCESS: u64 = 2;
 /// The host's address on the board's cable, as the Verilated board sees it.
 const HOST: u32 = 0xc0a8_0201;
 
+/// The FPGA of a twin: what its flash must hold to be loaded. LFE5U-25F, as on every board of ours.
+pub const IDCODE: u32 = 0x4111_1043;
+/// Unique id of a twin's flash until told otherwise.
+pub const UID: u64 = 0xd162_0c8a_1b2c_3d4e;
+
+/// What a twin is put together from.
+#[derive(Debug)]
+pub struct Setup {
+    /// The board.
+    pub card: Card,
+    /// What is wired to it.
+    pub plant: Plant,
+    /// Its flash. It stays what it is through a restart; the next twin with it is the board after a power cycle.
+    pub flash: Shared,
+    /// The factory pin is held.
+    pub factory: bool,
+}
+
+impl Setup {
+    /// This board with a new flash, nothing held.
+    pub fn new(card: Card, plant: Plant) -> Self {
+        Setup {
+            card,
+            plant,
+            flash: Shared::new(Nor::new(Part::W25Q32JV, UID)),
+            factory: false,
+        }
+    }
+}
+
+/// What packing wrote at the end of the ROM of whatever the FPGA has loaded from this flash. Nothing loads from a blank one: then
+/// the twin is a board that was loaded by JTAG.
+fn trailer(flash: &Nor) -> Trailer {
+    let loaded = loader::power_up(flash.cells(), IDCODE);
+    let Some((at, layout)) = loaded.image.zip(Layout::of(flash.part().bytes as u32)) else {
+        return Trailer::NONE;
+    };
+    let areas = [
+        (layout.slot_a, Role::Image),
+        (layout.slot_b, Role::Image),
+        (layout.golden, Role::Golden),
+    ];
+    let found = areas.iter().find(|(area, _)| area.start as usize == at);
+    let meta = found.and_then(|(area, role)| {
+        let page = flash.cells().get(area.meta() as usize..)?;
+        Some((Meta::from_page(page, *area)?, *role))
+    });
+    meta.map_or(Trailer::NONE, |(meta, role)| Trailer {
+        build_id: meta.build_id,
+        role,
+    })
+}
+
 /// The firmware's board: registers, pins and what is wired to them.
 #[derive(Debug)]
 pub struct Desk {
     model: model::Board,
     world: World,
+    flash: Shared,
+    trailer: Trailer,
+    clockwork: Clockwork,
     blob: Vec<u32>,
     ring: log::Ring<2048>,
     record: Record,
@@ -54,7 +115,9 @@ pub struct Desk {
 }
 
 impl Desk {
-    fn new(card: &Card, plant: Plant) -> Self {
+    fn new(card: &Card, plant: Plant, flash: Shared, trailer: Trailer, factory: bool) -> Self {
+        let mut world = World::new(plant, card.clock_hz.into());
+        world.factory(factory);
         let model = model::Board::new(model::board::Build {
             channels: card.channels,
             clock_hz: card.clock_hz,
@@ -66,7 +129,10 @@ impl Desk {
         });
         Desk {
             model,
-            world: World::new(plant, card.clock_hz.into()),
+            world,
+            flash,
+            trailer,
+            clockwork: Clockwork::new(card.clock_hz.into()),
             blob: card.words(),
             ring: log::Ring::new(),
             record: Record::EMPTY,
@@ -91,6 +157,14 @@ impl Desk {
                 self.world.observe(clock);
             }
         }
+    }
+
+    /// The flash, as late as it is here. Its own time passes while it is spoken to, as the CPU's does.
+    fn flash(&mut self) -> &mut Shared {
+        let ticks = self.clock() * self.clockwork.sys_period;
+        let now = self.clockwork.picoseconds(ticks) / 1000;
+        self.flash.chip().it_is(now);
+        &mut self.flash
     }
 
     fn order(&mut self, page: u32, word: u32, data: u32) {
@@ -295,9 +369,26 @@ fn ident(card: &Card) -> Ident {
 }
 
 impl Twin {
-    /// Switches a twin of this board on.
+    /// Switches a twin of this board on; its flash is new.
     pub fn start(card: Card, plant: Plant) -> Self {
-        let mut desk = Desk::new(&card, plant);
+        Self::power_up(Setup::new(card, plant))
+    }
+
+    /// Switches a board on.
+    pub fn power_up(setup: Setup) -> Self {
+        let Setup {
+            card,
+            plant,
+            flash,
+            factory,
+        } = setup;
+        // Its own time begins anew, its cells do not.
+        let trailer = {
+            let mut chip = flash.chip();
+            chip.power_up();
+            trailer(&chip)
+        };
+        let mut desk = Desk::new(&card, plant, flash, trailer, factory);
         // The time a CPU takes to come to its first instruction of ours; the pins are seen by then.
         desk.pass(64);
         let boot = desk.record.boot(desk.clock() as u32);
@@ -349,8 +440,10 @@ impl Twin {
         if self.machine.server.wants_restart() {
             self.machine.board.record.part(ResetReason::Requested);
             let boot = self.machine.board.record.boot(0);
-            let desk = Desk::new(&self.card, Plant::default());
-            let desk = std::mem::replace(&mut self.machine.board, desk);
+            let board = &self.machine.board;
+            let (flash, trailer) = (board.flash.clone(), board.trailer);
+            let spare = Desk::new(&self.card, Plant::default(), flash, trailer, false);
+            let desk = std::mem::replace(&mut self.machine.board, spare);
             self.machine = Machine::start(desk, ident(&self.card), abi::ABI, boot);
         }
     }

@@ -4,6 +4,7 @@
 //! [`Machine`] arranges in one line what a test needs (started, acquired, armed) and asks one thing at a time. Where the
 //! board and the image come from is said by `FERROCNC_SOC` and `FERROCNC_FIRMWARE`, which `cargo xtask test` sets.
 
+pub mod flash;
 pub mod lan;
 
 use sim::edges;

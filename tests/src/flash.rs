@@ -1,0 +1,107 @@
+//! A board's flash as it leaves the bench, with images small enough to be written thousands of times.
+//!
+//! The images are bitstreams that the FPGA's own loader ([`sim::loader`]) takes, with their build id as USERCODE, so that
+//! what loads after a power cut is decided by what an ECP5 would do and by nothing of ours.
+
+use sim::loader::{self, Small, Trouble};
+use sim::nor::{Nor, Part};
+use wire::Name;
+use wire::crc::crc32;
+use wire::flash::{Area, Layout, Slot};
+use wire::images::{Meta, Stub};
+
+/// The FPGA on all these boards: LFE5U-25F.
+pub const IDCODE: u32 = 0x4111_1043;
+/// Build id of the image a new board runs, in slot A.
+pub const FIRST: u32 = 0xaaaa_0001;
+/// Build id of a new board's golden image.
+pub const GOLDEN: u32 = 0x601d_601d;
+/// The configuration and the platform of these tests.
+pub const CONFIGURATION: &str = "mill6";
+/// See [`CONFIGURATION`].
+pub const PLATFORM: &str = "5a-75b-8.0";
+
+/// An image of this build and so many frames of 77 bytes.
+pub fn image(build: u32, frames: u16) -> Vec<u8> {
+    let small = Small {
+        idcode: IDCODE,
+        usercode: build,
+        frames,
+    };
+    small.bytes()
+}
+
+/// What its meta page says.
+pub fn meta(image: &[u8], build: u32) -> Meta {
+    let name = |text| Name::new(text).unwrap_or_default();
+    Meta {
+        length: image.len() as u32,
+        crc: crc32(image),
+        build_id: build,
+        idcode: IDCODE,
+        configuration: name(CONFIGURATION),
+        platform: name(PLATFORM),
+    }
+}
+
+/// The file such an image comes in.
+pub fn bit(build: u32, frames: u16) -> Vec<u8> {
+    host::image::sample::wrap(CONFIGURATION, PLATFORM, build, &image(build, frames))
+}
+
+/// What lies where in this chip.
+pub fn layout(nor: &Nor) -> Layout {
+    Layout::of(nor.part().bytes as u32).expect("a size boards have")
+}
+
+fn put(nor: &mut Nor, area: Area, image: &[u8], meta: &Meta) {
+    nor.preload(area.start as usize, image);
+    nor.preload(area.meta() as usize, &meta.to_page());
+}
+
+/// A flash as the bench leaves it: [`FIRST`] in slot A and selected, [`GOLDEN`] protected, the rest erased.
+pub fn factory(part: Part, uid: u64) -> Nor {
+    let mut nor = Nor::new(part, uid);
+    let layout = layout(&nor);
+    let (first, golden) = (image(FIRST, 3), image(GOLDEN, 3));
+    put(&mut nor, layout.slot_a, &first, &meta(&first, FIRST));
+    put(&mut nor, layout.golden, &golden, &meta(&golden, GOLDEN));
+    let stub = |target| Stub { target }.to_page();
+    nor.preload(0, &stub(layout.slot_a.start));
+    nor.preload(layout.jump_page() as usize, &stub(layout.golden.start));
+    nor.lock(layout.protect_bits());
+    nor
+}
+
+/// What runs after a power-up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Boots {
+    /// The image of this build in a slot.
+    Slot(Slot, u32),
+    /// The golden image, and why.
+    Golden(Option<Trouble>),
+    /// Nothing does.
+    Nothing,
+}
+
+/// Switches the FPGA on.
+pub fn boots(nor: &Nor) -> Boots {
+    let layout = layout(nor);
+    let loaded = loader::power_up(nor.cells(), IDCODE);
+    let Some(at) = loaded.image else {
+        return Boots::Nothing;
+    };
+    let slot = [Slot::A, Slot::B]
+        .into_iter()
+        .find(|slot| layout.slot(*slot).start as usize == at);
+    match slot {
+        Some(slot) => Boots::Slot(slot, loaded.usercode),
+        None => {
+            assert_eq!(
+                (at, loaded.usercode),
+                (layout.golden.start as usize, GOLDEN)
+            );
+            Boots::Golden(loaded.fell_back)
+        }
+    }
+}
