@@ -18,6 +18,9 @@
 //! | [`address`] | `IP[:port]` |
 //! | [`image`] | a bitstream file: what it is for, whether it is whole |
 //! | [`flash`] | the board's flash over the network |
+//! | [`discovery`] | finding boards whatever their address is |
+//! | [`provision`] | giving them another one |
+//! | [`update`] | a new image over the network |
 //! | [`flash_file`] | a whole flash image, before it is written by JTAG |
 //! | [`jtag`] | openFPGALoader, run for you |
 //! | [`hal`] | typed pins, the real HAL, a HAL in a `Vec` |
@@ -56,6 +59,7 @@ pub mod address;
 pub mod blocks;
 pub mod client;
 pub mod clock;
+pub mod discovery;
 pub mod driver;
 pub mod fence;
 pub mod flash;
@@ -66,4 +70,6 @@ pub mod jtag;
 pub mod link;
 pub mod module;
 pub mod names;
+pub mod provision;
 pub mod settings;
+pub mod update;

@@ -7,6 +7,7 @@
 //! Time is either the wall clock or, in lockstep, one servo period per exchange.
 #![allow(dead_code)]
 
+pub mod flash;
 pub mod rig;
 
 use ferrocnc::clock::Timebase;
@@ -32,6 +33,8 @@ pub const ABI: u32 = 0xfe44_0c4c;
 /// The `mill6` board's names.
 pub const MILL6: &[(u8, u8, &str)] = &[
     (1, 0, "fake"),
+    (13, 0, "LFE5U-25F-6BG256C"),
+    (14, 0, "5a-75b-8.0"),
     (2, 0, "mill6"),
     (3, 0, "x"),
     (3, 1, "y"),
@@ -279,6 +282,7 @@ pub struct Mind {
     pub applied: Vec<u64>,
     estop_latched: u32,
     pub script: Option<Script>,
+    pub flash: flash::FakeFlash,
     held_back: Option<Vec<u32>>,
     names: Vec<(u8, u8, String)>,
     last_status: Status,
@@ -320,6 +324,7 @@ impl Mind {
             applied: Vec::new(),
             estop_latched: 0,
             script: None,
+            flash: flash::FakeFlash::default(),
             held_back: None,
             names: names
                 .iter()
@@ -525,6 +530,13 @@ impl Mind {
                     Ok(())
                 }
             }
+            map::FLASH..map::SERVICE | map::SESSION_REBOOT => match self.state {
+                State::Armed | State::Stopping => Err(Refusal::Armed),
+                _ if self.owner.is_some_and(|owner| owner != from) => Err(Refusal::NotOwner),
+                _ if self.knobs.foreign_owner.is_some() => Err(Refusal::NotOwner),
+                _ if self.flash.busy() => Err(Refusal::Busy),
+                _ => Ok(()),
+            },
             map::SESSION_RELEASE | map::CONFIG..map::COMMAND => Err(Refusal::NotOwner),
             _ => Err(Refusal::ReadOnly),
         }
@@ -550,6 +562,8 @@ impl Mind {
                 }
                 self.owner = None;
             }
+            map::FLASH..map::SERVICE => self.flash.write(address, word),
+            map::SESSION_REBOOT => self.reboot(),
             _ => {
                 self.config.insert(address, word);
             }
@@ -585,6 +599,10 @@ impl Mind {
             map::SESSION_OWNER_PORT => owner.map_or(0, |owner| owner.port().into()),
             map::SESSION_LAST_SEQ => self.last_sequence,
             map::CONFIG..map::COMMAND => self.setting(address),
+            map::FLASH..map::SERVICE => {
+                let link = self.link();
+                self.flash.read(address, link)
+            }
             map::STATUS..map::COUNTERS => {
                 let mut words = [0; exchange::STATUS_MAX];
                 let words = self.last_status.emit(self.channels, &mut words).unwrap();
@@ -864,6 +882,10 @@ fn run(socket: &UdpSocket, mind: &Mutex<Mind>, stop: &AtomicBool) {
             continue;
         };
         let mut mind = mind.lock().expect("the test is well");
+        if mind.flash.silent_after == Some(0) {
+            mind.flash.silent_after = None;
+            mind.knobs.unplugged = true;
+        }
         if mind.knobs.unplugged {
             continue;
         }

@@ -1,19 +1,23 @@
 //! `ferrocnc describe`: everything a board says of itself.
 
+use crate::discover::mac_text;
 use anyhow::Result;
 use ferrocnc::client::{Client, Identity};
+use ferrocnc::flash::{Overview, uid_text};
 use serde_json::{Value, json};
 use std::io::Write;
+use std::net::Ipv4Addr;
 use wire::board::Kind;
 use wire::describe::OBSTACLE_ABI;
 
 pub(crate) fn run(client: &mut Client, as_json: bool) -> Result<()> {
     let identity = client.identify()?;
+    let overview = Overview::read(client)?;
     let mut out = std::io::stdout().lock();
     if as_json {
-        writeln!(out, "{:#}", to_json(&identity))?;
+        writeln!(out, "{:#}", to_json(&identity, &overview))?;
     } else {
-        write!(out, "{}", to_text(&identity))?;
+        write!(out, "{}", to_text(&identity, &overview))?;
     }
     Ok(())
 }
@@ -83,7 +87,84 @@ fn network(identity: &Identity) -> (Option<String>, Option<String>, Option<u16>)
     (mac, ip, port)
 }
 
-fn to_json(identity: &Identity) -> Value {
+fn has_uid(overview: &Overview) -> bool {
+    overview.uid != [0, 0]
+}
+
+/// Who it is, what runs, where its settings are from, how its link is.
+fn flash_lines(overview: &Overview) -> Vec<(&'static str, String)> {
+    let mut lines = Vec::new();
+    if has_uid(overview) {
+        lines.push(("unique id", uid_text(overview.uid)));
+    }
+    let flash = match (overview.jedec, overview.layout) {
+        (0, _) => "none answers".to_owned(),
+        (jedec, None) => format!("JEDEC id {jedec:06x}, of an unknown kind"),
+        (jedec, Some(layout)) => {
+            let golden = match overview.protected {
+                true => "golden image protected",
+                false => "golden image not protected",
+            };
+            format!("JEDEC id {jedec:06x}, {} MiB, {golden}", layout.size >> 20)
+        }
+    };
+    lines.push(("flash", flash));
+    let next = match overview.selected {
+        Some(slot) => format!("slot {slot}"),
+        None => "golden".to_owned(),
+    };
+    let build = overview.build_id;
+    lines.push((
+        "image",
+        format!(
+            "runs {}, build {build:08x}; after power-up {next}",
+            overview.running
+        ),
+    ));
+    match overview.settings {
+        Ok(settings) => {
+            let name = match settings.name.text() {
+                "" => "unnamed".to_owned(),
+                name => format!("\"{name}\""),
+            };
+            let by = if settings.dhcp { "DHCP, else " } else { "" };
+            let ip = Ipv4Addr::from(settings.ip);
+            lines.push((
+                "settings",
+                format!(
+                    "{name}, {by}{ip}/{}:{}, MAC {} ({})",
+                    settings.prefix,
+                    settings.port,
+                    match settings.mac {
+                        [0, 0, 0, 0, 0, 0] => "from the unique id".to_owned(),
+                        mac => mac_text(mac),
+                    },
+                    overview.origin
+                ),
+            ));
+        }
+        Err(error) => lines.push(("settings", error.to_string())),
+    }
+    let link = overview.link;
+    let duplex = if link.full_duplex {
+        "full duplex"
+    } else {
+        "half duplex"
+    };
+    lines.push((
+        "link",
+        match link.speed {
+            wire::LinkSpeed::Down => format!("down, {} frames thrown away", link.errors),
+            wire::LinkSpeed::M10 | wire::LinkSpeed::M100 | wire::LinkSpeed::M1000 => format!(
+                "{}, {duplex}, {} frames thrown away",
+                link.speed, link.errors
+            ),
+        },
+    ));
+    lines
+}
+
+fn to_json(identity: &Identity, overview: &Overview) -> Value {
     let describe = &identity.describe;
     let blob = identity.blob();
     let (mac, ip, port) = network(identity);
@@ -110,6 +191,33 @@ fn to_json(identity: &Identity) -> Value {
         "default_mac": mac,
         "default_ip": ip,
         "default_port": port,
+        "fpga": blob.text(Kind::Fpga, 0),
+        "platform": blob.text(Kind::Platform, 0),
+        "uid": has_uid(overview).then(|| uid_text(overview.uid)),
+        "flash": {
+            "jedec": format!("{:06x}", overview.jedec),
+            "bytes": overview.layout.map(|layout| layout.size),
+            "golden_protected": overview.protected,
+        },
+        "running": overview.running.text(),
+        "build_id": format!("{:08x}", overview.build_id),
+        "selected": overview.selected.map(|slot| slot.text()),
+        "ip": overview.ip.to_string(),
+        "settings_origin": overview.origin.text(),
+        "settings": overview.settings.ok().map(|settings| json!({
+            "name": settings.name.text(),
+            "dhcp": settings.dhcp,
+            "ip": Ipv4Addr::from(settings.ip).to_string(),
+            "prefix": settings.prefix,
+            "gateway": Ipv4Addr::from(settings.gateway).to_string(),
+            "mac": mac_text(settings.mac),
+            "port": settings.port,
+        })),
+        "link": {
+            "mbit": overview.link.speed.mbit(),
+            "full_duplex": overview.link.full_duplex,
+            "errors": overview.link.errors,
+        },
     });
     for (class, list) in classes(identity) {
         value[class] = list
@@ -120,7 +228,7 @@ fn to_json(identity: &Identity) -> Value {
     value
 }
 
-fn to_text(identity: &Identity) -> String {
+fn to_text(identity: &Identity, overview: &Overview) -> String {
     use std::fmt::Write;
     let describe = &identity.describe;
     let blob = identity.blob();
@@ -180,6 +288,9 @@ fn to_text(identity: &Identity) -> String {
     );
     if let (Some(mac), Some(ip), Some(port)) = network(identity) {
         line("default", format!("{ip}:{port}, MAC {mac}"));
+    }
+    for (name, value) in flash_lines(overview) {
+        line(name, value);
     }
     for (class, list) in classes(identity) {
         for (n, (name, pins)) in list.into_iter().enumerate() {

@@ -1,11 +1,14 @@
-//! `ferrocnc`: looks at a board from the command line. It takes no session and changes nothing, so it
-//! may be used while LinuxCNC drives the board.
+//! `ferrocnc`: a board from the command line. What only looks takes no session and changes nothing, so it
+//! may be used while LinuxCNC drives the board; what changes something (`set`, `update`, `flash`) is refused then.
 
 mod console;
 mod describe;
+mod discover;
 mod flash;
 mod log;
 mod progress;
+mod set;
+mod update;
 mod watch;
 
 use anyhow::{Context, Result};
@@ -14,7 +17,7 @@ use ferrocnc::address::{self, Address};
 use ferrocnc::client::Client;
 use std::process::ExitCode;
 
-/// Look at a FerroCNC board.
+/// Find, look at, set up and update FerroCNC boards.
 #[derive(Parser)]
 #[command(name = "ferrocnc", version)]
 struct Arguments {
@@ -61,6 +64,12 @@ enum Command {
         #[arg(long, short)]
         follow: bool,
     },
+    /// Every board on the segment, whatever its address is.
+    Discover(discover::Discover),
+    /// Address, name, MAC and port of a board. It starts anew with them.
+    Set(set::Set),
+    /// A new bitstream over the network: written, verified, selected for the next power-up.
+    Update(update::Update),
     /// Flash by JTAG: once in a board's life, then it is updated over the network.
     Flash {
         #[command(subcommand)]
@@ -103,6 +112,9 @@ fn run(arguments: &Arguments) -> Result<()> {
             elf,
             follow,
         } => log::run(&mut open(address)?, elf, *follow, json),
+        Command::Discover(arguments) => discover::run(arguments, json),
+        Command::Set(arguments) => set::run(arguments, json),
+        Command::Update(arguments) => update::run(arguments, json),
         Command::Flash { what } => flash::run(what, json),
         Command::Console { address, command } => {
             let address = parse(address, wire::CONSOLE_PORT)?;

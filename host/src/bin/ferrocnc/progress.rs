@@ -42,6 +42,15 @@ impl Bar {
         }
         self.bar.set_position((part * 1000.0) as u64);
     }
+
+    /// A sentence between bars.
+    pub(crate) fn say(&self, text: &str) {
+        if self.lines {
+            eprintln!("{text}");
+        } else {
+            self.bar.println(text);
+        }
+    }
 }
 
 impl Drop for Bar {

@@ -1,0 +1,171 @@
+//! `ferrocnc discover`: every board on the segment, whatever its address is.
+
+use anyhow::Result;
+use clap::Args;
+use ferrocnc::address;
+use ferrocnc::discovery::{Finder, Found, WAIT, filters};
+use ferrocnc::flash::uid_text;
+use serde_json::{Value, json};
+use std::net::Ipv4Addr;
+use std::time::Duration;
+
+/// Where to look.
+#[derive(Args)]
+pub(crate) struct Where {
+    /// Look through this interface only.
+    #[arg(long, value_name = "NAME")]
+    interface: Option<String>,
+    /// Ask at this address only, instead of everybody: a simulated board, or one behind a router.
+    #[arg(long, value_name = "IP[:PORT]", conflicts_with = "interface")]
+    at: Option<String>,
+}
+
+impl Where {
+    pub(crate) fn finder(&self) -> Result<Finder> {
+        Ok(match &self.at {
+            Some(at) => Finder::at(address::parse(at, wire::DISCOVERY_PORT)?.socket)?,
+            None => Finder::everywhere(self.interface.as_deref())?,
+        })
+    }
+}
+
+#[derive(Args)]
+pub(crate) struct Discover {
+    #[command(flatten)]
+    wherever: Where,
+    /// Listen for so many milliseconds.
+    #[arg(long, value_name = "MS", default_value_t = WAIT.as_millis() as u64)]
+    wait: u64,
+}
+
+pub(crate) fn run(arguments: &Discover, as_json: bool) -> Result<()> {
+    let finder = arguments.wherever.finder()?;
+    let boards = finder.all(Duration::from_millis(arguments.wait))?;
+    if as_json {
+        let boards: Vec<Value> = boards.iter().map(to_json).collect();
+        println!("{:#}", json!({ "boards": boards }));
+        return Ok(());
+    }
+    if boards.is_empty() {
+        println!("no board answers");
+        if arguments.wherever.at.is_none() {
+            eprint!(
+                "{}",
+                advice(&filters(arguments.wherever.interface.as_deref()))
+            );
+        }
+        return Ok(());
+    }
+    print!("{}", to_text(&boards));
+    Ok(())
+}
+
+/// What to look at when nobody answers.
+fn advice(filters: &[(String, u8)]) -> String {
+    let mut text = "Check power and cable (the port beside the power connector first), and whether a firewall lets UDP broadcasts in.\n"
+        .to_owned();
+    for (name, filter) in filters {
+        let what = match filter {
+            1 => "whose address it would answer through another interface",
+            _ => "whose address it knows no way to",
+        };
+        text += &format!(
+            "Through {name} this computer drops what comes from boards {what} (rp_filter is {filter}). Until the next start:\n  sudo sysctl -w net.ipv4.conf.all.rp_filter=0 net.ipv4.conf.{name}.rp_filter=0\n"
+        );
+    }
+    text
+}
+
+pub(crate) fn mac_text(mac: [u8; 6]) -> String {
+    mac.map(|byte| format!("{byte:02x}")).join(":")
+}
+
+fn name_or_dash(name: &str) -> &str {
+    if name.is_empty() { "-" } else { name }
+}
+
+/// What keeps it from being changed, in a word.
+fn busy(found: &Found) -> &'static str {
+    match (found.here.armed, found.here.owned) {
+        (true, _) => "armed",
+        (false, true) => "driven",
+        (false, false) => "idle",
+    }
+}
+
+fn to_text(boards: &[Found]) -> String {
+    let mut rows = vec![
+        [
+            "unique id",
+            "name",
+            "address",
+            "board",
+            "configuration",
+            "runs",
+            "link",
+            "state",
+        ]
+        .map(str::to_owned),
+    ];
+    for found in boards {
+        let here = &found.here;
+        let by = if here.dhcp { " (DHCP)" } else { "" };
+        rows.push([
+            uid_text(found.uid),
+            name_or_dash(here.name.text()).to_owned(),
+            format!("{}{by}", found.socket()),
+            name_or_dash(here.platform.text()).to_owned(),
+            name_or_dash(here.configuration.text()).to_owned(),
+            here.running.text().to_owned(),
+            here.speed.text().to_owned(),
+            busy(found).to_owned(),
+        ]);
+    }
+    let mut text = String::new();
+    for row in &rows {
+        let mut line = String::new();
+        for (column, cell) in row.iter().enumerate() {
+            let cells = rows.iter().map(|row| row[column].chars().count());
+            let width = cells.max().unwrap_or(0);
+            line += &format!("{cell:<width$}  ");
+        }
+        text += line.trim_end();
+        text.push('\n');
+    }
+    let mut shared: Vec<Ipv4Addr> = boards.iter().map(|found| found.here.ip.into()).collect();
+    shared.sort_unstable();
+    shared = shared
+        .windows(2)
+        .filter(|pair| pair[0] == pair[1])
+        .map(|pair| pair[0])
+        .collect();
+    shared.dedup();
+    for ip in shared {
+        text += &format!(
+            "Several boards have the address {ip}: give all but one another (ferrocnc set --uid ... --ip ...)\n"
+        );
+    }
+    text
+}
+
+pub(crate) fn to_json(found: &Found) -> Value {
+    let here = &found.here;
+    json!({
+        "uid": uid_text(found.uid),
+        "mac": mac_text(here.mac),
+        "ip": Ipv4Addr::from(here.ip).to_string(),
+        "port": here.port,
+        "dhcp": here.dhcp,
+        "armed": here.armed,
+        "owned": here.owned,
+        "running": here.running.text(),
+        "settings": here.origin.text(),
+        "link_mbit": here.speed.mbit(),
+        "wire_version": here.wire_version,
+        "firmware_version": crate::describe::version(here.firmware_version),
+        "build_id": format!("{:08x}", here.build_id),
+        "name": here.name.text(),
+        "configuration": here.configuration.text(),
+        "platform": here.platform.text(),
+    })
+}

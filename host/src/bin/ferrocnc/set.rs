@@ -1,0 +1,213 @@
+//! `ferrocnc set`: a board's address, name, MAC and port.
+
+use crate::discover::{Where, mac_text, to_json};
+use anyhow::{Context, Result, bail};
+use clap::{ArgGroup, Args};
+use ferrocnc::client::Client;
+use ferrocnc::flash::{uid_parse, uid_text};
+use ferrocnc::provision::{self, Change};
+use serde_json::json;
+use std::net::Ipv4Addr;
+use std::time::Duration;
+use wire::Name;
+
+#[derive(Args)]
+#[command(group(ArgGroup::new("which").required(true).args(["address", "uid"])))]
+pub(crate) struct Set {
+    /// IP[:port] of the board.
+    #[arg(value_name = "BOARD")]
+    address: Option<String>,
+    /// The board with this unique id, whatever its address is (ferrocnc discover shows ids).
+    #[arg(long, value_name = "UID", value_parser = parse_uid)]
+    uid: Option<[u32; 2]>,
+    /// Its address, with the bits of the netmask if they are not as before: 192.168.2.51/24. Turns DHCP off.
+    #[arg(long, value_name = "IP[/BITS]", value_parser = parse_ip)]
+    ip: Option<(Ipv4Addr, Option<u8>)>,
+    /// Its gateway; 0.0.0.0 for none.
+    #[arg(long, value_name = "IP")]
+    gateway: Option<Ipv4Addr>,
+    /// Ask a DHCP server; the address given (or before) is what it falls back to after 10 s.
+    #[arg(long)]
+    dhcp: bool,
+    /// Its name, up to 32 bytes.
+    #[arg(long, value_parser = parse_name)]
+    name: Option<Name>,
+    /// Its MAC address, or `auto`: made from its unique id.
+    #[arg(long, value_parser = parse_mac)]
+    mac: Option<Mac>,
+    /// Its UDP port for LinuxCNC.
+    #[arg(long)]
+    port: Option<u16>,
+    /// Forget everything set: what is built into its bitstream counts again.
+    #[arg(long, conflicts_with_all = ["ip", "gateway", "dhcp", "name", "mac", "port"])]
+    factory: bool,
+    #[command(flatten)]
+    wherever: Where,
+}
+
+pub(crate) fn run(arguments: &Set, as_json: bool) -> Result<()> {
+    let change = Change {
+        ip: arguments.ip,
+        gateway: arguments.gateway,
+        dhcp: arguments.dhcp.then_some(true),
+        name: arguments.name,
+        mac: arguments.mac.map(|mac| mac.0),
+        port: arguments.port,
+    };
+    if change.is_empty() && !arguments.factory {
+        bail!("nothing to set: say --ip, --dhcp, --gateway, --name, --mac, --port or --factory");
+    }
+    match (&arguments.address, arguments.uid) {
+        (Some(address), _) => at(crate::open(address)?, &change, arguments.factory, as_json),
+        (None, Some(uid)) => by_uid(uid, &change, arguments, as_json),
+        (None, None) => bail!("which board? Name its address or --uid"),
+    }
+}
+
+fn by_uid(uid: [u32; 2], change: &Change, arguments: &Set, as_json: bool) -> Result<()> {
+    let finder = arguments.wherever.finder()?;
+    let found = if arguments.factory {
+        let (_, client) = provision::reach(&finder, uid)?;
+        provision::forget_at(client)?;
+        // Until it has begun to start anew it says what it said before.
+        std::thread::sleep(Duration::from_millis(500));
+        finder
+            .until(uid, |here| here.origin == wire::flash::Origin::BuiltIn)
+            .context("the settings are forgotten, but the board has not come back yet")?
+    } else {
+        provision::set_by_uid(&finder, uid, change)?
+    };
+    tell(&found, as_json);
+    Ok(())
+}
+
+fn tell(found: &ferrocnc::discovery::Found, as_json: bool) {
+    if as_json {
+        return println!("{:#}", to_json(found));
+    }
+    let here = &found.here;
+    println!(
+        "{} has {}{}, MAC {}, name {}",
+        uid_text(found.uid),
+        found.socket(),
+        if here.dhcp { " from DHCP" } else { "" },
+        mac_text(here.mac),
+        if here.name.text().is_empty() {
+            "-"
+        } else {
+            here.name.text()
+        },
+    );
+}
+
+fn at(client: Client, change: &Change, factory: bool, as_json: bool) -> Result<()> {
+    let address = client.address().clone();
+    if factory {
+        provision::forget_at(client)?;
+        match as_json {
+            true => println!("{:#}", json!({ "factory": true })),
+            false => println!(
+                "{address} has forgotten its settings and starts with what is built in; ferrocnc discover shows its address"
+            ),
+        }
+        return Ok(());
+    }
+    let settings = provision::set_at(client, change)?;
+    let ip = Ipv4Addr::from(settings.ip);
+    if as_json {
+        println!(
+            "{:#}",
+            json!({
+                "ip": ip.to_string(),
+                "prefix": settings.prefix,
+                "gateway": Ipv4Addr::from(settings.gateway).to_string(),
+                "dhcp": settings.dhcp,
+                "port": settings.port,
+                "name": settings.name.text(),
+                "mac": mac_text(settings.mac),
+            })
+        );
+    } else if settings.dhcp {
+        println!(
+            "saved; the board starts anew and asks a DHCP server ({ip} if none answers). ferrocnc discover shows its address"
+        );
+    } else {
+        println!("saved; the board starts anew at {ip}:{}", settings.port);
+    }
+    Ok(())
+}
+
+/// A MAC address; clap takes an array for a list.
+#[derive(Clone, Copy)]
+struct Mac([u8; 6]);
+
+pub(crate) fn parse_uid(text: &str) -> Result<[u32; 2], String> {
+    uid_parse(text).ok_or_else(|| "a unique id is 16 hex digits: d162-0c8a-1b2c-3d4e".to_owned())
+}
+
+fn parse_ip(text: &str) -> Result<(Ipv4Addr, Option<u8>), String> {
+    let (ip, prefix) = match text.split_once('/') {
+        Some((ip, prefix)) => (ip, Some(prefix)),
+        None => (text, None),
+    };
+    let wrong =
+        || format!("\"{text}\" is not IP[/BITS]; write it as 192.168.2.51 or 192.168.2.51/24");
+    let ip = ip.parse().map_err(|_| wrong())?;
+    let prefix = prefix.map(str::parse).transpose().map_err(|_| wrong())?;
+    Ok((ip, prefix))
+}
+
+fn parse_name(text: &str) -> Result<Name, String> {
+    Name::new(text).map_err(|_| "a name has at most 32 bytes and no control characters".to_owned())
+}
+
+fn parse_mac(text: &str) -> Result<Mac, String> {
+    if text == "auto" {
+        return Ok(Mac([0; 6]));
+    }
+    let wrong = || format!("\"{text}\" is no MAC address; write it as 02:12:34:56:78:9a, or auto");
+    let bytes: Result<Vec<u8>, _> = text
+        .split([':', '-'])
+        .map(|part| match part.len() {
+            2 => u8::from_str_radix(part, 16).map_err(|_| wrong()),
+            _ => Err(wrong()),
+        })
+        .collect();
+    let bytes: [u8; 6] = bytes?.try_into().map_err(|_| wrong())?;
+    match bytes {
+        [0, 0, 0, 0, 0, 0] => {
+            Err("0 is no MAC address; auto makes one from the unique id".to_owned())
+        }
+        bytes => Ok(Mac(bytes)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_read_as_people_write_them() {
+        assert_eq!(parse_ip("10.0.0.7"), Ok((Ipv4Addr::new(10, 0, 0, 7), None)));
+        assert_eq!(
+            parse_ip("10.0.0.7/8"),
+            Ok((Ipv4Addr::new(10, 0, 0, 7), Some(8)))
+        );
+        for text in ["10.0.0", "10.0.0.7/", "10.0.0.7/x", "ten"] {
+            assert!(parse_ip(text).unwrap_err().contains(text), "{text}");
+        }
+        assert_eq!(
+            parse_mac("02:12:34:56:78:9A").map(|mac| mac.0),
+            Ok([2, 0x12, 0x34, 0x56, 0x78, 0x9a])
+        );
+        assert_eq!(parse_mac("auto").map(|mac| mac.0), Ok([0; 6]));
+        for text in [
+            "02:12:34:56:78",
+            "2:12:34:56:78:9a",
+            "02:12:34:56:78:9g",
+            "00:00:00:00:00:00",
+        ] {
+            assert!(parse_mac(text).is_err(), "{text}");
+        }
+    }
+}

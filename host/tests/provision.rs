@@ -1,0 +1,291 @@
+//! Boards are found, told apart and given addresses: library and tool, on a segment of fake boards.
+
+mod common;
+
+use common::flash::Segment;
+use common::{FakeBoard, Time};
+use ferrocnc::address;
+use ferrocnc::client::Client;
+use ferrocnc::discovery::Finder;
+use ferrocnc::flash::{Overview, uid_text};
+use ferrocnc::provision::{self, Change, ProvisionError};
+use std::net::Ipv4Addr;
+use std::process::{Command, Output};
+use std::time::Duration;
+use wire::flash::Origin;
+use wire::settings::{Settings, mac_of_uid};
+use wire::{Name, State};
+
+const UIDS: [[u32; 2]; 3] = [[0xd162_0c8a, 1], [0xd162_0c8a, 2], [0xd162_0c8a, 3]];
+const WAIT: Duration = Duration::from_millis(600);
+
+fn tool(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_ferrocnc"))
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn answer(arguments: &[&str]) -> String {
+    let output = tool(arguments);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments:?}: {error}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn complaint(arguments: &[&str]) -> String {
+    let output = tool(arguments);
+    assert!(!output.status.success(), "{arguments:?} succeeded");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+fn named(name: &str, ip: [u8; 4]) -> Change {
+    Change {
+        ip: Some((Ipv4Addr::from(ip), None)),
+        name: Some(Name::new(name).unwrap()),
+        ..Change::default()
+    }
+}
+
+fn client(board: &FakeBoard) -> Client {
+    Client::open(&address::parse(&board.text(), 1234).unwrap()).unwrap()
+}
+
+#[test]
+fn three_boards_with_one_address_are_told_apart_and_renamed_one_by_one() {
+    let segment = Segment::of(&UIDS);
+    let finder = Finder::at(segment.address).unwrap();
+    let found = finder.all(WAIT).unwrap();
+    assert_eq!(found.iter().map(|f| f.uid).collect::<Vec<_>>(), UIDS);
+    assert!(found.iter().all(|f| f.here.ip == 0xc0a8_0232));
+    for (n, uid) in UIDS.iter().enumerate() {
+        let change = named(&format!("mill-{n}"), [192, 168, 2, 60 + n as u8]);
+        let found = provision::set_by_uid(&finder, *uid, &change).unwrap();
+        assert_eq!(found.here.name.text(), format!("mill-{n}"));
+    }
+    let ips: Vec<u32> = finder
+        .all(WAIT)
+        .unwrap()
+        .iter()
+        .map(|f| f.here.ip & 0xff)
+        .collect();
+    assert_eq!(ips, [60, 61, 62]);
+    assert!(segment.look().iter().all(|board| board.saved == 1));
+}
+
+#[test]
+fn a_lost_answer_is_asked_for_again_and_nothing_is_saved_twice() {
+    let segment = Segment::of(&UIDS);
+    let finder = Finder::at(segment.address).unwrap();
+    segment.look()[1].lose = 2;
+    assert_eq!(
+        finder.one(UIDS[1], Duration::from_secs(3)).unwrap().uid,
+        UIDS[1]
+    );
+    segment.look()[1].lose = 2;
+    let settings = Settings {
+        name: Name::new("again").unwrap(),
+        ..Settings::default()
+    };
+    finder.set(UIDS[1], &settings).unwrap();
+    assert_eq!(segment.look()[1].saved, 1);
+}
+
+#[test]
+fn an_armed_board_and_an_unknown_one_are_said_in_a_sentence() {
+    let segment = Segment::of(&UIDS);
+    let finder = Finder::at(segment.address).unwrap();
+    segment.look()[2].armed = true;
+    let said = provision::set_by_uid(&finder, UIDS[2], &named("x", [192, 168, 2, 9]));
+    assert!(said.unwrap_err().to_string().contains("stop LinuxCNC"));
+    assert_eq!(segment.look()[2].flash.origin, Origin::BuiltIn);
+    let said = finder.one([9, 9], WAIT).unwrap_err().to_string();
+    assert!(
+        said.contains("0000-0009-0000-0009 does not answer"),
+        "{said}"
+    );
+}
+
+#[test]
+fn what_is_not_asked_for_stays_and_a_mac_made_from_the_id_stays_that() {
+    let segment = Segment::of(&UIDS);
+    let finder = Finder::at(segment.address).unwrap();
+    segment.look()[0].flash.settings.port = 4321;
+    let change = Change {
+        name: Some(Name::new("lathe").unwrap()),
+        ..Change::default()
+    };
+    provision::set_by_uid(&finder, UIDS[0], &change).unwrap();
+    let boards = segment.look();
+    let settings = boards[0].flash.settings;
+    assert_eq!((settings.port, settings.ip), (4321, 0xc0a8_0232));
+    assert_eq!(
+        (settings.mac, boards[0].flash.mac()),
+        ([0; 6], mac_of_uid(UIDS[0]))
+    );
+    assert_eq!(settings.name.text(), "lathe");
+}
+
+#[test]
+fn boards_that_share_an_address_are_not_reached_by_it() {
+    let segment = Segment::of(&UIDS);
+    let finder = Finder::at(segment.address).unwrap();
+    let said = provision::reach(&finder, UIDS[0]).unwrap_err();
+    assert!(matches!(said, ProvisionError::Shared { .. }));
+    let said = said.to_string();
+    assert!(
+        said.contains("3 boards have the address 192.168.2.50"),
+        "{said}"
+    );
+    assert!(
+        said.contains(&format!("ferrocnc set --uid {}", uid_text(UIDS[0]))),
+        "{said}"
+    );
+}
+
+#[test]
+fn settings_over_the_address_are_saved_with_the_key_kept_and_the_board_starts_anew() {
+    let board = FakeBoard::mill6(Time::Lockstep(60_000));
+    board.look().flash.settings.key = [1, 2, 3, 4];
+    board.look().flash.settings.gateway = 0xc0a8_0201;
+    let boots = board.look().boot_id;
+    let change = named("mill", [192, 168, 2, 51]);
+    let settings = provision::set_at(client(&board), &change).unwrap();
+    assert_eq!(settings.ip, 0xc0a8_0233);
+    {
+        let mind = board.look();
+        assert_eq!(mind.flash.settings.key, [1, 2, 3, 4]);
+        assert_eq!(mind.flash.settings.gateway, 0xc0a8_0201);
+        assert_eq!(mind.flash.settings.name.text(), "mill");
+        assert!(mind.boot_id > boots);
+    }
+    provision::forget_at(client(&board)).unwrap();
+    let overview = Overview::read(&mut client(&board)).unwrap();
+    assert_eq!(overview.origin, Origin::BuiltIn);
+}
+
+#[test]
+fn an_armed_board_keeps_its_settings_and_says_why() {
+    let board = FakeBoard::mill6(Time::Lockstep(60_000));
+    board.look().state = State::Armed;
+    let said = provision::set_at(client(&board), &named("mill", [10, 0, 0, 2])).unwrap_err();
+    assert!(said.to_string().contains("the machine is armed"), "{said}");
+    assert_eq!(board.look().flash.settings, Settings::default());
+}
+
+#[test]
+fn the_tool_lists_sets_and_warns() {
+    let segment = Segment::of(&UIDS);
+    let at = segment.address.to_string();
+    let text = answer(&["discover", "--at", &at, "--wait", "600"]);
+    for part in [
+        "d162-0c8a-0000-0001",
+        "192.168.2.50:1234",
+        "5a-75b-8.0",
+        "mill6",
+        "1000 Mbit/s",
+    ] {
+        assert!(text.contains(part), "{part} missing in:\n{text}");
+    }
+    assert!(
+        text.contains("Several boards have the address 192.168.2.50"),
+        "{text}"
+    );
+    let said = answer(&[
+        "set",
+        "--at",
+        &at,
+        "--uid",
+        "d1620c8a00000002",
+        "--ip",
+        "192.168.2.51",
+        "--name",
+        "lathe",
+    ]);
+    assert!(
+        said.contains("d162-0c8a-0000-0002 has 192.168.2.51:1234"),
+        "{said}"
+    );
+    assert!(said.contains("name lathe"), "{said}");
+    let json = answer(&["--json", "discover", "--at", &at, "--wait", "600"]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let boards = json["boards"].as_array().unwrap();
+    assert_eq!(boards.len(), 3);
+    let lathe = boards
+        .iter()
+        .find(|board| board["name"] == "lathe")
+        .unwrap();
+    assert_eq!(lathe["ip"], "192.168.2.51");
+    assert_eq!(lathe["settings"], "flash, copy 0");
+}
+
+#[test]
+fn what_cannot_be_set_is_said_before_anything_is_sent() {
+    for (arguments, expected) in [
+        (&["set", "--uid", "d162"][..], "16 hex digits"),
+        (&["set", "192.168.2.50"], "nothing to set"),
+        (&["set", "--name", "x"], "--uid"),
+        (&["set", "192.168.2.50", "--ip", "ten"], "192.168.2.51/24"),
+        (
+            &["set", "192.168.2.50", "--mac", "1:2:3"],
+            "02:12:34:56:78:9a",
+        ),
+        (
+            &["set", "192.168.2.50", "--factory", "--dhcp"],
+            "cannot be used with",
+        ),
+        (
+            &["discover", "--interface", "no-such-if0"],
+            "no interface \"no-such-if0\"",
+        ),
+        (&["update", "192.168.2.50"], "FILE"),
+        (
+            &["update", "192.168.2.50", "/nowhere.bit"],
+            "cannot read /nowhere.bit",
+        ),
+    ] {
+        let said = complaint(arguments);
+        assert!(said.contains(expected), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn the_tool_updates_and_says_what_runs_now_and_after_the_next_power_up() {
+    let board = FakeBoard::mill6(Time::Lockstep(60_000));
+    board.look().flash.looks = 0;
+    let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("provision-update.bit");
+    let bytes = ferrocnc::image::sample::file("mill6", "5a-75b-8.0", 0xabcd, 5000);
+    std::fs::write(&file, &bytes).unwrap();
+    let path = file.to_str().unwrap();
+    let text = answer(&["update", &board.text(), path]);
+    for part in [
+        "slot A holds mill6 on 5a-75b-8.0, build 0000abcd",
+        "runs now:              volatile (loaded by JTAG), build 0b1d0000",
+        "after next power-up:   slot A, build 0000abcd",
+        "Power the board off and on",
+    ] {
+        assert!(text.contains(part), "{part} missing in:\n{text}");
+    }
+    let json = answer(&["--json", "update", &board.text(), path, "--slot", "b"]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(
+        (&json["slot"], &json["selected"]),
+        (&"B".into(), &"B".into())
+    );
+    std::fs::write(&file, &bytes[..bytes.len() - 1]).unwrap();
+    let said = complaint(&["update", &board.text(), path]);
+    assert!(
+        said.contains("provision-update.bit: it is cut short"),
+        "{said}"
+    );
+    let text = answer(&["describe", &board.text()]);
+    for part in [
+        "d162-0c8a-1b2c-3d4e",
+        "JEDEC id ef4015, 2 MiB, golden image protected",
+        "after power-up slot B",
+        "192.168.2.50/24:1234, MAC from the unique id (built in)",
+        "1000 Mbit/s, full duplex",
+    ] {
+        assert!(text.contains(part), "{part} missing in:\n{text}");
+    }
+}
