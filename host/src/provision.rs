@@ -166,13 +166,27 @@ pub fn settings_of(found: &Found) -> Settings {
     Settings {
         dhcp: here.dhcp,
         ip: here.ip,
-        mac: match mac_of_uid(found.uid) == here.mac {
-            true => [0; 6],
-            false => here.mac,
-        },
+        mac: given_mac(found.uid, here.mac),
         port: here.port,
         name: here.name,
         ..Settings::default()
+    }
+}
+
+/// The settings in force, as they would be given: a MAC address made from the unique id is not one that was set.
+fn in_force(overview: &Overview) -> Result<Settings, FlashError> {
+    let settings = overview.settings.map_err(FlashError::Settings)?;
+    Ok(Settings {
+        mac: given_mac(overview.uid, settings.mac),
+        ..settings
+    })
+}
+
+/// Zeros for what the board makes itself.
+fn given_mac(uid: [u32; 2], mac: [u8; 6]) -> [u8; 6] {
+    match mac_of_uid(uid) == mac {
+        true => [0; 6],
+        false => mac,
     }
 }
 
@@ -225,7 +239,7 @@ pub fn set_by_uid(
 ) -> Result<Found, ProvisionError> {
     let found = finder.one(uid, WAIT)?;
     let base = match reach(finder, uid) {
-        Ok((_, mut client)) => Overview::read(&mut client)?.settings.ok(),
+        Ok((_, mut client)) => in_force(&Overview::read(&mut client)?).ok(),
         // A shared or foreign address: what it says to everybody has to do.
         Err(_) => None,
     };
@@ -239,8 +253,7 @@ pub fn set_by_uid(
 pub fn set_at(client: Client, change: &Change) -> Result<Settings, ProvisionError> {
     let mut client = client;
     let overview = Overview::read(&mut client)?;
-    let now = overview.settings.map_err(FlashError::Settings)?;
-    let settings = change.apply(&now)?;
+    let settings = change.apply(&in_force(&overview)?)?;
     let mut flasher = Flasher::new(client, crate::client::PATIENCE, |_| {});
     flasher.may_write()?;
     flasher.save(&settings)?;

@@ -104,7 +104,11 @@ impl FakeFlash {
     }
 
     pub fn read(&mut self, address: u32, link: (LinkSpeed, u8)) -> u32 {
-        let settings = self.settings.blanked().to_words();
+        let settings = Settings {
+            mac: self.mac(),
+            ..self.settings.blanked()
+        };
+        let settings = settings.to_words();
         match address {
             map::FLASH_OP => {
                 let word = self.word.to_word();

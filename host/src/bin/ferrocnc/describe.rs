@@ -9,6 +9,7 @@ use std::io::Write;
 use std::net::Ipv4Addr;
 use wire::board::Kind;
 use wire::describe::OBSTACLE_ABI;
+use wire::settings::mac_of_uid;
 
 pub(crate) fn run(client: &mut Client, as_json: bool) -> Result<()> {
     let identity = client.identify()?;
@@ -135,9 +136,9 @@ fn flash_lines(overview: &Overview) -> Vec<(&'static str, String)> {
                     "{name}, {by}{ip}/{}:{}, MAC {} ({})",
                     settings.prefix,
                     settings.port,
-                    match settings.mac {
-                        [0, 0, 0, 0, 0, 0] => "from the unique id".to_owned(),
-                        mac => mac_text(mac),
+                    match settings.mac == mac_of_uid(overview.uid) {
+                        true => format!("{} from the unique id", mac_text(settings.mac)),
+                        false => mac_text(settings.mac),
                     },
                     overview.origin
                 ),
