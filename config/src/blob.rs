@@ -1,7 +1,7 @@
 //! The board info blob: what the board says about itself. Its layout's specification is `wire::board`.
 
 use crate::board::{Board, Channel, Class};
-use crate::error::Error;
+use crate::error::{Error, Report};
 use wire::board::{HEADER_LEN, LIST, MAGIC, VERSION, crc32};
 
 /// Bytes the board has for it: one block RAM (`regmap.py`, `pac::abi::BOARD_ROM_SIZE`).
@@ -24,14 +24,14 @@ pub fn blob(board: &Board) -> Result<Vec<u8>, Error> {
     }
     let total = HEADER_LEN + body.len();
     if total > ROM {
-        return Err(Error {
+        return Err(Error::from(Report {
             file: board.file.clone(),
             place: None,
             key: String::new(),
             value: String::new(),
             problem: format!("describes itself in {total} bytes and the board has {ROM}"),
             remedy: "shorten the names of the channels".to_owned(),
-        });
+        }));
     }
     let head = [MAGIC, VERSION, total as u32, crc32(&body)];
     let mut blob: Vec<u8> = head.iter().flat_map(|word| word.to_be_bytes()).collect();

@@ -19,20 +19,35 @@ pub const MAX_INPUT: usize = 32;
 pub const MAX_OUTPUT: usize = 32;
 
 const NAME: &str = "a name as HAL has them, lower case, as in \"x\"";
+const fn name(class: HalClass) -> Key {
+    let most = class.room();
+    must(
+        "name",
+        Kind::Shaped {
+            pattern: "^[a-z][a-z0-9-]*$",
+            most,
+        },
+        NAME,
+    )
+}
+/// A header's pins but ground, the button, or nothing.
+const PIN: Kind = Kind::Shaped {
+    pattern: "^(j[1-9][0-9]?:([0124-9]|1[0-4])|key|none)$",
+    most: 6,
+};
 const LEVELS: Kind = Kind::OneOf(&["low", "high"]);
 
 const LINE: &[Key] = &[
-    must(
-        "pin",
-        Kind::Text,
-        "a pin, as in \"key\" or \"j8:6\", or \"none\"",
-    ),
+    must("pin", PIN, "a pin, as in \"key\" or \"j8:6\", or \"none\""),
     must("active", LEVELS, "\"low\" or \"high\": the level that acts"),
 ];
 const NETWORK: &[Key] = &[
     may(
         "mac",
-        Kind::Text,
+        Kind::Shaped {
+            pattern: "^[0-9a-f]{2}(:[0-9a-f]{2}){5}$",
+            most: 17,
+        },
         "a MAC address, as in \"10:e2:d5:00:00:01\"; without it the board makes one of its flash's serial number",
     ),
     must(
@@ -66,55 +81,55 @@ pub const ENCODER_TYPES: [&str; 2] = ["quadrature", "counter"];
 pub const PWM_TYPES: [&str; 4] = ["pwm", "up_down", "pdm", "dir_pwm"];
 
 const STEPGEN: &[Key] = &[
-    must("name", Kind::Text, NAME),
+    name(hal::STEPGEN),
     may(
         "type",
         Kind::OneOf(&STEP_TYPES),
         "\"step_dir\" (if nothing is said), \"up_down\": step is up and dir is down, or \"quadrature\": step is A and dir is B",
     ),
-    may("step", Kind::Text, "the output pin, as in \"j1:0\""),
-    may("dir", Kind::Text, "the output pin, as in \"j1:1\""),
+    may("step", PIN, "the output pin, as in \"j1:0\""),
+    may("dir", PIN, "the output pin, as in \"j1:1\""),
     may(
         "step_n",
-        Kind::Text,
+        PIN,
         "a pin for the inverted copy of step, for a differential input",
     ),
     may(
         "dir_n",
-        Kind::Text,
+        PIN,
         "a pin for the inverted copy of dir, for a differential input",
     ),
-    may("index", Kind::Text, "an input pin: the axis' index pulse"),
+    may("index", PIN, "an input pin: the axis' index pulse"),
 ];
 const ENCODER: &[Key] = &[
-    must("name", Kind::Text, NAME),
+    name(hal::ENCODER),
     may(
         "type",
         Kind::OneOf(&ENCODER_TYPES),
         "\"quadrature\" (if nothing is said) or \"counter\": pulses on a, no b",
     ),
-    may("a", Kind::Text, "the input pin, as in \"j6:0\""),
-    may("b", Kind::Text, "the input pin, as in \"j6:1\""),
-    may("index", Kind::Text, "an input pin: the index pulse, Z"),
+    may("a", PIN, "the input pin, as in \"j6:0\""),
+    may("b", PIN, "the input pin, as in \"j6:1\""),
+    may("index", PIN, "an input pin: the index pulse, Z"),
     may(
         "mask",
-        Kind::Text,
+        PIN,
         "an input pin that must be high for the index to count",
     ),
 ];
 const PWM: &[Key] = &[
-    must("name", Kind::Text, NAME),
+    name(hal::PWM),
     may(
         "type",
         Kind::OneOf(&PWM_TYPES),
         "\"pwm\" (if nothing is said), \"up_down\": pin is up and dir is down, \"pdm\" or \"dir_pwm\": the two pins swapped",
     ),
-    may("pin", Kind::Text, "the output pin, as in \"j3:0\""),
-    may("dir", Kind::Text, "an output pin for the sign"),
+    may("pin", PIN, "the output pin, as in \"j3:0\""),
+    may("dir", PIN, "an output pin for the sign"),
 ];
 const GPIO_IN: &[Key] = &[
-    must("name", Kind::Text, NAME),
-    may("pin", Kind::Text, "the input pin, as in \"j8:2\""),
+    name(hal::INPUT),
+    may("pin", PIN, "the input pin, as in \"j8:2\""),
     may(
         "estop",
         LEVELS,
@@ -122,8 +137,8 @@ const GPIO_IN: &[Key] = &[
     ),
 ];
 const GPIO_OUT: &[Key] = &[
-    must("name", Kind::Text, NAME),
-    may("pin", Kind::Text, "the output pin, as in \"j4:0\""),
+    name(hal::OUTPUT),
+    may("pin", PIN, "the output pin, as in \"j4:0\""),
     must(
         "safe",
         LEVELS,

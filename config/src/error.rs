@@ -28,7 +28,11 @@ impl Place {
 
 /// `boards/x.toml:12:8: stepgen[1].step: "j1:0" is already stepgen[0].step; every pin has one use, choose a free one`
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Error {
+pub struct Error(Box<Report>);
+
+/// What an [`Error`] says, in its parts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Report {
     /// The file as it was named to us.
     pub file: String,
     /// Where in it, if a place can be told.
@@ -41,6 +45,26 @@ pub struct Error {
     pub problem: String,
     /// What to do.
     pub remedy: String,
+}
+
+impl From<Report> for Error {
+    fn from(report: Report) -> Self {
+        Error(Box::new(report))
+    }
+}
+
+impl std::ops::Deref for Error {
+    type Target = Report;
+
+    fn deref(&self) -> &Report {
+        &self.0
+    }
+}
+
+impl std::ops::DerefMut for Error {
+    fn deref_mut(&mut self) -> &mut Report {
+        &mut self.0
+    }
 }
 
 impl fmt::Display for Error {

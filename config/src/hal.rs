@@ -45,8 +45,8 @@ impl HalClass {
     }
 
     /// How long a name may be.
-    pub fn room(self) -> usize {
-        NAME_MAX - self.pin("").len()
+    pub const fn room(self) -> usize {
+        NAME_MAX - "ferrocnc.0...".len() - self.class.len() - self.longest.len()
     }
 }
 

@@ -9,11 +9,17 @@ pub mod board;
 pub mod error;
 pub mod export;
 pub mod hal;
+pub mod import;
+pub mod new;
+pub mod pinout;
 pub mod platform;
+pub mod schema;
+pub mod show;
 pub mod source;
 mod tree;
+pub mod write;
 
 pub use board::{Board, Channel, Class};
-pub use error::{Error, Place};
+pub use error::{Error, Place, Report};
 pub use platform::{Level, Platform};
 pub use source::read_board;

@@ -12,6 +12,7 @@ fn main() -> ExitCode {
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
         ["export", board] => export(Path::new(board)),
+        ["schema", folder] => schema(Path::new(folder)),
         _ => Err(USAGE.to_owned()),
     };
     match done {
@@ -28,5 +29,14 @@ fn export(path: &Path) -> Result<(), String> {
     let json = ferrocnc_config::export::export(&board).map_err(|error| error.to_string())?;
     // Whoever reads from us may have seen enough.
     let _ = writeln!(std::io::stdout(), "{json:#}");
+    Ok(())
+}
+
+fn schema(folder: &Path) -> Result<(), String> {
+    for (name, schema) in ferrocnc_config::schema::FILES {
+        let file = folder.join(name);
+        std::fs::write(&file, format!("{:#}\n", schema()))
+            .map_err(|e| format!("{}: cannot be written ({e})", file.display()))?;
+    }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Where files come from: a folder of them, or the ones we carry.
 
 use crate::board::{Board, Platforms};
-use crate::error::Error;
+use crate::error::{Error, Report};
 use std::path::{Path, PathBuf};
 
 /// The platforms of `boards/platforms`, so that the tool needs no checkout.
@@ -91,13 +91,15 @@ impl Platforms for Folder {
 
 /// Reads a file's text.
 pub fn read_text(path: &Path) -> Result<String, Error> {
-    let error = |problem: String, remedy: &str| Error {
-        file: path.display().to_string(),
-        place: None,
-        key: String::new(),
-        value: String::new(),
-        problem,
-        remedy: remedy.to_owned(),
+    let error = |problem: String, remedy: &str| {
+        Error::from(Report {
+            file: path.display().to_string(),
+            place: None,
+            key: String::new(),
+            value: String::new(),
+            problem,
+            remedy: remedy.to_owned(),
+        })
     };
     let bytes = std::fs::read(path).map_err(|e| {
         error(

@@ -3,7 +3,7 @@
 //! What may stand there is a list of [`Key`]s. From the same list come the check, the remedy in its errors and the JSON
 //! schema, so the three cannot differ.
 
-use crate::error::{Error, Place};
+use crate::error::{Error, Place, Report};
 
 /// A value and where it begins.
 #[derive(Clone, Debug)]
@@ -55,12 +55,21 @@ pub struct Key {
 #[derive(Debug)]
 pub enum Kind {
     Text,
+    /// A text whose shape an editor can check; the reader checks it with better words.
+    Shaped {
+        pattern: &'static str,
+        most: usize,
+    },
     Integer {
         min: i64,
         max: i64,
     },
     OneOf(&'static [&'static str]),
     Flag,
+    /// Whole or not.
+    Number,
+    /// Looked at by whoever asks for it.
+    Any,
     Texts,
     Table(&'static [Key]),
     /// An array of tables, and how many there may be.
@@ -114,14 +123,14 @@ impl<'n> At<'n> {
         keys: &'static [Key],
     ) -> Result<Self, Error> {
         let Value::Table(entries) = &node.value else {
-            return Err(Error {
+            return Err(Error::from(Report {
                 file: file.to_owned(),
                 place: node.place,
                 key: path.to_owned(),
                 value: node.value.show(),
                 problem: "is not a table".to_owned(),
                 remedy: format!("its keys are {}", list(keys)),
-            });
+            }));
         };
         let at = At {
             table: Table {
@@ -164,9 +173,13 @@ impl<'n> At<'n> {
 
     fn check(&self, key: &Key, node: &Node) -> Result<(), Error> {
         let fits = match (&key.kind, &node.value) {
-            (Kind::Text, Value::Text(_))
+            (Kind::Text | Kind::Shaped { .. }, Value::Text(_))
             | (Kind::Flag, Value::Flag(_))
             | (Kind::Table(_) | Kind::Lists, Value::Table(_)) => true,
+            (Kind::Any, _) | (Kind::Number, Value::Integer(_)) => true,
+            (Kind::Number, Value::Other(text)) => {
+                text.parse().is_ok_and(|number: f64| number.is_finite())
+            }
             (Kind::OneOf(words), Value::Text(text)) => words.contains(&text.as_str()),
             (Kind::Integer { min, max }, Value::Integer(number)) => (min..=max).contains(&number),
             (Kind::Texts, Value::List(nodes)) => nodes
@@ -193,13 +206,15 @@ impl<'n> At<'n> {
             return Ok(());
         }
         let problem = match &key.kind {
-            Kind::Text => "is not a text in quotes".to_owned(),
+            Kind::Text | Kind::Shaped { .. } => "is not a text in quotes".to_owned(),
             Kind::Integer { min, max } => match node.value {
                 Value::Integer(_) => format!("is outside {min} to {max}"),
                 _ => "is not a whole number".to_owned(),
             },
             Kind::OneOf(words) => format!("is not one of \"{}\"", words.join("\", \"")),
             Kind::Flag => "is neither true nor false".to_owned(),
+            Kind::Number => "is not a number".to_owned(),
+            Kind::Any => "is not what it should be".to_owned(),
             Kind::Texts => "is not a list of texts".to_owned(),
             Kind::Table(_) | Kind::Lists => "is not a table".to_owned(),
             Kind::Tables(..) => "is not an array of tables".to_owned(),
@@ -269,6 +284,25 @@ impl<'n> At<'n> {
             Value::Flag(flag) => Some(flag),
             _ => None,
         }
+    }
+
+    /// The value of a key as it is written, if it is there.
+    pub fn shown(&self, name: &str) -> Option<String> {
+        self.node(name).map(|node| node.value.show())
+    }
+
+    /// As [`At::shown`], for a key this kind of table may not know.
+    pub fn shown_if(&self, name: &str) -> Option<String> {
+        self.table
+            .keys
+            .iter()
+            .find(|key| key.name == name)
+            .and_then(|key| self.shown(key.name))
+    }
+
+    /// The value of a key, whatever it is.
+    pub fn any(&self, name: &str) -> Option<&'n Node> {
+        self.node(name)
     }
 
     /// The texts of a list, each with its place.
@@ -381,14 +415,14 @@ impl<'n> At<'n> {
         problem: impl Into<String>,
         remedy: String,
     ) -> Error {
-        Error {
+        Error::from(Report {
             file: self.table.file.to_owned(),
             place,
             key: self.key(name),
             value: value.to_owned(),
             problem: problem.into(),
             remedy,
-        }
+        })
     }
 }
 
@@ -445,16 +479,18 @@ fn distance(a: &str, b: &str) -> usize {
 /// Reads TOML into a tree.
 pub fn parse_toml(file: &str, text: &str) -> Result<Node, Error> {
     let document: toml_edit::ImDocument<&str> =
-        toml_edit::ImDocument::parse(text).map_err(|error| Error {
-            file: file.to_owned(),
-            place: error.span().map(|span| Place::of(text, span.start)),
-            key: String::new(),
-            value: String::new(),
-            problem: format!(
-                "is not TOML: {}",
-                error.message().trim().replace('\n', ", ")
-            ),
-            remedy: "`ferrocnc config new` writes one to begin with".to_owned(),
+        toml_edit::ImDocument::parse(text).map_err(|error| {
+            Error::from(Report {
+                file: file.to_owned(),
+                place: error.span().map(|span| Place::of(text, span.start)),
+                key: String::new(),
+                value: String::new(),
+                problem: format!(
+                    "is not TOML: {}",
+                    error.message().trim().replace('\n', ", ")
+                ),
+                remedy: "`ferrocnc config new` writes one to begin with".to_owned(),
+            })
         })?;
     Ok(Node {
         place: None,

@@ -1,6 +1,7 @@
 //! `ferrocnc`: a board from the command line. What only looks takes no session and changes nothing, so it
 //! may be used while LinuxCNC drives the board; what changes something (`set`, `update`, `flash`) is refused then.
 
+mod config;
 mod console;
 mod describe;
 mod discover;
@@ -30,6 +31,9 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Board files: write, check, show, draw and import them. No board is needed.
+    #[command(subcommand)]
+    Config(config::Command),
     /// What the board is: versions, channels and their names, clock, state.
     Describe {
         /// IP[:port] of the board.
@@ -101,6 +105,7 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> Result<()> {
     let json = arguments.json;
     match &arguments.command {
+        Command::Config(command) => config::run(command, json),
         Command::Describe { address } => describe::run(&mut open(address)?, json),
         Command::Watch {
             address,

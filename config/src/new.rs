@@ -1,0 +1,163 @@
+//! A configuration to begin with: so many of each, on the first pins there are.
+
+use crate::board::{Board, Channel, Class, Line, Modified};
+use crate::platform::{FIRST_SHARED, HEADER, Level, Platform};
+
+/// What is wanted.
+#[derive(Clone, Debug, Default)]
+pub struct Wanted {
+    /// How many of each, in the order of [`Class::ALL`].
+    pub counts: [usize; 5],
+    /// Headers whose buffers were replaced: where inputs go.
+    pub modified: Vec<String>,
+}
+
+/// Why it cannot be had.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NoRoom(pub String);
+
+impl core::fmt::Display for NoRoom {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for NoRoom {}
+
+/// Lays it out: what drives on headers as they are sold, what reads on modified ones. The shared lines come last, as outputs.
+pub fn layout(name: &str, platform: Platform, wanted: &Wanted) -> Result<Board, NoRoom> {
+    let unknown = wanted
+        .modified
+        .iter()
+        .find(|name| !platform.headers.iter().any(|(header, _)| header == *name));
+    if let Some(header) = unknown {
+        let headers: Vec<&str> = platform
+            .headers
+            .iter()
+            .map(|(header, _)| header.as_str())
+            .collect();
+        return Err(NoRoom(format!(
+            "\"{header}\" is not a header of {}; there is {}",
+            platform.name,
+            headers.join(", ")
+        )));
+    }
+    let own = |modified: bool| {
+        let headers = platform
+            .headers
+            .iter()
+            .filter(|(header, _)| wanted.modified.contains(header) == modified);
+        let pins = headers.flat_map(|(header, _)| {
+            (0..FIRST_SHARED)
+                .filter(|n| HEADER[*n] != "GND")
+                .map(move |n| format!("{header}:{n}"))
+        });
+        pins.collect::<Vec<String>>()
+    };
+    let first = platform
+        .headers
+        .iter()
+        .find(|(header, _)| !wanted.modified.contains(header))
+        .or(platform.headers.first());
+    let shared = first.iter().flat_map(|(header, _)| {
+        (FIRST_SHARED..HEADER.len() - 1).map(move |n| format!("{header}:{n}"))
+    });
+    let mut outputs = own(false).into_iter().chain(shared);
+    let mut inputs = own(true).into_iter();
+    let mut channels: [Vec<Channel>; 5] = Default::default();
+    for (class, (count, channels)) in Class::ALL
+        .into_iter()
+        .zip(wanted.counts.into_iter().zip(&mut channels))
+    {
+        for n in 0..count {
+            let mut pins = Vec::new();
+            for (key, needed, drives) in class.pins() {
+                if *needed {
+                    let pin = if *drives {
+                        outputs.next()
+                    } else {
+                        inputs.next()
+                    };
+                    pins.push((
+                        *key,
+                        pin.ok_or_else(|| no_room(&platform, class, n, *drives, &wanted.modified))?,
+                    ));
+                }
+            }
+            channels.push(Channel {
+                name: default_name(class, n),
+                kind: class
+                    .types()
+                    .first()
+                    .copied()
+                    .unwrap_or_default()
+                    .to_owned(),
+                pins,
+                estop: None,
+                safe: (class == Class::Output).then_some(Level::Low),
+                invert: false,
+            });
+        }
+    }
+    let active = platform.key_active;
+    Ok(Board {
+        file: String::new(),
+        name: name.to_owned(),
+        sys_clk_hz: 60_000_000,
+        phy: 0,
+        ext_reset: Line {
+            pin: Some("key".to_owned()),
+            active,
+        },
+        factory: Some(Line {
+            pin: Some("key".to_owned()),
+            active,
+        }),
+        mac: None,
+        ipv4: [192, 168, 2, 50],
+        udp_port: 1234,
+        modified: Modified {
+            bus_switch: wanted.modified.clone(),
+            inputs: Vec::new(),
+        },
+        channels,
+        platform,
+    })
+}
+
+fn no_room(
+    platform: &Platform,
+    class: Class,
+    n: usize,
+    drives: bool,
+    modified: &[String],
+) -> NoRoom {
+    NoRoom(match (drives, modified) {
+        (true, _) => format!(
+            "{} has no pin left for {}[{n}]; take some away, or leave more headers as they are sold",
+            platform.name,
+            class.key()
+        ),
+        (false, []) => format!(
+            "{}[{n}] needs an input pin and the headers are outputs as sold; say which buffers you replaced, as in --modified j5,j6",
+            class.key()
+        ),
+        (false, _) => format!(
+            "the modified headers have no pin left for {}[{n}]; modify more, or take some away",
+            class.key()
+        ),
+    })
+}
+
+fn default_name(class: Class, n: usize) -> String {
+    match class {
+        Class::Stepgen => match ["x", "y", "z", "a", "b", "c"].get(n) {
+            Some(axis) => (*axis).to_owned(),
+            None => format!("sg-{n:02}"),
+        },
+        Class::Encoder => format!("enc-{n:02}"),
+        Class::Pwm => format!("pwm-{n:02}"),
+        Class::Input => format!("in-{n:02}"),
+        Class::Output => format!("out-{n:02}"),
+    }
+}

@@ -1,0 +1,352 @@
+//! `ferrocnc config`: writes, checks, shows and draws board files, and imports those of other projects. It needs no board.
+
+use anyhow::{Context, Result, anyhow, bail};
+use clap::{Args, Subcommand, ValueEnum};
+use ferrocnc_config::board::Platforms;
+use ferrocnc_config::import::{Imported, lcnc, litexcnc};
+use ferrocnc_config::new::{Wanted, layout};
+use ferrocnc_config::pinout::{self, Pinout};
+use ferrocnc_config::source::{Folder, read_text};
+use ferrocnc_config::{Board, Error, Platform, export, read_board, schema, show, write};
+use serde_json::{Value, json};
+use std::io::{IsTerminal, Write};
+use std::path::{Path, PathBuf};
+
+#[derive(Subcommand)]
+pub(crate) enum Command {
+    /// Write a configuration to begin with.
+    New(New),
+    /// Read configurations and say what is wrong with them.
+    Check {
+        /// Board files.
+        #[arg(value_name = "BOARD.toml", required = true)]
+        files: Vec<PathBuf>,
+    },
+    /// Show a configuration: every channel, its HAL name, its pins and balls.
+    Show {
+        /// A board file.
+        #[arg(value_name = "BOARD.toml")]
+        file: PathBuf,
+        /// As a board file, in the order and form we would write it.
+        #[arg(long)]
+        toml: bool,
+    },
+    /// Draw the headers with what is on every pin: in the terminal, or as SVG to print and solder by.
+    Pinout {
+        /// A board file, or the name of a platform.
+        #[arg(value_name = "BOARD.toml|PLATFORM")]
+        what: PathBuf,
+        /// Write SVG to this file.
+        #[arg(long, short, value_name = "FILE.svg")]
+        output: Option<PathBuf>,
+        /// Colour in the terminal.
+        #[arg(long, value_enum, default_value_t = When::Auto)]
+        color: When,
+    },
+    /// Make a configuration of another project's.
+    Import {
+        /// Whose.
+        #[arg(value_enum)]
+        from: From,
+        /// Lcnc's conf.ini or LiteX-CNC's JSON.
+        #[arg(value_name = "FILE")]
+        file: PathBuf,
+        /// What to call it; the file's name if not given.
+        #[arg(long)]
+        name: Option<String>,
+        /// The file, or the folder, to write to; the current folder if not given.
+        #[arg(long, short, value_name = "BOARD.toml")]
+        output: Option<PathBuf>,
+        /// Overwrite it.
+        #[arg(long)]
+        force: bool,
+    },
+    /// The JSON schema of board files, for editors.
+    Schema {
+        /// Of platform files instead.
+        #[arg(long)]
+        platform: bool,
+    },
+}
+
+#[derive(Args)]
+pub(crate) struct New {
+    /// The configuration's name; the file becomes NAME.toml.
+    name: String,
+    /// The PCB; without it those there are will be listed.
+    #[arg(long, default_value = "")]
+    platform: String,
+    /// Step generators.
+    #[arg(long, default_value_t = 3)]
+    stepgens: usize,
+    /// Encoders.
+    #[arg(long, default_value_t = 0)]
+    encoders: usize,
+    /// PWMs.
+    #[arg(long, default_value_t = 1)]
+    pwms: usize,
+    /// Inputs.
+    #[arg(long, default_value_t = 0)]
+    inputs: usize,
+    /// Outputs.
+    #[arg(long, default_value_t = 4)]
+    outputs: usize,
+    /// Headers whose buffers were replaced by bus switches: encoders and inputs go there.
+    #[arg(long, value_delimiter = ',', value_name = "j5,j6..")]
+    modified: Vec<String>,
+    /// The file, or the folder, to write to; the current folder if not given.
+    #[arg(long, short, value_name = "BOARD.toml")]
+    output: Option<PathBuf>,
+    /// Overwrite it.
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum When {
+    Auto,
+    Always,
+    Never,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum From {
+    Lcnc,
+    Litexcnc,
+}
+
+pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
+    match command {
+        Command::New(new) => self::new(new),
+        Command::Check { files } => check(files, as_json),
+        Command::Show { file, toml } => {
+            let board = read_board(file)?;
+            let text = match (as_json, toml) {
+                (true, _) => format!("{:#}\n", export::export(&board)?),
+                (false, true) => write::to_toml(&board, &[]),
+                (false, false) => show::show(&board),
+            };
+            say(&text)
+        }
+        Command::Pinout {
+            what,
+            output,
+            color,
+        } => draw(what, output.as_deref(), *color),
+        Command::Import {
+            from,
+            file,
+            name,
+            output,
+            force,
+        } => import(*from, file, name.as_deref(), output.as_deref(), *force),
+        Command::Schema { platform } => {
+            let schema = if *platform {
+                schema::platform()
+            } else {
+                schema::board()
+            };
+            say(&format!("{schema:#}\n"))
+        }
+    }
+}
+
+fn new(new: &New) -> Result<()> {
+    let file = target(&new.name, new.output.as_deref(), new.force)?;
+    let folder = Folder::beside(&file);
+    let Some((platform_file, text)) = folder.text(&new.platform) else {
+        bail!("--platform is one of {}", folder.names().join(", "));
+    };
+    let platform = Platform::read(&platform_file, &new.platform, &text)?;
+    let wanted = Wanted {
+        counts: [
+            new.stepgens,
+            new.encoders,
+            new.pwms,
+            new.inputs,
+            new.outputs,
+        ],
+        modified: new.modified.clone(),
+    };
+    let board = layout(&stem(&file), platform, &wanted)?;
+    let notes = [
+        format!("{}: what stands on which pin of a {}. `ferrocnc config pinout` draws it.", board.name, board.platform.title),
+        "ext_reset: closing the KEY terminal to ground stops the machine. A machine with an emergency-stop chain wires a normally closed contact to ground and says \"high\", so that a broken wire stops it.".to_owned(),
+    ];
+    let toml = write::to_toml(&board, &notes);
+    // What we write must read; if it does not, the numbers asked for are too large, and the reader says which.
+    Board::read(&file.display().to_string(), &board.name, &toml, &folder)?;
+    save(&file, &toml)
+}
+
+fn check(files: &[PathBuf], as_json: bool) -> Result<()> {
+    let results: Vec<(&PathBuf, Result<Board, Error>)> = files
+        .iter()
+        .map(|file| (file, read_and_describe(file)))
+        .collect();
+    let wrong = results.iter().filter(|(_, result)| result.is_err()).count();
+    if as_json {
+        let list: Vec<Value> = results
+            .iter()
+            .map(|(file, result)| verdict(file, result))
+            .collect();
+        say(&format!("{:#}\n", Value::Array(list)))?;
+    } else {
+        for (file, result) in &results {
+            match result {
+                Ok(board) => say(&format!(
+                    "{}: ok, {}{}\n",
+                    file.display(),
+                    counts(board),
+                    pinless(board)
+                ))?,
+                Err(error) => say(&format!("{error}\n"))?,
+            }
+        }
+    }
+    match (wrong, files.len()) {
+        (0, _) => Ok(()),
+        (_, 1) => bail!("it cannot be built"),
+        (wrong, all) => bail!("{wrong} of {all} cannot be built"),
+    }
+}
+
+/// A file is good when its description fits the board, too.
+fn read_and_describe(file: &Path) -> Result<Board, Error> {
+    let board = read_board(file)?;
+    ferrocnc_config::blob::blob(&board)?;
+    Ok(board)
+}
+
+fn verdict(file: &Path, result: &Result<Board, Error>) -> Value {
+    match result {
+        Ok(board) => {
+            json!({ "file": file, "ok": true, "name": board.name, "platform": board.platform.name, "missing_pins": board.missing_pins() })
+        }
+        Err(error) => json!({
+            "file": error.file, "ok": false, "line": error.place.map(|place| place.line), "column": error.place.map(|place| place.column),
+            "key": error.key, "value": error.value, "problem": error.problem, "remedy": error.remedy,
+        }),
+    }
+}
+
+fn counts(board: &Board) -> String {
+    let some = |class: ferrocnc_config::Class| match board.of(class).len() {
+        0 => None,
+        count => Some(format!("{count} {}", class.key())),
+    };
+    let counts: Vec<String> = ferrocnc_config::Class::ALL
+        .into_iter()
+        .filter_map(some)
+        .collect();
+    format!(
+        "{} on {}: {}",
+        board.name,
+        board.platform.title,
+        counts.join(", ")
+    )
+}
+
+fn pinless(board: &Board) -> String {
+    match board.missing_pins().as_slice() {
+        [] => String::new(),
+        [first, ..] => format!("\n  for simulation only: {first} and others have no pins"),
+    }
+}
+
+fn draw(what: &Path, output: Option<&Path>, color: When) -> Result<()> {
+    let pinout = match platform(what)? {
+        Some(platform) => Pinout::of_platform(&platform),
+        None => Pinout::of_board(&read_board(what)?),
+    };
+    if let Some(file) = output {
+        std::fs::write(file, pinout::svg(&pinout))
+            .with_context(|| format!("cannot write {}", file.display()))?;
+        return say(&format!("{}: written\n", file.display()));
+    }
+    let coloured = match color {
+        When::Always => true,
+        When::Never => false,
+        When::Auto => std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none(),
+    };
+    let width = console::Term::stdout().size_checked();
+    say(&pinout::terminal(
+        &pinout,
+        width.map_or(100, |(_, columns)| usize::from(columns)),
+        coloured,
+    ))
+}
+
+/// The platform of this name or file, if that is what it is.
+fn platform(what: &Path) -> Result<Option<Platform>> {
+    let name = what.to_str().unwrap_or_default();
+    let in_checkout =
+        Folder(Some(PathBuf::from("boards/platforms")).filter(|folder| folder.is_dir()));
+    if let Some((file, text)) = in_checkout.text(name) {
+        return Ok(Some(Platform::read(&file, name, &text)?));
+    }
+    let of_platforms = what
+        .parent()
+        .and_then(Path::file_name)
+        .is_some_and(|folder| folder == "platforms");
+    if !of_platforms {
+        return Ok(None);
+    }
+    Ok(Some(Platform::read(name, &stem(what), &read_text(what)?)?))
+}
+
+fn import(
+    from: From,
+    file: &Path,
+    name: Option<&str>,
+    output: Option<&Path>,
+    force: bool,
+) -> Result<()> {
+    let text = read_text(file)?;
+    let shown = file.display().to_string();
+    let to = target(name.unwrap_or(&stem(file)), output, force)?;
+    let name = stem(&to);
+    let folder = Folder::beside(&to);
+    let Imported { board, toml, notes } = match from {
+        From::Lcnc => lcnc(&shown, &text, &name, &folder)?,
+        From::Litexcnc => litexcnc(&shown, &text, &name, &folder)?,
+    };
+    ferrocnc_config::blob::blob(&board)?;
+    save(&to, &toml)?;
+    say(&format!("  {}\n", counts(&board)))?;
+    for note in notes {
+        say(&format!("  note: {note}\n"))?;
+    }
+    Ok(())
+}
+
+/// Where to write a configuration of this name.
+fn target(name: &str, output: Option<&Path>, force: bool) -> Result<PathBuf> {
+    let file = match output {
+        Some(folder) if folder.is_dir() => folder.join(format!("{name}.toml")),
+        Some(file) => file.to_owned(),
+        None => PathBuf::from(format!("{name}.toml")),
+    };
+    if file.extension().is_none_or(|ending| ending != "toml") {
+        bail!("{}: a board file ends in .toml", file.display());
+    }
+    if file.exists() && !force {
+        bail!("{} is there already; --force overwrites it", file.display());
+    }
+    Ok(file)
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem()
+        .map_or(String::new(), |stem| stem.to_string_lossy().into_owned())
+}
+
+fn save(file: &Path, text: &str) -> Result<()> {
+    std::fs::write(file, text)
+        .map_err(|e| anyhow!("{}: cannot be written ({e})", file.display()))?;
+    say(&format!("{}: written\n", file.display()))
+}
+
+fn say(text: &str) -> Result<()> {
+    Ok(std::io::stdout().lock().write_all(text.as_bytes())?)
+}
