@@ -323,16 +323,20 @@ fn interfaces() -> io::Result<Vec<(String, Ipv4Addr, bool)>> {
         .collect())
 }
 
-/// Interfaces through which this computer may throw answers away: those whose `rp_filter` is on, with its value.
+/// Interfaces through which this computer throws answers of boards with an address of another net away.
 ///
-/// 1 drops what comes from an address that would be answered through another interface; 2 what comes from
-/// one there is no way to at all. A board with an address of another net is either.
-pub fn filters(interface: Option<&str>) -> Vec<(String, u8)> {
+/// `rp_filter` 1 drops what comes from an address that would be answered through another interface, 2 what comes
+/// from one there is no way to at all: with a default route there is one to every address.
+pub fn filters(interface: Option<&str>) -> Vec<String> {
     let value = |name: &str| -> u8 {
         let path = format!("/proc/sys/net/ipv4/conf/{name}/rp_filter");
         let text = std::fs::read_to_string(path).unwrap_or_default();
         text.trim().parse().unwrap_or(0)
     };
+    let routes = std::fs::read_to_string("/proc/net/route").unwrap_or_default();
+    let destinations = routes.lines().map(|line| line.split_whitespace().nth(1));
+    let has_default = destinations.flatten().any(|to| to == "00000000");
+    // The larger of the two counts.
     let all = value("all");
     let mut names: Vec<String> = interfaces()
         .unwrap_or_default()
@@ -342,14 +346,12 @@ pub fn filters(interface: Option<&str>) -> Vec<(String, u8)> {
             None => !loopback,
         })
         .map(|(name, ..)| name)
+        .filter(|name| match value(name).max(all) {
+            0 => false,
+            1 => true,
+            _ => !has_default,
+        })
         .collect();
     names.dedup();
     names
-        .into_iter()
-        .map(|name| {
-            let filter = value(&name).max(all);
-            (name, filter)
-        })
-        .filter(|(_, filter)| *filter != 0)
-        .collect()
 }

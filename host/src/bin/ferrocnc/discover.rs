@@ -46,34 +46,34 @@ pub(crate) fn run(arguments: &Discover, as_json: bool) -> Result<()> {
         println!("{:#}", json!({ "boards": boards }));
         return Ok(());
     }
+    let filters = match arguments.wherever.at {
+        Some(_) => Vec::new(),
+        None => filters(arguments.wherever.interface.as_deref()),
+    };
     if boards.is_empty() {
         println!("no board answers");
-        if arguments.wherever.at.is_none() {
-            eprint!(
-                "{}",
-                advice(&filters(arguments.wherever.interface.as_deref()))
-            );
-        }
-        return Ok(());
+        eprintln!(
+            "Check power and cable (the port beside the power connector first), and whether a firewall lets UDP broadcasts in."
+        );
+    } else {
+        print!("{}", to_text(&boards));
     }
-    print!("{}", to_text(&boards));
+    if !filters.is_empty() {
+        eprint!("{}", advice(&filters));
+    }
     Ok(())
 }
 
-/// What to look at when nobody answers.
-fn advice(filters: &[(String, u8)]) -> String {
-    let mut text = "Check power and cable (the port beside the power connector first), and whether a firewall lets UDP broadcasts in.\n"
-        .to_owned();
-    for (name, filter) in filters {
-        let what = match filter {
-            1 => "whose address it would answer through another interface",
-            _ => "whose address it knows no way to",
-        };
-        text += &format!(
-            "Through {name} this computer drops what comes from boards {what} (rp_filter is {filter}). Until the next start:\n  sudo sysctl -w net.ipv4.conf.all.rp_filter=0 net.ipv4.conf.{name}.rp_filter=0\n"
-        );
-    }
-    text
+/// How to hear boards this computer does not let be heard.
+fn advice(filters: &[String]) -> String {
+    let settings = filters
+        .iter()
+        .map(|name| format!(" net.ipv4.conf.{name}.rp_filter=0"));
+    format!(
+        "Through {} this computer drops answers of boards with an address of another net (rp_filter). To hear them, until the next start:\n  sudo sysctl -w net.ipv4.conf.all.rp_filter=0{}\n",
+        filters.join(" and "),
+        settings.collect::<String>()
+    )
 }
 
 pub(crate) fn mac_text(mac: [u8; 6]) -> String {
