@@ -70,7 +70,7 @@ pub enum ImageError {
     Foreign,
     /// The header lacks a line.
     Missing(&'static str),
-    /// The header has a line twice.
+    /// The header has a line twice, and they differ.
     Twice(&'static str),
     /// A line of the header makes no sense.
     Field {
@@ -125,7 +125,7 @@ impl core::fmt::Display for ImageError {
                 "its header has no line \"{line}\"; build it again with cargo xtask bitstream"
             ),
             ImageError::Twice(line) => {
-                write!(f, "its header has the line \"{line}\" twice: it is damaged; copy or build it again")
+                write!(f, "its header has two different lines \"{line}\": it is damaged; copy or build it again")
             }
             ImageError::Field { line, value } => write!(
                 f,
@@ -254,9 +254,10 @@ impl Header {
         let value = |line: &'static str| -> Result<&str, ImageError> {
             let mut values = lines().filter_map(|text| text.strip_prefix(line)?.strip_prefix(':'));
             let value = values.next().ok_or(ImageError::Missing(line))?.trim();
-            match values.next() {
-                Some(_) => Err(ImageError::Twice(line)),
-                None => Ok(value),
+            // The tools may say the same once more.
+            match values.all(|again| again.trim() == value) {
+                true => Ok(value),
+                false => Err(ImageError::Twice(line)),
             }
         };
         // A name: printable, and not longer than the flash's meta page has room for.

@@ -195,11 +195,11 @@ pub fn reach(finder: &Finder, uid: [u32; 2]) -> Result<(Found, Client), Provisio
     let found = finder.one(uid, WAIT)?;
     let ip = found.here.ip;
     let everybody = finder.all(WAIT)?;
-    let uids: Vec<[u32; 2]> = everybody
+    let others = everybody
         .iter()
-        .filter(|other| other.here.ip == ip)
-        .map(|other| other.uid)
-        .collect();
+        .filter(|other| other.here.ip == ip && other.uid != uid)
+        .map(|other| other.uid);
+    let uids: Vec<[u32; 2]> = core::iter::once(uid).chain(others).collect();
     if uids.len() > 1 {
         return Err(ProvisionError::Shared {
             ip: ip.into(),

@@ -130,7 +130,7 @@ fn what_is_not_asked_for_stays_and_a_mac_made_from_the_id_stays_that() {
 fn boards_that_share_an_address_are_not_reached_by_it() {
     let segment = Segment::of(&UIDS);
     let finder = Finder::at(segment.address).unwrap();
-    let said = provision::reach(&finder, UIDS[0]).unwrap_err();
+    let said = provision::reach(&finder, UIDS[1]).unwrap_err();
     assert!(matches!(said, ProvisionError::Shared { .. }));
     let said = said.to_string();
     assert!(
@@ -138,7 +138,7 @@ fn boards_that_share_an_address_are_not_reached_by_it() {
         "{said}"
     );
     assert!(
-        said.contains(&format!("ferrocnc set --uid {}", uid_text(UIDS[0]))),
+        said.contains(&format!("ferrocnc set --uid {}", uid_text(UIDS[1]))),
         "{said}"
     );
 }
@@ -190,6 +190,15 @@ fn the_tool_lists_sets_and_warns() {
     }
     assert!(
         text.contains("Several boards have the address 192.168.2.50"),
+        "{text}"
+    );
+    assert!(!text.contains("MAC"), "made from the ids: {text}");
+    for board in segment.look().iter_mut().take(2) {
+        board.flash.settings.mac = [0x10, 0xe2, 0xd5, 0, 0, 1];
+    }
+    let text = answer(&["discover", "--at", &at, "--wait", "600"]);
+    assert!(
+        text.contains("Several boards have the MAC address 10:e2:d5:00:00:01"),
         "{text}"
     );
     let said = answer(&[

@@ -132,20 +132,27 @@ fn to_text(boards: &[Found]) -> String {
         text += line.trim_end();
         text.push('\n');
     }
-    let mut shared: Vec<Ipv4Addr> = boards.iter().map(|found| found.here.ip.into()).collect();
-    shared.sort_unstable();
-    shared = shared
-        .windows(2)
-        .filter(|pair| pair[0] == pair[1])
-        .map(|pair| pair[0])
-        .collect();
-    shared.dedup();
-    for ip in shared {
+    for ip in shared(boards.iter().map(|found| Ipv4Addr::from(found.here.ip))) {
         text += &format!(
             "Several boards have the address {ip}: give all but one another (ferrocnc set --uid ... --ip ...)\n"
         );
     }
+    for mac in shared(boards.iter().map(|found| mac_text(found.here.mac))) {
+        text += &format!(
+            "Several boards have the MAC address {mac}, which no switch can tell apart: give each its own (ferrocnc set --uid ... --mac auto)\n"
+        );
+    }
     text
+}
+
+/// What is there more than once.
+fn shared<T: Ord + Clone>(all: impl Iterator<Item = T>) -> Vec<T> {
+    let mut all: Vec<T> = all.collect();
+    all.sort();
+    let runs = all.chunk_by(|a, b| a == b);
+    runs.filter(|run| run.len() > 1)
+        .map(|run| run[0].clone())
+        .collect()
 }
 
 pub(crate) fn to_json(found: &Found) -> Value {
