@@ -8,9 +8,8 @@ from litex.gen import LiteXModule
 from litex.build.generic_platform import IOStandard, Misc, Pins, Subsignal
 from litex.build.lattice import LatticeECP5Platform
 from litex.soc.cores.clock import ECP5PLL
-from liteeth.phy.ecp5rgmii import LiteEthPHYRGMII
 
-from . import soc as ferro
+from . import rgmii, soc as ferro
 from .board import BoardError, pins_missing
 
 # ABC9's default script without &mfs, with which yosys 0.70 does not come back, and with a fifth of the depth given away for area:
@@ -95,9 +94,7 @@ class BoardSoC(ferro.FerroSoC):
         crg = _CRG(platform, board.platform.clock_hz, board.sys_clk_hz)
 
         def phy(_):
-            # No reset, ever: the other PHY shares it and makes the FPGA's clock. The PHY delays both clocks itself.
-            return LiteEthPHYRGMII(
-                clock_pads=platform.request("eth_clocks", 0), pads=platform.request("eth", 0), with_hw_init_reset=False, tx_delay=0e-9)
+            return rgmii.board_phy(platform.request("eth_clocks", 0), platform.request("eth", 0))
 
         ferro.FerroSoC.__init__(self, platform, board, crg, phy)
         self._pins(platform, board, all_pins)

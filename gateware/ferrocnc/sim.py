@@ -8,16 +8,14 @@ import json
 import re
 from pathlib import Path
 
-from migen import ClockDomain, Signal
+from migen import Cat, ClockDomain, Mux, Signal
 from litex.gen import LiteXModule
 from litex.gen.fhdl import verilog
 from litex.build.generic_platform import GenericPlatform, Pins
 from litex.build.sim import common as sim_common
-from litex.soc.interconnect import stream
 from litex.soc.interconnect.csr import CSRField, CSRStatus, CSRStorage
-from liteeth.common import eth_phy_description
 
-from . import banks, regmap as rm, soc as ferro
+from . import banks, regmap as rm, rgmii, soc as ferro
 from .board import blob
 
 PORTS = (
@@ -51,55 +49,48 @@ class _CRG(LiteXModule):
         ]
 
 
-class GMIIPHY(LiteXModule):
-    """LiteEthPHYRGMII without its DDR pins: the same register stages, the same registers, a byte per clock.
+class MDIO(LiteXModule):
+    """The registers of the management port; nothing is behind them."""
+
+    def __init__(self):
+        self._w = CSRStorage(fields=[CSRField("mdc", 1), CSRField("oe", 1), CSRField("w", 1)], name="w")
+        self._r = CSRStatus(fields=[CSRField("r", 1)], name="r")
+
+
+class GMIIPins(LiteXModule):
+    """The PHY's wires without their DDR pins: the same register stages, a byte per clock whatever `link_status` says.
 
         eth_clk   _/‾\\_/‾\\_/‾\\_
         rx_dv     __/‾‾‾‾‾‾‾‾‾\\     preamble and FCS included, as on the wire
         rx_data   --X55X55Xd5X..
     """
 
-    dw, tx_clk_freq, rx_clk_freq = 8, 125e6, 125e6
-
     def __init__(self, platform):
-        self.crg = LiteXModule()
-        self.crg._reset = CSRStorage()
-        self.rx = LiteXModule()
-        self.rx.inband_status = CSRStatus(fields=[CSRField("link_status", 1), CSRField("clock_speed", 2), CSRField("duplex_status", 1)])
-        self.mdio = LiteXModule()
-        self.mdio._w = CSRStorage(fields=[CSRField("mdc", 1), CSRField("oe", 1), CSRField("w", 1)], name="w")
-        self.mdio._r = CSRStatus(fields=[CSRField("r", 1)], name="r")
-        self.cd_eth_rx = ClockDomain()
-        self.cd_eth_tx = ClockDomain()
-        self.sink = sink = stream.Endpoint(eth_phy_description(8))
-        self.source = source = stream.Endpoint(eth_phy_description(8))
+        self.wires = w = rgmii.Wires()
 
         # # #
 
-        clk = platform.request("eth_clk")
-        rx_data, rx_dv = platform.request("gmii_rx_data"), platform.request("gmii_rx_dv")
-        tx_data, tx_en = platform.request("gmii_tx_data"), platform.request("gmii_tx_en")
-        reset = self.crg._reset.storage
-        self.comb += [
-            self.cd_eth_rx.clk.eq(clk), self.cd_eth_tx.clk.eq(clk),
-            self.cd_eth_rx.rst.eq(reset), self.cd_eth_tx.rst.eq(reset),
-            self.rx.inband_status.status.eq(platform.request("link_status")),
-            sink.ready.eq(1),
+        self.comb += w.rx_clk.eq(platform.request("eth_clk"))
+        data, valid = platform.request("gmii_rx_data"), platform.request("gmii_rx_dv")
+        self.sync.eth_rx += [  # the IDDR's register
+            w.rise.eq(Mux(valid, data[:4], 0b1101)), w.fall.eq(Mux(valid, data[4:], 0b1101)), w.ctl_rise.eq(valid), w.ctl_fall.eq(valid),
         ]
-        self.sync.eth_tx += [tx_en.eq(sink.valid), tx_data.eq(sink.data)]  # the ODDR's register
-        data, valid, valid_was = (Signal(8), Signal(8)), (Signal(), Signal()), Signal()
-        self.sync.eth_rx += [
-            data[0].eq(rx_data), valid[0].eq(rx_dv),  # the IDDR's register
-            data[1].eq(data[0]), valid[1].eq(valid[0]), valid_was.eq(valid[1]),
-            source.valid.eq(valid[1]), source.data.eq(data[1]),
+        self.sync.eth_tx += [  # the ODDR's
+            platform.request("gmii_tx_en").eq(w.tx_ctl), platform.request("gmii_tx_data").eq(Cat(w.tx_rise, w.tx_fall)),
         ]
-        self.comb += source.last.eq(~valid[1] & valid_was)
+
+
+def _phy(platform):
+    pins = GMIIPins(platform)
+    phy = rgmii.PHY(pins.wires, MDIO, word=platform.request("link_status"))
+    phy.pins = pins
+    return phy
 
 
 class SimSoC(ferro.FerroSoC):
     def __init__(self, board):
         platform = _Platform()
-        ferro.FerroSoC.__init__(self, platform, board, _CRG(platform), lambda soc: GMIIPHY(platform))
+        ferro.FerroSoC.__init__(self, platform, board, _CRG(platform), lambda soc: _phy(platform))
         self._freeze(platform.request("cpu_freeze"))
         pads, channels = self.cores.pads, board.channels
         for port, signal, count in (

@@ -65,5 +65,66 @@ module spi (
             left  <= left - 5'd1;
         end
     end
+
+`ifdef FORMAL  // what gateware/formal proves; `done` bits of this transfer are over
+    logic [5:0]  f_length = 6'd0, f_rises = 6'd0;
+    logic [31:0] f_data = 32'd0, f_in = 32'd0;
+    logic [1:0]  f_rested = 2'd0;  // clocks CS was high before this one, 3 at most
+    logic        f_high = 1'b0, f_cs_n = 1'b1, f_mosi = 1'b0, f_miso = 1'b0, f_busy = 1'b0;
+    wire  [5:0]  f_done = f_length - 6'd1 - {1'b0, left};
+    wire         f_rise = high & ~f_high;
+    always_ff @(posedge clk) begin
+        f_high <= high;
+        f_cs_n <= cs_n;
+        f_mosi <= mosi;
+        f_busy <= busy;
+        if (moves & (phase == 2'd2)) f_miso <= miso;
+        f_rested <= cs_n ? f_rested + 2'(f_rested != 2'd3) : 2'd0;
+        if (accepts) begin
+            f_length <= {length == 5'd0, length};
+            f_rises  <= 6'd0;
+            f_data   <= data;
+            f_in     <= 32'd0;
+        end else begin
+            f_rises <= f_rises + 6'(high & ~f_high);
+            if (ends) f_in <= {f_in[30:0], f_miso};
+        end
+    end
+    always_comb begin
+`ifndef BROKEN
+        assert (high == (moves & phase[1]));
+        assert (busy | cs_n | (phase == 2'd0));
+        assert (~cs_n | (f_rested == phase));
+        assert (~f_high | (high & (phase == 2'd3)) | (phase == 2'd0));
+        assert (~(high & (phase == 2'd3)) | f_high);
+        assert (~(high & (phase == 2'd2)) | ~f_high);
+        assert (~busy | (f_length != 6'd0 & f_length <= 6'd32 & {1'b0, left} < f_length));
+        assert (~(busy & cs_n) | ({1'b0, left} == f_length - 6'd1));
+        assert (~(busy & f_high & ~high) | ~cs_n);
+        assert (~busy | (f_rises + 6'(f_rise) == f_done + 6'(moves & phase[1])));
+        assert (busy | (f_rises == f_length));
+        assert (~busy | (shift == ((f_data << f_done) | f_in)));
+        assert (~busy | ((f_in >> f_done) == 32'd0));
+        assert (busy | ((f_in ^ shift) << (6'd32 - f_length) == 32'd0));
+        assert (~(moves & (phase == 2'd3)) | (bit_in == f_miso));
+        assert (~(f_cs_n & ~cs_n) | (phase == 2'd0));
+`endif
+`ifdef PROVE_sck_never_moves_while_cs_is_high
+        assert ((high == f_high) | ~(cs_n | f_cs_n));
+`endif
+`ifdef PROVE_a_transfer_has_as_many_clocks_as_its_length
+        assert (~(f_busy & ~busy) | (f_rises == f_length));
+        assert (~f_rise | (busy & f_rises < f_length));
+`endif
+`ifdef PROVE_cs_stays_low_through_a_transfer_and_high_for_four_clocks
+        assert (~(cs_n & ~f_cs_n) | (~busy & ~f_busy));
+        assert (~(f_cs_n & ~cs_n) | (f_rested == 2'd3));
+`endif
+`ifdef PROVE_the_bits_are_the_words_and_the_ones_that_came
+        assert (~high | (mosi == f_data[5'd31 - f_done[4:0]] & mosi == f_mosi));
+        assert (~(f_busy & ~busy) | ((f_in ^ shift) << (6'd32 - f_length) == 32'd0));
+`endif
+    end
+`endif
 endmodule
 `default_nettype wire

