@@ -58,6 +58,10 @@ fn watch_shows_the_status_without_taking_the_session() {
     let text = answer(&["watch", "--once", &board.text()]);
     assert!(text.contains("session nobody's"), "{text}");
     assert!(text.contains("limit-x=0"), "{text}");
+    assert!(
+        text.contains("link 1000 Mbit/s, 0 frames thrown away"),
+        "{text}"
+    );
     let json = answer(&["watch", "--once", "--json", &board.text()]);
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["state"], "boot");

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use std::io::Write;
 use std::net::Ipv4Addr;
 use wire::board::Kind;
-use wire::describe::OBSTACLE_ABI;
+use wire::describe::{OBSTACLE_ABI, OBSTACLE_FLASH};
 use wire::settings::mac_of_uid;
 
 pub(crate) fn run(client: &mut Client, as_json: bool) -> Result<()> {
@@ -278,6 +278,9 @@ fn to_text(identity: &Identity, overview: &Overview) -> String {
     }
     if describe.obstacles & OBSTACLE_ABI != 0 {
         doing += ", will not arm: ABI mismatch";
+    }
+    if describe.obstacles & OBSTACLE_FLASH != 0 {
+        doing += ", will not arm while its flash is written";
     }
     line("state", doing);
     line(

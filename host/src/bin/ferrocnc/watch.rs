@@ -7,6 +7,7 @@ use std::io::Write;
 use std::time::Duration;
 use wire::board::Kind;
 use wire::exchange::{Status, status_words};
+use wire::flash::LinkWord;
 use wire::units::Clocks;
 use wire::{Refusal, map};
 
@@ -38,6 +39,7 @@ struct Look {
     status: Status,
     counters: Vec<u32>,
     owner: Option<std::net::SocketAddrV4>,
+    link: LinkWord,
 }
 
 impl Look {
@@ -47,15 +49,22 @@ impl Look {
         let status = Status::parse(&words, channels)
             .context("the board's status makes no sense; compare versions with describe")?;
         let counters = client.read_from(map::COUNTERS, PLAIN_COUNTERS + Refusal::COUNT)?;
-        let owner = client.read(&[map::SESSION_OWNER_IP, map::SESSION_OWNER_PORT])?;
-        let owner = match owner[..] {
-            [ip, port] if ip != 0 => Some(std::net::SocketAddrV4::new(ip.into(), port as u16)),
+        let now = [
+            map::SESSION_OWNER_IP,
+            map::SESSION_OWNER_PORT,
+            map::FLASH_LINK,
+        ];
+        let now = client.read(&now)?;
+        let owner = match now[..] {
+            [ip, port, _] if ip != 0 => Some(std::net::SocketAddrV4::new(ip.into(), port as u16)),
             _ => None,
         };
+        let link = LinkWord::from_word(now.last().copied().unwrap_or(0));
         Ok(Look {
             status,
             counters,
             owner,
+            link,
         })
     }
 
@@ -119,6 +128,8 @@ impl Look {
             "stepgen": stepgens,
             "encoder": encoders,
             "input": inputs,
+            "link_mbit": self.link.speed.mbit(),
+            "link_errors": self.link.errors,
             "frames_rx": self.counters.first(),
             "frames_tx": self.counters.get(1),
             "exchanges": self.counters.get(2),
@@ -171,8 +182,8 @@ impl Look {
         }
         let _ = writeln!(
             text,
-            "frames in {}, out {}, exchanges {}{counted}",
-            self.counters[0], self.counters[1], self.counters[2]
+            "link {}, {} frames thrown away; frames in {}, out {}, exchanges {}{counted}",
+            self.link.speed, self.link.errors, self.counters[0], self.counters[1], self.counters[2]
         );
         let _ = writeln!(
             text,
