@@ -3,40 +3,28 @@
 use crate::soc::{self, Mac, Parts, RxFrame, Soc, TxSlot};
 use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
 use firmware::exchange::SlotReply;
+use firmware::ip::{Ip, Taker, Text};
 use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
 use firmware::net::{self, Class, Datagram, Lane, Us};
 use firmware::text::Sink as _;
-use smoltcp::iface::{Config, Interface, SocketHandle, SocketSet};
-use smoltcp::socket::tcp;
-use smoltcp::time::Instant;
-use smoltcp::wire::{EthernetAddress, HardwareAddress, IpCidr, Ipv4Address};
 use wire::{CONSOLE_PORT, Refusal};
 
-/// Room for the longest answer and for what the other side has not acknowledged yet.
-const CONSOLE_TEXT: usize = 2048;
 /// Looks at the MAC between two looks at the clock: some 20 us.
 const POLLS: u32 = 128;
 /// 10 ms between two looks at TCP's timers.
-const CHORES_PER_STACK: u8 = 10;
+const CHORES_PER_IP: u8 = 10;
 
-/// Memory for sockets; one of it, in `.bss`.
+/// What is too large for the stack; one of it, in `.bss`.
 pub struct Memory {
-    tcp_rx: [u8; 128],
-    tcp_tx: [u8; CONSOLE_TEXT],
+    ip: Ip,
 }
 
 impl Memory {
     /// Before anybody uses it.
     pub const fn new() -> Self {
-        Memory {
-            tcp_rx: [0; 128],
-            tcp_tx: [0; CONSOLE_TEXT],
-        }
+        Memory { ip: Ip::new() }
     }
 }
-
-/// What sockets are made of besides bytes; not all zeros, so it lies in `.data` and costs ROM.
-pub type SocketMemory = [smoltcp::iface::SocketStorage<'static>; 1];
 
 /// Everything that runs.
 pub struct App {
@@ -45,17 +33,9 @@ pub struct App {
     lane: Option<Lane>,
     /// Something that is not the fast lane ran.
     cold: bool,
-    stack: Stack,
-    stack_in: u8,
-}
-
-/// The IP stack and what is spoken over it.
-struct Stack {
-    interface: Interface,
-    sockets: SocketSet<'static>,
-    console: SocketHandle,
+    ip: &'static mut Ip,
     line: console::Line,
-    greeted: bool,
+    ip_in: u8,
 }
 
 impl App {
@@ -63,7 +43,7 @@ impl App {
     pub fn new(parts: Parts) -> Self {
         let Parts {
             soc,
-            mut mac,
+            mac,
             memory,
             boot,
             ident,
@@ -77,19 +57,15 @@ impl App {
                 ident.abi
             );
         }
-        let stack = Stack::new(
-            &mut mac,
-            &machine.us,
-            &mut memory.tcp_rx,
-            &mut memory.tcp_tx,
-        );
+        memory.ip.listen(CONSOLE_PORT, ANSWER_MAX);
         App {
-            stack_in: CHORES_PER_STACK,
+            ip_in: CHORES_PER_IP,
             machine,
             mac,
             lane: None,
             cold: false,
-            stack,
+            ip: &mut memory.ip,
+            line: console::Line::default(),
         }
     }
 
@@ -190,23 +166,45 @@ impl App {
                 let words = self.copy_payload(&datagram);
                 self.mac.release();
                 match words {
-                    Ok(count) => self.datagram(&datagram, count),
+                    Ok(count) if datagram.length.is_multiple_of(4) => {
+                        self.datagram(&datagram, count);
+                    }
+                    Ok(_) => self.machine.server.refuse(Refusal::Ragged),
                     Err(why) => self.machine.server.refuse(why),
                 }
+            }
+            Class::Discovery(datagram) => {
+                let words = self.copy_payload(&datagram);
+                self.mac.release();
+                match words {
+                    Ok(count) if datagram.length.is_multiple_of(4) => {
+                        self.discover(count, datagram.peer.port);
+                    }
+                    Ok(_) => self.machine.server.refuse(Refusal::Ragged),
+                    Err(why) => self.machine.server.refuse(why),
+                }
+            }
+            Class::Dhcp(datagram) => {
+                let words = self.copy_payload(&datagram);
+                self.mac.release();
+                let words = self.mac.input.words().get(..words.unwrap_or(0));
+                self.machine.offered(words.unwrap_or(&[]), datagram.length);
+                self.shout();
             }
             Class::Refused(why) => {
                 self.mac.release();
                 self.machine.server.refuse(why);
             }
             Class::Other => {
-                self.mac.take_for_stack();
-                self.stack_poll();
+                let length = self.mac.take_bytes();
+                self.talk(Some(length));
             }
         }
     }
 
     fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
-        let count = net::payload_words(datagram.length)?;
+        // A DHCP server's options are as many bytes as they are.
+        let count = net::payload_words(datagram.length.next_multiple_of(4))?;
         let (frame, _) = self.mac.frame();
         for (index, word) in self.mac.input.words().iter_mut().take(count).enumerate() {
             *word = net::payload_word(&frame, datagram.options, index);
@@ -237,10 +235,62 @@ impl App {
         {
             self.open_lane(*datagram);
         }
+        self.restart_if();
+    }
+
+    fn restart_if(&self) {
         if self.machine.server.wants_restart() {
             defmt::warn!("restart on request");
+            // The last answer shall be out.
+            self.mac.wait_lane();
             soc::restart();
         }
+    }
+
+    /// Somebody looks for boards, or tells one who to be.
+    fn discover(&mut self, count: usize, port: u16) {
+        let Mac { input, output, .. } = &mut self.mac;
+        let words = input.words().get(..count).unwrap_or(&[]);
+        let reply = self.machine.discover(words, port, output.words()).len();
+        if reply != 0 {
+            let us = Us {
+                port: wire::DISCOVERY_PORT,
+                ..self.machine.us
+            };
+            self.broadcast(&us, port, reply);
+        }
+    }
+
+    /// Sends what has to be told to everybody.
+    #[cold]
+    #[inline(never)]
+    fn shout(&mut self) {
+        self.cold = true;
+        if let Some(shout) = self.machine.shout(self.mac.output.words()) {
+            let us = Us {
+                mac: self.machine.us.mac,
+                ip: shout.from_ip,
+                port: shout.from_port,
+            };
+            self.broadcast(&us, shout.to_port, shout.words);
+        }
+        self.restart_if();
+        if self.machine.moved() {
+            defmt::info!("address {=u32:x}", self.machine.us.ip);
+            // Nobody owns the session, or it would have waited.
+            self.lane = None;
+            self.ip.reset();
+        }
+    }
+
+    /// Sends words of `output` to 255.255.255.255.
+    fn broadcast(&mut self, us: &Us, port: u16, words: usize) {
+        let mut slot = self.mac.slot();
+        net::emit_headers(&mut slot, us, &Datagram::everybody(port), words * 4);
+        let words = self.mac.output.words().get(..words).unwrap_or(&[]);
+        let length = net::emit_payload(&mut slot, words);
+        self.mac.send(length);
+        self.machine.server.counters_mut().frames_tx += 1;
     }
 
     /// The owner's exchanges take the fast lane from now on.
@@ -273,156 +323,76 @@ impl App {
             self.cold = true;
             defmt::info!("state {=u8}, reason {=u8}", state.code(), reason.code());
         }
+        if self.machine.has_to_shout() {
+            self.shout();
+        }
         soc::check_stack();
         // A hundredth of a second is fine enough for TCP's timers.
-        self.stack_in = self.stack_in.wrapping_sub(1);
-        if self.stack_in == 0 {
-            self.stack_in = CHORES_PER_STACK;
-            if self.stack.busy() {
-                self.stack_poll();
+        self.ip_in = self.ip_in.wrapping_sub(1);
+        if self.ip_in == 0 {
+            self.ip_in = CHORES_PER_IP;
+            if self.ip.busy() {
+                self.talk(None);
             }
         }
     }
 
+    /// ARP, ping and the console: a frame of so many bytes in `input`, and what there is to say beyond an answer.
     #[inline(never)]
-    fn stack_poll(&mut self) {
+    fn talk(&mut self, length: Option<usize>) {
         self.cold = true;
-        let now = soc::instant(&mut self.machine.board);
-        self.stack
-            .interface
-            .poll(now, &mut self.mac, &mut self.stack.sockets);
-        self.console();
-        self.stack
-            .interface
-            .poll(now, &mut self.mac, &mut self.stack.sockets);
-        let sent = self.mac.sent_for_stack();
+        let now = soc::milliseconds(&mut self.machine.board);
+        let us = self.machine.us;
+        let Mac { input, output, .. } = &mut self.mac;
+        let mut visitor = Visitor {
+            machine: &mut self.machine,
+            line: &mut self.line,
+        };
+        let frame = length.and_then(|length| input.bytes().get(..length));
+        let mut sent = 0;
+        let mut answer = frame
+            .and_then(|frame| self.ip.frame(frame, &us, now, &mut visitor, output.bytes()))
+            .or_else(|| self.ip.poll(&us, now, &mut visitor, output.bytes()));
+        while let Some(length) = answer {
+            output.send(length);
+            sent += 1;
+            answer = self.ip.poll(&us, now, &mut visitor, output.bytes());
+        }
         let counters = self.machine.server.counters_mut();
         counters.frames_tx = counters.frames_tx.wrapping_add(sent);
     }
+}
 
-    fn console(&mut self) {
-        let socket = self
-            .stack
-            .sockets
-            .get_mut::<tcp::Socket>(self.stack.console);
-        if socket.state() == tcp::State::TimeWait {
-            // Both have said good bye; the next one shall not wait ten seconds for it.
-            socket.abort();
-        }
-        if !socket.is_open() {
-            self.stack.line = console::Line::default();
-            self.stack.greeted = false;
-            // Listening on a closed socket at a fixed port cannot fail.
-            let _ = socket.listen(CONSOLE_PORT);
-            return;
-        }
-        if socket.may_send() && !self.stack.greeted {
-            self.stack.greeted = socket.send_slice(console::PROMPT.as_bytes()).is_ok();
-        }
-        // One line at a time, and only where its answer fits: so none is cut off.
-        while socket.can_recv() && socket.send_capacity() - socket.send_queue() >= ANSWER_MAX {
-            let line = &mut self.stack.line;
-            let ask = socket
-                .recv(|bytes| {
-                    let mut ask = None;
-                    let mut used = 0;
-                    for byte in bytes.iter() {
-                        used += 1;
-                        ask = line.push(*byte);
-                        if ask.is_some() {
-                            break;
-                        }
-                    }
-                    (used, ask)
-                })
-                .unwrap_or(None);
-            let Some(ask) = ask else { continue };
-            let vitals = Vitals {
-                stack: soc::stack_used(),
-                mac_errors: self.mac.errors(),
-            };
-            let mut sink = Sink::new(socket);
-            self.machine.answer(ask, &vitals, &mut sink);
-            if ask != Ask::Quit {
-                sink.put(console::PROMPT.as_bytes());
-            }
-            sink.flush();
-            if ask == Ask::Quit {
-                socket.close();
-                return;
+/// Somebody at the console.
+struct Visitor<'a> {
+    machine: &'a mut Machine<Soc>,
+    line: &'a mut console::Line,
+}
+
+impl Taker for Visitor<'_> {
+    fn greet(&mut self, out: &mut Text) {
+        *self.line = console::Line::default();
+        out.put(console::PROMPT.as_bytes());
+    }
+
+    fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize {
+        let mut used = 0;
+        for byte in bytes {
+            used += 1;
+            if let Some(ask) = self.line.push(*byte) {
+                let vitals = Vitals {
+                    stack: soc::stack_used(),
+                    mac_errors: self.machine.board.mac_errors(),
+                };
+                self.machine.answer(ask, &vitals, out);
+                if ask == Ask::Quit {
+                    out.close = true;
+                } else {
+                    out.put(console::PROMPT.as_bytes());
+                }
+                break;
             }
         }
-        if socket.state() == tcp::State::CloseWait {
-            // They hung up.
-            socket.close();
-        }
-    }
-}
-
-/// The console's text goes into the socket in lines, more or less: a send costs some 700 clocks however
-/// little it carries.
-struct Sink<'a, 's> {
-    socket: &'a mut tcp::Socket<'s>,
-    line: heapless::Vec<u8, 96>,
-}
-
-impl<'a, 's> Sink<'a, 's> {
-    fn new(socket: &'a mut tcp::Socket<'s>) -> Self {
-        Sink {
-            socket,
-            line: heapless::Vec::new(),
-        }
-    }
-
-    fn flush(&mut self) {
-        // Too long an answer is cut off.
-        let _ = self.socket.send_slice(&self.line);
-        self.line.clear();
-    }
-}
-
-impl firmware::text::Sink for Sink<'_, '_> {
-    fn put(&mut self, text: &[u8]) {
-        if self.line.extend_from_slice(text).is_err() {
-            self.flush();
-            let _ = self.line.extend_from_slice(text);
-        }
-    }
-}
-
-impl Stack {
-    fn new(mac: &mut Mac, us: &Us, rx: &'static mut [u8], tx: &'static mut [u8]) -> Self {
-        let address = HardwareAddress::Ethernet(EthernetAddress(us.mac));
-        let mut interface = Interface::new(Config::new(address), mac, Instant::ZERO);
-        interface.update_ip_addrs(|addresses| {
-            // A /24, as everybody's bench network is; answers go to whoever asked anyway.
-            let ip = Ipv4Address::from_bits(us.ip);
-            let _ = addresses.push(IpCidr::new(ip.into(), 24));
-        });
-        let mut sockets = SocketSet::new(soc::sockets().as_mut_slice());
-        let mut tcp = tcp::Socket::new(tcp::SocketBuffer::new(rx), tcp::SocketBuffer::new(tx));
-        // Prompts are short and somebody waits for them.
-        tcp.set_nagle_enabled(false);
-        let console = sockets.add(tcp);
-        let mut stack = Stack {
-            interface,
-            sockets,
-            console,
-            line: console::Line::default(),
-            greeted: false,
-        };
-        let _ = stack
-            .sockets
-            .get_mut::<tcp::Socket>(console)
-            .listen(CONSOLE_PORT);
-        stack
-    }
-
-    /// Is somebody on the console, so that the stack's timers matter?
-    fn busy(&mut self) -> bool {
-        !self
-            .sockets
-            .get_mut::<tcp::Socket>(self.console)
-            .is_listening()
+        used
     }
 }

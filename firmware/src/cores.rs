@@ -177,8 +177,29 @@ pub enum Setting {
     Board(wire::map::BoardConfig),
 }
 
-/// The board. Every method is one or two register accesses and cannot fail.
+/// What the PHY says in band, and what the MAC threw away.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Link {
+    /// RGMII's in-band status: bit 0 up, bits 2:1 speed (10, 100, 1000 Mbit/s), bit 3 full duplex.
+    pub status: u32,
+    /// Frames dropped since power-up: no slot, preamble, CRC.
+    pub errors: u32,
+}
+
+/// The board. Every method but those of the flash is a few register accesses and cannot fail.
 pub trait Board {
+    /// The flash's SPI.
+    type Spi: embedded_hal::spi::SpiDevice;
+
+    /// The flash's SPI.
+    fn spi(&mut self) -> &mut Self::Spi;
+    /// The last four words of the ROM ([`wire::images::Trailer`]).
+    fn trailer(&mut self) -> [u32; 4];
+    /// Is the factory pin active now?
+    fn factory_pin(&mut self) -> bool;
+    /// The link, now.
+    fn link(&mut self) -> Link;
+
     /// The wall clock.
     fn now(&mut self) -> u64;
     /// Its low word.

@@ -59,6 +59,10 @@ pub struct Notebook {
     settings: HashMap<String, u32>,
     pub ring: log::Ring<64>,
     pub record: postmortem::Record,
+    pub chip: Chip,
+    pub trailer: [u32; 4],
+    pub factory: bool,
+    pub link: Link,
 }
 
 impl Notebook {
@@ -78,6 +82,13 @@ impl Notebook {
             settings: HashMap::new(),
             ring: log::Ring::new(),
             record: postmortem::Record::EMPTY,
+            chip: Chip::new(0x40_0000),
+            trailer: [0; 4],
+            factory: false,
+            link: Link {
+                status: 0b1101,
+                errors: 0,
+            },
         }
     }
 
@@ -98,6 +109,20 @@ impl Notebook {
 const LATCHED: u32 = 0b0100_1100;
 
 impl Board for Notebook {
+    type Spi = Chip;
+
+    fn spi(&mut self) -> &mut Chip {
+        &mut self.chip
+    }
+    fn trailer(&mut self) -> [u32; 4] {
+        self.trailer
+    }
+    fn factory_pin(&mut self) -> bool {
+        self.factory
+    }
+    fn link(&mut self) -> Link {
+        self.link
+    }
     fn now(&mut self) -> u64 {
         self.now
     }
@@ -184,6 +209,119 @@ impl Board for Notebook {
     }
     fn panic(&mut self, offset: u32) -> u32 {
         self.record.word(offset)
+    }
+}
+
+/// A flash chip, no better than a test of our own commands needs: it does at once what it is told, stays busy for
+/// a few looks, ANDs what is programmed, protects the upper quarter if told so.
+#[derive(Clone)]
+pub struct Chip {
+    pub cells: Vec<u8>,
+    pub jedec: [u8; 3],
+    pub uid: [u8; 8],
+    pub status: u8,
+    pub looks: u32,
+    /// Does not do what it is told.
+    pub stuck: bool,
+    enabled: bool,
+    pub writes: Vec<(u8, u32)>,
+}
+
+impl core::fmt::Debug for Chip {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "Chip({:x?})", self.jedec)
+    }
+}
+
+impl Chip {
+    pub fn new(size: usize) -> Self {
+        Chip {
+            cells: vec![0xff; size],
+            jedec: [0xef, 0x40, size.trailing_zeros() as u8],
+            uid: [1, 2, 3, 4, 5, 6, 7, 8],
+            status: 0,
+            looks: 0,
+            stuck: false,
+            enabled: false,
+            writes: Vec::new(),
+        }
+    }
+
+    pub fn put(&mut self, at: u32, bytes: &[u8]) {
+        self.cells[at as usize..][..bytes.len()].copy_from_slice(bytes);
+    }
+
+    fn change(&mut self, command: u8, at: usize, data: &[u8]) {
+        let guarded = self.status & 0x7c != 0 && at >= self.cells.len() / 4 * 3;
+        assert!(self.looks == 0, "told to {command:x} while busy");
+        assert!(
+            core::mem::take(&mut self.enabled),
+            "{command:x} without write enable"
+        );
+        self.writes.push((command, at as u32));
+        self.looks = 3;
+        if self.stuck || guarded {
+            return;
+        }
+        match command {
+            0x01 => self.status = data[0],
+            0x02 => {
+                assert!(!data.is_empty() && at % 256 + data.len() <= 256);
+                for (cell, byte) in self.cells[at..].iter_mut().zip(data) {
+                    *cell &= byte;
+                }
+            }
+            0x20 => self.cells[at & !0xfff..][..0x1000].fill(0xff),
+            0xd8 => self.cells[at & !0xffff..][..0x10000].fill(0xff),
+            _ => unreachable!(),
+        }
+    }
+}
+
+impl embedded_hal::spi::ErrorType for Chip {
+    type Error = core::convert::Infallible;
+}
+
+impl embedded_hal::spi::SpiDevice for Chip {
+    fn transaction(
+        &mut self,
+        operations: &mut [embedded_hal::spi::Operation<'_, u8>],
+    ) -> Result<(), Self::Error> {
+        use embedded_hal::spi::Operation;
+        let mut sent = Vec::new();
+        let mut read = 0;
+        for operation in operations.iter_mut() {
+            match operation {
+                Operation::Write(bytes) => sent.extend_from_slice(bytes),
+                Operation::Read(bytes) => {
+                    let at = sent.get(1..4).map_or(0, |a| {
+                        usize::from(a[0]) << 16 | usize::from(a[1]) << 8 | usize::from(a[2])
+                    });
+                    for byte in bytes.iter_mut() {
+                        *byte = match sent[0] {
+                            0x9f => self.jedec[read],
+                            0x4b => self.uid[read],
+                            0x05 => self.status | u8::from(self.looks > 0),
+                            0x03 => self.cells[at + read],
+                            other => panic!("read after {other:x}"),
+                        };
+                        read += 1;
+                    }
+                }
+                _ => panic!("nobody here does that"),
+            }
+        }
+        match *sent {
+            [0x05] => self.looks = self.looks.saturating_sub(1),
+            [0x06] => self.enabled = true,
+            [0x01, status] => self.change(0x01, 0, &[status]),
+            [command @ (0x02 | 0x20 | 0xd8), a, b, c, ref data @ ..] => {
+                let at = usize::from(a) << 16 | usize::from(b) << 8 | usize::from(c);
+                self.change(command, at, data);
+            }
+            _ => assert!(read > 0, "{sent:x?}"),
+        }
+        Ok(())
     }
 }
 

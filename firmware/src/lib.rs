@@ -27,6 +27,13 @@
 //! | [`config`] | which settings exist, their ranges, and which may change while armed |
 //! | [`describe`] | how the board says what it is |
 //! | [`service`] | which raw registers may be touched |
+//! | [`flash`] | the SPI flash: one operation at a time, never waiting; golden and the slot in use are out of reach |
+//! | [`images`] | which slot loads, and how that changes one byte at a time |
+//! | [`settings`] | the two copies of what a board keeps over a power cycle |
+//! | [`discovery`] | being found, and told who to be, whatever the address |
+//! | [`dhcp`] | an address from a server, or the static one after 10 s |
+//! | [`ip`] | ARP, ping and the console's TCP connection |
+//! | [`link`] | up, how fast, and what got lost |
 //! | [`log`] | the ring `ferrocnc log` reads |
 //! | [`postmortem`] | what survives a panic |
 //! | [`text`] | text in pieces, without `core::fmt` |
@@ -38,7 +45,13 @@ pub mod config;
 pub mod console;
 pub mod cores;
 pub mod describe;
+pub mod dhcp;
+pub mod discovery;
 pub mod exchange;
+pub mod flash;
+pub mod images;
+pub mod ip;
+pub mod link;
 pub mod log;
 pub mod machine;
 pub mod net;
@@ -47,6 +60,7 @@ pub mod safety;
 pub mod server;
 pub mod service;
 pub mod session;
+pub mod settings;
 pub mod text;
 
 #[cfg(test)]

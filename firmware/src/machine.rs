@@ -10,6 +10,9 @@
 //!                            Machine::due(BEHIND_A_FRAME), Machine::chores
 //!     none, and due(IDLE)    Machine::chores
 //!     a byte of the console  console::Line::push, and what it says into Machine::answer
+//!     a discovery datagram   Machine::discover; a DHCP server's: Machine::offered
+//!     has_to_shout           Machine::shout, and broadcast it
+//!     moved                  the address changed: tell the IP stack
 //!     server.wants_restart   leave ResetReason::Requested in the postmortem record, start anew
 //! ```
 //!
@@ -18,14 +21,20 @@
 
 use crate::console::{self, Ask, Vitals};
 use crate::cores::{Board, Control, Ident, Setting};
+use crate::dhcp::{self, Client};
+use crate::discovery::{self, Act, Names, Waiting};
 use crate::net::{self, Us};
 use crate::postmortem::Boot;
 use crate::server::Server;
 use crate::session::Peer;
 use crate::text::Sink;
 use wire::board::{Blob, Kind};
+use wire::discovery::{Body, Message};
+use wire::flash::{OpResult, OpWord};
+use wire::images::{Trailer, idcode_of};
 use wire::map::{BoardConfig, StepgenConfig};
-use wire::{FaultReason, MAX_WORDS, Refusal, State};
+use wire::settings::Settings;
+use wire::{DISCOVERY_PORT, FaultReason, MAX_WORDS, Name, Refusal, State};
 
 /// Chores are due behind an answer once a period of theirs has passed: the next request is a whole servo
 /// period away.
@@ -37,25 +46,48 @@ pub const BLOB_MAX: usize = 2048;
 
 /// A thousand chores a second: TCP timers and the LED are in no hurry, a bite should be told soon.
 const CHORES_PER_SECOND: u32 = 1000;
-/// 192.168.2.50, as Lcnc; for a board whose ROM names none.
-const FALLBACK_IP: u32 = 0xc0a8_0232;
-/// Locally administered; for a board whose ROM names none.
+/// Locally administered; for a board whose ROM names none and whose flash has no unique id.
 const FALLBACK_MAC: [u8; 6] = [0x12, 0xe2, 0xd5, 0, 0, 1];
 /// 5 ms, hostmot2's default: five missed periods of a 1 kHz servo thread.
 const WATCHDOG_PER_SECOND: u32 = 200;
+
+/// Something to be sent to everybody (255.255.255.255), from this board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shout {
+    /// Source address.
+    pub from_ip: u32,
+    /// Source port.
+    pub from_port: u16,
+    /// Destination port.
+    pub to_port: u16,
+    /// Words of payload.
+    pub words: usize,
+}
 
 /// A board and the judgement over it.
 #[derive(Debug)]
 pub struct Machine<B> {
     /// The board.
     pub board: B,
-    /// Session, state machine, counters.
+    /// Session, state machine, counters, flash, link.
     pub server: Server,
     /// Our addresses.
     pub us: Us,
+    /// Bits of the netmask, and the gateway (0 for none).
+    pub net: (u8, u32),
+    names: Names,
+    client: Client,
+    waiting: Option<Waiting>,
+    /// The answer to a Set is there, or the DHCP client wants something.
+    done: Option<OpResult>,
+    ask: bool,
+    /// The address changed and the transport has not been told.
+    moved: bool,
     told: State,
     chores_at: u32,
     chores_every: u32,
+    second_at: u32,
+    second: u32,
 }
 
 impl<B: Board> Machine<B> {
@@ -64,13 +96,46 @@ impl<B: Board> Machine<B> {
     pub fn start(mut board: B, ident: Ident, abi: u32, boot: Boot) -> Self {
         board.control(Control::Close);
         defaults(&mut board, &ident);
-        let us = addresses(&mut board, &ident);
         let mut server = Server::new(ident, abi, boot);
+        let mut blob = Built::new();
+        blob.read(&mut board, &ident);
+        let trailer = Trailer::from_words(board.trailer());
+        let factory = board.factory_pin();
+        let flash = &mut server.flash;
+        flash.start(board.spi(), trailer, blob.idcode, blob.settings, factory);
+        let settings = *flash.settings();
+        let [uid_hi, uid_lo] = flash.uid();
+        let us = Us {
+            mac: if settings.mac == [0; 6] {
+                FALLBACK_MAC
+            } else {
+                settings.mac
+            },
+            // While a DHCP server is asked there is none.
+            ip: if settings.dhcp { 0 } else { settings.ip },
+            port: settings.port,
+        };
+        let mut client = if settings.dhcp {
+            Client::on(boot.id ^ uid_hi ^ uid_lo.rotate_left(16))
+        } else {
+            Client::off()
+        };
+        server.ip = us.ip;
         server.start(&mut board);
+        let now = board.now_lo();
         Machine {
-            chores_at: board.now_lo(),
+            chores_at: now,
+            second_at: now,
+            second: 0,
             chores_every: ident.clock_hz / CHORES_PER_SECOND,
             told: server.safety().state(),
+            names: blob.names,
+            ask: client.tick(0),
+            client,
+            waiting: None,
+            done: None,
+            moved: false,
+            net: (settings.prefix, settings.gateway),
             board,
             server,
             us,
@@ -123,10 +188,161 @@ impl<B: Board> Machine<B> {
     /// Looks after what happens without a datagram. A change of state comes back, to be logged.
     #[inline]
     pub fn chores(&mut self) -> Option<(State, FaultReason)> {
+        if self.server.flash.busy() {
+            self.slice();
+        } else {
+            self.server.look_at_link(&mut self.board);
+        }
         self.server.poll(&mut self.board);
+        let clock_hz = self.server.ident.clock_hz;
+        if self.chores_at.wrapping_sub(self.second_at) >= clock_hz {
+            self.second_passed(clock_hz);
+        }
         let state = self.server.safety().state();
         let changed = state != core::mem::replace(&mut self.told, state);
         changed.then(|| (state, self.server.safety().reason()))
+    }
+
+    /// A slice of the flash's operation; while one runs, chores follow each other without a pause.
+    #[cold]
+    #[inline(never)]
+    fn slice(&mut self) {
+        let done = self.server.poll_flash(&mut self.board);
+        self.chores_every = 0;
+        if done {
+            self.chores_every = self.server.ident.clock_hz / CHORES_PER_SECOND;
+            if self.waiting.is_some() {
+                self.done = Some(self.server.flash.word().result);
+            }
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn second_passed(&mut self, clock_hz: u32) {
+        self.second_at = self.second_at.wrapping_add(clock_hz);
+        self.second = self.second.wrapping_add(1);
+        if self.client.enabled() {
+            self.ask |= self.client.tick(self.second);
+            self.settle();
+        }
+    }
+
+    /// Uses the address there is; nothing changes under a host that owns the session.
+    fn settle(&mut self) {
+        let settings = self.server.flash.settings();
+        let (ip, net) = match self.client.lease() {
+            Some(lease) => (lease.ip, (lease.prefix, lease.gateway)),
+            None if self.client.gave_up(self.second) => {
+                (settings.ip, (settings.prefix, settings.gateway))
+            }
+            None => return,
+        };
+        let same = ip == self.us.ip && net == self.net;
+        if !same && self.server.safety().at_rest() && self.server.session().owner().is_none() {
+            self.us.ip = ip;
+            self.server.ip = ip;
+            self.net = net;
+            self.moved = true;
+        }
+    }
+
+    /// Has the address changed since this was last asked?
+    pub fn moved(&mut self) -> bool {
+        core::mem::take(&mut self.moved)
+    }
+
+    /// Judges a datagram that came to [`DISCOVERY_PORT`], as words. What is to be broadcast to `port`, where it came
+    /// from, is in `reply`; nothing if that is empty.
+    pub fn discover<'r>(
+        &mut self,
+        words: &[u32],
+        port: u16,
+        reply: &'r mut [u32; MAX_WORDS],
+    ) -> &'r [u32] {
+        let message = match Message::parse_request(words) {
+            Ok(message) => message,
+            Err(why) => {
+                self.server.refuse(why);
+                return &[];
+            }
+        };
+        let dhcp = self
+            .client
+            .lease()
+            .is_some_and(|lease| lease.ip == self.us.ip);
+        let here = || discovery::here(&self.server, &self.us, dhcp, &self.names);
+        match discovery::judge(&message, &self.server, self.waiting, here) {
+            Act::Nothing => &[],
+            Act::Answer(answer) => emit(&answer, reply),
+            Act::Save(settings) => {
+                self.server.save(&mut self.board, settings);
+                let OpWord { busy, result, .. } = self.server.flash.word();
+                if busy {
+                    let nonce = message.nonce;
+                    self.waiting = Some(Waiting { nonce, port });
+                    return &[];
+                }
+                let uid = self.server.flash.uid();
+                let body = Body::Done(result);
+                emit(
+                    &Message {
+                        uid,
+                        body,
+                        ..message
+                    },
+                    reply,
+                )
+            }
+        }
+    }
+
+    /// Takes a datagram of so many bytes that came to [`dhcp::PORT`].
+    pub fn offered(&mut self, words: &[u32], length: usize) {
+        let client = &mut self.client;
+        self.ask |= client.take(self.us.mac, words, length, self.second);
+        if client.enabled() {
+            self.settle();
+        }
+    }
+
+    /// Is there something to be sent ([`Machine::shout`])? To be asked behind the chores and a datagram.
+    #[inline(always)]
+    pub fn has_to_shout(&self) -> bool {
+        self.ask || self.moved || self.done.is_some()
+    }
+
+    /// What is to be broadcast, into `words`. The answer to a Set that was saved is the last there is: the machine
+    /// wants a restart behind it.
+    pub fn shout(&mut self, words: &mut [u32; MAX_WORDS]) -> Option<Shout> {
+        if let (Some(result), Some(waiting)) = (self.done.take(), self.waiting.take()) {
+            if result == OpResult::Ok {
+                self.server.restart();
+            }
+            let message = Message {
+                nonce: waiting.nonce,
+                uid: self.server.flash.uid(),
+                body: Body::Done(result),
+            };
+            return Some(Shout {
+                from_ip: self.us.ip,
+                from_port: DISCOVERY_PORT,
+                to_port: waiting.port,
+                words: emit(&message, words).len(),
+            });
+        }
+        if !core::mem::take(&mut self.ask) {
+            return None;
+        }
+        let name = self.server.flash.settings().name;
+        let place = words.first_chunk_mut()?;
+        self.client.emit(self.us.mac, name.text(), place);
+        Some(Shout {
+            from_ip: self.client.lease().map_or(0, |lease| lease.ip),
+            from_port: dhcp::PORT,
+            to_port: dhcp::SERVER_PORT,
+            words: dhcp::WORDS,
+        })
     }
 
     /// Answers a line of the console.
@@ -158,43 +374,66 @@ fn defaults(board: &mut impl Board, ident: &Ident) {
     board.set(Setting::Board(BoardConfig::WatchdogGrace), ident.clock_hz);
 }
 
-/// MAC, IP and port from the board information ROM.
-fn addresses(board: &mut impl Board, ident: &Ident) -> Us {
-    let mut us = Us {
-        mac: FALLBACK_MAC,
-        ip: FALLBACK_IP,
-        port: wire::DEFAULT_PORT,
-    };
-    let mut bytes = [0; BLOB_MAX];
-    let (chunks, _) = bytes.as_chunks_mut::<4>();
-    for (index, chunk) in chunks
-        .iter_mut()
-        .take(ident.blob_words as usize)
-        .enumerate()
-    {
-        *chunk = board.blob(index).to_be_bytes();
+fn emit<'r>(message: &Message, words: &'r mut [u32; MAX_WORDS]) -> &'r [u32] {
+    match words.first_chunk_mut() {
+        Some(room) => message.emit(room),
+        None => &[], // a message is shorter than a frame
     }
-    let Ok(blob) = Blob::new_checked(&bytes) else {
-        return us;
-    };
-    for entry in blob.facts() {
-        match entry.kind {
-            Kind::Mac => us.mac = entry.value.try_into().unwrap_or(us.mac),
-            Kind::Ipv4 => us.ip = entry.value.try_into().map_or(us.ip, u32::from_be_bytes),
-            Kind::Port => us.port = entry.value.try_into().map_or(us.port, u16::from_be_bytes),
-            Kind::Board
-            | Kind::Configuration
-            | Kind::Stepgen
-            | Kind::Encoder
-            | Kind::Pwm
-            | Kind::Input
-            | Kind::Output
-            | Kind::Pins
-            | Kind::Fpga
-            | Kind::Platform => {}
+}
+
+/// What the board information ROM says of where and who the board is.
+struct Built {
+    settings: Settings,
+    names: Names,
+    idcode: Option<u32>,
+}
+
+impl Built {
+    const fn new() -> Self {
+        Built {
+            settings: Settings::BUILT_IN,
+            names: Names {
+                configuration: Name::EMPTY,
+                platform: Name::EMPTY,
+            },
+            idcode: None,
         }
     }
-    us
+
+    #[inline(never)]
+    fn read(&mut self, board: &mut impl Board, ident: &Ident) {
+        let mut bytes = [0; BLOB_MAX];
+        let (chunks, _) = bytes.as_chunks_mut::<4>();
+        for (index, chunk) in chunks
+            .iter_mut()
+            .take(ident.blob_words as usize)
+            .enumerate()
+        {
+            *chunk = board.blob(index).to_be_bytes();
+        }
+        let Ok(blob) = Blob::new_checked(&bytes) else {
+            return;
+        };
+        let us = &mut self.settings;
+        for entry in blob.facts() {
+            let text = || core::str::from_utf8(entry.value).unwrap_or("");
+            match entry.kind {
+                Kind::Mac => us.mac = entry.value.try_into().unwrap_or(us.mac),
+                Kind::Ipv4 => us.ip = entry.value.try_into().map_or(us.ip, u32::from_be_bytes),
+                Kind::Port => us.port = entry.value.try_into().map_or(us.port, u16::from_be_bytes),
+                Kind::Configuration => self.names.configuration = Name::cut(text()),
+                Kind::Platform => self.names.platform = Name::cut(text()),
+                Kind::Fpga => self.idcode = idcode_of(text()),
+                Kind::Board
+                | Kind::Stepgen
+                | Kind::Encoder
+                | Kind::Pwm
+                | Kind::Input
+                | Kind::Output
+                | Kind::Pins => {}
+            }
+        }
+    }
 }
 
 #[cfg(test)]

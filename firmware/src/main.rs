@@ -4,7 +4,8 @@
 //!   forever
 //!     a frame?   in the lane    answer it, then do the chores if they are due
 //!                plain UDP      Etherbone server
-//!                anything else  smoltcp: ARP, ping, console
+//!                discovery      found, told who to be; an address from DHCP
+//!                anything else  ARP, ping, console
 //!     none, and the chores are overdue: do them
 //! ```
 //!

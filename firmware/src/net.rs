@@ -2,7 +2,8 @@
 //!
 //! UDP to our address and port in one IPv4 packet, with IP options or without: that is every frame
 //! Etherbone comes in. Everything else (ARP, ping, TCP, fragments, broadcast) is [`Class::Other`] and
-//! goes to smoltcp. A frame that is ours but damaged is refused here with its reason.
+//! goes to [`crate::ip`]; only discovery and DHCP are taken whatever IP address they are sent to. A frame that
+//! is ours but damaged is refused here with its reason.
 //!
 //! Frames are read as big-endian words as the MAC's slots deliver them, two bytes in, so that all
 //! but the Ethernet header lies on words:
@@ -72,7 +73,11 @@ pub struct Us {
 pub enum Class {
     /// A datagram for the Etherbone server.
     Ours(Datagram),
-    /// Meant for the Etherbone server, but damaged.
+    /// For [`crate::discovery`], whatever its IP address.
+    Discovery(Datagram),
+    /// For [`crate::dhcp`], whatever its IP address.
+    Dhcp(Datagram),
+    /// Meant for one of these, but damaged.
     Refused(Refusal),
     /// Somebody else's business.
     Other,
@@ -91,29 +96,44 @@ pub struct Datagram {
     pub options: usize,
 }
 
+impl Datagram {
+    /// A datagram from nobody: what is sent to it goes to everybody, at this port.
+    pub const fn everybody(port: u16) -> Self {
+        Datagram {
+            peer: Peer { ip: u32::MAX, port },
+            mac: (u16::MAX, u32::MAX),
+            length: 0,
+            options: 0,
+        }
+    }
+}
+
 /// Looks at a frame of `length` bytes.
 pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
     let (ours_high, ours_low) = mac_halves(us.mac);
     let [w0, w1, w2, w3, w4, w5, w6, source, destination] =
         core::array::from_fn(|index| frame.word(index));
     let options = (w4 >> 24 & 0xf).wrapping_sub(5) as usize;
+    let broadcast = w0 as u16 == 0xffff && w1 == u32::MAX;
     let recognised = length >= HEADERS
-        && w0 as u16 == ours_high
-        && w1 == ours_low
+        && (broadcast || w0 as u16 == ours_high && w1 == ours_low)
         && w3 & 0xffff == ETHERTYPE_IPV4
         && w4 >> 28 == 4
         && options <= OPTIONS_MAX
         && w5 & FRAGMENT == 0
-        && w6 >> 16 & 0xff == PROTOCOL_UDP
-        && destination == us.ip;
+        && w6 >> 16 & 0xff == PROTOCOL_UDP;
     if !recognised {
         return Class::Other;
     }
     let ports = frame.word(9 + options);
     let lengths = frame.word(10 + options);
-    if ports as u16 != us.port {
-        return Class::Other;
-    }
+    let class: fn(Datagram) -> Class = match ports as u16 {
+        port if port == us.port && destination == us.ip && !broadcast => Class::Ours,
+        // Who looks for boards does not know their addresses; who waits for one has none.
+        wire::DISCOVERY_PORT => Class::Discovery,
+        crate::dhcp::PORT => Class::Dhcp,
+        _ => return Class::Other,
+    };
     if fold(sum_words(frame, 4, 5 + options)) != 0xffff {
         return Class::Refused(Refusal::Checksum);
     }
@@ -137,7 +157,7 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
             return Class::Refused(Refusal::Checksum);
         }
     }
-    Class::Ours(Datagram {
+    class(Datagram {
         peer: Peer {
             ip: source,
             port: (ports >> 16) as u16,

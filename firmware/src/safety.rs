@@ -113,6 +113,8 @@ pub struct Safety {
     request: Request,
     session: bool,
     abi_fits: bool,
+    /// Something runs that must not meet an armed machine.
+    held: bool,
     position_trusted: bool,
 }
 
@@ -133,8 +135,14 @@ impl Safety {
             request: Request::Unknown,
             session: false,
             abi_fits: false,
+            held: false,
             position_trusted: true,
         }
+    }
+
+    /// Keeps the machine from being armed, or no longer. An edge of `enable-request` meanwhile is used up.
+    pub(crate) fn hold(&mut self, held: bool) {
+        self.held = held;
     }
 
     /// The state.
@@ -284,7 +292,7 @@ impl Safety {
             }
             State::Armed => effects.execute = true,
             State::Disarmed if before == Request::Edge && request => {
-                if enable && next.abi_fits && Self::clear_to_arm(gate) {
+                if enable && next.abi_fits && !next.held && Self::clear_to_arm(gate) {
                     next.state = State::Armed;
                     next.reason = FaultReason::None;
                     next.position_trusted = true;

@@ -12,13 +12,16 @@ use crate::cores::{
     STROBE_COMMIT, STROBE_SAMPLE,
 };
 use crate::exchange::{REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
+use crate::flash::Flash;
+use crate::link::Link;
 use crate::postmortem::Boot;
 use crate::safety::{Effects, Event, Safety};
 use crate::session::{Peer, Session};
 use crate::{config, describe, log, service};
+use wire::describe::OBSTACLE_FLASH;
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
-use wire::{GateClose, LinkSpeed, MAX_WORDS, Refusal, map};
+use wire::{GateClose, MAX_WORDS, Refusal, map};
 
 /// 10 ms: nobody watches an idle machine faster than this, and a sample costs nothing.
 const IDLE_SAMPLE_PER_SECOND: u32 = 100;
@@ -57,6 +60,8 @@ pub struct Server {
     pub(crate) session: Session,
     pub(crate) safety: Safety,
     pub(crate) counters: Counters,
+    pub(crate) flash: Flash,
+    pub(crate) link: Link,
     /// The state word but for the gate: what every answer begins with.
     state_word: u32,
     /// A timed commit may still be waiting in gateware.
@@ -71,6 +76,8 @@ pub struct Server {
     /// Frames when last looked, and when that number was new.
     frames: (u32, u64),
     restart: bool,
+    /// The address in force, for the flash window.
+    pub(crate) ip: u32,
 }
 
 impl Server {
@@ -90,6 +97,8 @@ impl Server {
                 refused_total: 0,
                 refused: [0; Refusal::COUNT],
             },
+            flash: Flash::new(),
+            link: Link::new(),
             state_word: 0,
             commit_pending: false,
             select: 0,
@@ -98,6 +107,7 @@ impl Server {
             sampled_at: 0,
             frames: (0, 0),
             restart: false,
+            ip: 0,
         }
     }
 
@@ -142,6 +152,16 @@ impl Server {
         &mut self.counters
     }
 
+    /// The flash.
+    pub fn flash(&self) -> &Flash {
+        &self.flash
+    }
+
+    /// The link.
+    pub fn link(&self) -> &Link {
+        &self.link
+    }
+
     /// This start: its number and its reason.
     pub fn boot(&self) -> Boot {
         self.boot
@@ -160,6 +180,49 @@ impl Server {
     /// Somebody entitled to asked for a restart.
     pub fn wants_restart(&self) -> bool {
         self.restart
+    }
+
+    /// Asks for one.
+    pub(crate) fn restart(&mut self) {
+        self.restart = true;
+    }
+
+    /// Looks at the link. It goes down for good, as far as the machine is concerned, once it was down for three
+    /// looks in a row.
+    #[inline(always)]
+    pub fn look_at_link<B: Board>(&mut self, board: &mut B) {
+        let now = board.link();
+        if !self.link.same(now) {
+            self.link_changed(board, now);
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn link_changed<B: Board>(&mut self, board: &mut B, now: crate::cores::Link) {
+        if self.link.look(now) {
+            self.event(board, Event::LinkDown);
+        }
+        self.refresh();
+    }
+
+    /// Does a slice of the flash's operation. True if that was its last.
+    #[inline(never)]
+    pub(crate) fn poll_flash<B: Board>(&mut self, board: &mut B) -> bool {
+        let now = board.now();
+        let done = self.flash.poll(board.spi(), now, self.ident.clock_hz);
+        self.safety.hold(self.flash.busy());
+        done
+    }
+
+    /// Begins to save settings for somebody who was not refused.
+    pub(crate) fn save<B: Board>(&mut self, board: &mut B, settings: wire::settings::Settings) {
+        self.flash.start_save(board.spi(), settings);
+        self.safety.hold(self.flash.busy());
+    }
+
+    fn refresh(&mut self) {
+        self.state_word = self.state(Gate(0), false).to_word();
     }
 
     /// Counts a refusal.
@@ -238,11 +301,10 @@ impl Server {
             bitten: gate.bitten(),
             external_reset: gate.reset_pin(),
             accepted: false,
-            // Whoever reads this got it over the link.
-            link: true,
+            link: self.link.up(),
             estop: gate.estop(),
-            speed: LinkSpeed::Down,
-            link_errors: 0,
+            speed: self.link.word().speed,
+            link_errors: self.link.word().errors as u8,
         }
     }
 
@@ -270,7 +332,7 @@ impl Server {
     pub(crate) fn step(&mut self, event: Event, now: u64) -> Effects {
         let (next, effects) = self.safety.step(event, now);
         self.safety = next;
-        self.state_word = self.state(Gate(0), false).to_word();
+        self.refresh();
         effects
     }
 
@@ -403,6 +465,7 @@ impl Server {
             safety: self.safety,
             peer,
             now,
+            flash_busy: self.flash.busy(),
         };
         for record in packet.records() {
             for (address, value) in writes_of(&record)? {
@@ -433,6 +496,10 @@ impl Server {
                     }
                 }
                 map::SESSION_REBOOT => self.restart = true,
+                map::FLASH..FLASH_END => {
+                    self.flash.write_word(board.spi(), address, value);
+                    self.safety.hold(self.flash.busy());
+                }
                 map::SERVICE.. => board.csr_write(address, value),
                 _ => {
                     if let Some(setting) = config::setting_at(address, self.ident.channels) {
@@ -475,6 +542,9 @@ impl Server {
                 board.log(log::Read::Ring(((address - map::LOG_RING) / 4) as usize))
             }
             map::PANIC..PANIC_END => board.panic(address - map::PANIC),
+            map::FLASH_LINK => self.link.word().to_word(),
+            map::FLASH_IP => self.ip,
+            map::FLASH..FLASH_END => self.flash.read_word(address),
             map::SERVICE.. => board.csr_read(address),
             _ => 0,
         }
@@ -483,7 +553,11 @@ impl Server {
     fn describe_word<B: Board>(&self, board: &mut B, word: u32, peer: Peer) -> u32 {
         let state = self.state(board.gate(), self.session.is_owner(peer));
         let close = last_close(board);
-        let words = describe::describe(&self.ident, self.abi, self.boot, state, close).to_words();
+        let mut describe = describe::describe(&self.ident, self.abi, self.boot, state, close);
+        if self.flash.busy() {
+            describe.obstacles |= OBSTACLE_FLASH;
+        }
+        let words = describe.to_words();
         words.get(word as usize).copied().unwrap_or(0)
     }
 
@@ -548,6 +622,7 @@ struct Judge<'s> {
     safety: Safety,
     peer: Peer,
     now: u64,
+    flash_busy: bool,
 }
 
 impl Judge<'_> {
@@ -568,10 +643,18 @@ impl Judge<'_> {
                 if value != map::REBOOT_KEY {
                     return Err(Refusal::Value);
                 }
-                if self.session.owner().is_some() {
-                    self.owner()?;
-                }
-                self.at_rest()
+                self.owner_or_nobody()?;
+                self.at_rest()?;
+                self.flash_idle()
+            }
+            map::FLASH..FLASH_END => {
+                Flash::check_write(address, value)?;
+                self.owner_or_nobody()?;
+                self.at_rest()?;
+                self.flash_idle()?;
+                // What comes behind it in the same datagram comes while it runs.
+                self.flash_busy = address == map::FLASH_OP;
+                Ok(())
             }
             map::CONFIG..CONFIG_END => {
                 let setting =
@@ -602,6 +685,21 @@ impl Judge<'_> {
         }
     }
 
+    fn owner_or_nobody(&self) -> Result<(), Refusal> {
+        match self.session.owner() {
+            Some(_) => self.owner(),
+            None => Ok(()),
+        }
+    }
+
+    fn flash_idle(&self) -> Result<(), Refusal> {
+        if self.flash_busy {
+            Err(Refusal::Busy)
+        } else {
+            Ok(())
+        }
+    }
+
     fn at_rest(&self) -> Result<(), Refusal> {
         if self.safety.at_rest() {
             Ok(())
@@ -613,6 +711,7 @@ impl Judge<'_> {
 
 const CONFIG_END: u32 = map::CONFIG + map::CONFIG_LEN;
 const DESCRIBE_END: u32 = map::DESCRIBE + map::DESCRIBE_LEN;
+const FLASH_END: u32 = map::FLASH + map::FLASH_LEN;
 const SESSION_END: u32 = map::SESSION + map::SESSION_LEN;
 
 /// Is this an aligned address of a window? Inside a window, what is not there reads 0.
@@ -628,7 +727,8 @@ fn check_read(address: u32) -> Result<(), Refusal> {
         | map::STATUS..STATUS_WORDS_END
         | map::COUNTERS..COUNTERS_END
         | map::LOG..LOG_END
-        | map::PANIC..PANIC_END => Ok(()),
+        | map::PANIC..PANIC_END
+        | map::FLASH..FLASH_END => Ok(()),
         map::SERVICE.. if service::readable(address) => Ok(()),
         _ => Err(Refusal::Unmapped),
     }

@@ -39,6 +39,8 @@ pub enum Service {
     Etherbone,
     /// Discovery: what is sent to everybody.
     Discovery,
+    /// The DHCP client. Only a board that is an interface has one.
+    Dhcp,
 }
 
 /// A datagram of the board's.
@@ -142,6 +144,7 @@ impl<S: Silicon> Device for Rig<S> {
         match service {
             Service::Etherbone => Rig::post(self, (HOST_IP, port), BOARD_PORT, payload),
             Service::Discovery => self.broadcast((HOST_IP, port), wire::DISCOVERY_PORT, payload),
+            Service::Dhcp => {}
         }
     }
     fn pass(&mut self, until: u64) -> bool {
@@ -285,6 +288,7 @@ pub struct Server<D: Device> {
     options: Options,
     udp: Ear,
     discovery: Option<Ear>,
+    dhcp: Option<Ear>,
     /// What [`Options::interface`] was told last.
     known: Option<Addresses>,
     sender: Sender<Event>,
@@ -322,8 +326,13 @@ impl<D: Device> Server<D> {
             .discovery
             .map(|at| Ear::open(at, Service::Discovery, &sender))
             .transpose()?;
-        if let Some(discovery) = &discovery {
-            discovery.udp.set_broadcast(true)?;
+        let dhcp = options.interface.as_ref().map(|_| {
+            let at = (Ipv4Addr::UNSPECIFIED, firmware::dhcp::PORT).into();
+            Ear::open(at, Service::Dhcp, &sender)
+        });
+        let dhcp = dhcp.transpose()?;
+        for ear in [&discovery, &dhcp].into_iter().flatten() {
+            ear.udp.set_broadcast(true)?;
         }
         let console = options.console.map(TcpListener::bind).transpose()?;
         let control = options.control.map(TcpListener::bind).transpose()?;
@@ -354,6 +363,7 @@ impl<D: Device> Server<D> {
             options,
             udp,
             discovery,
+            dhcp,
             known: None,
             sender,
             console_address,
@@ -395,7 +405,9 @@ impl<D: Device> Server<D> {
             // A board shouts out of its only cable; this machine wants to be told which that is.
             format!("route replace 255.255.255.255 dev {interface}"),
         ];
-        for command in commands {
+        // While a DHCP server is asked the board has none.
+        let without = |command: &&String| !(new.ip.is_unspecified() && command.contains("brd"));
+        for command in commands.iter().filter(without) {
             let said = std::process::Command::new("ip")
                 .args(command.split(' '))
                 .output()?;
@@ -563,6 +575,14 @@ impl<D: Device> Server<D> {
         let mut ports = Vec::new();
         for reply in self.rig.take_replies() {
             ports.push(reply.port);
+            if reply.service == Service::Dhcp {
+                if let Some(dhcp) = &self.dhcp {
+                    let everybody = (Ipv4Addr::BROADCAST, reply.port);
+                    // Nobody may be there, nor a way out: it asks again.
+                    let _ = dhcp.udp.send_to(&reply.payload, everybody);
+                }
+                continue;
+            }
             let Some(sender) = self.nat.sender(reply.port) else {
                 continue;
             };

@@ -14,7 +14,7 @@ use firmware::cores::{self, Control, Gate, Ident, Led, Setting};
 use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
 use firmware::postmortem::Record;
 use firmware::session::Peer;
-use firmware::{log, text};
+use firmware::{dhcp, log, text};
 use litex_pac::abi;
 use wire::flash::Layout;
 use wire::images::{Meta, Role, Trailer};
@@ -33,7 +33,7 @@ use crate::nor::{Nor, Part};
 use crate::plant::Plant;
 use crate::report::{Counters, Report, Seen};
 use crate::rig::{Faults, FrameCounts, strike};
-use crate::server::{Device, Reply, Service};
+use crate::server::{Addresses, Device, Reply, Service};
 use crate::world::World;
 
 /// Clocks from a request's arrival to its execution, and from there to its answer. The image takes some 970 clocks from the
@@ -41,6 +41,8 @@ use crate::world::World;
 pub const ANSWER: [u64; 2] = [480, 490];
 /// Clocks after a strobe until every word of a sample can be read: `tally.sv`.
 const SAMPLED: u64 = 20;
+/// Clocks between two slices of an operation of the flash: what a slice takes the image, some 256 bytes of SPI.
+const SLICE: u64 = 12_000;
 /// Clocks of a register access of the CPU.
 const ACCESS: u64 = 2;
 /// The host's address on the board's cable, as the Verilated board sees it.
@@ -218,6 +220,23 @@ impl Desk {
 }
 
 impl cores::Board for Desk {
+    type Spi = Shared;
+
+    fn spi(&mut self) -> &mut Shared {
+        self.flash()
+    }
+    fn trailer(&mut self) -> [u32; Trailer::WORDS] {
+        self.trailer.to_words()
+    }
+    fn factory_pin(&mut self) -> bool {
+        self.world.pins.factory != 0
+    }
+    fn link(&mut self) -> cores::Link {
+        cores::Link {
+            status: self.world.pins.link_status.into(),
+            errors: 0,
+        }
+    }
     fn now(&mut self) -> u64 {
         self.model.now()
     }
@@ -357,6 +376,10 @@ pub struct Twin {
     busy_clocks: u64,
 }
 
+fn payload(words: &[u32]) -> Vec<u8> {
+    words.iter().flat_map(|word| word.to_be_bytes()).collect()
+}
+
 fn ident(card: &Card) -> Ident {
     Ident {
         abi: abi::ABI,
@@ -429,7 +452,29 @@ impl Twin {
     }
 
     fn chores_every(&self) -> u64 {
-        self.clockwork.sys_hz / 1000
+        match self.machine.server.flash().busy() {
+            true => SLICE,
+            false => self.clockwork.sys_hz / 1000,
+        }
+    }
+
+    /// What the board has to say to everybody goes out.
+    fn shout(&mut self) {
+        while self.machine.has_to_shout() {
+            let mut buffer = [0; MAX_WORDS];
+            let Some(shout) = self.machine.shout(&mut buffer) else {
+                return;
+            };
+            self.frames.from_board += 1;
+            self.replies.push(Reply {
+                service: match shout.from_port {
+                    dhcp::PORT => Service::Dhcp,
+                    _ => Service::Discovery,
+                },
+                port: shout.to_port,
+                payload: payload(&buffer[..shout.words]),
+            });
+        }
     }
 
     fn chores(&mut self) {
@@ -437,6 +482,7 @@ impl Twin {
             // The image logs this for `ferrocnc log`, which needs the image's strings; here somebody sits in front of it.
             eprintln!("sim: {state}, reason {reason}");
         }
+        self.shout();
         if self.machine.server.wants_restart() {
             self.machine.board.record.part(ResetReason::Requested);
             let boot = self.machine.board.record.boot(0);
@@ -455,12 +501,32 @@ impl Twin {
         };
         self.machine.board.model.arrive();
         let mut buffer = [0; MAX_WORDS];
-        let reply = self.machine.payload(&request.payload, peer, &mut buffer);
-        let reply = reply.unwrap_or(&[]);
+        let words = || {
+            let mut words = [0; MAX_WORDS];
+            let count =
+                wire::words_from_bytes(&request.payload, &mut words).map_or(0, <[u32]>::len);
+            (words, count)
+        };
+        let reply = match request.service {
+            Service::Etherbone => {
+                let reply = self.machine.payload(&request.payload, peer, &mut buffer);
+                reply.unwrap_or(&[])
+            }
+            Service::Discovery => {
+                let (words, count) = words();
+                let words = &words[..count];
+                self.machine.discover(words, request.port, &mut buffer)
+            }
+            Service::Dhcp => {
+                let (words, count) = words();
+                self.machine.offered(&words[..count], request.payload.len());
+                &[]
+            }
+        };
         if !reply.is_empty() {
-            let payload: Vec<u8> = reply.iter().flat_map(|word| word.to_be_bytes()).collect();
-            request.reply = Some(payload);
+            request.reply = Some(payload(reply));
         }
+        self.shout();
         request.answered = self.machine.board.clock() + ANSWER[1];
         if self.machine.due(BEHIND_A_FRAME) {
             self.chores();
@@ -576,18 +642,22 @@ impl Device for Twin {
             let board = &mut self.machine.board;
             board.pass(until.min(next).min(chores).max(board.clock() + 1));
             if self.clock() >= chores {
-                self.chores_at = self.clock() + self.chores_every();
                 if self.machine.due(IDLE) {
                     self.chores();
                 }
+                self.chores_at = self.clock() + self.chores_every();
+                told |= !self.replies.is_empty();
             }
             if self.clock() >= next
                 && let Some(request) = self.requests.pop_front()
             {
                 if request.answered == 0 {
                     self.execute(request);
+                    if self.machine.server.flash().busy() {
+                        self.chores_at = self.chores_at.min(self.clock() + SLICE);
+                    }
                 } else {
-                    told = self.answer(request);
+                    told |= self.answer(request);
                 }
             }
         }
@@ -598,6 +668,16 @@ impl Device for Twin {
 
     fn take_replies(&mut self) -> Vec<Reply> {
         std::mem::take(&mut self.replies)
+    }
+
+    fn addresses(&self) -> Option<Addresses> {
+        let us = &self.machine.us;
+        Some(Addresses {
+            mac: us.mac,
+            ip: us.ip.into(),
+            prefix: self.machine.net.0,
+            port: us.port,
+        })
     }
 
     fn wait_for(&self, service: Service, payload: &[u8]) -> u64 {

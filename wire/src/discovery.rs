@@ -195,8 +195,27 @@ impl Message {
         buffer.get(..used).unwrap_or(&[])
     }
 
+    /// Reads and checks what a board may be asked: everything but other boards' answers, which are refused.
+    pub fn parse_request(words: &[u32]) -> Result<Self, Refusal> {
+        Self::parse_with(words, |_, _| Err(Refusal::Value))
+    }
+
     /// Reads and checks all of it.
     pub fn parse(words: &[u32]) -> Result<Self, Refusal> {
+        Self::parse_with(words, |kind, payload| match kind {
+            HERE => Ok(Body::Here(Here::parse(exactly(payload)?)?)),
+            DONE => {
+                let [code] = *exactly(payload)?;
+                Ok(Body::Done(OpResult::from_code(code).ok_or(Refusal::Value)?))
+            }
+            _ => Err(Refusal::Value),
+        })
+    }
+
+    fn parse_with(
+        words: &[u32],
+        answer: impl FnOnce(u32, &[u32]) -> Result<Body, Refusal>,
+    ) -> Result<Self, Refusal> {
         let Some((&[magic, version, kind, nonce, uid_hi, uid_lo], payload)) =
             words.split_first_chunk::<HEAD>()
         else {
@@ -210,17 +229,12 @@ impl Message {
         }
         let body = match kind {
             WHO if payload.is_empty() => Body::Who,
-            HERE => Body::Here(Here::parse(exactly(payload)?)?),
             SET => {
                 let words: &[u32; settings::WORDS] = exactly(payload)?;
                 Body::Set(Settings::parse(words).map_err(|_| Refusal::Value)?)
             }
-            DONE => {
-                let [code] = *exactly(payload)?;
-                Body::Done(OpResult::from_code(code).ok_or(Refusal::Value)?)
-            }
             WHO => return Err(Refusal::BlockLength),
-            _ => return Err(Refusal::Value),
+            kind => answer(kind, payload)?,
         };
         Ok(Message {
             nonce,
@@ -318,6 +332,21 @@ mod tests {
             bad[word] = value;
             let words = &bad[..HEAD + settings::WORDS];
             assert_eq!(Message::parse(words), Err(why), "word {word}");
+            assert_eq!(Message::parse_request(words), Err(why), "word {word}");
+        }
+    }
+
+    #[test]
+    fn a_board_takes_questions_only() {
+        for (body, question) in [
+            (Body::Who, true),
+            (Body::Set(Settings::default()), true),
+            (Body::Here(here()), false),
+            (Body::Done(OpResult::Ok), false),
+        ] {
+            let mut buffer = [0; WORDS_MAX];
+            let parsed = Message::parse_request(message(body).emit(&mut buffer));
+            assert_eq!(parsed.is_ok(), question);
         }
     }
 }

@@ -55,19 +55,24 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings {
-            sequence: 0,
-            dhcp: false,
-            keep_key: false,
-            ip: 0xc0a8_0232, // 192.168.2.50, as Lcnc
-            prefix: 24,
-            gateway: 0,
-            mac: [0; 6],
-            port: DEFAULT_PORT,
-            name: Name::EMPTY,
-            key: [0; 4],
-        }
+        Self::BUILT_IN
     }
+}
+
+impl Settings {
+    /// Of a board whose bitstream names none: 192.168.2.50, as Lcnc, a MAC of its own.
+    pub const BUILT_IN: Settings = Settings {
+        sequence: 0,
+        dhcp: false,
+        keep_key: false,
+        ip: 0xc0a8_0232,
+        prefix: 24,
+        gateway: 0,
+        mac: [0; 6],
+        port: DEFAULT_PORT,
+        name: Name::EMPTY,
+        key: [0; 4],
+    };
 }
 
 /// Why words are no settings.

@@ -123,7 +123,7 @@ fn an_address_in_no_window_is_refused_and_counted() {
     for address in [
         0x2000,
         0x0001_0020,
-        0x0007_0000,
+        0x0008_0000,
         0x8000_0000,
         0xefff_fffc,
         0xf002_0000,
@@ -269,10 +269,10 @@ fn a_bad_last_word_stops_the_first_record_too() {
     let before = rig.board.changes();
     let steplen = map::CONFIG_STEPGEN;
     for (bad, why) in [
-        ([0x000f_0100, 0x0007_0000, 1], Refusal::Unmapped),
+        ([0x000f_0100, 0x0008_0000, 1], Refusal::Unmapped),
         ([0x000f_0100, map::STATUS, 1], Refusal::ReadOnly),
         ([0x000f_0100, steplen, 0], Refusal::Value),
-        ([0x000f_0001, 0, 0x0007_0000], Refusal::Unmapped),
+        ([0x000f_0001, 0, 0x0008_0000], Refusal::Unmapped),
     ] {
         let words = [&[HEADER, 0, 0x000f_0100, steplen, 60], &bad[..]].concat();
         assert_eq!(rig.send(&words), Err(why));

@@ -4,6 +4,7 @@ use super::Soc;
 use core::convert::Infallible;
 use embedded_hal::delay::DelayNs;
 use embedded_hal::digital::{ErrorType, OutputPin, StatefulOutputPin};
+use embedded_hal::spi::{self, Operation, SpiDevice};
 use firmware::cores::{Board as _, Led};
 
 /// The status LED: a pin when one wants a pin, patterns otherwise.
@@ -47,6 +48,78 @@ impl StatefulOutputPin for StatusLed<'_> {
 
     fn is_set_low(&mut self) -> Result<bool, Infallible> {
         Ok(self.0.pattern().read().bits() == Led::Off as u32)
+    }
+}
+
+/// The flash the FPGA was loaded from. A transfer is up to 32 bits: a word where there is one, bytes at the end.
+pub struct FlashSpi(litex_pac::Flash);
+
+impl FlashSpi {
+    /// The one on the board. Chip select survives a restart of the firmware: it is put where it belongs.
+    pub fn new(regs: litex_pac::Flash) -> Self {
+        let mut spi = FlashSpi(regs);
+        spi.select(false);
+        spi
+    }
+
+    /// Is the factory pin active?
+    pub fn factory_pin(&self) -> bool {
+        self.0.status().read().factory_pin().bit()
+    }
+
+    fn select(&mut self, on: bool) {
+        self.0.control().write(|w| w.select().bit(on));
+    }
+
+    /// Shifts out the upper bits of a word; what came in is at its lower end.
+    #[inline(never)]
+    fn shift(&mut self, bits: u32, word: u32) -> u32 {
+        // SAFETY: 8 or 32, and any word.
+        self.0.length().write(|w| unsafe { w.bits(bits) });
+        self.0.data().write(|w| unsafe { w.bits(word) });
+        while self.0.status().read().busy().bit() {}
+        self.0.data().read().bits()
+    }
+
+    fn read(&mut self, bytes: &mut [u8]) {
+        let (words, rest) = bytes.as_chunks_mut::<4>();
+        for word in words {
+            *word = self.shift(32, 0).to_be_bytes();
+        }
+        for byte in rest {
+            *byte = self.shift(8, 0) as u8;
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        let (words, rest) = bytes.as_chunks::<4>();
+        for word in words {
+            self.shift(32, u32::from_be_bytes(*word));
+        }
+        for byte in rest {
+            self.shift(8, u32::from(*byte) << 24);
+        }
+    }
+}
+
+impl spi::ErrorType for FlashSpi {
+    type Error = Infallible;
+}
+
+impl SpiDevice for FlashSpi {
+    /// Reads and writes only: nobody here sends and receives at once, or waits with the chip selected.
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Infallible> {
+        self.select(true);
+        for operation in operations {
+            match operation {
+                Operation::Read(bytes) => self.read(bytes),
+                Operation::Write(bytes) => self.write(bytes),
+                Operation::Transfer(..) | Operation::TransferInPlace(_) | Operation::DelayNs(_) => {
+                }
+            }
+        }
+        self.select(false);
+        Ok(())
     }
 }
 

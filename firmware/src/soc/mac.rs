@@ -9,8 +9,6 @@
 use core::ptr::{read_volatile, write_volatile};
 use firmware::net::{Frame, REHEARSAL_WORDS, Slot};
 use litex_pac::{Ethmac, abi};
-use smoltcp::phy::{Device, DeviceCapabilities, Medium, RxToken, TxToken};
-use smoltcp::time::Instant;
 use wire::MAX_WORDS;
 
 /// Longest frame, without FCS.
@@ -65,9 +63,27 @@ impl Buffer {
         }
     }
 
-    fn bytes(&mut self) -> &mut [u8] {
+    /// As bytes of a frame.
+    pub fn bytes(&mut self) -> &mut [u8] {
         // SAFETY: the same memory; bytes have no alignment and no invalid values.
         unsafe { core::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), FRAME_MAX) }
+    }
+
+    /// Sends so many of these bytes as a frame, from the common slot.
+    pub fn send(&self, length: usize) {
+        // SAFETY: the MAC's registers, as `Mac` uses them; one hart, and nobody holds a slot over this call.
+        let regs = unsafe { Ethmac::steal() };
+        while regs.sram_reader_level().read().bits() != 0 {}
+        let mut slot = Mac::tx(COMMON);
+        let mut carry = 0;
+        let words = length.min(FRAME_MAX).div_ceil(4);
+        for (index, word) in self.0.iter().take(words).enumerate() {
+            let next = word.swap_bytes();
+            slot.put(index, carry << 16 | next >> 16);
+            carry = next;
+        }
+        slot.put(words, carry << 16);
+        Mac::start_on(&regs, COMMON, length);
     }
 }
 
@@ -78,9 +94,6 @@ pub struct Mac {
     pub input: &'static mut Buffer,
     /// What goes out of the server or the IP stack.
     pub output: &'static mut Buffer,
-    /// Length of the frame in `input` that waits for the IP stack.
-    stack_length: usize,
-    sent: u32,
 }
 
 static mut INPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
@@ -101,8 +114,6 @@ impl Mac {
             regs,
             input,
             output,
-            stack_length: 0,
-            sent: 0,
         }
     }
 
@@ -176,8 +187,8 @@ impl Mac {
         self.start(COMMON, length);
     }
 
-    /// Copies the frame out of its slot for the IP stack, and gives the slot back.
-    pub fn take_for_stack(&mut self) {
+    /// Copies the frame out of its slot as bytes, and gives the slot back. Says how many there are.
+    pub fn take_bytes(&mut self) -> usize {
         let (frame, length) = self.frame();
         let length = length.min(FRAME_MAX);
         // Two slot words make a word of bytes in their order.
@@ -187,22 +198,8 @@ impl Mac {
             *word = (carry << 16 | next >> 16).swap_bytes();
             carry = next;
         }
-        self.stack_length = length;
         self.release();
-    }
-
-    /// How many frames the IP stack sent since it was last asked.
-    pub fn sent_for_stack(&mut self) -> u32 {
-        core::mem::take(&mut self.sent)
-    }
-
-    /// Frames dropped: no slot free, wrong preamble, wrong CRC.
-    pub fn errors(&self) -> [u32; 3] {
-        [
-            self.regs.sram_writer_errors().read().bits(),
-            self.regs.rx_datapath_preamble_errors().read().bits(),
-            self.regs.rx_datapath_crc_errors().read().bits(),
-        ]
+        length
     }
 
     #[inline(always)]
@@ -224,68 +221,5 @@ impl Mac {
         regs.sram_reader_length()
             .write(|w| unsafe { w.bits(length) });
         regs.sram_reader_start().write(|w| unsafe { w.bits(1) });
-    }
-}
-
-impl Device for Mac {
-    type RxToken<'a> = Received<'a>;
-    type TxToken<'a> = Transmit<'a>;
-
-    fn receive(&mut self, _now: Instant) -> Option<(Received<'_>, Transmit<'_>)> {
-        let length = core::mem::take(&mut self.stack_length);
-        let bytes = self
-            .input
-            .bytes()
-            .get(..length)
-            .filter(|bytes| !bytes.is_empty())?;
-        Some((
-            Received(bytes),
-            Transmit(&self.regs, &mut self.sent, self.output),
-        ))
-    }
-
-    fn transmit(&mut self, _now: Instant) -> Option<Transmit<'_>> {
-        Some(Transmit(&self.regs, &mut self.sent, self.output))
-    }
-
-    fn capabilities(&self) -> DeviceCapabilities {
-        let mut capabilities = DeviceCapabilities::default();
-        capabilities.medium = Medium::Ethernet;
-        capabilities.max_transmission_unit = FRAME_MAX;
-        capabilities.max_burst_size = Some(1);
-        capabilities
-    }
-}
-
-/// A frame for the IP stack.
-pub struct Received<'a>(&'a [u8]);
-
-impl RxToken for Received<'_> {
-    fn consume<R, F: FnOnce(&[u8]) -> R>(self, f: F) -> R {
-        f(self.0)
-    }
-}
-
-/// A frame from the IP stack.
-pub struct Transmit<'a>(&'a Ethmac, &'a mut u32, &'a mut Buffer);
-
-impl TxToken for Transmit<'_> {
-    fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, length: usize, f: F) -> R {
-        let Transmit(regs, sent, buffer) = self;
-        let length = length.min(FRAME_MAX);
-        let result = f(buffer.bytes().get_mut(..length).unwrap_or(&mut []));
-        while regs.sram_reader_level().read().bits() != 0 {}
-        let mut slot = Mac::tx(COMMON);
-        let mut carry = 0;
-        let words = length.div_ceil(4);
-        for (index, word) in buffer.0.iter().take(words).enumerate() {
-            let next = word.swap_bytes();
-            slot.put(index, carry << 16 | next >> 16);
-            carry = next;
-        }
-        slot.put(words, carry << 16);
-        Mac::start_on(regs, COMMON, length);
-        *sent += 1;
-        result
     }
 }

@@ -11,13 +11,12 @@ pub use mac::{Mac, RxFrame, TxSlot};
 pub use postmortem::restart;
 pub use stack::{check as check_stack, used as stack_used};
 
-use crate::app::{Memory, SocketMemory};
+use crate::app::Memory;
 use core::ptr::{read_volatile, write_volatile};
 use firmware::cores::{self, Board, Control, Gate, Ident, Led, Setting};
 use firmware::machine::BLOB_MAX;
 use firmware::{log, postmortem as record};
 use litex_pac::{Peripherals, abi};
-use smoltcp::time::Instant;
 use wire::describe::Channels;
 use wire::map::BoardConfig;
 
@@ -45,6 +44,9 @@ const _: () = {
     assert!(abi::STROBE_SAMPLE == cores::STROBE_SAMPLE);
     assert!(abi::STROBE_COMMIT_AT == cores::STROBE_COMMIT_AT);
     assert!(abi::CSR_BASE as u32 == wire::map::SERVICE);
+    assert!(abi::TRAILER_MAGIC == wire::images::Trailer::MAGIC);
+    assert!(abi::ROLE_IMAGE == wire::images::Role::Image as u32);
+    assert!(abi::ROLE_GOLDEN == wire::images::Role::Golden as u32);
     assert!(abi::STEPGEN_MAX == wire::exchange::MAX_CHANNELS);
     assert!(abi::BOARD_ROM_SIZE <= BLOB_MAX);
 };
@@ -66,16 +68,10 @@ pub struct Parts {
 /// The registers.
 pub struct Soc {
     p: Peripherals,
+    spi: hal::FlashSpi,
 }
 
 static mut MEMORY: Memory = Memory::new();
-static mut SOCKETS: SocketMemory = [smoltcp::iface::SocketStorage::EMPTY; 1];
-
-/// The sockets' memory; to be asked for once.
-pub fn sockets() -> &'static mut SocketMemory {
-    // SAFETY: called once, by `App::new`.
-    unsafe { &mut *(&raw mut SOCKETS) }
-}
 
 /// Brings the machine into a safe state, then finds out where it is. Called once, first thing.
 pub fn start() -> Parts {
@@ -83,6 +79,7 @@ pub fn start() -> Parts {
     // trap handler steal what they need again, and never come back.
     let mut soc = Soc {
         p: unsafe { Peripherals::steal() },
+        spi: hal::FlashSpi::new(unsafe { litex_pac::Flash::steal() }),
     };
     soc.control(Control::Close);
     stack::paint();
@@ -99,10 +96,10 @@ pub fn start() -> Parts {
     }
 }
 
-/// smoltcp's time.
-pub fn instant(soc: &mut Soc) -> Instant {
-    let per_us = u64::from((soc.p.ident.sys_clk_hz().read().bits() / 1_000_000).max(1));
-    Instant::from_micros((soc.now() / per_us) as i64)
+/// Milliseconds since power-up, for TCP's timers.
+pub fn milliseconds(soc: &mut Soc) -> u32 {
+    let per_ms = u64::from((soc.p.ident.sys_clk_hz().read().bits() / 1000).max(1));
+    (soc.now() / per_ms) as u32
 }
 
 fn blob_word(word: usize) -> u32 {
@@ -133,6 +130,17 @@ impl Soc {
         }
     }
 
+    /// Frames dropped: no slot free, wrong preamble, wrong CRC.
+    #[inline(always)]
+    pub fn mac_errors(&self) -> [u32; 3] {
+        let mac = &self.p.ethmac;
+        [
+            mac.sram_writer_errors().read().bits(),
+            mac.rx_datapath_preamble_errors().read().bits(),
+            mac.rx_datapath_crc_errors().read().bits(),
+        ]
+    }
+
     fn setting_address(which: Setting) -> usize {
         let (base, channel, word) = match which {
             Setting::Stepgen(n, field) => (abi::CSR_STEPGEN0, n, field as usize),
@@ -152,6 +160,30 @@ impl Soc {
 }
 
 impl Board for Soc {
+    type Spi = hal::FlashSpi;
+
+    fn spi(&mut self) -> &mut hal::FlashSpi {
+        &mut self.spi
+    }
+
+    fn trailer(&mut self) -> [u32; 4] {
+        // SAFETY: the last words of the ROM, aligned; the linker leaves them alone, so the compiler knows nothing of them.
+        unsafe { read_volatile(abi::ROM_TRAILER as *const [u32; 4]) }
+    }
+
+    fn factory_pin(&mut self) -> bool {
+        self.spi.factory_pin()
+    }
+
+    #[inline(always)]
+    fn link(&mut self) -> cores::Link {
+        let [slots, preamble, crc] = self.mac_errors();
+        cores::Link {
+            status: self.p.ethphy.rx_inband_status().read().bits(),
+            errors: slots.wrapping_add(preamble).wrapping_add(crc),
+        }
+    }
+
     fn now(&mut self) -> u64 {
         let lo = self.now_lo();
         u64::from(self.p.timebase.now_hi().read().bits()) << 32 | u64::from(lo)

@@ -1,0 +1,96 @@
+//! Being found, and told who to be, whatever the address ([`wire::discovery`]).
+//!
+//! It judges; frames are the transport's. A Set is answered when the settings lie in flash, which is later: the answer
+//! then waits ([`Waiting`]).
+
+use crate::server::Server;
+use wire::Name;
+use wire::WIRE_VERSION;
+use wire::discovery::{Body, Here, Message};
+use wire::flash::OpResult;
+use wire::settings::Settings;
+
+/// What is to be done about a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Act {
+    /// Not for us.
+    Nothing,
+    /// Send this to whoever asked.
+    Answer(Message),
+    /// Save these; the answer comes later.
+    Save(Settings),
+}
+
+/// Who waits for an answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Waiting {
+    /// The nonce of the question.
+    pub nonce: u32,
+    /// The UDP port it came from.
+    pub port: u16,
+}
+
+/// What a board is called.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Names {
+    /// The configuration.
+    pub configuration: Name,
+    /// The platform.
+    pub platform: Name,
+}
+
+/// What a board says of itself.
+pub fn here(server: &Server, us: &crate::net::Us, dhcp: bool, names: &Names) -> Here {
+    let flash = server.flash();
+    Here {
+        mac: us.mac,
+        ip: us.ip,
+        port: us.port,
+        dhcp,
+        armed: !server.safety().at_rest(),
+        owned: server.session().owner().is_some(),
+        running: flash.running(),
+        origin: flash.origin(),
+        speed: server.link().word().speed,
+        wire_version: WIRE_VERSION,
+        firmware_version: crate::VERSION,
+        build_id: flash.build_id(),
+        name: flash.settings().name,
+        configuration: names.configuration,
+        platform: names.platform,
+    }
+}
+
+/// Judges a request.
+pub fn judge(
+    message: &Message,
+    server: &Server,
+    waiting: Option<Waiting>,
+    here: impl FnOnce() -> Here,
+) -> Act {
+    let uid = server.flash().uid();
+    let answer = |body| {
+        Act::Answer(Message {
+            nonce: message.nonce,
+            uid,
+            body,
+        })
+    };
+    let any = message.uid == [0; 2];
+    match message.body {
+        Body::Who if any || message.uid == uid => answer(Body::Here(here())),
+        Body::Set(_) if any || message.uid != uid => Act::Nothing,
+        Body::Set(settings) => {
+            if !server.safety().at_rest() || server.session().owner().is_some() {
+                answer(Body::Done(OpResult::Armed))
+            } else if !server.flash().busy() {
+                Act::Save(settings)
+            } else if waiting.is_some_and(|waiting| waiting.nonce == message.nonce) {
+                Act::Nothing // asked again; the answer is on its way
+            } else {
+                answer(Body::Done(OpResult::Busy))
+            }
+        }
+        Body::Who | Body::Here(_) | Body::Done(_) => Act::Nothing,
+    }
+}

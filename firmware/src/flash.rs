@@ -1,0 +1,772 @@
+//! The SPI flash: what is in it, and one operation at a time that never waits.
+//!
+//! [`Flash::start`] is asked when a host writes the flash window's operation word, [`Flash::poll`] does a slice of it
+//! whenever there is time, and [`Flash::word`] is what the host reads until it is done. A slice is one command to the chip
+//! or [`SLICE`] bytes read: frames wait for it.
+//!
+//! It refuses to erase or program anything but the slot that is not selected ([`Layout::writable`]); settings, stubs and
+//! the chip's own protection change by operations of their own, which know what they are doing.
+
+use crate::images::{self, Step};
+use crate::settings::{self, Copies};
+use embedded_hal::spi::{Operation, SpiDevice};
+use wire::crc::Crc32;
+use wire::flash::{Area, BLOCK, Layout, Op, OpResult, OpWord, Origin, PAGE, Running, SECTOR, Slot};
+use wire::images::{META_BYTES, Meta, Trailer};
+use wire::settings::Settings;
+use wire::{map, settings as layout_of};
+
+/// Bytes read in one slice: some 0.2 ms on the softcore, a fifth of a servo period.
+pub const SLICE: u32 = 256;
+
+/// 4 s. The slowest thing a chip does is a block's erase: 2 s (W25Q32JV, GD25Q16C data sheets, maximum).
+const PATIENCE_SECONDS: u64 = 4;
+/// A selection is some forty steps at the most: a sector to clear, to erase and a stub to write. More means that the
+/// chip does not do what it is told.
+const STEPS_MAX: u8 = 60;
+
+/// Commands of every 25-series chip.
+const WRITE_STATUS: u8 = 0x01;
+const PROGRAM: u8 = 0x02;
+const READ: u8 = 0x03;
+const STATUS: u8 = 0x05;
+const WRITE_ENABLE: u8 = 0x06;
+const ERASE_SECTOR: u8 = 0x20;
+const UNIQUE_ID: u8 = 0x4b;
+const JEDEC: u8 = 0x9f;
+const ERASE_BLOCK: u8 = 0xd8;
+
+/// Status register: an erase or a program runs.
+const BUSY: u8 = 1;
+/// Status register: everything that protects: BP bits 4:2, TB, SEC (or BP3, BP4).
+const PROTECTION: u8 = 0x7c;
+
+/// A chip behind its device.
+#[derive(Debug)]
+pub struct Nor<'s, S>(pub &'s mut S);
+
+impl<S: SpiDevice> Nor<'_, S> {
+    /// One command: what is sent, what goes with it, what comes back.
+    fn command(&mut self, head: &[u8], data: &[u8], answer: &mut [u8]) -> Result<(), OpResult> {
+        let mut operations = [
+            Operation::Write(head),
+            Operation::Write(data),
+            Operation::Read(answer),
+        ];
+        let done = self.0.transaction(&mut operations);
+        done.map_err(|_| OpResult::Flash)
+    }
+
+    /// A command with an address.
+    #[inline(never)]
+    fn at(
+        &mut self,
+        command: u8,
+        address: u32,
+        data: &[u8],
+        answer: &mut [u8],
+    ) -> Result<(), OpResult> {
+        let [_, a, b, c] = address.to_be_bytes();
+        self.command(&[command, a, b, c], data, answer)
+    }
+
+    fn status(&mut self) -> Result<u8, OpResult> {
+        let mut status = [0];
+        self.command(&[STATUS], &[], &mut status)?;
+        let [status] = status;
+        Ok(status)
+    }
+
+    fn write_enable(&mut self) -> Result<(), OpResult> {
+        self.command(&[WRITE_ENABLE], &[], &mut [])
+    }
+
+    /// Reads bytes.
+    pub fn read(&mut self, address: u32, bytes: &mut [u8]) -> Result<(), OpResult> {
+        self.at(READ, address, &[], bytes)
+    }
+
+    /// Are these bytes erased?
+    pub fn blank(&mut self, address: u32, length: u32) -> Result<bool, OpResult> {
+        let mut blank = true;
+        self.each(address, length, |bytes| {
+            blank &= bytes.iter().all(|byte| *byte == 0xff);
+        })?;
+        Ok(blank)
+    }
+
+    /// Reads bytes a handful at a time.
+    fn each(
+        &mut self,
+        address: u32,
+        length: u32,
+        mut look: impl FnMut(&[u8]),
+    ) -> Result<(), OpResult> {
+        let mut chunk = [0; 64];
+        let mut done = 0;
+        while done < length {
+            let count = (length - done).min(chunk.len() as u32);
+            let bytes = chunk.get_mut(..count as usize).unwrap_or(&mut []);
+            self.read(address + done, bytes)?;
+            look(bytes);
+            done += count;
+        }
+        Ok(())
+    }
+}
+
+/// What an operation is at.
+#[derive(Clone, Copy, Debug)]
+enum Job {
+    /// Nothing left but to wait for the chip.
+    Finish,
+    /// Erased: is it?
+    Erased(u32),
+    /// Programmed: is it?
+    Programmed,
+    /// Protected: is it?
+    Protected,
+    /// Summing up.
+    Crc { at: u32, left: u32, crc: Crc32 },
+    /// Summing up the image to be selected.
+    Image {
+        slot: Slot,
+        at: u32,
+        left: u32,
+        crc: Crc32,
+        wanted: u32,
+    },
+    /// On the way to selecting it.
+    Choose { slot: Slot, steps: u8 },
+    /// Settings to be saved: into an erased sector, or erased already.
+    Save { settings: Settings, copy: u32 },
+    /// Saved: are they?
+    Saved { settings: Settings, copy: u32 },
+    /// Copies to be erased, the older one first.
+    Forget { copy: u32, left: u8 },
+}
+
+/// The flash and the operation that runs on it.
+#[derive(Clone, Debug)]
+pub struct Flash {
+    jedec: u32,
+    uid: [u32; 2],
+    layout: Option<Layout>,
+    protected: bool,
+    trailer: Trailer,
+    idcode: Option<u32>,
+    selected: Option<Slot>,
+    running: Running,
+    settings: Settings,
+    origin: Origin,
+    word: OpWord,
+    address: u32,
+    length: u32,
+    crc: u32,
+    buffer: [u8; PAGE as usize],
+    job: Job,
+    /// When the chip was told to erase or program; it is looked at until it is ready.
+    waiting: Option<u64>,
+}
+
+impl Default for Flash {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Flash {
+    /// No flash.
+    pub const fn new() -> Self {
+        Flash {
+            jedec: 0,
+            uid: [0; 2],
+            layout: None,
+            protected: false,
+            trailer: Trailer::NONE,
+            idcode: None,
+            selected: None,
+            running: Running::Volatile,
+            settings: Settings::BUILT_IN,
+            origin: Origin::BuiltIn,
+            word: OpWord::IDLE,
+            address: 0,
+            length: 0,
+            crc: 0,
+            buffer: [0xff; PAGE as usize],
+            job: Job::Finish,
+            waiting: None,
+        }
+    }
+
+    /// Finds out what is there and which settings are in force: the newest saved ones, or `built_in` when there are
+    /// none or the factory pin is active. An operation the last start left running is waited for.
+    pub fn start<S: SpiDevice>(
+        &mut self,
+        spi: &mut S,
+        trailer: Trailer,
+        idcode: Option<u32>,
+        built_in: Settings,
+        factory_pin: bool,
+    ) {
+        self.trailer = trailer;
+        self.idcode = idcode;
+        self.settings = built_in;
+        let mut nor = Nor(spi);
+        if self.identify(&mut nor).is_err() {
+            self.layout = None;
+        }
+        if let Some(layout) = self.layout {
+            if let Ok(Some((settings, copy))) =
+                settings::load(&mut nor, &layout).map(Copies::newest)
+            {
+                self.origin = if factory_pin {
+                    Origin::FactoryPin
+                } else {
+                    self.settings = settings;
+                    [Origin::Copy0, Origin::Copy1][copy as usize & 1]
+                };
+            } else if factory_pin {
+                self.origin = Origin::FactoryPin;
+            }
+        }
+        if self.settings.mac == [0; 6] && self.uid != [0; 2] {
+            self.settings.mac = layout_of::mac_of_uid(self.uid);
+        }
+    }
+
+    fn identify<S: SpiDevice>(&mut self, nor: &mut Nor<S>) -> Result<(), OpResult> {
+        // All ones is nobody; a chip that is busy would not tell its name either.
+        let mut looks = 0u32;
+        while nor.status()? & BUSY != 0 && looks < LOOKS_MAX {
+            if nor.status()? == 0xff {
+                return Ok(());
+            }
+            looks += 1;
+        }
+        let mut id = [0; 3];
+        nor.command(&[JEDEC], &[], &mut id)?;
+        let [a, b, c] = id;
+        let jedec = u32::from_be_bytes([0, a, b, c]);
+        if matches!(jedec, 0 | 0xff_ffff) {
+            return Ok(());
+        }
+        self.jedec = jedec;
+        let mut uid = [0; 8];
+        nor.command(&[UNIQUE_ID, 0, 0, 0, 0], &[], &mut uid)?;
+        let uid = u64::from_be_bytes(uid);
+        if uid != u64::MAX {
+            self.uid = [(uid >> 32) as u32, uid as u32];
+        }
+        self.layout = Layout::of_jedec(jedec);
+        if let Some(layout) = self.layout {
+            self.protected = is_protected(nor, &layout)?;
+            self.look(nor, &layout)?;
+        }
+        Ok(())
+    }
+
+    /// Which slot is selected, and so, which image runs.
+    fn look<S: SpiDevice>(&mut self, nor: &mut Nor<S>, layout: &Layout) -> Result<(), OpResult> {
+        self.selected = images::selected(nor, layout)?;
+        // What runs does not change by selecting; this is asked once, at start.
+        let selected = match self.selected {
+            Some(slot) => meta(nor, layout.slot(slot))?.map(|meta| (slot, meta.build_id)),
+            None => None,
+        };
+        self.running = self.trailer.running(selected);
+        Ok(())
+    }
+
+    /// Its JEDEC id, 0 if there is no flash.
+    pub fn jedec(&self) -> u32 {
+        self.jedec
+    }
+
+    /// Its unique id.
+    pub fn uid(&self) -> [u32; 2] {
+        self.uid
+    }
+
+    /// What lies where, if that is known.
+    pub fn layout(&self) -> Option<&Layout> {
+        self.layout.as_ref()
+    }
+
+    /// Does the flash itself protect the golden image, and only that?
+    pub fn protected(&self) -> bool {
+        self.protected
+    }
+
+    /// Build id of what runs.
+    pub fn build_id(&self) -> u32 {
+        self.trailer.build_id
+    }
+
+    /// Which image runs.
+    pub fn running(&self) -> Running {
+        self.running
+    }
+
+    /// The slot that loads at the next power-up.
+    pub fn selected(&self) -> Option<Slot> {
+        self.selected
+    }
+
+    /// The settings in force.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Where they are from.
+    pub fn origin(&self) -> Origin {
+        self.origin
+    }
+
+    /// The operation word.
+    pub fn word(&self) -> OpWord {
+        self.word
+    }
+
+    /// Does an operation run?
+    #[inline]
+    pub fn busy(&self) -> bool {
+        self.word.busy
+    }
+
+    /// A word of the flash window, by byte address; the link and the address in force are not known here.
+    pub fn read_word(&self, address: u32) -> u32 {
+        let [uid_hi, uid_lo] = self.uid;
+        match address {
+            map::FLASH_OP => self.word.to_word(),
+            map::FLASH_ADDRESS => self.address,
+            map::FLASH_OP_LENGTH => self.length,
+            map::FLASH_CRC => self.crc,
+            map::FLASH_JEDEC => self.jedec,
+            map::FLASH_UID_HI => uid_hi,
+            map::FLASH_UID_LO => uid_lo,
+            map::FLASH_SIZE => self.layout.map_or(0, |layout| layout.size),
+            map::FLASH_RUNNING => self.running.code(),
+            map::FLASH_SELECTED => self.selected.map_or(0, Slot::code),
+            map::FLASH_BUILD_ID => self.trailer.build_id,
+            map::FLASH_ORIGIN => self.origin.code(),
+            map::FLASH_PROTECTED => u32::from(self.protected),
+            map::FLASH_BUFFER..map::FLASH_SETTINGS => {
+                let word = (address - map::FLASH_BUFFER) as usize / 4;
+                let word = self.buffer.as_chunks::<4>().0.get(word);
+                word.map_or(0, |bytes| u32::from_be_bytes(*bytes))
+            }
+            map::FLASH_SETTINGS.. => {
+                let word = (address - map::FLASH_SETTINGS) as usize / 4;
+                let words = self.settings.blanked().to_words();
+                words.get(word).copied().unwrap_or(0)
+            }
+            _ => 0,
+        }
+    }
+
+    /// May this word be written at all, and with this value? Nothing is said about who asks, or when.
+    pub fn check_write(address: u32, value: u32) -> Result<(), wire::Refusal> {
+        match address {
+            map::FLASH_OP if Op::from_code(value).is_none() => Err(wire::Refusal::Value),
+            map::FLASH_OP | map::FLASH_ADDRESS | map::FLASH_OP_LENGTH => Ok(()),
+            map::FLASH_BUFFER..map::FLASH_SETTINGS => Ok(()),
+            _ => Err(wire::Refusal::ReadOnly),
+        }
+    }
+
+    /// Writes a word of the window; [`Flash::check_write`] said yes and no operation runs.
+    pub fn write_word<S: SpiDevice>(&mut self, spi: &mut S, address: u32, value: u32) {
+        match address {
+            map::FLASH_ADDRESS => self.address = value,
+            map::FLASH_OP_LENGTH => self.length = value,
+            map::FLASH_OP => {
+                if let Some(op) = Op::from_code(value) {
+                    self.start_op(spi, op);
+                }
+            }
+            _ => {
+                let word = (address.wrapping_sub(map::FLASH_BUFFER) / 4) as usize;
+                if let Some(bytes) = self.buffer.as_chunks_mut::<4>().0.get_mut(word) {
+                    *bytes = value.to_be_bytes();
+                }
+            }
+        }
+    }
+
+    /// Starts an operation, as [`Flash::write_word`] does.
+    pub fn start_op<S: SpiDevice>(&mut self, spi: &mut S, op: Op) {
+        let begun = self.begin(&mut Nor(spi), op);
+        self.begun(op, begun);
+    }
+
+    /// Starts saving these settings, for somebody who has them not in the buffer.
+    pub fn start_save<S: SpiDevice>(&mut self, spi: &mut S, settings: Settings) {
+        let begun = self.save(&mut Nor(spi), settings);
+        self.begun(Op::SaveSettings, begun);
+    }
+
+    fn begun(&mut self, op: Op, begun: Result<bool, OpResult>) {
+        let result = match begun {
+            Ok(true) => OpResult::Busy,
+            Ok(false) => OpResult::Ok,
+            Err(why) => why,
+        };
+        self.word = OpWord {
+            busy: result == OpResult::Busy,
+            result,
+            op: Some(op),
+        };
+    }
+
+    /// Does the next slice of the operation that runs. True if that was the last.
+    #[inline(never)]
+    pub fn poll<S: SpiDevice>(&mut self, spi: &mut S, now: u64, clock_hz: u32) -> bool {
+        if !self.word.busy {
+            return false;
+        }
+        let patience = PATIENCE_SECONDS * u64::from(clock_hz);
+        self.word.result = match self.slice(&mut Nor(spi), now, patience) {
+            Ok(true) => return false,
+            Ok(false) => OpResult::Ok,
+            Err(why) => why,
+        };
+        self.word.busy = false;
+        self.waiting = None;
+        true
+    }
+
+    /// Checks what is asked and does the first step; is there more to do?
+    fn begin<S: SpiDevice>(&mut self, nor: &mut Nor<S>, op: Op) -> Result<bool, OpResult> {
+        let (address, length) = (self.address, self.length);
+        let layout = self.known()?;
+        let whole = Area {
+            start: 0,
+            end: layout.size,
+        };
+        let paged = (1..=PAGE).contains(&length);
+        match op {
+            Op::Read => {
+                let bytes = self.buffer.get_mut(..length as usize).filter(|_| paged);
+                let bytes = bytes.ok_or(OpResult::Value)?;
+                if !whole.contains(address, length) {
+                    return Err(OpResult::Address);
+                }
+                nor.read(address, bytes)?;
+                Ok(false)
+            }
+            Op::Crc => {
+                if !whole.contains(address, length) {
+                    return Err(OpResult::Address);
+                }
+                self.job = Job::Crc {
+                    at: address,
+                    left: length,
+                    crc: Crc32::new(),
+                };
+                Ok(true)
+            }
+            Op::EraseSector | Op::EraseBlock => {
+                let (size, command) = match op {
+                    Op::EraseSector => (SECTOR, ERASE_SECTOR),
+                    _ => (BLOCK, ERASE_BLOCK),
+                };
+                if !address.is_multiple_of(size) || !layout.writable(self.selected, address, size) {
+                    return Err(OpResult::Address);
+                }
+                self.erase(nor, command, address)?;
+                self.job = Job::Erased(address);
+                Ok(true)
+            }
+            Op::Program => {
+                if !paged {
+                    return Err(OpResult::Value);
+                }
+                let inside = address % PAGE + length <= PAGE;
+                if !inside || !layout.writable(self.selected, address, length) {
+                    return Err(OpResult::Address);
+                }
+                nor.write_enable()?;
+                let bytes = self.buffer.get(..length as usize).unwrap_or(&[]);
+                nor.at(PROGRAM, address, bytes, &mut [])?;
+                self.wait();
+                self.job = Job::Programmed;
+                Ok(true)
+            }
+            Op::Select => {
+                let slot = Slot::from_code(address).ok_or(OpResult::Value)?;
+                let area = layout.slot(slot);
+                let meta = meta(nor, area)?.ok_or(OpResult::Image)?;
+                if self.idcode.is_some_and(|ours| ours != meta.idcode) {
+                    return Err(OpResult::Image);
+                }
+                self.job = Job::Image {
+                    slot,
+                    at: area.start,
+                    left: meta.length,
+                    crc: Crc32::new(),
+                    wanted: meta.crc,
+                };
+                Ok(true)
+            }
+            Op::SaveSettings => {
+                let mut words = [0; layout_of::WORDS];
+                for (word, bytes) in words.iter_mut().zip(self.buffer.as_chunks().0) {
+                    *word = u32::from_be_bytes(*bytes);
+                }
+                let settings = Settings::parse(&words).map_err(|_| OpResult::Value)?;
+                self.save(nor, settings)
+            }
+            Op::ForgetSettings => {
+                let copy = settings::load(nor, &layout)?.older();
+                self.job = Job::Forget { copy, left: 2 };
+                Ok(true)
+            }
+            Op::Protect => {
+                nor.write_enable()?;
+                nor.command(&[WRITE_STATUS, layout.protect_bits() << 2], &[], &mut [])?;
+                self.wait();
+                self.job = Job::Protected;
+                Ok(true)
+            }
+        }
+    }
+
+    fn known(&self) -> Result<Layout, OpResult> {
+        self.layout.ok_or(if self.jedec == 0 {
+            OpResult::NoFlash
+        } else {
+            OpResult::Flash
+        })
+    }
+
+    /// Settings go to the copy that is not the newest; those that are saved already are not written again.
+    fn save<S: SpiDevice>(
+        &mut self,
+        nor: &mut Nor<S>,
+        mut settings: Settings,
+    ) -> Result<bool, OpResult> {
+        let layout = self.known()?;
+        let copies = settings::load(nor, &layout)?;
+        let copy = copies.older();
+        if let Some((newest, _)) = copies.newest() {
+            settings.sequence = newest.sequence;
+            if settings.keep_key {
+                settings.key = newest.key;
+            }
+            settings.keep_key = false;
+            if settings == newest {
+                return Ok(false);
+            }
+        }
+        settings.keep_key = false;
+        settings.sequence = settings.sequence.wrapping_add(1);
+        self.erase(nor, ERASE_SECTOR, layout.settings_copy(copy))?;
+        self.job = Job::Save { settings, copy };
+        Ok(true)
+    }
+
+    fn erase<S: SpiDevice>(
+        &mut self,
+        nor: &mut Nor<S>,
+        command: u8,
+        address: u32,
+    ) -> Result<(), OpResult> {
+        nor.write_enable()?;
+        nor.at(command, address, &[], &mut [])?;
+        self.wait();
+        Ok(())
+    }
+
+    fn program<S: SpiDevice>(
+        &mut self,
+        nor: &mut Nor<S>,
+        address: u32,
+        bytes: &[u8],
+    ) -> Result<(), OpResult> {
+        nor.write_enable()?;
+        nor.at(PROGRAM, address, bytes, &mut [])?;
+        self.wait();
+        Ok(())
+    }
+
+    fn wait(&mut self) {
+        // The next slice notes when it began.
+        self.waiting = Some(u64::MAX);
+    }
+
+    /// One slice; is there more to do?
+    fn slice<S: SpiDevice>(
+        &mut self,
+        nor: &mut Nor<S>,
+        now: u64,
+        patience: u64,
+    ) -> Result<bool, OpResult> {
+        if let Some(since) = self.waiting {
+            let since = if since == u64::MAX { now } else { since };
+            if nor.status()? & BUSY != 0 {
+                self.waiting = Some(since);
+                return if now.wrapping_sub(since) < patience {
+                    Ok(true)
+                } else {
+                    Err(OpResult::Flash)
+                };
+            }
+            self.waiting = None;
+        }
+        let layout = self.known()?;
+        match self.job {
+            Job::Finish => Ok(false),
+            // A chip that protects a sector says nothing; its first bytes do.
+            Job::Erased(address) => done(nor.blank(address, 64)?),
+            Job::Programmed => {
+                let mut same = true;
+                let mut rest = self.buffer.as_slice();
+                nor.each(self.address, self.length, |bytes| {
+                    let (head, tail) = rest.split_at_checked(bytes.len()).unwrap_or((&[], &[]));
+                    same &= head == bytes;
+                    rest = tail;
+                })?;
+                done(same)
+            }
+            Job::Protected => {
+                self.protected = is_protected(nor, &layout)?;
+                done(self.protected)
+            }
+            Job::Crc {
+                mut at,
+                mut left,
+                mut crc,
+            } => {
+                sum(nor, &mut at, &mut left, &mut crc)?;
+                self.job = Job::Crc { at, left, crc };
+                self.crc = crc.value();
+                Ok(left > 0)
+            }
+            Job::Image {
+                slot,
+                mut at,
+                mut left,
+                mut crc,
+                wanted,
+            } => {
+                sum(nor, &mut at, &mut left, &mut crc)?;
+                self.job = Job::Image {
+                    slot,
+                    at,
+                    left,
+                    crc,
+                    wanted,
+                };
+                if left == 0 {
+                    if crc.value() != wanted {
+                        return Err(OpResult::Image);
+                    }
+                    self.job = Job::Choose { slot, steps: 0 };
+                }
+                Ok(true)
+            }
+            Job::Choose { slot, steps } => {
+                let step = images::next(nor, &layout, slot)?;
+                if steps >= STEPS_MAX {
+                    return Err(OpResult::Flash);
+                }
+                self.job = Job::Choose {
+                    slot,
+                    steps: steps + 1,
+                };
+                match step {
+                    Step::Done => {
+                        self.selected = Some(slot);
+                        return Ok(false);
+                    }
+                    Step::Program(address, bytes) => self.program(nor, address, bytes)?,
+                    Step::Body(address, slot) => {
+                        self.program(nor, address, &images::body(&layout, slot))?;
+                    }
+                    Step::Erase(address) => self.erase(nor, ERASE_SECTOR, address)?,
+                }
+                Ok(true)
+            }
+            Job::Save { settings, copy } => {
+                let mut bytes = [0; layout_of::WORDS * 4];
+                wire::words_to_bytes(&settings.to_words(), &mut bytes);
+                self.program(nor, layout.settings_copy(copy), &bytes)?;
+                self.job = Job::Saved { settings, copy };
+                Ok(true)
+            }
+            Job::Saved { settings, copy } => {
+                let copies = settings::load(nor, &layout)?;
+                done(copies.newest() == Some((settings, copy)))
+            }
+            Job::Forget { copy, left } => {
+                if left == 0 {
+                    return done(settings::load(nor, &layout)?.newest().is_none());
+                }
+                self.erase(nor, ERASE_SECTOR, layout.settings_copy(copy))?;
+                self.job = Job::Forget {
+                    copy: 1 - copy,
+                    left: left - 1,
+                };
+                Ok(true)
+            }
+        }
+    }
+}
+
+/// How often a chip that was busy at start is looked at: 300 clocks a look, some 4 s.
+const LOOKS_MAX: u32 = 800_000;
+
+fn done(well: bool) -> Result<bool, OpResult> {
+    if well {
+        Ok(false)
+    } else {
+        Err(OpResult::Flash)
+    }
+}
+
+/// Sums up a slice.
+fn sum<S: SpiDevice>(
+    nor: &mut Nor<S>,
+    at: &mut u32,
+    left: &mut u32,
+    crc: &mut Crc32,
+) -> Result<(), OpResult> {
+    let count = SLICE.min(*left);
+    nor.each(*at, count, |bytes| crc.update(bytes))?;
+    *at += count;
+    *left -= count;
+    Ok(())
+}
+
+fn is_protected<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout) -> Result<bool, OpResult> {
+    Ok(nor.status()? & PROTECTION == layout.protect_bits() << 2)
+}
+
+fn meta<S: SpiDevice>(nor: &mut Nor<S>, area: Area) -> Result<Option<Meta>, OpResult> {
+    let mut page = [0; META_BYTES];
+    nor.read(area.meta(), &mut page)?;
+    Ok(Meta::from_page(&page, area))
+}
+
+/// Where there is no flash: nothing ever answers.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoFlash;
+
+impl embedded_hal::spi::ErrorType for NoFlash {
+    type Error = core::convert::Infallible;
+}
+
+impl SpiDevice for NoFlash {
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Self::Error> {
+        for operation in operations {
+            if let Operation::Read(bytes) | Operation::Transfer(bytes, _) = operation {
+                bytes.fill(0xff);
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,45 @@
+//! The two copies of the settings in flash, and which of them counts.
+//!
+//! The newest whole one does. Saving and forgetting begin with the other, so that whatever is cut short leaves
+//! one that is whole ([`crate::flash`] does the writing).
+
+use crate::flash::Nor;
+use embedded_hal::spi::SpiDevice;
+use wire::flash::{Layout, OpResult};
+use wire::settings::{Settings, WORDS};
+
+/// What the two sectors hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Copies([Option<Settings>; 2]);
+
+/// Reads both.
+pub fn load<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout) -> Result<Copies, OpResult> {
+    let mut copies = [None; 2];
+    for (copy, place) in (0..).zip(&mut copies) {
+        let mut bytes = [0; WORDS * 4];
+        let mut words = [0; WORDS];
+        nor.read(layout.settings_copy(copy), &mut bytes)?;
+        for (word, bytes) in words.iter_mut().zip(bytes.as_chunks().0) {
+            *word = u32::from_be_bytes(*bytes);
+        }
+        *place = Settings::parse(&words).ok();
+    }
+    Ok(Copies(copies))
+}
+
+impl Copies {
+    /// The newest whole copy, and which one it is.
+    pub fn newest(self) -> Option<(Settings, u32)> {
+        match self.0 {
+            [Some(a), Some(b)] if b.newer_than(&a) => Some((b, 1)),
+            [Some(a), _] => Some((a, 0)),
+            [None, Some(b)] => Some((b, 1)),
+            [None, None] => None,
+        }
+    }
+
+    /// The copy to write or erase first: not the newest.
+    pub fn older(self) -> u32 {
+        self.newest().map_or(0, |(_, copy)| 1 - copy)
+    }
+}
