@@ -167,7 +167,7 @@ LITEX_PROSE = {
     ("ethmac", "rx_datapath_preamble_errors"): "Frames dropped for a wrong preamble, a count.",
     ("ethmac", "rx_datapath_crc_errors"): "Frames dropped for a wrong FCS, a count.",
     ("ethphy", "crg_reset"): "1 resets the PHY. Never write it: this PHY makes the FPGA's clock. One bit.",
-    ("ethphy", "rx_inband_status"): "What the PHY says about its link: bit 0 up, bits 2:1 speed (2 is 1000 Mbit/s), bit 3 full duplex.",
+    ("ethphy", "rx_inband_status"): "What the PHY says about its link: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock.",
     ("ethphy", "mdio_w"): "Lines to the PHY's management port: bit 0 clock, bit 1 output enable, bit 2 data.",
     ("ethphy", "mdio_r"): "Data line from the PHY's management port, one bit.",
 }

@@ -1633,7 +1633,7 @@ pub mod ethphy {
         pub const fn crg_reset(&self) -> &CrgReset {
             &self.crg_reset
         }
-        #[doc = "0x04 - What the PHY says about its link: bit 0 up, bits 2:1 speed (2 is 1000 Mbit/s), bit 3 full duplex."]
+        #[doc = "0x04 - What the PHY says about its link: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock."]
         #[inline(always)]
         pub const fn rx_inband_status(&self) -> &RxInbandStatus {
             &self.rx_inband_status
@@ -1678,10 +1678,10 @@ pub mod ethphy {
         #[doc = "`reset()` method sets CRG_RESET to value 0"]
         impl crate::Resettable for CrgResetSpec {}
     }
-    #[doc = "RX_INBAND_STATUS (r) register accessor: What the PHY says about its link: bit 0 up, bits 2:1 speed (2 is 1000 Mbit/s), bit 3 full duplex.\n\nYou can [`read`](crate::Reg::read) this register and get [`rx_inband_status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@rx_inband_status`] module"]
+    #[doc = "RX_INBAND_STATUS (r) register accessor: What the PHY says about its link: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock.\n\nYou can [`read`](crate::Reg::read) this register and get [`rx_inband_status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@rx_inband_status`] module"]
     #[doc(alias = "RX_INBAND_STATUS")]
     pub type RxInbandStatus = crate::Reg<rx_inband_status::RxInbandStatusSpec>;
-    #[doc = "What the PHY says about its link: bit 0 up, bits 2:1 speed (2 is 1000 Mbit/s), bit 3 full duplex."]
+    #[doc = "What the PHY says about its link: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock."]
     pub mod rx_inband_status {
         #[doc = "Register `RX_INBAND_STATUS` reader"]
         pub type R = crate::R<RxInbandStatusSpec>;
@@ -1708,7 +1708,7 @@ pub mod ethphy {
                 DuplexStatusR::new(((self.bits >> 3) & 1) != 0)
             }
         }
-        #[doc = "What the PHY says about its link: bit 0 up, bits 2:1 speed (2 is 1000 Mbit/s), bit 3 full duplex.\n\nYou can [`read`](crate::Reg::read) this register and get [`rx_inband_status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "What the PHY says about its link: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock.\n\nYou can [`read`](crate::Reg::read) this register and get [`rx_inband_status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct RxInbandStatusSpec;
         impl crate::RegisterSpec for RxInbandStatusSpec {
             type Ux = u32;
