@@ -5,10 +5,10 @@
 // believed when it was the same for 8 clocks, and followed only while it says that the link is up: a PHY which never tells
 // stays at 1000.
 //
-//   1000         clk   _/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_     100, 10      clk   _/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_
-//                rise  --X d | 5 | a | 1 X-status                 rise  --X 5 | d | 1 | a X-status
-//                fall  --X 5 | 5 | b | 2 X-status                 byte          d5      a1
-//                byte    5d? 55  ba  21
+//   1000         clk   _/‾\_/‾\_/‾\_/‾\_         100, 10      clk   _/‾\_/‾\_/‾\_/‾\_
+//                rise  --X 5 | a | 1 X-status                 rise  --X 5 | d | 1 | a X-status
+//                fall  --X d | b | 2 X-status                 byte          d5      a1
+//                byte    d5  ba  21
 //
 // Where a byte begins below 1000 is known once the SFD (5, d) has been seen, however many nibbles of the preamble the PHY
 // has lost. A nibble too many at the end is dropped, as 802.3 wants it. The byte before is held back until the next is whole
