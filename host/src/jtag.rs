@@ -21,6 +21,8 @@ use std::process::{Command, Stdio};
 
 /// FTDI's single-channel chip: the cable most of these boards were flashed with.
 pub const DEFAULT_CABLE: &str = "ft232";
+/// The bits of an FPGA's id that every version shows.
+const ID_SHOWN: u32 = 0x0fff_ffff;
 /// Of what it said last, this much is worth showing.
 const SAID_MOST: usize = 400;
 
@@ -58,6 +60,8 @@ pub enum JtagError {
         /// The board's.
         board: u32,
     },
+    /// The FPGA answers, but not as one that wants to be configured.
+    Configuration,
     /// The flash keeps its write protection.
     Protected,
     /// The flash does not answer.
@@ -116,6 +120,9 @@ impl core::fmt::Display for JtagError {
                 "the file is for {} ({file:#010x}), the board has {} ({board:#010x}); take the file of this board's platform",
                 fpga_name(*file),
                 fpga_name(*board)
+            ),
+            JtagError::Configuration => f.write_str(
+                "the FPGA answers but does not let itself be configured; power the board off and on, and use shorter wires or a slower cable (--freq) if it stays so",
             ),
             JtagError::Protected => f.write_str(
                 "the flash is write-protected and does not let go; look whether its WP pin is tied low, and power the board off and on before the next try",
@@ -186,9 +193,16 @@ impl Loader {
     }
 
     /// Refuses any FPGA but this.
+    ///
+    /// Version 0.10 shows ids without their upper four bits, which tell a 12F from a 25F of the same die. Then the
+    /// rest has to do; for a bitstream openFPGALoader compares the whole id by itself.
     pub fn expect(&self, file: u32) -> Result<(), JtagError> {
         match self.detect()? {
-            board if board == file => Ok(()),
+            board if board == file || board == file & ID_SHOWN => Ok(()),
+            board if board & !ID_SHOWN == 0 => Err(JtagError::WrongFpga {
+                file,
+                board: board | file & !ID_SHOWN,
+            }),
             board => Err(JtagError::WrongFpga { file, board }),
         }
     }
@@ -281,12 +295,13 @@ impl Loader {
             .wait()
             .map_err(|error| JtagError::NotStarted(error.to_string()))?;
         let complaints = complaints.join().unwrap_or_default();
-        match self.understand(&complaints, &out) {
-            Some(error) if !status.success() => Err(error),
-            None if !status.success() => Err(JtagError::Failed(last_words(&complaints, &out))),
-            // 0.10 ends with success when a verification failed.
-            Some(error @ JtagError::Verify(_)) => Err(error),
-            _ => Ok(out),
+        // A step that failed is not always in its exit code: a verification in 0.10, reading the flash.
+        let failed = complaints.contains("FAIL") || complaints.contains("erification failed");
+        match status.success() && !failed {
+            true => Ok(out),
+            false => Err(self
+                .understand(&complaints, &out)
+                .unwrap_or_else(|| JtagError::Failed(last_words(&complaints, &out)))),
         }
     }
 
@@ -340,6 +355,8 @@ impl Loader {
             "Failed to read flash",
         ]) {
             Some(JtagError::NoFlash)
+        } else if said("displayReadReg") {
+            Some(JtagError::Configuration)
         } else if any(&[
             "no device found",
             "TDO is stuck",

@@ -9,6 +9,8 @@ case "$*" in
 esac
 last() { for last in "$@"; do :; done; echo "$last"; }
 bar() { printf '\r%s: [%-50s] %s%%' "$1" "====" "$2"; }
+# An FPGA that does not want to be configured: a register, then FAIL on stderr.
+stubborn() { printf 'Enable configuration: displayReadReg\n\tConfig Target Selection : 0\n\tNo err\n'; echo FAIL >&2; }
 found() { printf 'index 0:\n\tidcode 0x%s\n\tmanufacturer lattice\n\tfamily ECP5\n\tmodel  %s\n\tirlength 8\n' "$1" "$2"; }
 case "$FAKE" in
 no-cable) # 0.10
@@ -47,18 +49,24 @@ esac
 case "$*" in
 *--detect*)
     case "$FAKE" in
-    wrong-fpga) found 41112043 LFE5U-45 ;;
-    *) found 41111043 LFE5U-25 ;;
+    wrong-fpga) found 1112043 LFE5UM-45 ;; # 0.10 shows no upper four bits
+    wrong-fpga-1.0) found 41112043 LFE5U-45 ;;
+    fine-1.0 | same-die) found 41111043 LFE5U-25 ;;
+    *) found 1111043 LFE5UM-25 ;;
     esac
     exit 0 ;;
 *--dump-flash*)
+    # 0.10 calls this a success.
+    [ "$FAKE" = stubborn ] && { stubborn; exit 0; }
     printf 'dump flash (May take time)\nOpen dump file DONE\n'
     bar 'Read flash ' 50.00; bar 'Read flash ' 100.00
     cp "$FAKE_FLASH" "$(last "$@")"
     printf '\nDone\n'
     exit 0 ;;
 *-f*--unprotect-flash*)
-    printf 'Open file DONE\nParse file DONE\nEnable configuration: DONE\nSRAM erase: DONE\n'
+    printf 'Open file DONE\nParse file DONE\n'
+    [ "$FAKE" = stubborn ] && { stubborn; echo 'Error: Failed to program FPGA: std::exception' >&2; exit 1; }
+    printf 'Enable configuration: DONE\nSRAM erase: DONE\n'
     printf 'JEDEC ID: 0xef4016\nDetected: Winbond W25Q32 64 sectors size: 32Mb\n'
     case "$FAKE" in
     protected)
@@ -83,7 +91,14 @@ case "$*" in
     printf 'Refresh: DONE\n'
     exit 0 ;;
 *-m*)
-    printf 'Open file: DONE\nParse file: DONE\nEnable configuration: DONE\nSRAM erase: DONE\n'
+    printf 'Open file: DONE\nParse file: DONE\n'
+    if [ "$FAKE" = same-die ]; then
+        printf "mismatch between target's idcode and bitstream idcode\n" >&2
+        printf '\tbitstream has 0x41111043 hardware requires 0x21111043\n' >&2
+        echo 'Error: Failed to program FPGA: std::exception' >&2
+        exit 1
+    fi
+    printf 'Enable configuration: DONE\nSRAM erase: DONE\n'
     if [ "$FAKE" = odd ]; then
         echo 'FAIL: the moon is in the wrong house' >&2
         exit 1

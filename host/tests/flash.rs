@@ -77,6 +77,8 @@ impl Bench {
 #[test]
 fn load_asks_who_is_there_and_then_loads() {
     let bench = Bench::new("load");
+    bench.answer("fine-1.0", &["load", "mill6.bit"]);
+    std::fs::remove_file(bench.path("log")).unwrap();
     let said = bench.answer("fine", &["load", "mill6.bit"]);
     assert!(
         said.contains("mill6 on 5a-75b-8.0, build 00000001"),
@@ -171,6 +173,14 @@ fn every_usual_failure_has_its_own_sentence() {
         ("protected", "write", "write-protected"),
         ("stays-protected", "write", "write-protected"),
         ("no-flash", "write", "its flash does not"),
+        (
+            "wrong-fpga-1.0",
+            "load",
+            "the board has LFE5U-45F (0x41112043)",
+        ),
+        ("same-die", "load", "the board has LFE5U-12F (0x21111043)"),
+        ("stubborn", "write", "does not let itself be configured"),
+        ("stubborn", "verify", "does not let itself be configured"),
         ("verify", "write", "Verification failed at 4096"),
         ("odd", "load", "the moon is in the wrong house"),
     ] {
