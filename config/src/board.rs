@@ -697,13 +697,13 @@ fn channel(
     if !channel.pins.is_empty() {
         for key in class.pins().iter().filter(|key| needs(&channel, key)) {
             if channel.pin(key.0).is_none() {
-                let (other, pin) = &channel.pins[0];
-                let remedy = match key.0.strip_suffix("_n") {
-                    _ if other.strip_suffix("_n") == Some(key.0) => format!(
-                        "{other} = {pin:?} is its inverted copy; write {} too",
-                        key.0
-                    ),
-                    _ => format!("write it, as in {} = \"j1:0\"", key.0),
+                let other = channel.pins[0].0;
+                let copy = format!("{}_n", key.0);
+                let remedy = match channel.pin(&copy) {
+                    Some(pin) => {
+                        format!("{copy} = {pin:?} is its inverted copy; write {} too", key.0)
+                    }
+                    None => format!("write it, as in {} = \"j1:0\"", key.0),
                 };
                 return Err(at.error(
                     key.0,

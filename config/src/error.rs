@@ -20,7 +20,7 @@ impl Place {
         let before = &text[..end.unwrap_or(0)];
         let line_start = before.rfind('\n').map_or(0, |at| at + 1);
         Place {
-            line: before.matches('\n').count() + 1,
+            line: before.bytes().filter(|byte| *byte == b'\n').count() + 1,
             column: before[line_start..].chars().count() + 1,
         }
     }

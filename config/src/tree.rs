@@ -455,10 +455,10 @@ fn list(keys: &[Key]) -> String {
     names.join(", ")
 }
 
-/// What somebody may have meant: at most two letters away, and less than half of the word.
+/// What somebody may have meant: at most two letters away, and at most half of the word.
 pub fn nearest<'w>(word: &str, known: impl Iterator<Item = &'w str>) -> Option<&'w str> {
     let near = known.map(|name| (distance(word, name), name)).min()?;
-    (near.0 <= 2 && near.0 * 2 < near.1.len().max(2)).then_some(near.1)
+    (near.0 <= 2 && near.0 * 2 <= near.1.len()).then_some(near.1)
 }
 
 fn distance(a: &str, b: &str) -> usize {

@@ -558,8 +558,8 @@ fn stepgen(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
     if let Some(name) = table.text("index_pin") {
         pins.push(("index", pin(&table, "index_pin", name)?));
     }
-    if at.flag("soft_stop") == Some(false) {
-        draft.notes.push(format!("{} = false has no counterpart: when the host is lost every step generator comes to rest at its own acceleration limit (docs/safety.md).", at.key("soft_stop")));
+    if at.flag("soft_stop") != Some(true) {
+        draft.hard_stops.push(at.key(""));
     }
     push(draft, Class::Stepgen, at, channel(Class::Stepgen, pins));
     Ok(())

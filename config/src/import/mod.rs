@@ -35,6 +35,8 @@ struct Draft<'p> {
     platforms: &'p dyn Platforms,
     board: Board,
     notes: Vec<String>,
+    /// LiteX-CNC's step generators that stop at once.
+    hard_stops: Vec<String>,
     /// Key of ours, their key, its place.
     origins: Vec<(String, String, Option<Place>)>,
 }
@@ -82,6 +84,7 @@ impl<'p> Draft<'p> {
             platforms,
             board,
             notes: Vec::new(),
+            hard_stops: Vec::new(),
             origins: Vec::new(),
         })
     }
@@ -182,6 +185,9 @@ impl<'p> Draft<'p> {
         if self.board.channels.iter().flatten().any(uses_key) {
             self.board.factory = None;
             self.notes.push("The button has a use here, so there is no factory pin: settings can only be reset with another bitstream, or write `factory` with a free input pin.".to_owned());
+        }
+        if !self.hard_stops.is_empty() {
+            self.notes.push(format!("{}: without soft_stop they stopped at once; here every step generator comes to rest at its own acceleration limit when the host is lost (docs/safety.md).", self.hard_stops.join(", ")));
         }
         self.modify();
         let mut comments = vec![head];

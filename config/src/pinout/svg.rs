@@ -71,7 +71,7 @@ pub fn svg(pinout: &Pinout) -> String {
 fn legend(out: &mut String, pinout: &Pinout) {
     let mut x = MARGIN + 8.0;
     for usage in pinout.uses() {
-        dot(out, x, 106.0, usage, false);
+        dot(out, x, 106.0, usage, Mark::Round);
         text(
             out,
             x + 15.0,
@@ -79,7 +79,7 @@ fn legend(out: &mut String, pinout: &Pinout) {
             "font-size=\"12.5\" fill=\"#2b323a\"",
             usage.title(),
         );
-        x += 15.0 + usage.title().chars().count() as f64 * 7.4 + 24.0;
+        x += 15.0 + usage.title().chars().count() as f64 * 7.2 + 34.0;
     }
     ring(out, x, 106.0, "#6b7580");
     text(
@@ -87,7 +87,7 @@ fn legend(out: &mut String, pinout: &Pinout) {
         x + 17.0,
         110.5,
         "font-size=\"12.5\" fill=\"#2b323a\"",
-        "the same line on every header",
+        "the same line on every header: named on one, pale on the others",
     );
 }
 
@@ -125,15 +125,15 @@ fn card(out: &mut String, header: &Header) {
     let body = FIRST - 20.0;
     let _ = writeln!(
         out,
-        "<rect x=\"{}\" y=\"{body}\" width=\"76\" height=\"{}\" rx=\"6\" fill=\"#e9edf1\" stroke=\"#b3bcc5\"/>",
-        middle - 38.0,
+        "<rect x=\"{}\" y=\"{body}\" width=\"88\" height=\"{}\" rx=\"6\" fill=\"#e9edf1\" stroke=\"#b3bcc5\"/>",
+        middle - 44.0,
         8.0 * ROW + 11.0
     );
     // Its mark at pin 1.
     let _ = writeln!(
         out,
         "<path d=\"M {} {} l -9 -5 v 10 z\" fill=\"#14181d\"/>",
-        middle - 40.0,
+        middle - 46.0,
         FIRST
     );
     for pin in &header.pins {
@@ -145,8 +145,13 @@ fn draw_pin(out: &mut String, header: &Header, pin: &Pin, middle: f64) {
     let left = pin.index.is_multiple_of(2);
     let side = if left { -1.0 } else { 1.0 };
     let y = FIRST + (pin.index / 2) as f64 * ROW;
-    let x = middle + side * 23.0;
-    dot(out, x, y, pin.usage, pin.index == 0);
+    let x = middle + side * 27.0;
+    let mark = match (pin.index, &pin.same_as) {
+        (0, _) => Mark::Square,
+        (_, Some(_)) => Mark::Echo,
+        (_, None) => Mark::Round,
+    };
+    dot(out, x, y, pin.usage, mark);
     if pin.shared {
         ring(
             out,
@@ -173,7 +178,7 @@ fn draw_pin(out: &mut String, header: &Header, pin: &Pin, middle: f64) {
     } else {
         format!("{}:{}", header.name, pin.index)
     };
-    let at = middle + side * 52.0;
+    let at = middle + side * 60.0;
     let anchor = if left { "end" } else { "start" };
     if pin.usage == Use::Ground {
         text(
@@ -205,7 +210,7 @@ fn draw_pin(out: &mut String, header: &Header, pin: &Pin, middle: f64) {
         ("700", "#14181d")
     };
     // Longest names first shrink, so that nothing leaves its card.
-    let size = (140.0 / (pin.label.chars().count() as f64 * 0.66)).min(13.0);
+    let size = (130.0 / (pin.label.chars().count() as f64 * 0.66)).min(13.0);
     text(
         out,
         at,
@@ -224,22 +229,39 @@ fn draw_pin(out: &mut String, header: &Header, pin: &Pin, middle: f64) {
     );
 }
 
-fn dot(out: &mut String, x: f64, y: f64, usage: Use, square: bool) {
-    let (fill, ink) = colours(usage);
-    let edge = if usage == Use::Free { "#b3bcc5" } else { fill };
-    if square {
-        let _ = writeln!(
-            out,
-            "<rect x=\"{}\" y=\"{}\" width=\"17\" height=\"17\" fill=\"{fill}\" stroke=\"{edge}\" stroke-width=\"1.2\"/>",
+/// How a pin is drawn.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Mark {
+    Round,
+    /// Pin 1, as its pad on the board.
+    Square,
+    /// A shared line where it has no name of its own.
+    Echo,
+}
+
+fn dot(out: &mut String, x: f64, y: f64, usage: Use, mark: Mark) {
+    let (colour, ink) = colours(usage);
+    let edge = if usage == Use::Free {
+        "#b3bcc5"
+    } else {
+        colour
+    };
+    let (fill, ink) = match mark {
+        Mark::Echo => ("#ffffff", edge),
+        Mark::Round | Mark::Square => (colour, ink),
+    };
+    let shape = match mark {
+        Mark::Square => format!(
+            "rect x=\"{}\" y=\"{}\" width=\"17\" height=\"17\"",
             x - 8.5,
             y - 8.5
-        );
-    } else {
-        let _ = writeln!(
-            out,
-            "<circle cx=\"{x}\" cy=\"{y}\" r=\"8.8\" fill=\"{fill}\" stroke=\"{edge}\" stroke-width=\"1.2\"/>"
-        );
-    }
+        ),
+        Mark::Round | Mark::Echo => format!("circle cx=\"{x}\" cy=\"{y}\" r=\"8.8\""),
+    };
+    let _ = writeln!(
+        out,
+        "<{shape} fill=\"{fill}\" stroke=\"{edge}\" stroke-width=\"1.2\"/>"
+    );
     let letter = usage.letter().to_string();
     text(
         out,
@@ -261,7 +283,7 @@ fn ring(out: &mut String, x: f64, y: f64, ink: &str) {
 fn foot(out: &mut String, pinout: &Pinout, height: f64) {
     let y = height - FOOT + 34.0;
     let (usage, label) = &pinout.key;
-    dot(out, MARGIN + 9.0, y - 4.0, *usage, false);
+    dot(out, MARGIN + 9.0, y - 4.0, *usage, Mark::Round);
     let label = if label.is_empty() { "free" } else { label };
     text(
         out,

@@ -1,0 +1,444 @@
+//! Other projects' configurations: what comes in, what comes out, and that nothing is lost on the way.
+
+use ferrocnc_config::board::Class;
+use ferrocnc_config::import::{Imported, lcnc, litexcnc};
+use ferrocnc_config::pinout::Pinout;
+use ferrocnc_config::source::Folder;
+use ferrocnc_config::{Board, Level, show, write};
+
+const ROUTER: &str = include_str!("samples/router.ini");
+const LATHE: &str = include_str!("samples/lathe.json");
+const SIX_AXIS: &str = include_str!("samples/six_axis.json");
+const PLASMA: &str = include_str!("samples/plasma.json");
+
+fn ini(text: &str) -> Result<Imported, String> {
+    lcnc("router.ini", text, "router", &Folder::default()).map_err(|error| error.to_string())
+}
+
+fn json(text: &str) -> Result<Imported, String> {
+    litexcnc("mill.json", text, "mill", &Folder::default()).map_err(|error| error.to_string())
+}
+
+fn all() -> [(&'static str, Imported); 4] {
+    [
+        (ROUTER, ini(ROUTER).unwrap()),
+        (LATHE, json(LATHE).unwrap()),
+        (SIX_AXIS, json(SIX_AXIS).unwrap()),
+        (PLASMA, json(PLASMA).unwrap()),
+    ]
+}
+
+/// Every pin a file names: `j`, digits, a colon, digits, or the button.
+fn pins_of(text: &str) -> Vec<String> {
+    let words = text.split(|c: char| !(c.is_ascii_alphanumeric() || c == ':' || c == '_'));
+    let is_pin = |word: &&str| {
+        let parts = word.strip_prefix('j').and_then(|rest| rest.split_once(':'));
+        parts.is_some_and(|(header, pin)| header.parse::<u8>().is_ok() && pin.parse::<u8>().is_ok())
+    };
+    let mut pins: Vec<String> = words.filter(is_pin).map(str::to_owned).collect();
+    pins.sort();
+    pins
+}
+
+fn pins_of_board(board: &Board) -> Vec<String> {
+    let channels = board
+        .channels
+        .iter()
+        .flatten()
+        .flat_map(|channel| &channel.pins);
+    let mut pins: Vec<String> = channels
+        .map(|(_, pin)| pin.clone())
+        .chain(board.ext_reset.pin.clone())
+        .collect();
+    pins.sort();
+    pins
+}
+
+#[test]
+fn no_pin_is_lost_through_import_toml_and_show() {
+    for (theirs, imported) in all() {
+        // A name of theirs may be a pin's, so names do not count.
+        let without_names: String = theirs
+            .lines()
+            .filter(|line| !line.contains("\"name\": \"j"))
+            .collect::<Vec<_>>()
+            .join("\n");
+        let mut wanted = pins_of(&without_names);
+        if theirs.contains("user_btn") {
+            wanted.push("key".to_owned());
+            wanted.sort();
+        }
+        assert_eq!(pins_of_board(&imported.board), wanted);
+        let again = Board::read(
+            "again.toml",
+            &imported.board.name,
+            &imported.toml,
+            &Folder::default(),
+        )
+        .unwrap();
+        assert_eq!(again.channels, imported.board.channels);
+        assert_eq!(
+            write::to_toml(&again, &[]),
+            write::to_toml(&imported.board, &[])
+        );
+        let shown = show::show(&again);
+        for pin in &wanted {
+            assert!(
+                shown.contains(&format!("{pin} (")),
+                "{pin} is not in\n{shown}"
+            );
+        }
+        let drawn = Pinout::of_board(&again);
+        let named = drawn
+            .headers
+            .iter()
+            .flat_map(|header| &header.pins)
+            .filter(|pin| !pin.label.is_empty() && pin.label != "GND" && pin.same_as.is_none());
+        assert_eq!(
+            named.count(),
+            wanted.iter().filter(|pin| *pin != "key").count(),
+            "the drawing has every pin once by name"
+        );
+    }
+}
+
+#[test]
+fn lcnc_keeps_numbers_address_and_reset() {
+    let Imported { board, notes, .. } = ini(ROUTER).unwrap();
+    assert_eq!(board.platform.name, "5a-75e-7.1");
+    assert_eq!(
+        (board.phy, board.ipv4, board.udp_port),
+        (1, [10, 0, 7, 2], 4321)
+    );
+    assert_eq!(board.mac, Some([0x10, 0xe2, 0xd5, 0, 0, 0x11]));
+    assert_eq!(board.ext_reset.pin.as_deref(), Some("j4:6"));
+    assert_eq!(board.ext_reset.active, Level::High);
+    assert_eq!(board.modified.bus_switch, ["j2", "j3", "j4"]);
+    let outputs: Vec<_> = board
+        .of(Class::Output)
+        .iter()
+        .map(|c| (c.name.as_str(), c.pin("pin").unwrap()))
+        .collect();
+    assert_eq!(
+        outputs,
+        [
+            ("out-00", "j9:0"),
+            ("out-01", "j9:4"),
+            ("out-02", "j9:7"),
+            ("out-03", "j9:14")
+        ]
+    );
+    assert!(
+        board
+            .of(Class::Output)
+            .iter()
+            .all(|c| c.safe == Some(Level::Low) && !c.invert)
+    );
+    assert!(
+        notes.iter().any(|note| note.contains("60 MHz, not 40 MHz")),
+        "{notes:?}"
+    );
+}
+
+#[test]
+fn the_older_litexcnc_keeps_names_safe_states_and_the_watchdogs_pin() {
+    let Imported { board, notes, .. } = json(LATHE).unwrap();
+    assert_eq!(
+        (board.platform.name.as_str(), board.ipv4),
+        ("5a-75e-6.0", [10, 0, 0, 20])
+    );
+    let outputs: Vec<_> = board
+        .of(Class::Output)
+        .iter()
+        .map(|c| (c.name.as_str(), c.pin("pin").unwrap(), c.safe.unwrap()))
+        .collect();
+    assert_eq!(
+        outputs,
+        [
+            ("watchdog", "j12:0", Level::Low),
+            ("out-01", "j15:1", Level::Low),
+            ("coolant-pump", "j15:5", Level::High)
+        ]
+    );
+    assert_eq!(board.of(Class::Input)[0].name, "chuck-closed");
+    assert!(
+        notes
+            .iter()
+            .any(|note| note.contains("chuck closed") && note.contains("chuck-closed")),
+        "{notes:?}"
+    );
+    assert_eq!(board.of(Class::Encoder)[0].pin("index"), Some("j3:2"));
+    assert!(
+        notes.iter().any(|note| note.contains("ferrocnc.0.enabled")),
+        "{notes:?}"
+    );
+}
+
+#[test]
+fn the_newer_litexcnc_keeps_types_estops_and_the_index() {
+    let Imported { board, notes, .. } = json(PLASMA).unwrap();
+    let stepgen = &board.of(Class::Stepgen)[0];
+    assert_eq!(
+        stepgen.text(Class::Stepgen),
+        "step=j3:0 step_n=j3:1 dir=j3:2 dir_n=j3:4 index=j7:1"
+    );
+    assert_eq!(
+        board.of(Class::Stepgen)[1].name,
+        "torch-h",
+        "HAL has room for seven"
+    );
+    let pwms: Vec<_> = board
+        .of(Class::Pwm)
+        .iter()
+        .map(|c| c.text(Class::Pwm))
+        .collect();
+    assert_eq!(
+        pwms,
+        [
+            "pin=j1:2",
+            "pin=j1:4 dir=j1:5",
+            "pin=j2:0 dir=j2:1 type=up_down"
+        ]
+    );
+    let inputs: Vec<_> = board
+        .of(Class::Input)
+        .iter()
+        .map(|c| (c.name.as_str(), c.estop))
+        .collect();
+    assert_eq!(
+        inputs,
+        [
+            ("estop-front", Some(Level::High)),
+            ("estop-01", Some(Level::Low)),
+            ("button", None),
+            ("in-03", None)
+        ]
+    );
+    let enable = &board.of(Class::Output)[0];
+    assert_eq!(
+        (enable.safe, enable.invert),
+        (Some(Level::High), true),
+        "an inverted enable is high while disabled"
+    );
+    assert_eq!(board.of(Class::Encoder)[0].kind, "counter");
+    assert_eq!(board.factory, None, "the button has another use");
+    for part in [
+        "tx_delay",
+        "with_hw_init_reset",
+        "heartbeat",
+        "min_value",
+        "max_value",
+        "reset_value",
+        "soft_stop",
+        "torch-height",
+        "factory",
+        "external reset",
+    ] {
+        assert!(
+            notes.iter().any(|note| note.contains(part)),
+            "nothing said about {part}: {notes:#?}"
+        );
+    }
+}
+
+#[test]
+fn a_bad_ini_is_refused_by_its_own_words() {
+    // What is wrong, what to replace by what, what the message holds, its line.
+    let cases: [(&str, &str, &[&str], usize); 20] = [
+        (
+            "revision = 7.1",
+            "revision = 9.9",
+            &["[Hardware] revision", "9.9", "5a-75e 7.1"],
+            4,
+        ),
+        ("board = 5a-75e", "board = arty", &["revision", "arty"], 4),
+        (
+            "ip = 10.0.7.2",
+            "ip = 10.0.7",
+            &["[Hardware] ip", "10.0.7"],
+            7,
+        ),
+        (
+            "ip = 10.0.7.2",
+            "ip = 224.0.0.1",
+            &["[Hardware] ip", "224.0.0.1"],
+            7,
+        ),
+        (
+            "port = 4321",
+            "port = 0",
+            &["[Hardware] port", "1 to 65535"],
+            8,
+        ),
+        (
+            "mac = 0x10e2d5000011",
+            "mac = 0x11e2d5000011",
+            &["[Hardware] mac", "group"],
+            9,
+        ),
+        (
+            "mac = 0x10e2d5000011",
+            "mac = none",
+            &["[Hardware] mac", "none"],
+            9,
+        ),
+        ("phy = 1", "phy = 2", &["[Hardware] phy", "2"], 6),
+        (
+            "clock = 40000000.0",
+            "clock = fast",
+            &["[Hardware] clock", "fast"],
+            5,
+        ),
+        (
+            "clock = 40000000.0",
+            "clokc = 40000000.0",
+            &["clokc", "did you mean clock"],
+            5,
+        ),
+        (
+            "reset_in = j4:6",
+            "reset_in = j17:0",
+            &["[Hardware] reset_in", "j17:0", "j1 to j16"],
+            10,
+        ),
+        (
+            "1 = j2:1",
+            "1 = j2:0",
+            &["[inputs] 1", "already [inputs] 0"],
+            14,
+        ),
+        (
+            "1 = j2:1",
+            "5 = j2:1",
+            &["[inputs] 5", "where 1 should"],
+            14,
+        ),
+        ("1 = j2:1", "0 = j2:1", &["[inputs] 0", "twice"], 14),
+        (
+            "num = 3\n\n[outputs]",
+            "num = 4\n\n[outputs]",
+            &["[inputs] num", "\"4\"", "3"],
+            16,
+        ),
+        ("2 = j9:7", "2 = j9:3", &["[outputs] 2", "ground"], 21),
+        (
+            "3 = j9:14",
+            "3 = j1:7",
+            &["[outputs] 3", "same line as \"j9:7\"", "[outputs] 2"],
+            22,
+        ),
+        ("2_dir = j11:6\n", "", &["stepgens", "2"], 0),
+        ("[pwms]", "[pwm]", &["[pwm]", "did you mean [pwms]"], 25),
+        ("0 = j10:0", "j10:0", &["[pwms]"], 26),
+    ];
+    for (old, new, wanted, line) in cases {
+        assert!(ROUTER.contains(old), "{old}");
+        let said = ini(&ROUTER.replacen(old, new, 1)).expect_err(new);
+        for part in wanted {
+            assert!(said.contains(part), "{new:?}: {part:?} is not in {said:?}");
+        }
+        if line > 0 {
+            assert!(
+                said.starts_with(&format!("router.ini:{line}:")),
+                "{new:?} is not at line {line}: {said}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_bad_json_is_refused_by_its_own_words() {
+    let cases: [(&str, &str, &[&str]); 17] = [
+        (
+            "\"5A-75B v7.0\"",
+            "\"5A-75B v7\"",
+            &["board_type", "5A-75B v7.0"],
+        ),
+        (
+            "\"board_name\": \"plasma\",",
+            "",
+            &["board_name", "missing"],
+        ),
+        (
+            "\"etherbone\"",
+            "\"spi\"",
+            &["connection_type", "spi", "Ethernet"],
+        ),
+        ("\"0x10e2d5000032\"", "\"10-e2\"", &["mac_address", "10-e2"]),
+        (
+            "\"10.0.0.11\"",
+            "\"10.0.0.300\"",
+            &["ip_address", "10.0.0.300"],
+        ),
+        (
+            "\"estop\"",
+            "\"e_stop\"",
+            &["watchdog.e_stop", "did you mean estop"],
+        ),
+        (
+            "\"trigger\": true",
+            "\"trigger\": \"true\"",
+            &["watchdog.estop[0].trigger", "neither true nor false"],
+        ),
+        (
+            "\"trigger\": true,",
+            "",
+            &["watchdog.estop[0].trigger", "missing"],
+        ),
+        (
+            "\"user_btn:0\"",
+            "\"user_led:0\"",
+            &["modules[0].instances[0].pin", "LED"],
+        ),
+        (
+            "\"j8:2\"",
+            "\"j8:1\"",
+            &[
+                "modules[0].instances[1].pin",
+                "already watchdog.estop[1].pin",
+            ],
+        ),
+        ("\"LVCMOS33\"", "\"LVCMOS25\"", &["io_standard", "LVCMOS25"]),
+        (
+            "\"module_type\": \"pwm\"",
+            "\"module_type\": \"toolerator\"",
+            &["modules[1].module_type", "toolerator"],
+        ),
+        (
+            "\"down\": \"j2:1\"",
+            "\"pwm\": \"j2:1\"",
+            &["pins.down", "missing"],
+        ),
+        ("\"pin_B\": \"j8:6\",", "", &["pin_Z", "without pin_B"]),
+        (
+            "\"dir_neg_pin\": \"j3:4\"",
+            "\"dir_neg_pin\": \"j3:3\"",
+            &["ground"],
+        ),
+        (
+            "\"name\": \"x\",",
+            "\"name\": \"x\", \"name\": \"y\",",
+            &["\"name\" is there twice"],
+        ),
+        ("\"modules\": [", "\"modules\": [,", &["is not JSON"]),
+    ];
+    for (old, new, wanted) in cases {
+        assert!(PLASMA.contains(old), "{old}");
+        let said = json(&PLASMA.replacen(old, new, 1)).expect_err(new);
+        for part in wanted {
+            assert!(said.contains(part), "{new:?}: {part:?} is not in {said:?}");
+        }
+        assert!(said.starts_with("mill.json:"), "{said}");
+    }
+}
+
+#[test]
+fn a_tower_of_brackets_is_refused_and_not_climbed() {
+    for text in [
+        "[".repeat(100_000),
+        "{\"a\":".repeat(100_000),
+        format!("{{\"watchdog\": {}1{}}}", "[".repeat(100), "]".repeat(100)),
+    ] {
+        assert!(json(&text).is_err());
+    }
+}
