@@ -1,0 +1,253 @@
+//! `ferrocnc config`, run as a person runs it, and the driver's view of what board files name.
+
+use ferrocnc_config::board::Class;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn boards(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../boards")
+        .join(name);
+    path.to_str().unwrap().to_owned()
+}
+
+/// A folder of its own, gone with the test.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path =
+            std::env::temp_dir().join(format!("ferrocnc-config-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Folder(path)
+    }
+
+    fn run(&self, arguments: &[&str]) -> Output {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ferrocnc"));
+        command
+            .arg("config")
+            .args(arguments)
+            .current_dir(&self.0)
+            .output()
+            .unwrap()
+    }
+
+    fn says(&self, arguments: &[&str]) -> String {
+        let output = self.run(arguments);
+        assert!(
+            output.status.success(),
+            "{arguments:?}: {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    fn refuses(&self, arguments: &[&str]) -> String {
+        let output = self.run(arguments);
+        assert!(!output.status.success(), "{arguments:?} was not refused");
+        String::from_utf8_lossy(&output.stdout).into_owned()
+            + &String::from_utf8_lossy(&output.stderr)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+#[test]
+fn a_new_configuration_checks_shows_and_draws() {
+    let folder = Folder::new("new");
+    let said = folder.says(&[
+        "new",
+        "router",
+        "--platform",
+        "5a-75b-8.2",
+        "--stepgens",
+        "4",
+        "--encoders",
+        "1",
+        "--inputs",
+        "3",
+        "--modified",
+        "j7,j8",
+    ]);
+    assert!(said.contains("router.toml: written"), "{said}");
+    assert!(
+        folder
+            .says(&["check", "router.toml"])
+            .contains("4 stepgen, 1 encoder, 1 pwm, 3 gpio_in, 4 gpio_out")
+    );
+    assert!(
+        folder
+            .says(&["show", "router.toml"])
+            .contains("encoder.enc-00")
+    );
+    let toml = folder.says(&["show", "router.toml", "--toml"]);
+    assert!(
+        toml.contains("bus_switch = [\"j7\", \"j8\"]") && toml.contains("a = \"j7:0\""),
+        "{toml}"
+    );
+    assert!(folder.says(&["pinout", "router.toml"]).contains("enc-00 a"));
+    folder.says(&["pinout", "router.toml", "-o", "router.svg"]);
+    assert!(
+        std::fs::read_to_string(folder.0.join("router.svg"))
+            .unwrap()
+            .contains("enc-00 a")
+    );
+    let again = folder.refuses(&["new", "router", "--platform", "5a-75b-8.2"]);
+    assert!(
+        again.contains("router.toml is there already; --force"),
+        "{again}"
+    );
+}
+
+#[test]
+fn what_cannot_be_had_is_said_before_anything_is_written() {
+    let folder = Folder::new("room");
+    let cases: [(&[&str], &str); 5] = [
+        (&["new", "a"], "--platform is one of 5a-75b-6.1, 5a-75b-7.0"),
+        (
+            &["new", "a", "--platform", "5a-75b-8.0", "--inputs", "2"],
+            "--modified j5,j6",
+        ),
+        (
+            &["new", "a", "--platform", "5a-75b-8.0", "--modified", "j9"],
+            "\"j9\" is not a header",
+        ),
+        (
+            &[
+                "new",
+                "a",
+                "--platform",
+                "5a-75b-8.0",
+                "--outputs",
+                "30",
+                "--stepgens",
+                "16",
+            ],
+            "no pin left for gpio_out",
+        ),
+        (
+            &["new", "a", "--platform", "5a-75e-8.2", "--stepgens", "17"],
+            "more than the gateware has: 16",
+        ),
+    ];
+    for (arguments, wanted) in cases {
+        let said = folder.refuses(arguments);
+        assert!(said.contains(wanted), "{arguments:?}: {said}");
+        assert!(!folder.0.join("a.toml").exists());
+    }
+}
+
+#[test]
+fn check_names_every_bad_file_and_fails() {
+    let folder = Folder::new("check");
+    let good = std::fs::read_to_string(boards("mill6.toml")).unwrap();
+    std::fs::write(
+        folder.0.join("mill6.toml"),
+        good.replace("step = \"j1:0\"", "step = \"j1:3\""),
+    )
+    .unwrap();
+    let said = folder.refuses(&["check", "mill6.toml", &boards("max.toml")]);
+    assert!(
+        said.contains("stepgen[0].step: \"j1:3\" is ground")
+            && said.contains("for simulation only")
+            && said.contains("1 of 2 cannot be built"),
+        "{said}"
+    );
+    let output = folder.run(&["check", "mill6.toml", "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(json[0]["ok"], false);
+    assert_eq!(json[0]["key"], "stepgen[0].step");
+    assert_eq!(
+        json[0]["line"].as_u64(),
+        Some(
+            1 + good
+                .lines()
+                .position(|line| line == "step = \"j1:0\"")
+                .unwrap() as u64
+        )
+    );
+}
+
+#[test]
+fn an_import_says_what_it_could_not_take_over() {
+    let folder = Folder::new("import");
+    let samples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/tests/samples");
+    let sample = |name: &str| samples.join(name).to_str().unwrap().to_owned();
+    let said = folder.says(&["import", "litexcnc", &sample("plasma.json")]);
+    assert!(
+        said.contains("plasma.toml: written")
+            && said.contains("note: ")
+            && said.contains("heartbeat"),
+        "{said}"
+    );
+    let said = folder.says(&[
+        "import",
+        "lcnc",
+        &sample("router.ini"),
+        "--name",
+        "old-router",
+    ]);
+    assert!(said.contains("old-router.toml: written"), "{said}");
+    assert!(
+        folder
+            .says(&["check", "plasma.toml", "old-router.toml"])
+            .contains("ok")
+    );
+    assert!(
+        folder
+            .refuses(&["import", "lcnc", &sample("plasma.json")])
+            .contains("plasma.toml is there already")
+    );
+    assert!(
+        folder
+            .refuses(&["import", "lcnc", &sample("plasma.json"), "--force"])
+            .contains("plasma.json:1:1")
+    );
+}
+
+#[test]
+fn a_platform_can_be_drawn_with_nothing_on_it() {
+    let folder = Folder::new("platform");
+    let drawn = folder.says(&["pinout", "5a-75e-7.1"]);
+    assert!(
+        drawn.contains("J16") && drawn.contains("KEY (button): free"),
+        "{drawn}"
+    );
+}
+
+#[test]
+fn the_reader_and_the_driver_agree_how_long_a_name_may_be() {
+    assert_eq!(ferrocnc_config::hal::NAME_MAX, ferrocnc::hal::NAME_MAX);
+    let pins = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/driver.rs"))
+        .unwrap();
+    for class in Class::ALL {
+        let hal = class.hal();
+        assert!(
+            pins.contains(&format!("\"{}\"", hal.longest)),
+            "the driver measures names of {} by another pin",
+            class.key()
+        );
+        let name = "n".repeat(hal.room());
+        assert_eq!(hal.pin(&name).len(), ferrocnc::hal::NAME_MAX);
+    }
+}
+
+/// What the TOML says is what the driver reads of the board: names and pins, by way of the blob.
+#[test]
+fn names_and_pins_of_the_file_are_what_the_driver_finds() {
+    let board =
+        ferrocnc_config::read_board(Path::new(&boards("75e_v7_30o29i9s9e8p.toml"))).unwrap();
+    let bytes = ferrocnc_config::blob::blob(&board).unwrap();
+    let blob = wire::board::Blob::new_checked(&bytes).unwrap();
+    assert_eq!(blob.text(wire::board::Kind::Output, 29), Some("out-29"));
+    let last = blob
+        .entries()
+        .filter(|entry| entry.kind == wire::board::Kind::Pins)
+        .last()
+        .unwrap();
+    assert_eq!((last.channel, last.value), (29, &b"opin=j14:14"[..]));
+}
