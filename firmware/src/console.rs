@@ -24,7 +24,7 @@ pub const PROMPT: &str = "ferrocnc> ";
 /// Longest answer, in bytes: sixteen encoders.
 pub const ANSWER_MAX: usize = 1100;
 
-const HELP: [&str; 11] = [
+const HELP: [&str; 14] = [
     "help          this",
     "status        what the machine is doing, and why it stopped",
     "net           frames and refusals by reason",
@@ -35,6 +35,9 @@ const HELP: [&str; 11] = [
     "gpio          inputs, e-stop, probe",
     "watchdog      timeout, time left, what closed the gate",
     "log           where the log stands, and the last obituary",
+    "link          speed, and what got lost",
+    "flash         the chip, what runs, what loads next",
+    "settings      who this board is, and where it has that from",
     "quit          good bye",
 ];
 
@@ -61,6 +64,12 @@ pub enum Ask {
     Watchdog,
     /// Log and last panic.
     Log,
+    /// The Ethernet link.
+    Link,
+    /// The flash and its images.
+    Flash,
+    /// The settings in force.
+    Settings,
     /// Hang up.
     Quit,
     /// An empty line.
@@ -96,6 +105,9 @@ impl Ask {
             "gpio" => Ask::Gpio,
             "watchdog" => Ask::Watchdog,
             "log" => Ask::Log,
+            "link" => Ask::Link,
+            "flash" => Ask::Flash,
+            "settings" => Ask::Settings,
             "quit" | "exit" => Ask::Quit,
             _ => Ask::Unknown,
         };
@@ -177,6 +189,9 @@ pub fn answer<B: Board>(
         Ask::Gpio => gpio(board, &mut out),
         Ask::Watchdog => watchdog(server, board, &mut out),
         Ask::Log => log(server, board, &mut out),
+        Ask::Link => link(server, vitals, &mut out),
+        Ask::Flash => flash(server, &mut out),
+        Ask::Settings => settings(server, us, &mut out),
         Ask::Quit => out.text("bye").end(),
         Ask::Nothing => {}
         Ask::Unknown => out.text("? try help").end(),
@@ -236,17 +251,67 @@ fn net(server: &Server, us: &Us, vitals: &Vitals, out: &mut Out) {
         .number(counters.frames_tx);
     out.text("; exchanges ").number(counters.exchanges);
     out.text("; refused ").number(counters.refused_total).end();
+    mac_errors(vitals, out);
+    for (why, count) in Refusal::ALL.iter().zip(counters.refused) {
+        if count != 0 {
+            out.text("  ").text(why.key()).text(" ").number(count).end();
+        }
+    }
+}
+
+fn mac_errors(vitals: &Vitals, out: &mut Out) {
     let [slots, preamble, crc] = vitals.mac_errors;
     out.text("mac: no slot ")
         .number(slots)
         .text(", preamble ")
         .number(preamble);
     out.text(", crc ").number(crc).end();
-    for (why, count) in Refusal::ALL.iter().zip(counters.refused) {
-        if count != 0 {
-            out.text("  ").text(why.key()).text(" ").number(count).end();
-        }
+}
+
+fn link(server: &Server, vitals: &Vitals, out: &mut Out) {
+    let word = server.link().word();
+    out.text("link ").text(word.speed.text());
+    out.either(word.full_duplex, ", full duplex", "").end();
+    mac_errors(vitals, out);
+}
+
+fn flash(server: &Server, out: &mut Out) {
+    let flash = server.flash();
+    let [uid_hi, uid_lo] = flash.uid();
+    out.text("chip     ").hex(flash.jedec());
+    out.text(", ")
+        .number(flash.layout().map_or(0, |layout| layout.size >> 10))
+        .text(" KiB, id ");
+    out.hex(uid_hi).hex(uid_lo).end();
+    out.text("runs     ").text(flash.running().text());
+    out.text(", build ").hex(flash.build_id()).end();
+    let selected = flash.selected().map_or("golden", |slot| slot.text());
+    out.text("next     ").text(selected).end();
+    out.text("golden   ")
+        .either(flash.protected(), "protected", "not protected")
+        .end();
+    let word = flash.word();
+    if let Some(op) = word.op {
+        out.text("last     ").text(op.text()).text(": ");
+        out.text(word.result.text()).end();
     }
+}
+
+fn settings(server: &Server, us: &Us, out: &mut Out) {
+    let flash = server.flash();
+    let settings = flash.settings();
+    out.text("name     ").text(settings.name.text()).end();
+    out.text("from     ").text(flash.origin().text()).end();
+    out.text("address  ").address(us.ip, us.port);
+    out.either(settings.dhcp, ", DHCP, else ", ", static ");
+    out.address(settings.ip, settings.port).text(", /");
+    out.number(settings.prefix.into()).end();
+    out.text("gateway  ").address(settings.gateway, 0).end();
+    let [hi, lo] = wire::settings::mac_to_words(us.mac);
+    out.text("mac      ").hex(hi).text(" ").hex(lo).end();
+    out.text("key      ")
+        .either(settings.key != [0; 4], "set", "none")
+        .end();
 }
 
 fn regs<B: Board>(page: Option<u8>, board: &mut B, out: &mut Out) {
@@ -437,6 +502,17 @@ mod tests {
             &mut out,
         );
         out
+    }
+
+    #[test]
+    fn the_board_says_who_it_is_what_runs_and_how_fast_it_is_linked() {
+        let text = said("flash");
+        assert!(
+            text.contains("volatile") && text.contains("golden"),
+            "{text}"
+        );
+        assert!(said("settings").contains("built in"));
+        assert!(said("link").contains("link down"));
     }
 
     #[test]

@@ -543,4 +543,176 @@ mod tests {
         machine.answer(Ask::Net, &Vitals::default(), &mut text);
         assert!(text.contains("192.168.2.50:1234"), "{text}");
     }
+
+    fn ask(machine: &mut Machine<Notebook>, message: &Message) -> Option<Message> {
+        let mut words = [0; wire::discovery::WORDS_MAX];
+        let mut reply = [0; MAX_WORDS];
+        let answer = machine.discover(message.emit(&mut words), 50_000, &mut reply);
+        (!answer.is_empty()).then(|| Message::parse(answer).unwrap())
+    }
+
+    fn message(uid: [u32; 2], body: Body) -> Message {
+        Message {
+            nonce: 99,
+            uid,
+            body,
+        }
+    }
+
+    const UID: [u32; 2] = [0x0102_0304, 0x0506_0708];
+
+    /// Chores, and what is shouted, until nothing is left to do.
+    fn shouts(machine: &mut Machine<Notebook>) -> Vec<(Shout, Vec<u32>)> {
+        let mut all = Vec::new();
+        for _ in 0..100 {
+            machine.chores();
+            let mut words = [0; MAX_WORDS];
+            if machine.has_to_shout() {
+                if let Some(shout) = machine.shout(&mut words) {
+                    all.push((shout, words[..shout.words].to_vec()));
+                }
+            }
+        }
+        all
+    }
+
+    #[test]
+    fn a_board_is_found_whoever_asks_and_by_its_own_id() {
+        let mut machine = machine(Notebook::new());
+        for (uid, found) in [([0, 0], true), (UID, true), ([1, 2], false)] {
+            let answer = ask(&mut machine, &message(uid, Body::Who));
+            assert_eq!(answer.is_some(), found);
+            if let Some(answer) = answer {
+                assert_eq!((answer.nonce, answer.uid), (99, UID));
+                let Body::Here(here) = answer.body else {
+                    panic!("{answer:?}");
+                };
+                assert_eq!((here.ip, here.port, here.mac[0]), (0xc0a8_0232, 1234, 2));
+                assert!(!here.armed && !here.owned && !here.dhcp);
+            }
+        }
+        let mut reply = [0; MAX_WORDS];
+        assert!(machine.discover(&[1, 2, 3], 5, &mut reply).is_empty());
+        assert_eq!(machine.server.counters().refused_total, 1);
+    }
+
+    #[test]
+    fn a_board_that_is_told_who_to_be_saves_it_says_so_and_starts_anew() {
+        let mut machine = machine(Notebook::new());
+        let settings = Settings {
+            ip: 0x0a00_0002,
+            name: Name::new("mill").unwrap(),
+            ..Settings::default()
+        };
+        let set = message(UID, Body::Set(settings));
+        assert_eq!(ask(&mut machine, &message([0; 2], set.body)), None, "whom?");
+        assert_eq!(ask(&mut machine, &set), None, "not yet");
+        assert_eq!(ask(&mut machine, &set), None, "asked again, still not yet");
+        assert!(!machine.server.wants_restart());
+        let told = shouts(&mut machine);
+        let [(shout, words)] = &told[..] else {
+            panic!("{told:?}");
+        };
+        assert_eq!((shout.from_port, shout.to_port), (51234, 50_000));
+        let done = message(UID, Body::Done(OpResult::Ok));
+        assert_eq!(Message::parse(words), Ok(done));
+        assert!(machine.server.wants_restart());
+        let mut again = Machine::start(machine.board, ident(), ABI, BOOT);
+        assert_eq!(again.us.ip, 0x0a00_0002);
+        assert_eq!(ask(&mut again, &set), Some(done), "saved already");
+        assert!(!again.server.wants_restart());
+    }
+
+    #[test]
+    fn a_board_that_is_armed_or_owned_is_not_told_anything() {
+        let mut machine = machine(Notebook::new());
+        let set = message(UID, Body::Set(Settings::default()));
+        let mut rig = Rig::new();
+        rig.acquire();
+        for armed in [false, true] {
+            if armed {
+                rig.arm();
+            }
+            core::mem::swap(&mut machine.server.session, &mut rig.server.session);
+            core::mem::swap(&mut machine.server.safety, &mut rig.server.safety);
+            let refused = message(UID, Body::Done(OpResult::Armed));
+            assert_eq!(ask(&mut machine, &set), Some(refused));
+            core::mem::swap(&mut machine.server.session, &mut rig.server.session);
+            core::mem::swap(&mut machine.server.safety, &mut rig.server.safety);
+        }
+        assert!(machine.board.chip.writes.is_empty());
+    }
+
+    #[test]
+    fn a_board_with_dhcp_asks_falls_back_after_ten_seconds_and_asks_on() {
+        let mut board = Notebook::new();
+        let settings = Settings {
+            dhcp: true,
+            ..Settings::default()
+        };
+        let mut words = [0; 128];
+        wire::words_to_bytes(&settings.to_words(), &mut words);
+        board.chip.put(0x1f_0000, &words);
+        let mut machine = machine(board);
+        assert_eq!(machine.us.ip, 0, "none yet");
+        let asked = shouts(&mut machine);
+        assert_eq!((asked[0].0.from_ip, asked[0].0.to_port), (0, 67));
+        let mut seconds = Vec::new();
+        for second in 1..=16 {
+            machine.board.now += u64::from(CLOCK);
+            machine.due(IDLE);
+            if shouts(&mut machine)
+                .iter()
+                .any(|(shout, _)| shout.to_port == 67)
+            {
+                seconds.push(second);
+            }
+            let ip = if second < 10 { 0 } else { settings.ip };
+            assert_eq!(machine.us.ip, ip, "second {second}");
+        }
+        assert_eq!(seconds, [2, 6, 14]);
+        assert!(machine.moved() && !machine.moved());
+    }
+
+    #[test]
+    fn a_cable_that_is_pulled_stops_the_machine_at_the_third_look() {
+        let mut machine = machine(Notebook::new());
+        let mut rig = Rig::armed();
+        core::mem::swap(&mut machine.server, &mut rig.server);
+        core::mem::swap(&mut machine.board, &mut rig.board);
+        machine.chores();
+        machine.board.link.status = 0;
+        assert_eq!((machine.chores(), machine.chores()), (None, None));
+        let told = (State::Stopping, FaultReason::LinkDown);
+        assert_eq!(machine.chores(), Some(told));
+        let word = machine.server.state_word(crate::cores::Gate::LIVE);
+        let word = wire::exchange::StateWord::from_word(word).unwrap();
+        assert!(!word.link && word.speed == wire::LinkSpeed::Down);
+    }
+
+    #[test]
+    fn speed_and_errors_are_in_every_answer() {
+        let mut machine = machine(Notebook::new());
+        machine.board.link.errors = 0x102;
+        machine.chores();
+        let word = machine.server.state_word(crate::cores::Gate(0));
+        let word = wire::exchange::StateWord::from_word(word).unwrap();
+        assert!(word.link && word.speed == wire::LinkSpeed::M1000);
+        assert_eq!(word.link_errors, 2);
+    }
+
+    #[test]
+    fn the_factory_pin_at_start_gives_the_built_in_address() {
+        let mut board = Notebook::new();
+        let settings = Settings {
+            ip: 0x0a00_0002,
+            ..Settings::default()
+        };
+        let mut bytes = [0; 128];
+        wire::words_to_bytes(&settings.to_words(), &mut bytes);
+        board.chip.put(0x1f_1000, &bytes);
+        assert_eq!(machine(board.clone()).us.ip, 0x0a00_0002);
+        board.factory = true;
+        assert_eq!(machine(board).us.ip, 0xc0a8_0232);
+    }
 }

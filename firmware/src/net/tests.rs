@@ -157,6 +157,41 @@ fn what_is_not_plain_udp_to_us_is_left_to_the_stack() {
 }
 
 #[test]
+fn discovery_and_dhcp_are_taken_whatever_address_they_are_sent_to() {
+    for (port, ours) in [(51234u16, true), (68, true), (1234, false), (9, false)] {
+        for address in [[255, 255, 255, 255], [10, 0, 0, 255], [192, 168, 2, 50]] {
+            let mut frame = udp_frame(&[1, 2, 3, 4], false);
+            frame[..6].fill(0xff);
+            frame[30..34].copy_from_slice(&address);
+            frame[36..38].copy_from_slice(&port.to_be_bytes());
+            let class = look(&rechecked(frame.clone()));
+            let taken = matches!(class, Class::Discovery(_) | Class::Dhcp(_));
+            assert_eq!(taken, ours, "port {port} at {address:?}: {class:?}");
+            frame[0] = 0x02;
+            assert_eq!(look(&rechecked(frame)), Class::Other, "another board's");
+        }
+    }
+}
+
+#[test]
+fn what_is_told_to_everybody_is_addressed_to_everybody() {
+    let mut slot = Words::default();
+    let us = Us {
+        ip: 0,
+        port: 68,
+        ..US
+    };
+    emit_headers(&mut slot, &us, &Datagram::everybody(67), 300);
+    let frame = slot.bytes();
+    assert_eq!(frame[..6], [0xff; 6]);
+    assert_eq!(
+        frame[26..38],
+        [0, 0, 0, 0, 255, 255, 255, 255, 0, 68, 0, 67]
+    );
+    assert_eq!(checksum(&frame[14..34]), 0);
+}
+
+#[test]
 fn a_wrong_checksum_is_refused_and_none_is_not_wrong() {
     assert_eq!(
         look(&with(22, 9)),
