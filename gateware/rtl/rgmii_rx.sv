@@ -12,8 +12,8 @@
 //
 // Where a byte begins below 1000 is known once the SFD (5, d) has been seen, however many nibbles of the preamble the PHY
 // has lost. A nibble too many at the end is dropped, as 802.3 wants it. The byte before is held back until the next is whole
-// or the frame has ended, so that `last` comes with the last one. A frame with an error (RX_ER) in it ends with `error`, which
-// the MAC takes as a wrong FCS.
+// or the frame has ended, so that `last` comes with the last one. From an error (RX_ER) to
+// its frame's end all bytes are turned over: the MAC finds a wrong FCS, counts it and drops the frame.
 //
 `default_nettype none
 module rgmii_rx (

@@ -10,7 +10,7 @@ int main(int argc, char **argv) {
     b.settle();
 
     bool cs_was = true, sck_was = false, mosi_was = false, busy_was = false;
-    unsigned rested = 0, low = 100, high = 100, rises = 0, length = 0, transfers = 0, ignored = 0, answered = 0;
+    unsigned rested = 1, low = 100, high = 100, rises = 0, length = 0, transfers = 0, ignored = 0, answered = 0;
     uint64_t wanted = 0, got = 0, answer = 0, sent = 0;
     bool miso = true;
 
