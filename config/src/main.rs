@@ -1,17 +1,21 @@
 //! `ferrocnc-config`: what the build needs of the reader. People use `ferrocnc config`.
 
+use ferrocnc_config::source::{Folder, read_text};
+use ferrocnc_config::{Board, Error};
 use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
 
 const USAGE: &str =
-    "usage: ferrocnc-config export BOARD.toml    the configuration as JSON, on standard output";
+    "usage: ferrocnc-config export BOARD.toml [--ip A.B.C.D] [--port N] [--mac aa:bb:cc:dd:ee:ff]
+
+the configuration as JSON, on standard output; what is named here stands in for what the file says";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
-        ["export", board] => export(Path::new(board)),
+        ["export", board, network @ ..] => export(Path::new(board), network),
         ["schema", folder] => schema(Path::new(folder)),
         _ => Err(USAGE.to_owned()),
     };
@@ -24,12 +28,47 @@ fn main() -> ExitCode {
     }
 }
 
-fn export(path: &Path) -> Result<(), String> {
-    let board = ferrocnc_config::read_board(path).map_err(|error| error.to_string())?;
+fn export(path: &Path, network: &[&str]) -> Result<(), String> {
+    let board = read(path, network).map_err(|error| error.to_string())?;
     let json = ferrocnc_config::export::export(&board).map_err(|error| error.to_string())?;
     // Whoever reads from us may have seen enough.
     let _ = writeln!(std::io::stdout(), "{json:#}");
     Ok(())
+}
+
+/// As the file says, but for these. They go through the file's text, so that they are judged as if they stood there.
+fn read(path: &Path, network: &[&str]) -> Result<Board, Box<dyn std::error::Error>> {
+    let mut text = read_text(path)?;
+    for pair in network.chunks(2) {
+        text = match pair {
+            ["--ip", ip] => with(&text, "ipv4", &format!("{ip:?}")),
+            ["--port", port] => with(&text, "udp_port", port),
+            ["--mac", mac] => with(&text, "mac", &format!("{mac:?}")),
+            _ => return Err(USAGE.into()),
+        };
+    }
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let read = Board::read(&path.display().to_string(), &stem, &text, &Folder::beside(path));
+    read.map_err(|error: Error| error.into())
+}
+
+/// The text with another value in its table `network`.
+fn with(text: &str, key: &str, value: &str) -> String {
+    let (mut inside, mut lines) = (false, Vec::new());
+    for line in text.lines() {
+        if line.trim_start().starts_with('[') {
+            inside = line.trim() == "[network]";
+        }
+        let names_it = line.split_once('=').is_some_and(|(name, _)| name.trim() == key);
+        if inside && names_it {
+            continue;
+        }
+        lines.push(line.to_owned());
+        if line.trim() == "[network]" {
+            lines.push(format!("{key} = {value}"));
+        }
+    }
+    lines.join("\n")
 }
 
 fn schema(folder: &Path) -> Result<(), String> {

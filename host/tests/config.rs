@@ -213,6 +213,13 @@ fn an_import_says_what_it_could_not_take_over() {
 fn a_platform_can_be_drawn_with_nothing_on_it() {
     let folder = Folder::new("platform");
     let drawn = folder.says(&["pinout", "5a-75e-7.1"]);
+    let file = boards("platforms/5a-75e-7.1.toml");
+    assert!(
+        folder
+            .says(&["check", &file])
+            .contains("Colorlight 5A-75E V7.1")
+    );
+    assert_eq!(folder.says(&["pinout", &file]), drawn);
     assert!(
         drawn.contains("J16") && drawn.contains("KEY (button): free"),
         "{drawn}"

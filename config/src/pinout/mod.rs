@@ -9,7 +9,7 @@ mod terminal;
 pub use svg::svg;
 pub use terminal::terminal;
 
-use crate::board::{Board, Class};
+use crate::board::{Board, Class, Modified};
 use crate::platform::{FIRST_SHARED, HEADER, Platform, Role};
 use std::collections::BTreeMap;
 
@@ -96,6 +96,8 @@ pub struct Pin {
     pub shared: bool,
     /// It is named by another header's pin, this one.
     pub same_as: Option<String>,
+    /// It is read there, and here a buffer drives what is read.
+    pub copy: bool,
 }
 
 /// One header.
@@ -139,23 +141,7 @@ impl Pinout {
             facts,
             &board.platform,
             &holders(board),
-            |header| {
-                let said = |lines: &str| {
-                    let is = |list: &[String]| list.iter().any(|known| known == lines);
-                    match (is(&board.modified.bus_switch), is(&board.modified.inputs)) {
-                        (true, _) => "bus switch",
-                        (_, true) => "inputs",
-                        (false, false) => "",
-                    }
-                };
-                match (said(header), said(&format!("{header}:shared"))) {
-                    ("", "") => String::new(),
-                    (own, "") => own.to_owned(),
-                    ("", shared) => format!("shared lines: {shared}"),
-                    (own, shared) if own == shared => format!("{own}, shared lines too"),
-                    (own, shared) => format!("{own}; shared lines: {shared}"),
-                }
-            },
+            &board.modified,
         )
     }
 
@@ -167,7 +153,7 @@ impl Pinout {
             facts,
             platform,
             &BTreeMap::new(),
-            |_| String::new(),
+            &Modified::default(),
         )
     }
 
@@ -176,7 +162,7 @@ impl Pinout {
         facts: String,
         platform: &Platform,
         holders: &BTreeMap<String, (Use, String)>,
-        modified: impl Fn(&str) -> String,
+        modified: &Modified,
     ) -> Self {
         let find = |name: &str| holders.get(name).cloned();
         let pin = |header: &str, index: usize, panel: &'static str| {
@@ -202,6 +188,10 @@ impl Pinout {
                 (_, Some(holder)) => holder,
                 (_, None) => (Use::Free, String::new()),
             };
+            let read = matches!(usage, Use::Encoder | Use::Input | Use::Stop | Use::Factory);
+            let copy = same_as.is_some()
+                && read
+                && state(modified, &format!("{header}:shared")).is_empty();
             Pin {
                 index,
                 panel,
@@ -209,11 +199,12 @@ impl Pinout {
                 label,
                 shared,
                 same_as,
+                copy,
             }
         };
         let header = |(name, _): &(String, Vec<String>)| Header {
             name: name.clone(),
-            modified: modified(name),
+            modified: described(modified, name),
             pins: HEADER
                 .iter()
                 .enumerate()
@@ -239,6 +230,27 @@ impl Pinout {
                     .any(|pin| pin.usage == *usage)
         };
         Use::ALL.into_iter().filter(on)
+    }
+}
+
+/// What was done to these lines, `j5` or `j5:shared`: nothing is empty.
+fn state(modified: &Modified, lines: &str) -> &'static str {
+    let is = |list: &[String]| list.iter().any(|known| known == lines);
+    match (is(&modified.bus_switch), is(&modified.inputs)) {
+        (true, _) => "bus switch",
+        (_, true) => "inputs",
+        (false, false) => "",
+    }
+}
+
+fn described(modified: &Modified, header: &str) -> String {
+    let of = |lines: &str| state(modified, lines);
+    match (of(header), of(&format!("{header}:shared"))) {
+        ("", "") => String::new(),
+        (own, "") => own.to_owned(),
+        ("", shared) => format!("shared lines: {shared}"),
+        (own, shared) if own == shared => format!("{own}, shared lines too"),
+        (own, shared) => format!("{own}; shared lines: {shared}"),
     }
 }
 

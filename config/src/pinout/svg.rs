@@ -191,6 +191,7 @@ fn draw_pin(out: &mut String, header: &Header, pin: &Pin, middle: f64) {
         return;
     }
     let small = match &pin.same_as {
+        Some(same) if pin.copy => format!("{name}: 5 V copy of {same}"),
         Some(same) => format!("{name} \u{2261} {same}"),
         None => format!("{name}  {}", pin.panel),
     };
@@ -294,7 +295,7 @@ fn foot(out: &mut String, pinout: &Pinout, height: f64) {
     );
     for (n, line) in [
         "Each header from above, pin 1 square and marked; j1:0 counts from 0, the small numbers from 1 as the silk screen does.",
-        "Pins leave the board through 74HC245 buffers at 5 V. A modified header is not buffered: at most 3.3 V may reach the FPGA (docs/bringup.md).",
+        "Pins leave the board through 74HC245 buffers at 5 V. A bus switch is no protection: at most 3.3 V may reach the FPGA (docs/bringup.md).",
     ].into_iter().enumerate() {
         text(out, MARGIN, y + 22.0 + n as f64 * 17.0, "font-size=\"12\" fill=\"#4a535d\"", line);
     }

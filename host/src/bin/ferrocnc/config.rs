@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 pub(crate) enum Command {
     /// Write a configuration to begin with.
     New(New),
-    /// Read configurations and say what is wrong with them.
+    /// Read configurations and platforms and say what is wrong with them.
     Check {
-        /// Board files.
+        /// Board files; files in a folder `platforms` are platforms.
         #[arg(value_name = "BOARD.toml", required = true)]
         files: Vec<PathBuf>,
     },
@@ -180,10 +180,8 @@ fn new(new: &New) -> Result<()> {
 }
 
 fn check(files: &[PathBuf], as_json: bool) -> Result<()> {
-    let results: Vec<(&PathBuf, Result<Board, Error>)> = files
-        .iter()
-        .map(|file| (file, read_and_describe(file)))
-        .collect();
+    let results: Vec<(&PathBuf, Result<Read, Error>)> =
+        files.iter().map(|file| (file, read(file))).collect();
     let wrong = results.iter().filter(|(_, result)| result.is_err()).count();
     if as_json {
         let list: Vec<Value> = results
@@ -194,12 +192,15 @@ fn check(files: &[PathBuf], as_json: bool) -> Result<()> {
     } else {
         for (file, result) in &results {
             match result {
-                Ok(board) => say(&format!(
+                Ok(Read::Board(board)) => say(&format!(
                     "{}: ok, {}{}\n",
                     file.display(),
                     counts(board),
                     pinless(board)
                 ))?,
+                Ok(Read::Platform(platform)) => {
+                    say(&format!("{}: ok, {}\n", file.display(), platform.title))?
+                }
                 Err(error) => say(&format!("{error}\n"))?,
             }
         }
@@ -211,16 +212,33 @@ fn check(files: &[PathBuf], as_json: bool) -> Result<()> {
     }
 }
 
-/// A file is good when its description fits the board, too.
-fn read_and_describe(file: &Path) -> Result<Board, Error> {
-    let board = read_board(file)?;
-    ferrocnc_config::blob::blob(&board)?;
-    Ok(board)
+enum Read {
+    Board(Box<Board>),
+    Platform(Box<Platform>),
 }
 
-fn verdict(file: &Path, result: &Result<Board, Error>) -> Value {
+/// A configuration is good when its description fits the board, too.
+fn read(file: &Path) -> Result<Read, Error> {
+    if is_of_platforms(file) {
+        let platform = Platform::read(&file.display().to_string(), &stem(file), &read_text(file)?)?;
+        return Ok(Read::Platform(Box::new(platform)));
+    }
+    let board = read_board(file)?;
+    ferrocnc_config::blob::blob(&board)?;
+    Ok(Read::Board(Box::new(board)))
+}
+
+fn is_of_platforms(file: &Path) -> bool {
+    let folder = file.parent().and_then(Path::file_name);
+    folder.is_some_and(|folder| folder == "platforms")
+}
+
+fn verdict(file: &Path, result: &Result<Read, Error>) -> Value {
     match result {
-        Ok(board) => {
+        Ok(Read::Platform(platform)) => {
+            json!({ "file": file, "ok": true, "platform": platform.name })
+        }
+        Ok(Read::Board(board)) => {
             json!({ "file": file, "ok": true, "name": board.name, "platform": board.platform.name, "missing_pins": board.missing_pins() })
         }
         Err(error) => json!({
@@ -285,11 +303,7 @@ fn platform(what: &Path) -> Result<Option<Platform>> {
     if let Some((file, text)) = in_checkout.text(name) {
         return Ok(Some(Platform::read(&file, name, &text)?));
     }
-    let of_platforms = what
-        .parent()
-        .and_then(Path::file_name)
-        .is_some_and(|folder| folder == "platforms");
-    if !of_platforms {
+    if !is_of_platforms(what) {
         return Ok(None);
     }
     Ok(Some(Platform::read(name, &stem(what), &read_text(what)?)?))
