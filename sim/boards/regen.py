@@ -20,7 +20,7 @@ from ferrocnc.board import blob, read_board  # noqa: E402
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--out", type=Path, default=ROOT / "sim" / "boards")
-    parser.add_argument("names", nargs="*", default=["max", "mill6"])
+    parser.add_argument("names", nargs="*", default=["75b_v8_14o11i6s6e6p", "max", "mill6"])
     args = parser.parse_args()
     for name in args.names:
         board = read_board(ROOT / "boards" / f"{name}.toml")

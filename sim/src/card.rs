@@ -26,7 +26,12 @@ pub struct Card {
     pub estop_level: u32,
 }
 
-const BUILT_IN: [(&str, &[u8], &[u8]); 2] = [
+const BUILT_IN: [(&str, &[u8], &[u8]); 3] = [
+    (
+        "75b_v8_14o11i6s6e6p",
+        include_bytes!("../boards/75b_v8_14o11i6s6e6p/board.bin"),
+        include_bytes!("../boards/75b_v8_14o11i6s6e6p/manifest.json"),
+    ),
     (
         "max",
         include_bytes!("../boards/max/board.bin"),

@@ -16,8 +16,8 @@ pub const IDCODE: u32 = 0x4111_1043;
 pub const FIRST: u32 = 0xaaaa_0001;
 /// Build id of a new board's golden image.
 pub const GOLDEN: u32 = 0x601d_601d;
-/// The configuration and the platform of these tests.
-pub const CONFIGURATION: &str = "mill6";
+/// The configuration and the platform of these tests. Its file gives it no hardware address: each board makes its own.
+pub const CONFIGURATION: &str = "75b_v8_14o11i6s6e6p";
 /// See [`CONFIGURATION`].
 pub const PLATFORM: &str = "5a-75b-8.0";
 

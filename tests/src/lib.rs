@@ -4,6 +4,8 @@
 //! [`Machine`] arranges in one line what a test needs (started, acquired, armed) and asks one thing at a time. Where the
 //! board and the image come from is said by `FERROCNC_SOC` and `FERROCNC_FIRMWARE`, which `cargo xtask test` sets.
 
+pub mod bench;
+pub mod driver;
 pub mod flash;
 pub mod lan;
 
@@ -502,6 +504,13 @@ fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
     )
 }
 
+/// A program of this workspace: of the release build, or in the folder `FERROCNC_PROGRAMS` names.
+pub fn program(name: &str) -> PathBuf {
+    let folder = std::env::var_os("FERROCNC_PROGRAMS").map(PathBuf::from);
+    let release = || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/release");
+    folder.unwrap_or_else(release).join(name)
+}
+
 /// The simulator as a program of its own, behind real sockets; ends with the test.
 pub struct Simulator {
     child: std::process::Child,
@@ -524,7 +533,6 @@ impl Simulator {
     }
 
     fn spawn(arguments: &[&str]) -> Self {
-        use std::io::BufRead;
         let udp = std::net::UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
         let console =
             std::net::TcpListener::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
@@ -532,15 +540,33 @@ impl Simulator {
             udp.expect("a free UDP port"),
             console.expect("a free TCP port"),
         );
-        let program =
-            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/release/ferrocnc-sim");
-        let mut child = std::process::Command::new(&program)
+        let mut command = std::process::Command::new(program("ferrocnc-sim"));
+        command
             .args(["--udp", &udp.to_string(), "--console", &console.to_string()])
-            .args(arguments)
+            .args(arguments);
+        Self::run(command, udp)
+    }
+
+    /// A twin that is a place's `eth0`, with this flash and unique id.
+    pub fn at(place: &lan::Place, flash: &std::path::Path, uid: u64) -> Self {
+        let mut command = place.command(program("ferrocnc-sim"));
+        command
+            .args(["--backend", "model", "--board", flash::CONFIGURATION])
+            .args(["--mode", "free"])
+            .args(["--udp", "0.0.0.0:1234", "--discovery", "0.0.0.0:51234"])
+            .args(["--console", "0.0.0.0:23", "--interface", "eth0"])
+            .args(["--uid", &format!("{uid:016x}"), "--flash"])
+            .arg(flash);
+        Self::run(command, std::net::SocketAddr::from(([0, 0, 0, 0], 1234)))
+    }
+
+    fn run(mut command: std::process::Command, udp: std::net::SocketAddr) -> Self {
+        use std::io::BufRead;
+        let mut child = command
             .stdout(std::process::Stdio::piped())
             .stdin(std::process::Stdio::piped())
             .spawn()
-            .unwrap_or_else(|error| panic!("{}: {error}", program.display()));
+            .unwrap_or_else(|error| panic!("{command:?}: {error}"));
         let stdout = child.stdout.take().expect("its output is piped");
         let mut ready = String::new();
         std::io::BufReader::new(stdout)
@@ -551,6 +577,12 @@ impl Simulator {
             "the simulator said {ready:?} instead of being ready"
         );
         Simulator { child, udp }
+    }
+
+    /// Pulls its plug: it ends in the middle of whatever it does.
+    pub fn pull_the_plug(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 
     /// Ends it as SIGTERM does, so that it writes its report, and waits until it has.

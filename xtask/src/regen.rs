@@ -13,6 +13,8 @@ const GENERATED: &[&str] = &[
     "docs/registers.md",
     "pac/src/abi.rs",
     "pac/src/lib.rs",
+    "sim/boards/75b_v8_14o11i6s6e6p/board.bin",
+    "sim/boards/75b_v8_14o11i6s6e6p/manifest.json",
     "sim/boards/max/board.bin",
     "sim/boards/max/manifest.json",
     "sim/boards/mill6/board.bin",

@@ -31,6 +31,8 @@ enum Level {
     Soc,
     /// Defects of the controllers before us, each shown not to be ours.
     Peers,
+    /// Flash, settings, discovery and updates with the plug pulled everywhere; real `ferrocnc` on a segment of boards.
+    Provision,
     /// LiteX's own client, ping and a console session.
     Clients,
     /// Real LinuxCNC, our driver, the twin: homing, probing, threading, four boards, other drivers' HAL files.
@@ -47,6 +49,7 @@ const ALL: &[Level] = &[
     Level::Lockstep,
     Level::Soc,
     Level::Peers,
+    Level::Provision,
     Level::Clients,
     Level::Twin,
     Level::Linuxcnc,
@@ -73,6 +76,9 @@ pub fn run(options: &Options) -> Result<()> {
     }
     if levels.contains(&Level::Lockstep) {
         build::simulated_cores(build::BOARD)?;
+    }
+    if levels.contains(&Level::Provision) {
+        build::host()?;
     }
     let needs_driver = |level: &Level| matches!(level, Level::Twin | Level::Linuxcnc);
     if levels.iter().any(needs_driver) {
@@ -125,6 +131,7 @@ impl Level {
             Level::Lockstep => "lockstep: RTL and model, clock by clock",
             Level::Soc => "soc: Verilated board, release image, frames and faults",
             Level::Peers => "peers: defects of others, on the RTL board",
+            Level::Provision => "provision: flash and network, the plug pulled everywhere",
             Level::Clients => "clients: LiteX RemoteClient, ping, console",
             Level::Twin => "twin: real LinuxCNC, our driver, the cores' models",
             Level::Linuxcnc => "linuxcnc: real LinuxCNC, our driver, simulated board",
@@ -161,6 +168,9 @@ impl Level {
             }
             Level::Soc => board_tests("soc", "10 min", "1"),
             Level::Peers => board_tests("peers", "3 min", "2"),
+            Level::Provision => {
+                Ok(board_tests("provision", "1 min", "2")? + board_tests("segment", "2 min", "2")?)
+            }
             Level::Clients => board_tests("clients", "2 min", "1"),
             Level::Twin => board_tests("twin", "3 min", "1"),
             Level::Linuxcnc => board_tests("linuxcnc", "10 min", "1"),
