@@ -273,7 +273,10 @@ impl Driver {
             &mut hal,
             "gpio",
             names(Kind::Output, "gpio", "invert", channels.outputs),
-            |hal, _| gpio::Output::export(hal),
+            |hal, n| {
+                let said = |key, word| identity.pin(b'o', n, key) == Some(word);
+                gpio::Output::export(hal, said("safe", "high"), said("invert", "true"))
+            },
         )?;
         Ok(Driver {
             index,
@@ -778,6 +781,7 @@ impl Driver {
             *word = pwm.configure();
         }
         for (n, output) in self.outputs.iter().enumerate() {
+            wanted.gpio_safe |= u32::from(output.safe()) << n;
             wanted.gpio_invert |= u32::from(output.inverted()) << n;
         }
         wanted

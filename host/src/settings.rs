@@ -30,6 +30,8 @@ pub struct Disarmed {
     pub pwm_mode: [u32; MAX_CHANNELS],
     /// Watchdog timeout and grace.
     pub watchdog: [u32; 2],
+    /// Which outputs are high while the gate is closed, before inversion.
+    pub gpio_safe: u32,
     /// Which outputs are inverted.
     pub gpio_invert: u32,
     /// As [`map::BoardConfig::Probe`] takes it.
@@ -48,6 +50,7 @@ impl Default for Disarmed {
             encoder: [[0; map::ENCODER_CONFIG_WORDS as usize]; MAX_CHANNELS],
             pwm_mode: [0; MAX_CHANNELS],
             watchdog: [0; 2],
+            gpio_safe: 0,
             gpio_invert: 0,
             probe: 0,
             debounce: [0; INPUTS],
@@ -73,8 +76,8 @@ impl Group for Disarmed {
         }
         fits &= record(map::CONFIG_BOARD, &self.watchdog);
         fits &= record(
-            map::CONFIG_BOARD + 4 * map::BoardConfig::GpioInvert as u32,
-            &[self.gpio_invert, self.probe],
+            map::CONFIG_BOARD + 4 * map::BoardConfig::GpioSafe as u32,
+            &[self.gpio_safe, self.gpio_invert, self.probe],
         );
         let inputs = usize::from(channels.inputs);
         fits && (inputs == 0 || record(map::CONFIG_DEBOUNCE, &self.debounce[..inputs]))
@@ -200,7 +203,7 @@ mod tests {
             .unwrap();
         let packet = Packet::new_checked(request).unwrap();
         let written: usize = packet.records().map(|record| record.writes.len()).sum();
-        assert_eq!(written, 16 * 6 + 16 * 2 + 16 + 4 + 32);
+        assert_eq!(written, 16 * 6 + 16 * 2 + 16 + 5 + 32);
         assert_eq!(packet.records().last().unwrap().return_base, 7);
     }
 

@@ -3,10 +3,10 @@
 //! An input has `in` and `in-not` (bit out) and the parameter `debounce-ns` (u32): a change must last that
 //! long to be believed, up to 35 ms at 60 MHz. One that the board file calls an e-stop input has `estop`
 //! (bit out) besides: it has tripped; latched by the gateware until the machine is armed again. An output
-//! has `out` (bit in) and the parameter `invert`. Parameters reach the board while it is disarmed.
-//! (hostmot2 says `invert_output`; that would leave a name like `spindle-reverse` no room in the 41
-//! characters old HALs have.) While the gate is closed an output carries the board's safe level, whatever
-//! `out` says.
+//! has `out` (bit in) and the parameter `invert`, which begins as the board file has it. Parameters reach the
+//! board while it is disarmed. (hostmot2 says `invert_output`; that would leave a name like `spindle-reverse` no room in the 41
+//! characters old HALs have.) While the gate is closed the pin carries the board file's safe level, whatever
+//! `out` and `invert` say.
 
 use crate::hal::{ExportError, Exporter, In, Out, Param};
 use wire::map::{DEBOUNCE_CLOCKS, DEBOUNCE_MAX};
@@ -59,14 +59,16 @@ impl Input {
 pub struct Output {
     value: In<bool>,
     invert: Param<bool>,
+    safe: bool,
 }
 
 impl Output {
-    /// Exports the pins.
-    pub fn export(hal: &mut Exporter<'_>) -> Result<Self, ExportError> {
+    /// Exports the pins. `safe` and `invert` are what the board file says of it.
+    pub fn export(hal: &mut Exporter<'_>, safe: bool, invert: bool) -> Result<Self, ExportError> {
         Ok(Output {
             value: hal.input("out")?,
-            invert: hal.param("invert", false)?,
+            invert: hal.param("invert", invert)?,
+            safe,
         })
     }
 
@@ -79,12 +81,33 @@ impl Output {
     pub fn inverted(&self) -> bool {
         self.invert.get()
     }
+
+    /// What the board's safe register has to hold, which is before inversion, so that the pin is at the board
+    /// file's level whatever HAL says of its polarity.
+    pub fn safe(&self) -> bool {
+        self.safe != self.inverted()
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::hal::fake::FakeHal;
+
+    #[test]
+    fn the_safe_level_is_the_pins_whatever_its_polarity() {
+        let mut hal = FakeHal::new();
+        for (safe, invert) in [(false, false), (false, true), (true, false), (true, true)] {
+            let name = format!("o{}{}", u8::from(safe), u8::from(invert));
+            let mut exporter = Exporter::new(&mut hal, name.as_str());
+            let output = Output::export(&mut exporter, safe, invert).unwrap();
+            for told in [invert, !invert] {
+                hal.set(&format!("{name}.invert"), told);
+                // What gpio.sv does with the two registers.
+                assert_eq!(output.safe() ^ output.inverted(), safe, "{name} {told}");
+            }
+        }
+    }
 
     #[test]
     fn a_debounce_is_never_shorter_than_asked_and_never_beyond_its_register() {
