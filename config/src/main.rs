@@ -48,7 +48,12 @@ fn read(path: &Path, network: &[&str]) -> Result<Board, Box<dyn std::error::Erro
         };
     }
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let read = Board::read(&path.display().to_string(), &stem, &text, &Folder::beside(path));
+    let read = Board::read(
+        &path.display().to_string(),
+        &stem,
+        &text,
+        &Folder::beside(path),
+    );
     read.map_err(|error: Error| error.into())
 }
 
@@ -59,7 +64,9 @@ fn with(text: &str, key: &str, value: &str) -> String {
         if line.trim_start().starts_with('[') {
             inside = line.trim() == "[network]";
         }
-        let names_it = line.split_once('=').is_some_and(|(name, _)| name.trim() == key);
+        let names_it = line
+            .split_once('=')
+            .is_some_and(|(name, _)| name.trim() == key);
         if inside && names_it {
             continue;
         }
