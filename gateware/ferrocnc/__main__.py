@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from .board import BoardError, read_board
+from .tools import ToolError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -20,6 +21,8 @@ def main(argv=None):
                    help="sim: the SoC with plain ports; board: the SoC on its FPGA; cores: cores and banks behind a bare CSR bus")
     p.add_argument("--board", required=True, help="boards/NAME.toml")
     p.add_argument("--out", required=True)
+    p.add_argument("--without-pins", action="store_true", help="board: even if it has no pins")
+    _network(p)
 
     p = sub.add_parser("export", help="write pac/soc.svd, pac/src/abi.rs, memory.x and docs/registers.md")
     p.add_argument("--root", default=str(ROOT), help="the tree to write into (default: this one)")
@@ -30,12 +33,20 @@ def main(argv=None):
     p.add_argument("--svd2rust", help="svd2rust 0.37.1 (default: target/tools/bin/svd2rust, then PATH)")
     p.add_argument("--out", default=str(ROOT / "pac" / "src" / "lib.rs"))
 
-    p = sub.add_parser("bitstream", help="synthesise, place, route and pack a board; a missed clock is a failed build")
-    p.add_argument("--board", required=True, help="boards/NAME.toml")
-    p.add_argument("--out", required=True)
-    p.add_argument("--firmware", help="image to put into the ROM: an ELF file or a flat binary")
-    p.add_argument("--seed", type=int, default=1, help="nextpnr's seed")
+    p = sub.add_parser("bitstream", help="synthesise, place, route and pack boards; a missed clock is a failed build")
+    p.add_argument("--board", required=True, nargs="+", help="boards/NAME.toml, several side by side")
+    p.add_argument("--out", required=True, help="the folder for a folder per board")
+    p.add_argument("--firmware", help="image to put into the ROM: an ELF file or a flat binary; without it nothing is packed")
+    p.add_argument("--first-seed", type=int, default=1, help="nextpnr's first seed")
+    p.add_argument("--seeds", type=int, default=6, help="how many seeds to try")
+    p.add_argument("--jobs", type=int, help="how many tools at once (default: one per core)")
+    p.add_argument("--slack", type=float, default=5.0, help="per cent every clock must have to spare")
+    p.add_argument("--firmware-only", action="store_true", help="take the routed design as it is, whatever has changed in the gateware")
+    p.add_argument("--without-pins", action="store_true", help="build a board without pins, too, to measure it; it gets no images")
     p.add_argument("--json", help="write the report here")
+    p.add_argument("--document", help="write the table as Markdown here")
+    p.add_argument("--prove", action="store_true", help="unpack what was built and compare it with the firmware; pack again and compare")
+    _network(p)
 
     p = sub.add_parser("bench", help="synthesise the cores and the named boards and say how big they are")
     p.add_argument("--out", required=True)
@@ -50,9 +61,18 @@ def main(argv=None):
     logging.disable(logging.NOTSET if args.verbose else logging.WARNING)
     try:
         return {"elaborate": _elaborate, "export": _export, "pac": _pac, "bitstream": _bitstream, "bench": _bench, "tools": _tools}[args.command](args)
-    except BoardError as e:
+    except (BoardError, ToolError) as e:
         print(f"error: {e}", file=sys.stderr)
         return 1
+
+
+def _network(parser):
+    for name in ("ip", "port", "mac"):
+        parser.add_argument(f"--{name}", help=f"this {name} instead of the board file's")
+
+
+def _network_of(args):
+    return {name: value for name in ("ip", "port", "mac") if (value := getattr(args, name)) is not None}
 
 
 def _tools(_args):
@@ -62,7 +82,7 @@ def _tools(_args):
 
 
 def _elaborate(args):
-    board = read_board(args.board)
+    board = read_board(args.board, **_network_of(args))
     if args.target == "sim":
         from . import sim
         sim.elaborate(board, args.out)
@@ -73,7 +93,7 @@ def _elaborate(args):
         print(f"{args.out}/cores.v: {board.name}, {board.sys_clk_hz / 1e6:g} MHz")
     else:
         from . import build
-        build.elaborate(board, args.out)
+        build.elaborate(board, args.out, all_pins=not args.without_pins)
         print(f"{args.out}/top.v: {board.name}, {board.sys_clk_hz / 1e6:g} MHz")
     return 0
 
@@ -94,7 +114,9 @@ def _pac(args):
 
 def _bitstream(args):
     from . import build
-    return build.bitstream(read_board(args.board), Path(args.out), args.firmware, args.seed, args.json)
+    options = build.Options(
+        args.firmware, args.first_seed, args.seeds, args.jobs, args.slack, _network_of(args), args.firmware_only, args.without_pins, len(args.board))
+    return build.bitstreams([Path(board) for board in args.board], Path(args.out), options, args.json, args.document, args.prove)
 
 
 def _bench(args):

@@ -105,13 +105,15 @@ def _reader():
     return [str(built)]
 
 
-def read_board(path):
-    """Reads a board file and its platform; everything that can be checked without building it has been checked."""
+def read_board(path, **network):
+    """Reads a board file and its platform; everything that can be checked without building it has been checked. `ip`, `port` and
+    `mac` stand in for what the file says."""
     path = Path(path)
     # As the file is named from the root, so that an error is the same wherever it is seen.
     shown = path.resolve().relative_to(ROOT) if path.resolve().is_relative_to(ROOT) else path
+    instead = [text for key, value in network.items() for text in (f"--{key}", str(value))]
     try:
-        run = subprocess.run([*_reader(), "export", str(shown)], cwd=ROOT, capture_output=True, text=True, check=False, encoding="utf-8")
+        run = subprocess.run([*_reader(), "export", str(shown), *instead], cwd=ROOT, capture_output=True, text=True, check=False, encoding="utf-8")
     except OSError as e:
         raise BoardError(shown, "", f"cannot be read: {e.filename} does not run ({e.strerror}); install Rust, or set FERROCNC_CONFIG") from e
     if run.returncode:

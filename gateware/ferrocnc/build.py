@@ -1,23 +1,40 @@
-"""Runs the tools in their order: yosys, nextpnr, ecppack. A clock that misses its constraint fails the build."""
+"""Runs the tools in their order: elaborate, yosys, nextpnr with one seed after the other, pack. A clock that misses its constraint
+fails the build, and so does one with less slack than wanted.
 
+What a stage makes depends on its inputs alone, and is not made again while they are the same: other firmware, another address or
+another name of equal length in a board file goes into the routed design that is there, in seconds.
+"""
+
+import hashlib
 import json
 import os
 import re
+import shutil
+import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from . import ecp5, regmap as rm, soc as ferro, tools
-from .board import BoardError, read_board
+from . import ecp5, image, regmap as rm, soc as ferro, tools
+from .board import BoardError, pins_missing, read_board
 
 TOP = "top"
+_GATEWARE = Path(__file__).resolve().parents[1]
+_READ = re.compile(r"^(read_verilog(?: -sv)?) (/\S+)$", re.M)
 
 
-def elaborate(board, out):
-    """Writes everything the tools read: top.v, top.ys, top.lpf, ROM contents. Returns the SoC."""
+class BuildError(Exception):
+    """A build that failed; the text is the sentence."""
+
+
+def elaborate(board, out, all_pins=True):
+    """Writes everything the tools read: top.v, top.ys, top.lpf, ROM contents, sources; nothing in them tells the day or the
+    folder. Returns the SoC."""
     out = Path(out).resolve()
     out.mkdir(parents=True, exist_ok=True)
-    soc = ecp5.BoardSoC(board)
+    soc = ecp5.BoardSoC(board, all_pins=all_pins)
     toolchain = soc.platform.toolchain
     toolchain._yosys_cmds.append(ecp5.ABC9)
     here = os.getcwd()
@@ -25,48 +42,411 @@ def elaborate(board, out):
         soc.platform.build(soc, build_dir=str(out), build_name=TOP, run=False)
     finally:
         os.chdir(here)
+    (out / f"build_{TOP}.sh").unlink()  # LiteX's idea of how to go on
+    _settle(out)
     (out / "csr.csv").write_text(ferro.csr_csv(soc))
     (out / "board.bin").write_bytes(soc.blob)
     return soc
 
 
-def bitstream(board, out, firmware=None, seed=1, report=None):
-    """Board file to top.bit. Returns the process's exit code: not 0 if a clock was missed."""
-    began = time.monotonic()
-    out = Path(out).resolve()
-    image = read_image(firmware) if firmware else None
-    (out / f"{TOP}.bit").unlink(missing_ok=True)  # a failed build leaves no bitstream, not even an older one
-    soc = elaborate(board, out)
-    _tool("yosys", ["-q", "-l", f"{TOP}.rpt", f"{TOP}.ys"], out, "yosys.log")
-    _place(board, out, seed)
-    found = _report(board, out, seed, began)
-    if report:
-        Path(report).parent.mkdir(parents=True, exist_ok=True)
-        Path(report).write_text(json.dumps(found, indent=2) + "\n")
-    missed = _print(found)
-    if missed:
-        for name, clock in missed.items():
-            print(f"error: clock {name} reaches {clock['achieved_mhz']} MHz of {clock['required_mhz']}; try another --seed", file=sys.stderr)
-        return 1
-    config = f"{TOP}.config"
-    if image is not None:
-        config = _insert(soc, out, image)
-    _tool("ecppack", ["--compress", config, f"{TOP}.bit"], out, "ecppack.log")
-    print(f"{out / TOP}.bit: {(out / f'{TOP}.bit').stat().st_size} bytes, {'with ' + str(firmware) if firmware else 'no firmware: the CPU waits for an image'}")
-    return 0
+def _settle(out):
+    """Takes the date and LiteX's drawings, in no order, out of top.v and the machine out of top.ys: yosys names cells after the files
+    and lines they come from."""
+    top = (out / f"{TOP}.v").read_text(encoding="utf-8")
+    top = re.sub(r"^/\*.*?^\*/$", "", top[top.index("`timescale"):], flags=re.M | re.S)
+    code = [line for line in top.splitlines(keepends=True) if not line.startswith("//")]
+    (out / f"{TOP}.v").write_text("".join(code), encoding="utf-8", newline="\n")
+    (out / "src").mkdir(exist_ok=True)
+
+    def near(match):
+        path = Path(match[2])
+        if path.parent == out:
+            return f"{match[1]} {path.name}"
+        shutil.copyfile(path, out / "src" / path.name)
+        return f"{match[1]} src/{path.name}"
+
+    script = out / f"{TOP}.ys"
+    script.write_text(_READ.sub(near, script.read_text()))
+    lpf = (out / f"{TOP}.lpf").read_text().splitlines(keepends=True)
+    (out / f"{TOP}.lpf").write_text("".join(line for line in lpf if 'SITE "X"' not in line))  # pins without a ball
 
 
-def _place(board, folder, seed, *more):
+def place(board, folder, seed, *more, name="", cancelled=None):
     """Places and routes. A missed clock is judged by who reads the report: nextpnr alone would stop before saying what it reached."""
-    (folder / "nextpnr.json").unlink(missing_ok=True)
-    _tool("nextpnr-ecp5", [
-        "--json", f"{TOP}.json", "--lpf", f"{TOP}.lpf", "--textcfg", f"{TOP}.config", "--report", "nextpnr.json", *_device(board),
-        "--seed", str(seed), "--timing-allow-fail", *ecp5.PLACER.split(), *more], folder, "nextpnr.log")
+    report = folder / f"nextpnr{name}.json"
+    report.unlink(missing_ok=True)
+    tools.run("nextpnr-ecp5", [
+        "--json", f"{TOP}.json", "--lpf", f"{TOP}.lpf", "--textcfg", f"{TOP}{name}.config", "--report", report.name, *_device(board),
+        "--seed", str(seed), "--timing-allow-fail", *ecp5.PLACER.split(), *more], folder, f"nextpnr{name}.log", cancelled=cancelled)
+    return json.loads(report.read_text())
 
 
 def _device(board):
     device = board.platform.device.split("-")
-    return f"--{device[1].lower().replace('f', 'k')}", "--package", "CABGA256", "--speed", device[2][0]
+    return f"--{device[1].lower().replace('f', 'k')}", "--package", board.platform.package, "--speed", device[2][0]
+
+
+# One board --------------------------------------------------------------------------------------------------------
+
+class Design:
+    """A board on its way through the tools, in `folder`; `folder / "work"` keeps what every stage made and `record.json` from what."""
+
+    def __init__(self, path, root, options, watch):
+        self.path, self.options, self.watch = Path(path), options, watch
+        self.name = self.path.stem
+        self.folder, self.work = root / self.name, root / self.name / "work"
+        self.record = {}
+
+    def build(self):
+        """Everything. Returns the report."""
+        began = time.monotonic()
+        for old in (self.folder / f"{self.name}{end}" for end in image.FILES):
+            old.unlink(missing_ok=True)  # a failed build leaves no bitstream, not even an older one
+        self.work.mkdir(parents=True, exist_ok=True)
+        self.board = read_board(self.path, **self.options.network)
+        self.pins = not pins_missing(self.board)
+        if not self.pins and not self.options.without_pins:
+            raise BoardError(self.board.file, pins_missing(self.board)[0],
+                             f"has no pin ({len(pins_missing(self.board))} are missing); a configuration without pins can only be simulated")
+        self.record = self._load()
+        if self.options.firmware_only:
+            self._must_fit()
+        elif self._sources() != self.record.get("sources"):
+            self._elaborate()
+        if "cells" not in self.record:
+            self._stage("synthesis", self._synthesise)
+        seed = self._search()
+        found = self._report(seed)
+        if self.pins and self.options.firmware:
+            found["image"] = self._stage("packing", self._pack, seed)
+        found["wall_seconds"] = round(time.monotonic() - began, 1)
+        (self.folder / "report.json").write_text(json.dumps(found, indent=2) + "\n")
+        return found
+
+    def prove(self):
+        """Unpacks what was built and compares. Yields what was proven."""
+        seed = json.loads((self.folder / "report.json").read_text())["seed"]
+        yield from image.prove(self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder)
+
+    # What was made from what
+
+    def _load(self):
+        try:
+            return json.loads((self.work / "record.json").read_text())
+        except (OSError, ValueError):
+            return {}
+
+    def _save(self):
+        part = self.work / "record.json.part"
+        part.write_text(json.dumps(self.record, indent=1) + "\n")
+        part.replace(self.work / "record.json")
+
+    def _sources(self):
+        """Hash of all an elaboration reads: our Python and Verilog, the pinned packages, the board but for what only stands in its
+        description."""
+        files = sorted([*_GATEWARE.glob("ferrocnc/*.py"), *_GATEWARE.glob("rtl/*.sv"), _GATEWARE / "requirements.txt"])
+        sum_ = hashlib.sha256()
+        for file in files:
+            sum_.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+        board = {k: v for k, v in vars(self.board).items() if k not in ("file", "mac", "ipv4", "udp_port", "blob", "platform")}
+        for channels in (board[k] for k in ("stepgen", "encoder", "pwm", "gpio_in", "gpio_out")):
+            sum_.update(repr([{k: v for k, v in c.items() if k != "name"} for c in channels]).encode())
+        sum_.update(repr(sorted((k, v) for k, v in board.items() if not isinstance(v, list))).encode())
+        sum_.update(repr(sorted((k, v) for k, v in vars(self.board.platform).items() if k != "file")).encode())
+        sum_.update(repr((len(self.board.blob), self.pins, self._tools())).encode())
+        return sum_.hexdigest()
+
+    def _tools(self):
+        return [tools.version("yosys"), tools.version("nextpnr-ecp5")]
+
+    def _netlist(self):
+        """Hash of all yosys and nextpnr read."""
+        files = [self.work / f"{TOP}{end}" for end in (".v", ".ys", ".lpf")]
+        files += sorted(self.work.glob("*.init")) + sorted((self.work / "src").iterdir())
+        sum_ = hashlib.sha256(repr((self._tools(), _device(self.board), ecp5.PLACER, self.pins)).encode())
+        for file in files:
+            sum_.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
+        return sum_.hexdigest()
+
+    def _must_fit(self):
+        if not self.record.get("seeds"):
+            raise BuildError(f"{self.name}: there is no routed design to put firmware into; build once without --firmware-only")
+        if self.record["blob_words"] != len(self.board.blob) // 4:
+            raise BuildError(f"{self.name}: the board's description has grown or shrunk, and its length is part of the design; "
+                             "build without --firmware-only")
+
+    # Stages
+
+    def _stage(self, name, run, *args):
+        began = time.monotonic()
+        self.watch.begin(self.name, name)
+        try:
+            result = run(*args)
+            self.watch.end(self.name, name, time.monotonic() - began)
+        except BaseException:
+            self.watch.end(self.name, name, None)
+            raise
+        return result
+
+    def _elaborate(self):
+        # In a process of its own: LiteX keeps state in its modules, and works in the current folder.
+        fresh = self.work.with_name("fresh")
+        shutil.rmtree(fresh, ignore_errors=True)
+        command = [sys.executable, "-m", "ferrocnc", "elaborate", "--target", "board", "--board", str(self.path), "--out", str(fresh)]
+        command += [] if self.pins else ["--without-pins"]
+        command += [text for key, value in self.options.network.items() for text in (f"--{key}", value)]
+
+        def run():
+            done = subprocess.run(command, env=dict(os.environ, PYTHONHASHSEED="0", PYTHONPATH=str(_GATEWARE)), capture_output=True, text=True, check=False)
+            if done.returncode:
+                raise BuildError(f"{self.name}: cannot be elaborated\n{(done.stderr or done.stdout).strip()[-2000:]}")
+
+        self._stage("elaboration", run)
+        before, work, self.work = self.record.get("netlist"), self.work, fresh
+        netlist, self.work = self._netlist(), work
+        if netlist != before:
+            shutil.rmtree(work)
+            fresh.rename(work)
+            self.record = {"netlist": netlist}
+        self.record |= {"sources": self._sources(), "blob_words": len(self.board.blob) // 4}
+        self._save()
+
+    def _synthesise(self):
+        began = time.monotonic()
+        with self.watch.core():
+            tools.run("yosys", ["-q", "-l", f"{TOP}.rpt", f"{TOP}.ys"], self.work, "yosys.log")
+        self.record |= {"cells": _synthesis(self.work / f"{TOP}.rpt"), "synthesis_seconds": round(time.monotonic() - began)}
+        self.record["seeds"] = {}
+        self._save()
+
+    def _search(self):
+        """The lowest seed that meets every clock with the wanted slack: which one that is does not depend on who is faster. Several
+        run side by side if there are cores for them; higher ones end as soon as they no longer matter."""
+        seeds = range(self.options.first_seed, self.options.first_seed + self.options.seeds)
+        lock, met = threading.Lock(), []
+
+        def cancelled(seed):
+            return any(other < seed for other in met)
+
+        def one(seed):
+            if cancelled(seed):
+                return
+            if str(seed) not in self.record["seeds"]:
+                if self.options.firmware_only:
+                    return
+                try:
+                    self._stage(f"place and route, seed {seed}", self._route, seed, lock, lambda: cancelled(seed))
+                except tools.Cancelled:
+                    return
+            if self._slack(seed) >= self.options.slack:
+                met.append(seed)
+
+        with ThreadPoolExecutor(max(1, min(len(seeds), self.options.side_by_side))) as pool:
+            list(pool.map(one, seeds))
+        if not met:
+            raise BuildError(self._reached())
+        return min(met)
+
+    def _route(self, seed, lock, cancelled):
+        more = [] if self.pins else ["--lpf-allow-unconstrained"]
+        with self.watch.core():
+            if cancelled():
+                raise tools.Cancelled
+            began = time.monotonic()
+            try:
+                data = place(self.board, self.work, seed, *more, name=str(seed), cancelled=cancelled)
+            except tools.ToolError as e:
+                found = {"failed": str(e).splitlines()[-2:]}
+            else:
+                found = {"clocks": _clocks(self.board, data), "utilization": {
+                    k: v for k, v in data["utilization"].items() if k in ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "MULT18X18D")}}
+            found["seconds"] = round(time.monotonic() - began)
+        with lock:
+            self.record["seeds"][str(seed)] = found
+            self._save()
+
+    def _slack(self, seed):
+        """Per cent of the tightest clock; -100 if it was never placed."""
+        clocks = self.record["seeds"][str(seed)].get("clocks")
+        return min(slack(clock) for clock in clocks.values()) * 100 if clocks else -100
+
+    def _reached(self):
+        tried = {seed: found for seed, found in self.record["seeds"].items()
+                 if self.options.first_seed <= int(seed) < self.options.first_seed + self.options.seeds}
+        if not tried:
+            return f"{self.name}: none of these seeds has been placed and routed; build without --firmware-only"
+        lines = []
+        for seed, found in tried.items():
+            if "clocks" in found:
+                lines.append(f"  seed {seed}: " + ", ".join(_clock_text(name, clock) for name, clock in found["clocks"].items()))
+            else:
+                lines.append(f"  seed {seed}: not placed and routed; " + " ".join(found["failed"]))
+        best = max(self._slack(seed) for seed in tried)
+        what = "misses a clock" if best < 0 else f"meets every clock, but with {best:.1f} % slack where {self.options.slack:g} % are wanted"
+        return f"{self.name}: the best of {len(tried)} seeds {what}:\n" + "\n".join(lines) + "\n  more seeds: --seeds"
+
+    def _pack(self, seed):
+        return image.pack(self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder)
+
+    def _report(self, seed):
+        found = self.record["seeds"][str(seed)]
+        tried = [other for other in self.record["seeds"] if int(other) <= seed]
+        return {
+            "board": self.name, "platform": self.board.platform.name, "device": self.board.platform.device, "clocks": found["clocks"], "seed": seed,
+            "seconds": self.record["synthesis_seconds"] + sum(self.record["seeds"][other]["seconds"] for other in tried),
+            **self.record["cells"], "trellis_comb": found["utilization"]["TRELLIS_COMB"]["used"], "utilization": found["utilization"],
+        }
+
+
+# What is going on -------------------------------------------------------------------------------------------------
+
+class Watch:
+    """Says every few seconds what runs, for how long, and how long it took the last time. There are `jobs` cores to give away."""
+
+    SAY_EVERY = 5
+
+    def __init__(self, root, jobs):
+        self.file = root / "durations.json"
+        self._cores, self._lock = threading.Semaphore(jobs), threading.Lock()
+        self._running, self._said = {}, 0
+        try:
+            self.durations = json.loads(self.file.read_text())
+        except (OSError, ValueError):
+            self.durations = {}
+
+    def core(self):
+        return self._cores
+
+    @staticmethod
+    def _key(board, stage):
+        return f"{board}/{stage.partition(',')[0]}"
+
+    def begin(self, board, stage):
+        with self._lock:
+            self._running[board, stage] = time.monotonic()
+        print(f"{board}: {stage} ({self._expected(board, stage)})", flush=True)
+
+    def end(self, board, stage, seconds):
+        with self._lock:
+            self._running.pop((board, stage), None)
+            if seconds is None:
+                return
+            self.durations[self._key(board, stage)] = round(seconds, 1)
+            self.file.write_text(json.dumps(self.durations, indent=1, sort_keys=True) + "\n")
+        print(f"{board}: {stage} took {seconds:.1f} s", flush=True)
+
+    def _expected(self, board, stage):
+        seconds = self.durations.get(self._key(board, stage))
+        return "first time: no estimate" if seconds is None else f"took {seconds:.0f} s the last time"
+
+    def tick(self):
+        now = time.monotonic()
+        with self._lock:
+            running = list(self._running.items())
+        if running and now - self._said > self.SAY_EVERY:
+            self._said = now
+            print("  ... " + "; ".join(f"{board}: {stage} {now - since:.0f} s ({self._expected(board, stage)})" for (board, stage), since in running), flush=True)
+
+
+class Options:
+    """What a build is told."""
+
+    def __init__(self, firmware=None, first_seed=1, seeds=6, jobs=None, slack=5.0, network=None, firmware_only=False, without_pins=False, boards=1):
+        self.firmware, self.first_seed, self.seeds, self.slack = firmware, first_seed, seeds, slack
+        self.network, self.firmware_only, self.without_pins = network or {}, firmware_only, without_pins
+        self.jobs = jobs or os.cpu_count() or 1
+        # Cores without a board of their own try the next seeds.
+        self.side_by_side = max(1, self.jobs // min(boards, self.jobs))
+
+
+def bitstreams(boards, root, options, report=None, document=None, prove=False):
+    """Board files to images. Returns the process's exit code: not 0 if one of them is not as it should be."""
+    root = Path(root).resolve()
+    root.mkdir(parents=True, exist_ok=True)
+    watch, found, failed, proven = Watch(root, options.jobs), {}, {}, []
+
+    def one(path):
+        design = Design(path, root, options, watch)
+        try:
+            found[design.name] = design.build()
+            proven.extend(design.prove() if prove else ())
+        except (BoardError, BuildError, tools.ToolError, ValueError) as e:
+            failed[design.name] = str(e)
+            print(f"{design.name}: failed", flush=True)
+
+    with ThreadPoolExecutor(min(len(boards), options.jobs)) as pool:
+        waiting = [pool.submit(one, path) for path in boards]
+        while not all(future.done() for future in waiting):
+            time.sleep(0.2)
+            watch.tick()
+        for future in waiting:
+            future.result()
+    found = {name: found[name] for name in (Path(path).stem for path in boards) if name in found}
+    print("== summary")
+    for text in (*map(_summary, found.values()), *(f"PASS {text}" for text in proven)):
+        print(text)
+    if report and found:
+        last = list(found.values())[-1] | ({"boards": list(found.values())} if len(boards) > 1 else {})
+        Path(report).parent.mkdir(parents=True, exist_ok=True)
+        Path(report).write_text(json.dumps(last, indent=2) + "\n")
+    if document and found:
+        Path(document).write_text(timing_document(found, failed), encoding="utf-8", newline="\n")
+    for text in failed.values():
+        print(f"error: {text}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+def slack(clock):
+    return clock["achieved_mhz"] / clock["required_mhz"] - 1
+
+
+def _clock_text(name, clock):
+    return f"{name} {clock['achieved_mhz']:.1f} MHz of {clock['required_mhz']:g} ({slack(clock):+.1%})"
+
+
+def _summary(found):
+    use = ", ".join(f"{name} {found['utilization'][cell]['used']} of {found['utilization'][cell]['available']} "
+                    f"({found['utilization'][cell]['used'] / found['utilization'][cell]['available']:.0%})"
+                    for name, cell in (("COMB", "TRELLIS_COMB"), ("FF", "TRELLIS_FF"), ("EBR", "DP16KD"), ("DSP", "MULT18X18D")))
+    lines = [
+        f"{found['board']} on {found['platform']}, {found['device']}",
+        "  clocks  " + ", ".join(_clock_text(name, clock) for name, clock in found["clocks"].items()),
+        f"  used    {use}; LUT4 {found['lut4']}",
+        f"  time    {found['wall_seconds']:g} s now; synthesis, placing and routing take {found['seconds']} s, seed {found['seed']}",
+    ]
+    if "image" in found:
+        lines.append(f"  image   build {found['image']['build']}, {found['image']['bytes']} bytes; .bit, -golden.bit, .svf and .flash")
+    return "\n".join(lines)
+
+
+_TIMING_DOC = """<!-- Written by `cargo xtask bitstream --all`; do not edit. -->
+# Timing
+
+Every configuration in `boards/`, placed and routed on an LFE5U-25F, speed grade -6, with the tools of `gateware/requirements.txt`:
+the lowest seed with at least {slack:g} % slack on every clock. A clock that misses its constraint fails the build. `eth` is the RGMII
+clock, 125 MHz; `sys` is the processor's and all cores'. COMB are the chip's LUT places, what the placer fills (24 288), EBR its
+block RAMs (56), DSP its multipliers (28). Minutes are those of yosys and of nextpnr for all seeds up to that one, on one core of the
+machine that wrote this, beside another build.
+
+`max` is the largest board there can be, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O. No 5A-75B has pins for it: its inputs
+come from a shift register behind one pad and its outputs leave as a parity through another.
+
+"""
+
+
+def timing_document(found, failed):
+    head = ("configuration", "platform", "LUT4", "FF", "EBR", "DSP", "COMB", "eth, MHz", "slack", "sys, MHz", "slack", "seed", "minutes", "image, KB")
+    lines = ["| " + " | ".join(head) + " |", "|---|---|" + "---:|" * (len(head) - 2)]
+    for f in found.values():
+        cells = [f["board"], f["platform"], *(f[k] for k in ("lut4", "ff", "ebr", "dsp", "trellis_comb"))]
+        for name in ("eth", "sys"):
+            clock = f["clocks"][name]
+            cells += [f"{clock['achieved_mhz']:.1f} of {clock['required_mhz']:g}", f"{slack(clock):+.1%}"]
+        cells += [f["seed"], f"{f['seconds'] / 60:.1f}", f"{f['image']['bytes'] / 1000:.0f}" if "image" in f else "-"]
+        lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
+    for text in failed.values():
+        lines += ["", "**Not met.** " + text.replace("\n", "<br>")]
+    return _TIMING_DOC.format(slack=5) + "\n".join(lines) + "\n"
 
 
 # Firmware ---------------------------------------------------------------------------------------------------------
@@ -92,21 +472,6 @@ def read_image(path):
     return [int.from_bytes(data[i:i + 4], "little") for i in range(0, size, 4)]
 
 
-def _insert(soc, out, image):
-    """Puts the image where the random words are, in the routed design: seconds, not minutes."""
-    words = ferro.random_words(rm.ROM[1] // 4)
-    (out / "from.hex").write_text("".join(f"{w:08x}\n" for w in words))
-    (out / "to.hex").write_text("".join(f"{w:08x}\n" for w in image))
-    _tool("ecpbram", ["-i", f"{TOP}.config", "-o", "firmware.config", "-f", "from.hex", "-t", "to.hex"], out, "ecpbram.log")
-    return "firmware.config"
-
-
-# Tools ------------------------------------------------------------------------------------------------------------
-
-def _tool(name, args, folder, log):
-    tools.run(name, args, folder, log, [ferro.RTL.resolve()])
-
-
 # Reports ----------------------------------------------------------------------------------------------------------
 
 _CELLS = {"lut4": "LUT4", "ff": "TRELLIS_FF", "ebr": "DP16KD", "dsp": "MULT18X18D", "ccu2c": "CCU2C", "lutram": "TRELLIS_DPR16X4"}
@@ -123,17 +488,6 @@ def _synthesis(path):
     return counts
 
 
-def _report(board, out, seed, began):
-    data = json.loads((out / "nextpnr.json").read_text())
-    used = data["utilization"]
-    return {
-        "board": board.name, "clocks": _clocks(board, data), "seed": seed, "seconds": round(time.monotonic() - began),
-        **_synthesis(out / f"{TOP}.rpt"),
-        "trellis_comb": used["TRELLIS_COMB"]["used"],
-        "utilization": {k: used[k] for k in ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "MULT18X18D") if k in used},
-    }
-
-
 def _clocks(board, data):
     clocks = {}
     for net, f in data["fmax"].items():
@@ -141,19 +495,6 @@ def _clocks(board, data):
         name = "eth" if "eth" in net else "sys" if abs(f["constraint"] * 1e6 - board.sys_clk_hz) < 0.01 * board.sys_clk_hz else net
         clocks[name] = {"required_mhz": round(f["constraint"], 2), "achieved_mhz": round(f["achieved"], 2)}
     return clocks
-
-
-def _print(found):
-    missed = {}
-    for name, clock in found["clocks"].items():
-        slack = clock["achieved_mhz"] / clock["required_mhz"] - 1
-        print(f"{name:6} {clock['achieved_mhz']:7.2f} MHz of {clock['required_mhz']:g} ({slack:+.1%})")
-        if slack < 0:
-            missed[name] = clock
-    for name, use in found["utilization"].items():
-        print(f"{name:14} {use['used']:6} of {use['available']} ({use['used'] / use['available']:.0%})")
-    print(f"seed {found['seed']}, {found['seconds']} s")
-    return missed
 
 
 # How big it is ----------------------------------------------------------------------------------------------------
@@ -183,7 +524,7 @@ def bench(root, out, report=None, seed=None, document=None):
         folder = out / source.stem
         folder.mkdir(parents=True, exist_ok=True)
         script = f"read_verilog -sv {sources}; {ecp5.ABC9_AREA}; synth_ecp5 -top {source.stem} -json {TOP}.json; tee -o stat.txt stat"
-        _tool("yosys", ["-q", "-p", script], folder, "yosys.log")
+        tools.run("yosys", ["-q", "-p", script], folder, "yosys.log", [ferro.RTL.resolve()])
         cores[source.stem] = _synthesis(folder / "stat.txt") | _packed(folder, ("--25k", "--package", "CABGA256", "--speed", "6"))
     for name in ("none", "mill6", "max"):
         board = read_board(root / "boards" / f"{'max' if name == 'none' else name}.toml")
@@ -191,11 +532,10 @@ def bench(root, out, report=None, seed=None, document=None):
             for kind in ("stepgen", "encoder", "pwm", "gpio_in", "gpio_out"):
                 setattr(board, kind, [])
         folder = out / name
-        _bare_synthesis(ecp5.BoardSoC(board, all_pins=name == "mill6"), folder)
+        _bare_synthesis(board, name == "mill6", folder)
         boards[name] = _synthesis(folder / "stat.txt") | _packed(folder, ("--lpf", f"{TOP}.lpf", *_device(board)))
         if seed is not None and name != "none":
-            _place(board, folder, seed, "--lpf-allow-unconstrained")
-            boards[name]["clocks"] = _clocks(board, json.loads((folder / "nextpnr.json").read_text()))
+            boards[name]["clocks"] = _clocks(board, place(board, folder, seed, "--lpf-allow-unconstrained"))
             boards[name]["seed"] = seed
     text = "\n".join(size_tables(cores, boards)) + "\n"
     print(text)
@@ -261,22 +601,14 @@ def size_tables(cores, boards):
 
 def _packed(folder, args):
     """TRELLIS_COMB after packing: what the placer has to find room for."""
-    _tool("nextpnr-ecp5", ["--json", f"{TOP}.json", "--lpf-allow-unconstrained", "--pack-only", "--write", "packed.json", *args], folder, "pack.log")
+    tools.run("nextpnr-ecp5", ["--json", f"{TOP}.json", "--lpf-allow-unconstrained", "--pack-only", "--write", "packed.json", *args], folder, "pack.log")
     (module,) = json.loads((folder / "packed.json").read_text())["modules"].values()
     return {"trellis_comb": sum(cell["type"] == "TRELLIS_COMB" for cell in module["cells"].values())}
 
 
-def _bare_synthesis(soc, folder):
+def _bare_synthesis(board, all_pins, folder):
     """A board synthesised, whether or not it has pins; pins without a ball go wherever the placer puts them."""
-    folder.mkdir(parents=True, exist_ok=True)
-    here = os.getcwd()
-    try:
-        soc.platform.toolchain._yosys_cmds.append(ecp5.ABC9)
-        soc.platform.build(soc, build_dir=str(folder), build_name=TOP, run=False)
-    finally:
-        os.chdir(here)
-    lpf = (folder / f"{TOP}.lpf").read_text().splitlines(keepends=True)
-    (folder / f"{TOP}.lpf").write_text("".join(line for line in lpf if 'SITE "X"' not in line))
+    elaborate(board, folder, all_pins)
     script = (folder / f"{TOP}.ys").read_text() + "\ntee -o stat.txt stat\n"
     (folder / f"{TOP}.ys").write_text(script)
-    _tool("yosys", ["-q", f"{TOP}.ys"], folder, "yosys.log")
+    tools.run("yosys", ["-q", f"{TOP}.ys"], folder, "yosys.log")

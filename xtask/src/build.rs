@@ -1,8 +1,7 @@
 //! Builds the parts: simulated board, firmware image, driver and tools, bitstream.
 
 use crate::{root, setup, step, target};
-use anyhow::{Context, Result, bail};
-use clap::Args;
+use anyhow::{Result, bail};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -154,51 +153,4 @@ pub fn gateware(subcommand: &str) -> Command {
         .env("PYTHONPATH", root().join("gateware"))
         .args(["-m", "ferrocnc", subcommand]);
     command
-}
-
-/// What a bitstream build can be told.
-#[derive(Args)]
-pub struct BitstreamOptions {
-    /// Board configuration, such as boards/mill6.toml.
-    board: PathBuf,
-    /// Placement seed.
-    #[arg(long, default_value_t = 1)]
-    seed: u32,
-}
-
-/// Synthesises, places and routes; the report says what clock was reached.
-pub fn bitstream(options: &BitstreamOptions) -> Result<()> {
-    setup::run(setup::Need::Gateware)?;
-    setup::riscv_core()?;
-    step::heading("bitstream");
-    let name = options
-        .board
-        .file_stem()
-        .context("the board needs a file name")?
-        .to_string_lossy()
-        .into_owned();
-    let image = firmware()?;
-    std::fs::create_dir_all(target("reports"))?;
-    let mut build = gateware("bitstream");
-    build
-        .arg("--board")
-        .arg(&options.board)
-        .arg("--out")
-        .arg(target(&format!("bitstream/{name}")))
-        .arg("--firmware")
-        .arg(image)
-        .args(["--seed", &options.seed.to_string(), "--json"])
-        .arg(target("reports/bitstream.json"));
-    let printed = step::run_quietly(
-        "bitstream",
-        &format!("synthesise, place and route {name}"),
-        "15 min",
-        &mut build,
-    )?;
-    let summary: Vec<_> = printed.lines().rev().take(12).collect();
-    println!(
-        "{}",
-        summary.into_iter().rev().collect::<Vec<_>>().join("\n")
-    );
-    Ok(())
 }

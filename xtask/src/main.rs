@@ -2,6 +2,7 @@
 //! tests. It starts other people's tools and says what they did; every decision lives elsewhere.
 
 mod bench;
+mod bitstream;
 mod build;
 mod demo;
 mod regen;
@@ -34,8 +35,8 @@ enum Task {
         #[arg(long)]
         check: bool,
     },
-    /// Build a bitstream for a board configuration. A clock that misses its constraint fails.
-    Bitstream(build::BitstreamOptions),
+    /// Build the bitstreams of a board configuration, or of all. A clock that misses its constraint fails.
+    Bitstream(bitstream::Options),
     /// Measure something and print the figures.
     Bench {
         /// What to measure.
@@ -53,7 +54,7 @@ fn main() -> std::process::ExitCode {
         Task::Demo(options) => demo::run(&options),
         Task::Test(options) => test::run(&options),
         Task::Regen { check } => regen::run(check),
-        Task::Bitstream(options) => build::bitstream(&options),
+        Task::Bitstream(options) => bitstream::run(&options),
         Task::Bench { what } => bench::run(what),
         Task::Ci => test::run(&test::Options::default()),
     };

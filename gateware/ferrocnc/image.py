@@ -1,0 +1,237 @@
+"""Packs a routed design: firmware and board information into its memories, then the files a board is flashed and updated with.
+
+    NAME.bit         the image: `ferrocnc update`, `ferrocnc flash load`
+    NAME-golden.bit  the same, told by its trailer that it is the golden one
+    NAME.svf         the image for other JTAG tools, until power-off
+    NAME.flash       all a board's flash holds on its first day: `ferrocnc flash write`
+
+Nothing in them depends on the day, the folder or the machine. What the bytes mean is written in `wire::flash`, `wire::images` and
+`host::image`, which parse what is made here; the test level `bitstream` lets them.
+"""
+
+import hashlib
+import re
+import shutil
+import zlib
+
+from . import VERSION, regmap as rm, soc as ferro, tools
+from .board import BoardError
+
+PREAMBLE = bytes.fromhex("ffffbdb3")
+_VERIFY_ID = bytes.fromhex("e2000000")
+_PAGE, _SECTOR = 0x100, 0x1000
+_META_MAGIC, _META_VERSION = 0x4649_4D47, 1  # "FIMG"
+_STUBS = 0
+# Flash size: slot A, golden (first byte, byte after the last).
+_LAYOUTS = {
+    0x40_0000: ((0x01_0000, 0x10_0000), (0x30_0000, 0x3F_F000)),
+    0x20_0000: ((0x01_0000, 0x09_0000), (0x18_0000, 0x1F_F000)),
+}
+FILES = (".bit", "-golden.bit", ".svf", ".flash")
+_ROLES = {rm.ROLE_IMAGE: "", rm.ROLE_GOLDEN: "-golden"}
+
+
+def pack(board, work, routed, firmware, out):
+    """Writes the four files into `out` from the routed text configuration `work / routed` and the ROM's words. Returns what the
+    report says of them."""
+    missing = [name for name in ("cs", "mosi", "miso", "bytes") if name not in board.platform.flash]
+    if missing or board.platform.flash["bytes"] not in _LAYOUTS:
+        raise BoardError(board.platform.file, "flash", "needs cs, mosi, miso and bytes; images are made for flashes of 2 and 4 MiB")
+    build = build_id(_memories(board, work, routed, firmware, 0, 0, "unsigned.config"))
+    part = re.search(r"^\.comment Part: (\S+)$", (work / routed).read_text(), re.M)[1]
+    images = {}
+    for role, suffix in _ROLES.items():
+        name = f"packed{suffix}"
+        _memories(board, work, routed, firmware, build, role, f"{name}.config")
+        svf = ["--svf", f"{name}.svf"] if role == rm.ROLE_IMAGE else []
+        tools.run("ecppack", ["--compress", *svf, f"{name}.config", f"{name}.bit"], work, "ecppack.log")
+        images[role] = body((work / f"{name}.bit").read_bytes())
+        _write(out / f"{board.name}{suffix}.bit", header(board, part, build, images[role]) + images[role])
+    _write(out / f"{board.name}.svf", (work / "packed.svf").read_bytes())
+    _write(out / f"{board.name}.flash", flash(board, build, images[rm.ROLE_IMAGE], images[rm.ROLE_GOLDEN]))
+    return {"build": f"{build:08x}", "bytes": len(images[rm.ROLE_IMAGE]), "crc": f"{zlib.crc32(images[rm.ROLE_IMAGE]):08x}"}
+
+
+def _write(path, data):
+    """All of it or nothing: a file that is there is whole."""
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(data)
+    part.replace(path)
+
+
+# Memories -----------------------------------------------------------------------------------------------------------
+
+def trailer(build, role):
+    return [rm.TRAILER_MAGIC, build, role, 0]
+
+
+def rom(firmware, build, role):
+    """The ROM as it is packed: the firmware, then the trailer in its last words."""
+    kept = len(firmware) - rm.ROM_TRAILER // 4
+    return firmware[:kept] + trailer(build, role)
+
+
+def build_id(config):
+    """First 32 bits of the SHA-256 over the routed design with its firmware: two builds that differ anywhere differ here."""
+    return int.from_bytes(hashlib.sha256(config).digest()[:4], "big")
+
+
+def _memories(board, work, routed, firmware, build, role, name):
+    """Puts ROM and board ROM where the random words are. Returns the configuration, which is `work / name`."""
+    first, second = ferro.place_words()
+    words = rom(firmware, build, role) + ferro.board_words(board.blob)
+    for file, content in (("from.hex", first + second), ("to.hex", words)):
+        (work / file).write_text("".join(f"{word:08x}\n" for word in content), newline="\n")
+    tools.run("ecpbram", ["-i", routed, "-o", name, "-f", "from.hex", "-t", "to.hex"], work, "ecpbram.log")
+    return (work / name).read_bytes()
+
+
+# A block RAM's 2048 bytes of eight bits, or 9 in the wider shapes, as ecpbram takes them apart: width of a port, bits of a
+# word of the text configuration, columns of 512 bits.
+_SHAPES = ((1, 8, 32), (2, 8, 32), (4, 8, 32), (9, 9, 36), (18, 9, 36), (36, 9, 36))
+
+
+def _columns(words):
+    for width, bits, columns in _SHAPES:
+        for column in range(columns):
+            at = [row * width + column % width + column // width * 512 * width for row in range(512)]
+            yield (width, column), sum((words[bit // bits] >> bit % bits & 1) << row for row, bit in enumerate(at))
+
+
+def _bram_words(config):
+    """{block RAM: its words} of a text configuration."""
+    found = {}
+    for match in re.finditer(r"^\.bram_init (\d+)\n((?:[0-9a-f ]+\n)+)", config, re.M):
+        found[int(match[1])] = [int(word, 16) for word in match[2].split()]
+    return found
+
+
+def contents(routed, config):
+    """ROM and board ROM as a configuration holds them: (words, words). Where each column of 512 bits lies is told by the random
+    words in the routed one; `config` may come from anywhere, such as from unpacking a finished bitstream."""
+    first, second = ferro.place_words()
+    pattern = first + second
+    where = {}
+    for block in range(len(pattern) // 512):
+        rows = pattern[block * 512:][:512]
+        for bit in range(32):
+            where[sum((word >> bit & 1) << row for row, word in enumerate(rows))] = block, bit
+    words, seen = [0] * len(pattern), set()
+    there = _bram_words(config)
+    for bram, before in _bram_words(routed).items():
+        places = {place: where[column] for place, column in _columns(before) if column in where}
+        if not places:
+            continue
+        for place, column in _columns(there[bram]):
+            if place in places and places[place] not in seen:
+                block, bit = places[place]
+                seen.add(places[place])
+                for row in range(512):
+                    words[block * 512 + row] |= (column >> row & 1) << bit
+    absent = len(where) - len(seen)
+    if absent:
+        raise ValueError(f"{absent} of {len(where)} columns of the ROMs are nowhere in the routed design")
+    return words[:len(first)], words[len(first):]
+
+
+# Files --------------------------------------------------------------------------------------------------------------
+
+def body(file):
+    """A bitstream file's bytes from the preamble on."""
+    at = file.find(PREAMBLE)
+    if at < 0:
+        raise ValueError("a bitstream without a preamble")
+    return file[at:]
+
+
+def idcode(data):
+    """The FPGA's id as the bitstream asks for it."""
+    at = data.index(_VERIFY_ID) + len(_VERIFY_ID)
+    return int.from_bytes(data[at:at + 4], "big")
+
+
+def header(board, part, build, data):
+    """The comment header: what the file is, and how it is known to be whole."""
+    lines = (
+        "FerroCNC {}.{}.{}".format(*VERSION), f"Board: {board.name}", f"Platform: {board.platform.name}", f"Part: {part}",
+        f"Build: {build:08x}", f"Length: {len(data)}", f"CRC-32: {zlib.crc32(data):08x}",
+    )
+    return b"\xff\0" + b"".join(line.encode("ascii") + b"\0" for line in lines) + b"\xff"
+
+
+def _name(text):
+    data = text.encode("ascii")
+    if len(data) > 32:
+        raise ValueError(f"{text}: longer than 32 characters")
+    return data.ljust(32, b"\0")
+
+
+def meta_page(board, build, data):
+    """What an image's slot says of it."""
+    words = (_META_MAGIC, _META_VERSION, len(data), zlib.crc32(data), build, idcode(data))
+    page = b"".join(word.to_bytes(4, "big") for word in words) + _name(board.name) + _name(board.platform.name)
+    page += zlib.crc32(page).to_bytes(4, "big")
+    return page.ljust(_PAGE, b"\xff")
+
+
+def jump_page(target):
+    """A bitstream of nothing but a JUMP, as libtrellis' `generate_jump` makes it: preamble, control register 0 := 0, JUMP with the
+    flash's slow read (03) and the address."""
+    page = b"\xff" * 16 + PREAMBLE + b"\xff" * 4 + bytes.fromhex("22000000 00000000 7e000000 03") + target.to_bytes(3, "big")
+    return page.ljust(_PAGE, b"\xff")
+
+
+def flash(board, build, image, golden):
+    """The whole flash: a stub to slot A, slot A, the golden image, the page the FPGA reads when nothing at 0 loads. Slot B and the
+    settings are left erased."""
+    size = board.platform.flash["bytes"]
+    out = bytearray(b"\xff" * size)
+    slot, last = _LAYOUTS[size]
+    pages = [(_STUBS, jump_page(slot[0])), (size - _PAGE, jump_page(last[0]))]
+    for (start, end), data in ((slot, image), (last, golden)):
+        room = end - start - _SECTOR
+        if len(data) > room:
+            raise BoardError(board.file, "", f"its image has {len(data)} bytes; a slot of the flash of {board.platform.name} has {room}")
+        pages += [(start, data), (end - _SECTOR, meta_page(board, build, data))]
+    for at, data in pages:
+        out[at:at + len(data)] = data
+    return bytes(out)
+
+
+# Proof --------------------------------------------------------------------------------------------------------------
+
+def prove(board, work, routed, firmware, out):
+    """Unpacks the finished files and compares: what is in the block RAMs is the firmware with its trailer and the board's own
+    description, and packing the routed design again gives the same bytes. Yields what was proven."""
+    said = (work / routed).read_text()
+    files = [f"{board.name}{end}" for end in FILES]
+    before = {name: (out / name).read_bytes() for name in files}
+    build = None
+    for role, suffix in _ROLES.items():
+        name = f"{board.name}{suffix}.bit"
+        (work / "unpack.bit").write_bytes(before[name])
+        tools.run("ecpunpack", ["unpack.bit", "unpacked.config"], work, "ecpunpack.log")
+        found, blob = contents(said, (work / "unpacked.config").read_text())
+        build = found[-3]
+        _same(name, "the firmware", found, rom(firmware, build, role))
+        _same(name, "the board's description", blob, ferro.board_words(board.blob))
+        if f"Build: {build:08x}\0".encode() not in before[name][:400]:
+            raise ValueError(f"{name}: its header does not say build {build:08x}, as its trailer does")
+        yield f"{name}: unpacked, its ROM holds the firmware word for word, its trailer says build {build:08x}, role {role}"
+    elsewhere = work.parent / "packed" / "once-more"
+    shutil.rmtree(elsewhere, ignore_errors=True)
+    elsewhere.mkdir(parents=True)
+    shutil.copyfile(work / routed, elsewhere / routed)
+    pack(board, elsewhere, routed, firmware, elsewhere)
+    for name in files:
+        if (elsewhere / name).read_bytes() != before[name]:
+            raise ValueError(f"{name}: packed again, in another folder, it has other bytes")
+    shutil.rmtree(elsewhere.parent)
+    yield f"{board.name}: packed again in another folder, all {len(files)} files have the same bytes"
+
+
+def _same(name, what, found, wanted):
+    differ = [n for n, (a, b) in enumerate(zip(found, wanted, strict=True)) if a != b]
+    if differ:
+        n = differ[0]
+        raise ValueError(f"{name}: {what} inside differs in {len(differ)} words, first at byte {4 * n:#x}: {found[n]:08x}, not {wanted[n]:08x}")

@@ -1,0 +1,169 @@
+//! Bitstreams: a board file in, `NAME.bit`, `NAME-golden.bit`, `NAME.svf` and `NAME.flash` out, below `target/bitstream`.
+//! What is built how is known by `gateware/ferrocnc/build.py`; here is what it is told and how long it may take.
+
+use crate::{build, root, setup, step, target};
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use std::path::PathBuf;
+
+/// What `--all` builds: Lcnc's eight configurations, and the largest board there can be.
+pub const ALL: [&str; 9] = [
+    "75b_v6_14o11i6s6e6p",
+    "75b_v6_26o23i6p",
+    "75b_v7_14o11i6s6e6p",
+    "75b_v7_26o23i6p",
+    "75b_v8_14o11i6s6e6p",
+    "75b_v8_26o23i6p",
+    "75e_v6_v8_30o29i9s9e8p",
+    "75e_v7_30o29i9s9e8p",
+    "max",
+];
+
+/// The one the gate builds: with no step generator and no encoder it is the smallest.
+pub const SMALLEST: &str = "75b_v8_26o23i6p";
+
+/// What a bitstream build can be told.
+#[derive(Args)]
+pub struct Options {
+    /// Board configuration, such as boards/mill6.toml.
+    #[arg(required_unless_present = "all", conflicts_with = "all")]
+    board: Option<PathBuf>,
+    /// Lcnc's eight configurations and the largest board there can be; writes docs/timing.md.
+    #[arg(long)]
+    all: bool,
+    /// Built-in IP address instead of the board file's.
+    #[arg(long, conflicts_with = "all")]
+    ip: Option<String>,
+    /// Built-in UDP port instead of the board file's.
+    #[arg(long, conflicts_with = "all")]
+    port: Option<String>,
+    /// Built-in MAC address instead of the board file's.
+    #[arg(long, conflicts_with = "all")]
+    mac: Option<String>,
+    /// How many placement seeds to try.
+    #[arg(long, default_value_t = 6)]
+    seeds: u32,
+    /// The first of them.
+    #[arg(long, default_value_t = 1)]
+    first_seed: u32,
+    /// Tools running at once, half a gigabyte each; one per core if not said.
+    #[arg(long)]
+    jobs: Option<u32>,
+    /// Per cent of its frequency every clock must have to spare.
+    #[arg(long, default_value_t = 5.0)]
+    slack: f32,
+    /// Put new firmware into the routed design that is there, whatever has changed in the gateware since.
+    #[arg(long)]
+    firmware_only: bool,
+}
+
+/// Builds one or all.
+pub fn run(options: &Options) -> Result<()> {
+    setup::run(setup::Need::Gateware)?;
+    setup::riscv_core()?;
+    step::heading("bitstream");
+    let boards: Vec<PathBuf> = match &options.board {
+        Some(board) => vec![board.clone()],
+        None => ALL.iter().map(|name| file(name)).collect(),
+    };
+    let mut more: Vec<String> = Vec::new();
+    let values = [
+        ("--ip", options.ip.clone()),
+        ("--port", options.port.clone()),
+        ("--mac", options.mac.clone()),
+        ("--seeds", Some(options.seeds.to_string())),
+        ("--first-seed", Some(options.first_seed.to_string())),
+        ("--jobs", options.jobs.map(|jobs| jobs.to_string())),
+        ("--slack", Some(options.slack.to_string())),
+    ];
+    for (name, value) in values {
+        more.extend(value.into_iter().flat_map(|value| [name.to_owned(), value]));
+    }
+    if options.firmware_only {
+        more.push("--firmware-only".to_owned());
+    }
+    if options.all {
+        let document = root().join("docs/timing.md");
+        more.extend(["--without-pins", "--document"].map(str::to_owned));
+        more.push(document.display().to_string());
+    }
+    let printed = images(&boards, &more)?;
+    println!("{}", summary(&printed));
+    println!("\n  files are below {}", target("bitstream").display());
+    Ok(())
+}
+
+/// Builds the smallest configuration, unpacks it and compares. Says what was proven.
+pub fn prove() -> Result<Vec<String>> {
+    let printed = images(&[file(SMALLEST)], &["--prove".to_owned()])?;
+    let proven: Vec<String> = printed
+        .lines()
+        .filter_map(|line| line.strip_prefix("PASS "))
+        .map(str::to_owned)
+        .collect();
+    if proven.is_empty() {
+        bail!("nothing was proven; see target/logs/bitstream.log");
+    }
+    Ok(proven)
+}
+
+/// Where a board's files go.
+pub fn folder(name: &str) -> PathBuf {
+    target("bitstream").join(name)
+}
+
+fn file(name: &str) -> PathBuf {
+    root().join("boards").join(format!("{name}.toml"))
+}
+
+fn images(boards: &[PathBuf], more: &[String]) -> Result<String> {
+    let mut names = Vec::new();
+    for board in boards {
+        let name = board.file_stem().context("the board needs a file name")?;
+        names.push(name.to_string_lossy().into_owned());
+    }
+    let image = build::firmware()?;
+    std::fs::create_dir_all(target("reports"))?;
+    let mut build = build::gateware("bitstream");
+    build.arg("--board").args(boards);
+    build.arg("--out").arg(target("bitstream"));
+    build.arg("--firmware").arg(image);
+    build
+        .arg("--json")
+        .arg(target("reports/bitstream.json"))
+        .args(more);
+    let title = match names.as_slice() {
+        [one] => format!("bitstream of {one}"),
+        many => format!("bitstreams of {} configurations", many.len()),
+    };
+    step::run_quietly("bitstream", &title, &estimate(&names), &mut build)
+}
+
+/// What the same boards took the last time, if they were ever built here.
+fn estimate(names: &[String]) -> String {
+    let known = std::fs::read_to_string(target("bitstream/durations.json"))
+        .ok()
+        .and_then(|text| serde_json::from_str::<serde_json::Value>(&text).ok())
+        .unwrap_or_default();
+    let seconds = |name: &String, stage: &str| known.get(format!("{name}/{stage}"))?.as_f64();
+    let whole = |name: &String| {
+        Some(seconds(name, "synthesis")? + seconds(name, "place and route")? + 10.0)
+    };
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let all: Option<f64> = names.iter().map(whole).sum();
+    match all {
+        None => "first time, no estimate; if only the firmware is new, seconds".to_owned(),
+        Some(all) => format!(
+            "{:.0} min; if only the firmware is new, seconds",
+            all / cores.min(names.len()).max(1) as f64 / 60.0
+        ),
+    }
+}
+
+fn summary(printed: &str) -> String {
+    let (_, text) = printed.split_once("== summary\n").unwrap_or(("", printed));
+    text.lines()
+        .map(|line| format!("  {line}"))
+        .collect::<Vec<_>>()
+        .join("\n")
+}
