@@ -463,6 +463,41 @@ fn what_runs_is_told_from_the_trailer_and_the_selected_slot() {
     }
 }
 
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(64))]
+
+    /// Reads, erases, programs and sums of anything anywhere, with polls in between or not.
+    #[test]
+    fn no_raw_operation_reaches_what_must_survive(
+        asked in proptest::collection::vec((1u32..6, 0u32..1100, 0u32..0x1_0000, 0u32..600), 1..30),
+        selected in 0u32..3,
+    ) {
+        let mut chip = Chip::new(0x40_0000);
+        image(&mut chip, Slot::A, 300, 1);
+        image(&mut chip, Slot::B, 300, 2);
+        chip.put(0x30_0000, &[0x55; 4096]);
+        chip.put(0x3f_ff00, &[0x66; 256]);
+        let mut flash = started(&mut chip);
+        save(&mut flash, &mut chip, &Settings::default());
+        if selected > 0 {
+            run(&mut flash, &mut chip, Op::Select, selected, 0);
+        }
+        let before = chip.cells.clone();
+        for (op, block, offset, length) in asked {
+            // Crooked addresses are a quarter of them.
+            let offset = if offset & 3 == 0 { offset & !0xfff } else { offset };
+            let address = (block << 12).wrapping_add(offset);
+            run(&mut flash, &mut chip, Op::from_code(op).unwrap(), address, length);
+        }
+        let layout = Layout::of(0x40_0000).unwrap();
+        let writable = |at: u32| layout.writable(Slot::from_code(selected), at, 1);
+        let spoilt = (0..0x40_0000u32)
+            .step_by(16)
+            .find(|at| !writable(*at) && chip.cells[*at as usize..][..16] != before[*at as usize..][..16]);
+        proptest::prop_assert_eq!(spoilt, None);
+    }
+}
+
 // Over the wire.
 
 fn rig() -> Rig {
