@@ -172,6 +172,8 @@ pub enum Misuse {
     Incomplete(u8),
     /// An order it does not know.
     Unknown(u8),
+    /// The clock moved while nobody was selected, or together with /CS.
+    StrayClock,
 }
 
 /// How a page program that is cut off leaves the page.
@@ -417,6 +419,11 @@ impl Nor {
     /// What was done wrongly, in order.
     pub fn misuse(&self) -> &[Misuse] {
         &self.misuse
+    }
+
+    /// Notes what somebody in front of it has seen.
+    pub fn note(&mut self, misuse: Misuse) {
+        self.misuse.push(misuse);
     }
 
     /// How often the sector at this address was erased.

@@ -1,6 +1,6 @@
 //! The test pyramid, one line per level. Lower levels need nothing but Rust.
 
-use crate::{build, regen, setup, step, target};
+use crate::{bitstream, build, regen, setup, step, target};
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
 use std::process::Command;
@@ -39,6 +39,8 @@ enum Level {
     Twin,
     /// Real LinuxCNC, our driver, the simulated board.
     Linuxcnc,
+    /// The smallest configuration as bitstream: every clock met, the release firmware inside, files the host and an ECP5 take.
+    Bitstream,
 }
 
 const ALL: &[Level] = &[
@@ -53,6 +55,7 @@ const ALL: &[Level] = &[
     Level::Clients,
     Level::Twin,
     Level::Linuxcnc,
+    Level::Bitstream,
 ];
 
 /// Runs the levels and prints one line for each.
@@ -135,6 +138,7 @@ impl Level {
             Level::Clients => "clients: LiteX RemoteClient, ping, console",
             Level::Twin => "twin: real LinuxCNC, our driver, the cores' models",
             Level::Linuxcnc => "linuxcnc: real LinuxCNC, our driver, simulated board",
+            Level::Bitstream => "bitstream: clocks met, release firmware inside, files taken",
         }
     }
 
@@ -166,7 +170,9 @@ impl Level {
                 // Two runs with a seed each, side by side.
                 board_tests("lockstep", "3 min", "2")
             }
-            Level::Soc => board_tests("soc", "10 min", "1"),
+            Level::Soc => {
+                Ok(board_tests("soc", "10 min", "1")? + board_tests("flash", "2 min", "2")?)
+            }
             Level::Peers => board_tests("peers", "3 min", "2"),
             Level::Provision => {
                 Ok(board_tests("provision", "1 min", "2")? + board_tests("segment", "2 min", "2")?)
@@ -174,6 +180,13 @@ impl Level {
             Level::Clients => board_tests("clients", "2 min", "1"),
             Level::Twin => board_tests("twin", "3 min", "1"),
             Level::Linuxcnc => board_tests("linuxcnc", "10 min", "1"),
+            Level::Bitstream => {
+                let proven = bitstream::prove()?;
+                for line in &proven {
+                    println!("    {line}");
+                }
+                Ok(proven.len() + board_tests("bitstream", "1 min", "2")?)
+            }
         }
     }
 }
@@ -257,6 +270,7 @@ fn cargo_tests(name: &str, title: &str, expect: &str, arguments: &[&str]) -> Res
     cargo.args(arguments);
     cargo.env("FERROCNC_SOC", build::soc(build::BOARD));
     cargo.env("FERROCNC_FIRMWARE", build::image());
+    cargo.env("FERROCNC_BITSTREAM", bitstream::folder(bitstream::SMALLEST));
     let printed = step::run_quietly(name, title, expect, &mut cargo)?;
     let count = printed
         .lines()

@@ -7,6 +7,7 @@
 //! miso  zz< 7 >< 6 >< 5 >< 4 >< 3 >< 2 >< 1 >< 0 >zz     gives MISO where SCK falls
 //! ```
 
+use super::Misuse;
 use super::spi::Shared;
 
 /// Levels at the wires, and the bits on their way.
@@ -18,8 +19,6 @@ pub struct Wires {
     /// Bits taken since /CS fell, of the byte under way.
     taken: u8,
     count: u8,
-    clocks: u64,
-    broken: u64,
 }
 
 impl Wires {
@@ -31,8 +30,6 @@ impl Wires {
             sck: false,
             taken: 0,
             count: 0,
-            clocks: 0,
-            broken: 0,
         }
     }
 
@@ -41,23 +38,15 @@ impl Wires {
         &self.chip
     }
 
-    /// Rising edges of SCK seen while selected.
-    pub fn clocks(&self) -> u64 {
-        self.clocks
-    }
-
-    /// Edges of SCK while not selected, or together with /CS: a master that is right makes none.
-    pub fn broken(&self) -> u64 {
-        self.broken
-    }
-
     /// The wires have these levels now, `at` nanoseconds; the level at MISO.
     pub fn set(&mut self, at: u64, cs_n: bool, sck: bool, mosi: bool) -> bool {
         let mut chip = self.chip.chip();
         chip.it_is(at);
         let edge = sck != self.sck;
         if cs_n == self.selected {
-            self.broken += u64::from(edge);
+            if edge {
+                chip.note(Misuse::StrayClock);
+            }
             self.selected = !cs_n;
             if self.selected {
                 (self.taken, self.count) = (0, 0);
@@ -71,9 +60,8 @@ impl Wires {
                 chip.deselect(self.count);
             }
         } else if edge && !self.selected {
-            self.broken += 1;
+            chip.note(Misuse::StrayClock);
         } else if edge && sck {
-            self.clocks += 1;
             self.taken = self.taken << 1 | u8::from(mosi);
             self.count += 1;
         } else if edge && self.count == 8 {
