@@ -55,6 +55,8 @@ class _Platform(LatticeECP5Platform):
             ("eth_clocks", 0, Subsignal("tx", Pins(eth["tx_clk"])), Subsignal("rx", Pins(eth["rx_clk"])), _LVCMOS),
             ("eth", 0, *(Subsignal(k, Pins(eth[k])) for k in ("mdio", "mdc", "rx_ctl", "rx_data", "tx_ctl", "tx_data")), _LVCMOS),
         ]
+        if p.phy_reset:
+            io.append(("phy_reset", 0, Pins(p.phy_reset), _LVCMOS, Misc("PULLMODE=UP")))
         for name, pin in (("ext_reset", board.ext_reset_pin), ("factory", _factory(board)[0])):
             if pin and not any(pad[0] == "ext_reset" and pin == board.ext_reset_pin for pad in io):
                 io.append((name, 0, Pins(p.pins[pin]), *_IN))
@@ -117,6 +119,9 @@ class BoardSoC(ferro.FerroSoC):
                     link = signal[n]
         if outputs:
             self.sync += platform.request("ferry_out").eq(reduce(xor, outputs))
+        if board.platform.phy_reset:
+            # Both PHYs hang on this line and one of them makes the FPGA's clock: pulled up, driven by nobody.
+            self.specials += Instance("BB", i_I=1, i_T=1, io_B=platform.request("phy_reset"), o_O=Signal())
         self.comb += platform.request("led").eq(pads.led ^ int(board.platform.led_active_low))
         # Without a pin there is nothing to reset; the core turns the idle level over if the file says active low.
         reset = platform.request("ext_reset") if board.ext_reset_pin else int(board.ext_reset_active_low)
