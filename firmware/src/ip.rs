@@ -506,7 +506,8 @@ fn arp(frame: &[u8], us: &Us, out: &mut [u8]) -> Option<usize> {
     Some(ETHERNET + LENGTH)
 }
 
-/// Answers a ping.
+/// Answers a ping. A symbol of its own: a test breaks it to see a trap.
+#[inline(never)]
 fn ping(asked: &[u8], peer: &Peer, us: &Us, out: &mut [u8]) -> Option<usize> {
     if !asked.starts_with(&[8, 0]) || fold(sum(asked, 0)) != 0xffff {
         return None;

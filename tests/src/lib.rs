@@ -464,7 +464,7 @@ impl Machine {
     /// memory is as it was, as after a soft error.
     pub fn trap_cpu(&mut self) {
         let mut broken = self.image.words.clone();
-        let (start, end) = symbol(&parts().1, "icmpv4");
+        let (start, end) = symbol(&parts().1, "2ip4ping");
         for word in &mut broken[start / 4..end / 4] {
             *word = 0;
         }
