@@ -528,7 +528,12 @@ impl Simulator {
 
     /// The twin of the same board: the firmware's library on models of the cores.
     pub fn twin(arguments: &[&str]) -> Self {
-        let board = ["--backend", "model", "--board", "mill6"];
+        Self::twin_of("mill6", arguments)
+    }
+
+    /// The twin of another one.
+    pub fn twin_of(board: &str, arguments: &[&str]) -> Self {
+        let board = ["--backend", "model", "--board", board];
         Self::spawn(&[&board, arguments].concat())
     }
 

@@ -174,9 +174,9 @@ impl Level {
                 Ok(board_tests("soc", "10 min", "1")? + board_tests("flash", "2 min", "2")?)
             }
             Level::Peers => board_tests("peers", "3 min", "2"),
-            Level::Provision => {
-                Ok(board_tests("provision", "1 min", "2")? + board_tests("segment", "2 min", "2")?)
-            }
+            Level::Provision => Ok(board_tests("provision", "1 min", "2")?
+                + board_tests("segment", "2 min", "2")?
+                + board_tests("names", "1 min", "1")?),
             Level::Clients => board_tests("clients", "2 min", "1"),
             Level::Twin => board_tests("twin", "3 min", "1"),
             Level::Linuxcnc => board_tests("linuxcnc", "10 min", "1"),
