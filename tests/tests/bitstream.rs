@@ -141,10 +141,8 @@ fn the_svf_loads_the_same_bytes() {
                 .reverse_bits()
         }));
     }
-    assert!(
-        loaded == image.bytes,
-        "{} bytes, the image has {}",
-        loaded.len(),
-        image.bytes.len()
-    );
+    // ecppack shifts its own comment header, too; the FPGA waits for the preamble.
+    let header = loaded.strip_suffix(image.bytes.as_slice());
+    let header = header.unwrap_or_else(|| panic!("{} bytes end otherwise", loaded.len()));
+    assert!(header.starts_with(&[0xff, 0]) && header.len() < 100);
 }
