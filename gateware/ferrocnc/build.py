@@ -375,7 +375,8 @@ def bitstreams(boards, root, options, report=None, document=None, prove=False):
             print(f"{design.name}: failed", flush=True)
 
     with ThreadPoolExecutor(min(len(boards), options.jobs)) as pool:
-        waiting = [pool.submit(one, path) for path in boards]
+        # From the back: the largest comes last in a list for people, and should not be what all others wait for.
+        waiting = [pool.submit(one, path) for path in reversed(boards)]
         while not all(future.done() for future in waiting):
             time.sleep(0.2)
             watch.tick()

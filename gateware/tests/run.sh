@@ -20,9 +20,10 @@ if [ -z "${VERILATOR:-}" ]; then
 fi
 
 failed=0
-if [ -z "$only" ] || [ "$only" = board ]; then
-    "$root/target/venv/bin/python" "$here/board_test.py" || failed=1
-fi
+for test in board bitstream; do
+    [ -z "$only" ] || [ "$only" = "$test" ] || continue
+    "$root/target/venv/bin/python" "$here/${test}_test.py" || failed=1
+done
 for bench in "$here"/*.cpp; do
     core=$(basename "$bench" .cpp)
     [ -z "$only" ] || [ "$only" = "$core" ] || continue

@@ -152,7 +152,7 @@ fn estimate(names: &[String]) -> String {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let all: Option<f64> = names.iter().map(whole).sum();
     match all {
-        None => "first time, no estimate; if only the firmware is new, seconds".to_owned(),
+        None => "10 min a board: the first build here, so that is a guess".to_owned(),
         Some(all) => format!(
             "{:.0} min; if only the firmware is new, seconds",
             all / cores.min(names.len()).max(1) as f64 / 60.0
