@@ -223,8 +223,9 @@ impl App {
             return;
         };
         let reply = reply.len();
-        if reply != 0 {
-            let mut slot = self.mac.slot();
+        if reply != 0
+            && let Some(mut slot) = self.mac.slot()
+        {
             net::emit_headers(&mut slot, &self.machine.us, datagram, reply * 4);
             let words = self.mac.output.words().get(..reply).unwrap_or(&[]);
             let length = net::emit_payload(&mut slot, words);
@@ -244,8 +245,8 @@ impl App {
     fn restart_if(&self) {
         if self.machine.server.wants_restart() {
             defmt::warn!("restart on request");
-            // The last answer shall be out.
-            self.mac.wait_lane();
+            // The last answer shall be out, if the wire takes it.
+            let _ = self.mac.wait_lane();
             soc::restart();
         }
     }
@@ -288,7 +289,9 @@ impl App {
 
     /// Sends words of `output` to 255.255.255.255.
     fn broadcast(&mut self, us: &Us, port: u16, words: usize) {
-        let mut slot = self.mac.slot();
+        let Some(mut slot) = self.mac.slot() else {
+            return;
+        };
         net::emit_headers(&mut slot, us, &Datagram::everybody(port), words * 4);
         let words = self.mac.output.words().get(..words).unwrap_or(&[]);
         let length = net::emit_payload(&mut slot, words);
@@ -299,7 +302,9 @@ impl App {
     /// The owner's exchanges take the fast lane from now on.
     fn open_lane(&mut self, datagram: Datagram) {
         let shape = *self.machine.server.shape();
-        self.mac.wait_lane();
+        if !self.mac.wait_lane() {
+            return;
+        }
         let payload = SlotReply::<TxSlot>::frame_length(&shape) - net::HEADERS;
         let us = self.machine.us;
         let mut slot = self.mac.lane_slot();

@@ -69,11 +69,13 @@ impl Buffer {
         unsafe { core::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), FRAME_MAX) }
     }
 
-    /// Sends so many of these bytes as a frame, from the common slot.
+    /// Sends so many of these bytes as a frame, from the common slot; drops them if nothing leaves the board.
     pub fn send(&self, length: usize) {
         // SAFETY: the MAC's registers, as `Mac` uses them; one hart, and nobody holds a slot over this call.
         let regs = unsafe { Ethmac::steal() };
-        while regs.sram_reader_level().read().bits() != 0 {}
+        if !drained(&regs) {
+            return;
+        }
         let mut slot = Mac::tx(COMMON);
         let mut carry = 0;
         let words = length.min(FRAME_MAX).div_ceil(4);
@@ -85,6 +87,15 @@ impl Buffer {
         slot.put(words, carry << 16);
         Mac::start_on(&regs, COMMON, length);
     }
+}
+
+/// Looks at the MAC until it counts as stuck: at least 5 clocks each, so 5 ms or more at 60 MHz, and both slots have left in 2.5 ms
+/// at 10 Mbit/s. A PHY without a cable may stop the clock the MAC sends by; the loop must go on and find that out.
+const DRAIN_LOOKS: u32 = 60_000;
+
+/// Waits until nothing is queued for sending. False if it does not get less.
+fn drained(regs: &Ethmac) -> bool {
+    (0..DRAIN_LOOKS).any(|_| regs.sram_reader_level().read().bits() == 0)
 }
 
 /// The MAC.
@@ -159,9 +170,10 @@ impl Mac {
         self.regs.sram_reader_level().read().bits() == 0
     }
 
-    /// Waits until the lane's slot may be written: 12 us for the longest frame on the wire.
-    pub fn wait_lane(&self) {
-        while !self.lane_idle() {}
+    /// Waits until the lane's slot may be written: 12 us for the longest frame on the wire, 1.2 ms at 10 Mbit/s.
+    /// False if nothing leaves the board.
+    pub fn wait_lane(&self) -> bool {
+        drained(&self.regs)
     }
 
     /// The lane's slot.
@@ -176,10 +188,9 @@ impl Mac {
         self.start(LANE, length);
     }
 
-    /// The common slot, as soon as it may be written.
-    pub fn slot(&self) -> TxSlot {
-        self.wait_lane();
-        Self::tx(COMMON)
+    /// The common slot, as soon as it may be written; none if nothing leaves the board.
+    pub fn slot(&self) -> Option<TxSlot> {
+        self.wait_lane().then(|| Self::tx(COMMON))
     }
 
     /// Sends the common slot.
