@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use ferrocnc_tests::bench::{Bench, Went, packed};
-use ferrocnc_tests::flash::{self, Boots, FIRST, GOLDEN, boots, factory};
+use ferrocnc_tests::flash::{self, Boots, FIRST, boots, factory};
 use ferrocnc_tests::seed;
 use rand::{Rng, RngCore, SeedableRng};
 use rand_pcg::Pcg32;
@@ -521,7 +521,7 @@ fn only_the_slot_that_is_not_selected_can_be_erased_or_programmed() {
             layout.golden.meta(),
             layout.jump_page(),
             layout.size,
-            u32::MAX & !0xff,
+            !0xff,
         ];
         for at in forbidden {
             for (op, length) in [
@@ -714,7 +714,6 @@ fn no_order_of_operations_touches_golden_or_leaves_a_board_that_does_not_boot() 
     }
     assert!(golden_of(&bench.nor()) == golden, "seed {seed}");
     assert_eq!(bench.read(map::FLASH_PROTECTED), 1);
-    let _ = GOLDEN;
 }
 
 #[test]
