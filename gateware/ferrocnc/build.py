@@ -5,7 +5,9 @@ What a stage makes depends on its inputs alone, and is not made again while they
 another name of equal length in a board file goes into the routed design that is there, in seconds.
 """
 
+import contextlib
 import hashlib
+import heapq
 import json
 import os
 import re
@@ -91,8 +93,8 @@ def _device(board):
 class Design:
     """A board on its way through the tools, in `folder`; `folder / "work"` keeps what every stage made and `record.json` from what."""
 
-    def __init__(self, path, root, options, watch):
-        self.path, self.options, self.watch = Path(path), options, watch
+    def __init__(self, path, root, options, watch, turn=0):
+        self.path, self.options, self.watch, self.turn = Path(path), options, watch, turn
         self.name = self.path.stem
         self.folder, self.work = root / self.name, root / self.name / "work"
         self.record = {}
@@ -114,7 +116,8 @@ class Design:
         elif self._sources() != self.record.get("sources"):
             self._elaborate()
         if "cells" not in self.record:
-            self._stage("synthesis", self._synthesise)
+            with self.watch.core((self.options.first_seed, self.turn)):
+                self._stage("synthesis", self._synthesise)
         seed = self._search()
         found = self._report(seed)
         if self.pins and self.options.firmware:
@@ -201,7 +204,8 @@ class Design:
             if done.returncode:
                 raise BuildError(f"{self.name}: cannot be elaborated\n{(done.stderr or done.stdout).strip()[-2000:]}")
 
-        self._stage("elaboration", run)
+        with self.watch.core((0, self.turn)):
+            self._stage("elaboration", run)
         before, work, self.work = self.record.get("netlist"), self.work, fresh
         netlist, self.work = self._netlist(), work
         if netlist != before:
@@ -213,8 +217,7 @@ class Design:
 
     def _synthesise(self):
         began = time.monotonic()
-        with self.watch.core():
-            tools.run("yosys", ["-q", "-l", f"{TOP}.rpt", f"{TOP}.ys"], self.work, "yosys.log")
+        tools.run("yosys", ["-q", "-l", f"{TOP}.rpt", f"{TOP}.ys"], self.work, "yosys.log")
         self.record |= {"cells": _synthesis(self.work / f"{TOP}.rpt"), "synthesis_seconds": round(time.monotonic() - began)}
         self.record["seeds"] = {}
         self._save()
@@ -235,7 +238,10 @@ class Design:
                 if self.options.firmware_only:
                     return
                 try:
-                    self._stage(f"place and route, seed {seed}", self._route, seed, lock, lambda: cancelled(seed))
+                    with self.watch.core((seed, self.turn)):
+                        if cancelled(seed):
+                            return
+                        self._stage(f"place and route, seed {seed}", self._route, seed, lock, lambda: cancelled(seed))
                 except tools.Cancelled:
                     return
             if self._slack(seed) >= self.options.slack:
@@ -248,19 +254,15 @@ class Design:
         return min(met)
 
     def _route(self, seed, lock, cancelled):
-        more = [] if self.pins else ["--lpf-allow-unconstrained"]
-        with self.watch.core():
-            if cancelled():
-                raise tools.Cancelled
-            began = time.monotonic()
-            try:
-                data = place(self.board, self.work, seed, *more, name=str(seed), cancelled=cancelled)
-            except tools.ToolError as e:
-                found = {"failed": str(e).splitlines()[-2:]}
-            else:
-                found = {"clocks": _clocks(self.board, data), "utilization": {
-                    k: v for k, v in data["utilization"].items() if k in ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "MULT18X18D")}}
-            found["seconds"] = round(time.monotonic() - began)
+        began = time.monotonic()
+        try:
+            data = place(self.board, self.work, seed, *([] if self.pins else ["--lpf-allow-unconstrained"]), name=str(seed), cancelled=cancelled)
+        except tools.ToolError as e:
+            found = {"failed": str(e).splitlines()[-2:]}
+        else:
+            found = {"clocks": _clocks(self.board, data), "utilization": {
+                k: v for k, v in data["utilization"].items() if k in ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "MULT18X18D")}}
+        found["seconds"] = round(time.monotonic() - began)
         with lock:
             self.record["seeds"][str(seed)] = found
             self._save()
@@ -300,22 +302,42 @@ class Design:
 
 # What is going on -------------------------------------------------------------------------------------------------
 
+class Cores:
+    """So many cores to give away, to whoever has the lowest (seed, board): no board tries a second seed before each has had its first."""
+
+    def __init__(self, count):
+        self._free, self._waiting, self._changed = count, [], threading.Condition()
+
+    @contextlib.contextmanager
+    def one(self, turn):
+        ticket = (*turn, threading.get_ident())
+        with self._changed:
+            heapq.heappush(self._waiting, ticket)
+            self._changed.wait_for(lambda: self._free and self._waiting[0] == ticket)
+            heapq.heappop(self._waiting)
+            self._free -= 1
+            self._changed.notify_all()
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._free += 1
+                self._changed.notify_all()
+
+
 class Watch:
-    """Says every few seconds what runs, for how long, and how long it took the last time. There are `jobs` cores to give away."""
+    """Says every few seconds what runs, for how long, and how long it took the last time."""
 
     SAY_EVERY = 5
 
     def __init__(self, root, jobs):
         self.file = root / "durations.json"
-        self._cores, self._lock = threading.Semaphore(jobs), threading.Lock()
+        self.core, self._lock = Cores(jobs).one, threading.Lock()
         self._running, self._said = {}, 0
         try:
             self.durations = json.loads(self.file.read_text())
         except (OSError, ValueError):
             self.durations = {}
-
-    def core(self):
-        return self._cores
 
     @staticmethod
     def _key(board, stage):
@@ -365,8 +387,8 @@ def bitstreams(boards, root, options, report=None, document=None, prove=False):
     root.mkdir(parents=True, exist_ok=True)
     watch, found, failed, proven = Watch(root, options.jobs), {}, {}, []
 
-    def one(path):
-        design = Design(path, root, options, watch)
+    def one(path, turn):
+        design = Design(path, root, options, watch, turn)
         try:
             found[design.name] = design.build()
             proven.extend(design.prove() if prove else ())
@@ -374,9 +396,9 @@ def bitstreams(boards, root, options, report=None, document=None, prove=False):
             failed[design.name] = str(e)
             print(f"{design.name}: failed", flush=True)
 
-    with ThreadPoolExecutor(min(len(boards), options.jobs)) as pool:
+    with ThreadPoolExecutor(len(boards)) as pool:
         # From the back: the largest comes last in a list for people, and should not be what all others wait for.
-        waiting = [pool.submit(one, path) for path in reversed(boards)]
+        waiting = [pool.submit(one, path, turn) for turn, path in enumerate(reversed(boards))]
         while not all(future.done() for future in waiting):
             time.sleep(0.2)
             watch.tick()

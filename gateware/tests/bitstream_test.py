@@ -61,6 +61,28 @@ def the_lowest_seed_with_enough_slack_is_taken_whoever_is_faster():
 
 
 @test
+def cores_go_to_first_seeds_of_all_boards_before_any_second_one():
+    cores, order, gate = build.Cores(1), [], threading.Event()
+
+    def work(turn):
+        with cores.one(turn):
+            gate.wait()
+            order.append(turn)
+
+    turns = [(1, 0), (2, 0), (1, 2), (3, 1), (1, 1), (2, 1)]
+    threads = [threading.Thread(target=work, args=(turn,)) for turn in turns]
+    for thread in threads:
+        thread.start()
+        while not (cores._waiting or not cores._free):  # each is in the queue before the next
+            time.sleep(0.001)
+        time.sleep(0.01)
+    gate.set()
+    for thread in threads:
+        thread.join()
+    assert order == sorted(turns), order
+
+
+@test
 def a_missed_clock_fails_and_says_what_was_reached():
     said, _ = search({n: (124.9, 70 + n) for n in range(1, 5)})
     assert "misses a clock" in said and "seed 3: eth 124.9 MHz of 125 (-0.1%), sys 73.0 MHz of 60 (+21.7%)" in said, said
