@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import re
 import sys
 import tempfile
 import threading
@@ -121,6 +122,17 @@ def stubs_images_meta_pages_and_the_jump_page_lie_where_the_board_looks():
             assert page[88:92] == zlib.crc32(page[:88]).to_bytes(4, "big") and page[92:] == b"\xff" * 164
         used = {n >> 12 for n, byte in enumerate(flash) if byte != 0xFF}
         assert not used & set(range({4 << 20: 0x100, 2 << 20: 0x90}[size], last >> 12)), "slot B and the settings are erased"
+
+
+@test
+def the_layouts_are_those_of_wire_flash():
+    text = (ROOT / "wire" / "src" / "flash.rs").read_text(encoding="utf-8")
+    for size, areas in image._LAYOUTS.items():
+        (said,) = re.findall(rf"{size:#08x} => Some\(Layout \{{(.*?)\n            \}}\)", text.replace("0x40_0000 =>", "0x400000 =>").replace(
+            "0x20_0000 =>", "0x200000 =>"), re.S)
+        for name, area in zip(("slot_a", "golden"), areas):
+            start, end = re.search(rf"{name}: Area \{{\s*start: (\S+),\s*end: (\S+),", said).groups()
+            assert (int(start, 0), int(end, 0)) == area, f"{size:#x}: {name}"
 
 
 @test
