@@ -7,10 +7,11 @@ The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on 
 
 * Writes land one clock after the bus cycle, so that address decoding stays out of the cores' timing. The CPU cannot tell:
   its next access is two clocks later.
-* A word is read through a register of its own which is held in reset while the word is not addressed (its gate). All gates
-  are joined by OR. A flip-flop costs nothing here and a multiplexer input does: the ECP5 has a flip-flop behind every LUT.
-* What every channel has and nobody reads twice in a clock lies in LUT RAM: totals, samples and latches (`tally`), and the
-  mirrors, which read back settings and staged commands. A register reads as many bits as it has.
+* Eight words are read through one register (their gate), which catches the OR of what is addressed of them: 0 if none is. All
+  gates are joined by OR. No gate has a reset: all flip-flops of a tile share one, and a reset of their own for so many words
+  left the placer without tiles (decision 8).
+* What every channel has and nobody reads twice in a clock lies in LUT RAM: totals, samples and latches (`tally`). Settings and
+  staged commands are read back from one block RAM (`mirror`). A register reads as many bits as it has.
 * What must be of one clock for all channels, and changes every clock (fraction and velocity of a step generator), is caught by
   the sample strobe in flip-flops.
 * Registers of absent channels are never created: they read 0 and ignore writes.
@@ -19,7 +20,7 @@ The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on 
 from functools import reduce
 from operator import or_
 
-from migen import Array, Cat, Constant, If, Instance, Memory, READ_FIRST, Signal
+from migen import Array, Cat, ClockSignal, Constant, If, Instance, Mux, Replicate, Signal
 from litex.gen import LiteXModule
 from litex.soc.interconnect import csr_bus
 
@@ -27,6 +28,7 @@ from . import VERSION, regmap as rm
 
 _WORD_BITS = (rm.CSR_PAGE // 4).bit_length() - 1
 _LOW = 4  # an address is decoded in two halves, so that a register costs one LUT
+_GATE = 8  # words behind one gate: two to a LUT, and one LUT more to join four of those
 
 
 class FabricBus(LiteXModule):
@@ -36,7 +38,7 @@ class FabricBus(LiteXModule):
 
         clk      _/‾\\_/‾\\_/‾\\_
         adr      --X A X-------
-        gate of A  ----X word X 0     all others stay 0
+        A's gate   ----X word X---    all others are 0
         dat_r      ----X word X---    OR of all gates
     """
 
@@ -52,6 +54,9 @@ class FabricBus(LiteXModule):
         self.we_word = Signal(_WORD_BITS, reset_less=True)
         self.we_page = Signal(rm.CSR_ADDRESS_WIDTH - _WORD_BITS, reset_less=True)
         self._decoded = {}
+        self._words = []     # (hit, value)
+        self._mirrored = []  # (read hit, write hit, width)
+        self._places = []    # (page, word) of each
         self._gates = []
 
         # # #
@@ -104,24 +109,14 @@ class FabricBus(LiteXModule):
 
     def reads(self, hit, value):
         """`value` is read while `hit`."""
-        gate = Signal(len(value), reset_less=True)
-        self.sync += If(hit, gate.eq(value)).Else(gate.eq(0))
-        self._gates.append(gate)
+        self._words.append((hit, value))
 
     def live(self, bank, name, value):
         """Makes `value` readable as this register."""
         self.reads(self.read_hit(bank.page, bank.offset(name) // 4), Constant(value, 32) if isinstance(value, int) else value)
 
-    def mirror(self, name, width, write, write_adr, read, read_adr):
-        """A LUT RAM of 16 words that reads back what was written."""
-        memory = Memory(width, 16, init=[0] * 16, name=name)
-        out, into = memory.get_port(async_read=True), memory.get_port(write_capable=True, mode=READ_FIRST)
-        self.specials += memory, out, into
-        self.comb += [into.adr.eq(write_adr), into.dat_w.eq(self.data), into.we.eq(write), out.adr.eq(read_adr)]
-        self.reads(read, out.dat_r)
-
     def mirror_settings(self, banks, channels, widths):
-        """The settings of every channel of a kind: {register: width}."""
+        """The settings of every channel of a kind read back as written: {register: width}."""
         if not channels:
             return
         first = banks[0].page
@@ -132,19 +127,52 @@ class FabricBus(LiteXModule):
             for kind, page, at in (("page", self.page, self.word), ("we_page", self.we_page, self.we_word)):
                 hit = self._is(f"{kind}_high", page[_LOW:], first >> _LOW) & self._both(kind.replace("page", "word"), at, word)
                 hits.append(hit & (page[:_LOW] < channels) if channels < 16 else hit)
-            self.mirror(f"{banks[0].kind}_{name}_mirror", width, self.we & hits[1], self.we_page[:4], hits[0], self.page[:4])
+            self._mirrored.append((*hits, width))
+            self._places += [(banks[n].page, word) for n in range(channels)]
 
     def mirror_words(self, bank, first, words, width=32):
-        """`words` words of one page from `first` on, in RAMs of 16 by the low bits of their address."""
-        for half in sorted({w >> 4 & 1 for w in range(first, first + words)}):
-            hits = []
-            for kind, page, at in (("page", self.page, self.word), ("we_page", self.we_page, self.we_word)):
-                hit = Signal()
-                self.comb += hit.eq(self._both(kind, page, bank.page) & (at[4] == half) & (at >= first) & (at < first + words))
-                hits.append(hit)
-            self.mirror(f"{bank.name}_mirror{first}_{half}", width, self.we & hits[1], self.we_word[:4], hits[0], self.word[:4])
+        """`words` words of one page from `first` on read back as written."""
+        if not words:
+            return
+        hits = []
+        for kind, page, at in (("page", self.page, self.word), ("we_page", self.we_page, self.we_word)):
+            hit = Signal()
+            self.comb += hit.eq(self._both(kind, page, bank.page) & (at >= first) & (at < first + words))
+            hits.append(hit)
+        self._mirrored.append((*hits, width))
+        self._places += [(bank.page, first + n) for n in range(words)]
+
+    def _mirror(self):
+        """One block RAM for all of them. It reads every clock; its word counts when a mirrored register was addressed, and of that
+        as many bits as the register has."""
+        def at(page, word):
+            return Mux(page[4:6] != 0, Cat(word[:3], page[:6]), Cat(word[:6], page[0]))
+
+        def number(page, word):
+            return page << 3 | word & 7 if page >> 4 & 3 else (page & 1) << 6 | word & 63
+
+        assert len({number(*place) for place in self._places}) == len(self._places), "two registers share a word of the mirror"
+        value = Signal(32)
+        self.specials += Instance("mirror",
+            i_clk=ClockSignal("sys"), i_we=self.we & reduce(or_, [write for _, write, _ in self._mirrored]),
+            i_write_at=at(self.we_page, self.we_word), i_data=self.data, i_read_at=at(self.page, self.word), o_value=value)
+        bits, low = [], 0
+        for width in sorted({width for _, _, width in self._mirrored}):
+            wide = Signal(reset_less=True)
+            self.sync += wide.eq(reduce(or_, [read for read, _, w in self._mirrored if w >= width]))
+            bits += [bit & wide for bit in value[low:width]]
+            low = width
+        return Cat(*bits)
 
     def do_finalize(self):
+        words = sorted(self._words, key=lambda word: -len(word[1]))
+        for first in range(0, len(words), _GATE):
+            group = words[first:first + _GATE]
+            gate = Signal(max(len(value) for _, value in group), reset_less=True)
+            self.sync += gate.eq(reduce(or_, [Replicate(hit, len(value)) & value for hit, value in group]))
+            self._gates.append(gate)
+        if self._mirrored:
+            self._gates.append(self._mirror())
         self.comb += self.bus.dat_r.eq(reduce(or_, self._gates))
 
 

@@ -55,39 +55,47 @@ module edges #(
         end
     end
 
-    // Words that are 0 unless visited, put together by an OR: as in tally.sv.
-    logic [15:0] away = 16'hFFFE;  // ~turn
-    logic [4*CHANNELS-1:0] stamp_shown = {4*CHANNELS{1'b0}}, stamp_caught_shown = {4*CHANNELS{1'b0}};
-    logic [CHANNELS-1:0]   seen_shown = {CHANNELS{1'b0}}, seen_caught_shown = {CHANNELS{1'b0}};
-    logic [CHANNELS-1:0]   wrong_shown = {CHANNELS{1'b0}}, wrong_caught_shown = {CHANNELS{1'b0}};
-    logic [3:0]            edge_at, edge_at_caught;
+    // Eight channels' words meet in front of one register: as in tally.sv.
+    localparam GROUPS = (CHANNELS + 7) / 8;
+    logic [4*GROUPS-1:0] stamp_shown = {4*GROUPS{1'b0}}, stamp_caught_shown = {4*GROUPS{1'b0}};
+    logic [GROUPS-1:0]   seen_shown = {GROUPS{1'b0}}, seen_caught_shown = {GROUPS{1'b0}};
+    logic [GROUPS-1:0]   wrong_shown = {GROUPS{1'b0}}, wrong_caught_shown = {GROUPS{1'b0}};
+    logic [4*GROUPS-1:0] stamp_met, stamp_caught_met;
+    logic [GROUPS-1:0]   seen_met, seen_caught_met, wrong_met, wrong_caught_met;
+    logic [3:0]          edge_at, edge_at_caught;
+
+    always_comb begin
+        stamp_met        = {4*GROUPS{1'b0}};
+        stamp_caught_met = {4*GROUPS{1'b0}};
+        seen_met         = {GROUPS{1'b0}};
+        seen_caught_met  = {GROUPS{1'b0}};
+        wrong_met        = {GROUPS{1'b0}};
+        wrong_caught_met = {GROUPS{1'b0}};
+        for (int c = 0; c < CHANNELS; c++) begin
+            stamp_met[4*(c/8) +: 4]        = stamp_met[4*(c/8) +: 4] | ({4{turn[c]}} & stamp[4*c +: 4]);
+            stamp_caught_met[4*(c/8) +: 4] = stamp_caught_met[4*(c/8) +: 4] | ({4{turn[c]}} & stamp_caught[4*c +: 4]);
+            seen_met[c/8]                  = seen_met[c/8] | (turn[c] & seen[c]);
+            seen_caught_met[c/8]           = seen_caught_met[c/8] | (turn[c] & seen_caught[c]);
+            wrong_met[c/8]                 = wrong_met[c/8] | (turn[c] & wrong[c]);
+            wrong_caught_met[c/8]          = wrong_caught_met[c/8] | (turn[c] & wrong_caught[c]);
+        end
+    end
 
     always_ff @(posedge clk) begin
-        away <= {away[14:0], away[15]};
-        for (n = 0; n < CHANNELS; n = n + 1)
-            if (away[n]) begin
-                stamp_shown[4*n +: 4]        <= 4'd0;
-                stamp_caught_shown[4*n +: 4] <= 4'd0;
-                seen_shown[n]                <= 1'b0;
-                seen_caught_shown[n]         <= 1'b0;
-                wrong_shown[n]               <= 1'b0;
-                wrong_caught_shown[n]        <= 1'b0;
-            end else begin
-                stamp_shown[4*n +: 4]        <= stamp[4*n +: 4];
-                stamp_caught_shown[4*n +: 4] <= stamp_caught[4*n +: 4];
-                seen_shown[n]                <= seen[n];
-                seen_caught_shown[n]         <= seen_caught[n];
-                wrong_shown[n]               <= wrong[n];
-                wrong_caught_shown[n]        <= wrong_caught[n];
-            end
+        stamp_shown        <= stamp_met;
+        stamp_caught_shown <= stamp_caught_met;
+        seen_shown         <= seen_met;
+        seen_caught_shown  <= seen_caught_met;
+        wrong_shown        <= wrong_met;
+        wrong_caught_shown <= wrong_caught_met;
     end
 
     always_comb begin
         edge_at        = 4'd0;
         edge_at_caught = 4'd0;
-        for (int c = 0; c < CHANNELS; c++) begin
-            edge_at        = edge_at | stamp_shown[4*c +: 4];
-            edge_at_caught = edge_at_caught | stamp_caught_shown[4*c +: 4];
+        for (int g = 0; g < GROUPS; g++) begin
+            edge_at        = edge_at | stamp_shown[4*g +: 4];
+            edge_at_caught = edge_at_caught | stamp_caught_shown[4*g +: 4];
         end
     end
 
@@ -147,11 +155,11 @@ module edges #(
     integer j;
     always_comb begin
         assume (sampling == (f_since <= 16));  // proven of the tally
-        assert (f_since != 0 & behind == at - 4'd1 & turn == 16'd1 << at & away == ~(16'd1 << at));
+        assert (f_since != 0 & behind == at - 4'd1 & turn == 16'd1 << at);
         assert (f_waits == (sampling & {1'b0, f_coming} <= 5'd16 - f_since));
         assert (f_started ? visited == now - 24'd1 : {seen_shown, seen_caught_shown} == 0);
-        for (j = 0; j < CHANNELS; j = j + 1)
-            assert (behind == j | {stamp_shown[4*j +: 4], stamp_caught_shown[4*j +: 4], seen_shown[j], seen_caught_shown[j], wrong_shown[j], wrong_caught_shown[j]} == 0);
+        for (j = 0; j < GROUPS; j = j + 1)
+            assert (behind >> 3 == j | {stamp_shown[4*j +: 4], stamp_caught_shown[4*j +: 4], seen_shown[j], seen_caught_shown[j], wrong_shown[j], wrong_caught_shown[j]} == 0);
         // The last edge was since the visit, and the stamp tells when; or before it, and the RAM knows.
         if (seen[f_channel]) assert (f_ago <= {20'd0, f_gone} & f_stamp == at - 4'd1 - f_ago[3:0]);
         else assert (f_time == f_old);

@@ -76,39 +76,44 @@ module tally #(
         end
     end
 
-    // Of all channels' words the visited one is wanted. Words that are 0 unless visited are put together by an OR, which is a
-    // third of a multiplexer, and being 0 is the reset of a flip-flop, which is free.
-    logic [5*CHANNELS-1:0] delta_shown = {5*CHANNELS{1'b0}}, caught_shown = {5*CHANNELS{1'b0}}, held_shown = {5*CHANNELS{1'b0}};
-    logic [CHANNELS-1:0]   pending_shown = {CHANNELS{1'b0}};
-    logic [4:0]            add_total, add_sample, add_latch;
-    logic                  to_latch;
+    // Of all channels' words the visited one is wanted. Eight of them meet in front of one register, two to a LUT; a register for
+    // each, 0 unless visited, is a third of a LUT cheaper and takes a reset per channel, for which the ECP5's tiles have no room.
+    localparam GROUPS = (CHANNELS + 7) / 8;
+    logic [5*GROUPS-1:0] delta_shown = {5*GROUPS{1'b0}}, caught_shown = {5*GROUPS{1'b0}}, held_shown = {5*GROUPS{1'b0}};
+    logic [GROUPS-1:0]   pending_shown = {GROUPS{1'b0}};
+    logic [5*GROUPS-1:0] delta_met, caught_met, held_met;
+    logic [GROUPS-1:0]   pending_met;
+    logic [4:0]          add_total, add_sample, add_latch;
+    logic                to_latch;
 
-    logic [15:0] away = 16'hFFFE;  // ~turn
+    always_comb begin
+        delta_met   = {5*GROUPS{1'b0}};
+        caught_met  = {5*GROUPS{1'b0}};
+        held_met    = {5*GROUPS{1'b0}};
+        pending_met = {GROUPS{1'b0}};
+        for (int c = 0; c < CHANNELS; c++) begin
+            delta_met[5*(c/8) +: 5]  = delta_met[5*(c/8) +: 5] | ({5{turn[c]}} & delta[5*c +: 5]);
+            caught_met[5*(c/8) +: 5] = caught_met[5*(c/8) +: 5] | ({5{turn[c]}} & caught[5*c +: 5]);
+            held_met[5*(c/8) +: 5]   = held_met[5*(c/8) +: 5] | ({5{turn[c]}} & held[5*c +: 5]);
+            pending_met[c/8]         = pending_met[c/8] | (turn[c] & pending[c]);
+        end
+    end
 
     always_ff @(posedge clk) begin
-        away <= {away[14:0], away[15]};
-        for (n = 0; n < CHANNELS; n = n + 1)
-            if (away[n]) begin
-                delta_shown[5*n +: 5]  <= 5'd0;
-                caught_shown[5*n +: 5] <= 5'd0;
-                held_shown[5*n +: 5]   <= 5'd0;
-                pending_shown[n]       <= 1'b0;
-            end else begin
-                delta_shown[5*n +: 5]  <= delta[5*n +: 5];
-                caught_shown[5*n +: 5] <= caught[5*n +: 5];
-                held_shown[5*n +: 5]   <= held[5*n +: 5];
-                pending_shown[n]       <= pending[n];
-            end
+        delta_shown   <= delta_met;
+        caught_shown  <= caught_met;
+        held_shown    <= held_met;
+        pending_shown <= pending_met;
     end
 
     always_comb begin
         add_total  = 5'd0;
         add_sample = 5'd0;
         add_latch  = 5'd0;
-        for (int c = 0; c < CHANNELS; c++) begin
-            add_total  = add_total | delta_shown[5*c +: 5];
-            add_sample = add_sample | caught_shown[5*c +: 5];
-            add_latch  = add_latch | held_shown[5*c +: 5];
+        for (int g = 0; g < GROUPS; g++) begin
+            add_total  = add_total | delta_shown[5*g +: 5];
+            add_sample = add_sample | caught_shown[5*g +: 5];
+            add_latch  = add_latch | held_shown[5*g +: 5];
         end
         to_latch = |pending_shown;
     end
@@ -171,9 +176,9 @@ module tally #(
 
     integer i;
     always_comb begin
-        assert (behind == at - 4'd1 & turn == 16'd1 << at & away == ~turn);
-        for (i = 0; i < CHANNELS; i = i + 1)
-            assert (behind == i | {delta_shown[5*i +: 5], caught_shown[5*i +: 5], held_shown[5*i +: 5], pending_shown[i]} == 0);
+        assert (behind == at - 4'd1 & turn == 16'd1 << at);
+        for (i = 0; i < GROUPS; i = i + 1)
+            assert (behind >> 3 == i | {delta_shown[5*i +: 5], caught_shown[5*i +: 5], held_shown[5*i +: 5], pending_shown[i]} == 0);
         assert (f_pending | ~f_clearing);
         assert (f_clearing | ~f_afresh);
         assert (f_position == (f_clearing ? 0 : f_total) + {{27{f_delta[4]}}, f_delta});
