@@ -580,8 +580,7 @@ chain, four and two for each LUT RAM. It is what the placer has to find room for
 A core is measured alone; `tally`, `edges` and `gpio` are there once for all channels (16, 16, 32 + 32), each encoder has two
 `debounce` inside, each encoder and each step generator a `latch` beside it. `max` has no pins on a 5A-75B: its inputs come from a
 shift register behind one pad and its outputs leave as a parity through another, so that nothing is optimised away (about 40 LUTs).
-It is packed, not placed: nextpnr's placer was given up in its first legalisation. Without synchronous resets the same netlist passes
-that in 20 s, so what is short is not room but resets: a tile of eight flip-flops takes two different ones, and `max` has 345.
+It is packed here; what it reaches when it is placed and routed is in [timing.md](timing.md).
 
 The peers' figures are of the same tools and the same channels: 6 step generators, 6 encoders, 6 PWM, 12 + 12 I/O, 40 MHz,
 Etherbone in gateware and no CPU. LiteX-CNC was placed and routed once; Lcnc was elaborated and simulated, never placed.
