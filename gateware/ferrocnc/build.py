@@ -445,11 +445,11 @@ def _summary(found):
 _TIMING_DOC = """<!-- Written by `cargo xtask bitstream --all`; do not edit. -->
 # Timing
 
-Every configuration in `boards/`, placed and routed on an LFE5U-25F, speed grade -6, with the tools of `gateware/requirements.txt`:
-the lowest seed with at least {slack:g} % slack on every clock. A clock that misses its constraint fails the build. `eth` is the RGMII
+Lcnc's eight configurations and `max`, placed and routed on an LFE5U-25F, speed grade -6, with the tools of
+`gateware/requirements.txt`: the lowest seed with at least {slack:g} % slack on every clock. A clock that misses its constraint fails the build. `eth` is the RGMII
 clock, 125 MHz; `sys` is the processor's and all cores'. COMB are the chip's LUT places, what the placer fills (24 288), EBR its
-block RAMs (56), DSP its multipliers (28). Minutes are those of yosys and of nextpnr for all seeds up to that one, on one core of the
-machine that wrote this, beside another build.
+block RAMs (56), DSP its multipliers (28). Minutes are those of yosys and of nextpnr for all seeds up to that one, on a core of the
+machine that wrote this and whatever else it had to do.
 
 `max` is the largest board there can be, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O. No 5A-75B has pins for it: its inputs
 come from a shift register behind one pad and its outputs leave as a parity through another.
@@ -468,7 +468,7 @@ def timing_document(found, failed):
         cells += [f["seed"], f"{f['seconds'] / 60:.1f}", f"{f['image']['bytes'] / 1000:.0f}" if "image" in f else "-"]
         lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
     for text in failed.values():
-        lines += ["", "**Not met.** " + text.replace("\n", "<br>")]
+        lines += ["", "**Not built.** " + text.replace("\n", "<br>")]
     return _TIMING_DOC.format(slack=5) + "\n".join(lines) + "\n"
 
 
