@@ -257,6 +257,8 @@ class Design:
         began = time.monotonic()
         try:
             data = place(self.board, self.work, seed, *([] if self.pins else ["--lpf-allow-unconstrained"]), name=str(seed), cancelled=cancelled)
+        except tools.Ended:
+            raise
         except tools.ToolError as e:
             found = {"failed": str(e).splitlines()[-2:]}
         else:

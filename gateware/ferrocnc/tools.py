@@ -46,6 +46,10 @@ class ToolError(Exception):
     """A tool failed; the text is the end of what it said."""
 
 
+class Ended(ToolError):
+    """Somebody ended the tool: that says nothing about what it worked on."""
+
+
 class Cancelled(Exception):
     """Somebody else was faster."""
 
@@ -75,6 +79,8 @@ def run(name, args, folder, log, readable=(), cancelled=None):
                 running.wait()
     if running.returncode:
         tail = "\n".join((folder / log).read_text(encoding="utf-8", errors="replace").splitlines()[-15:])
+        if running.returncode < 0:
+            raise Ended(f"{name} was ended by signal {-running.returncode}; see {folder / log}")
         raise ToolError(f"{tail}\n{name} failed; see {folder / log}")
 
 
