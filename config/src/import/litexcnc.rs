@@ -594,9 +594,9 @@ fn taken(
 
 /// The name of a pin of theirs; the button is one.
 fn pin(at: &At<'_>, key: &str, name: &str) -> Result<String, Error> {
-    match name.split(':').next() {
-        Some("user_btn" | "user_btn_n") => Ok("key".to_owned()),
-        Some("user_led" | "user_led_n") => Err(at.error(
+    match name.strip_suffix(":0").unwrap_or(name) {
+        "user_btn" | "user_btn_n" => Ok("key".to_owned()),
+        "user_led" | "user_led_n" => Err(at.error(
             key,
             &format!("{name:?}"),
             "is the LED, which shows the board's state here",
