@@ -335,6 +335,19 @@ pub struct Channel {
 }
 
 impl Channel {
+    /// A channel of the class' usual type on these pins. An output is safe low.
+    pub fn new(class: Class, name: String, pins: Vec<(&'static str, String)>) -> Self {
+        let usual = class.types().first().copied();
+        Channel {
+            name,
+            kind: usual.unwrap_or_default().to_owned(),
+            pins,
+            estop: None,
+            safe: (class == Class::Output).then_some(Level::Low),
+            invert: false,
+        }
+    }
+
     /// The pin of a key.
     pub fn pin(&self, key: &str) -> Option<&str> {
         self.pins

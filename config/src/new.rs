@@ -1,7 +1,7 @@
 //! A configuration to begin with: so many of each, on the first pins there are.
 
 use crate::board::{Board, Channel, Class, Line, Modified};
-use crate::platform::{FIRST_SHARED, HEADER, Level, Platform};
+use crate::platform::{FIRST_SHARED, HEADER, Platform};
 
 /// What is wanted.
 #[derive(Clone, Debug, Default)]
@@ -84,19 +84,7 @@ pub fn layout(name: &str, platform: Platform, wanted: &Wanted) -> Result<Board, 
                     ));
                 }
             }
-            channels.push(Channel {
-                name: default_name(class, n),
-                kind: class
-                    .types()
-                    .first()
-                    .copied()
-                    .unwrap_or_default()
-                    .to_owned(),
-                pins,
-                estop: None,
-                safe: (class == Class::Output).then_some(Level::Low),
-                invert: false,
-            });
+            channels.push(Channel::new(class, default_name(class, n), pins));
         }
     }
     let active = platform.key_active;

@@ -1,8 +1,8 @@
 //! Lcnc's `conf.ini`, as its GUI and `--saveconf` write it.
 
 use super::ini::{Section, parse};
-use super::{Draft, Imported, channel, mac};
-use crate::board::{Class, Line, Platforms};
+use super::{Draft, Imported, mac};
+use crate::board::{Channel, Class, Line, Platforms};
 use crate::error::{Error, Place, Report};
 use crate::platform::Level;
 use crate::tree::nearest;
@@ -207,7 +207,7 @@ fn channels(
             draft.push(
                 class,
                 None,
-                channel(class, std::mem::take(&mut pins)),
+                Channel::new(class, String::new(), std::mem::take(&mut pins)),
                 path(&number.to_string()),
                 first.take(),
             );

@@ -2,7 +2,7 @@
 //! watchdog functions, e-stops and PWM types from there on.
 
 use super::json::parse;
-use super::{Draft, Imported, channel, mac};
+use super::{Draft, Imported, mac};
 use crate::board::{Channel, Class, Platforms};
 use crate::error::Error;
 use crate::platform::Level;
@@ -404,7 +404,11 @@ fn watchdog(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
     }
     for (table, invert, name) in outputs {
         let pin = table.text("pin").unwrap_or_default();
-        let mut output = channel(Class::Output, vec![("pin", self::pin(&table, "pin", pin)?)]);
+        let mut output = Channel::new(
+            Class::Output,
+            String::new(),
+            vec![("pin", self::pin(&table, "pin", pin)?)],
+        );
         output.invert = invert;
         output.safe = Some(if invert { Level::High } else { Level::Low });
         draft.push(
@@ -420,7 +424,11 @@ fn watchdog(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
     }
     for (n, estop) in at.tables("estop")?.into_iter().enumerate() {
         let pin = estop.text("pin").unwrap_or_default();
-        let mut input = channel(Class::Input, vec![("pin", self::pin(&estop, "pin", pin)?)]);
+        let mut input = Channel::new(
+            Class::Input,
+            String::new(),
+            vec![("pin", self::pin(&estop, "pin", pin)?)],
+        );
         input.estop = Some(if estop.flag("trigger") == Some(true) {
             Level::High
         } else {
@@ -444,8 +452,9 @@ fn gpio(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
     } else {
         Class::Output
     };
-    let mut one = channel(
+    let mut one = Channel::new(
         class,
+        String::new(),
         vec![("pin", pin(at, "pin", at.text("pin").unwrap_or_default())?)],
     );
     match (class, at.flag("safe_state")) {
@@ -496,7 +505,7 @@ fn pwm(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
             ));
         }
     }
-    let mut one = channel(Class::Pwm, pins);
+    let mut one = Channel::new(Class::Pwm, String::new(), pins);
     kind.clone_into(&mut one.kind);
     push(draft, Class::Pwm, at, one);
     Ok(())
@@ -525,7 +534,7 @@ fn encoder(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
             draft.notes.push(format!("{} = {value} has no counterpart: our counts are never limited or preset; do it in HAL.", at.key(key)));
         }
     }
-    let mut one = channel(Class::Encoder, pins);
+    let mut one = Channel::new(Class::Encoder, String::new(), pins);
     if at.text("pin_B").is_none() {
         "counter".clone_into(&mut one.kind);
     }
@@ -561,7 +570,12 @@ fn stepgen(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
     if at.flag("soft_stop") != Some(true) {
         draft.hard_stops.push(at.key(""));
     }
-    push(draft, Class::Stepgen, at, channel(Class::Stepgen, pins));
+    push(
+        draft,
+        Class::Stepgen,
+        at,
+        Channel::new(Class::Stepgen, String::new(), pins),
+    );
     Ok(())
 }
 

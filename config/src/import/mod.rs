@@ -225,23 +225,6 @@ impl<'p> Draft<'p> {
     }
 }
 
-/// A channel with these pins, no name yet.
-fn channel(class: Class, pins: Vec<(&'static str, String)>) -> Channel {
-    Channel {
-        name: String::new(),
-        kind: class
-            .types()
-            .first()
-            .copied()
-            .unwrap_or_default()
-            .to_owned(),
-        pins,
-        estop: None,
-        safe: (class == Class::Output).then_some(Level::Low),
-        invert: false,
-    }
-}
-
 /// `0x10e2d5000001`, as both projects write it.
 fn mac(text: &str) -> Option<[u8; 6]> {
     let digits = text
