@@ -567,10 +567,10 @@ mod tests {
         for _ in 0..100 {
             machine.chores();
             let mut words = [0; MAX_WORDS];
-            if machine.has_to_shout() {
-                if let Some(shout) = machine.shout(&mut words) {
-                    all.push((shout, words[..shout.words].to_vec()));
-                }
+            if machine.has_to_shout()
+                && let Some(shout) = machine.shout(&mut words)
+            {
+                all.push((shout, words[..shout.words].to_vec()));
             }
         }
         all
