@@ -7,7 +7,7 @@
 use std::collections::HashSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
 use ferrocnc_tests::flash::{self, Boots, FIRST, boots, factory};
@@ -167,6 +167,99 @@ fn three_boards_with_the_factory_address_are_found_named_and_told_apart() {
     assert_eq!(discover(&elsewhere, &[]).len(), 3);
     let nowhere = lan.plug(None);
     assert_eq!(discover(&nowhere, &["--interface", "eth0"]).len(), 3);
+    let _ = std::fs::remove_dir_all(&folder);
+}
+
+/// A real DHCP server at a place; gone with this.
+struct DhcpServer {
+    process: Child,
+    leases: PathBuf,
+}
+
+impl DhcpServer {
+    /// Gives out 10.7.0.50 to 10.7.0.59.
+    fn start(place: &Place, folder: &Path) -> Self {
+        let leases = folder.join("leases");
+        let mut dnsmasq = place.command("dnsmasq");
+        dnsmasq
+            .args(["--keep-in-foreground", "--conf-file=/dev/null", "--port=0"])
+            .args(["--user=", "--group=", "--pid-file=", "--leasefile-ro"])
+            .args(["--interface=eth0", "--dhcp-range=10.7.0.50,10.7.0.59,2m"])
+            .arg("--dhcp-script=/bin/true")
+            .arg("--log-facility=-")
+            .arg("--log-dhcp");
+        let log = std::fs::File::create(&leases).expect("a file for what it says");
+        let process = dnsmasq
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(log)
+            .spawn()
+            .unwrap_or_else(|error| panic!("{dnsmasq:?}: {error} (Debian's dnsmasq-base)"));
+        DhcpServer { process, leases }
+    }
+
+    /// What it has to say.
+    fn said(&self) -> String {
+        std::fs::read_to_string(&self.leases).unwrap_or_default()
+    }
+}
+
+impl Drop for DhcpServer {
+    fn drop(&mut self) {
+        // Killing `nsenter` kills the server: it became it.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// Asks for boards until the only one is where it should be.
+fn wait_for_ip(host: &Place, wanted: impl Fn(&str) -> bool) -> Value {
+    let mut found = Vec::new();
+    // The board waits 10 s for a server before it falls back; half a minute is never.
+    for _ in 0..15 {
+        found = discover(host, &["--interface", "eth0"]);
+        let there = |board: &Value| board["ip"].as_str().is_some_and(&wanted);
+        if found.len() == 1 && there(&found[0]) {
+            return found.remove(0);
+        }
+        std::thread::sleep(Duration::from_secs(1));
+    }
+    panic!("the board never came there: {found:#?}");
+}
+
+#[test]
+fn a_real_dhcp_server_gives_a_board_its_address_and_without_one_it_falls_back() {
+    let folder = folder("dhcp");
+    let mut lan = Lan::new();
+    let host = lan.plug(Some("10.7.0.1/24"));
+    let place = lan.plug(None);
+    let path = flash_file(&folder, UIDS[0]);
+    let mut board = Simulator::at(&place, &path, UIDS[0]);
+    let uid = uid_text(UIDS[0]);
+    let server = DhcpServer::start(&host, &folder);
+    assert_eq!(wait_for_ip(&host, |_| true)["ip"], "192.168.2.50");
+    at_host(
+        &host,
+        &["set", "--uid", &uid, "--dhcp", "--interface", "eth0"],
+    );
+    let leased = wait_for_ip(&host, |ip| ip.starts_with("10.7.0.5"));
+    let (ip, mac) = (&leased["ip"], &leased["mac"]);
+    let (ip, mac) = (ip.as_str().expect("an IP"), mac.as_str().expect("a MAC"));
+    let said = server.said();
+    let acknowledged = said.lines().any(|line| {
+        line.contains("DHCPACK(eth0)") && line.contains(ip) && line.to_lowercase().contains(mac)
+    });
+    assert!(acknowledged, "{ip} {mac} in\n{said}");
+    // It is really there.
+    let described = at_host(&host, &["--json", "describe", ip]);
+    assert!(described.contains(&uid), "{described}");
+
+    // Power fails, and there is no server any more: the address it had before counts.
+    drop(server);
+    board.pull_the_plug();
+    drop(board);
+    let _board = Simulator::at(&place, &path, UIDS[0]);
+    wait_for_ip(&host, |ip| ip == "192.168.2.50");
     let _ = std::fs::remove_dir_all(&folder);
 }
 

@@ -22,6 +22,9 @@ const PACKAGES: &[(&str, &str)] = &[
     ("yosys", "turns the cores into the prover's language"),
     ("python3-venv", "the pinned Python environment"),
     ("iputils-ping", "a real ping for the tests"),
+    ("iproute2", "virtual Ethernet segments for the tests"),
+    ("util-linux", "their network namespaces"),
+    ("dnsmasq-base", "a real DHCP server on such a segment"),
     (
         "procps",
         "finds LinuxCNC processes that a crash left behind",
