@@ -31,6 +31,7 @@ pub mod card;
 pub mod edges;
 pub mod error;
 pub mod exchange;
+pub mod faults;
 pub mod firmware;
 pub mod gmii;
 pub mod loader;

@@ -11,6 +11,7 @@ use anyhow::Context;
 use clap::{Parser, ValueEnum};
 use sim::board::TraceWindow;
 use sim::card::Card;
+use sim::faults::{Plan, Rejected};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part};
 use sim::plant::{Axis, Plant};
@@ -23,6 +24,29 @@ const PLANT_HELP: &str = concat!(
     "What else is wired to the board. Its axes and spindles take the place of the encoders on the motors. Such a file:\n\n",
     include_str!("../plant.example.toml")
 );
+
+const FAULT_HELP: &str = "\
+What is to go wrong, from the start on. Words, in one argument or several; the same behind the control command `fault`, then
+counted from that moment:
+
+  loss=P dup=P reorder=P corrupt=P   a frame is lost, comes twice, is overtaken by the next, has a bit turned over; 0.01 or 1%
+  truncate=P                         a datagram loses its end, its checksums fit what is left
+  drop=N                             the next N frames are lost
+  delay=TIME[..TIME]                 a frame comes later, evenly spread; 2s, 1.5ms, 20us
+  rate=BITS                          so many bits a second: 10Mbit, 500kbit
+  pull plug                          the cable is out, is in again
+  host-pause@TIME..TIME              the host is neither heard nor hears; then everything at once
+  freeze                             the CPU's clock stands
+  reboot power                       the board starts anew; power forgets the start before (--backend model)
+  off seed=N                         all trouble ends; what the dice are thrown from
+
+In front to-board: or from-board: for one direction, behind @TIME or @TIME..TIME of the board's time for when:
+
+  --fault 'loss=0.1% from-board:delay=1ms..3ms@2s..10s seed=7' --fault reboot@12s";
+
+fn parse_fault(text: &str) -> Result<Plan, Rejected> {
+    text.parse()
+}
 
 /// How simulated time passes.
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -150,6 +174,10 @@ struct Arguments {
     /// Sys clocks of waveforms.
     #[arg(long, value_name = "CLOCKS", default_value_t = 200_000)]
     trace_cycles: u64,
+    /// What is to go wrong, from the start on: loss=0.1%, to-board:delay=1ms..3ms, pull@2s..4s, reboot@3s, seed=7 ... May be
+    /// given more than once. The control command `fault` changes it while the board runs.
+    #[arg(long, value_name = "WORDS", value_parser = parse_fault, long_help = FAULT_HELP)]
+    fault: Vec<Plan>,
     /// Ping the board this often after start and print the round trips.
     #[arg(long, value_name = "N", default_value_t = 0)]
     ping: u32,
@@ -270,6 +298,10 @@ impl Arguments {
                 Some(clocks) => eprintln!("sim: ping {clocks} clocks"),
                 None => eprintln!("sim: ping: no answer"),
             }
+        }
+        for plan in &self.fault {
+            let begun = device.trouble(plan);
+            begun.map_err(|why| anyhow::anyhow!("--fault {why}"))?;
         }
         let sys_hz = device.clockwork().sys_hz as f64;
         let real_time = match self.backend {

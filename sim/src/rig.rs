@@ -25,8 +25,9 @@ use crate::board::{Board, Stop, TraceWindow};
 use crate::edges::Recorder;
 use crate::error::Error;
 use crate::exchange::{Meter, Timing, is_request};
+use crate::faults::{Act, Cargo, Direction, Kind, Line, Plan, Script};
 use crate::firmware::Image;
-use crate::gmii;
+use crate::gmii::{self, Transfer};
 use crate::nor::pins::Wires;
 use crate::nor::spi::Shared;
 use crate::plant::Plant;
@@ -34,7 +35,7 @@ use crate::report::{Counters, Report, Seen};
 use crate::segment::{
     BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, Segment,
 };
-use crate::soc::{Manifest, Pins, Silicon, Soc};
+use crate::soc::{LINK_1000, Manifest, Pins, Silicon, Soc};
 
 /// Source port of [`Rig::exchange`] and the register helpers.
 pub const RIG_PORT: u16 = 39_999;
@@ -79,24 +80,40 @@ impl Setup {
     }
 }
 
-/// Frames to lose or spoil, counted down as they pass. The default harms nothing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Faults {
-    /// Frames towards the board to drop.
-    pub drop_to_board: u32,
-    /// Frames from the board to drop.
-    pub drop_from_board: u32,
-    /// Frames towards the board to send twice.
-    pub duplicate_to_board: u32,
-    /// Frames towards the board whose FCS to break.
-    pub corrupt_to_board: u32,
+/// A frame on its way to the board, and the request in it if it is one.
+#[derive(Clone, Debug)]
+struct Outgoing {
+    wire: Vec<u8>,
+    request: Option<(Endpoint, Vec<u8>, usize)>,
 }
 
-/// Counts one fault down; true when it strikes.
-pub(crate) fn strike(count: &mut u32) -> bool {
-    let hit = *count > 0;
-    *count -= u32::from(hit);
-    hit
+impl Cargo for Outgoing {
+    fn wire_bytes(&self) -> usize {
+        self.wire.len()
+    }
+    fn damage(&mut self, bit: u64) -> bool {
+        turn_over(&mut self.wire, bit)
+    }
+}
+
+impl Cargo for Transfer {
+    fn wire_bytes(&self) -> usize {
+        self.wire.len()
+    }
+    fn damage(&mut self, bit: u64) -> bool {
+        turn_over(&mut self.wire, bit)
+    }
+}
+
+/// One bit behind the preamble, without which there would be no frame.
+fn turn_over(wire: &mut [u8], bit: u64) -> bool {
+    if let Some(frame) = wire.get_mut(gmii::PREAMBLE.len()..)
+        && !frame.is_empty()
+    {
+        let bit = bit as usize % (8 * frame.len());
+        frame[bit / 8] ^= 1 << (bit % 8);
+    }
+    true
 }
 
 /// A board's answer.
@@ -127,7 +144,7 @@ pub struct FrameCounts {
     pub from_board: u64,
     /// From the board, with a bad preamble, length or FCS.
     pub malformed_from_board: u64,
-    /// Dropped by [`Faults`].
+    /// Lost on the way by [`Rig::faults`].
     pub dropped: u64,
 }
 
@@ -140,8 +157,10 @@ pub struct Rig<S = Soc> {
     pub segment: Segment,
     /// Measurements of exchanges.
     pub meter: Meter,
-    /// Faults of the cable.
-    pub faults: Faults,
+    /// What is going wrong between host and board; see [`Rig::trouble`].
+    pub faults: Script,
+    to_board: Line<Outgoing>,
+    from_board: Line<Transfer>,
     /// Frames passed.
     pub frames: FrameCounts,
     /// Longest wait for an answer, sys clocks; see [`Self::wait_for`]. The default is 60 000: a millisecond at 60 MHz.
@@ -200,10 +219,12 @@ impl<S: Silicon> Rig<S> {
     /// Plug a cable into a board that is out of reset.
     pub fn around(board: Board<S>, board_ip: Ipv4Addr) -> Self {
         Rig {
+            faults: Script::new(board.clockwork().sys_hz),
             board,
             segment: Segment::new(board_ip),
             meter: Meter::default(),
-            faults: Faults::default(),
+            to_board: Line::new(Direction::ToBoard),
+            from_board: Line::new(Direction::FromBoard),
             frames: FrameCounts::default(),
             patience: 60_000,
             captured: None,
@@ -281,6 +302,9 @@ impl<S: Silicon> Rig<S> {
         } else {
             until
         };
+        let cable = self.to_board.next().min(self.from_board.next());
+        let trouble = self.faults.next(self.clock()).min(cable);
+        let until = until.min(trouble.max(self.clock() + 1));
         let (before, started) = (self.clock(), Instant::now());
         let stop = self.board.run_until(until);
         self.busy += started.elapsed();
@@ -288,12 +312,18 @@ impl<S: Silicon> Rig<S> {
         while let Some(sent) = self.board.take_sent() {
             self.meter.sent(sent);
         }
+        let now = self.clock();
         while let Some(transfer) = self.board.take_transfer() {
             self.frames.from_board += 1;
-            if strike(&mut self.faults.drop_from_board) {
-                self.frames.dropped += 1;
-                continue;
-            }
+            self.from_board.enter(&mut self.faults, now, transfer);
+        }
+        if now >= trouble {
+            self.suffer();
+        }
+        self.hand_over();
+        let mut stop = stop;
+        while let Some(transfer) = self.from_board.due(now) {
+            stop = Stop::Frame;
             match gmii::decode(&transfer.wire) {
                 Ok(frame) => {
                     if let Some(captured) = &mut self.captured {
@@ -308,7 +338,9 @@ impl<S: Silicon> Rig<S> {
             self.next_poll = self.clock() + 1000;
             let clockwork = self.board.clockwork();
             self.segment.poll(clockwork.microseconds(self.board.now()));
-            while let Some(datagram) = self.segment.take_datagram() {
+            while let Some(mut datagram) = self.segment.take_datagram() {
+                let from = Direction::FromBoard;
+                self.faults.cut(from, now, &mut datagram.payload);
                 let times = (datagram.first, datagram.last, datagram.wire_len);
                 let timing = self
                     .meter
@@ -321,6 +353,46 @@ impl<S: Silicon> Rig<S> {
             return true;
         }
         false
+    }
+
+    /// What comes out of the cable by now is the receiver's; the number of the last frame.
+    fn hand_over(&mut self) -> Option<u64> {
+        let mut last = None;
+        while let Some(Outgoing { wire, request }) = self.to_board.due(self.board.clock()) {
+            let id = self.inject_wire(wire);
+            if let Some((from, payload, wire_len)) = request {
+                self.meter.request(id, from, &payload, wire_len);
+            }
+            last = Some(id);
+        }
+        self.frames.dropped = self.faults.tally.lost;
+        last
+    }
+
+    /// What has gone wrong by now with the board itself.
+    fn suffer(&mut self) {
+        while let Some(act) = self.faults.due(self.board.clock()) {
+            match act {
+                Act::Link(up) => self.board.link(if up { LINK_1000 } else { 0 }),
+                Act::Freeze(frozen) => self.board.freeze_cpu(frozen),
+                Act::Reboot(_) => self.reboot(),
+            }
+        }
+    }
+
+    /// From now on this goes wrong.
+    pub fn trouble(&mut self, plan: &Plan) -> Result<(), String> {
+        if plan.rules.iter().any(|rule| rule.kind == Kind::Power) {
+            return Err("power: the Verilated board keeps its RAM; say reboot here, or power to --backend model".into());
+        }
+        self.faults.follow(plan, self.board.clock());
+        self.suffer();
+        Ok(())
+    }
+
+    /// The whole board starts anew, as its reset makes it.
+    pub fn reboot(&mut self) {
+        self.board.reset(|_| {});
     }
 
     /// Frames of the segment's own stack go out.
@@ -338,22 +410,17 @@ impl<S: Silicon> Rig<S> {
     // ---- frames ------------------------------------------------------------------------------------------------------
 
     /// Send a frame (destination MAC .. payload) to the board; preamble, padding and FCS are added. `None` when a fault
-    /// dropped it.
+    /// lost it or made it late.
     pub fn inject_frame(&mut self, frame: &[u8]) -> Option<u64> {
-        if strike(&mut self.faults.drop_to_board) {
-            self.frames.dropped += 1;
-            return None;
-        }
-        let mut wire = gmii::encode(frame);
-        if strike(&mut self.faults.duplicate_to_board) {
-            self.inject_wire(wire.clone());
-        }
-        if strike(&mut self.faults.corrupt_to_board)
-            && let Some(last) = wire.last_mut()
-        {
-            *last ^= 0xff;
-        }
-        Some(self.inject_wire(wire))
+        self.send(frame, None)
+    }
+
+    fn send(&mut self, frame: &[u8], request: Option<(Endpoint, Vec<u8>, usize)>) -> Option<u64> {
+        let wire = gmii::encode(frame);
+        let now = self.board.clock();
+        let outgoing = Outgoing { wire, request };
+        self.to_board.enter(&mut self.faults, now, outgoing);
+        self.hand_over()
     }
 
     /// Send bytes exactly as given: the caller is the PHY. For runts, bad checksums and worse.
@@ -379,11 +446,12 @@ impl<S: Silicon> Rig<S> {
 
     /// Put a datagram on the wire and return at once.
     pub fn post(&mut self, from: Endpoint, port: u16, payload: &[u8]) {
-        let frame = self.segment.udp(from, port, payload);
+        let mut payload = payload.to_vec();
+        let now = self.board.clock();
+        self.faults.cut(Direction::ToBoard, now, &mut payload);
+        let frame = self.segment.udp(from, port, &payload);
         let wire_len = frame.len().max(gmii::MIN_FRAME) + 8 + 4;
-        if let Some(id) = self.inject_frame(&frame) {
-            self.meter.request(id, from, payload, wire_len);
-        }
+        self.send(&frame, Some((from, payload, wire_len)));
     }
 
     /// Put a datagram for everybody on the wire and return at once.
@@ -646,23 +714,41 @@ mod tests {
     fn faults_strike_as_often_as_told() {
         let mut rig = rig();
         rig.capture_frames();
-        rig.faults = Faults {
-            drop_to_board: 1,
-            drop_from_board: 1,
-            duplicate_to_board: 1,
-            corrupt_to_board: 1,
-        };
-        for n in 0..4 {
+        let mut frame = |n, plan: &str| {
+            rig.trouble(&plan.parse().unwrap()).unwrap();
             rig.inject_frame(&[n; 60]);
             rig.run(1000);
-        }
-        // 0 dropped on the way in; of 1 and its twin the first is dropped on the way back, the other has a bad FCS.
-        assert_eq!(rig.take_frames(), [vec![2; 60], vec![3; 60]]);
+            rig.take_frames()
+        };
+        assert_eq!(frame(0, "to-board:drop=1"), [[0; 60]; 0]);
+        assert_eq!(frame(1, "from-board:drop=1"), [[1; 60]; 0]);
+        assert_eq!(frame(2, "to-board:dup=1"), [[2; 60]; 2]);
+        assert_eq!(frame(3, "off corrupt=1 seed=1"), [[3; 60]; 0]);
+        assert_eq!(frame(4, "off pull"), [[4; 60]; 0]);
+        assert_eq!(frame(5, "plug"), [[5; 60]]);
         assert_eq!(
             (rig.frames.dropped, rig.frames.malformed_from_board),
-            (2, 1)
+            (3, 1)
         );
-        assert_eq!(rig.faults, Faults::default());
+        assert!(rig.faults.quiet());
+    }
+
+    #[test]
+    fn a_late_frame_is_fed_when_it_is_due() {
+        let mut rig = rig();
+        rig.capture_frames();
+        rig.trouble(&"to-board:delay=1ms".parse().unwrap()).unwrap();
+        assert_eq!(rig.inject_frame(&[7; 60]), None);
+        rig.run(59_000);
+        assert_eq!(rig.take_frames(), [[0; 60]; 0]);
+        rig.run(2000);
+        assert_eq!(rig.take_frames(), [[7; 60]]);
+    }
+
+    #[test]
+    fn a_supply_that_fails_is_for_the_twin() {
+        let error = rig().trouble(&"power".parse().unwrap()).unwrap_err();
+        assert!(error.contains("reboot"), "{error}");
     }
 
     #[test]

@@ -26,8 +26,9 @@ use std::time::{Duration, Instant};
 
 use crate::board::Clockwork;
 use crate::exchange::{Meter, Spread, is_request, wants_reply};
+use crate::faults::{Direction, Plan, Script, WORDS};
 use crate::report::Report;
-use crate::rig::{Faults, FrameCounts, Rig};
+use crate::rig::{FrameCounts, Rig};
 use crate::segment::{BOARD_PORT, CONSOLE_PORT, Connection, HOST_IP, Nat};
 use crate::soc::Silicon;
 use crate::world::World;
@@ -112,8 +113,10 @@ pub trait Device {
     fn world_mut(&mut self) -> &mut World;
     /// Stops or starts the CPU.
     fn freeze_cpu(&mut self, frozen: bool);
-    /// Faults of the cable.
-    fn faults(&mut self) -> &mut Faults;
+    /// What is going wrong.
+    fn faults(&mut self) -> &mut Script;
+    /// From now on this goes wrong. An error says what this board cannot do and what to say instead.
+    fn trouble(&mut self, plan: &Plan) -> Result<(), String>;
     /// Measurements of exchanges.
     fn meter(&self) -> &Meter;
     /// Frames passed.
@@ -203,8 +206,11 @@ impl<S: Silicon> Device for Rig<S> {
     fn freeze_cpu(&mut self, frozen: bool) {
         self.board.freeze_cpu(frozen);
     }
-    fn faults(&mut self) -> &mut Faults {
+    fn faults(&mut self) -> &mut Script {
         &mut self.faults
+    }
+    fn trouble(&mut self, plan: &Plan) -> Result<(), String> {
+        Rig::trouble(self, plan)
     }
     fn meter(&self) -> &Meter {
         &self.meter
@@ -692,6 +698,13 @@ impl<D: Device> Server<D> {
         }
     }
 
+    fn fault(&mut self, words: &str) -> Result<(), String> {
+        let plan: Plan = words
+            .parse()
+            .map_err(|error: crate::faults::Rejected| error.to_string())?;
+        self.rig.trouble(&plan)
+    }
+
     /// One control command; see `help`.
     fn command(&mut self, line: &str) -> String {
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -703,9 +716,17 @@ impl<D: Device> Server<D> {
         let rest = words.get(1);
         match words.first().copied().unwrap_or_default() {
             "" => String::new(),
-            "help" => "freeze-cpu [0|1], ext-reset [0|1], gpio-in MASK, ping, run CLOCKS, run-ms MS, drop-to-board N, \
-                       drop-from-board N, pins, counts, stats, report, quit"
-                .into(),
+            "help" => format!(
+                "freeze-cpu [0|1], ext-reset [0|1], gpio-in MASK, ping, run CLOCKS, run-ms MS, fault [WORDS], \
+                 drop-to-board N, drop-from-board N, pins, counts, stats, report, quit; WORDS of fault: {WORDS}"
+            ),
+            "fault" => match self.fault(line.trim_start().trim_start_matches("fault")) {
+                Ok(()) => {
+                    let clock = self.rig.clock();
+                    format!("ok clock={clock} {}", self.rig.faults().told(clock))
+                }
+                Err(why) => format!("error: {why}"),
+            },
             "freeze-cpu" => match level(rest) {
                 Some(on) => {
                     self.rig.freeze_cpu(on != 0);
@@ -738,11 +759,13 @@ impl<D: Device> Server<D> {
             },
             "drop-to-board" | "drop-from-board" => match rest.and_then(|t| number(t)) {
                 Some(n) if words[0] == "drop-to-board" => {
-                    self.rig.faults().drop_to_board = n as u32;
+                    let faults = self.rig.faults();
+                    faults.drop_next(Direction::ToBoard, n as u32);
                     format!("ok drop_to_board={n}")
                 }
                 Some(n) => {
-                    self.rig.faults().drop_from_board = n as u32;
+                    let faults = self.rig.faults();
+                    faults.drop_next(Direction::FromBoard, n as u32);
                     format!("ok drop_from_board={n}")
                 }
                 None => "error: how many frames?".into(),
@@ -1042,6 +1065,16 @@ mod tests {
         assert_eq!(talk(&b, b"No exchange at all"), b"No exchange at all");
         assert_eq!(talk(&a, &exchange(11)), exchange(11));
         let mut stream = TcpStream::connect(control).unwrap();
+        writeln!(stream, "fault loss\nfault pull seed=3\nfault plug").unwrap();
+        let mut answers = BufReader::new(stream.try_clone().unwrap()).lines();
+        let answers: [String; 3] = std::array::from_fn(|_| answers.next().unwrap().unwrap());
+        assert!(
+            answers[0].starts_with("error: \"loss\": how much?"),
+            "{}",
+            answers[0]
+        );
+        assert!(answers[1].contains("faults=pull "), "{}", answers[1]);
+        assert!(answers[2].contains("faults=none "), "{}", answers[2]);
         writeln!(stream, "ext-reset 1\nfrobnicate\nquit").unwrap();
         let answers: Vec<_> = BufReader::new(stream)
             .lines()

@@ -26,14 +26,17 @@ use crate::card::Card;
 use crate::edges::{Recorder, Timing};
 use crate::error::Error;
 use crate::exchange::{Meter, StatusHead, is_request, sequence, wants_reply};
+use crate::faults::{Act, Cargo, Direction, Line, Plan, Script};
+use crate::gmii;
 use crate::loader;
 use crate::model::{self, board::pages};
 use crate::nor::spi::Shared;
 use crate::nor::{Nor, Part};
 use crate::plant::Plant;
 use crate::report::{Counters, Report, Seen};
-use crate::rig::{Faults, FrameCounts, strike};
+use crate::rig::FrameCounts;
 use crate::server::{Addresses, Device, Reply, Service};
+use crate::soc::LINK_1000;
 use crate::world::World;
 
 /// Clocks from a request's arrival to its execution, and from there to its answer. The image takes some 970 clocks from the
@@ -43,8 +46,15 @@ pub const ANSWER: [u64; 2] = [480, 490];
 const SAMPLED: u64 = 20;
 /// Clocks between two slices of an operation of the flash: what a slice takes the image, some 256 bytes of SPI.
 const SLICE: u64 = 12_000;
+/// Clocks a CPU takes to come to its first instruction of ours.
+const FIRST: u64 = 64;
 /// Clocks of a register access of the CPU.
 const ACCESS: u64 = 2;
+/// Clocks from a start to the first frame that is looked at: what the image takes on the Verilated board
+/// (`ferrocnc-sim --backend rtl` prints 198 662 from power-up with the first question).
+pub const STARTING: u64 = 190_000;
+/// Bytes around a UDP payload on the wire: preamble, Ethernet, IPv4, UDP, FCS.
+const ENVELOPE: usize = 8 + 14 + 20 + 8 + 4;
 /// The host's address on the board's cable, as the Verilated board sees it.
 const HOST: u32 = 0xc0a8_0201;
 
@@ -105,6 +115,8 @@ fn trailer(flash: &Nor) -> Trailer {
 #[derive(Debug)]
 pub struct Desk {
     model: model::Board,
+    /// Clocks of the world before this model began: a board that starts anew counts from 0, the world does not.
+    before: u64,
     world: World,
     flash: Shared,
     trailer: Trailer,
@@ -120,17 +132,9 @@ impl Desk {
     fn new(card: &Card, plant: Plant, flash: Shared, trailer: Trailer, factory: bool) -> Self {
         let mut world = World::new(plant, card.clock_hz.into());
         world.factory(factory);
-        let model = model::Board::new(model::board::Build {
-            channels: card.channels,
-            clock_hz: card.clock_hz,
-            estop_mask: card.estop_mask,
-            estop_level: card.estop_level,
-            abi: abi::ABI,
-            version: firmware::VERSION,
-            rom_words: card.words().len() as u32,
-        });
         Desk {
-            model,
+            model: model::Board::new(build(card)),
+            before: 0,
             world,
             flash,
             trailer,
@@ -144,7 +148,24 @@ impl Desk {
     }
 
     fn clock(&self) -> u64 {
-        self.model.clocks()
+        self.before + self.model.clocks()
+    }
+
+    /// Every core as it powers up; what is wired to them stays as it is, and so does the time of day.
+    fn restart(&mut self) {
+        self.before = self.clock();
+        self.model = model::Board::new(self.model.build().clone());
+        (self.step_inverted, self.dir_inverted) = (0, 0);
+        self.world.pins.take_outputs(self.model.pins());
+        self.world.observe(self.before);
+        for n in 0..16 {
+            self.world.edges.set_timing(n, Timing::default());
+            self.world.edges.set_kind(n, StepType::default());
+        }
+        self.world.edges.set_polarity(0, 0);
+        self.world.look_again();
+        // The time a CPU takes to come to its first instruction of ours.
+        self.pass(self.clock() + FIRST);
     }
 
     /// Lets time pass to the sys clock `until`.
@@ -152,7 +173,7 @@ impl Desk {
         while self.clock() < until {
             let target = until.min(self.world.next().max(self.clock() + 1));
             self.model.drive(&self.world.pins);
-            let changed = self.model.run(target);
+            let changed = self.model.run(target - self.before);
             self.world.pins.take_outputs(self.model.pins());
             let clock = self.clock();
             if changed || clock >= self.world.next() {
@@ -328,6 +349,18 @@ impl cores::Board for Desk {
     }
 }
 
+fn build(card: &Card) -> model::board::Build {
+    model::board::Build {
+        channels: card.channels,
+        clock_hz: card.clock_hz,
+        estop_mask: card.estop_mask,
+        estop_level: card.estop_level,
+        abi: abi::ABI,
+        version: firmware::VERSION,
+        rom_words: card.words().len() as u32,
+    }
+}
+
 /// Text of the console on its way out.
 #[derive(Debug, Default)]
 struct Paper(Vec<u8>);
@@ -345,6 +378,38 @@ struct Visitor {
     out: Paper,
     said_goodbye: bool,
     gone: bool,
+}
+
+/// A datagram on its way to the board.
+#[derive(Clone, Debug)]
+struct Letter {
+    port: u16,
+    service: Service,
+    payload: Vec<u8>,
+}
+
+fn on_the_wire(payload: &[u8]) -> usize {
+    (payload.len() + ENVELOPE).max(gmii::MIN_FRAME + 12)
+}
+
+impl Cargo for Letter {
+    fn wire_bytes(&self) -> usize {
+        on_the_wire(&self.payload)
+    }
+    /// The MAC drops what its checksum does not fit.
+    fn damage(&mut self, _: u64) -> bool {
+        false
+    }
+}
+
+impl Cargo for Reply {
+    fn wire_bytes(&self) -> usize {
+        on_the_wire(&self.payload)
+    }
+    /// So does the host's.
+    fn damage(&mut self, _: u64) -> bool {
+        false
+    }
 }
 
 #[derive(Debug)]
@@ -368,7 +433,11 @@ pub struct Twin {
     replies: Vec<Reply>,
     visitors: Vec<Visitor>,
     meter: Meter,
-    faults: Faults,
+    script: Script,
+    to_board: Line<Letter>,
+    from_board: Line<Reply>,
+    /// Nothing is heard before this clock: the firmware is starting.
+    starting: u64,
     frames: FrameCounts,
     frozen: bool,
     chores_at: u64,
@@ -412,8 +481,8 @@ impl Twin {
             trailer(&chip)
         };
         let mut desk = Desk::new(&card, plant, flash, trailer, factory);
-        // The time a CPU takes to come to its first instruction of ours; the pins are seen by then.
-        desk.pass(64);
+        // The pins are seen by the first instruction.
+        desk.pass(FIRST);
         let boot = desk.record.boot(desk.clock() as u32);
         let machine = Machine::start(desk, ident(&card), abi::ABI, boot);
         let clockwork = Clockwork::new(card.clock_hz.into());
@@ -426,7 +495,10 @@ impl Twin {
             replies: Vec::new(),
             visitors: Vec::new(),
             meter: Meter::default(),
-            faults: Faults::default(),
+            script: Script::new(clockwork.sys_hz),
+            to_board: Line::new(Direction::ToBoard),
+            from_board: Line::new(Direction::FromBoard),
+            starting: 0,
             frames: FrameCounts::default(),
             frozen: false,
             busy: Duration::ZERO,
@@ -466,15 +538,96 @@ impl Twin {
                 return;
             };
             self.frames.from_board += 1;
-            self.replies.push(Reply {
+            let reply = Reply {
                 service: match shout.from_port {
                     dhcp::PORT => Service::Dhcp,
                     _ => Service::Discovery,
                 },
                 port: shout.to_port,
                 payload: payload(&buffer[..shout.words]),
-            });
+            };
+            self.send(reply);
         }
+    }
+
+    /// Onto the cable.
+    fn send(&mut self, mut reply: Reply) {
+        let now = self.machine.board.clock();
+        let from = Direction::FromBoard;
+        self.script.cut(from, now, &mut reply.payload);
+        self.from_board.enter(&mut self.script, now, reply);
+        self.heard_of(now);
+    }
+
+    /// What has come through the cable by now.
+    fn heard_of(&mut self, now: u64) {
+        while let Some(letter) = self.to_board.due(now) {
+            self.take_in(letter);
+        }
+        while let Some(reply) = self.from_board.due(now) {
+            self.replies.push(reply);
+        }
+        self.frames.dropped = self.script.tally.lost;
+    }
+
+    fn take_in(&mut self, letter: Letter) {
+        self.frames.to_board += 1;
+        let now = self.machine.board.clock();
+        if self.frozen || now < self.starting {
+            return;
+        }
+        let last = self.requests.back();
+        let free = last.map_or(0, |last| last.due.max(last.answered));
+        self.requests.push_back(Request {
+            port: letter.port,
+            service: letter.service,
+            payload: letter.payload,
+            due: now.max(free) + ANSWER[0],
+            answered: 0,
+            reply: None,
+        });
+    }
+
+    /// What has gone wrong by now with the board itself.
+    fn suffer(&mut self) {
+        while let Some(act) = self.script.due(self.machine.board.clock()) {
+            match act {
+                Act::Link(up) => self.world().link(if up { LINK_1000 } else { 0 }),
+                Act::Freeze(frozen) => self.freeze_cpu(frozen),
+                Act::Reboot(power) => self.reboot(power),
+            }
+        }
+    }
+
+    /// The whole board starts anew, as its reset pin makes it; with `power` the memory of its last start is lost as well.
+    pub fn reboot(&mut self, power: bool) {
+        let board = &mut self.machine.board;
+        let before = board.clock();
+        board.restart();
+        if power {
+            board.record = Record::EMPTY;
+            board.flash.chip().power_up();
+        }
+        self.requests.clear();
+        for visitor in &mut self.visitors {
+            *visitor = Visitor {
+                said_goodbye: true,
+                ..Visitor::default()
+            };
+        }
+        self.begin();
+        self.starting = before + STARTING;
+        self.chores_at = self.starting;
+    }
+
+    /// The firmware starts on the board as it stands.
+    fn begin(&mut self) {
+        let board = &mut self.machine.board;
+        let boot = board.record.boot(board.model.clocks() as u32);
+        let (flash, trailer) = (board.flash.clone(), board.trailer);
+        let spare = Desk::new(&self.card, Plant::default(), flash, trailer, false);
+        let desk = std::mem::replace(&mut self.machine.board, spare);
+        self.machine = Machine::start(desk, ident(&self.card), abi::ABI, boot);
     }
 
     fn chores(&mut self) {
@@ -485,12 +638,7 @@ impl Twin {
         self.shout();
         if self.machine.server.wants_restart() {
             self.machine.board.record.part(ResetReason::Requested);
-            let boot = self.machine.board.record.boot(0);
-            let board = &self.machine.board;
-            let (flash, trailer) = (board.flash.clone(), board.trailer);
-            let spare = Desk::new(&self.card, Plant::default(), flash, trailer, false);
-            let desk = std::mem::replace(&mut self.machine.board, spare);
-            self.machine = Machine::start(desk, ident(&self.card), abi::ABI, boot);
+            self.begin();
         }
     }
 
@@ -543,16 +691,12 @@ impl Twin {
         {
             self.meter.answer(head);
         }
-        if strike(&mut self.faults.drop_from_board) {
-            self.frames.dropped += 1;
-            return false;
-        }
-        self.replies.push(Reply {
+        self.send(Reply {
             service: request.service,
             port: request.port,
             payload,
         });
-        true
+        !self.replies.is_empty()
     }
 
     fn report_now(&mut self) -> Report {
@@ -601,28 +745,16 @@ impl Device for Twin {
 
     fn post(&mut self, port: u16, service: Service, payload: &[u8]) {
         self.meter.requested += u64::from(is_request(payload));
-        for _ in 0..1 + u32::from(strike(&mut self.faults.duplicate_to_board)) {
-            if strike(&mut self.faults.drop_to_board) || strike(&mut self.faults.corrupt_to_board) {
-                self.frames.dropped += 1;
-                continue;
-            }
-            self.frames.to_board += 1;
-            if self.frozen {
-                continue;
-            }
-            let free = self
-                .requests
-                .back()
-                .map_or(0, |last| last.due.max(last.answered));
-            self.requests.push_back(Request {
-                port,
-                service,
-                payload: payload.to_vec(),
-                due: self.clock().max(free) + ANSWER[0],
-                answered: 0,
-                reply: None,
-            });
-        }
+        let mut letter = Letter {
+            port,
+            service,
+            payload: payload.to_vec(),
+        };
+        let now = self.clock();
+        let to = Direction::ToBoard;
+        self.script.cut(to, now, &mut letter.payload);
+        self.to_board.enter(&mut self.script, now, letter);
+        self.heard_of(now);
     }
 
     fn pass(&mut self, until: u64) -> bool {
@@ -639,8 +771,17 @@ impl Device for Twin {
             } else {
                 self.chores_at
             };
+            let cable = self.to_board.next().min(self.from_board.next());
+            let trouble = self.script.next(self.clock()).min(cable);
             let board = &mut self.machine.board;
-            board.pass(until.min(next).min(chores).max(board.clock() + 1));
+            let stop = until.min(next).min(chores).min(trouble);
+            board.pass(stop.max(board.clock() + 1));
+            if self.clock() >= trouble {
+                self.suffer();
+                self.heard_of(self.clock());
+                told |= !self.replies.is_empty();
+                continue;
+            }
             if self.clock() >= chores {
                 if self.machine.due(IDLE) {
                     self.chores();
@@ -696,7 +837,7 @@ impl Device for Twin {
     }
 
     fn type_in(&mut self, console: usize, bytes: &[u8]) -> usize {
-        if self.frozen {
+        if self.frozen || !self.script.link() || self.clock() < self.starting {
             return 0;
         }
         let visitor = &mut self.visitors[console];
@@ -716,6 +857,9 @@ impl Device for Twin {
     }
 
     fn heard(&mut self, console: usize) -> Vec<u8> {
+        if !self.script.link() {
+            return Vec::new();
+        }
         std::mem::take(&mut self.visitors[console].out.0)
     }
 
@@ -750,10 +894,19 @@ impl Device for Twin {
 
     fn freeze_cpu(&mut self, frozen: bool) {
         self.frozen = frozen;
+        if frozen {
+            self.requests.clear();
+        }
     }
 
-    fn faults(&mut self) -> &mut Faults {
-        &mut self.faults
+    fn faults(&mut self) -> &mut Script {
+        &mut self.script
+    }
+
+    fn trouble(&mut self, plan: &Plan) -> Result<(), String> {
+        self.script.follow(plan, self.machine.board.clock());
+        self.suffer();
+        Ok(())
     }
 
     fn meter(&self) -> &Meter {
@@ -1020,6 +1173,54 @@ mod tests {
         assert!(twin.hung_up(visitor) && !twin.closed(visitor));
         twin.hang_up(visitor);
         assert!(twin.closed(visitor));
+    }
+
+    #[test]
+    fn a_board_that_starts_anew_forgets_its_session_and_its_counts_but_the_machine_stays_where_it_is()
+     {
+        for word in ["reboot", "power"] {
+            let mut bench = Bench::armed(Plant::direct(6));
+            let boot = bench.read(map::DESCRIBE + 4 * 10);
+            bench.rate(0, 50_000.0);
+            bench.periods(20);
+            let there = bench.twin.world().edges.channel(0).count;
+            assert!(there > 400, "{there}");
+            let clock = bench.twin.clock();
+            bench.twin.trouble(&word.parse().unwrap()).unwrap();
+            assert_eq!(bench.twin.world().pins().gate, 0, "{word}");
+            // Nobody is there yet.
+            assert_eq!(bench.ask(&[0x4e6f_1044, 0, 0x000f_0001, 0, 0]), None);
+            bench.twin.pass(clock + STARTING);
+            assert_eq!(bench.read(map::SESSION_TOKEN), 0, "{word}");
+            assert!(word == "power" || bench.read(map::DESCRIBE + 4 * 10) != boot);
+            assert_eq!(bench.twin.world().edges.channel(0).count, there);
+            assert_eq!(bench.twin.world().edges.violations(), []);
+        }
+    }
+
+    #[test]
+    fn a_pulled_cable_stops_the_machine_and_the_phy_says_so() {
+        let mut bench = Bench::armed(Plant::default());
+        bench.rate(0, 100_000.0);
+        bench.periods(10);
+        bench
+            .twin
+            .trouble(&"pull@1ms..60ms".parse().unwrap())
+            .unwrap();
+        let end = bench.twin.clock() + 50 * MS;
+        while bench.twin.clock() < end {
+            bench.twin.pass(end);
+        }
+        let pins = bench.twin.world().pins();
+        assert_eq!((pins.gate, pins.link_status), (0, 0));
+        let end = bench.twin.clock() + 20 * MS;
+        while bench.twin.clock() < end {
+            bench.twin.pass(end);
+        }
+        assert_eq!(bench.twin.world().pins().link_status, LINK_1000);
+        // The session died with its watchdog: what its host still says is refused, and nothing opens the gate.
+        assert_eq!(bench.read(map::SESSION_TOKEN), 0);
+        assert_eq!(bench.twin.world().pins().gate, 0);
     }
 
     #[test]

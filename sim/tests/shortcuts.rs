@@ -4,6 +4,7 @@
 //! -p ferrocnc-sim --test shortcuts -- --ignored` (build the second library with `build.sh ... --trace vcd`).
 
 use sim::board::TraceWindow;
+use sim::faults::{Direction, Kind};
 use sim::rig::{Rig, Setup};
 
 #[test]
@@ -54,8 +55,9 @@ fn the_fast_model_and_the_plain_one_do_the_same() {
     });
     story("damage", &mut |rig| {
         rig.inject_wire(vec![0x55; 40]);
-        rig.faults.corrupt_to_board = 1;
+        rig.faults.once(Direction::ToBoard, Kind::Corrupt(1.0));
         assert!(rig.ping().is_none());
+        rig.faults.once(Direction::ToBoard, Kind::Corrupt(0.0));
     });
     story("frozen", &mut |rig| {
         rig.freeze_cpu(true);
