@@ -1,6 +1,8 @@
 //! Boards are found, told apart and given addresses: library and tool, on a segment of fake boards.
 
 mod common;
+#[path = "common/tool.rs"]
+mod ferrocnc_tool;
 
 use common::flash::Segment;
 use common::{FakeBoard, Time};
@@ -9,8 +11,8 @@ use ferrocnc::client::Client;
 use ferrocnc::discovery::Finder;
 use ferrocnc::flash::{Overview, uid_text};
 use ferrocnc::provision::{self, Change, ProvisionError};
+use ferrocnc_tool::{answer, complaint};
 use std::net::Ipv4Addr;
-use std::process::{Command, Output};
 use std::time::Duration;
 use wire::flash::Origin;
 use wire::settings::{Settings, mac_of_uid};
@@ -18,26 +20,6 @@ use wire::{Name, State};
 
 const UIDS: [[u32; 2]; 3] = [[0xd162_0c8a, 1], [0xd162_0c8a, 2], [0xd162_0c8a, 3]];
 const WAIT: Duration = Duration::from_millis(600);
-
-fn tool(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_ferrocnc"))
-        .args(arguments)
-        .output()
-        .unwrap()
-}
-
-fn answer(arguments: &[&str]) -> String {
-    let output = tool(arguments);
-    let error = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments:?}: {error}");
-    String::from_utf8(output.stdout).unwrap()
-}
-
-fn complaint(arguments: &[&str]) -> String {
-    let output = tool(arguments);
-    assert!(!output.status.success(), "{arguments:?} succeeded");
-    String::from_utf8(output.stderr).unwrap()
-}
 
 fn named(name: &str, ip: [u8; 4]) -> Change {
     Change {

@@ -1,31 +1,13 @@
 //! The tool `ferrocnc` against a fake board.
 
 mod common;
+#[path = "common/tool.rs"]
+mod ferrocnc_tool;
 
 use common::{FakeBoard, Time};
+use ferrocnc_tool::{answer, complaint};
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
-use std::process::{Command, Output};
-
-fn tool(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_ferrocnc"))
-        .args(arguments)
-        .output()
-        .unwrap()
-}
-
-fn answer(arguments: &[&str]) -> String {
-    let output = tool(arguments);
-    let error = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{arguments:?}: {error}");
-    String::from_utf8(output.stdout).unwrap()
-}
-
-fn complaint(arguments: &[&str]) -> String {
-    let output = tool(arguments);
-    assert!(!output.status.success(), "{arguments:?} succeeded");
-    String::from_utf8(output.stderr).unwrap()
-}
 
 fn board() -> FakeBoard {
     FakeBoard::mill6(Time::Lockstep(60_000))
