@@ -50,6 +50,10 @@
 //!
 //! Nothing in here allocates, locks or blocks, and nothing but [`Link`] makes a system call.
 
+mod command;
+mod export;
+mod session;
+
 use crate::address::Address;
 use crate::blocks::arming::ArmRequest;
 use crate::blocks::encoder::Encoder;
@@ -61,42 +65,29 @@ use crate::blocks::pwm::Pwm;
 use crate::blocks::stepgen::{Sample, Stepgen};
 use crate::blocks::wallclock::Wallclock;
 use crate::blocks::watchdog::Watchdog;
-use crate::blocks::{Feedback, Outlook, Period};
-use crate::client::{Identity, SESSION_WORDS, Session, single_record};
+use crate::blocks::{Outlook, Period};
+use crate::client::{SESSION_WORDS, Session, single_record};
 use crate::clock::{BoardClock, Timebase};
-use crate::hal::{
-    Backend, Catalogue, ExportError, Exporter, In, Level, Line, Messenger, Out, Param,
-};
+use crate::hal::{Catalogue, Level, Line, Messenger};
 use crate::link::Link;
 use crate::names::Glue;
-use crate::settings::{Disarmed, INPUTS, Periods, Sync};
-use std::net::Ipv4Addr;
+use crate::settings::{Disarmed, Periods, Sync};
+use export::Pins;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use wire::board::Kind;
 use wire::describe::Channels;
-use wire::exchange::{COMMAND_MAX, Command, Latch, MAX_CHANNELS, REQUEST_OVERHEAD, Status};
-use wire::map::{PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT};
+use wire::exchange::{Command, Latch, Status};
 use wire::units::Clocks;
-use wire::{FaultReason, MAX_WORDS, ReplyWriter, State, etherbone, map};
+use wire::{FaultReason, ReplyWriter, State, etherbone, map};
 
 /// 100 ms between two requests for the session: a board that starts is found soon, one that is off
 /// costs next to nothing.
 const ACQUIRE_NS: i64 = 100_000_000;
 /// Tags of our requests lie up here, exchange answers are told apart by their length anyway.
 const TAG_BASE: u32 = 0xfe00_0000;
-/// Our token, then who owns the board: what `Driver::owned` understands.
-const OWNER_WORDS: [u32; 3] = [
-    map::SESSION_TOKEN,
-    map::SESSION_OWNER_IP,
-    map::SESSION_OWNER_PORT,
-];
 /// 250 us: four commands are sent in some 60 us and are there some 50 us later, so all boards have theirs
 /// when the moment comes, and the rest of the period is left for what comes late.
 const APPLY_DELAY_NS: u32 = 250_000;
-/// Tries after which settings without a receipt are worth a message: 5 x 20 periods.
-const REFUSED_TRIES: u32 = 5;
-
 /// Whether the board is ours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
@@ -108,25 +99,6 @@ enum Phase {
     },
     /// Exchanging.
     Online { token: u32 },
-}
-
-/// The board-wide pins.
-#[derive(Debug)]
-struct Pins {
-    enable: In<bool>,
-    enable_request: In<bool>,
-    enabled: Out<bool>,
-    fault_reason: Out<u32>,
-    state: Out<u32>,
-    position_trusted: Out<bool>,
-    refused_total: Out<u32>,
-    estop: Out<bool>,
-    reset_reason: Out<u32>,
-    gate_close: Out<u32>,
-    io_error: Param<bool>,
-    probe_input: Param<i32>,
-    probe_invert: Param<bool>,
-    apply_delay: Param<u32>,
 }
 
 /// A board and everything HAL sees of it.
@@ -194,144 +166,6 @@ pub struct Driver {
 }
 
 impl Driver {
-    /// Exports everything this board has as `ferrocnc.<index>.*`. The link must be the one whose
-    /// port owns the session.
-    pub fn export(
-        backend: &mut dyn Backend,
-        index: usize,
-        address: Address,
-        identity: &Identity,
-        link: Link,
-        say: Messenger,
-    ) -> Result<Self, ExportError> {
-        let describe = &identity.describe;
-        let channels = describe.channels;
-        let blob = identity.blob();
-        let names = |kind, class: &str, longest: &str, count: u8| {
-            let room = crate::hal::NAME_MAX - format!("ferrocnc.{index}.{class}..{longest}").len();
-            channel_names((0..count).map(|n| blob.text(kind, n)), room)
-        };
-        let mut catalogue = Catalogue::default();
-        let mut hal = Exporter::new(backend, format!("ferrocnc.{index}")).listed(&mut catalogue);
-        let pins = Pins {
-            enable: hal.input("enable")?,
-            enable_request: hal.input("enable-request")?,
-            enabled: hal.output("enabled")?,
-            fault_reason: hal.output("fault-reason")?,
-            state: hal.output("state")?,
-            position_trusted: hal.output("position-trusted")?,
-            refused_total: hal.output("refused-total")?,
-            estop: hal.output("estop")?,
-            reset_reason: hal.output("last-reset-reason")?,
-            gate_close: hal.output("last-gate-close")?,
-            io_error: hal.param("io-error", false)?,
-            probe_input: hal.param("probe-input", -1)?,
-            probe_invert: hal.param("probe-invert", false)?,
-            apply_delay: hal.param("apply-delay-ns", 0)?,
-        };
-        pins.reset_reason
-            .set(u32::from(describe.reset_reason.code()));
-        pins.gate_close.set(u32::from(describe.gate_close.code()));
-        let packets = Packets::export(&mut hal)?;
-        let watchdog = Watchdog::export(&mut hal)?;
-        let wallclock = Wallclock::export(&mut hal)?;
-        let mut ethernet = Ethernet::export(&mut hal)?;
-        ethernet.sampled(&describe.state);
-        let stepgens = each(
-            &mut hal,
-            "stepgen",
-            names(
-                Kind::Stepgen,
-                "stepgen",
-                "position-scale",
-                channels.stepgens,
-            ),
-            |hal, n| Stepgen::export(hal, identity.step_type(n)),
-        )?;
-        let encoders = each(
-            &mut hal,
-            "encoder",
-            names(Kind::Encoder, "encoder", "velocity-rpm", channels.encoders),
-            |hal, _| Encoder::export(hal),
-        )?;
-        let pwms = each(
-            &mut hal,
-            "pwm",
-            names(Kind::Pwm, "pwm", "invert-output", channels.pwms),
-            |hal, n| {
-                let has_direction = identity.has_pin(b'p', n, "dir");
-                Pwm::export(hal, has_direction, identity.pwm_type(n))
-            },
-        )?;
-        let inputs = each(
-            &mut hal,
-            "gpio",
-            names(Kind::Input, "gpio", "in-not", channels.inputs),
-            |hal, n| gpio::Input::export(hal, identity.has_pin(b'i', n, "estop")),
-        )?;
-        let outputs = each(
-            &mut hal,
-            "gpio",
-            names(Kind::Output, "gpio", "invert", channels.outputs),
-            |hal, n| {
-                let said = |key, word| identity.pin(b'o', n, key) == Some(word);
-                gpio::Output::export(hal, said("safe", "high"), said("invert", "true"))
-            },
-        )?;
-        Ok(Driver {
-            index,
-            address,
-            link,
-            channels,
-            clock_hz: describe.clock_hz,
-            boot_id: describe.boot_id,
-            say,
-            pins,
-            packets,
-            watchdog,
-            wallclock,
-            ethernet,
-            stepgens,
-            encoders,
-            pwms,
-            inputs,
-            outputs,
-            // Loading took seconds, longer than an idle session lives: begin by asking again.
-            phase: Phase::Acquiring {
-                wait: 0,
-                tag: 0,
-                announced: false,
-            },
-            arm: ArmRequest::default(),
-            disarmed_settings: Sync::default(),
-            periods: Sync::default(),
-            settings_refused_said: false,
-            foreign_owner: None,
-            tag: 0,
-            sequence: 0,
-            last: None,
-            awaiting: false,
-            repeated: false,
-            request_seen: false,
-            missing: 0,
-            answered: false,
-            state: describe.state.state,
-            // What it stopped for before us is the board's past, not an event.
-            reason: describe.state.reason,
-            live: false,
-            time: Timebase::new(),
-            read_moment: 0,
-            write_moment: 0,
-            clock: BoardClock::new(describe.clock_hz),
-            sent: [(0, 0); 2],
-            request_to_write: None,
-            arrival: None,
-            apply_at: None,
-            catalogue,
-            glue: Glue::default(),
-        })
-    }
-
     /// Keeps other names for our pins alive from here on.
     pub fn adopt(&mut self, glue: Glue) {
         self.glue = glue;
@@ -510,49 +344,6 @@ impl Driver {
         second_best
     }
 
-    fn acquired(&mut self, session: Option<Session>, announced: bool) {
-        // No token: the answer to the question for the owner will say why.
-        let Some(session) = session else { return };
-        if session.wire_version != wire::WIRE_VERSION
-            || session.channels != self.channels.to_words()
-        {
-            return self.announce_once(
-                "another board or firmware answers at this address; restart LinuxCNC to use it",
-            );
-        }
-        if session.boot_id != self.boot_id {
-            self.boot_id = session.boot_id;
-            self.ethernet.forget();
-            self.error(format_args!(
-                "the board has restarted; enable again when the machine is in order"
-            ));
-        } else if announced {
-            self.info(format_args!("the board answers again"));
-        }
-        self.pins.reset_reason.set(session.reset_reason);
-        self.pins.gate_close.set(session.gate_close);
-        self.sequence = session.last_sequence;
-        self.last = None;
-        self.arrival = None;
-        self.apply_at = None;
-        for stepgen in &mut self.stepgens {
-            stepgen.forget_latch();
-        }
-        for encoder in &mut self.encoders {
-            encoder.forget_latch();
-        }
-        self.phase = Phase::Online {
-            token: session.token,
-        };
-        self.disarmed_settings.forget();
-        self.periods.forget();
-        self.settings_refused_said = false;
-        self.arm.forget();
-        self.answered = false;
-        self.missing = 0;
-        self.packets.recovered();
-    }
-
     fn answered(&mut self, status: &Status, period: Period) {
         self.packets.good();
         self.missing = 0;
@@ -718,216 +509,6 @@ impl Driver {
         };
     }
 
-    /// Sends settings the board lacks; `true` when it lacks none.
-    fn send_settings(&mut self, clock_hz: f64) -> bool {
-        let mut words = [0; MAX_WORDS];
-        let mut periods = Periods::default();
-        for (word, pwm) in periods.0.iter_mut().zip(&self.pwms) {
-            *word = pwm.period(clock_hz);
-        }
-        let tag = self.next_tag();
-        if let Some(request) = self.periods.due(&periods, self.channels, tag, &mut words) {
-            // Unsent is unanswered: it is due again.
-            let _ = self.link.send(request);
-        }
-        let at_rest = match self.state {
-            State::Disarmed | State::Faulted => !self.live,
-            State::Boot | State::Armed | State::Stopping => false,
-        };
-        if !at_rest {
-            return false;
-        }
-        let wanted = self.gather(clock_hz);
-        let tag = self.next_tag();
-        if let Some(request) = self
-            .disarmed_settings
-            .due(&wanted, self.channels, tag, &mut words)
-        {
-            let _ = self.link.send(request);
-        }
-        let refused = self.disarmed_settings.tries().max(self.periods.tries()) > REFUSED_TRIES;
-        if refused && !self.settings_refused_said {
-            self.settings_refused_said = true;
-            self.error(format_args!(
-                "the board refuses its settings and cannot be enabled; compare versions with ferrocnc describe {}",
-                self.address.text
-            ));
-        }
-        self.disarmed_settings.settled(&wanted) && self.periods.settled(&periods)
-    }
-
-    fn gather(&mut self, clock_hz: f64) -> Disarmed {
-        let mut wanted = Disarmed {
-            watchdog: self.watchdog.configure(clock_hz),
-            ..Disarmed::default()
-        };
-        for (words, stepgen) in wanted.stepgen.iter_mut().zip(&mut self.stepgens) {
-            *words = stepgen.configure(clock_hz);
-        }
-        let input = self.pins.probe_input.get();
-        if (0..INPUTS as i32).contains(&input) {
-            wanted.probe = input as u32 & PROBE_INPUT_MASK | PROBE_ENABLE;
-            if self.pins.probe_invert.get() {
-                wanted.probe |= PROBE_INVERT;
-            }
-        }
-        for (looks, input) in wanted.debounce.iter_mut().zip(&self.inputs) {
-            *looks = input.debounce(clock_hz);
-        }
-        for (words, encoder) in wanted.encoder.iter_mut().zip(&self.encoders) {
-            *words = encoder.configure(clock_hz);
-        }
-        for (word, pwm) in wanted.pwm_mode.iter_mut().zip(&mut self.pwms) {
-            *word = pwm.configure();
-        }
-        for (n, output) in self.outputs.iter().enumerate() {
-            wanted.gpio_safe |= u32::from(output.safe()) << n;
-            wanted.gpio_invert |= u32::from(output.inverted()) << n;
-        }
-        wanted
-    }
-
-    fn send_command(&mut self, token: u32, settled: bool, period: Period) {
-        self.sequence = self.sequence.wrapping_add(1);
-        let mut command = self.make_command(token, settled, period);
-        self.apply_at = self.apply_time(period).filter(|_| self.live);
-        command.apply_at = self.apply_at;
-        self.last = Some(command);
-        let repeated_at = self.sent[0].1;
-        let repeated = self.request_seen;
-        // Unsent is unanswered, and the next `read` counts it; it does not wait for it though.
-        if self.transmit(&command) {
-            self.awaiting = true;
-        } else {
-            self.unanswered(period);
-        }
-        self.request_to_write = repeated.then(|| self.sent[0].1 - repeated_at);
-        self.request_seen = false;
-    }
-
-    /// Sends a command; `false` if the network would not take it.
-    fn transmit(&mut self, command: &Command) -> bool {
-        let mut words = [0; REQUEST_OVERHEAD + COMMAND_MAX];
-        let Some(request) = command.emit_request(self.channels, &mut words) else {
-            return false;
-        };
-        self.sent = [(command.sequence, self.time.now()), self.sent[0]];
-        self.link.send(request)
-    }
-
-    /// The moment all boards apply this period's command, by this one's clock.
-    fn apply_time(&mut self, period: Period) -> Option<Clocks> {
-        let delay = self.apply_delay();
-        if delay == 0 {
-            return None;
-        }
-        let now = self.time.now();
-        let moment = self.time.writes.of(&mut self.write_moment, now);
-        // Longer than a period and the next command would replace it before its time.
-        let delay = i64::from(delay).min((period.seconds * 1e9) as i64);
-        let at = self.clock.board_at(moment + delay)?;
-        // However wrong the clocks are compared, a command must not wait for its successor. Half a period of
-        // jitter is forgiven; what comes too early here is applied on arrival.
-        let delay = Clocks((delay as f64 * 1e-9 * period.clock_hz) as u64);
-        let latest = self.arrival?.0 + period.clocks.0 * 3 / 2 + delay.0;
-        Some(at.min(Clocks(latest)))
-    }
-
-    fn apply_delay(&self) -> u32 {
-        self.pins.apply_delay.get()
-    }
-
-    fn make_command(&mut self, token: u32, settled: bool, period: Period) -> Command {
-        let enable = self.pins.enable.get();
-        let ready = enable && settled && self.answered;
-        let mut command = Command {
-            token,
-            sequence: self.sequence,
-            enable,
-            enable_request: self.arm.flag(
-                self.pins.enable_request.get(),
-                ready || (self.live && enable),
-                self.sequence,
-            ),
-            ..Command::default()
-        };
-        let live = self.live && enable;
-        let feedback = match self.missing {
-            0 => Feedback::Fresh,
-            1 => Feedback::Bridged,
-            2.. => Feedback::Frozen,
-        };
-        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
-            let target = stepgen.command(live, feedback, period);
-            command.stepgen[n] = (target.rate, target.accel);
-            command.stepgen_enable |= u16::from(target.enable) << n;
-        }
-        let sequence = self.sequence;
-        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
-            let (index, probe) = stepgen.arms(live, sequence);
-            command.stepgen_index_arm |= u16::from(index) << n;
-            command.stepgen_probe_arm |= u16::from(probe) << n;
-        }
-        for (n, encoder) in self.encoders.iter_mut().enumerate() {
-            let (index, probe) = encoder.command(live, sequence);
-            command.index_arm |= u16::from(index) << n;
-            command.probe_arm |= u16::from(probe) << n;
-        }
-        command.latch = self.next_latch();
-        let arrived = self.periods.arrived();
-        for (n, (word, pwm)) in command.pwm.iter_mut().zip(&self.pwms).enumerate() {
-            let has = arrived.map_or(u32::MAX, |periods| periods.0[n]);
-            *word = pwm.command(has, period.clock_hz);
-        }
-        for (n, output) in self.outputs.iter().enumerate() {
-            command.gpio_out |= u32::from(output.command()) << n;
-        }
-        command
-    }
-
-    /// Whose latch to ask for: the next after the last one that has something, so that nobody waits for ever.
-    fn next_latch(&self) -> Latch {
-        let last = self.last.map_or(0, |last| last.latch.code());
-        let wants = |latch: &Latch| match *latch {
-            Latch::Encoder(n) => self.encoders.get(usize::from(n)).map(Encoder::wants_value),
-            Latch::Stepgen(n) => self.stepgens.get(usize::from(n)).map(Stepgen::wants_value),
-        };
-        let mut latches = (1..=32).map(|n| Latch::from_code((last + n) & 31));
-        latches
-            .find(|latch| wants(latch) == Some(true))
-            .unwrap_or_default()
-    }
-
-    fn send_acquire(&mut self) -> u32 {
-        let tag = self.next_tag();
-        let mut words = [0; 16];
-        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-        let fits = request.write_record(map::SESSION_ACQUIRE, 1)
-            && request.push(tag)
-            && request.read_record(tag, &SESSION_WORDS);
-        debug_assert!(fits, "an acquisition is 13 words");
-        // Unsent is unanswered: it is due again in a moment.
-        let _ = self.link.send(request.words());
-        // Refused is unanswered, too. Reads are always answered, and tell the two apart.
-        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-        if request.read_record(tag, &OWNER_WORDS) {
-            let _ = self.link.send(request.words());
-        }
-        tag
-    }
-
-    /// Who owns the board after we asked for it: if not us, the operator should know.
-    fn owned(&mut self, token: u32, ip: u32, port: u32) {
-        let owner = (token == 0 && ip != 0).then_some((ip, port));
-        if owner.is_some() && owner != self.foreign_owner {
-            self.error(format_args!(
-                "the board is driven by {}:{port} now; stop LinuxCNC there to have it back",
-                Ipv4Addr::from_bits(ip)
-            ));
-        }
-        self.foreign_owner = owner;
-    }
-
     fn next_tag(&mut self) -> u32 {
         self.tag = self.tag.wrapping_add(1);
         TAG_BASE | (self.tag & 0x00ff_ffff).max(1)
@@ -963,62 +544,5 @@ impl Driver {
             self.index, self.address.text
         ));
         (self.say)(level, line.as_c_str());
-    }
-}
-
-/// One block per name, under `class.name`.
-fn each<T>(
-    hal: &mut Exporter<'_>,
-    class: &str,
-    names: Vec<String>,
-    mut export: impl FnMut(&mut Exporter<'_>, usize) -> Result<T, ExportError>,
-) -> Result<Vec<T>, ExportError> {
-    let each = names.iter().enumerate();
-    each.map(|(n, name)| export(&mut hal.channel(class, name, n), n))
-        .collect()
-}
-
-/// What channels are called: the board's names where they make good HAL names of at most `room`
-/// characters, two digits otherwise.
-fn channel_names<'n>(names: impl Iterator<Item = Option<&'n str>>, room: usize) -> Vec<String> {
-    let mut result: Vec<String> = Vec::with_capacity(MAX_CHANNELS);
-    for (n, name) in names.enumerate() {
-        let good = name.filter(|name| {
-            !name.is_empty()
-                && name.len() <= room
-                && name
-                    .bytes()
-                    .all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
-                // Digits alone could be taken for another channel's number.
-                && !name.bytes().all(|b| b.is_ascii_digit())
-                && !result.iter().any(|known| known == name)
-        });
-        result.push(good.map_or_else(|| format!("{n:02}"), str::to_owned));
-    }
-    result
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_channel_is_called_what_the_board_calls_it_if_hal_can_bear_that() {
-        let names = [
-            Some("x"),
-            None,
-            Some("Y"),
-            Some("spindle-on"),
-            Some("x"),
-            Some("3"),
-        ];
-        assert_eq!(
-            channel_names(names.into_iter(), 9),
-            ["x", "01", "02", "03", "04", "05"]
-        );
-        assert_eq!(
-            channel_names([Some("spindle-on")].into_iter(), 10),
-            ["spindle-on"]
-        );
     }
 }

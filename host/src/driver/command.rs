@@ -1,0 +1,196 @@
+//! What goes to the board every period: settings it lacks, and the command.
+
+use super::Driver;
+use crate::blocks::encoder::Encoder;
+use crate::blocks::stepgen::Stepgen;
+use crate::blocks::{Feedback, Period};
+use crate::settings::{Disarmed, INPUTS, Periods};
+use wire::exchange::{COMMAND_MAX, Command, Latch, REQUEST_OVERHEAD};
+use wire::map::{PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT};
+use wire::units::Clocks;
+use wire::{MAX_WORDS, State};
+
+/// Tries after which settings without a receipt are worth a message: 5 x 20 periods.
+const REFUSED_TRIES: u32 = 5;
+
+impl Driver {
+    /// Sends settings the board lacks; `true` when it lacks none.
+    pub(super) fn send_settings(&mut self, clock_hz: f64) -> bool {
+        let mut words = [0; MAX_WORDS];
+        let mut periods = Periods::default();
+        for (word, pwm) in periods.0.iter_mut().zip(&self.pwms) {
+            *word = pwm.period(clock_hz);
+        }
+        let tag = self.next_tag();
+        if let Some(request) = self.periods.due(&periods, self.channels, tag, &mut words) {
+            // Unsent is unanswered: it is due again.
+            let _ = self.link.send(request);
+        }
+        let at_rest = match self.state {
+            State::Disarmed | State::Faulted => !self.live,
+            State::Boot | State::Armed | State::Stopping => false,
+        };
+        if !at_rest {
+            return false;
+        }
+        let wanted = self.gather(clock_hz);
+        let tag = self.next_tag();
+        if let Some(request) = self
+            .disarmed_settings
+            .due(&wanted, self.channels, tag, &mut words)
+        {
+            let _ = self.link.send(request);
+        }
+        let refused = self.disarmed_settings.tries().max(self.periods.tries()) > REFUSED_TRIES;
+        if refused && !self.settings_refused_said {
+            self.settings_refused_said = true;
+            self.error(format_args!(
+                "the board refuses its settings and cannot be enabled; compare versions with ferrocnc describe {}",
+                self.address.text
+            ));
+        }
+        self.disarmed_settings.settled(&wanted) && self.periods.settled(&periods)
+    }
+
+    pub(super) fn gather(&mut self, clock_hz: f64) -> Disarmed {
+        let mut wanted = Disarmed {
+            watchdog: self.watchdog.configure(clock_hz),
+            ..Disarmed::default()
+        };
+        for (words, stepgen) in wanted.stepgen.iter_mut().zip(&mut self.stepgens) {
+            *words = stepgen.configure(clock_hz);
+        }
+        let input = self.pins.probe_input.get();
+        if (0..INPUTS as i32).contains(&input) {
+            wanted.probe = input as u32 & PROBE_INPUT_MASK | PROBE_ENABLE;
+            if self.pins.probe_invert.get() {
+                wanted.probe |= PROBE_INVERT;
+            }
+        }
+        for (looks, input) in wanted.debounce.iter_mut().zip(&self.inputs) {
+            *looks = input.debounce(clock_hz);
+        }
+        for (words, encoder) in wanted.encoder.iter_mut().zip(&self.encoders) {
+            *words = encoder.configure(clock_hz);
+        }
+        for (word, pwm) in wanted.pwm_mode.iter_mut().zip(&mut self.pwms) {
+            *word = pwm.configure();
+        }
+        for (n, output) in self.outputs.iter().enumerate() {
+            wanted.gpio_safe |= u32::from(output.safe()) << n;
+            wanted.gpio_invert |= u32::from(output.inverted()) << n;
+        }
+        wanted
+    }
+
+    pub(super) fn send_command(&mut self, token: u32, settled: bool, period: Period) {
+        self.sequence = self.sequence.wrapping_add(1);
+        let mut command = self.make_command(token, settled, period);
+        self.apply_at = self.apply_time(period).filter(|_| self.live);
+        command.apply_at = self.apply_at;
+        self.last = Some(command);
+        let repeated_at = self.sent[0].1;
+        let repeated = self.request_seen;
+        // Unsent is unanswered, and the next `read` counts it; it does not wait for it though.
+        if self.transmit(&command) {
+            self.awaiting = true;
+        } else {
+            self.unanswered(period);
+        }
+        self.request_to_write = repeated.then(|| self.sent[0].1 - repeated_at);
+        self.request_seen = false;
+    }
+
+    /// Sends a command; `false` if the network would not take it.
+    pub(super) fn transmit(&mut self, command: &Command) -> bool {
+        let mut words = [0; REQUEST_OVERHEAD + COMMAND_MAX];
+        let Some(request) = command.emit_request(self.channels, &mut words) else {
+            return false;
+        };
+        self.sent = [(command.sequence, self.time.now()), self.sent[0]];
+        self.link.send(request)
+    }
+
+    /// The moment all boards apply this period's command, by this one's clock.
+    pub(super) fn apply_time(&mut self, period: Period) -> Option<Clocks> {
+        let delay = self.apply_delay();
+        if delay == 0 {
+            return None;
+        }
+        let now = self.time.now();
+        let moment = self.time.writes.of(&mut self.write_moment, now);
+        // Longer than a period and the next command would replace it before its time.
+        let delay = i64::from(delay).min((period.seconds * 1e9) as i64);
+        let at = self.clock.board_at(moment + delay)?;
+        // However wrong the clocks are compared, a command must not wait for its successor. Half a period of
+        // jitter is forgiven; what comes too early here is applied on arrival.
+        let delay = Clocks((delay as f64 * 1e-9 * period.clock_hz) as u64);
+        let latest = self.arrival?.0 + period.clocks.0 * 3 / 2 + delay.0;
+        Some(at.min(Clocks(latest)))
+    }
+
+    pub(super) fn apply_delay(&self) -> u32 {
+        self.pins.apply_delay.get()
+    }
+
+    pub(super) fn make_command(&mut self, token: u32, settled: bool, period: Period) -> Command {
+        let enable = self.pins.enable.get();
+        let ready = enable && settled && self.answered;
+        let mut command = Command {
+            token,
+            sequence: self.sequence,
+            enable,
+            enable_request: self.arm.flag(
+                self.pins.enable_request.get(),
+                ready || (self.live && enable),
+                self.sequence,
+            ),
+            ..Command::default()
+        };
+        let live = self.live && enable;
+        let feedback = match self.missing {
+            0 => Feedback::Fresh,
+            1 => Feedback::Bridged,
+            2.. => Feedback::Frozen,
+        };
+        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
+            let target = stepgen.command(live, feedback, period);
+            command.stepgen[n] = (target.rate, target.accel);
+            command.stepgen_enable |= u16::from(target.enable) << n;
+        }
+        let sequence = self.sequence;
+        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
+            let (index, probe) = stepgen.arms(live, sequence);
+            command.stepgen_index_arm |= u16::from(index) << n;
+            command.stepgen_probe_arm |= u16::from(probe) << n;
+        }
+        for (n, encoder) in self.encoders.iter_mut().enumerate() {
+            let (index, probe) = encoder.command(live, sequence);
+            command.index_arm |= u16::from(index) << n;
+            command.probe_arm |= u16::from(probe) << n;
+        }
+        command.latch = self.next_latch();
+        let arrived = self.periods.arrived();
+        for (n, (word, pwm)) in command.pwm.iter_mut().zip(&self.pwms).enumerate() {
+            let has = arrived.map_or(u32::MAX, |periods| periods.0[n]);
+            *word = pwm.command(has, period.clock_hz);
+        }
+        for (n, output) in self.outputs.iter().enumerate() {
+            command.gpio_out |= u32::from(output.command()) << n;
+        }
+        command
+    }
+
+    /// Whose latch to ask for: the next after the last one that has something, so that nobody waits for ever.
+    pub(super) fn next_latch(&self) -> Latch {
+        let last = self.last.map_or(0, |last| last.latch.code());
+        let wants = |latch: &Latch| match *latch {
+            Latch::Encoder(n) => self.encoders.get(usize::from(n)).map(Encoder::wants_value),
+            Latch::Stepgen(n) => self.stepgens.get(usize::from(n)).map(Stepgen::wants_value),
+        };
+        let mut latches = (1..=32).map(|n| Latch::from_code((last + n) & 31));
+        latches
+            .find(|latch| wants(latch) == Some(true))
+            .unwrap_or_default()
+    }
+}

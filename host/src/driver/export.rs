@@ -1,0 +1,237 @@
+//! Everything a board has, as pins and parameters under its own names.
+
+use super::{Driver, Phase};
+use crate::address::Address;
+use crate::blocks::arming::ArmRequest;
+use crate::blocks::encoder::Encoder;
+use crate::blocks::ethernet::Ethernet;
+use crate::blocks::gpio;
+use crate::blocks::packets::Packets;
+use crate::blocks::pwm::Pwm;
+use crate::blocks::stepgen::Stepgen;
+use crate::blocks::wallclock::Wallclock;
+use crate::blocks::watchdog::Watchdog;
+use crate::client::Identity;
+use crate::clock::{BoardClock, Timebase};
+use crate::hal::{Backend, Catalogue, ExportError, Exporter, In, Messenger, Out, Param};
+use crate::link::Link;
+use crate::names::Glue;
+use crate::settings::Sync;
+use wire::board::Kind;
+use wire::exchange::MAX_CHANNELS;
+
+/// The board-wide pins.
+#[derive(Debug)]
+pub(super) struct Pins {
+    pub(super) enable: In<bool>,
+    pub(super) enable_request: In<bool>,
+    pub(super) enabled: Out<bool>,
+    pub(super) fault_reason: Out<u32>,
+    pub(super) state: Out<u32>,
+    pub(super) position_trusted: Out<bool>,
+    pub(super) refused_total: Out<u32>,
+    pub(super) estop: Out<bool>,
+    pub(super) reset_reason: Out<u32>,
+    pub(super) gate_close: Out<u32>,
+    pub(super) io_error: Param<bool>,
+    pub(super) probe_input: Param<i32>,
+    pub(super) probe_invert: Param<bool>,
+    pub(super) apply_delay: Param<u32>,
+}
+
+impl Driver {
+    /// Exports everything this board has as `ferrocnc.<index>.*`. The link must be the one whose
+    /// port owns the session.
+    pub fn export(
+        backend: &mut dyn Backend,
+        index: usize,
+        address: Address,
+        identity: &Identity,
+        link: Link,
+        say: Messenger,
+    ) -> Result<Self, ExportError> {
+        let describe = &identity.describe;
+        let channels = describe.channels;
+        let blob = identity.blob();
+        let names = |kind, class: &str, longest: &str, count: u8| {
+            let room = crate::hal::NAME_MAX - format!("ferrocnc.{index}.{class}..{longest}").len();
+            channel_names((0..count).map(|n| blob.text(kind, n)), room)
+        };
+        let mut catalogue = Catalogue::default();
+        let mut hal = Exporter::new(backend, format!("ferrocnc.{index}")).listed(&mut catalogue);
+        let pins = Pins {
+            enable: hal.input("enable")?,
+            enable_request: hal.input("enable-request")?,
+            enabled: hal.output("enabled")?,
+            fault_reason: hal.output("fault-reason")?,
+            state: hal.output("state")?,
+            position_trusted: hal.output("position-trusted")?,
+            refused_total: hal.output("refused-total")?,
+            estop: hal.output("estop")?,
+            reset_reason: hal.output("last-reset-reason")?,
+            gate_close: hal.output("last-gate-close")?,
+            io_error: hal.param("io-error", false)?,
+            probe_input: hal.param("probe-input", -1)?,
+            probe_invert: hal.param("probe-invert", false)?,
+            apply_delay: hal.param("apply-delay-ns", 0)?,
+        };
+        pins.reset_reason
+            .set(u32::from(describe.reset_reason.code()));
+        pins.gate_close.set(u32::from(describe.gate_close.code()));
+        let packets = Packets::export(&mut hal)?;
+        let watchdog = Watchdog::export(&mut hal)?;
+        let wallclock = Wallclock::export(&mut hal)?;
+        let mut ethernet = Ethernet::export(&mut hal)?;
+        ethernet.sampled(&describe.state);
+        let stepgens = each(
+            &mut hal,
+            "stepgen",
+            names(
+                Kind::Stepgen,
+                "stepgen",
+                "position-scale",
+                channels.stepgens,
+            ),
+            |hal, n| Stepgen::export(hal, identity.step_type(n)),
+        )?;
+        let encoders = each(
+            &mut hal,
+            "encoder",
+            names(Kind::Encoder, "encoder", "velocity-rpm", channels.encoders),
+            |hal, _| Encoder::export(hal),
+        )?;
+        let pwms = each(
+            &mut hal,
+            "pwm",
+            names(Kind::Pwm, "pwm", "invert-output", channels.pwms),
+            |hal, n| {
+                let has_direction = identity.has_pin(b'p', n, "dir");
+                Pwm::export(hal, has_direction, identity.pwm_type(n))
+            },
+        )?;
+        let inputs = each(
+            &mut hal,
+            "gpio",
+            names(Kind::Input, "gpio", "in-not", channels.inputs),
+            |hal, n| gpio::Input::export(hal, identity.has_pin(b'i', n, "estop")),
+        )?;
+        let outputs = each(
+            &mut hal,
+            "gpio",
+            names(Kind::Output, "gpio", "invert", channels.outputs),
+            |hal, n| {
+                let said = |key, word| identity.pin(b'o', n, key) == Some(word);
+                gpio::Output::export(hal, said("safe", "high"), said("invert", "true"))
+            },
+        )?;
+        Ok(Driver {
+            index,
+            address,
+            link,
+            channels,
+            clock_hz: describe.clock_hz,
+            boot_id: describe.boot_id,
+            say,
+            pins,
+            packets,
+            watchdog,
+            wallclock,
+            ethernet,
+            stepgens,
+            encoders,
+            pwms,
+            inputs,
+            outputs,
+            // Loading took seconds, longer than an idle session lives: begin by asking again.
+            phase: Phase::Acquiring {
+                wait: 0,
+                tag: 0,
+                announced: false,
+            },
+            arm: ArmRequest::default(),
+            disarmed_settings: Sync::default(),
+            periods: Sync::default(),
+            settings_refused_said: false,
+            foreign_owner: None,
+            tag: 0,
+            sequence: 0,
+            last: None,
+            awaiting: false,
+            repeated: false,
+            request_seen: false,
+            missing: 0,
+            answered: false,
+            state: describe.state.state,
+            // What it stopped for before us is the board's past, not an event.
+            reason: describe.state.reason,
+            live: false,
+            time: Timebase::new(),
+            read_moment: 0,
+            write_moment: 0,
+            clock: BoardClock::new(describe.clock_hz),
+            sent: [(0, 0); 2],
+            request_to_write: None,
+            arrival: None,
+            apply_at: None,
+            catalogue,
+            glue: Glue::default(),
+        })
+    }
+}
+
+/// One block per name, under `class.name`.
+fn each<T>(
+    hal: &mut Exporter<'_>,
+    class: &str,
+    names: Vec<String>,
+    mut export: impl FnMut(&mut Exporter<'_>, usize) -> Result<T, ExportError>,
+) -> Result<Vec<T>, ExportError> {
+    let each = names.iter().enumerate();
+    each.map(|(n, name)| export(&mut hal.channel(class, name, n), n))
+        .collect()
+}
+
+/// What channels are called: the board's names where they make good HAL names of at most `room`
+/// characters, two digits otherwise.
+fn channel_names<'n>(names: impl Iterator<Item = Option<&'n str>>, room: usize) -> Vec<String> {
+    let mut result: Vec<String> = Vec::with_capacity(MAX_CHANNELS);
+    for (n, name) in names.enumerate() {
+        let good = name.filter(|name| {
+            !name.is_empty()
+                && name.len() <= room
+                && name
+                    .bytes()
+                    .all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
+                // Digits alone could be taken for another channel's number.
+                && !name.bytes().all(|b| b.is_ascii_digit())
+                && !result.iter().any(|known| known == name)
+        });
+        result.push(good.map_or_else(|| format!("{n:02}"), str::to_owned));
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::channel_names;
+
+    #[test]
+    fn a_channel_is_called_what_the_board_calls_it_if_hal_can_bear_that() {
+        let names = [
+            Some("x"),
+            None,
+            Some("Y"),
+            Some("spindle-on"),
+            Some("x"),
+            Some("3"),
+        ];
+        assert_eq!(
+            channel_names(names.into_iter(), 9),
+            ["x", "01", "02", "03", "04", "05"]
+        );
+        assert_eq!(
+            channel_names([Some("spindle-on")].into_iter(), 10),
+            ["spindle-on"]
+        );
+    }
+}

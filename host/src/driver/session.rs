@@ -1,0 +1,88 @@
+//! Asking for the session, and what is learnt from the answers.
+
+use super::{Driver, Phase};
+use crate::client::{SESSION_WORDS, Session};
+use std::net::Ipv4Addr;
+use wire::{ReplyWriter, etherbone, map};
+
+/// Our token, then who owns the board: what `Driver::owned` understands.
+const OWNER_WORDS: [u32; 3] = [
+    map::SESSION_TOKEN,
+    map::SESSION_OWNER_IP,
+    map::SESSION_OWNER_PORT,
+];
+
+impl Driver {
+    pub(super) fn send_acquire(&mut self) -> u32 {
+        let tag = self.next_tag();
+        let mut words = [0; 16];
+        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+        let fits = request.write_record(map::SESSION_ACQUIRE, 1)
+            && request.push(tag)
+            && request.read_record(tag, &SESSION_WORDS);
+        debug_assert!(fits, "an acquisition is 13 words");
+        // Unsent is unanswered: it is due again in a moment.
+        let _ = self.link.send(request.words());
+        // Refused is unanswered, too. Reads are always answered, and tell the two apart.
+        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+        if request.read_record(tag, &OWNER_WORDS) {
+            let _ = self.link.send(request.words());
+        }
+        tag
+    }
+
+    pub(super) fn acquired(&mut self, session: Option<Session>, announced: bool) {
+        // No token: the answer to the question for the owner will say why.
+        let Some(session) = session else { return };
+        if session.wire_version != wire::WIRE_VERSION
+            || session.channels != self.channels.to_words()
+        {
+            return self.announce_once(
+                "another board or firmware answers at this address; restart LinuxCNC to use it",
+            );
+        }
+        if session.boot_id != self.boot_id {
+            self.boot_id = session.boot_id;
+            self.ethernet.forget();
+            self.error(format_args!(
+                "the board has restarted; enable again when the machine is in order"
+            ));
+        } else if announced {
+            self.info(format_args!("the board answers again"));
+        }
+        self.pins.reset_reason.set(session.reset_reason);
+        self.pins.gate_close.set(session.gate_close);
+        self.sequence = session.last_sequence;
+        self.last = None;
+        self.arrival = None;
+        self.apply_at = None;
+        for stepgen in &mut self.stepgens {
+            stepgen.forget_latch();
+        }
+        for encoder in &mut self.encoders {
+            encoder.forget_latch();
+        }
+        self.phase = Phase::Online {
+            token: session.token,
+        };
+        self.disarmed_settings.forget();
+        self.periods.forget();
+        self.settings_refused_said = false;
+        self.arm.forget();
+        self.answered = false;
+        self.missing = 0;
+        self.packets.recovered();
+    }
+
+    /// Who owns the board after we asked for it: if not us, the operator should know.
+    pub(super) fn owned(&mut self, token: u32, ip: u32, port: u32) {
+        let owner = (token == 0 && ip != 0).then_some((ip, port));
+        if owner.is_some() && owner != self.foreign_owner {
+            self.error(format_args!(
+                "the board is driven by {}:{port} now; stop LinuxCNC there to have it back",
+                Ipv4Addr::from_bits(ip)
+            ));
+        }
+        self.foreign_owner = owner;
+    }
+}
