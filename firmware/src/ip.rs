@@ -90,9 +90,11 @@ impl Text {
     }
 
     fn drop_front(&mut self, count: usize) {
-        let count = count.min(self.used);
-        self.bytes.copy_within(count..self.used, 0);
-        self.used -= count;
+        // Sliced first: so it is plain that nothing here can be out of range.
+        let text = self.bytes.get_mut(..self.used).unwrap_or(&mut []);
+        let count = count.min(text.len());
+        text.copy_within(count.., 0);
+        self.used = text.len() - count;
     }
 }
 
@@ -194,9 +196,9 @@ impl Ip {
         if self.text.close {
             taken = self.ahead.len(); // nobody listens any more
         }
-        let left = self.ahead.len().saturating_sub(taken);
-        self.ahead.copy_within(taken.min(left + taken).., 0);
-        self.ahead.truncate(left);
+        let taken = taken.min(self.ahead.len());
+        self.ahead.copy_within(taken.., 0);
+        self.ahead.truncate(self.ahead.len() - taken);
     }
 
     /// Takes a frame. The answer, if there is one, is in `out`; its length comes back.

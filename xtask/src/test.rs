@@ -170,9 +170,9 @@ impl Level {
                 // Two runs with a seed each, side by side.
                 board_tests("lockstep", "3 min", "2")
             }
-            Level::Soc => {
-                Ok(board_tests("soc", "10 min", "1")? + board_tests("flash", "2 min", "2")?)
-            }
+            Level::Soc => Ok(board_tests("image", "1 min", "2")?
+                + board_tests("soc", "10 min", "1")?
+                + board_tests("flash", "2 min", "2")?),
             Level::Peers => board_tests("peers", "3 min", "2"),
             Level::Provision => Ok(board_tests("provision", "1 min", "2")?
                 + board_tests("segment", "2 min", "2")?
