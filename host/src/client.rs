@@ -7,7 +7,7 @@
 
 use crate::address::Address;
 use std::io;
-use std::net::UdpSocket;
+use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
 use std::time::{Duration, Instant};
 use wire::board::{Blob, BlobError};
 use wire::describe::{self, Describe, DescribeError};
@@ -55,7 +55,7 @@ pub enum ClientError {
         /// Which board.
         address: Address,
         /// By whom.
-        owner: std::net::SocketAddrV4,
+        owner: Owner,
     },
     /// It answers, but will not give its session.
     NoSession(Address),
@@ -108,6 +108,22 @@ impl core::fmt::Display for ClientError {
 }
 
 impl std::error::Error for ClientError {}
+
+/// Who drives a board, and who asks: a LinuxCNC that hangs on this computer is looked for in another place than one across the
+/// room.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Owner(pub SocketAddrV4, pub Option<SocketAddrV4>);
+
+impl core::fmt::Display for Owner {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let Owner(owner, asks) = self;
+        owner.fmt(f)?;
+        if asks.is_some_and(|asks| asks.ip() == owner.ip()) {
+            f.write_str(" (another program on this computer)")?;
+        }
+        Ok(())
+    }
+}
 
 /// What a board is: its description and the names behind it.
 #[derive(Clone, Debug)]
@@ -208,6 +224,13 @@ impl Client {
         &self.address
     }
 
+    fn local(&self) -> Option<SocketAddrV4> {
+        match self.socket.local_addr() {
+            Ok(SocketAddr::V4(local)) => Some(local),
+            Ok(SocketAddr::V6(_)) | Err(_) => None,
+        }
+    }
+
     /// The socket, for the servo thread to go on with: the session belongs to its port.
     pub fn into_socket(self) -> UdpSocket {
         self.socket
@@ -289,7 +312,7 @@ impl Client {
             break Err(match owner.as_deref() {
                 Ok([ip, port]) if *ip != 0 => ClientError::Owned {
                     address: self.address.clone(),
-                    owner: std::net::SocketAddrV4::new((*ip).into(), *port as u16),
+                    owner: Owner(SocketAddrV4::new((*ip).into(), *port as u16), self.local()),
                 },
                 Ok(_) => ClientError::NoSession(self.address.clone()),
                 Err(_) => asked

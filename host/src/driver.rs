@@ -21,7 +21,7 @@
 //! All requests are on their way before `read` waits for the first answer, and it waits for all of them
 //! together. With an apply time every board's command takes effect at the same moment: the first `write` of
 //! the period says when, each driver says it by its own board's clock ([`crate::clock`]). What is predicted is
-//! then the place at the *next* such moment.
+//! then the place at the *next* such moment. What stops one of them stops all ([`crate::group`]).
 //!
 //! `read-request`, if it is there, repeats the last command at the beginning of the period for its answer's
 //! sake: feedback is some 100 us old when the controller sees it, not a period.
@@ -37,22 +37,34 @@
 //! `read` waits for it until `packet-read-timeout`, then goes on. One missing answer is bridged by
 //! the model: whether the command or its answer was lost, the board holds a velocity meant for this
 //! moment. From the second on, feedback stands still and so does the position loop's opinion: only
-//! the command's own velocity is passed on. The leaky bucket decides when the board is given up:
+//! the command's own velocity is passed on, and what a loop outside asks for only if it is no faster than before. The leaky
+//! bucket decides when the board is given up:
 //! `enabled` falls, `io-error` rises, and the driver asks for the session again ten times a second.
 //! Answers to earlier commands are recognised by their sequence number and dropped.
+//!
+//! # When the thread comes late
+//!
+//! The board goes on with the velocity it has; what it really did is in its next sample, so nothing adds up. Later than the
+//! watchdog waits, it stops, and the silence that follows is told as what it was: not a cable, a thread. Two reads in a row
+//! are one; a second `write` without a `read` between is not sent.
 //!
 //! # When a board comes back
 //!
 //! A new session is configured from the parameters again and starts disarmed; arming needs `enable`
-//! and a new rising edge of `enable-request`. Positions are the board's and survive. If its clock
-//! went backwards the fabric was reset, counts began anew, and the difference is kept here: HAL's
-//! position does not jump.
+//! and a new rising edge of `enable-request`. Positions are the board's and survive. If the fabric was reset, its counts began
+//! anew: its clock went backwards, or it says that it was switched on and is no older than the silence was long. The difference
+//! is kept here: HAL's position does not jump. It is not called trusted until the machine is armed again.
+//!
+//! What the operator is told, and that it is told once, is in `tell`; what trouble does to this board and to the others of its
+//! [`crate::group`] in `trouble`.
 //!
 //! Nothing in here allocates, locks or blocks, and nothing but [`Link`] makes a system call.
 
 mod command;
 mod export;
 mod session;
+mod tell;
+mod trouble;
 
 use crate::address::Address;
 use crate::blocks::arming::ArmRequest;
@@ -68,17 +80,21 @@ use crate::blocks::watchdog::Watchdog;
 use crate::blocks::{Outlook, Period};
 use crate::client::{SESSION_WORDS, Session, single_record};
 use crate::clock::{BoardClock, Timebase};
-use crate::hal::{Catalogue, Level, Line, Messenger};
+use crate::group::Group;
+use crate::hal::Catalogue;
 use crate::link::Link;
 use crate::names::Glue;
 use crate::settings::{Disarmed, Periods, Sync};
 use export::Pins;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
+use tell::{Event, Voice};
 use wire::describe::Channels;
 use wire::exchange::{Command, Latch, Status};
 use wire::units::Clocks;
 use wire::{FaultReason, ReplyWriter, State, etherbone, map};
+
+pub use trouble::GROUP_REASON;
 
 /// 100 ms between two requests for the session: a board that starts is found soon, one that is off
 /// costs next to nothing.
@@ -88,15 +104,15 @@ const TAG_BASE: u32 = 0xfe00_0000;
 /// 250 us: four commands are sent in some 60 us and are there some 50 us later, so all boards have theirs
 /// when the moment comes, and the rest of the period is left for what comes late.
 const APPLY_DELAY_NS: u32 = 250_000;
+
+/// Crystals and timers differ by less than 0.1 %.
+const YOUNG: f64 = 1.001;
+
 /// Whether the board is ours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     /// Asking for the session; so many periods until the next time.
-    Acquiring {
-        wait: u32,
-        tag: u32,
-        announced: bool,
-    },
+    Acquiring { wait: u32, tag: u32 },
     /// Exchanging.
     Online { token: u32 },
 }
@@ -109,7 +125,7 @@ pub struct Driver {
     channels: Channels,
     clock_hz: u32,
     boot_id: u32,
-    say: Messenger,
+    voice: Voice,
 
     pins: Pins,
     packets: Packets,
@@ -126,7 +142,6 @@ pub struct Driver {
     arm: ArmRequest,
     disarmed_settings: Sync<Disarmed>,
     periods: Sync<Periods>,
-    settings_refused_said: bool,
     /// Somebody else who drives the board, as far as the operator was told.
     foreign_owner: Option<(u32, u32)>,
     tag: u32,
@@ -139,6 +154,8 @@ pub struct Driver {
     repeated: bool,
     /// `read-request` was called since the last `write`.
     request_seen: bool,
+    /// `write` was called, `read` not yet.
+    written: bool,
     /// Answers missing in a row.
     missing: u32,
     /// An answer came in this session: the board has seen our `enable-request` low.
@@ -146,6 +163,24 @@ pub struct Driver {
     state: State,
     reason: FaultReason,
     live: bool,
+    /// It was stopped for good.
+    halted: bool,
+    /// Commands later than this one say `enable` false until the board has stopped.
+    halting: Option<u32>,
+    /// The board started anew and was not armed since.
+    restarted: bool,
+    /// It said that its fabric is a new one; the first sample will tell.
+    new_fabric: bool,
+    /// `io-error` as it was seen or set last.
+    io_error: bool,
+
+    group: Arc<Group>,
+    /// There are others.
+    several: bool,
+    /// The group's alarm heard last.
+    alarm_heard: u32,
+    /// The board whose alarm stopped this one.
+    stopped_by: Option<usize>,
 
     time: Arc<Timebase>,
     /// The common moments used last.
@@ -160,6 +195,13 @@ pub struct Driver {
     arrival: Option<Clocks>,
     /// When the last command takes effect, if not at once.
     apply_at: Option<Clocks>,
+    /// When the last answer was read.
+    heard: i64,
+    /// When `write` was called last, and for how long `read` has waited since.
+    wrote: Option<i64>,
+    waited: i64,
+    /// From the last answered `write` to the one after, less what `read` waited, ns.
+    held_up: i64,
 
     catalogue: Catalogue,
     glue: Glue,
@@ -172,10 +214,13 @@ impl Driver {
     }
 
     /// Makes this one of several boards that act at the same moments. With more than one, commands carry an
-    /// apply time from the start; `apply-delay-ns` says otherwise.
-    pub fn join(&mut self, time: &Arc<Timebase>, boards: usize) {
+    /// apply time from the start; `apply-delay-ns` says otherwise. What stops one stops them all; `stop-group` says
+    /// otherwise.
+    pub fn join(&mut self, time: &Arc<Timebase>, group: &Arc<Group>, boards: usize) {
         self.time = Arc::clone(time);
-        if boards > 1 {
+        self.group = Arc::clone(group);
+        self.several = boards > 1;
+        if self.several {
             self.pins.apply_delay.set(APPLY_DELAY_NS);
         }
     }
@@ -217,16 +262,25 @@ impl Driver {
         let now = self.time.now();
         let began = self.time.reads.of(&mut self.read_moment, now);
         if self.awaiting {
-            // Boards are waited for together: several silent ones cost no more than one.
-            let waited = Duration::from_nanos(u64::try_from(now - began).unwrap_or(0));
-            deadline += self.packets.patience(period_ns).saturating_sub(waited);
+            // Boards are waited for together: several silent ones cost no more than one. Where the answer was asked
+            // for in this period, its time runs from there.
+            let since = if self.repeated { self.sent[0].1 } else { began };
+            deadline += self.packets.left(period_ns, now - since);
         }
-        match self.collect(deadline) {
+        let status = self.collect(deadline);
+        self.waited += self.time.now() - now;
+        match status {
             Some(status) => {
                 let whole = status.sequence == self.sequence;
                 self.answered(&status, period);
-                if !whole {
-                    self.packets.one_of_two_missing();
+                if whole {
+                    self.packets.good();
+                    self.voice.answered(period_ns);
+                } else {
+                    self.voice.missed();
+                    if self.packets.missing() {
+                        self.give_up();
+                    }
                 }
             }
             None if self.awaiting => self.unanswered(period),
@@ -234,51 +288,64 @@ impl Driver {
         }
         self.awaiting = false;
         self.repeated = false;
+        self.written = false;
+        self.follow_group();
         self.glue.outputs();
     }
 
     /// Sends what is wanted of the board in the coming period.
     pub fn write(&mut self, period_ns: i64) {
         self.glue.inputs();
+        if core::mem::replace(&mut self.written, true) {
+            return self.voice.once(
+                Event::Unread,
+                format_args!(
+                    "write was called again without a read between; addf ferrocnc.{0}.read before ferrocnc.{0}.write, to one thread",
+                    self.index
+                ),
+            );
+        }
+        self.mind_the_time();
+        self.tell_group();
+        self.follow_group();
+        self.follow_io_error();
         let period = Period::new(period_ns, self.clock_hz);
         match self.phase {
             Phase::Online { token } => {
                 let settled = self.send_settings(period.clock_hz);
                 self.send_command(token, settled, period);
             }
-            Phase::Acquiring {
-                wait: 0, announced, ..
-            } => {
+            Phase::Acquiring { wait: 0, tag } => {
                 // Keeps following its pins, so that nothing jumps later.
                 let _ = self.make_command(0, false, period);
+                if tag != 0 && self.packets.exceeded() {
+                    // Nor this time, whatever the operator made of it.
+                    self.raise_io_error();
+                }
                 let tag = self.send_acquire();
-                self.phase = Phase::Acquiring {
-                    wait: u32::try_from(ACQUIRE_NS / period_ns.max(1)).unwrap_or(1),
-                    tag,
-                    announced,
-                };
+                let wait = u32::try_from(ACQUIRE_NS / period_ns.max(1)).unwrap_or(1);
+                self.phase = Phase::Acquiring { wait, tag };
             }
-            Phase::Acquiring {
-                wait,
-                tag,
-                announced,
-            } => {
+            Phase::Acquiring { wait, tag } => {
                 let _ = self.make_command(0, false, period);
                 self.phase = Phase::Acquiring {
                     wait: wait - 1,
                     tag,
-                    announced,
                 };
             }
         }
     }
 
-    /// Something in the servo thread went wrong beyond repair: nothing is sent from here on and the
-    /// board's watchdog stops the machine.
+    /// Something in the servo thread went wrong beyond repair: nothing is sent from here on, the
+    /// board's watchdog stops the machine, and the other boards stop with it.
     pub fn halt(&mut self) {
         self.pins.enabled.set(false);
-        self.pins.io_error.set(true);
         self.pins.position_trusted.set(false);
+        if self.grouped() && !core::mem::replace(&mut self.halted, true) {
+            self.group.answers(self.index, false);
+            self.group.raise(self.index);
+        }
+        self.raise_io_error();
         self.live = false;
     }
 
@@ -333,19 +400,18 @@ impl Driver {
             } else if let [_] = payload {
                 let _ = self.disarmed_settings.receipt(base) || self.periods.receipt(base);
             } else if payload.len() == SESSION_WORDS.len()
-                && let Phase::Acquiring { tag, announced, .. } = self.phase
+                && let Phase::Acquiring { tag, .. } = self.phase
                 && base == tag
                 && tag != 0
             {
                 let session = Session::from_words(payload);
-                self.acquired(session, announced);
+                self.acquired(session);
             }
         }
         second_best
     }
 
     fn answered(&mut self, status: &Status, period: Period) {
-        self.packets.good();
         self.missing = 0;
         self.answered = true;
         self.arm.accepted(status.sequence);
@@ -388,7 +454,13 @@ impl Driver {
 
     /// The board's clock: for the operator, for the apply time, and to notice that the fabric was reset.
     fn follow_clock(&mut self, status: &Status, clock_hz: f64) {
-        if !self.wallclock.sampled(status.sample, clock_hz) {
+        let now = self.time.now();
+        let silent = (now - core::mem::replace(&mut self.heard, now)) as f64 * 1e-9;
+        // A new fabric is no older than the silence. Its clock went backwards, unless the board was on for less time before
+        // than since.
+        let young = status.sample.to_seconds(clock_hz) <= silent * YOUNG;
+        let new_fabric = core::mem::take(&mut self.new_fabric) && young;
+        if !self.wallclock.sampled(status.sample, clock_hz) || new_fabric {
             self.clock.forget();
             for stepgen in &mut self.stepgens {
                 stepgen.rebase();
@@ -435,114 +507,8 @@ impl Driver {
         }
     }
 
-    fn follow_state(&mut self, status: &Status, clock_hz: f64) {
-        let word = status.state;
-        let armed = word.state == State::Armed && word.enabled;
-        if armed && !self.live {
-            self.watchdog.armed();
-            self.pins.io_error.set(false);
-        }
-        // When the command that armed arrived the watchdog was still asleep: what it had left means
-        // something from the next one on.
-        let awake = armed && self.live;
-        self.watchdog
-            .sampled(word.bitten, status.watchdog_left, awake, clock_hz);
-        self.pins.enabled.set(armed);
-        self.pins.state.set(u32::from(word.state.code()));
-        self.pins.fault_reason.set(u32::from(word.reason.code()));
-        self.pins.position_trusted.set(word.position_trusted);
-        self.pins.refused_total.set(status.refused.0);
-        self.pins.estop.set(word.estop);
-        self.ethernet.sampled(&word);
-        self.live = armed;
-        self.state = word.state;
-        if word.reason != self.reason {
-            self.reason = word.reason;
-            match word.reason {
-                FaultReason::None => {}
-                FaultReason::HostDisable => self.info(format_args!("{}", word.reason)),
-                FaultReason::Watchdog
-                | FaultReason::ExternalReset
-                | FaultReason::SessionLost
-                | FaultReason::LinkDown
-                | FaultReason::FirmwareFault
-                | FaultReason::JobUnderrun
-                | FaultReason::AbiMismatch
-                | FaultReason::EStop => self.error(format_args!(
-                    "the board stopped the machine: {}; remove the cause, then enable again",
-                    word.reason
-                )),
-            }
-        }
-    }
-
-    fn unanswered(&mut self, period: Period) {
-        self.missing = self.missing.saturating_add(1);
-        if self.missing == 1 && self.live {
-            for stepgen in &mut self.stepgens {
-                stepgen.bridge(period);
-            }
-        }
-        if !self.packets.missing() {
-            return;
-        }
-        // Nobody who is not answered for this long may believe the machine is still driven.
-        self.pins.enabled.set(false);
-        self.pins.position_trusted.set(false);
-        self.pins.io_error.set(true);
-        self.ethernet.lost();
-        let was_live = core::mem::replace(&mut self.live, false);
-        if was_live {
-            self.reason = FaultReason::LinkDown;
-            self.pins
-                .fault_reason
-                .set(u32::from(FaultReason::LinkDown.code()));
-        }
-        self.error(format_args!(
-            "{} answers missing in a row; check cable and power of the board",
-            self.missing
-        ));
-        self.phase = Phase::Acquiring {
-            wait: 0,
-            tag: 0,
-            announced: true,
-        };
-    }
-
     fn next_tag(&mut self) -> u32 {
         self.tag = self.tag.wrapping_add(1);
         TAG_BASE | (self.tag & 0x00ff_ffff).max(1)
-    }
-
-    fn announce_once(&mut self, what: &str) {
-        if let Phase::Acquiring {
-            wait,
-            tag,
-            announced: false,
-        } = self.phase
-        {
-            self.phase = Phase::Acquiring {
-                wait,
-                tag,
-                announced: true,
-            };
-            self.error(format_args!("{what}"));
-        }
-    }
-
-    fn error(&self, what: core::fmt::Arguments<'_>) {
-        self.tell(Level::Error, what);
-    }
-
-    fn info(&self, what: core::fmt::Arguments<'_>) {
-        self.tell(Level::Info, what);
-    }
-
-    fn tell(&self, level: Level, what: core::fmt::Arguments<'_>) {
-        let line = Line::format(format_args!(
-            "board {} ({}): {what}",
-            self.index, self.address.text
-        ));
-        (self.say)(level, line.as_c_str());
     }
 }

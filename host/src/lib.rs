@@ -12,6 +12,7 @@
 //! | [`blocks`] | one function block each: pins, units, policy; also the list of pins |
 //! | [`names`] | other drivers' names for the same pins |
 //! | [`clock`] | what time it is on a board; one moment for several |
+//! | [`group`] | what stops one of several boards stops them all |
 //! | [`settings`] | parameters on their way to the board |
 //! | [`link`] | the socket in the servo thread |
 //! | [`client`] | the socket everywhere else: blocking requests, board identity, session |
@@ -37,13 +38,14 @@
 //! | `enable-request` | bit in | a rising edge arms, if `enable` is true and nothing is in the way |
 //! | `enabled` | bit out | armed, outputs live; for the E-stop chain |
 //! | `state` | u32 out | [`wire::State`]: 0 boot, 1 disarmed, 2 armed, 3 stopping, 4 faulted |
-//! | `fault-reason` | u32 out | [`wire::FaultReason`]: why it stopped last |
+//! | `fault-reason` | u32 out | [`wire::FaultReason`]: why it stopped last; 100 + n: because board n did |
 //! | `position-trusted` | bit out | no pulse was cut off since it was armed, and the board answers |
 //! | `estop` | bit out | an e-stop input has tripped; latched until armed again |
 //! | `refused-total` | u32 out | datagrams the board refused since it started |
 //! | `last-reset-reason` | u32 out | [`wire::ResetReason`]: why the firmware started last |
 //! | `last-gate-close` | u32 out | [`wire::GateClose`]: why the gateware closed the outputs last |
-//! | `io-error` | bit param | the board was given up, or the driver halted; cleared by arming |
+//! | `io-error` | bit param | the board was given up, or the driver halted; cleared by arming or by hand |
+//! | `stop-group` | bit param | what stops another board stops this one, and the other way round |
 //! | `probe-input` | s32 param | which input trips the probe latches; -1 for none |
 //! | `probe-invert` | bit param | it is active low |
 //! | `apply-delay-ns` | u32 param | commands take effect this long after `write`, on all boards at once; 0: on arrival |
@@ -64,6 +66,7 @@ pub mod driver;
 pub mod fence;
 pub mod flash;
 pub mod flash_file;
+pub mod group;
 pub mod hal;
 pub mod image;
 pub mod jtag;

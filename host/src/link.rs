@@ -5,7 +5,7 @@
 //! measured, ten servo periods for one lost packet.
 
 use std::io;
-use std::net::UdpSocket;
+use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
 use std::os::fd::AsRawFd;
 use std::time::Instant;
 use wire::{MAX_PAYLOAD, MAX_WORDS};
@@ -27,6 +27,14 @@ impl Link {
             bytes: [0; MAX_PAYLOAD],
             words: [0; MAX_WORDS],
         })
+    }
+
+    /// This computer's address on the way to the board.
+    pub fn local(&self) -> Option<SocketAddrV4> {
+        match self.socket.local_addr() {
+            Ok(SocketAddr::V4(local)) => Some(local),
+            Ok(SocketAddr::V6(_)) | Err(_) => None,
+        }
     }
 
     /// Sends one datagram; `false` if the network would not take it.

@@ -8,6 +8,7 @@ use crate::client::{Client, ClientError};
 use crate::clock::Timebase;
 use crate::driver::Driver;
 use crate::fence::{Fenced, install_quiet_hook};
+use crate::group::Group;
 use crate::hal::ffi::{Api, Funct};
 use crate::hal::real::{Component, messenger, print};
 use crate::hal::{ExportError, Level};
@@ -166,7 +167,7 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
         component,
         boards: Vec::new(),
     };
-    let (time, count) = (Timebase::new(), boards.len());
+    let (time, group, count) = (Timebase::new(), Group::new(), boards.len());
     for (index, (address, (client, identity))) in boards.into_iter().zip(clients).enumerate() {
         let link = Link::new(client.into_socket())
             .map_err(|error| LoadError::Client(ClientError::Socket(address.clone(), error)))?;
@@ -179,7 +180,7 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
             messenger(api),
         )
         .map_err(LoadError::Export)?;
-        driver.join(&time, count);
+        driver.join(&time, &group, count);
         let mut functions = vec![
             (format!("ferrocnc.{index}.read-request"), READ_REQUEST),
             (format!("ferrocnc.{index}.read"), READ),

@@ -7,9 +7,11 @@ use common::rig::{PERIOD_NS, load_with};
 use common::{CLOCK_HZ, FakeBoard, Script, Time};
 use ferrocnc::clock::Timebase;
 use ferrocnc::driver::Driver;
+use ferrocnc::group::Group;
 use ferrocnc::hal::fake::FakeHal;
 use std::sync::Arc;
 use std::time::Duration;
+use wire::FaultReason;
 
 /// The instants of four boards agree within this: the clock's resolution is 17 ns, the rest is what a
 /// network that delays by 20 to 40 us leaves of the least delay.
@@ -48,8 +50,9 @@ impl Shop {
             .enumerate()
             .map(|(n, board)| load_with(board, &mut hal, n).0)
             .collect();
+        let group = Group::new();
         for (n, driver) in drivers.iter_mut().enumerate() {
-            driver.join(&time, boards.len());
+            driver.join(&time, &group, boards.len());
             hal.set(&format!("ferrocnc.{n}.packet-read-timeout"), 500_000_000);
             // Only what the script loses may bite.
             hal.set(&format!("ferrocnc.{n}.watchdog.timeout-ns"), 50_000_000u32);
@@ -177,9 +180,9 @@ fn a_board_alone_applies_at_once_unless_it_is_told_otherwise() {
     let board = FakeBoard::mill6(Time::Lockstep(u64::from(CLOCK_HZ) / 1000));
     let mut hal = FakeHal::new();
     let (mut driver, _) = load_with(&board, &mut hal, 0);
-    driver.join(&Timebase::new(), 1);
+    driver.join(&Timebase::new(), &Group::new(), 1);
     assert_eq!(hal.get::<u32>("ferrocnc.0.apply-delay-ns"), 0);
-    driver.join(&Timebase::new(), 2);
+    driver.join(&Timebase::new(), &Group::new(), 2);
     assert_eq!(hal.get::<u32>("ferrocnc.0.apply-delay-ns"), 250_000);
 }
 
@@ -266,20 +269,189 @@ fn a_read_request_brings_feedback_from_this_period_and_costs_no_pulse() {
     }
 }
 
-#[test]
-fn one_board_that_falls_silent_leaves_the_others_alone() {
-    let mut shop = Shop::new(13);
-    shop.arm();
-    shop.hal.set("ferrocnc.2.packet-read-timeout", 1_000_000);
+/// Board 2's plug is out. How many periods until it is given up?
+fn until_given_up(shop: &mut Shop) {
+    shop.hal.set("ferrocnc.2.packet-read-timeout", 100_000);
     shop.boards[2].look().knobs.unplugged = true;
     for _ in 0..20 {
         shop.period();
+        if shop.hal.get::<bool>("ferrocnc.2.io-error") {
+            return;
+        }
+    }
+    panic!("board 2 is not missed");
+}
+
+#[test]
+fn one_board_that_falls_silent_stops_the_others_in_the_same_period() {
+    let mut shop = Shop::new(13);
+    for n in 0..4 {
+        shop.hal
+            .set(&format!("ferrocnc.{n}.stepgen.x.position-scale"), 800.0);
+        shop.hal
+            .set(&format!("ferrocnc.{n}.stepgen.x.maxaccel"), 1000.0);
+        shop.hal
+            .set(&format!("ferrocnc.{n}.stepgen.x.velocity-cmd"), 10.0);
+    }
+    shop.arm();
+    shop.each("stepgen.x.control-type", true);
+    shop.each("stepgen.x.enable", true);
+    for _ in 0..50 {
+        shop.period();
+    }
+    shop.hal.said();
+    until_given_up(&mut shop);
+    for n in [0, 1, 3] {
+        assert!(
+            !shop.boards[n].look().command.enable,
+            "board {n} was not told"
+        );
+        assert!(!shop.hal.get::<bool>(&format!("ferrocnc.{n}.enabled")));
+        assert_eq!(
+            shop.hal.get::<u32>(&format!("ferrocnc.{n}.fault-reason")),
+            102
+        );
+    }
+    for _ in 0..40 {
+        shop.period();
     }
     for n in [0, 1, 3] {
+        let board = shop.boards[n].look();
+        assert!(!board.gate && !board.moving(), "board {n} goes on");
+        assert_eq!(board.reason, FaultReason::HostDisable, "softly");
+        drop(board);
+        assert_eq!(
+            shop.hal.get::<u32>(&format!("ferrocnc.{n}.fault-reason")),
+            102
+        );
+        assert!(!shop.hal.get::<bool>(&format!("ferrocnc.{n}.io-error")));
+    }
+    assert_eq!(
+        shop.hal.get::<u32>("ferrocnc.2.fault-reason"),
+        u32::from(FaultReason::LinkDown.code())
+    );
+    let said = shop.hal.said();
+    let errors: Vec<_> = said.iter().filter(|s| s.starts_with("error")).collect();
+    assert_eq!(errors.len(), 1, "{errors:?}");
+    assert!(errors[0].contains("board 2") && errors[0].contains("the other boards with it"));
+}
+
+#[test]
+fn no_board_is_armed_while_another_does_not_answer_and_all_are_when_it_does() {
+    let mut shop = Shop::new(17);
+    shop.arm();
+    until_given_up(&mut shop);
+    shop.hal.said();
+    let ask = |shop: &mut Shop| {
+        shop.each("enable-request", false);
+        shop.period();
+        shop.period();
+        shop.each("enable-request", true);
+        for _ in 0..10 {
+            shop.period();
+        }
+    };
+    ask(&mut shop);
+    for n in 0..4 {
+        assert!(!shop.hal.get::<bool>(&format!("ferrocnc.{n}.enabled")));
+    }
+    let said = shop.hal.said();
+    let errors = said
+        .iter()
+        .filter(|s| s.contains("board 2 of the group does not answer"));
+    assert_eq!(errors.count(), 3, "one answer to one question: {said:?}");
+
+    // It lived on, and its watchdog bit. The request is still high: that arms nobody.
+    shop.boards[2].look().advance(60_000 * 100);
+    shop.boards[2].look().knobs.unplugged = false;
+    shop.hal.set("ferrocnc.2.packet-read-timeout", 500_000_000);
+    for _ in 0..220 {
+        shop.period();
+    }
+    for n in 0..4 {
+        assert!(!shop.hal.get::<bool>(&format!("ferrocnc.{n}.enabled")));
+    }
+    ask(&mut shop);
+    for n in 0..4 {
+        let enabled: bool = shop.hal.get(&format!("ferrocnc.{n}.enabled"));
+        assert!(enabled, "board {n}: {:?}", shop.hal.said());
+        assert_eq!(
+            shop.hal.get::<u32>(&format!("ferrocnc.{n}.fault-reason")),
+            0
+        );
+    }
+}
+
+#[test]
+fn an_estop_at_one_board_stops_the_others_softly_and_a_wish_of_the_host_does_not() {
+    let mut shop = Shop::new(19);
+    shop.arm();
+    shop.hal.set("ferrocnc.1.enable", false);
+    for _ in 0..5 {
+        shop.period();
+    }
+    for n in [0, 2, 3] {
         assert!(shop.hal.get::<bool>(&format!("ferrocnc.{n}.enabled")));
     }
-    assert!(!shop.hal.get::<bool>("ferrocnc.2.enabled"));
-    assert!(shop.hal.get::<bool>("ferrocnc.2.io-error"));
+    shop.boards[3].look().knobs.estop = 1 << 11;
+    for _ in 0..5 {
+        shop.period();
+    }
+    for n in [0, 2] {
+        assert!(!shop.hal.get::<bool>(&format!("ferrocnc.{n}.enabled")));
+        assert_eq!(
+            shop.hal.get::<u32>(&format!("ferrocnc.{n}.fault-reason")),
+            103
+        );
+        assert_eq!(shop.boards[n].look().reason, FaultReason::HostDisable);
+    }
+    assert_eq!(
+        shop.hal.get::<u32>("ferrocnc.3.fault-reason"),
+        u32::from(FaultReason::EStop.code())
+    );
+}
+
+#[test]
+fn a_board_taken_out_of_the_group_neither_stops_the_others_nor_is_stopped() {
+    let mut shop = Shop::new(23);
+    shop.arm();
+    shop.hal.set("ferrocnc.2.stop-group", false);
+    until_given_up(&mut shop);
+    for _ in 0..10 {
+        shop.period();
+    }
+    for n in [0, 1, 3] {
+        assert!(
+            shop.hal.get::<bool>(&format!("ferrocnc.{n}.enabled")),
+            "board {n}"
+        );
+    }
+    shop.hal.set("ferrocnc.3.stop-group", false);
+    shop.boards[0].look().knobs.estop = 1 << 11;
+    for _ in 0..5 {
+        shop.period();
+    }
+    assert!(!shop.hal.get::<bool>("ferrocnc.1.enabled"));
+    assert!(shop.hal.get::<bool>("ferrocnc.3.enabled"));
+}
+
+#[test]
+fn a_driver_that_is_halted_stops_the_others() {
+    let mut shop = Shop::new(29);
+    shop.arm();
+    for driver in &mut shop.drivers {
+        driver.read(PERIOD_NS);
+    }
+    // What the fence does after a panic.
+    shop.drivers[1].halt();
+    for n in [0, 2, 3] {
+        shop.seen(n, |driver| driver.write(PERIOD_NS));
+        assert!(!shop.boards[n].look().command.enable, "board {n}");
+        assert_eq!(
+            shop.hal.get::<u32>(&format!("ferrocnc.{n}.fault-reason")),
+            101
+        );
+    }
 }
 
 #[test]

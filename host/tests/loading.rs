@@ -115,3 +115,24 @@ fn a_board_somebody_else_drives_names_who() {
     });
     says(&message, &["192.168.2.7:4711", "stop LinuxCNC there"]);
 }
+
+#[test]
+fn a_second_linuxcnc_on_this_computer_is_told_that_it_is_the_second() {
+    let board = FakeBoard::mill6(LOCKSTEP);
+    let address = address::parse(&board.text(), wire::DEFAULT_PORT).unwrap();
+    let mut first = Client::open(&address).unwrap();
+    first.acquire().unwrap();
+    let port = board.look().owner.unwrap().port();
+    let message = connect(&board.text()).unwrap_err();
+    let owner = format!("127.0.0.1:{port}");
+    says(
+        &message,
+        &[
+            &owner,
+            "another program on this computer",
+            "stop LinuxCNC there",
+        ],
+    );
+    // And the first goes on undisturbed.
+    assert_eq!(board.look().owner.unwrap().port(), port);
+}

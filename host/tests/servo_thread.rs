@@ -9,6 +9,7 @@ use ferrocnc::client::Client;
 use ferrocnc::clock::Timebase;
 use ferrocnc::driver::Driver;
 use ferrocnc::fence::Fenced;
+use ferrocnc::group::Group;
 use ferrocnc::hal::Messenger;
 use ferrocnc::hal::fake::FakeHal;
 use ferrocnc::link::Link;
@@ -134,7 +135,7 @@ fn other_drivers_names_and_read_requests_allocate_nothing_either() {
         let (mut driver, identity) = load_with(&board, &mut hal, 0);
         let glue = names::export(&scheme, &mut hal, 0, &identity, &driver).unwrap();
         driver.adopt(glue);
-        driver.join(&Timebase::new(), 2);
+        driver.join(&Timebase::new(), &Group::new(), 2);
         hal.set("ferrocnc.0.packet-read-timeout", 20_000_000);
         let counted = allocations(|| {
             run(&mut driver, 50);

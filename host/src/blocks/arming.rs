@@ -59,6 +59,14 @@ impl ArmRequest {
         }
     }
 
+    /// A request that cannot be granted is over, however long the pin is held; `true` when it has just come.
+    pub fn refuse(&mut self, pin: bool) -> bool {
+        let edge = pin && !self.pin;
+        self.pin = pin;
+        self.forget();
+        edge
+    }
+
     /// The session is a new one; the request, if any, was for the old.
     pub fn forget(&mut self) {
         *self = ArmRequest {
@@ -126,6 +134,17 @@ mod tests {
         assert!(!request.flag(true, true, 3));
         assert!(!request.flag(false, true, 4));
         assert!(request.flag(true, true, 5));
+    }
+
+    #[test]
+    fn a_refused_request_is_told_once_and_used_up() {
+        let mut request = ArmRequest::default();
+        request.refuse(false);
+        assert!(request.refuse(true));
+        assert!(!request.refuse(true));
+        assert!(!request.flag(true, true, 1));
+        request.flag(false, true, 2);
+        assert!(request.flag(true, true, 3));
     }
 
     #[test]

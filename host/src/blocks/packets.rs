@@ -2,11 +2,14 @@
 //!
 //! | name | | |
 //! |---|---|---|
-//! | `packet-error` | bit out | the last answer did not come in time |
-//! | `packet-error-level` | s32 out | rises by `-increment` per missing answer, falls by `-decrement` per good one |
+//! | `packet-error` | bit out | an answer of the last period did not come in time |
+//! | `packet-error-level` | s32 out | rises by `-increment` per period with a missing answer, falls by `-decrement` per period without |
 //! | `packet-error-exceeded` | bit out | the level has reached `packet-error-limit`: the board is given up until it answers again |
-//! | `packet-error-total` | u32 out | missing answers since load |
+//! | `packet-error-total` | u32 out | periods with a missing answer since load |
 //! | `packet-read-timeout` | s32 param | 0 or less: 80 % of the period; below 100: percent of the period; else ns. Never below 100 us |
+//!
+//! Increment and decrement below 1 count as 1, as in hostmot2: a bucket that cannot fill is no bucket. The timeout counts from
+//! `read-request` where there is one, or else from the first board's `read`.
 
 use crate::hal::{ExportError, Exporter, Out, Param};
 use std::time::Duration;
@@ -42,14 +45,8 @@ impl Packets {
     /// An answer came in time.
     pub fn good(&self) {
         self.error.set(false);
-        let level = self.level.get().saturating_sub(self.decrement.get().max(0));
+        let level = self.level.get().saturating_sub(self.decrement.get().max(1));
         self.level.set(level.max(0));
-    }
-
-    /// An answer is missing, but another one of the same period came.
-    pub fn one_of_two_missing(&self) {
-        self.error.set(true);
-        self.total.set(self.total.get().wrapping_add(1));
     }
 
     /// An answer is missing; `true` when that was one too many.
@@ -58,7 +55,7 @@ impl Packets {
         self.error.set(true);
         self.total.set(self.total.get().wrapping_add(1));
         let limit = self.limit.get().max(1);
-        let level = self.level.get().saturating_add(self.increment.get().max(0));
+        let level = self.level.get().saturating_add(self.increment.get().max(1));
         self.level.set(level.min(limit));
         let exceeded = level >= limit;
         if exceeded {
@@ -74,9 +71,15 @@ impl Packets {
         self.exceeded.set(false);
     }
 
-    /// How long `read` may wait in a period of this length.
-    pub fn patience(&self, period_ns: i64) -> Duration {
-        Duration::from_nanos(patience_ns(self.read_timeout.get(), period_ns))
+    /// Whether the board is given up.
+    pub fn exceeded(&self) -> bool {
+        self.exceeded.get()
+    }
+
+    /// How long `read` may still wait in a period of this length, so long after asking.
+    pub fn left(&self, period_ns: i64, since_ns: i64) -> Duration {
+        let patience = patience_ns(self.read_timeout.get(), period_ns);
+        Duration::from_nanos(patience.saturating_sub(since_ns.max(0) as u64))
     }
 }
 

@@ -30,6 +30,9 @@
 //! period. The result stays within reach of one period at `maxaccel`, so a board that hears nothing
 //! further holds a velocity that was meant.
 //!
+//! While feedback is frozen a loop outside, closed through `velocity-cmd`, sees an error that is none and would run away with
+//! it: then the velocity may fall and not rise or turn.
+//!
 //! When an index or `position-reset` moves the origin, LinuxCNC moves its command by as much in the same
 //! period. That is no motion: the feed-forward is taken from the new origin when that is what happened.
 
@@ -284,7 +287,12 @@ impl Stepgen {
             velocity: velocity_hz(&self.ramp, period.clock_hz),
         };
         let wanted = if self.control_type.get() {
-            self.velocity_cmd.get() * scale
+            let asked = self.velocity_cmd.get() * scale;
+            if feedback == Feedback::Frozen {
+                towards_rest(asked, self.before.rate.to_hz(period.clock_hz))
+            } else {
+                asked
+            }
         } else if feedback == Feedback::Frozen {
             // Two answers missing: where it is, is not known, so only how fast it should go is.
             within_reach(feed_forward, now.velocity, accel, period.seconds)
@@ -431,6 +439,11 @@ fn approach(now: Motion, target: f64, feed_forward: f64, accel: f64, period: f64
         towards
     };
     now.velocity + ramp * period
+}
+
+/// What is asked, if it is no faster than `held` and the same way.
+fn towards_rest(asked: f64, held: f64) -> f64 {
+    asked.clamp(held.min(0.0), held.max(0.0))
 }
 
 fn within_reach(wanted: f64, velocity: f64, accel: f64, period: f64) -> f64 {

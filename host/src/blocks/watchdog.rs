@@ -54,6 +54,11 @@ impl Watchdog {
         ]
     }
 
+    /// Timeout in ns.
+    pub fn timeout_ns(&self) -> i64 {
+        i64::from(self.timeout.get().max(LEAST_TIMEOUT_NS))
+    }
+
     /// Takes what the board says. The margin means something only while it is awake.
     pub fn sampled(&self, bitten: bool, left: u32, awake: bool, clock_hz: f64) {
         self.has_bitten.set(bitten);

@@ -1,6 +1,7 @@
 //! What goes to the board every period: settings it lacks, and the command.
 
 use super::Driver;
+use super::tell::Event;
 use crate::blocks::encoder::Encoder;
 use crate::blocks::stepgen::Stepgen;
 use crate::blocks::{Feedback, Period};
@@ -42,12 +43,14 @@ impl Driver {
             let _ = self.link.send(request);
         }
         let refused = self.disarmed_settings.tries().max(self.periods.tries()) > REFUSED_TRIES;
-        if refused && !self.settings_refused_said {
-            self.settings_refused_said = true;
-            self.error(format_args!(
-                "the board refuses its settings and cannot be enabled; compare versions with ferrocnc describe {}",
-                self.address.text
-            ));
+        if refused {
+            self.voice.once(
+                Event::Settings,
+                format_args!(
+                    "the board refuses its settings and cannot be enabled; compare versions with ferrocnc describe {}",
+                    self.address.text
+                ),
+            );
         }
         self.disarmed_settings.settled(&wanted) && self.periods.settled(&periods)
     }
@@ -134,17 +137,17 @@ impl Driver {
     }
 
     pub(super) fn make_command(&mut self, token: u32, settled: bool, period: Period) -> Command {
-        let enable = self.pins.enable.get();
-        let ready = enable && settled && self.answered;
+        let enable = self.pins.enable.get() && self.halting.is_none();
+        let pin = self.pins.enable_request.get();
+        let alone = self.refuse_alone(pin);
+        let ready = enable && settled && self.answered && !alone;
         let mut command = Command {
             token,
             sequence: self.sequence,
             enable,
-            enable_request: self.arm.flag(
-                self.pins.enable_request.get(),
-                ready || (self.live && enable),
-                self.sequence,
-            ),
+            enable_request: self
+                .arm
+                .flag(pin, ready || (self.live && enable), self.sequence),
             ..Command::default()
         };
         let live = self.live && enable;

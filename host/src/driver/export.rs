@@ -1,5 +1,6 @@
 //! Everything a board has, as pins and parameters under its own names.
 
+use super::tell::Voice;
 use super::{Driver, Phase};
 use crate::address::Address;
 use crate::blocks::arming::ArmRequest;
@@ -13,6 +14,7 @@ use crate::blocks::wallclock::Wallclock;
 use crate::blocks::watchdog::Watchdog;
 use crate::client::Identity;
 use crate::clock::{BoardClock, Timebase};
+use crate::group::Group;
 use crate::hal::{Backend, Catalogue, ExportError, Exporter, In, Messenger, Out, Param};
 use crate::link::Link;
 use crate::names::Glue;
@@ -34,6 +36,7 @@ pub(super) struct Pins {
     pub(super) reset_reason: Out<u32>,
     pub(super) gate_close: Out<u32>,
     pub(super) io_error: Param<bool>,
+    pub(super) stop_group: Param<bool>,
     pub(super) probe_input: Param<i32>,
     pub(super) probe_invert: Param<bool>,
     pub(super) apply_delay: Param<u32>,
@@ -71,6 +74,7 @@ impl Driver {
             reset_reason: hal.output("last-reset-reason")?,
             gate_close: hal.output("last-gate-close")?,
             io_error: hal.param("io-error", false)?,
+            stop_group: hal.param("stop-group", true)?,
             probe_input: hal.param("probe-input", -1)?,
             probe_invert: hal.param("probe-invert", false)?,
             apply_delay: hal.param("apply-delay-ns", 0)?,
@@ -124,6 +128,7 @@ impl Driver {
                 gpio::Output::export(hal, said("safe", "high"), said("invert", "true"))
             },
         )?;
+        let voice = Voice::new(say, format!("board {index} ({})", address.text));
         Ok(Driver {
             index,
             address,
@@ -131,7 +136,7 @@ impl Driver {
             channels,
             clock_hz: describe.clock_hz,
             boot_id: describe.boot_id,
-            say,
+            voice,
             pins,
             packets,
             watchdog,
@@ -143,15 +148,10 @@ impl Driver {
             inputs,
             outputs,
             // Loading took seconds, longer than an idle session lives: begin by asking again.
-            phase: Phase::Acquiring {
-                wait: 0,
-                tag: 0,
-                announced: false,
-            },
+            phase: Phase::Acquiring { wait: 0, tag: 0 },
             arm: ArmRequest::default(),
             disarmed_settings: Sync::default(),
             periods: Sync::default(),
-            settings_refused_said: false,
             foreign_owner: None,
             tag: 0,
             sequence: 0,
@@ -159,12 +159,22 @@ impl Driver {
             awaiting: false,
             repeated: false,
             request_seen: false,
+            written: false,
             missing: 0,
             answered: false,
             state: describe.state.state,
             // What it stopped for before us is the board's past, not an event.
             reason: describe.state.reason,
             live: false,
+            halted: false,
+            halting: None,
+            restarted: false,
+            new_fabric: false,
+            io_error: false,
+            group: Group::new(),
+            several: false,
+            alarm_heard: 0,
+            stopped_by: None,
             time: Timebase::new(),
             read_moment: 0,
             write_moment: 0,
@@ -173,6 +183,10 @@ impl Driver {
             request_to_write: None,
             arrival: None,
             apply_at: None,
+            heard: 0,
+            wrote: None,
+            waited: 0,
+            held_up: 0,
             catalogue,
             glue: Glue::default(),
         })

@@ -1,9 +1,11 @@
 //! Asking for the session, and what is learnt from the answers.
 
+use super::tell::Event;
 use super::{Driver, Phase};
-use crate::client::{SESSION_WORDS, Session};
-use std::net::Ipv4Addr;
-use wire::{ReplyWriter, etherbone, map};
+use crate::client::{Owner, SESSION_WORDS, Session};
+use crate::hal::Level;
+use std::net::{Ipv4Addr, SocketAddrV4};
+use wire::{ReplyWriter, ResetReason, etherbone, map};
 
 /// Our token, then who owns the board: what `Driver::owned` understands.
 const OWNER_WORDS: [u32; 3] = [
@@ -31,24 +33,24 @@ impl Driver {
         tag
     }
 
-    pub(super) fn acquired(&mut self, session: Option<Session>, announced: bool) {
+    pub(super) fn acquired(&mut self, session: Option<Session>) {
         // No token: the answer to the question for the owner will say why.
         let Some(session) = session else { return };
         if session.wire_version != wire::WIRE_VERSION
             || session.channels != self.channels.to_words()
         {
-            return self.announce_once(
-                "another board or firmware answers at this address; restart LinuxCNC to use it",
+            return self.voice.once(
+                Event::Stranger,
+                format_args!(
+                    "another board or firmware answers at this address; restart LinuxCNC to use it"
+                ),
             );
         }
         if session.boot_id != self.boot_id {
-            self.boot_id = session.boot_id;
-            self.ethernet.forget();
-            self.error(format_args!(
-                "the board has restarted; enable again when the machine is in order"
-            ));
-        } else if announced {
-            self.info(format_args!("the board answers again"));
+            self.follow_restart(&session);
+        } else if self.voice.has_told(Event::Silent) {
+            self.voice
+                .tell(Level::Info, format_args!("the board answers again"));
         }
         self.pins.reset_reason.set(session.reset_reason);
         self.pins.gate_close.set(session.gate_close);
@@ -67,22 +69,47 @@ impl Driver {
         };
         self.disarmed_settings.forget();
         self.periods.forget();
-        self.settings_refused_said = false;
         self.arm.forget();
+        self.halting = None;
         self.answered = false;
         self.missing = 0;
         self.packets.recovered();
+        self.tell_group();
+    }
+
+    /// The firmware started anew since: what it was told is gone, and so may be what it counted.
+    fn follow_restart(&mut self, session: &Session) {
+        let why =
+            ResetReason::from_code(session.reset_reason as u8).unwrap_or(ResetReason::Unknown);
+        // Starts since power-up are counted in the low half.
+        let other_record = (session.boot_id ^ self.boot_id) >> 16 != 0;
+        self.new_fabric = why == ResetReason::PowerUp || other_record;
+        self.boot_id = session.boot_id;
+        self.restarted = true;
+        self.ethernet.forget();
+        self.voice.once(
+            Event::Restarted,
+            format_args!("the board has restarted ({why}); home and enable again when the machine is in order"),
+        );
     }
 
     /// Who owns the board after we asked for it: if not us, the operator should know.
     pub(super) fn owned(&mut self, token: u32, ip: u32, port: u32) {
-        let owner = (token == 0 && ip != 0).then_some((ip, port));
-        if owner.is_some() && owner != self.foreign_owner {
-            self.error(format_args!(
-                "the board is driven by {}:{port} now; stop LinuxCNC there to have it back",
-                Ipv4Addr::from_bits(ip)
-            ));
+        if token != 0 || ip == 0 {
+            return;
         }
-        self.foreign_owner = owner;
+        if self.foreign_owner.replace((ip, port)) == Some((ip, port))
+            && self.voice.has_told(Event::Owned)
+        {
+            return;
+        }
+        let there = Owner(
+            SocketAddrV4::new(Ipv4Addr::from_bits(ip), port as u16),
+            self.link.local(),
+        );
+        self.voice.once(
+            Event::Owned,
+            format_args!("the board is driven by {there} now; stop LinuxCNC there to have it back"),
+        );
     }
 }

@@ -1,0 +1,268 @@
+//! What happens when answers stay away, the thread comes late, another board of the group has stopped, or somebody
+//! touches `io-error`.
+
+use super::tell::Event;
+use super::{Driver, Phase};
+use crate::blocks::Period;
+use crate::hal::Level;
+use wire::exchange::Status;
+use wire::{FaultReason, State};
+
+/// `fault-reason` from here on: stopped because board n of the group has stopped.
+pub const GROUP_REASON: u32 = 100;
+
+impl Driver {
+    /// The last command was not answered in time.
+    pub(super) fn unanswered(&mut self, period: Period) {
+        self.missing = self.missing.saturating_add(1);
+        self.voice.missed();
+        if self.missing == 1 && self.live {
+            for stepgen in &mut self.stepgens {
+                stepgen.bridge(period);
+            }
+        }
+        if self.packets.missing() {
+            self.give_up();
+        }
+    }
+
+    /// The bucket is full. Nobody who is not answered for this long may believe the machine is still driven.
+    pub(super) fn give_up(&mut self) {
+        self.ethernet.lost();
+        self.pins.position_trusted.set(false);
+        self.raise_io_error();
+        let was_live = self.live;
+        self.no_longer_live();
+        let timeout = self.watchdog.timeout_ns();
+        let held_up = self.held_up > timeout;
+        let reason = if held_up {
+            FaultReason::Watchdog
+        } else {
+            FaultReason::LinkDown
+        };
+        if was_live {
+            self.reason = reason;
+            self.pins.fault_reason.set(u32::from(reason.code()));
+        }
+        self.tell_group();
+        if self.grouped() {
+            self.group.raise(self.index);
+        }
+        let others = self.stops_others();
+        if held_up && was_live {
+            self.voice.once(
+                Event::HeldUp,
+                format_args!(
+                    "the servo thread came {:.1} ms late, the watchdog waits {:.1} ms: the board stops the machine{others}; \
+                     find what holds the thread up, then enable again",
+                    self.held_up as f64 * 1e-6,
+                    timeout as f64 * 1e-6,
+                ),
+            );
+        } else if was_live {
+            self.voice.once(
+                Event::Silent,
+                format_args!(
+                    "{} answers missing in a row, the board's watchdog stops the machine{others}; check cable and power of the board, then enable again",
+                    self.missing
+                ),
+            );
+        } else {
+            self.voice.once(
+                Event::Silent,
+                format_args!(
+                    "{} answers missing in a row; check cable and power of the board",
+                    self.missing
+                ),
+            );
+        }
+        self.phase = Phase::Acquiring { wait: 0, tag: 0 };
+    }
+
+    /// It stopped, whatever the board says next.
+    fn no_longer_live(&mut self) {
+        self.live = false;
+        self.pins.enabled.set(false);
+    }
+
+    /// Nothing but `enable` false is sent until an answer to that says that the board is not armed.
+    fn stop(&mut self) {
+        self.halting = Some(self.sequence);
+        self.arm.forget();
+        self.no_longer_live();
+    }
+
+    /// Whether other boards' trouble is this one's.
+    pub(super) fn grouped(&self) -> bool {
+        self.several && self.pins.stop_group.get()
+    }
+
+    /// For a message about this board.
+    pub(super) fn stops_others(&self) -> &'static str {
+        if self.grouped() {
+            " and the other boards with it"
+        } else {
+            ""
+        }
+    }
+
+    /// Whether this board answers, if that concerns the others.
+    pub(super) fn tell_group(&self) {
+        let lost = self.grouped() && self.packets.exceeded();
+        self.group.answers(self.index, !lost);
+    }
+
+    /// Another board has raised the alarm: this one stops by its next command.
+    pub(super) fn follow_group(&mut self) {
+        let Some(cause) = self.group.alarm(&mut self.alarm_heard) else {
+            return;
+        };
+        if cause == self.index || !self.grouped() {
+            return;
+        }
+        if self.live {
+            self.stopped_by = Some(cause);
+            self.voice
+                .tell(Level::Info, format_args!("stops because of board {cause}"));
+        }
+        self.stop();
+        self.publish_reason();
+    }
+
+    /// `io-error` belongs to the operator as well: cleared, a silent board is asked at once, and if it answers the bucket is
+    /// empty; set, the machine stops as if the bucket were full.
+    pub(super) fn follow_io_error(&mut self) {
+        let now = self.pins.io_error.get();
+        if core::mem::replace(&mut self.io_error, now) == now {
+            return;
+        }
+        if now {
+            if self.grouped() {
+                self.group.raise(self.index);
+            }
+            self.stop();
+        } else if let Phase::Acquiring { wait, tag } = &mut self.phase {
+            (*wait, *tag) = (0, 0);
+        } else {
+            self.packets.recovered();
+        }
+    }
+
+    pub(super) fn raise_io_error(&mut self) {
+        self.io_error = true;
+        self.pins.io_error.set(true);
+    }
+
+    pub(super) fn clear_io_error(&mut self) {
+        self.io_error = false;
+        self.pins.io_error.set(false);
+    }
+
+    /// Another board of the group does not answer: an edge of `enable-request` is used up and says so.
+    pub(super) fn refuse_alone(&mut self, pin: bool) -> bool {
+        let lost = match self.group.lost_beside(self.index) {
+            Some(lost) if self.grouped() => lost,
+            Some(_) | None => return false,
+        };
+        if self.arm.refuse(pin) {
+            self.voice.tell(
+                Level::Error,
+                format_args!("not enabled: board {lost} of the group does not answer"),
+            );
+        }
+        true
+    }
+
+    /// How late `write` is called, beside what `read` waited for itself.
+    pub(super) fn mind_the_time(&mut self) {
+        let now = self.time.now();
+        let before = self.wrote.replace(now);
+        let waited = core::mem::take(&mut self.waited);
+        // Once commands go unanswered, later ones prove nothing.
+        if let Some(before) = before
+            && self.missing == 0
+        {
+            self.held_up = now - before - waited;
+        }
+    }
+
+    /// What the board says of itself.
+    pub(super) fn follow_state(&mut self, status: &Status, clock_hz: f64) {
+        let word = status.state;
+        let armed_there = word.state == State::Armed && word.enabled;
+        if let Some(since) = self.halting
+            && !armed_there
+            && status.sequence.wrapping_sub(since) as i32 > 0
+        {
+            self.halting = None;
+        }
+        let armed = armed_there && self.halting.is_none();
+        if armed && !self.live {
+            self.watchdog.armed();
+            self.clear_io_error();
+            self.voice.armed();
+            self.stopped_by = None;
+            self.restarted = false;
+        }
+        // When the command that armed arrived the watchdog was still asleep: what it had left means
+        // something from the next one on.
+        let awake = armed && self.live;
+        self.watchdog
+            .sampled(word.bitten, status.watchdog_left, awake, clock_hz);
+        let fell = self.live && !armed && self.halting.is_none();
+        self.live = armed;
+        self.state = word.state;
+        self.pins.enabled.set(armed);
+        self.pins.state.set(u32::from(word.state.code()));
+        self.pins
+            .position_trusted
+            .set(word.position_trusted && !self.restarted);
+        self.pins.refused_total.set(status.refused.0);
+        self.pins.estop.set(word.estop);
+        self.ethernet.sampled(&word);
+        if fell && word.reason != FaultReason::HostDisable && self.grouped() {
+            self.group.raise(self.index);
+        }
+        let news = core::mem::replace(&mut self.reason, word.reason) != word.reason;
+        self.publish_reason();
+        if news {
+            self.tell_reason();
+        }
+    }
+
+    fn publish_reason(&self) {
+        let code = match (self.stopped_by, self.reason) {
+            (Some(cause), FaultReason::None | FaultReason::HostDisable) => {
+                GROUP_REASON + cause as u32
+            }
+            (_, reason) => u32::from(reason.code()),
+        };
+        self.pins.fault_reason.set(code);
+    }
+
+    fn tell_reason(&mut self) {
+        let reason = self.reason;
+        let known = match reason {
+            FaultReason::None => return,
+            FaultReason::HostDisable => true,
+            // What silence looks like from the other end.
+            FaultReason::Watchdog | FaultReason::SessionLost | FaultReason::LinkDown => {
+                self.voice.has_told(Event::Silent) || self.voice.has_told(Event::HeldUp)
+            }
+            // It has just been said why the board started anew.
+            FaultReason::FirmwareFault => self.voice.has_told(Event::Restarted),
+            FaultReason::ExternalReset
+            | FaultReason::JobUnderrun
+            | FaultReason::AbiMismatch
+            | FaultReason::EStop => false,
+        };
+        if known {
+            return self.voice.tell(Level::Info, format_args!("{reason}"));
+        }
+        let others = self.stops_others();
+        self.voice.once(
+            Event::Stopped(reason),
+            format_args!("the board stopped the machine{others}: {reason}; remove the cause, then enable again"),
+        );
+    }
+}
