@@ -1,11 +1,17 @@
 //! Integer motion maths: one truth for everyone who has to know what a stepgen will do.
 //!
-//! The gateware executes it, the driver predicts feedback with it, simulations and tests compare
-//! against it. Nothing here knows registers, sockets or floating point, and nothing here waits: the
+//! Ramps and segments are what the gateware executes; the driver predicts feedback with them, simulations and
+//! tests compare against them. G-code and arcs become segments here, on a PC and on the board alike. Nothing here
+//! knows registers, sockets or floating point, and nothing here waits: the
 //! step timing that can make a real stepgen late by a few clocks is the gateware's business.
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod circle;
+pub mod gcode;
+pub mod instruction;
+pub mod plan;
 pub mod ramp;
+pub mod segment;
 
 pub use ramp::Ramp;

@@ -135,16 +135,27 @@ impl Ramp {
 /// points under a line and shrinks like Euclid's algorithm. With 24 bits that ends after at most
 /// some 35 rounds. Good for `terms` below 2^40 (five hours of clocks).
 pub fn sum_of_floors(terms: u64, start: i64, step: i64) -> i128 {
-    let mut terms = i128::from(terms);
-    let mut modulus = 1i128 << VELOCITY_FRACTION;
-    let mut step = i128::from(step);
-    let mut start = i128::from(start);
+    let whole = |x: i64| i128::from(x >> VELOCITY_FRACTION);
+    let rest = |x: i64| (x & ((1 << VELOCITY_FRACTION) - 1)) as u64;
+    let wide = i128::from(terms);
+    let sum = (wide - 1) * wide / 2 * whole(step) + wide * whole(start);
+    let (start, step) = (rest(start), rest(step));
+    if step == 0 {
+        return sum;
+    }
+    // 64 bits do as long as neither `step * terms` nor the sum leaves them: a softcore has to do this.
+    if terms < 1 << 31 {
+        sum + i128::from(lattice_points(terms, start, step))
+    } else {
+        sum + wide_lattice_points(terms, start, step)
+    }
+}
+
+/// `sum of floor((start + i * step) / 2^24)` of fractions: `start` and `step` below 2^24.
+fn lattice_points(mut terms: u64, mut start: u64, mut step: u64) -> u64 {
+    let mut modulus = 1u64 << VELOCITY_FRACTION;
     let mut sum = 0;
     loop {
-        sum += (terms - 1) * terms / 2 * step.div_euclid(modulus);
-        sum += terms * start.div_euclid(modulus);
-        step = step.rem_euclid(modulus);
-        start = start.rem_euclid(modulus);
         let top = step * terms + start;
         if top < modulus {
             return sum;
@@ -152,6 +163,28 @@ pub fn sum_of_floors(terms: u64, start: i64, step: i64) -> i128 {
         terms = top / modulus;
         start = top % modulus;
         (modulus, step) = (step, modulus);
+        // Now the line is steeper than 1: the whole part comes out.
+        sum += (terms - 1) * terms / 2 * (step / modulus) + terms * (start / modulus);
+        step %= modulus;
+        start %= modulus;
+    }
+}
+
+fn wide_lattice_points(terms: u64, start: u64, step: u64) -> i128 {
+    let (mut terms, mut start, mut step) = (i128::from(terms), i128::from(start), i128::from(step));
+    let mut modulus = 1i128 << VELOCITY_FRACTION;
+    let mut sum = 0;
+    loop {
+        let top = step * terms + start;
+        if top < modulus {
+            return sum;
+        }
+        terms = top / modulus;
+        start = top % modulus;
+        (modulus, step) = (step, modulus);
+        sum += (terms - 1) * terms / 2 * (step / modulus) + terms * (start / modulus);
+        step %= modulus;
+        start %= modulus;
     }
 }
 
@@ -166,6 +199,13 @@ mod tests {
             ramp.clock();
         }
         ramp
+    }
+
+    /// The definition, term by term.
+    fn floors_one_by_one(terms: u64, start: i64, step: i64) -> i128 {
+        (0..i128::from(terms))
+            .map(|i| (i128::from(start) + i * i128::from(step)) >> VELOCITY_FRACTION)
+            .sum()
     }
 
     fn at_once(mut ramp: Ramp, clocks: u64) -> Ramp {
@@ -228,6 +268,18 @@ mod tests {
             }
             let side = |velocity: i64| (ramp.goal() - velocity).signum();
             prop_assert!(side(after.velocity) == 0 || side(after.velocity) == side(ramp.velocity));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn sums_of_floors_are_the_sums_of_the_floors(terms in 0..2000u64, start in -1i64 << 55..1 << 55, step in -1i64 << 32..1 << 32) {
+            prop_assert_eq!(sum_of_floors(terms, start, step), floors_one_by_one(terms, start, step));
+        }
+
+        #[test]
+        fn the_way_in_64_bits_is_the_wide_way(terms in 1..1u64 << 31, start in 0..1u64 << VELOCITY_FRACTION, step in 1..1u64 << VELOCITY_FRACTION) {
+            prop_assert_eq!(i128::from(lattice_points(terms, start, step)), wide_lattice_points(terms, start, step));
         }
     }
 

@@ -1,0 +1,952 @@
+//! The look-ahead planner: [`Instruction`]s in, [`Segment`]s out, integers only, memory fixed at compile time.
+//!
+//! Motion is what the integrators can do exactly: constant acceleration for whole clocks. A line is sped up, held
+//! and slowed down within the limits of every axis. A corner is not a jump of the velocity, which no machine can follow,
+//! but a parabola tangent to both lines:
+//!
+//! ```text
+//!            corner          The blend begins d before the corner and ends d after it, at one speed u, in 2d/u.
+//!        ----.-.----+        Its acceleration is u^2 |difference of directions| / 2d: within every axis' limit by choice of u.
+//!                 `. \       It passes the corner at |difference| d / 4: within the junction deviation by choice of d.
+//!               d   `.|      d is at most 2/5 of either line. It does not depend on the speed in the end, so a feed override
+//!                     |      or a pause changes when the machine is somewhere, never where.
+//! ```
+//!
+//! Speeds: entering speeds are squared, then braking is linear: `w_in <= w_out + 2 a l`. Going backwards through the buffer
+//! makes the largest speeds from which the end can be reached at rest, with the last line known taken for 2/5 shorter than it is
+//! (the corner still to come may take that much). A line is begun when the buffer is full or no more is to come; by then the
+//! speed it ends with is final, and whatever follows, braking stays possible.
+//!
+//! Exactness: the reference is continuous, in steps with 32 fraction bits and clocks with 16. A segment lasts whole clocks and aims
+//! from where the integrators *are* (they are computed with the arithmetic of the gateware, bit by bit) at the reference's velocity at
+//! its end, with what is missing in position spread over the next 2^21 clocks. So nothing accumulates. At a stop (tool, dwell, home, pause,
+//! end) the place is a whole step, and two last segments whose
+//! lengths differ by a clock bring any velocity to 0 in the last bit.
+
+use crate::circle::Chords;
+use crate::instruction::{FARTHEST, Feed, Instruction, Place};
+use crate::segment::{AXES, Axis, MAX_CLOCKS, MIN_CLOCKS, Machine, Segment};
+use core::fmt;
+use wire::units::Position;
+
+/// One axis of the machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AxisSetup {
+    /// Steps in a kilometre: a million times the steps in a millimetre.
+    pub steps_per_km: u64,
+    /// nm/s.
+    pub max_speed: u32,
+    /// nm/s^2.
+    pub max_accel: u64,
+}
+
+/// The machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Setup {
+    /// The board's clock.
+    pub clock_hz: u32,
+    /// X, Y, Z.
+    pub axes: [AxisSetup; AXES],
+    /// How far chords may be from their arc, in nm.
+    pub chord_tolerance: u32,
+    /// How far a blend may be from its corner, in nm. 0 stops at every corner.
+    pub junction_deviation: u32,
+    /// How long everything rests after the outputs have changed, in microseconds: a pen takes its time.
+    pub aux_settle: u32,
+}
+
+/// What is wrong with a setup; the number is that of the axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SetupError {
+    /// Not between 1 MHz and 1 GHz.
+    Clock,
+    /// No steps, or more than 100 000 in a millimetre.
+    Scale(usize),
+    /// Less than three units of rate, or more than a step in four clocks.
+    Speed(usize),
+    /// Beyond 100 g, or what a segment can say, or too small for it.
+    Accel(usize),
+    /// A chord tolerance below 1 um.
+    Tolerance,
+}
+
+impl fmt::Display for SetupError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = |axis: usize| ['X', 'Y', 'Z'].get(axis).copied().unwrap_or('?');
+        match *self {
+            SetupError::Clock => write!(f, "the clock is between 1 MHz and 1 GHz"),
+            SetupError::Scale(axis) => {
+                write!(
+                    f,
+                    "{}: steps per mm are above 0 and at most 100 000",
+                    name(axis)
+                )
+            }
+            SetupError::Speed(axis) => {
+                write!(
+                    f,
+                    "{}: the speed is above 3 clock / 2^32 steps/s and at most one step in four clocks",
+                    name(axis)
+                )
+            }
+            SetupError::Accel(axis) => write!(
+                f,
+                "{}: the acceleration in steps/s^2 is between clock^2 / 2^44 and clock^2 / 2^25, and at most 100 g",
+                name(axis)
+            ),
+            SetupError::Tolerance => write!(f, "the chord tolerance is at least 1 um"),
+        }
+    }
+}
+
+/// What the planner has to say next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Output {
+    /// Execute this.
+    Segment(Segment),
+    /// Everything rests: find the switches of these axes. They are at step 0 then.
+    Home([bool; AXES]),
+    /// Everything rests: wait for the operator.
+    Pause,
+    /// Everything rests: the job is over.
+    End,
+}
+
+/// The largest square of a speed, in (nm/s)^2.
+const FASTEST: u64 = 1 << 63;
+
+/// Directions have 30 fraction bits.
+const ONE: i64 = 1 << 30;
+
+/// Two directions this near to each other (8e-9 of a turn's radius) are one.
+const STRAIGHT: u64 = 1 << 3;
+
+/// A setup in the units of the integrators.
+#[derive(Clone, Copy, Debug)]
+struct Machinery {
+    setup: Setup,
+    /// 2^64 / clock.
+    per_clock: i128,
+    /// Steps per nm, 2^64 times.
+    scale: [i128; AXES],
+    /// nm per step, 2^32 times.
+    pitch: [i128; AXES],
+    /// nm/s. A 4096th and two units of rate below the limit, room for what corrections add.
+    speed: [u64; AXES],
+    /// nm/s^2. A 64th below the limit, likewise.
+    accel: [u64; AXES],
+    /// Units of a segment's acceleration: the limit itself.
+    limit: [i32; AXES],
+}
+
+impl Machinery {
+    fn new(setup: &Setup) -> Result<Self, SetupError> {
+        if !(1_000_000..=1_000_000_000).contains(&setup.clock_hz) {
+            return Err(SetupError::Clock);
+        }
+        if setup.chord_tolerance < 1000 {
+            return Err(SetupError::Tolerance);
+        }
+        let clock = i128::from(setup.clock_hz);
+        let mut machinery = Machinery {
+            setup: *setup,
+            per_clock: (1 << 64) / clock,
+            scale: [0; AXES],
+            pitch: [0; AXES],
+            speed: [0; AXES],
+            accel: [0; AXES],
+            limit: [0; AXES],
+        };
+        for (index, axis) in setup.axes.iter().enumerate() {
+            if !(1..=100_000_000_000).contains(&axis.steps_per_km) {
+                return Err(SetupError::Scale(index));
+            }
+            let scale = (i128::from(axis.steps_per_km) << 64) / 1_000_000_000_000;
+            // Steps per clock, 2^64 times; a quarter at most.
+            let rate = i128::from(axis.max_speed) * scale / clock;
+            if axis.max_speed == 0 || rate > 1 << 62 {
+                return Err(SetupError::Speed(index));
+            }
+            // f^2 / 2^56 steps/s^2 is the unit.
+            let limit = (i128::from(axis.max_accel) * scale / (clock * clock)) >> 8;
+            if axis.max_accel > 1_000_000_000_000 || !(1 << 12..1 << 31).contains(&limit) {
+                return Err(SetupError::Accel(index));
+            }
+            machinery.scale[index] = scale;
+            machinery.pitch[index] = (1_000_000_000_000 << 32) / i128::from(axis.steps_per_km);
+            // A unit of rate is 2^-32 steps per clock.
+            let unit = u64::try_from((clock << 32) / scale).unwrap_or(u64::MAX);
+            let speed =
+                u64::from(axis.max_speed - axis.max_speed / 4096).saturating_sub(2 * (unit + 1));
+            if speed == 0 {
+                return Err(SetupError::Speed(index));
+            }
+            machinery.speed[index] = speed;
+            machinery.accel[index] = axis.max_accel - axis.max_accel / 64;
+            machinery.limit[index] = limit as i32;
+        }
+        Ok(machinery)
+    }
+
+    /// An integrator's position for a place.
+    fn position(&self, axis: usize, nm: i64) -> i64 {
+        ((i128::from(nm) * self.scale[axis]) >> 32) as i64 + Position::ZERO.0
+    }
+
+    /// Clocks (with 16 fraction bits) for `distance` nm (with 16 fraction bits) at `speed` nm/s.
+    fn clocks(&self, distance: i64, speed: u64) -> i64 {
+        (i128::from(distance) * i128::from(self.setup.clock_hz) / i128::from(speed.max(1))) as i64
+    }
+
+    /// An integrator's velocity for a speed along a path with so many steps per nm (2^64 times).
+    fn velocity(&self, speed: u64, slope: i64) -> i64 {
+        let steps = (i128::from(speed) * i128::from(slope)) >> 32;
+        ((steps * self.per_clock) >> 40) as i64
+    }
+}
+
+/// A line in the buffer.
+#[derive(Clone, Copy, Debug)]
+struct Line {
+    /// nm.
+    length: u64,
+    /// Unit vector.
+    direction: [i64; AXES],
+    /// Steps per nm, 2^64 times.
+    slope: [i64; AXES],
+    /// Where the integrators are to be at its end, corners uncut.
+    end: [i64; AXES],
+    /// Along it, nm/s^2.
+    accel: u64,
+    /// What the axes allow, nm/s.
+    top: u64,
+    /// What is asked for, nm/s, at 100 %.
+    feed: u64,
+    /// How far the blend at its beginning reaches into it, nm.
+    cut: u64,
+    /// Square of the largest speed through that blend.
+    corner: u64,
+    /// Square of the planned speed there.
+    entry: u64,
+    /// Of the instruction it comes from, as told.
+    tag: u32,
+}
+
+impl Line {
+    const NONE: Line = Line {
+        length: 0,
+        direction: [0; AXES],
+        slope: [0; AXES],
+        end: [0; AXES],
+        accel: 0,
+        top: 0,
+        feed: 0,
+        cut: 0,
+        corner: 0,
+        entry: 0,
+        tag: 0,
+    };
+
+    /// Where the integrators are when `left` nm (with 16 fraction bits) are left to the corner.
+    fn position(&self, axis: usize, left: i64) -> i64 {
+        let left = (i128::from(self.slope[axis]) * i128::from(left)) >> 48;
+        self.end[axis] - left as i64
+    }
+
+    /// Square of the speed it is to be drawn with.
+    fn fastest(&self, percent: u32) -> u64 {
+        let feed = u128::from(self.feed) * u128::from(percent) / 100;
+        let speed = feed.clamp(1, u128::from(self.top));
+        square(speed as u64)
+    }
+
+    /// `w + 2 a l`: the square of the speed after `length` nm of acceleration.
+    fn gained(&self, square: u64, length: u64) -> u64 {
+        let more = 2 * u128::from(self.accel) * u128::from(length);
+        u64::try_from(u128::from(square) + more).map_or(FASTEST, |w| w.min(FASTEST))
+    }
+}
+
+fn square(speed: u64) -> u64 {
+    speed.saturating_mul(speed).min(FASTEST)
+}
+
+/// The instruction that is not planned yet, because what follows decides whether it ends on a whole step.
+#[derive(Clone, Copy, Debug)]
+struct Pending {
+    to: Place,
+    feed: Feed,
+    tag: u32,
+}
+
+/// What waits until everything rests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Then {
+    Aux(u16),
+    /// Clocks left.
+    Dwell(u64),
+    Home([bool; AXES]),
+    Pause,
+    End,
+}
+
+/// A part of the reference with one acceleration.
+#[derive(Clone, Copy, Debug)]
+struct Leg {
+    /// Clocks, 16 fraction bits.
+    duration: i64,
+    /// Time of the last segment's end, in clocks with 16 fraction bits since the leg began; up to 64 clocks before it.
+    at: i64,
+    position: [i64; AXES],
+    velocity: [i64; AXES],
+    /// 2^-72 steps per clock^2.
+    accel: [i64; AXES],
+}
+
+/// The stretches of the line being drawn that are still to come.
+#[derive(Clone, Copy, Debug, Default)]
+struct Stretch {
+    /// Speeds, nm/s.
+    from: u64,
+    to: u64,
+    /// Clocks, 16 fraction bits.
+    duration: i64,
+    /// To the corner at the beginning, nm with 16 fraction bits.
+    left: i64,
+    /// Not along the line but round its corner.
+    blend: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Running {
+    line: Line,
+    /// Slope of the line after it.
+    next: [i64; AXES],
+    stretches: [Stretch; 4],
+    index: usize,
+}
+
+/// The planner, looking `DEPTH` lines ahead.
+#[derive(Clone, Debug)]
+pub struct Planner<const DEPTH: usize> {
+    machinery: Machinery,
+    percent: u32,
+    lines: [Line; DEPTH],
+    head: usize,
+    count: usize,
+    /// Where the last instruction ends.
+    at: Place,
+    /// Where the last line of the buffer ends: place and integrators.
+    end: (Place, [i64; AXES]),
+    pending: Option<Pending>,
+    chords: Option<(Chords, Feed)>,
+    tag: u32,
+    then: Option<Then>,
+    /// The speed the line drawn ends with, nm/s.
+    speed: u64,
+    running: Option<Running>,
+    leg: Option<Leg>,
+    /// Clocks (16 fraction bits) the reference is ahead of the segments; below 65.
+    ahead: i64,
+    /// Brings everything to rest: the second of the two last segments.
+    rest: Option<Segment>,
+    machine: Machine,
+}
+
+impl<const DEPTH: usize> Planner<DEPTH> {
+    /// At rest, at home, all outputs off.
+    pub fn new(setup: &Setup) -> Result<Self, SetupError> {
+        const { assert!(DEPTH >= 3, "a line, its successor, and one to look at") };
+        Ok(Planner {
+            machinery: Machinery::new(setup)?,
+            percent: 100,
+            lines: [Line::NONE; DEPTH],
+            head: 0,
+            count: 0,
+            at: [0; AXES],
+            end: ([0; AXES], [Position::ZERO.0; AXES]),
+            pending: None,
+            chords: None,
+            tag: 0,
+            then: None,
+            speed: 0,
+            running: None,
+            leg: None,
+            ahead: 0,
+            rest: None,
+            machine: Machine::default(),
+        })
+    }
+
+    /// Whether [`Planner::push`] takes an instruction now. If not, [`Planner::poll`] has something to say.
+    pub fn accepts(&self) -> bool {
+        self.then.is_none() && self.chords.is_none() && self.count < DEPTH
+    }
+
+    /// The next instruction; `tag` (a line number) comes back from [`Planner::tag`]. False, and nothing happened, when
+    /// [`Planner::accepts`] is false or a place is out of bounds.
+    #[must_use]
+    pub fn push(&mut self, instruction: &Instruction, tag: u32) -> bool {
+        if !self.accepts() {
+            return false;
+        }
+        let far = |place: &Place| place.iter().any(|nm| nm.abs() > FARTHEST);
+        match *instruction {
+            Instruction::Line { to, feed } => {
+                if far(&to) {
+                    return false;
+                }
+                self.tag = tag;
+                self.line_to(to, feed);
+            }
+            Instruction::Arc(arc) => {
+                if far(&arc.to) || arc.center.iter().any(|nm| nm.abs() > 4 * FARTHEST) {
+                    return false;
+                }
+                self.tag = tag;
+                let tolerance = self.machinery.setup.chord_tolerance;
+                self.chords = Some((Chords::new(self.at, arc, tolerance), arc.feed));
+            }
+            Instruction::Dwell { micros } => self.then = Some(Then::Dwell(self.clocks_of(micros))),
+            Instruction::Aux { bits } => self.then = Some(Then::Aux(bits)),
+            Instruction::Home { axes } => self.then = Some(Then::Home(axes)),
+            Instruction::Pause => self.then = Some(Then::Pause),
+            Instruction::End => self.then = Some(Then::End),
+        }
+        true
+    }
+
+    /// What is to be done next. `None`: it needs another instruction to know.
+    pub fn poll(&mut self) -> Option<Output> {
+        loop {
+            if let Some(segment) = self.rest.take().or_else(|| self.piece()) {
+                self.machine.run(&segment);
+                return Some(Output::Segment(segment));
+            }
+            if self.next_stretch() || self.next_chord() || self.last_line() || self.begin_line() {
+                continue;
+            }
+            self.then?;
+            if self.count > 0 || self.pending.is_some() {
+                continue;
+            }
+            if !self.machine.rests() {
+                let segment = self.come_to_rest();
+                self.machine.run(&segment);
+                return Some(Output::Segment(segment));
+            }
+            self.ahead = 0;
+            return Some(self.at_rest());
+        }
+    }
+
+    /// Percent of the feed, for what is not planned to the end yet; rapids too. The path stays the same.
+    pub fn set_override(&mut self, percent: u32) {
+        self.percent = percent.clamp(1, 200);
+        self.plan(true);
+    }
+
+    /// The integrators and outputs after everything [`Planner::poll`] said.
+    pub fn machine(&self) -> &Machine {
+        &self.machine
+    }
+
+    /// Of the line being drawn.
+    pub fn tag(&self) -> u32 {
+        self.running.map_or(self.tag, |running| running.line.tag)
+    }
+
+    /// Where the reference's last instruction ends.
+    pub fn target(&self) -> Place {
+        self.at
+    }
+
+    /// The limit of an axis' acceleration in a segment's units; every segment keeps it.
+    pub fn limits(&self) -> [i32; AXES] {
+        self.machinery.limit
+    }
+
+    fn clocks_of(&self, micros: u64) -> u64 {
+        let clocks = u128::from(micros) * u128::from(self.machinery.setup.clock_hz) / 1_000_000;
+        u64::try_from(clocks).unwrap_or(u64::MAX)
+    }
+
+    fn get(&self, index: usize) -> &Line {
+        &self.lines[(self.head + index) % DEPTH]
+    }
+
+    fn get_mut(&mut self, index: usize) -> &mut Line {
+        &mut self.lines[(self.head + index) % DEPTH]
+    }
+
+    // ---- into the buffer ---------------------------------------------------------------------------------------
+
+    fn line_to(&mut self, to: Place, feed: Feed) {
+        if to == self.at {
+            return;
+        }
+        self.at = to;
+        let tag = self.tag;
+        // A line of less than half a step is not worth a corner; what it asks for goes into the next.
+        match self.pending {
+            Some(pending) if !self.is_short(&pending) => self.append(&pending, false),
+            Some(_) | None => {}
+        }
+        self.pending = Some(Pending { to, feed, tag });
+    }
+
+    fn is_short(&self, pending: &Pending) -> bool {
+        let away = |axis: usize| self.goal(pending, axis, false) - self.end.1[axis];
+        (0..AXES).all(|axis| away(axis).abs() < 1 << 31)
+    }
+
+    /// Where an axis is to be at the end of a line. One that is not moved stays where it is, to the last bit.
+    fn goal(&self, pending: &Pending, axis: usize, whole: bool) -> i64 {
+        let goal = if pending.to[axis] == self.end.0[axis] {
+            self.end.1[axis]
+        } else {
+            self.machinery.position(axis, pending.to[axis])
+        };
+        if whole {
+            goal & !0xffff_ffff | Position::ZERO.0
+        } else {
+            goal
+        }
+    }
+
+    /// Room for a line there must be.
+    fn append(&mut self, pending: &Pending, whole: bool) {
+        let machinery = &self.machinery;
+        let goal = core::array::from_fn(|axis| self.goal(pending, axis, whole));
+        let steps: [i64; AXES] = core::array::from_fn(|axis| goal[axis] - self.end.1[axis]);
+        self.end = (pending.to, goal);
+        // Lengths are rounded up, each axis' and the whole: so a short line is no faster than its axes may be.
+        let nm: [i64; AXES] = core::array::from_fn(|axis| {
+            let (steps, pitch) = (steps[axis], machinery.pitch[axis]);
+            let nm = (i128::from(steps.unsigned_abs()) * pitch)
+                .unsigned_abs()
+                .div_ceil(1u128 << 64);
+            nm as i64 * steps.signum()
+        });
+        let length = length(&nm);
+        if length == 0 {
+            return;
+        }
+        let direction =
+            nm.map(|nm| ((i128::from(nm) * i128::from(ONE)) / i128::from(length)) as i64);
+        let mut line = Line {
+            length,
+            direction,
+            slope: steps.map(|steps| ((i128::from(steps) << 32) / i128::from(length)) as i64),
+            end: goal,
+            accel: smallest(&machinery.accel, &direction),
+            top: smallest(&machinery.speed, &direction).min(u64::from(u32::MAX)),
+            feed: match pending.feed {
+                Feed::Rapid => u64::from(u32::MAX),
+                Feed::Rate(rate) => u64::from(rate),
+            },
+            cut: 0,
+            corner: 0,
+            entry: 0,
+            tag: pending.tag,
+        };
+        if self.count > 0 {
+            (line.cut, line.corner) = self.corner(self.get(self.count - 1), &line);
+        }
+        self.count += 1;
+        *self.get_mut(self.count - 1) = line;
+        self.plan(false);
+    }
+
+    /// How far before and after the corner its blend reaches, and the square of the largest speed in it.
+    fn corner(&self, before: &Line, after: &Line) -> (u64, u64) {
+        let change: [i64; AXES] =
+            core::array::from_fn(|axis| after.direction[axis] - before.direction[axis]);
+        let size = length(&change);
+        if size < STRAIGHT {
+            return (0, FASTEST);
+        }
+        // u^2 change / 2d is the blend's acceleration.
+        let accel = smallest(&self.machinery.accel, &change);
+        let wanted = before
+            .fastest(100)
+            .min(after.fastest(100))
+            .div_ceil(2)
+            .div_ceil(accel);
+        let deviation = u128::from(self.machinery.setup.junction_deviation) * 4 * ONE as u128;
+        let allowed = u64::try_from(deviation / u128::from(size)).unwrap_or(u64::MAX);
+        let cut = wanted
+            .min(allowed)
+            .min(most_of(before.length))
+            .min(most_of(after.length));
+        let square = 2 * u128::from(cut) * u128::from(accel);
+        (
+            cut,
+            u64::try_from(square).map_or(FASTEST, |w| w.min(FASTEST)),
+        )
+    }
+
+    /// The largest speeds from which everything known can be brought to rest. The speed the first line begins with
+    /// is settled already.
+    fn plan(&mut self, all: bool) {
+        let Some(last) = self.count.checked_sub(1) else {
+            return;
+        };
+        let known = self.then.is_some() && self.pending.is_none() && self.chords.is_none();
+        let mut cut = if known {
+            0
+        } else {
+            most_of(self.get(last).length)
+        };
+        let mut exit = 0;
+        for index in (1..self.count).rev() {
+            let line = *self.get(index);
+            let before = self.get(index - 1);
+            let free = line.length.saturating_sub(line.cut + cut);
+            let entry = line
+                .gained(exit, free)
+                .min(line.corner)
+                .min(line.fastest(self.percent))
+                .min(before.fastest(self.percent));
+            let settled = entry == line.entry && index + 2 < self.count;
+            if settled && !all {
+                return;
+            }
+            self.get_mut(index).entry = entry;
+            (exit, cut) = (entry, line.cut);
+        }
+    }
+
+    fn next_chord(&mut self) -> bool {
+        if self.count == DEPTH {
+            return false;
+        }
+        let Some((chords, feed)) = &mut self.chords else {
+            return false;
+        };
+        let feed = *feed;
+        match chords.next() {
+            Some(place) => self.line_to(place, feed),
+            None => self.chords = None,
+        }
+        true
+    }
+
+    /// Before a stop the line that waited ends on a whole step.
+    fn last_line(&mut self) -> bool {
+        if self.then.is_none() || self.chords.is_some() || self.count == DEPTH {
+            return false;
+        }
+        let Some(pending) = self.pending.take() else {
+            return false;
+        };
+        self.append(&pending, true);
+        self.plan(true);
+        true
+    }
+
+    // ---- out of the buffer -------------------------------------------------------------------------------------
+
+    fn begin_line(&mut self) -> bool {
+        let flushing = self.then.is_some() && self.chords.is_none() && self.pending.is_none();
+        if self.count == 0 || !(flushing || self.count == DEPTH) {
+            return false;
+        }
+        let line = *self.get(0);
+        self.head = (self.head + 1) % DEPTH;
+        self.count -= 1;
+        let next = if self.count > 0 {
+            *self.get(0)
+        } else {
+            Line::NONE
+        };
+        let length = line.length - line.cut - next.cut;
+        let begin = square(self.speed);
+        // An override may ask for more braking than there is room for.
+        let brake = begin.saturating_sub(line.gained(0, length));
+        let end = next
+            .entry
+            .min(line.gained(begin, length))
+            .max(brake)
+            .isqrt();
+        let end = if next.cut > 0 { end.max(1) } else { end };
+        let stretches = self.profile(&line, length, end, next.cut);
+        self.speed = end;
+        if self.count > 0 {
+            self.get_mut(0).entry = square(end);
+        }
+        self.running = Some(Running {
+            line,
+            next: next.slope,
+            stretches,
+            index: 0,
+        });
+        true
+    }
+
+    /// Speed up, hold, slow down, and round the corner.
+    fn profile(&self, line: &Line, length: u64, end: u64, cut: u64) -> [Stretch; 4] {
+        let machinery = &self.machinery;
+        let clock = u64::from(machinery.setup.clock_hz);
+        let begin = self.speed;
+        let (w, more) = (
+            u128::from(square(begin)) + u128::from(square(end)),
+            2 * u128::from(line.accel) * u128::from(length),
+        );
+        let peak = ((w + more) / 2).min(u128::from(FASTEST)).isqrt() as u64;
+        let held = line.fastest(self.percent).isqrt();
+        let top = peak.min(held).max(begin.min(end));
+        let time = |from: u64, to: u64| {
+            let (clocks, rest) = (
+                from.abs_diff(to) * clock / line.accel,
+                from.abs_diff(to) * clock % line.accel,
+            );
+            ((clocks << 16) + (rest << 16) / line.accel) as i64
+        };
+        let way = |from: u64, to: u64, time: i64| {
+            (i128::from(from + to) * i128::from(time) / i128::from(2 * clock)) as i64
+        };
+        let all = (length << 16) as i64;
+        let (first, last) = (time(begin, top), time(top, end));
+        let ways = (way(begin, top, first).min(all), way(top, end, last));
+        let hold = (all - ways.0 - ways.1).max(0);
+        let cut = (cut << 16) as i64;
+        let stretch = |from, to, duration, left, blend| Stretch {
+            from,
+            to,
+            duration,
+            left,
+            blend,
+        };
+        [
+            stretch(begin, top, first, all + cut, false),
+            stretch(
+                top,
+                top,
+                machinery.clocks(hold, top),
+                all - ways.0 + cut,
+                false,
+            ),
+            stretch(top, end, last, ways.1.min(all) + cut, false),
+            stretch(end, end, machinery.clocks(2 * cut, end), cut, true),
+        ]
+    }
+
+    fn next_stretch(&mut self) -> bool {
+        let Some(running) = &mut self.running else {
+            return false;
+        };
+        let Some(stretch) = running.stretches.get(running.index) else {
+            self.running = None;
+            return false;
+        };
+        running.index += 1;
+        if stretch.duration == 0 {
+            return true;
+        }
+        let line = &running.line;
+        let after = if stretch.blend {
+            &running.next
+        } else {
+            &line.slope
+        };
+        let mut leg = Leg {
+            duration: stretch.duration,
+            at: -self.ahead,
+            position: [0; AXES],
+            velocity: [0; AXES],
+            accel: [0; AXES],
+        };
+        for (axis, &after) in after.iter().enumerate() {
+            let begin = self.machinery.velocity(stretch.from, line.slope[axis]);
+            let end = self.machinery.velocity(stretch.to, after);
+            leg.position[axis] = line.position(axis, stretch.left);
+            leg.velocity[axis] = begin;
+            if begin != end {
+                let accel = (i128::from(end - begin) << 32) / i128::from(stretch.duration);
+                leg.accel[axis] = accel as i64;
+            }
+        }
+        self.leg = Some(leg);
+        true
+    }
+
+    /// The next segment of the leg.
+    fn piece(&mut self) -> Option<Segment> {
+        let leg = self.leg.as_mut()?;
+        let clocks = (leg.duration - leg.at) >> 16;
+        if clocks < i64::from(MIN_CLOCKS) {
+            self.ahead = leg.duration - leg.at;
+            self.leg = None;
+            return None;
+        }
+        // Legs too short for a segment of their own are caught up with at once, not over the whole of this one.
+        let late = leg.at <= -(1 << 16) && clocks >= 2 * i64::from(MIN_CLOCKS);
+        let pieces = (clocks as u64).div_ceil(MAX_CLOCKS.into());
+        let clocks = if late {
+            MIN_CLOCKS
+        } else {
+            (clocks as u64).div_ceil(pieces) as u32
+        };
+        leg.at += i64::from(clocks) << 16;
+        let leg = *leg;
+        let accel = core::array::from_fn(|axis| {
+            let (position, velocity) = leg.reference(axis);
+            let limit = self.machinery.limit[axis];
+            self.machine.axes[axis].aim(clocks, position, velocity, limit)
+        });
+        Some(Segment {
+            clocks,
+            accel,
+            aux: self.machine.aux,
+        })
+    }
+
+    /// The next of the segments that end at a velocity of exactly 0. Usually two do it, of n and n + 1 clocks: `n a + (n + 1) b = -v` has
+    /// whole solutions for every `v`. The shortest within the limits is taken, from 64 clocks on.
+    fn come_to_rest(&mut self) -> Segment {
+        let aux = self.machine.aux;
+        for clocks in (6..12).map(|bits| 1 << bits) {
+            let ends: [(i32, i32); AXES] = self.machine.axes.map(|axis| axis.two_to_rest(clocks));
+            let fits =
+                |(end, limit): (&(i32, i32), &i32)| end.0.abs() <= *limit && end.1.abs() <= *limit;
+            if ends.iter().zip(&self.machinery.limit).all(fits) {
+                self.rest = Some(Segment {
+                    clocks: clocks + 1,
+                    accel: ends.map(|end| end.1),
+                    aux,
+                });
+                return Segment {
+                    clocks,
+                    accel: ends.map(|end| end.0),
+                    aux,
+                };
+            }
+        }
+        // Too fast for that, as corrections can leave a very slow machine. The next round will do.
+        let clocks = 1 << 12;
+        let accel = core::array::from_fn(|axis| {
+            let limit = i64::from(self.machinery.limit[axis]);
+            (-self.machine.axes[axis].velocity / i64::from(clocks)).clamp(-limit, limit) as i32
+        });
+        Segment { clocks, accel, aux }
+    }
+
+    fn at_rest(&mut self) -> Output {
+        let output = match self.then {
+            Some(Then::Aux(bits)) => {
+                self.machine.aux = bits;
+                let settle = self.clocks_of(self.machinery.setup.aux_settle.into());
+                self.then = Some(Then::Dwell(settle.max(MIN_CLOCKS.into())));
+                return self.at_rest();
+            }
+            Some(Then::Dwell(clocks)) => {
+                // Half of 2^32 at a time, so that what is left is never too short for a segment.
+                let now = clocks.max(MIN_CLOCKS.into());
+                let now = if now >> 31 > 1 {
+                    1 << 31
+                } else {
+                    now.min(u32::MAX.into())
+                };
+                let left = clocks.saturating_sub(now);
+                self.then = (left > 0).then_some(Then::Dwell(left));
+                let segment = Segment {
+                    clocks: now as u32,
+                    accel: [0; AXES],
+                    aux: self.machine.aux,
+                };
+                self.machine.run(&segment);
+                return Output::Segment(segment);
+            }
+            Some(Then::Home(axes)) => {
+                for (axis, homed) in axes.iter().enumerate() {
+                    if *homed {
+                        self.machine.axes[axis] = Axis::default();
+                        self.at[axis] = 0;
+                        self.end.0[axis] = 0;
+                        self.end.1[axis] = Position::ZERO.0;
+                    }
+                }
+                Output::Home(axes)
+            }
+            Some(Then::Pause) => Output::Pause,
+            Some(Then::End) | None => Output::End,
+        };
+        self.then = None;
+        output
+    }
+}
+
+impl Leg {
+    /// Where the reference is, and how fast.
+    fn reference(&self, axis: usize) -> (i64, i64) {
+        let time = i128::from(self.at);
+        let begin = self.velocity[axis];
+        let velocity = begin + ((i128::from(self.accel[axis]) * time) >> 32) as i64;
+        let way = ((i128::from(begin) + i128::from(velocity)) * time) >> 41;
+        (self.position[axis] + way as i64, velocity)
+    }
+}
+
+impl Axis {
+    /// Accelerations for `clocks` and `clocks + 1` clocks after which the velocity is 0, as even as there are. Saturating, if it is
+    /// much too fast for that.
+    fn two_to_rest(&self, clocks: u32) -> (i32, i32) {
+        let (velocity, short) = (-self.velocity, i64::from(clocks));
+        let least = velocity.div_euclid(2 * short + 1) - short / 2;
+        let second = least + (velocity - least).rem_euclid(short);
+        let first = (velocity - second * (short + 1)) / short;
+        let narrow = |accel: i64| accel.clamp(-i64::from(i32::MAX), i32::MAX.into()) as i32;
+        (narrow(first), narrow(second))
+    }
+
+    /// The acceleration that leads to this velocity in so many clocks, and in the 2^21 clocks after them to the reference's position:
+    /// slow enough to be stable for segments of any length up to 2^20.
+    fn aim(&self, clocks: u32, position: i64, velocity: i64, limit: i32) -> i32 {
+        let sum = i128::from(self.velocity) + i128::from(velocity);
+        let mean = (sum * i128::from(clocks)) >> 25;
+        let off = self
+            .position
+            .wrapping_add(mean as i64)
+            .wrapping_sub(position);
+        // At most half a step in 2^21 clocks, 14 steps/s at 60 MHz: more is never missing.
+        let correction = off.clamp(-(1 << 31), 1 << 31) << 3;
+        let change = velocity - correction - self.velocity;
+        let clocks = i64::from(clocks);
+        let accel = (change + change.signum() * (clocks / 2)) / clocks;
+        accel.clamp(-i64::from(limit), limit.into()) as i32
+    }
+}
+
+/// How much of a line its corners may take at either end.
+fn most_of(length: u64) -> u64 {
+    length * 2 / 5
+}
+
+/// Along a vector (30 fraction bits): the most that exceeds no axis' limit.
+fn smallest(limits: &[u64; AXES], vector: &[i64; AXES]) -> u64 {
+    let along = |(limit, part): (&u64, &i64)| (limit << 24) / ((part.unsigned_abs() >> 6) + 1);
+    limits
+        .iter()
+        .zip(vector)
+        .map(along)
+        .fold(u64::MAX, u64::min)
+}
+
+/// Rounded up.
+fn length(vector: &[i64; AXES]) -> u64 {
+    let largest = vector.iter().fold(0, |all, part| all | part.unsigned_abs());
+    if largest < 1 << 31 {
+        let square = vector
+            .iter()
+            .map(|part| part.unsigned_abs().pow(2))
+            .sum::<u64>();
+        let root = square.isqrt();
+        root + u64::from(root * root < square)
+    } else {
+        let square = |part: &i64| u128::from(part.unsigned_abs()).pow(2);
+        let square = vector.iter().map(square).sum::<u128>();
+        let root = square.isqrt();
+        (root + u128::from(root * root < square)) as u64
+    }
+}

@@ -1,0 +1,614 @@
+//! What the planner promises, for random machines and random programs.
+
+use ferrocnc_motion::gcode::Reader;
+use ferrocnc_motion::instruction::{Arc, Feed, Instruction, Place};
+use ferrocnc_motion::plan::{AxisSetup, Output, Planner, Setup, SetupError};
+use ferrocnc_motion::segment::{Machine, Segment};
+use proptest::prelude::*;
+
+const CLOCK: u32 = 60_000_000;
+
+fn axis(steps_per_mm: f64, mm_per_s: f64, mm_per_s2: f64) -> AxisSetup {
+    AxisSetup {
+        steps_per_km: (steps_per_mm * 1e6) as u64,
+        max_speed: (mm_per_s * 1e6) as u32,
+        max_accel: (mm_per_s2 * 1e6) as u64,
+    }
+}
+
+fn mill() -> Setup {
+    Setup {
+        clock_hz: CLOCK,
+        axes: [
+            axis(400.0, 100.0, 1000.0),
+            axis(400.0, 100.0, 1000.0),
+            axis(1600.0, 20.0, 300.0),
+        ],
+        chord_tolerance: 5_000,
+        junction_deviation: 10_000,
+        aux_settle: 0,
+    }
+}
+
+/// What a program does to the machine.
+struct Run {
+    segments: Vec<Segment>,
+    /// Integrators before each segment and after the last.
+    states: Vec<Machine>,
+    outputs: Vec<Output>,
+    limits: [i32; 3],
+}
+
+fn run_at(setup: &Setup, program: &[Instruction], percent: u32) -> Run {
+    let mut planner = Planner::<16>::new(setup).unwrap();
+    planner.set_override(percent);
+    let mut run = Run {
+        segments: Vec::new(),
+        states: vec![Machine::default()],
+        outputs: Vec::new(),
+        limits: planner.limits(),
+    };
+    let mut instructions = program.iter().chain([&Instruction::End]);
+    loop {
+        while planner.accepts() {
+            match instructions.next() {
+                Some(instruction) => assert!(planner.push(instruction, 0)),
+                None => break,
+            }
+        }
+        match planner.poll() {
+            None => {}
+            Some(Output::Segment(segment)) => {
+                let mut machine = *run.states.last().unwrap();
+                machine.run(&segment);
+                run.segments.push(segment);
+                run.states.push(machine);
+                assert_eq!(
+                    machine.axes,
+                    planner.machine().axes,
+                    "the planner's machine is the model's"
+                );
+            }
+            Some(output) => {
+                let machine = *planner.machine();
+                *run.states.last_mut().unwrap() = machine;
+                run.outputs.push(output);
+                if output == Output::End {
+                    return run;
+                }
+            }
+        }
+    }
+}
+
+fn run(setup: &Setup, program: &[Instruction]) -> Run {
+    run_at(setup, program, 100)
+}
+
+fn seconds(run: &Run) -> f64 {
+    run.segments
+        .iter()
+        .map(|segment| f64::from(segment.clocks))
+        .sum::<f64>()
+        / f64::from(CLOCK)
+}
+
+fn step_of(setup: &Setup, axis: usize, nm: i64) -> i64 {
+    let steps = i128::from(nm) * i128::from(setup.axes[axis].steps_per_km);
+    (steps + 500_000_000_000).div_euclid(1_000_000_000_000) as i64
+}
+
+fn steps_of(setup: &Setup, place: Place) -> [i64; 3] {
+    core::array::from_fn(|axis| step_of(setup, axis, place[axis]))
+}
+
+/// In mm.
+fn place_of(setup: &Setup, machine: &Machine) -> [f64; 3] {
+    core::array::from_fn(|axis| {
+        let steps = (machine.axes[axis].position - 0x8000_0000) as f64 / 4_294_967_296.0;
+        steps / setup.axes[axis].steps_per_km as f64 * 1e6
+    })
+}
+
+/// The path in mm, eight points in a segment.
+fn path(setup: &Setup, run: &Run) -> Vec<[f64; 3]> {
+    let mut path = vec![place_of(setup, &run.states[0])];
+    for (segment, state) in run.segments.iter().zip(&run.states) {
+        for part in 0..8u64 {
+            let mut state = *state;
+            let clocks = (u64::from(segment.clocks) * part / 8) as u32;
+            state.run(&Segment { clocks, ..*segment });
+            path.push(place_of(setup, &state));
+        }
+    }
+    path.push(place_of(setup, run.states.last().unwrap()));
+    path
+}
+
+fn distance_to_line(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
+    let sub = |a: [f64; 3], b: [f64; 3]| [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let (along, to) = (sub(b, a), sub(p, a));
+    let length = dot(along, along);
+    let t = if length == 0.0 {
+        0.0
+    } else {
+        (dot(to, along) / length).clamp(0.0, 1.0)
+    };
+    let off = sub(to, along.map(|x| x * t));
+    dot(off, off).sqrt()
+}
+
+/// The limits of every axis, in every segment, with no tolerance at all.
+fn keeps_its_limits(setup: &Setup, run: &Run) {
+    for (segment, after) in run.segments.iter().zip(&run.states[1..]) {
+        for (i, axis) in setup.axes.iter().enumerate() {
+            assert!(
+                segment.accel[i].abs() <= run.limits[i],
+                "axis {i}: {segment:?}"
+            );
+            let steps_per_s =
+                after.axes[i].velocity as f64 / 2f64.powi(56) * f64::from(setup.clock_hz);
+            let most = f64::from(axis.max_speed) * 1e-12 * axis.steps_per_km as f64;
+            assert!(
+                steps_per_s.abs() <= most,
+                "axis {i}: {steps_per_s} steps/s of {most}"
+            );
+        }
+        assert!((64..=1 << 31).contains(&segment.clocks), "{segment:?}");
+    }
+}
+
+fn mm(place: Place) -> [f64; 3] {
+    place.map(|nm| nm as f64 * 1e-6)
+}
+
+/// Every point of the path is near the polyline, and every corner of the polyline near the path.
+fn keeps_to(setup: &Setup, run: &Run, corners: &[Place]) -> f64 {
+    let step = setup
+        .axes
+        .iter()
+        .map(|axis| 1e6 / axis.steps_per_km as f64)
+        .fold(0.0, f64::max);
+    let most = f64::from(setup.junction_deviation) * 1e-6 + step;
+    let path = path(setup, run);
+    let mut worst: f64 = 0.0;
+    for point in &path {
+        let lines = corners
+            .windows(2)
+            .map(|ends| distance_to_line(*point, mm(ends[0]), mm(ends[1])));
+        let off = lines.fold(f64::MAX, f64::min);
+        assert!(
+            off <= most,
+            "{point:?} is {off} mm off the lines, {most} allowed"
+        );
+        worst = worst.max(off);
+    }
+    for corner in corners {
+        let lines = path
+            .windows(2)
+            .map(|ends| distance_to_line(mm(*corner), ends[0], ends[1]));
+        let off = lines.fold(f64::MAX, f64::min);
+        assert!(
+            off <= most,
+            "corner {corner:?} is {off} mm off the path, {most} allowed"
+        );
+    }
+    worst
+}
+
+fn line(x: f64, y: f64, z: f64, mm_per_s: f64) -> Instruction {
+    Instruction::Line {
+        to: [x, y, z].map(|mm| (mm * 1e6) as i64),
+        feed: Feed::Rate((mm_per_s * 1e6) as u32),
+    }
+}
+
+fn any_setup() -> impl Strategy<Value = Setup> {
+    let axis = (5.0..3000.0f64, 1.0..400.0f64, 50.0..20_000.0f64).prop_filter_map(
+        "a machine the board can drive",
+        |(scale, speed, accel)| {
+            let speed = speed.min(5e6 / scale);
+            Some(axis(scale, speed, accel))
+        },
+    );
+    (
+        proptest::array::uniform3(axis),
+        prop_oneof![Just(0), 1_000..100_000u32],
+        1_000..50_000u32,
+    )
+        .prop_map(|(axes, junction_deviation, chord_tolerance)| Setup {
+            clock_hz: CLOCK,
+            axes,
+            chord_tolerance,
+            junction_deviation,
+            aux_settle: 0,
+        })
+}
+
+fn any_place() -> impl Strategy<Value = Place> {
+    let large = proptest::array::uniform3(-50_000_000..50_000_000i64);
+    let flat =
+        (-20_000_000..20_000_000i64, -20_000_000..20_000_000i64).prop_map(|(x, y)| [x, y, 0]);
+    prop_oneof![large, flat]
+}
+
+fn any_feed() -> impl Strategy<Value = Feed> {
+    prop_oneof![
+        Just(Feed::Rapid),
+        (100_000..300_000_000u32).prop_map(Feed::Rate)
+    ]
+}
+
+/// Places far apart, near each other, and the same twice.
+fn any_lines() -> impl Strategy<Value = Vec<(Place, Feed)>> {
+    let near = proptest::array::uniform3(-200_000..200_000i64);
+    let move_ = prop_oneof![
+        3 => (any_place(), any_feed()).prop_map(|(place, feed)| (Some(place), [0; 3], feed)),
+        3 => (near, any_feed()).prop_map(|(by, feed)| (None, by, feed)),
+        1 => any_feed().prop_map(|feed| (None, [1, 0, -1], feed)),
+    ];
+    proptest::collection::vec(move_, 1..40).prop_map(|moves| {
+        let mut at = [0; 3];
+        let mut lines = Vec::new();
+        for (place, by, feed) in moves {
+            at = place.unwrap_or([at[0] + by[0], at[1] + by[1], at[2] + by[2]]);
+            lines.push((at, feed));
+        }
+        lines
+    })
+}
+
+proptest! {
+    // A failing case is printed whole; no file is left behind.
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
+
+    #[test]
+    fn lines_keep_every_limit_and_the_path_and_end_on_the_exact_step(setup in any_setup(), lines in any_lines()) {
+        let program: Vec<Instruction> = lines.iter().map(|&(to, feed)| Instruction::Line { to, feed }).collect();
+        let run = run(&setup, &program);
+        keeps_its_limits(&setup, &run);
+        let mut corners = vec![[0; 3]];
+        corners.extend(lines.iter().map(|line| line.0));
+        keeps_to(&setup, &run, &corners);
+        let end = run.states.last().unwrap();
+        prop_assert!(end.rests());
+        prop_assert_eq!(end.steps(), steps_of(&setup, *corners.last().unwrap()));
+    }
+
+    #[test]
+    fn every_stop_is_at_rest_and_on_the_exact_step(setup in any_setup(), lines in any_lines(), every in 1..6usize) {
+        let mut program = Vec::new();
+        let mut stops = Vec::new();
+        for (index, &(to, feed)) in lines.iter().enumerate() {
+            program.push(Instruction::Line { to, feed });
+            if index % every == 0 {
+                program.push(Instruction::Pause);
+                stops.push(to);
+            }
+        }
+        stops.push(lines.last().unwrap().0);
+        let mut planner = Planner::<3>::new(&setup).unwrap();
+        let mut instructions = program.iter().chain([&Instruction::End]).peekable();
+        let mut reached = Vec::new();
+        while reached.len() < stops.len() {
+            while planner.accepts() && instructions.peek().is_some() {
+                prop_assert!(planner.push(instructions.next().unwrap(), 0));
+            }
+            if let Some(Output::Pause | Output::End) = planner.poll() {
+                prop_assert!(planner.machine().rests());
+                reached.push(planner.machine().steps());
+            }
+        }
+        let expected: Vec<[i64; 3]> = stops.iter().map(|stop| steps_of(&setup, *stop)).collect();
+        prop_assert_eq!(reached, expected);
+    }
+
+    #[test]
+    fn a_feed_override_changes_the_time_and_not_the_end_nor_the_limits(setup in any_setup(), lines in any_lines(), percent in 1..200u32) {
+        let program: Vec<Instruction> = lines.iter().map(|&(to, feed)| Instruction::Line { to, feed }).collect();
+        let run = run_at(&setup, &program, percent);
+        keeps_its_limits(&setup, &run);
+        prop_assert_eq!(run.states.last().unwrap().steps(), steps_of(&setup, lines.last().unwrap().0));
+    }
+
+    #[test]
+    fn an_override_changed_at_any_time_breaks_no_limit(setup in any_setup(), lines in any_lines(), percents in proptest::collection::vec(1..200u32, 1..20), every in 1..30usize) {
+        let mut planner = Planner::<8>::new(&setup).unwrap();
+        let mut machine = Machine::default();
+        let end = [Instruction::End];
+        let program: Vec<Instruction> = lines.iter().map(|&(to, feed)| Instruction::Line { to, feed }).collect();
+        let mut instructions = program.iter().chain(&end).peekable();
+        let mut run = Run { segments: Vec::new(), states: vec![machine], outputs: Vec::new(), limits: planner.limits() };
+        let mut percents = percents.iter().cycle();
+        loop {
+            while planner.accepts() && instructions.peek().is_some() {
+                prop_assert!(planner.push(instructions.next().unwrap(), 0));
+            }
+            match planner.poll() {
+                Some(Output::Segment(segment)) => {
+                    machine.run(&segment);
+                    run.segments.push(segment);
+                    run.states.push(machine);
+                    if run.segments.len().is_multiple_of(every) {
+                        planner.set_override(*percents.next().unwrap());
+                    }
+                }
+                Some(Output::End) => break,
+                _ => {}
+            }
+        }
+        keeps_its_limits(&setup, &run);
+        prop_assert_eq!(machine.steps(), steps_of(&setup, lines.last().unwrap().0));
+    }
+
+    #[test]
+    fn circles_stay_within_the_chord_tolerance_and_a_step(setup in any_setup(), radius in 200_000..40_000_000i64, clockwise: bool, mm_per_s in 1..200u32) {
+        let setup = Setup { junction_deviation: setup.junction_deviation.max(1000), ..setup };
+        let program = [
+            Instruction::Line { to: [radius, 0, 0], feed: Feed::Rapid },
+            Instruction::Pause,
+            Instruction::Arc(Arc { to: [radius, 0, 0], center: [0, 0], clockwise, feed: Feed::Rate(mm_per_s * 1_000_000) }),
+        ];
+        let run = run(&setup, &program);
+        keeps_its_limits(&setup, &run);
+        let begin = run.states.iter().position(|state| state.rests() && state.steps()[0] == step_of(&setup, 0, radius)).unwrap();
+        let step = setup.axes[..2].iter().map(|axis| 1e6 / axis.steps_per_km as f64).fold(0.0, f64::max);
+        let most = f64::from(setup.chord_tolerance) * 1e-6 + step;
+        let mut farthest: f64 = 0.0;
+        for state in &run.states[begin..] {
+            let [x, y, _] = place_of(&setup, state);
+            let off = (x.hypot(y) - radius as f64 * 1e-6).abs();
+            prop_assert!(off <= most, "{off} mm off, {most} allowed");
+            farthest = farthest.max((x - radius as f64 * 1e-6).hypot(y));
+        }
+        // All round, not the chord from the beginning to the end.
+        prop_assert!(farthest > radius as f64 * 1.9e-6, "only {farthest} mm away");
+        prop_assert_eq!(run.states.last().unwrap().steps(), steps_of(&setup, [radius, 0, 0]));
+    }
+}
+
+#[test]
+fn a_long_line_is_a_trapezoid_of_the_time_it_should_take() {
+    let run = run(&mill(), &[line(100.0, 0.0, 0.0, 50.0)]);
+    // 100 mm at 50 mm/s, 0.05 s more for the two ramps of 1000 mm/s^2.
+    assert!((seconds(&run) - 2.05).abs() < 0.002, "{} s", seconds(&run));
+    assert_eq!(run.states.last().unwrap().steps(), [40_000, 0, 0]);
+}
+
+#[test]
+fn a_right_angle_is_rounded_within_the_deviation_and_faster_than_a_stop() {
+    let corner = [line(20.0, 0.0, 0.0, 50.0), line(20.0, 20.0, 0.0, 50.0)];
+    let corners = [[0; 3], [20_000_000, 0, 0], [20_000_000, 20_000_000, 0]];
+    let round = run(&mill(), &corner);
+    let exact = Setup {
+        junction_deviation: 0,
+        ..mill()
+    };
+    let stop = run(&exact, &corner);
+    let worst = (
+        keeps_to(&mill(), &round, &corners),
+        keeps_to(&exact, &stop, &corners),
+    );
+    println!(
+        "rounded {:.1} um in {:.3} s, stopped {:.1} um in {:.3} s",
+        worst.0 * 1e3,
+        seconds(&round),
+        worst.1 * 1e3,
+        seconds(&stop)
+    );
+    assert!(worst.0 > 0.005 && worst.1 < 1e-5);
+    assert!(seconds(&round) < seconds(&stop));
+}
+
+#[test]
+fn collinear_lines_are_one_line() {
+    let pieces: Vec<Instruction> = (1..=1000)
+        .map(|i| line(f64::from(i) * 0.1, 0.0, 0.0, 50.0))
+        .collect();
+    let run = run(&mill(), &pieces);
+    assert!((seconds(&run) - 2.05).abs() < 0.03, "{} s", seconds(&run));
+}
+
+#[test]
+fn a_circle_by_chords_is_drawn_at_speed() {
+    let circle = Instruction::Arc(Arc {
+        to: [0, 0, 0],
+        center: [10_000_000, 0],
+        clockwise: true,
+        feed: Feed::Rate(50_000_000),
+    });
+    let run = run(&mill(), &[circle]);
+    let ideal = core::f64::consts::TAU * 10.0 / 50.0 + 0.05;
+    assert!(
+        seconds(&run) < ideal * 1.03,
+        "{} s, {ideal} s at best",
+        seconds(&run)
+    );
+}
+
+#[test]
+fn tool_and_dwell_happen_at_rest_and_last_as_long_as_they_say() {
+    let setup = Setup {
+        aux_settle: 100_000,
+        ..mill()
+    };
+    let program = [
+        Instruction::Aux { bits: 1 },
+        line(10.0, 0.0, 0.0, 20.0),
+        Instruction::Aux { bits: 0 },
+        Instruction::Dwell { micros: 250_000 },
+        line(0.0, 0.0, 0.0, 20.0),
+    ];
+    let run = run(&setup, &program);
+    let on: Vec<&Segment> = run
+        .segments
+        .iter()
+        .filter(|segment| segment.aux == 1)
+        .collect();
+    let moving = on.iter().filter(|segment| segment.accel != [0; 3]).count();
+    assert!(moving > 0 && on[0].clocks == CLOCK / 10);
+    for (segment, before) in run.segments.iter().zip(&run.states) {
+        assert!(
+            segment.aux == before.aux || before.rests(),
+            "{segment:?} switches in motion"
+        );
+    }
+    assert!(
+        run.segments
+            .iter()
+            .any(|segment| segment.clocks == CLOCK / 4 && segment.accel == [0; 3])
+    );
+}
+
+#[test]
+fn the_last_instruction_is_executed_once_and_so_is_the_one_before() {
+    let run = run(
+        &mill(),
+        &[
+            line(1.0, 0.0, 0.0, 20.0),
+            Instruction::Dwell { micros: 1000 },
+            Instruction::Aux { bits: 1 },
+        ],
+    );
+    let still: Vec<u32> = run
+        .segments
+        .iter()
+        .filter(|s| s.accel == [0; 3] && s.clocks != 64)
+        .map(|s| s.clocks)
+        .collect();
+    assert_eq!(
+        still
+            .iter()
+            .filter(|clocks| **clocks == CLOCK / 1000)
+            .count(),
+        1
+    );
+    assert_eq!(
+        run.segments
+            .iter()
+            .filter(|segment| segment.aux == 1)
+            .count(),
+        1
+    );
+    assert_eq!(run.outputs, [Output::End]);
+}
+
+#[test]
+fn after_home_the_axis_is_at_zero() {
+    let program = [
+        line(5.0, 5.0, 0.0, 20.0),
+        Instruction::Home {
+            axes: [true, false, false],
+        },
+        line(1.0, 1.0, 0.0, 20.0),
+    ];
+    let run = run(&mill(), &program);
+    assert_eq!(run.outputs[0], Output::Home([true, false, false]));
+    assert_eq!(run.states.last().unwrap().steps(), [400, 400, 0]);
+}
+
+#[test]
+fn every_edge_of_a_program_is_predicted() {
+    let program = [
+        line(3.0, 1.0, -0.5, 50.0),
+        line(0.0, 2.0, 0.0, 50.0),
+        line(0.0, 0.0, 0.0, 80.0),
+    ];
+    let run = run(&mill(), &program);
+    let mut steps = [0i64; 3];
+    for (segment, state) in run.segments.iter().zip(&run.states) {
+        for (axis, steps) in steps.iter_mut().enumerate() {
+            let mut slow = state.axes[axis];
+            let mut edges = state.axes[axis]
+                .edges(segment.clocks, segment.accel[axis])
+                .peekable();
+            for clock in 0..segment.clocks {
+                let before = slow.steps();
+                slow.clock(segment.accel[axis]);
+                if let Some(edge) = edges.next_if(|edge| edge.clock == clock) {
+                    *steps += if edge.forward { 1 } else { -1 };
+                }
+                assert_eq!(
+                    slow.steps(),
+                    *steps,
+                    "axis {axis} clock {clock} before {before}"
+                );
+            }
+            assert_eq!(edges.next(), None);
+        }
+    }
+    assert_eq!(steps, [0; 3]);
+}
+
+#[test]
+fn a_program_of_100_000_lines_streams_through_fixed_memory_and_ends_exactly() {
+    let mut reader = Reader::default();
+    let setup = mill();
+    let mut planner = Planner::<16>::new(&setup).unwrap();
+    println!(
+        "planner {} bytes, reader {} bytes",
+        size_of_val(&planner),
+        size_of_val(&reader)
+    );
+    let (mut machine, mut segments) = (Machine::default(), 0u64);
+    let mut drain = |planner: &mut Planner<16>| {
+        while let Some(output) = planner.poll() {
+            match output {
+                Output::Segment(segment) => {
+                    machine.run(&segment);
+                    segments += 1;
+                }
+                other => assert_eq!(other, Output::End),
+            }
+        }
+    };
+    let mut last = [0; 3];
+    for index in 0..100_000u32 {
+        let angle = f64::from(index) * 0.02;
+        let radius = 5.0 + f64::from(index) * 0.0005;
+        let (x, y) = (radius * angle.cos(), radius * angle.sin());
+        let z = -f64::from(index % 7) * 0.01;
+        let text = format!("N{index} G1 X{x:.4} Y{y:.4} Z{z:.3} F3000\n");
+        for byte in text.bytes() {
+            for instruction in reader.byte(byte).unwrap() {
+                while !planner.accepts() {
+                    drain(&mut planner);
+                }
+                assert!(planner.push(&instruction, reader.line_number()));
+                if let Instruction::Line { to, .. } = instruction {
+                    last = to;
+                }
+            }
+        }
+    }
+    while !planner.accepts() {
+        drain(&mut planner);
+    }
+    assert!(planner.push(&Instruction::End, 0));
+    drain(&mut planner);
+    println!(
+        "{segments} segments, {:.0} s of motion",
+        machine.clocks as f64 / f64::from(CLOCK)
+    );
+    assert!(machine.rests());
+    assert_eq!(machine.steps(), steps_of(&setup, last));
+}
+
+#[test]
+fn a_setup_that_no_board_can_drive_is_refused() {
+    let refuse = |change: fn(&mut Setup)| {
+        let mut setup = mill();
+        change(&mut setup);
+        Planner::<4>::new(&setup).unwrap_err()
+    };
+    assert_eq!(refuse(|s| s.clock_hz = 0), SetupError::Clock);
+    assert_eq!(refuse(|s| s.axes[1].steps_per_km = 0), SetupError::Scale(1));
+    assert_eq!(refuse(|s| s.axes[2].max_speed = 0), SetupError::Speed(2));
+    assert_eq!(
+        refuse(|s| (s.axes[0].steps_per_km, s.axes[0].max_speed) = (80_000_000_000, 400_000_000)),
+        SetupError::Speed(0)
+    );
+    assert_eq!(refuse(|s| s.axes[0].max_accel = 0), SetupError::Accel(0));
+    assert_eq!(refuse(|s| s.chord_tolerance = 0), SetupError::Tolerance);
+}
