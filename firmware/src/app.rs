@@ -60,7 +60,7 @@ impl App {
             );
         }
         memory.ip.listen(CONSOLE_PORT, ANSWER_MAX);
-        App {
+        let mut app = App {
             ip_in: CHORES_PER_IP,
             machine,
             mac,
@@ -69,7 +69,9 @@ impl App {
             ip: &mut memory.ip,
             talking: false,
             line: console::Line::default(),
-        }
+        };
+        app.mac.address(net::to_mac(app.machine.us.mac));
+        app
     }
 
     /// The loop.
@@ -167,7 +169,7 @@ impl App {
         match net::classify(&frame, length, &self.machine.us) {
             Class::Ours(datagram) => {
                 let words = self.copy_payload(&datagram);
-                self.mac.release();
+                self.mac.dismiss();
                 match words {
                     Ok(count) if datagram.length.is_multiple_of(4) => {
                         self.datagram(&datagram, count);
@@ -178,7 +180,7 @@ impl App {
             }
             Class::Discovery(datagram) => {
                 let words = self.copy_payload(&datagram);
-                self.mac.release();
+                self.mac.dismiss();
                 match words {
                     Ok(count) if datagram.length.is_multiple_of(4) => {
                         self.discover(count, datagram.peer.port);
@@ -189,13 +191,13 @@ impl App {
             }
             Class::Dhcp(datagram) => {
                 let words = self.copy_payload(&datagram);
-                self.mac.release();
+                self.mac.dismiss();
                 let words = self.mac.input.words().get(..words.unwrap_or(0));
                 self.machine.offered(words.unwrap_or(&[]), datagram.length);
                 self.shout();
             }
             Class::Refused(why) => {
-                self.mac.release();
+                self.mac.dismiss();
                 self.machine.server.refuse(why);
             }
             Class::Other => {
@@ -282,7 +284,7 @@ impl App {
         if self.machine.moved() {
             defmt::info!("address {=u32:x}", self.machine.us.ip);
             // Nobody owns the session, or it would have waited.
-            self.lane = None;
+            self.close_lane();
             self.ip.reset();
         }
     }
@@ -313,7 +315,17 @@ impl App {
             |slot| net::emit_headers(slot, &us, &datagram, payload),
             &shape,
         );
-        self.lane = Some(Lane::new(&us, datagram, shape.command));
+        let lane = Lane::new(&us, datagram, shape.command);
+        self.mac.guard(&lane);
+        self.lane = Some(lane);
+    }
+
+    /// Nobody owns the session: everybody may come.
+    #[cold]
+    #[inline(never)]
+    fn close_lane(&mut self) {
+        self.lane = None;
+        self.mac.open();
     }
 
     /// Does the chores if `periods` of theirs have passed.
@@ -335,6 +347,11 @@ impl App {
             self.shout();
         }
         soc::check_stack();
+        // A guest is work for so long at most; the owner's next frame is on its way, but a period off.
+        self.mac.admit();
+        if self.lane.is_some() && self.machine.server.session().owner().is_none() {
+            self.close_lane();
+        }
         // A hundredth of a second is fine enough for TCP's timers.
         self.ip_in = self.ip_in.wrapping_sub(1);
         if self.ip_in == 0 {

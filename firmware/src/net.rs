@@ -272,6 +272,13 @@ impl Lane {
         }
     }
 
+    /// What tells the owner's frames to us from everybody else's: words of a frame, by number.
+    pub fn marks(&self) -> [(usize, u32); 4] {
+        let [_, _, m2, m3] = self.macs;
+        let [source, _, ports] = self.peers;
+        [(2, m2), (3, m3), (7, source), (9, ports)]
+    }
+
     /// Makes up a frame that runs down this lane to the end without being executed: the owner's next
     /// command, all zeros, for a [`Frame`] that is not genuine. A rehearsal with it brings the whole
     /// path back into the instruction cache after something else was there.
@@ -427,6 +434,12 @@ const fn add(sum: u32, word: u32) -> u32 {
 const fn fold(sum: u32) -> u32 {
     let sum = (sum >> 16) + (sum & 0xffff);
     (sum >> 16) + (sum & 0xffff)
+}
+
+/// A MAC address as the words a frame to it begins with.
+pub fn to_mac(mac: [u8; 6]) -> [u32; 2] {
+    let (high, low) = mac_halves(mac);
+    [u32::from(high), low]
 }
 
 /// A MAC address as its first 16 and its last 32 bits.

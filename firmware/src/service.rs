@@ -19,7 +19,10 @@ const PAGE_DEBOUNCE: u32 = 13;
 const PAGE_STEPGEN: u32 = 16;
 const PAGE_ENCODER: u32 = 32;
 const PAGE_PWM: u32 = 48;
-/// Pages 0, 1, 3 and 4 are LiteX's, 8 and up ours.
+const PAGE_FLASH: u32 = 64;
+/// Page of the guests at the MAC's door.
+pub const PAGE_GUEST: u32 = 65;
+/// Pages 0, 1, 3 and 4 are LiteX's, 8 and up ours; nobody reads the flash past the firmware.
 const PAGES: u64 = 0b1_1011 | !0 << 8;
 
 /// What a raw write means.
@@ -33,7 +36,8 @@ enum Target {
 /// Is there a register page at this address?
 pub const fn readable(address: u32) -> bool {
     let offset = address.wrapping_sub(map::SERVICE);
-    offset < 64 * PAGE && PAGES >> (offset / PAGE) & 1 != 0
+    let page = offset / PAGE;
+    page < PAGE_FLASH && PAGES >> page & 1 != 0 || page == PAGE_GUEST
 }
 
 /// May this be written at all, and with this value? The caller has checked ownership and rest.
@@ -70,7 +74,7 @@ fn target(address: u32, channels: Channels) -> Result<Target, Refusal> {
         (PAGE_DEBOUNCE, 0..32) => map::CONFIG_DEBOUNCE + 4 * word,
         (PAGE_STEPGEN..PAGE_ENCODER, _) if in_block => map::CONFIG_STEPGEN + block + 4 * word,
         (PAGE_ENCODER..PAGE_PWM, _) if in_block => map::CONFIG_ENCODER + block + 4 * word,
-        (PAGE_PWM.., _) if in_block => map::CONFIG_PWM + block + 4 * word,
+        (PAGE_PWM..PAGE_FLASH, _) if in_block => map::CONFIG_PWM + block + 4 * word,
         _ => return Err(Refusal::ReadOnly),
     };
     config::setting_at(config, channels)
@@ -101,10 +105,12 @@ mod tests {
 
     #[test]
     fn the_identifier_and_every_core_can_be_read() {
-        for page in [0, 1, 3, 4, 8, 9, 10, 11, 12, 13, 14, 15, 16, 31, 32, 48, 63] {
+        for page in [
+            0, 1, 3, 4, 8, 9, 10, 11, 12, 13, 14, 15, 16, 31, 32, 48, 63, 65,
+        ] {
             assert!(readable(map::SERVICE + page * PAGE), "page {page}");
         }
-        for page in [2, 5, 6, 7, 64, 1000] {
+        for page in [2, 5, 6, 7, 64, 66, 1000] {
             assert!(!readable(map::SERVICE + page * PAGE), "page {page}");
         }
         assert!(!readable(0x8000_0000) && !readable(0));
@@ -112,7 +118,7 @@ mod tests {
 
     #[test]
     fn nothing_that_opens_the_gate_moves_an_axis_or_cuts_the_network_can_be_written() {
-        for page in [1, 3, 4, 8, 9, 10, 14, 15] {
+        for page in [1, 3, 4, 8, 9, 10, 14, 15, 65] {
             for word in 0..64 {
                 assert_eq!(
                     write(page, word, 0),

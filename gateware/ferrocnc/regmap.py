@@ -229,6 +229,20 @@ FLASH = Bank("flash", 64, "flash", "The wires to the configuration flash, raw: S
     )),
 ))
 
+GUEST = Bank("guest", 65, "guest", "Who may occupy a receive slot: frames that are not the owner's wait for a ticket outside.", tuple(
+    Reg(f"header{n}", "wo", f"Word {n} of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.")
+    for n in range(10)) + (
+    Reg("mode", "rw", "Which words of a frame are compared; whoever differs in one is a guest, and so is a frame of less than 59 bytes without FCS.", (
+        Field("select", 0, 2, "Which words, a number.", (
+            ("none", 0, "None: there are no guests."),
+            ("ours", 1, "0 and 1: whoever is not for this MAC address is a guest."),
+            ("owner", 3, "0 to 3, 7 and 9: whoever is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."),
+        )),
+    )),
+    Reg("admit", "wo", "Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."),
+    Reg("refused", "ro", "Guests discarded because there was no ticket, a count since power-up."),
+))
+
 
 def _command():
     regs = [
@@ -356,7 +370,7 @@ STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", f"Timing, kind and polari
 ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", f"Counting mode and filter of encoder {n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
 PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n}.", PWM_REGS) for n in range(MAX_PWM))
 
-BANKS = (IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH,)
+BANKS = (IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH, GUEST)
 
 
 def check():

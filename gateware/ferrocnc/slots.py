@@ -1,4 +1,6 @@
-"""MAC slots that begin two bytes in, so that everything behind the 14 bytes of an Ethernet header lies on a word.
+"""LiteEth's MAC as this SoC has it: aligned slots, a door for guests, and no frame that costs another one.
+
+Slots begin two bytes in, so that everything behind the 14 bytes of an Ethernet header lies on a word.
 
     slot word   0         1         2         3          4           9           11
                 |-- dst|  dst    |  src    |  src type|  IP ...  |  UDP ...  |  payload ...
@@ -10,12 +12,16 @@ and three on its way out. The length registers of the MAC count the two bytes; o
 end: where the shifted frame has bytes left over after its last word, one more word follows.
 """
 
-from migen import Cat, If, Mux, Replicate, Signal
+from migen import Cat, ClockSignal, If, Instance, Mux, Replicate, Signal
+from migen.genlib.fsm import NextState
 from litex.gen import LiteXModule
 from litex.soc.interconnect import stream, wishbone
 from liteeth import mac as liteeth_mac
-from liteeth.common import eth_phy_description
+from liteeth.mac import crc as mac_crc, sram as mac_sram
+from liteeth.common import eth_phy_description, reverse_bytes
 from liteeth.mac.wishbone import LiteEthMACWishboneInterface
+
+from . import regmap as rm
 
 
 class Shift(LiteXModule):
@@ -88,8 +94,30 @@ class WordStore(LiteXModule):
         self.sync += bus.ack.eq(bus.cyc & bus.stb & ~bus.ack)
 
 
+class Checker(mac_crc.LiteEthMACCRC32Checker):
+    """LiteEth's check of the FCS, less a hole: a frame that ends in its first word left the state machine in the middle, and the
+    next frame was taken for its rest. It is nothing but an FCS, so it is wrong."""
+
+    def __init__(self, description):
+        super().__init__(description)
+        self.fsm.act("IDLE", If(self.sink.valid & self.sink.ready & self.sink.last, self.error.eq(1), NextState("RESET")))
+
+
+class Writer(mac_sram.LiteEthMACSRAMWriter):
+    """LiteEth's way into the slots, less the same hole: a frame of one word that found no slot free took the next one with it.
+    `room` is high while a frame passes that found one."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        free = self.stat_fifo.sink.ready
+        self.fsm.act("WRITE", If(self.sink.valid & ~free & self.sink.last, NextState("DISCARD")))
+        self.room = Signal()
+        self.comb += self.room.eq(free & ~self.fsm.ongoing("DISCARD-ALL"))
+
+
 class AlignedInterface(LiteEthMACWishboneInterface):
-    """LiteEth's slots with a `Shift` in front of each direction; transmit slots are written in words and never read."""
+    """LiteEth's slots with a `Shift` in front of each direction; transmit slots are written in words and never read. A received
+    frame whose last word meets `refuse` is discarded as one whose FCS is `bad`."""
 
     def __init__(self, dw, *args, **kwargs):
         LiteEthMACWishboneInterface.__init__(self, dw, *args, **kwargs)
@@ -98,8 +126,12 @@ class AlignedInterface(LiteEthMACWishboneInterface):
         self.shift_rx = Shift(swallow=False)
         self.shift_tx = Shift(swallow=True)
         self.sink, self.source = self.shift_rx.sink, self.shift_tx.source
+        self.into = words = self.shift_rx.source
+        self.refuse, self.bad = Signal(), Signal()
         self.comb += [
-            self.shift_rx.source.connect(into),
+            words.connect(into, omit={"error"}),
+            into.error.eq(words.error | Replicate(self.refuse, 4)),
+            self.bad.eq((words.error & words.last_be) != 0),
             out_of.connect(self.shift_tx.sink),
         ]
 
@@ -114,6 +146,23 @@ class AlignedInterface(LiteEthMACWishboneInterface):
         self.submodules += wishbone.Decoder(bus, [(lambda a, n=n: a[which] == n, store.bus) for n, store in enumerate(stores)], register=True)
 
 
+class Door(LiteXModule):
+    """The guests' registers and their core (`gateware/rtl/guest.sv`) between the aligned stream and the slots."""
+
+    def __init__(self, interface, fabric):
+        bank, words, mode, refused = rm.GUEST, interface.into, fabric.storage(rm.GUEST, "mode", 2), Signal(32)
+        # As with the debounce: the low bits of the word's address are the header's word.
+        self.specials += Instance("guest",
+            i_clk=ClockSignal("sys"), i_header_we=fabric.write_page(bank.page, bank.offset("mode") // 4), i_header_at=fabric.we_word[:4],
+            i_header=fabric.data, i_mode=mode, i_admit=fabric.pulse(bank, "admit"),
+            i_valid=words.valid, i_last=words.last, i_bad=interface.bad, i_room=interface.sram.writer.room,
+            i_data=reverse_bytes(words.data), o_refuse=interface.refuse, o_refused=refused)
+        fabric.live(bank, "mode", mode)
+        fabric.live(bank, "refused", refused)
+
+
 def align():
     """From now on LiteEth's MACs are built with aligned slots; LiteX offers no way to hand one in."""
     liteeth_mac.LiteEthMACWishboneInterface = AlignedInterface
+    mac_crc.LiteEthMACCRC32Checker = Checker
+    mac_sram.LiteEthMACSRAMWriter = Writer

@@ -94,6 +94,7 @@ class FerroSoC(SoCCore):
             cores.frame_pending.eq(fifo.source.valid),
             cores.pending_slot.eq(fifo.source.payload.slot),
         ]
+        self.door = slots.Door(self.ethmac.interface, cores.fabric)
 
     def do_finalize(self):
         check_map(self)

@@ -3,7 +3,7 @@
 //! for the one comparison that decides whether a board may arm.
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version.
-pub const ABI: u32 = 0xee6271e2;
+pub const ABI: u32 = 0x97a978e3;
 /// Version of the exchange's word layout this map was made for.
 pub const WIRE_LAYOUT: u32 = 3;
 /// What `ident.magic` reads: "FCnC".
@@ -67,7 +67,7 @@ pub const CSR_BASE: usize = 0xf0000000;
 /// Bytes of a page; channel n of a kind is n pages after channel 0.
 pub const CSR_PAGE: usize = 0x800;
 /// Pages in use, absent channels included.
-pub const CSR_PAGES: usize = 65;
+pub const CSR_PAGES: usize = 66;
 /// Page of `ctrl`.
 pub const CSR_CTRL: usize = 0xf0000000;
 /// Page of `identifier_mem`.
@@ -100,6 +100,8 @@ pub const CSR_ENCODER0: usize = 0xf0010000;
 pub const CSR_PWM0: usize = 0xf0018000;
 /// Page of `flash`.
 pub const CSR_FLASH: usize = 0xf0020000;
+/// Page of `guest`.
+pub const CSR_GUEST: usize = 0xf0020800;
 /// Word of the command window: enables.
 pub const COMMAND_ENABLES: usize = 0;
 /// Word of the command window: outputs.

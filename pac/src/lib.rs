@@ -352,8 +352,7 @@ pub mod generic {
     #[doc = " Marker for field writers are safe to write in specified inclusive range"]
     pub struct RangeTo<const MAX: u64>;
     #[doc = " Write field Proxy"]
-    pub type FieldWriter<'a, REG, const WI: u8, FI = u8, Safety = Unsafe> =
-        raw::FieldWriter<'a, REG, WI, FI, Safety>;
+    pub type FieldWriter<'a, REG, const WI: u8, FI = u8, Safety = Unsafe> = raw::FieldWriter<'a, REG, WI, FI, Safety>;
     impl<REG, const WI: u8, FI, Safety> FieldWriter<'_, REG, WI, FI, Safety>
     where
         REG: Writable + RegisterSpec,
@@ -402,8 +401,7 @@ pub mod generic {
             unsafe { self.bits(value) }
         }
     }
-    impl<'a, REG, const WI: u8, FI, const MIN: u64, const MAX: u64>
-        FieldWriter<'a, REG, WI, FI, Range<MIN, MAX>>
+    impl<'a, REG, const WI: u8, FI, const MIN: u64, const MAX: u64> FieldWriter<'a, REG, WI, FI, Range<MIN, MAX>>
     where
         REG: Writable + RegisterSpec,
         FI: FieldSpec,
@@ -677,8 +675,7 @@ pub mod generic {
             F: FnOnce(&mut W<REG>) -> &mut W<REG>,
         {
             let value = f(&mut W {
-                bits: REG::RESET_VALUE & !REG::ONE_TO_MODIFY_FIELDS_BITMAP
-                    | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
+                bits: REG::RESET_VALUE & !REG::ONE_TO_MODIFY_FIELDS_BITMAP | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
                 _reg: marker::PhantomData,
             })
             .bits;
@@ -719,8 +716,7 @@ pub mod generic {
             F: FnOnce(&mut W<REG>) -> T,
         {
             let mut writer = W {
-                bits: REG::RESET_VALUE & !REG::ONE_TO_MODIFY_FIELDS_BITMAP
-                    | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
+                bits: REG::RESET_VALUE & !REG::ONE_TO_MODIFY_FIELDS_BITMAP | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
                 _reg: marker::PhantomData,
             };
             let result = f(&mut writer);
@@ -808,8 +804,7 @@ pub mod generic {
                     _reg: marker::PhantomData,
                 },
                 &mut W {
-                    bits: bits & !REG::ONE_TO_MODIFY_FIELDS_BITMAP
-                        | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
+                    bits: bits & !REG::ONE_TO_MODIFY_FIELDS_BITMAP | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
                     _reg: marker::PhantomData,
                 },
             )
@@ -1572,8 +1567,7 @@ pub mod ethmac {
     }
     #[doc = "RX_DATAPATH_PREAMBLE_ERRORS (r) register accessor: Frames dropped for a wrong preamble, a count.\n\nYou can [`read`](crate::Reg::read) this register and get [`rx_datapath_preamble_errors::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@rx_datapath_preamble_errors`] module"]
     #[doc(alias = "RX_DATAPATH_PREAMBLE_ERRORS")]
-    pub type RxDatapathPreambleErrors =
-        crate::Reg<rx_datapath_preamble_errors::RxDatapathPreambleErrorsSpec>;
+    pub type RxDatapathPreambleErrors = crate::Reg<rx_datapath_preamble_errors::RxDatapathPreambleErrorsSpec>;
     #[doc = "Frames dropped for a wrong preamble, a count."]
     pub mod rx_datapath_preamble_errors {
         #[doc = "Register `RX_DATAPATH_PREAMBLE_ERRORS` reader"]
@@ -12517,6 +12511,507 @@ pub mod flash {
         impl crate::Resettable for StatusSpec {}
     }
 }
+#[doc = "Who may occupy a receive slot: frames that are not the owner's wait for a ticket outside."]
+pub type Guest = crate::Periph<guest::RegisterBlock, 0xf002_0800>;
+impl core::fmt::Debug for Guest {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        f.debug_struct("Guest").finish()
+    }
+}
+#[doc = "Who may occupy a receive slot: frames that are not the owner's wait for a ticket outside."]
+pub mod guest {
+    #[repr(C)]
+    #[doc = "Register block"]
+    pub struct RegisterBlock {
+        header0: Header0,
+        header1: Header1,
+        header2: Header2,
+        header3: Header3,
+        header4: Header4,
+        header5: Header5,
+        header6: Header6,
+        header7: Header7,
+        header8: Header8,
+        header9: Header9,
+        mode: Mode,
+        admit: Admit,
+        refused: Refused,
+    }
+    impl RegisterBlock {
+        #[doc = "0x00 - Word 0 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[inline(always)]
+        pub const fn header0(&self) -> &Header0 {
+            &self.header0
+        }
+        #[doc = "0x04 - Word 1 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[inline(always)]
+        pub const fn header1(&self) -> &Header1 {
+            &self.header1
+        }
+        #[doc = "0x08 - Word 2 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[inline(always)]
+        pub const fn header2(&self) -> &Header2 {
+            &self.header2
+        }
+        #[doc = "0x0c - Word 3 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[inline(always)]
+        pub const fn header3(&self) -> &Header3 {
+            &self.header3
+        }
+        #[doc = "0x10 - Word 4 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[inline(always)]
+        pub const fn header4(&self) -> &Header4 {
+            &self.header4
+        }
+        #[doc = "0x14 - Word 5 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[inline(always)]
+        pub const fn header5(&self) -> &Header5 {
+            &self.header5
+        }
+        #[doc = "0x18 - Word 6 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[inline(always)]
+        pub const fn header6(&self) -> &Header6 {
+            &self.header6
+        }
+        #[doc = "0x1c - Word 7 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[inline(always)]
+        pub const fn header7(&self) -> &Header7 {
+            &self.header7
+        }
+        #[doc = "0x20 - Word 8 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[inline(always)]
+        pub const fn header8(&self) -> &Header8 {
+            &self.header8
+        }
+        #[doc = "0x24 - Word 9 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[inline(always)]
+        pub const fn header9(&self) -> &Header9 {
+            &self.header9
+        }
+        #[doc = "0x28 - Which words of a frame are compared; whoever differs in one is a guest, and so is a frame of less than 59 bytes without FCS."]
+        #[inline(always)]
+        pub const fn mode(&self) -> &Mode {
+            &self.mode
+        }
+        #[doc = "0x2c - Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."]
+        #[inline(always)]
+        pub const fn admit(&self) -> &Admit {
+            &self.admit
+        }
+        #[doc = "0x30 - Guests discarded because there was no ticket, a count since power-up."]
+        #[inline(always)]
+        pub const fn refused(&self) -> &Refused {
+            &self.refused
+        }
+    }
+    #[doc = "HEADER0 (w) register accessor: Word 0 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header0::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header0`] module"]
+    #[doc(alias = "HEADER0")]
+    pub type Header0 = crate::Reg<header0::Header0Spec>;
+    #[doc = "Word 0 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    pub mod header0 {
+        #[doc = "Register `HEADER0` writer"]
+        pub type W = crate::W<Header0Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header0Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 0 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header0::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header0Spec;
+        impl crate::RegisterSpec for Header0Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header0::W`](W) writer structure"]
+        impl crate::Writable for Header0Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER0 to value 0"]
+        impl crate::Resettable for Header0Spec {}
+    }
+    #[doc = "HEADER1 (w) register accessor: Word 1 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header1::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header1`] module"]
+    #[doc(alias = "HEADER1")]
+    pub type Header1 = crate::Reg<header1::Header1Spec>;
+    #[doc = "Word 1 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    pub mod header1 {
+        #[doc = "Register `HEADER1` writer"]
+        pub type W = crate::W<Header1Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header1Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 1 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header1::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header1Spec;
+        impl crate::RegisterSpec for Header1Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header1::W`](W) writer structure"]
+        impl crate::Writable for Header1Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER1 to value 0"]
+        impl crate::Resettable for Header1Spec {}
+    }
+    #[doc = "HEADER2 (w) register accessor: Word 2 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header2::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header2`] module"]
+    #[doc(alias = "HEADER2")]
+    pub type Header2 = crate::Reg<header2::Header2Spec>;
+    #[doc = "Word 2 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    pub mod header2 {
+        #[doc = "Register `HEADER2` writer"]
+        pub type W = crate::W<Header2Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header2Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 2 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header2::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header2Spec;
+        impl crate::RegisterSpec for Header2Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header2::W`](W) writer structure"]
+        impl crate::Writable for Header2Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER2 to value 0"]
+        impl crate::Resettable for Header2Spec {}
+    }
+    #[doc = "HEADER3 (w) register accessor: Word 3 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header3::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header3`] module"]
+    #[doc(alias = "HEADER3")]
+    pub type Header3 = crate::Reg<header3::Header3Spec>;
+    #[doc = "Word 3 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    pub mod header3 {
+        #[doc = "Register `HEADER3` writer"]
+        pub type W = crate::W<Header3Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header3Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 3 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header3::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header3Spec;
+        impl crate::RegisterSpec for Header3Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header3::W`](W) writer structure"]
+        impl crate::Writable for Header3Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER3 to value 0"]
+        impl crate::Resettable for Header3Spec {}
+    }
+    #[doc = "HEADER4 (w) register accessor: Word 4 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header4::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header4`] module"]
+    #[doc(alias = "HEADER4")]
+    pub type Header4 = crate::Reg<header4::Header4Spec>;
+    #[doc = "Word 4 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    pub mod header4 {
+        #[doc = "Register `HEADER4` writer"]
+        pub type W = crate::W<Header4Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header4Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 4 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header4::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header4Spec;
+        impl crate::RegisterSpec for Header4Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header4::W`](W) writer structure"]
+        impl crate::Writable for Header4Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER4 to value 0"]
+        impl crate::Resettable for Header4Spec {}
+    }
+    #[doc = "HEADER5 (w) register accessor: Word 5 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header5::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header5`] module"]
+    #[doc(alias = "HEADER5")]
+    pub type Header5 = crate::Reg<header5::Header5Spec>;
+    #[doc = "Word 5 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    pub mod header5 {
+        #[doc = "Register `HEADER5` writer"]
+        pub type W = crate::W<Header5Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header5Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 5 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header5::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header5Spec;
+        impl crate::RegisterSpec for Header5Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header5::W`](W) writer structure"]
+        impl crate::Writable for Header5Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER5 to value 0"]
+        impl crate::Resettable for Header5Spec {}
+    }
+    #[doc = "HEADER6 (w) register accessor: Word 6 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header6::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header6`] module"]
+    #[doc(alias = "HEADER6")]
+    pub type Header6 = crate::Reg<header6::Header6Spec>;
+    #[doc = "Word 6 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    pub mod header6 {
+        #[doc = "Register `HEADER6` writer"]
+        pub type W = crate::W<Header6Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header6Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 6 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header6::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header6Spec;
+        impl crate::RegisterSpec for Header6Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header6::W`](W) writer structure"]
+        impl crate::Writable for Header6Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER6 to value 0"]
+        impl crate::Resettable for Header6Spec {}
+    }
+    #[doc = "HEADER7 (w) register accessor: Word 7 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header7::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header7`] module"]
+    #[doc(alias = "HEADER7")]
+    pub type Header7 = crate::Reg<header7::Header7Spec>;
+    #[doc = "Word 7 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    pub mod header7 {
+        #[doc = "Register `HEADER7` writer"]
+        pub type W = crate::W<Header7Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header7Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 7 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header7::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header7Spec;
+        impl crate::RegisterSpec for Header7Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header7::W`](W) writer structure"]
+        impl crate::Writable for Header7Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER7 to value 0"]
+        impl crate::Resettable for Header7Spec {}
+    }
+    #[doc = "HEADER8 (w) register accessor: Word 8 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header8::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header8`] module"]
+    #[doc(alias = "HEADER8")]
+    pub type Header8 = crate::Reg<header8::Header8Spec>;
+    #[doc = "Word 8 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    pub mod header8 {
+        #[doc = "Register `HEADER8` writer"]
+        pub type W = crate::W<Header8Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header8Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 8 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header8::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header8Spec;
+        impl crate::RegisterSpec for Header8Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header8::W`](W) writer structure"]
+        impl crate::Writable for Header8Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER8 to value 0"]
+        impl crate::Resettable for Header8Spec {}
+    }
+    #[doc = "HEADER9 (w) register accessor: Word 9 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header9::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header9`] module"]
+    #[doc(alias = "HEADER9")]
+    pub type Header9 = crate::Reg<header9::Header9Spec>;
+    #[doc = "Word 9 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    pub mod header9 {
+        #[doc = "Register `HEADER9` writer"]
+        pub type W = crate::W<Header9Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header9Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 9 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header9::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header9Spec;
+        impl crate::RegisterSpec for Header9Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header9::W`](W) writer structure"]
+        impl crate::Writable for Header9Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER9 to value 0"]
+        impl crate::Resettable for Header9Spec {}
+    }
+    #[doc = "MODE (rw) register accessor: Which words of a frame are compared; whoever differs in one is a guest, and so is a frame of less than 59 bytes without FCS.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mode`] module"]
+    #[doc(alias = "MODE")]
+    pub type Mode = crate::Reg<mode::ModeSpec>;
+    #[doc = "Which words of a frame are compared; whoever differs in one is a guest, and so is a frame of less than 59 bytes without FCS."]
+    pub mod mode {
+        #[doc = "Register `MODE` reader"]
+        pub type R = crate::R<ModeSpec>;
+        #[doc = "Register `MODE` writer"]
+        pub type W = crate::W<ModeSpec>;
+        #[doc = "Which words, a number.\n\nValue on reset: 0"]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum Select {
+            #[doc = "0: None: there are no guests."]
+            None = 0,
+            #[doc = "1: 0 and 1: whoever is not for this MAC address is a guest."]
+            Ours = 1,
+            #[doc = "3: 0 to 3, 7 and 9: whoever is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."]
+            Owner = 3,
+        }
+        impl From<Select> for u8 {
+            #[inline(always)]
+            fn from(variant: Select) -> Self {
+                variant as _
+            }
+        }
+        impl crate::FieldSpec for Select {
+            type Ux = u8;
+        }
+        impl crate::IsEnum for Select {}
+        #[doc = "Field `select` reader - Which words, a number."]
+        pub type SelectR = crate::FieldReader<Select>;
+        impl SelectR {
+            #[doc = "Get enumerated values variant"]
+            #[inline(always)]
+            pub const fn variant(&self) -> Option<Select> {
+                match self.bits {
+                    0 => Some(Select::None),
+                    1 => Some(Select::Ours),
+                    3 => Some(Select::Owner),
+                    _ => None,
+                }
+            }
+            #[doc = "None: there are no guests."]
+            #[inline(always)]
+            pub fn is_none(&self) -> bool {
+                *self == Select::None
+            }
+            #[doc = "0 and 1: whoever is not for this MAC address is a guest."]
+            #[inline(always)]
+            pub fn is_ours(&self) -> bool {
+                *self == Select::Ours
+            }
+            #[doc = "0 to 3, 7 and 9: whoever is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."]
+            #[inline(always)]
+            pub fn is_owner(&self) -> bool {
+                *self == Select::Owner
+            }
+        }
+        #[doc = "Field `select` writer - Which words, a number."]
+        pub type SelectW<'a, REG> = crate::FieldWriter<'a, REG, 2, Select>;
+        impl<'a, REG> SelectW<'a, REG>
+        where
+            REG: crate::Writable + crate::RegisterSpec,
+            REG::Ux: From<u8>,
+        {
+            #[doc = "None: there are no guests."]
+            #[inline(always)]
+            pub fn none(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::None)
+            }
+            #[doc = "0 and 1: whoever is not for this MAC address is a guest."]
+            #[inline(always)]
+            pub fn ours(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::Ours)
+            }
+            #[doc = "0 to 3, 7 and 9: whoever is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."]
+            #[inline(always)]
+            pub fn owner(self) -> &'a mut crate::W<REG> {
+                self.variant(Select::Owner)
+            }
+        }
+        impl R {
+            #[doc = "Bits 0:1 - Which words, a number."]
+            #[inline(always)]
+            pub fn select(&self) -> SelectR {
+                SelectR::new((self.bits & 3) as u8)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:1 - Which words, a number."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, ModeSpec> {
+                SelectW::new(self, 0)
+            }
+        }
+        #[doc = "Which words of a frame are compared; whoever differs in one is a guest, and so is a frame of less than 59 bytes without FCS.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct ModeSpec;
+        impl crate::RegisterSpec for ModeSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`mode::R`](R) reader structure"]
+        impl crate::Readable for ModeSpec {}
+        #[doc = "`write(|w| ..)` method takes [`mode::W`](W) writer structure"]
+        impl crate::Writable for ModeSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets MODE to value 0"]
+        impl crate::Resettable for ModeSpec {}
+    }
+    #[doc = "ADMIT (w) register accessor: Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`admit::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@admit`] module"]
+    #[doc(alias = "ADMIT")]
+    pub type Admit = crate::Reg<admit::AdmitSpec>;
+    #[doc = "Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."]
+    pub mod admit {
+        #[doc = "Register `ADMIT` writer"]
+        pub type W = crate::W<AdmitSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<AdmitSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`admit::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct AdmitSpec;
+        impl crate::RegisterSpec for AdmitSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`admit::W`](W) writer structure"]
+        impl crate::Writable for AdmitSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets ADMIT to value 0"]
+        impl crate::Resettable for AdmitSpec {}
+    }
+    #[doc = "REFUSED (r) register accessor: Guests discarded because there was no ticket, a count since power-up.\n\nYou can [`read`](crate::Reg::read) this register and get [`refused::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@refused`] module"]
+    #[doc(alias = "REFUSED")]
+    pub type Refused = crate::Reg<refused::RefusedSpec>;
+    #[doc = "Guests discarded because there was no ticket, a count since power-up."]
+    pub mod refused {
+        #[doc = "Register `REFUSED` reader"]
+        pub type R = crate::R<RefusedSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Guests discarded because there was no ticket, a count since power-up.\n\nYou can [`read`](crate::Reg::read) this register and get [`refused::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct RefusedSpec;
+        impl crate::RegisterSpec for RefusedSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`refused::R`](R) reader structure"]
+        impl crate::Readable for RefusedSpec {}
+        #[doc = "`reset()` method sets REFUSED to value 0"]
+        impl crate::Resettable for RefusedSpec {}
+    }
+}
 #[unsafe(no_mangle)]
 static mut DEVICE_PERIPHERALS: bool = false;
 #[doc = r" All the peripherals."]
@@ -12642,6 +13137,8 @@ pub struct Peripherals {
     pub pwm15: Pwm15,
     #[doc = "FLASH"]
     pub flash: Flash,
+    #[doc = "GUEST"]
+    pub guest: Guest,
 }
 impl Peripherals {
     #[doc = r" Returns all the peripherals *once*."]
@@ -12724,6 +13221,7 @@ impl Peripherals {
             pwm14: unsafe { Pwm14::steal() },
             pwm15: unsafe { Pwm15::steal() },
             flash: unsafe { Flash::steal() },
+            guest: unsafe { Guest::steal() },
         }
     }
 }

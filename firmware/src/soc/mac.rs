@@ -5,10 +5,13 @@
 //! IP stack, which thinks in bytes, gets its frames copied.
 //!
 //! Transmit slot 0 belongs to the fast lane alone, its headers stay in it; slot 1 is everybody's.
+//!
+//! At the receive slots' door stands `guest.sv`. Nobody's board lets in what is for it alone, and of the rest one
+//! frame at a time; somebody's lets in the owner's frames, and one other for each call of [`Mac::admit`].
 
 use core::ptr::{read_volatile, write_volatile};
-use firmware::net::{Frame, REHEARSAL_WORDS, Slot};
-use litex_pac::{Ethmac, abi};
+use firmware::net::{Frame, Lane, REHEARSAL_WORDS, Slot};
+use litex_pac::{Ethmac, Guest, abi};
 use wire::MAX_WORDS;
 
 /// Longest frame, without FCS.
@@ -101,6 +104,9 @@ fn drained(regs: &Ethmac) -> bool {
 /// The MAC.
 pub struct Mac {
     regs: Ethmac,
+    door: Guest,
+    /// Nobody owns the board: the next guest may come as soon as the last has given its slot back.
+    open: bool,
     /// What came in and does not fit the lane.
     pub input: &'static mut Buffer,
     /// What goes out of the server or the IP stack.
@@ -113,19 +119,55 @@ static mut OUTPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
 impl Mac {
     /// The one MAC there is.
     pub fn new() -> Self {
-        // SAFETY: `super::start` calls this once; nobody else touches the MAC or the buffers.
-        let (regs, input, output) = unsafe {
+        // SAFETY: `super::start` calls this once; nobody else touches the MAC, its door or the buffers.
+        let (regs, door, input, output) = unsafe {
             (
                 Ethmac::steal(),
+                Guest::steal(),
                 &mut *(&raw mut INPUT),
                 &mut *(&raw mut OUTPUT),
             )
         };
         Mac {
             regs,
+            door,
+            open: true,
             input,
             output,
         }
+    }
+
+    /// Our address. Whoever is not for it waits for a ticket, now and whenever nobody owns the board.
+    pub fn address(&mut self, ours: [u32; 2]) {
+        self.mark([(0, ours[0]), (1, ours[1])]);
+        self.open();
+    }
+
+    /// Whoever is not the owner waits for a ticket.
+    pub fn guard(&mut self, lane: &Lane) {
+        self.mark(lane.marks());
+        self.door.mode().write(|w| w.select().owner());
+        self.open = false;
+    }
+
+    /// Nobody owns the board any more.
+    pub fn open(&mut self) {
+        self.door.mode().write(|w| w.select().ours());
+        self.open = true;
+        self.admit();
+    }
+
+    fn mark<const N: usize>(&mut self, header: [(usize, u32); N]) {
+        for (index, word) in header {
+            // SAFETY: ten words of a header are the first of this page; no mark is of another.
+            unsafe { write_volatile((abi::CSR_GUEST as *mut u32).add(index), word) }
+        }
+    }
+
+    /// Hands out a ticket for one more guest, if the last one is used up.
+    #[inline(always)]
+    pub fn admit(&self) {
+        self.door.admit().write(|w| unsafe { w.bits(1) });
     }
 
     /// Is there a frame?
@@ -162,6 +204,14 @@ impl Mac {
         self.regs
             .sram_writer_ev_pending()
             .write(|w| unsafe { w.bits(1) });
+    }
+
+    /// As [`Mac::release`], for a frame that was not in the lane.
+    pub fn dismiss(&mut self) {
+        self.release();
+        if self.open {
+            self.admit();
+        }
     }
 
     /// Has everything left, the lane's slot among it?
@@ -209,7 +259,7 @@ impl Mac {
             *word = (carry << 16 | next >> 16).swap_bytes();
             carry = next;
         }
-        self.release();
+        self.dismiss();
         length
     }
 

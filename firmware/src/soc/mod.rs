@@ -15,7 +15,7 @@ use crate::app::Memory;
 use core::ptr::{read_volatile, write_volatile};
 use firmware::cores::{self, Board, Control, Gate, Ident, Led, Setting};
 use firmware::machine::BLOB_MAX;
-use firmware::{log, postmortem as record};
+use firmware::{log, postmortem as record, service};
 use litex_pac::{Peripherals, abi};
 use wire::describe::Channels;
 use wire::map::BoardConfig;
@@ -44,6 +44,7 @@ const _: () = {
     assert!(abi::STROBE_SAMPLE == cores::STROBE_SAMPLE);
     assert!(abi::STROBE_COMMIT_AT == cores::STROBE_COMMIT_AT);
     assert!(abi::CSR_BASE as u32 == wire::map::SERVICE);
+    assert!(abi::CSR_GUEST == abi::CSR_BASE + service::PAGE_GUEST as usize * abi::CSR_PAGE);
     assert!(abi::TRAILER_MAGIC == wire::images::Trailer::MAGIC);
     assert!(abi::ROLE_IMAGE == wire::images::Role::Image as u32);
     assert!(abi::ROLE_GOLDEN == wire::images::Role::Golden as u32);
