@@ -129,6 +129,37 @@ pub struct Desk {
 }
 
 impl Desk {
+    /// Switches a board on and brings it to where the firmware starts; what it calls itself comes with it.
+    pub fn power_up(setup: Setup) -> (Self, Ident) {
+        let Setup {
+            card,
+            plant,
+            flash,
+            factory,
+        } = setup;
+        // Its own time begins anew, its cells do not.
+        let trailer = {
+            let mut chip = flash.chip();
+            chip.power_up();
+            trailer(&chip)
+        };
+        let mut desk = Desk::new(&card, plant, flash, trailer, factory);
+        // The pins are seen by the first instruction.
+        desk.pass(FIRST);
+        (desk, ident(&card))
+    }
+
+    /// Pins, edges and plant.
+    pub fn world(&mut self) -> &mut World {
+        &mut self.world
+    }
+
+    /// What the postmortem record says of this start: its number and its reason.
+    pub fn boot(&mut self) -> firmware::postmortem::Boot {
+        let now = self.clock() as u32;
+        self.record.boot(now)
+    }
+
     fn new(card: &Card, plant: Plant, flash: Shared, trailer: Trailer, factory: bool) -> Self {
         let mut world = World::new(plant, card.clock_hz.into());
         world.factory(factory);
@@ -147,7 +178,8 @@ impl Desk {
         }
     }
 
-    fn clock(&self) -> u64 {
+    /// Sys clocks since power-up.
+    pub fn clock(&self) -> u64 {
         self.before + self.model.clocks()
     }
 
@@ -169,7 +201,7 @@ impl Desk {
     }
 
     /// Lets time pass to the sys clock `until`.
-    fn pass(&mut self, until: u64) {
+    pub fn pass(&mut self, until: u64) {
         while self.clock() < until {
             let target = until.min(self.world.next().max(self.clock() + 1));
             self.model.drive(&self.world.pins);
@@ -468,23 +500,10 @@ impl Twin {
 
     /// Switches a board on.
     pub fn power_up(setup: Setup) -> Self {
-        let Setup {
-            card,
-            plant,
-            flash,
-            factory,
-        } = setup;
-        // Its own time begins anew, its cells do not.
-        let trailer = {
-            let mut chip = flash.chip();
-            chip.power_up();
-            trailer(&chip)
-        };
-        let mut desk = Desk::new(&card, plant, flash, trailer, factory);
-        // The pins are seen by the first instruction.
-        desk.pass(FIRST);
-        let boot = desk.record.boot(desk.clock() as u32);
-        let machine = Machine::start(desk, ident(&card), abi::ABI, boot);
+        let card = setup.card.clone();
+        let (mut desk, ident) = Desk::power_up(setup);
+        let boot = desk.boot();
+        let machine = Machine::start(desk, ident, abi::ABI, boot);
         let clockwork = Clockwork::new(card.clock_hz.into());
         Twin {
             chores_at: machine.board.clock(),

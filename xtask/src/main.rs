@@ -5,6 +5,7 @@ mod bench;
 mod bitstream;
 mod build;
 mod demo;
+mod fuzz;
 mod regen;
 mod setup;
 mod step;
@@ -43,6 +44,8 @@ enum Task {
         #[arg(value_enum)]
         what: bench::What,
     },
+    /// Feed what comes from outside with inputs nobody would think of: 60 s per target, or as long as said.
+    Fuzz(fuzz::Options),
     /// What the gate runs: the same as `test`.
     Ci,
 }
@@ -56,6 +59,7 @@ fn main() -> std::process::ExitCode {
         Task::Regen { check } => regen::run(check),
         Task::Bitstream(options) => bitstream::run(&options),
         Task::Bench { what } => bench::run(what),
+        Task::Fuzz(options) => fuzz::run(&options),
         Task::Ci => test::run(&test::Options::default()),
     };
     match done {

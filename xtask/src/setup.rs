@@ -14,7 +14,7 @@ const PACKAGES: &[(&str, &str)] = &[
         "linuxcnc-uspace-dev",
         "its headers, against which our bindings are checked",
     ),
-    ("g++", "compiles the Verilated board"),
+    ("g++", "compiles the Verilated board and libFuzzer"),
     ("make", "drives that compilation"),
     ("perl", "Verilator is a Perl script"),
     ("zlib1g-dev", "waveform dumps"),
@@ -54,6 +54,8 @@ pub enum Need {
     Everything,
     /// Only the Python side: elaboration and bitstreams.
     Gateware,
+    /// Only what compiles libFuzzer.
+    Fuzz,
 }
 
 /// How the firmware gets its `core`.
@@ -68,9 +70,16 @@ pub enum RiscvCore {
 /// Installs and finds; says what it found.
 pub fn run(need: Need) -> Result<()> {
     step::heading("setup: what the rest needs");
-    if need == Need::Everything {
-        debian_packages(PACKAGES)?;
-        riscv_core()?;
+    match need {
+        Need::Everything => {
+            debian_packages(PACKAGES)?;
+            riscv_core()?;
+        }
+        Need::Gateware => {}
+        Need::Fuzz => {
+            let compiler: Vec<_> = PACKAGES.iter().filter(|p| p.0 == "g++").copied().collect();
+            return debian_packages(&compiler);
+        }
     }
     python_environment()?;
     verilator_and_friends();

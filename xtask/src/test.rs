@@ -1,6 +1,6 @@
 //! The test pyramid, one line per level. Lower levels need nothing but Rust.
 
-use crate::{bitstream, build, regen, setup, step, target};
+use crate::{bitstream, build, fuzz, regen, setup, step, target};
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
 use std::process::Command;
@@ -39,9 +39,14 @@ enum Level {
     Twin,
     /// Real LinuxCNC, our driver, the simulated board.
     Linuxcnc,
+    /// Everything that comes from outside, 60 s of inputs nobody would think of for each parser.
+    Fuzz,
     /// The smallest configuration as bitstream: every clock met, the release firmware inside, files the host and an ECP5 take.
     Bitstream,
 }
+
+/// An hour is `cargo xtask fuzz --seconds 3600`.
+const FUZZ_SECONDS: u32 = 60;
 
 const ALL: &[Level] = &[
     Level::Unit,
@@ -55,6 +60,7 @@ const ALL: &[Level] = &[
     Level::Clients,
     Level::Twin,
     Level::Linuxcnc,
+    Level::Fuzz,
     Level::Bitstream,
 ];
 
@@ -138,6 +144,7 @@ impl Level {
             Level::Clients => "clients: LiteX RemoteClient, ping, console",
             Level::Twin => "twin: real LinuxCNC, our driver, the cores' models",
             Level::Linuxcnc => "linuxcnc: real LinuxCNC, our driver, simulated board",
+            Level::Fuzz => "fuzz: datagrams, frames and files nobody would think of",
             Level::Bitstream => "bitstream: clocks met, release firmware inside, files taken",
         }
     }
@@ -180,6 +187,8 @@ impl Level {
             Level::Clients => board_tests("clients", "2 min", "1"),
             Level::Twin => board_tests("twin", "3 min", "1"),
             Level::Linuxcnc => board_tests("linuxcnc", "10 min", "1"),
+            // Two at once: as many cores as the smallest machine that runs this has.
+            Level::Fuzz => fuzz::fuzz(&fuzz::targets()?, FUZZ_SECONDS, 2),
             Level::Bitstream => {
                 let proven = bitstream::prove()?;
                 for line in &proven {

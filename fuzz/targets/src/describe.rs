@@ -1,0 +1,150 @@
+//! What a host makes of a board's description, however wrong: words, names, pins in HAL.
+
+use crate::tape::Tape;
+use host::address::Address;
+use host::client::Identity;
+use host::driver::Driver;
+use host::hal::fake::FakeHal;
+use host::link::Link;
+use host::names::{self, Scheme};
+use std::collections::BTreeSet;
+use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use wire::board::{Blob, HEADER_LEN, Kind};
+use wire::describe::{Channels, Describe, WORDS};
+use wire::exchange::{command_words, status_words};
+
+/// HAL's own limit.
+const NAME_MAX: usize = 41;
+
+/// Words of a description, and the names behind it.
+pub fn describe(data: &[u8]) {
+    let mut tape = Tape(data);
+    let mode = tape.byte();
+    let mut words: [u32; WORDS] = std::array::from_fn(|_| tape.word());
+    if mode & 1 != 0 {
+        fitting(&mut words);
+    }
+    let mut blob = tape.0.to_vec();
+    if mode & 2 != 0 {
+        seal(&mut blob);
+    }
+    names(&blob);
+    let description = match Describe::parse(&words) {
+        Ok(description) => description,
+        Err(why) => {
+            assert!(!why.to_string().is_empty());
+            return;
+        }
+    };
+    let again = Describe::parse(&description.to_words());
+    assert_eq!(again, Ok(description));
+    if let Ok(identity) = Identity::new(description, blob) {
+        load(&identity, mode >> 2);
+    }
+}
+
+/// Makes the words agree with each other, whatever they say.
+fn fitting(words: &mut [u32; WORDS]) {
+    words[0] = wire::describe::MAGIC;
+    words[1] = wire::WIRE_VERSION;
+    words[6] = words[6].max(1);
+    let [s, e, p, i, o] = [
+        words[7],
+        words[7] >> 8,
+        words[7] >> 16,
+        words[8],
+        words[8] >> 8,
+    ];
+    let most = |count: u32, most: u32| count as u8 % (most as u8 + 1);
+    let channels = Channels {
+        stepgens: most(s, 16),
+        encoders: most(e, 16),
+        pwms: most(p, 16),
+        inputs: most(i, 32),
+        outputs: most(o, 32),
+    };
+    [words[7], words[8]] = channels.to_words();
+    words[11] = command_words(channels) as u32;
+    words[12] = status_words(channels) as u32;
+    words[13] %= 512;
+    words[14] &= 0xffff_0103;
+    words[16] %= 4;
+    words[17] %= 4;
+}
+
+/// Puts a header in front that says what is behind it.
+fn seal(blob: &mut Vec<u8>) {
+    blob.resize(blob.len().max(HEADER_LEN), 0);
+    let crc = wire::board::crc32(&blob[HEADER_LEN..]);
+    let head = [
+        wire::board::MAGIC,
+        wire::board::VERSION,
+        blob.len() as u32,
+        crc,
+    ];
+    blob[..HEADER_LEN].copy_from_slice(&crate::tape::bytes(&head));
+}
+
+fn names(bytes: &[u8]) {
+    let Ok(blob) = Blob::new_checked(bytes) else {
+        return;
+    };
+    assert!(
+        blob.entries().count() <= bytes.len(),
+        "more names than bytes"
+    );
+    for entry in blob.entries() {
+        assert!(entry.value.len() <= 255);
+        if let Some(text) = blob.text(entry.kind, entry.channel) {
+            assert!(text.len() <= 255);
+        }
+    }
+    assert!(blob.facts().count() <= bytes.len() / 4);
+}
+
+thread_local! {
+    /// Nothing is sent; the driver wants one.
+    static SOCKET: UdpSocket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket");
+}
+
+/// Loads a driver for it, with this or that scheme of names.
+fn load(identity: &Identity, scheme: u8) {
+    let socket = SOCKET.with(UdpSocket::try_clone).expect("a socket");
+    let link = Link::new(socket).expect("a socket that does not block");
+    let mut hal = FakeHal::new();
+    let say = hal.messenger();
+    let address = Address {
+        text: "board".to_owned(),
+        socket: SocketAddrV4::new(Ipv4Addr::LOCALHOST, 1234),
+    };
+    let driver = Driver::export(&mut hal, 0, address, identity, link, say);
+    let driver = driver.unwrap_or_else(|error| panic!("{error}"));
+    let scheme = match scheme & 3 {
+        0 => None,
+        1 => Some(Scheme::Lcnc),
+        2 => Some(Scheme::LitexCnc(Vec::new())),
+        _ => Some(Scheme::LitexCnc(vec!["mill".to_owned()])),
+    };
+    if let Some(scheme) = &scheme {
+        scheme.prefix(0, identity);
+        // A scheme may refuse a board; the driver goes on without it or says why.
+        if let Err(error) = names::export(scheme, &mut hal, 0, identity, &driver) {
+            assert!(!error.to_string().is_empty());
+        }
+    }
+    let mut seen = BTreeSet::new();
+    let all = hal.list().chain(hal.aliases());
+    for (name, _, _) in all {
+        assert!(name.len() <= NAME_MAX, "{name} is too long for HAL");
+        assert!(
+            name.bytes().all(|b| b.is_ascii_graphic()),
+            "{name:?} is no name in HAL"
+        );
+        assert!(seen.insert(name), "{name} is there twice");
+    }
+    for channel in 0..16 {
+        identity.step_type(channel);
+        identity.pwm_type(channel);
+    }
+    let _ = identity.blob().text(Kind::Platform, 0);
+}

@@ -1,0 +1,579 @@
+//! A board on a wire with mad neighbours: whole Ethernet frames, as `firmware::app` deals with them.
+//!
+//! The input is a script of frames: raw ones, and ones whose check sums are made right because nobody guesses these. What the
+//! board sends is looked at as a neighbour's stack would: lengths, check sums, addresses. Frames that are not a datagram of
+//! ours do nothing to the board, and what the fast lane takes for an exchange is one by the long way, too.
+
+use crate::server::Bench;
+use crate::tape::Tape;
+use crate::watched::Watched;
+use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
+use firmware::exchange::{Request, SlotReply};
+use firmware::ip::{Ip, Taker, Text};
+use firmware::machine::Machine;
+use firmware::net::{self, Class, Datagram, Frame, HEADERS, Lane, PAYLOAD_WORD, Slot, Us};
+use firmware::text::Sink;
+use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
+
+/// Longest frame without its FCS.
+const FRAME_MAX: usize = 1514;
+/// Longer scripts say nothing new.
+const FRAMES: usize = 64;
+
+/// A frame as the MAC's slots deliver it; behind it lies what an older one left there.
+struct Received<'f>(&'f [u8]);
+
+impl Frame for Received<'_> {
+    fn word(&self, index: usize) -> u32 {
+        let byte = |at: usize| match at.checked_sub(2) {
+            Some(at) => self.0.get(at).copied().unwrap_or(0xa5),
+            None => 0x5a,
+        };
+        u32::from_be_bytes([0, 1, 2, 3].map(|at| byte(4 * index + at)))
+    }
+}
+
+/// A transmit slot.
+#[derive(Default)]
+struct Sent(Vec<u32>);
+
+impl Slot for Sent {
+    fn put(&mut self, index: usize, word: u32) {
+        assert!(index < 2 + FRAME_MAX.div_ceil(4), "word {index} of a slot");
+        if self.0.len() <= index {
+            self.0.resize(index + 1, 0);
+        }
+        self.0[index] = word;
+    }
+}
+
+impl Sent {
+    fn frame(&self, length: usize) -> Vec<u8> {
+        let mut bytes: Vec<u8> = self
+            .0
+            .iter()
+            .flat_map(|w| w.to_be_bytes())
+            .skip(2)
+            .collect();
+        assert!(length <= bytes.len(), "a frame longer than what was put");
+        bytes.truncate(length);
+        bytes
+    }
+}
+
+/// Somebody at the console.
+struct Visitor<'a> {
+    machine: &'a mut Machine<Watched>,
+    line: &'a mut console::Line,
+}
+
+impl Taker for Visitor<'_> {
+    fn greet(&mut self, out: &mut Text) {
+        *self.line = console::Line::default();
+        out.put(console::PROMPT.as_bytes());
+    }
+
+    fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize {
+        for (used, byte) in bytes.iter().enumerate() {
+            if let Some(ask) = self.line.push(*byte) {
+                self.machine.answer(ask, &Vitals::default(), out);
+                if ask == Ask::Quit {
+                    out.close = true;
+                } else {
+                    out.put(console::PROMPT.as_bytes());
+                }
+                return used + 1;
+            }
+        }
+        bytes.len()
+    }
+}
+
+/// The board's end of the wire.
+struct Station {
+    bench: Bench,
+    ip: Ip,
+    line: console::Line,
+    lane: Option<Lane>,
+    ms: u32,
+    /// What the board's TCP said last: next sequence number of theirs it expects, of its own.
+    expected: u32,
+    next: u32,
+    outcome: Outcome,
+}
+
+/// What came of a script.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Outcome {
+    /// Frames the board sent.
+    pub sent: u32,
+    /// Exchanges the fast lane executed, and those it refused.
+    pub lane: [u32; 2],
+    /// Somebody is connected to the console.
+    pub visited: bool,
+}
+
+/// Runs a script of frames.
+pub fn frames(data: &[u8]) {
+    script(data);
+}
+
+/// Runs a script of frames and says what came of it.
+pub fn script(data: &[u8]) -> Outcome {
+    let mut station = Station {
+        bench: Bench::new(),
+        ip: Ip::new(),
+        line: console::Line::default(),
+        lane: None,
+        ms: 0,
+        expected: 0,
+        next: 0,
+        outcome: Outcome::default(),
+    };
+    station.ip.listen(CONSOLE_PORT, ANSWER_MAX);
+    let mut tape = Tape(data);
+    for _ in 0..FRAMES {
+        if tape.is_over() {
+            break;
+        }
+        station.step(&mut tape);
+    }
+    Outcome {
+        visited: station.ip.busy(),
+        ..station.outcome
+    }
+}
+
+const THEIR_MAC: [u8; 6] = [2, 3, 4, 5, 6, 7];
+const THEIR_IP: [u8; 4] = [192, 168, 2, 1];
+const THEIR_PORT: u16 = 40_000;
+
+fn ones(bytes: &[u8], from: u32) -> u32 {
+    let sum = bytes.chunks(2).fold(from, |sum, pair| {
+        sum + u32::from(u16::from_be_bytes([
+            pair[0],
+            pair.get(1).copied().unwrap_or(0),
+        ]))
+    });
+    let sum = (sum >> 16) + (sum & 0xffff);
+    (sum >> 16) + (sum & 0xffff)
+}
+
+/// Ones' complement sum over a UDP or TCP segment with its pseudo header.
+fn segment_sum(source: [u8; 4], destination: [u8; 4], protocol: u8, segment: &[u8]) -> u32 {
+    let mut pseudo = [source, destination].concat();
+    pseudo.extend([0, protocol]);
+    pseudo.extend((segment.len() as u16).to_be_bytes());
+    ones(segment, ones(&pseudo, 0))
+}
+
+/// What is not as usual in a packet that is made: bits of a byte of the script.
+struct Oddities(u8);
+
+impl Oddities {
+    fn has(&self, bit: u8) -> bool {
+        self.0 >> bit & 1 != 0
+    }
+}
+
+/// A whole IPv4 frame to the board.
+fn packet(us: &Us, protocol: u8, body: &[u8], odd: &Oddities, tape: &mut Tape) -> Vec<u8> {
+    let options = if odd.has(0) {
+        usize::from(tape.byte() % 11)
+    } else {
+        0
+    };
+    let fragment = if odd.has(1) { tape.half() } else { 0x4000 };
+    let total = 20 + 4 * options + body.len();
+    let total = if odd.has(2) {
+        total.wrapping_add_signed((tape.byte() as i8).into())
+    } else {
+        total
+    };
+    let mut ip = vec![0x45 + options as u8, 0];
+    ip.extend((total as u16).to_be_bytes());
+    ip.extend([0x12, 0x34]);
+    ip.extend(fragment.to_be_bytes());
+    ip.extend([64, protocol, 0, 0]);
+    ip.extend(THEIR_IP);
+    let to = if odd.has(3) {
+        [255; 4]
+    } else {
+        us.ip.to_be_bytes()
+    };
+    ip.extend(to);
+    ip.resize(20 + 4 * options, 1);
+    let sum = !ones(&ip, 0) as u16;
+    ip[10..12].copy_from_slice(&sum.to_be_bytes());
+    let mac = if odd.has(3) { [255; 6] } else { us.mac };
+    let mut frame = mac.to_vec();
+    frame.extend(THEIR_MAC);
+    frame.extend([8, 0]);
+    frame.extend(ip);
+    frame.extend(body);
+    if odd.has(4) {
+        frame.extend(tape.some());
+    }
+    if odd.has(5) {
+        let at = usize::from(tape.half()) % frame.len();
+        frame[at] ^= tape.byte();
+    }
+    if odd.has(6) {
+        frame.truncate(tape.half().into());
+    }
+    frame.resize(frame.len().max(if odd.has(6) { 0 } else { 60 }), 0);
+    frame.truncate(FRAME_MAX);
+    frame
+}
+
+impl Station {
+    fn step(&mut self, tape: &mut Tape) {
+        let us = self.bench.machine.us;
+        let step = tape.byte();
+        match step & 7 {
+            0 => {
+                let frame = tape.many().to_vec();
+                self.receive(&frame[..frame.len().min(FRAME_MAX)]);
+            }
+            1 | 2 => {
+                let odd = Oddities(tape.byte());
+                let port = [us.port, wire::DISCOVERY_PORT, firmware::dhcp::PORT, 9]
+                    [usize::from(step >> 3) % 4];
+                let payload = if step & 7 == 2 {
+                    self.exchange(tape)
+                } else {
+                    tape.many().to_vec()
+                };
+                let mut udp = THEIR_PORT.to_be_bytes().to_vec();
+                udp.extend(port.to_be_bytes());
+                let length = 8 + payload.len() as u16;
+                udp.extend(length.to_be_bytes());
+                udp.extend([0, 0]);
+                udp.extend(payload);
+                if odd.has(7) {
+                    let sum = segment_sum(THEIR_IP, us.ip.to_be_bytes(), 17, &udp);
+                    let sum = if sum == 0xffff { 0xffff } else { !sum as u16 };
+                    udp[6..8].copy_from_slice(&sum.to_be_bytes());
+                }
+                let frame = packet(&us, 17, &udp, &odd, tape);
+                self.receive(&frame);
+            }
+            3 | 4 => {
+                let [odd, flags, ahead, window] = tape.array();
+                let port: u16 = 4000 + u16::from(step >> 6);
+                let mut tcp = port.to_be_bytes().to_vec();
+                tcp.extend(CONSOLE_PORT.to_be_bytes());
+                let off = i32::from(ahead as i8);
+                tcp.extend(self.expected.wrapping_add_signed(off >> 4).to_be_bytes());
+                tcp.extend(self.next.wrapping_add_signed(off << 28 >> 28).to_be_bytes());
+                let options = step >> 3 & 7;
+                tcp.extend([(5 + options) << 4, flags & 0x3f]);
+                tcp.extend((u16::from(window) << 4).to_be_bytes());
+                tcp.extend([0; 4]);
+                tcp.resize(20 + 4 * usize::from(options), 1);
+                tcp.extend(tape.some());
+                let sum = !segment_sum(THEIR_IP, us.ip.to_be_bytes(), 6, &tcp) as u16;
+                tcp[16..18].copy_from_slice(&sum.to_be_bytes());
+                let frame = packet(&us, 6, &tcp, &Oddities(odd), tape);
+                self.receive(&frame);
+            }
+            5 => {
+                let odd = Oddities(tape.byte());
+                let mut icmp = vec![step >> 3 & 8, 0, 0, 0];
+                icmp.extend(tape.many());
+                let sum = !ones(&icmp, 0) as u16;
+                icmp[2..4].copy_from_slice(&sum.to_be_bytes());
+                let frame = packet(&us, 1, &icmp, &odd, tape);
+                self.receive(&frame);
+            }
+            6 => {
+                let mut frame = vec![255; 6];
+                frame.extend(THEIR_MAC);
+                frame.extend([8, 6, 0, 1, 8, 0, 6, 4, 0, 1 + (step >> 3 & 1)]);
+                frame.extend(THEIR_MAC);
+                frame.extend(THEIR_IP);
+                frame.extend([0; 6]);
+                frame.extend(us.ip.to_be_bytes());
+                for byte in tape.some() {
+                    let at = usize::from(tape.byte()) % frame.len();
+                    frame[at] = *byte;
+                }
+                frame.resize(60, 0);
+                self.receive(&frame);
+            }
+            _ => {
+                let ms = 1u32 << (step >> 3 & 15);
+                self.ms = self.ms.wrapping_add(ms);
+                crate::watched::pass(&mut self.bench.machine, u64::from(ms.min(200)) * 60_000, 2);
+                self.talk(None);
+            }
+        }
+    }
+
+    /// The payload of the owner's next command, with this or that wrong.
+    fn exchange(&self, tape: &mut Tape) -> Vec<u8> {
+        use wire::exchange::{COMMAND_MAX, Command, REQUEST_OVERHEAD};
+        let flags = tape.byte();
+        let session = self.bench.machine.server.session();
+        let peer = session.owner().unwrap_or_default();
+        let command = Command {
+            token: session.token_for(peer),
+            sequence: session.last_sequence().wrapping_add(1),
+            enable: flags & 1 != 0,
+            enable_request: flags & 2 != 0,
+            ..Command::default()
+        };
+        let channels = crate::watched::ident(&self.bench.machine).channels;
+        let mut buffer = [0; REQUEST_OVERHEAD + COMMAND_MAX];
+        let request = command
+            .emit_request(channels, &mut buffer)
+            .expect("it fits");
+        let mut payload = crate::tape::bytes(request);
+        for _ in 0..flags >> 6 {
+            let at = usize::from(tape.byte()) % payload.len();
+            payload[at] = tape.byte();
+        }
+        payload
+    }
+
+    /// A frame, as `firmware::app` takes it.
+    fn receive(&mut self, bytes: &[u8]) {
+        let frame = Received(bytes);
+        let length = bytes.len();
+        let us = self.bench.machine.us;
+        let class = net::classify(&frame, length, &us);
+        if self.lane(&frame, length, class) {
+            return;
+        }
+        let counters = self.bench.machine.server.counters_mut();
+        counters.frames_rx = counters.frames_rx.wrapping_add(1);
+        self.bench.machine.board.take();
+        match class {
+            Class::Ours(datagram) => {
+                let words = payload(&frame, &datagram, bytes);
+                if datagram.length.is_multiple_of(4) {
+                    self.datagram(&datagram, &words);
+                }
+            }
+            Class::Discovery(datagram) => {
+                let words = payload(&frame, &datagram, bytes);
+                let mut buffer = [0; MAX_WORDS];
+                let answer = self
+                    .bench
+                    .machine
+                    .discover(&words, datagram.peer.port, &mut buffer);
+                let us = Us {
+                    port: wire::DISCOVERY_PORT,
+                    ..us
+                };
+                let answer = answer.to_vec();
+                self.outcome.sent += u32::from(!answer.is_empty());
+                if !answer.is_empty() {
+                    send(&us, &Datagram::everybody(datagram.peer.port), &answer);
+                }
+            }
+            Class::Dhcp(datagram) => {
+                let words = payload(&frame, &datagram, bytes);
+                self.bench.machine.offered(&words, datagram.length);
+                self.untouched("a DHCP server's datagram");
+            }
+            Class::Refused(why) => {
+                self.bench.machine.server.refuse(why);
+                self.untouched("a refused frame");
+            }
+            Class::Other => {
+                self.talk(Some(bytes));
+                self.untouched("somebody else's frame");
+            }
+        }
+    }
+
+    fn untouched(&mut self, what: &str) {
+        let deeds = self.bench.machine.board.take();
+        assert_eq!(deeds, Default::default(), "{what} did that");
+    }
+
+    /// The fast lane: true if it took the frame.
+    fn lane(&mut self, frame: &Received, length: usize, class: Class) -> bool {
+        let Some(lane) = &self.lane else {
+            return false;
+        };
+        let Some(mut command) = lane.open(frame, length) else {
+            return false;
+        };
+        let shape = *self.bench.machine.server.shape();
+        let mut words = Vec::new();
+        while words.len() < shape.command {
+            words.extend(command.take1());
+        }
+        let whole = command.intact();
+        match class {
+            Class::Ours(datagram) => {
+                assert!(whole, "the lane finds damage where the long way finds none");
+                assert_eq!((datagram.peer, datagram.options), (lane.datagram.peer, 0));
+                let long: Vec<u32> = (4..4 + shape.command)
+                    .map(|index| net::payload_word(frame, 0, index))
+                    .collect();
+                assert_eq!(words, long);
+            }
+            Class::Refused(_) => assert!(!whole, "the lane takes what is refused: {class:?}"),
+            Class::Discovery(_) | Class::Dhcp(_) | Class::Other => {
+                panic!("the lane takes {class:?}")
+            }
+        }
+        let Some(mut command) = lane.open(frame, length) else {
+            unreachable!("it was open");
+        };
+        let machine = &mut self.bench.machine;
+        let us = machine.us;
+        let mut slot = Sent::default();
+        let bytes = SlotReply::<Sent>::frame_length(&shape);
+        let datagram = lane.datagram;
+        SlotReply::prepare(
+            &mut slot,
+            |slot| net::emit_headers(slot, &us, &datagram, bytes - HEADERS),
+            &shape,
+        );
+        let mut reply = SlotReply::resume(&mut slot);
+        machine.board.take();
+        let served =
+            machine
+                .server
+                .exchange(&mut machine.board, datagram.peer, &mut command, &mut reply);
+        match served {
+            Ok(()) => {
+                assert!(whole, "a damaged command was executed");
+                machine.server.exchanged();
+                check(&slot.frame(bytes), &us);
+                self.outcome.lane[0] += 1;
+            }
+            Err(why) => {
+                machine.server.refuse(why);
+                let deeds = machine.board.take();
+                assert!(!deeds.took_effect(), "refused for {why:?}, and {deeds:?}");
+                self.outcome.lane[1] += 1;
+            }
+        }
+        true
+    }
+
+    fn datagram(&mut self, datagram: &Datagram, words: &[u32]) {
+        let us = self.bench.machine.us;
+        let mut buffer = [0; MAX_WORDS];
+        let machine = &mut self.bench.machine;
+        machine.board.take();
+        let served = machine
+            .datagram(words, datagram.peer, &mut buffer)
+            .map(<[u32]>::to_vec);
+        let deeds = machine.board.take();
+        match served {
+            Ok(reply) if !reply.is_empty() => {
+                self.outcome.sent += 1;
+                send(&us, datagram, &reply);
+            }
+            Ok(_) => {}
+            Err(why) => assert!(!deeds.took_effect(), "refused for {why:?}, and {deeds:?}"),
+        }
+        let machine = &self.bench.machine;
+        if datagram.options == 0 && machine.server.session().is_owner(datagram.peer) {
+            let command = machine.server.shape().command;
+            self.lane = Some(Lane::new(&us, *datagram, command));
+        }
+    }
+
+    fn talk(&mut self, frame: Option<&[u8]>) {
+        let us = self.bench.machine.us;
+        let mut out = [0; FRAME_MAX];
+        let mut visitor = Visitor {
+            machine: &mut self.bench.machine,
+            line: &mut self.line,
+        };
+        let mut sent = Vec::new();
+        let mut answer = frame
+            .and_then(|frame| self.ip.frame(frame, &us, self.ms, &mut visitor, &mut out))
+            .or_else(|| self.ip.poll(&us, self.ms, &mut visitor, &mut out));
+        while let Some(length) = answer {
+            sent.push(out[..length].to_vec());
+            assert!(sent.len() <= 16, "one frame brought {} answers", sent.len());
+            answer = self.ip.poll(&us, self.ms, &mut visitor, &mut out);
+        }
+        for frame in sent {
+            self.outcome.sent += 1;
+            check(&frame, &us);
+            if let Some(tcp) = frame
+                .get(34..)
+                .filter(|_| frame[12..14] == [8, 0] && frame[23] == 6)
+            {
+                let word = |at: usize| Tape(&tcp[at..]).word();
+                let data = tcp.len() - usize::from(tcp[12] >> 4) * 4;
+                let control = u32::from(tcp[13] & 1) + u32::from(tcp[13] >> 1 & 1);
+                self.next = word(4).wrapping_add(data as u32 + control);
+                self.expected = word(8);
+            }
+        }
+    }
+}
+
+/// The words of a datagram's payload, which lies inside its frame.
+fn payload(frame: &Received, datagram: &Datagram, bytes: &[u8]) -> Vec<u32> {
+    let from = HEADERS + 4 * datagram.options;
+    assert!(
+        from + datagram.length <= bytes.len(),
+        "{datagram:?} in a frame of {} bytes",
+        bytes.len()
+    );
+    assert!(datagram.length <= MAX_PAYLOAD);
+    let count = datagram.length.div_ceil(4);
+    (0..count)
+        .map(|index| net::payload_word(frame, datagram.options, index))
+        .collect()
+}
+
+/// Sends words, and looks at the frame.
+fn send(us: &Us, to: &Datagram, words: &[u32]) {
+    let mut slot = Sent::default();
+    net::emit_headers(&mut slot, us, to, words.len() * 4);
+    let length = net::emit_payload(&mut slot, words);
+    assert_eq!(length, HEADERS + 4 * words.len());
+    assert!(slot.0.len() >= PAYLOAD_WORD + words.len());
+    check(&slot.frame(length), us);
+}
+
+/// What a neighbour's stack would say of a frame of ours.
+fn check(frame: &[u8], us: &Us) {
+    assert!(
+        (42..=FRAME_MAX).contains(&frame.len()),
+        "{} bytes",
+        frame.len()
+    );
+    assert_eq!(frame[6..12], us.mac, "whose frame is it?");
+    match frame[12..14] {
+        [8, 6] => assert_eq!(frame[20..22], [0, 2], "we answer ARP and ask nothing"),
+        [8, 0] => {
+            assert_eq!(frame[14], 0x45);
+            let total = usize::from(u16::from_be_bytes([frame[16], frame[17]]));
+            let padded = total + 14 < 60 && frame.len() == 60;
+            assert!(
+                total + 14 == frame.len() || padded,
+                "{total} in {}",
+                frame.len()
+            );
+            assert_eq!(ones(&frame[14..34], 0), 0xffff, "the header's sum");
+            let body = &frame[34..14 + total];
+            let address = |at: usize| -> [u8; 4] { std::array::from_fn(|n| frame[at + n]) };
+            match frame[23] {
+                1 => assert_eq!(ones(body, 0), 0xffff, "the ping's sum"),
+                6 => {
+                    let sum = segment_sum(address(26), address(30), 6, body);
+                    assert_eq!(sum, 0xffff, "the segment's sum");
+                }
+                17 => {
+                    let length = usize::from(u16::from_be_bytes([body[4], body[5]]));
+                    assert_eq!(length, body.len());
+                }
+                other => panic!("protocol {other}"),
+            }
+        }
+        ref other => panic!("type {other:x?}"),
+    }
+}

@@ -1,0 +1,58 @@
+//! What the fuzz targets do with an input, one function each: libFuzzer calls them (`fuzz/fuzz_targets`), and plain
+//! `cargo test` calls them with every committed input (`fuzz/corpus`, `fuzz/regressions`).
+//!
+//! A target panics when something is not as it has to be; that is a finding. The rest of a target is judgement: what is
+//! true of every input, however mad.
+//!
+//! | module | targets |
+//! |---|---|
+//! | [`protocol`] | `etherbone`, `exchange`, `discovery`, `dhcp` |
+//! | [`server`] | `server`, `console` |
+//! | [`frames`] | `frames` |
+//! | [`describe`] | `describe` |
+//! | [`files`] | `board_toml`, `lcnc_ini`, `litexcnc_json`, `image` |
+//!
+//! A new target is a function here, a line in [`TARGETS`], a file in `fuzz/fuzz_targets` with its `[[bin]]`, and a few inputs in
+//! `fuzz/corpus`; the tests say which of these is missing. Jobs and G-code have their place in `files`.
+
+pub mod describe;
+pub mod files;
+pub mod frames;
+pub mod protocol;
+pub mod seeds;
+pub mod server;
+pub mod tape;
+pub mod watched;
+
+use std::sync::atomic::AtomicBool;
+
+/// Targets that run scripts write down what happened, for the message of a failure. It takes longer than the script.
+pub static EXPLAIN: AtomicBool = AtomicBool::new(false);
+
+/// A target: its name, what it does with an input.
+pub type Target = (&'static str, fn(&[u8]));
+
+/// All there are.
+pub const TARGETS: &[Target] = &[
+    ("board_toml", files::board_toml),
+    ("console", server::console),
+    ("describe", describe::describe),
+    ("dhcp", protocol::dhcp),
+    ("discovery", protocol::discovery),
+    ("etherbone", protocol::etherbone),
+    ("exchange", protocol::exchange),
+    ("frames", frames::frames),
+    ("image", files::image),
+    ("lcnc_ini", files::lcnc_ini),
+    ("litexcnc_json", files::litexcnc_json),
+    ("server", server::server),
+];
+
+/// The target of this name.
+///
+/// # Panics
+/// If there is none: a binary without a function.
+pub fn run(name: &str, data: &[u8]) {
+    let target = TARGETS.iter().find(|(known, _)| *known == name);
+    target.unwrap_or_else(|| panic!("no target {name}")).1(data);
+}

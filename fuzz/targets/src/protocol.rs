@@ -1,0 +1,240 @@
+//! The protocol: what a datagram may be, and that what was understood is what was said.
+
+use crate::tape::{Tape, bytes, words};
+use std::net::Ipv4Addr;
+use wire::describe::Channels;
+use wire::discovery::{Body, Message, WORDS_MAX};
+use wire::etherbone::{HEADER_WORDS, Packet, ReplyWriter};
+use wire::exchange::{
+    Command, REQUEST_OVERHEAD, Status, command_words, judge_sequence, status_words,
+};
+use wire::settings::{self, Settings};
+use wire::{MAX_PAYLOAD, MAX_WORDS, Name};
+
+/// A UDP payload: a packet whose records are the datagram and nothing else, or a refusal.
+pub fn etherbone(data: &[u8]) {
+    let mut buffer = [0; MAX_WORDS];
+    let Ok(words) = wire::words_from_bytes(data, &mut buffer) else {
+        assert!(
+            data.len() > MAX_PAYLOAD || !data.len().is_multiple_of(4),
+            "{} bytes are a datagram's and were refused as such",
+            data.len()
+        );
+        return;
+    };
+    let mut back = [0; MAX_PAYLOAD];
+    let length = wire::words_to_bytes(words, &mut back);
+    assert_eq!(&back[..length], data, "words are the bytes they came from");
+    let Ok(packet) = Packet::new_checked(words) else {
+        return;
+    };
+    if packet.is_probe() {
+        assert_eq!(packet.records().count(), 0, "a probe has no records");
+        assert_eq!(packet.body(), &words[HEADER_WORDS..]);
+        return;
+    }
+    // Written again, the records are the datagram; answered, they fit a frame.
+    let (mut request, mut reply) = ([0; MAX_WORDS], [0; MAX_WORDS]);
+    let mut request = ReplyWriter::new(&mut request, words[0]);
+    let mut reply = ReplyWriter::new(&mut reply, wire::etherbone::HEADER);
+    let (mut flags, mut at) = (Vec::new(), HEADER_WORDS);
+    for record in packet.records() {
+        let (writes, reads) = (record.writes.len(), record.reads.len());
+        assert!(writes + reads > 0, "a record of nothing");
+        flags.push(words[at] & 0xff00_0000);
+        at += 1 + (writes + usize::from(writes > 0)) + (reads + usize::from(reads > 0));
+        let head = wire::etherbone::BYTE_ENABLE | (writes as u32) << 8 | reads as u32;
+        let mut fits = request.push(head | flags[flags.len() - 1]);
+        if writes > 0 {
+            fits &= request.push(record.write_base) && request.extend(record.writes);
+        }
+        if reads > 0 {
+            fits &= request.push(record.return_base) && request.extend(record.reads);
+            fits &= reply.write_record(record.return_base, reads as u8);
+            fits &= reply.extend(record.reads);
+        }
+        assert!(
+            fits,
+            "a checked packet, or its answer, is longer than a frame"
+        );
+    }
+    assert!(!flags.is_empty(), "a packet of no records");
+    assert_eq!(request.words()[HEADER_WORDS..], words[HEADER_WORDS..]);
+    if reply.words().len() > HEADER_WORDS {
+        let answer = Packet::new_checked(reply.words());
+        assert!(answer.is_ok(), "the answer is no packet: {answer:?}");
+    }
+}
+
+fn channels(tape: &mut Tape) -> Channels {
+    let [stepgens, encoders, pwms, inputs, outputs] = tape.array();
+    Channels {
+        stepgens: stepgens % 17,
+        encoders: encoders % 17,
+        pwms: pwms % 17,
+        inputs: inputs % 33,
+        outputs: outputs % 33,
+    }
+}
+
+/// Command and status blocks of any board: read, written and read again they are the same.
+pub fn exchange(data: &[u8]) {
+    let mut tape = Tape(data);
+    let channels = channels(&mut tape);
+    let mode = tape.byte();
+    let (last, sequence) = (tape.word(), tape.word());
+    let forth = judge_sequence(sequence, last).is_ok();
+    let back = judge_sequence(last, sequence).is_ok();
+    assert!(
+        !(forth && back),
+        "{sequence:#x} and {last:#x} are each ahead"
+    );
+    let mut block = words(tape.0);
+    if mode & 1 != 0 {
+        block.resize(command_words(channels), 0);
+    }
+    if mode & 2 != 0 {
+        block.resize(status_words(channels), 0);
+    }
+    match Command::parse(&block, channels) {
+        Ok(command) => {
+            assert_eq!(block.len(), command_words(channels));
+            let mut buffer = [0; REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX];
+            let request = command.emit_request(channels, &mut buffer);
+            let request = request.expect("the longest command fits");
+            let packet = Packet::new_checked(request).expect("a request is a packet");
+            let record = packet.records().next().expect("a record");
+            let again = Command::parse(record.writes, channels);
+            assert_eq!(again, Ok(command));
+        }
+        Err(_) => assert_ne!(block.len(), command_words(channels)),
+    }
+    if let Ok(status) = Status::parse(&block, channels) {
+        assert_eq!(block.len(), status_words(channels));
+        let mut buffer = [0; MAX_WORDS];
+        let again = status.emit(channels, &mut buffer).expect("it fits");
+        assert_eq!(Status::parse(again, channels), Ok(status));
+    }
+    if let Ok(status) = Status::parse_reply(&block, channels) {
+        assert_eq!(status.sequence, block[3], "the answer to another command");
+    }
+}
+
+/// Datagrams of discovery, and the settings in them: what both ends understand, what a board would keep.
+pub fn discovery(data: &[u8]) {
+    let mut tape = Tape(data);
+    let mode = tape.byte();
+    let mut message = words(tape.0);
+    if mode & 1 != 0 {
+        seal(message.get_mut(wire::discovery::HEAD..).unwrap_or(&mut []));
+    }
+    let parsed = Message::parse(&message);
+    let question = Message::parse_request(&message);
+    if let Ok(question) = &question {
+        assert_eq!(
+            parsed.as_ref(),
+            Ok(question),
+            "a question to one, not to all"
+        );
+    }
+    let Ok(understood) = parsed else {
+        return;
+    };
+    let mut buffer = [0; WORDS_MAX];
+    let again = Message::parse(understood.emit(&mut buffer));
+    assert_eq!(again, Ok(understood));
+    match understood.body {
+        Body::Who | Body::Done(_) => {}
+        Body::Here(here) => {
+            let found = host::discovery::Found {
+                uid: understood.uid,
+                here,
+            };
+            let text = host::flash::uid_text(found.uid);
+            assert_eq!(host::flash::uid_parse(&text), Some(found.uid), "{text}");
+            found.socket();
+            change(&mut tape, &host::provision::settings_of(&found));
+        }
+        Body::Set(settings) => {
+            assert_eq!(settings.check(), Ok(()), "parsed, and no board can be that");
+            let again = Settings::parse(&settings.to_words());
+            assert_eq!(again, Ok(settings));
+            assert_eq!(settings.blanked().key, [0; 4], "a key goes to nobody");
+            change(&mut tape, &settings);
+        }
+    }
+}
+
+/// Puts the check sum of settings right.
+fn seal(message: &mut [u32]) {
+    if let Some([body @ .., crc]) = message.first_chunk_mut::<{ settings::WORDS }>() {
+        *crc = wire::crc::crc32_words(body);
+    }
+}
+
+/// What a person changes is a board's settings or a refusal.
+fn change(tape: &mut Tape, settings: &Settings) {
+    let which = tape.byte();
+    let (ip, prefix, gateway, port) = (tape.word(), tape.byte(), tape.word(), tape.half());
+    let given = |bit: u8| which >> bit & 1 != 0;
+    let change = host::provision::Change {
+        ip: given(0).then_some((Ipv4Addr::from(ip), given(1).then_some(prefix))),
+        gateway: given(2).then_some(gateway.into()),
+        dhcp: given(3).then_some(given(4)),
+        name: given(5).then_some(Name::cut(&String::from_utf8_lossy(tape.some()))),
+        mac: given(6).then_some(tape.array()),
+        port: given(7).then_some(port),
+    };
+    if let Ok(changed) = change.apply(settings) {
+        assert_eq!(Settings::parse(&changed.to_words()), Ok(changed));
+    }
+}
+
+/// A DHCP server that means no good: its lease is an address a host can have, or there is none.
+pub fn dhcp(data: &[u8]) {
+    use firmware::dhcp::{Client, WORDS};
+    const MAC: [u8; 6] = [0x12, 0xe2, 0xd5, 0, 0, 1];
+    let mut tape = Tape(data);
+    let mut client = Client::on(tape.word());
+    let mut second = 0u32;
+    client.tick(second);
+    while !tape.is_over() {
+        let step = tape.byte();
+        let mut sent = [0; WORDS];
+        client.emit(MAC, "board", &mut sent);
+        assert_eq!(sent[0] >> 16, 0x0101, "a request");
+        match step & 3 {
+            0 => {
+                second = second.wrapping_add(tape.word() >> (step >> 3));
+                client.tick(second);
+            }
+            1 => {
+                let offered = tape.many();
+                client.take(MAC, &words(offered), offered.len(), second);
+            }
+            // Answers to what was asked, with any address and options.
+            _ => {
+                let mut answer = [0; 60];
+                answer[0] = 0x0201_0600;
+                answer[1] = sent[1];
+                answer[4] = tape.word();
+                (answer[7], answer[8]) = (sent[7], sent[8]);
+                answer[59] = 0x6382_5363;
+                let mut offered = bytes(&answer);
+                offered.extend([53, 1, step >> 2]);
+                offered.extend(tape.some());
+                let length = offered.len();
+                client.take(MAC, &words(&offered), length, second);
+            }
+        }
+        if let Some(lease) = client.lease() {
+            assert!(
+                wire::settings::unicast(lease.ip),
+                "{} is no host's address",
+                Ipv4Addr::from(lease.ip)
+            );
+            assert!(lease.prefix <= 32, "a netmask of {} bits", lease.prefix);
+        }
+        client.gave_up(second);
+    }
+}

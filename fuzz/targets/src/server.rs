@@ -1,0 +1,555 @@
+//! A whole board and what hosts, good and bad, send it: datagrams, time, and hands at its pins.
+//!
+//! The input is a script of steps, one byte that says what, and as many as it needs behind it. After every step:
+//!
+//! * a refused datagram has changed nothing, and neither has one that only reads;
+//! * the machine is armed by the one legal way only: session, `enable`, an edge of `enable-request` seen low before, a fresh
+//!   command behind it, no pin in the way;
+//! * while the gate is closed no pulse leaves;
+//! * the gate is open only while the machine is armed or stops;
+//! * answers are packets.
+
+use crate::tape::{Tape, words};
+use crate::watched::{self, Watched};
+use firmware::console::Vitals;
+use firmware::cores::Board;
+use firmware::machine::{BEHIND_A_FRAME, Machine};
+use firmware::session::Peer;
+use std::sync::atomic::Ordering::Relaxed;
+use wire::exchange::{Command, REQUEST_OVERHEAD, Status};
+use wire::units::{Accel, StepRate};
+use wire::{MAX_WORDS, Packet, State, etherbone, map};
+
+/// Longer scripts say nothing new.
+const STEPS: usize = 200;
+/// A third of a simulated second at most: time is what costs here.
+const CLOCKS: u64 = 20_000_000;
+
+/// The host, another program on it, and another host.
+const PEERS: [Peer; 3] = [
+    Peer {
+        ip: 0xc0a8_0201,
+        port: 40_000,
+    },
+    Peer {
+        ip: 0xc0a8_0201,
+        port: 40_001,
+    },
+    Peer {
+        ip: 0xc0a8_0203,
+        port: 40_000,
+    },
+];
+
+/// What was seen of `enable-request` in this session, as the design words it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Seen {
+    Nothing,
+    Low,
+    Edge,
+    Used,
+}
+
+/// A board and its observer.
+pub struct Bench {
+    /// The board.
+    pub machine: Machine<Watched>,
+    seen: Seen,
+    state: State,
+    sequence: u32,
+    clocks: u64,
+    /// What happened, for the message of a failure.
+    story: Vec<String>,
+}
+
+/// Runs a script.
+pub fn server(data: &[u8]) {
+    script(data);
+}
+
+/// Runs a script; the board is as it left it.
+pub fn script(data: &[u8]) -> Bench {
+    let mut bench = Bench::new();
+    let mut tape = Tape(data);
+    for _ in 0..STEPS {
+        if tape.is_over() || bench.clocks > CLOCKS {
+            break;
+        }
+        bench.step(&mut tape);
+    }
+    bench
+}
+
+impl Default for Bench {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Bench {
+    /// A board that was just switched on.
+    pub fn new() -> Self {
+        let machine = watched::start();
+        Bench {
+            state: machine.server.safety().state(),
+            machine,
+            seen: Seen::Nothing,
+            sequence: 0,
+            clocks: 0,
+            story: Vec::new(),
+        }
+    }
+
+    fn step(&mut self, tape: &mut Tape) {
+        let step = tape.byte();
+        let peer = PEERS[usize::from(step >> 4) % PEERS.len()];
+        match step & 15 {
+            0 => self.datagram(peer, &words(tape.many())),
+            1 => self.write(peer, map::SESSION_ACQUIRE, tape.byte().into()),
+            2 | 3 => self.exchange(peer, tape),
+            4 => {
+                let clocks = 1u64 << (tape.byte() % 24);
+                self.pass(clocks);
+            }
+            5 => {
+                let [class, channel, field] = tape.array();
+                let base = [
+                    map::CONFIG_STEPGEN,
+                    map::CONFIG_ENCODER,
+                    map::CONFIG_PWM,
+                    map::CONFIG_BOARD,
+                    map::CONFIG_DEBOUNCE,
+                ][usize::from(class) % 5];
+                let at = u32::from(channel % 20) * map::CONFIG_STRIDE + 4 * u32::from(field % 8);
+                self.write(peer, base + at, tape.word());
+            }
+            6 => {
+                let [pins, inputs, link] = tape.array();
+                let world = self.machine.board.desk.world();
+                world.ext_reset(pins & 1 != 0);
+                world.gpio_in(u32::from(inputs) << (pins >> 4));
+                world.link(if pins & 2 != 0 { link & 15 } else { 0b1101 });
+                self.pass(64);
+            }
+            7 => {
+                let addresses = words(tape.some());
+                let mut buffer = [0; MAX_WORDS];
+                let mut request = etherbone::ReplyWriter::new(&mut buffer, etherbone::HEADER);
+                request.read_record(u32::from(tape.byte()), &addresses);
+                let request = request.words().to_vec();
+                self.datagram(peer, &request);
+            }
+            8 => {
+                let own = self.machine.server.session().token_for(peer);
+                let token = if tape.byte() & 1 == 0 {
+                    own
+                } else {
+                    tape.word()
+                };
+                self.write(peer, map::SESSION_RELEASE, token);
+            }
+            9 => {
+                let (operation, address, length) = (tape.byte(), tape.word(), tape.half());
+                self.write(peer, map::FLASH_ADDRESS, address);
+                self.write(peer, map::FLASH_OP_LENGTH, length.into());
+                self.write(peer, map::FLASH_OP, u32::from(operation % 16));
+            }
+            10 => {
+                let page = u32::from(tape.byte()) * litex_pac::abi::CSR_PAGE as u32;
+                let at = map::SERVICE + page + 4 * u32::from(tape.byte());
+                self.write(peer, at, tape.word());
+            }
+            11 => self.discovery(tape),
+            12 => {
+                let offer = tape.many();
+                self.machine.offered(&words(offer), offer.len());
+                self.tell(|| "a DHCP server".to_owned());
+                self.untouched();
+            }
+            13 => self.console(tape.some()),
+            14 => self.write(peer, tape.word(), tape.word()),
+            _ => self.records(peer, tape),
+        }
+        self.shouts();
+        self.holds();
+    }
+
+    fn tell(&mut self, what: impl FnOnce() -> String) {
+        if crate::EXPLAIN.load(Relaxed) {
+            self.story.push(what());
+        }
+    }
+
+    fn write(&mut self, peer: Peer, address: u32, value: u32) {
+        let words = [etherbone::HEADER, 0, 0x000f_0100, address, value];
+        self.datagram(peer, &words);
+    }
+
+    /// Several writes and reads in one datagram.
+    fn records(&mut self, peer: Peer, tape: &mut Tape) {
+        let mut buffer = [0; MAX_WORDS];
+        let mut packet = etherbone::ReplyWriter::new(&mut buffer, etherbone::HEADER);
+        for _ in 0..tape.byte() % 8 {
+            let [kind, count] = tape.array();
+            let base = [
+                map::SESSION_ACQUIRE,
+                map::SESSION_RELEASE,
+                map::CONFIG_STEPGEN,
+                map::CONFIG_BOARD,
+                map::FLASH_OP,
+                map::COMMAND,
+                map::SESSION_REBOOT,
+                map::SERVICE,
+            ][usize::from(kind) % 8];
+            if kind & 8 != 0 {
+                packet.read_record(base, &[base, base + 4]);
+            } else {
+                let count = count % 40;
+                packet.write_record(base + 4 * u32::from(kind >> 4), count);
+                for _ in 0..count {
+                    packet.push(tape.word());
+                }
+            }
+        }
+        let packet = packet.words().to_vec();
+        self.datagram(peer, &packet);
+    }
+
+    /// A command block as a host would write it, with this or that wrong.
+    fn exchange(&mut self, peer: Peer, tape: &mut Tape) {
+        let [flags, ahead, rates] = tape.array();
+        let session = self.machine.server.session();
+        self.sequence = self.sequence.wrapping_add(1);
+        let mut command = Command {
+            token: session.token_for(peer),
+            sequence: session.last_sequence().wrapping_add(match ahead {
+                0..128 => 1,
+                _ => ahead as i8 as u32,
+            }),
+            enable: flags & 1 != 0,
+            enable_request: flags & 2 != 0,
+            stepgen_enable: 0x3f,
+            ..Command::default()
+        };
+        if flags & 4 != 0 {
+            command.token ^= tape.word();
+        }
+        if flags & 8 != 0 {
+            command.apply_at = Some(wire::units::Clocks(
+                self.machine.board.now() + u64::from(tape.half()) * 16,
+            ));
+        }
+        // At most 14 kHz: pulses cost, too.
+        command.stepgen = [(StepRate(i32::from(rates as i8) << 13), Accel::UNLIMITED); 16];
+        let channels = watched::ident(&self.machine).channels;
+        let mut buffer = [0; REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX];
+        let request = command.emit_request(channels, &mut buffer);
+        let mut request = request.expect("it fits").to_vec();
+        if flags & 16 != 0 {
+            for _ in 0..tape.byte() % 8 {
+                let at = usize::from(tape.byte()) % request.len();
+                request[at] = tape.word();
+            }
+        }
+        if flags & 32 != 0 {
+            request.truncate(usize::from(tape.byte()));
+        }
+        self.datagram(peer, &request);
+    }
+
+    /// One datagram, and what must be true behind it.
+    pub fn datagram(&mut self, peer: Peer, words: &[u32]) {
+        let words = &words[..words.len().min(MAX_WORDS)];
+        let machine = &mut self.machine;
+        let channels = watched::ident(machine).channels;
+        let mut owner = machine.server.session().owner();
+        // A bite is noticed when somebody looks at the gate, which may be this datagram.
+        let undisturbed = machine.server.safety().running(machine.board.gate());
+        let before = machine.server.safety().state();
+        let refusals = machine.server.counters().refused_total;
+        machine.board.take();
+        let mut buffer = [0; MAX_WORDS];
+        let served = machine
+            .datagram(words, peer, &mut buffer)
+            .map(<[u32]>::to_vec);
+        let deeds = machine.board.take();
+        let state = machine.server.safety().state();
+        self.tell(|| {
+            format!("{peer:x?} {words:x?}: {served:x?}, {deeds:?}, {before:?} -> {state:?}")
+        });
+        let story = &self.story;
+        let counted = self
+            .machine
+            .server
+            .counters()
+            .refused_total
+            .wrapping_sub(refusals);
+        assert_eq!(
+            counted,
+            u32::from(served.is_err()),
+            "not counted\n{story:#?}"
+        );
+        let packet = Packet::new_checked(words);
+        match &served {
+            Err(why) => {
+                assert!(
+                    !deeds.took_effect(),
+                    "refused for {why:?}, and {deeds:?}\n{story:#?}"
+                );
+                assert!(
+                    state == before || !undisturbed,
+                    "refused, and {before:?} became {state:?}\n{story:#?}"
+                );
+            }
+            Ok(reply) => {
+                let packet =
+                    packet.unwrap_or_else(|why| panic!("executed though {why:?}\n{story:#?}"));
+                let writes = packet.records().any(|record| !record.writes.is_empty());
+                if !writes {
+                    assert_eq!(deeds, Default::default(), "reading did that\n{story:#?}");
+                    assert_eq!(before, state, "reading did that\n{story:#?}");
+                }
+                if !reply.is_empty() && !packet.is_probe() {
+                    let answer = Packet::new_checked(reply);
+                    assert!(answer.is_ok(), "the answer is {answer:?}\n{story:#?}");
+                }
+                if writes && owner.is_none_or(|owner| owner != peer) {
+                    // A stranger's datagram that does anything has acquired before.
+                    let acquires = packet.records().any(|record| {
+                        record.write_base <= map::SESSION_ACQUIRE
+                            && map::SESSION_ACQUIRE
+                                < record
+                                    .write_base
+                                    .saturating_add(4 * record.writes.len() as u32)
+                    });
+                    let free = owner.is_none();
+                    assert!(free, "a stranger's write was taken\n{story:#?}");
+                    if acquires {
+                        owner = Some(peer);
+                    }
+                    let only_flash = deeds.commits + deeds.fed + deeds.written + deeds.armed == 0;
+                    assert!(
+                        acquires || only_flash,
+                        "without a session: {deeds:?}\n{story:#?}"
+                    );
+                }
+            }
+        }
+        let exchange = packet.ok().and_then(|packet| {
+            let record = packet.records().next()?;
+            let block = record.writes;
+            (record.write_base == map::COMMAND && !packet.is_probe())
+                .then(|| Command::parse(block, channels).ok())?
+        });
+        match (exchange, &served) {
+            (Some(command), Ok(reply)) => {
+                if !reply.is_empty() {
+                    let status = Status::parse_reply(reply, channels);
+                    let status =
+                        status.unwrap_or_else(|why| panic!("a status {why:?}\n{story:#?}"));
+                    assert_eq!(status.sequence, command.sequence, "{story:#?}");
+                }
+                assert_eq!(
+                    owner,
+                    Some(peer),
+                    "a stranger's command was executed\n{story:#?}"
+                );
+                self.commanded(&command, before, state);
+            }
+            (Some(_) | None, Ok(_) | Err(_)) => {
+                assert!(
+                    state != State::Armed || before == State::Armed,
+                    "armed without a command\n{story:#?}"
+                );
+                assert_eq!(deeds.armed, 0, "armed without a command\n{story:#?}");
+                // Acquired, or given back: what was seen before no longer counts.
+                if served.is_ok() && words.len() > 2 && self.rewrote_session(words) {
+                    self.seen = Seen::Nothing;
+                }
+            }
+        }
+        self.state = state;
+        if self.machine.due(BEHIND_A_FRAME) {
+            self.machine.chores();
+        }
+        self.machine.board.take();
+    }
+
+    fn rewrote_session(&self, words: &[u32]) -> bool {
+        Packet::new_checked(words).is_ok_and(|packet| {
+            packet
+                .records()
+                .any(|r| !r.writes.is_empty() && r.write_base >> 12 == map::SESSION >> 12)
+        })
+    }
+
+    /// The owner's command was accepted.
+    fn commanded(&mut self, command: &Command, before: State, state: State) {
+        let story = &self.story;
+        if state == State::Armed && before != State::Armed {
+            let pins = self.machine.board.gate();
+            assert_eq!(self.seen, Seen::Edge, "armed without an edge\n{story:#?}");
+            assert!(
+                command.enable && command.enable_request,
+                "armed by {command:?}\n{story:#?}"
+            );
+            assert!(
+                !pins.pinned_now(),
+                "armed with a pin in the way\n{story:#?}"
+            );
+            assert_eq!(before, State::Disarmed, "{story:#?}");
+        }
+        let stopped = before == State::Armed && state != State::Armed;
+        self.seen = match (self.seen, command.enable_request) {
+            (_, _) if stopped => Seen::Nothing,
+            (_, false) => Seen::Low,
+            // An edge counts where arming is possible: at rest.
+            (Seen::Low, true) if state == State::Disarmed => Seen::Edge,
+            (Seen::Low | Seen::Edge | Seen::Used, true) => Seen::Used,
+            (Seen::Nothing, true) => Seen::Nothing,
+        };
+    }
+
+    fn discovery(&mut self, tape: &mut Tape) {
+        let mut message = words(tape.many());
+        if let Some([.., body]) = message.split_first_chunk_mut::<6>().map(|(_, b)| [b])
+            && let Some([settings @ .., crc]) = body.first_chunk_mut::<32>()
+        {
+            *crc = wire::crc::crc32_words(settings);
+        }
+        let owned = self.machine.server.session().owner().is_some();
+        let mut buffer = [0; MAX_WORDS];
+        let answer = self.machine.discover(&message, 50_000, &mut buffer);
+        if !answer.is_empty() {
+            let parsed = wire::discovery::Message::parse(answer);
+            assert!(parsed.is_ok(), "{parsed:?} of {message:x?}");
+        }
+        let deeds = self.machine.board.take();
+        assert!(
+            !(owned && deeds.took_effect()),
+            "an owned board was told {message:x?}: {deeds:?}"
+        );
+        self.tell(|| format!("discovery {message:x?}: {deeds:?}"));
+    }
+
+    fn untouched(&mut self) {
+        let deeds = self.machine.board.take();
+        let story = &self.story;
+        assert_eq!(deeds, Default::default(), "{story:#?}");
+    }
+
+    fn console(&mut self, bytes: &[u8]) {
+        let mut line = firmware::console::Line::default();
+        for byte in bytes {
+            if let Some(ask) = line.push(*byte) {
+                let mut paper = Paper::default();
+                self.machine.answer(ask, &Vitals::default(), &mut paper);
+                paper.judge();
+            }
+        }
+        self.tell(|| format!("console {:?}", String::from_utf8_lossy(bytes)));
+        self.untouched();
+    }
+
+    fn pass(&mut self, clocks: u64) {
+        let gate = self.machine.board.gate();
+        let pulses = self.machine.board.desk.world().edges.pulses();
+        self.clocks += clocks;
+        watched::pass(&mut self.machine, clocks, (clocks / 60_000).clamp(1, 8));
+        let now = self.machine.board.desk.world().edges.pulses();
+        self.tell(|| format!("{clocks} clocks"));
+        let story = &self.story;
+        assert!(
+            gate.open() || pulses == now,
+            "pulses through a closed gate\n{story:#?}"
+        );
+        let deeds = self.machine.board.take();
+        assert_eq!(
+            (deeds.armed, deeds.fed, deeds.written),
+            (0, 0, 0),
+            "time did that\n{story:#?}"
+        );
+    }
+
+    fn shouts(&mut self) {
+        for _ in 0..4 {
+            if !self.machine.has_to_shout() {
+                break;
+            }
+            let mut buffer = [0; MAX_WORDS];
+            if let Some(shout) = self.machine.shout(&mut buffer) {
+                assert!(shout.words <= MAX_WORDS && shout.words > 0);
+            }
+            self.machine.moved();
+        }
+        self.machine.board.take();
+    }
+
+    /// What holds always.
+    fn holds(&mut self) {
+        let story = &self.story;
+        let machine = &mut self.machine;
+        let (gate, state) = (machine.board.gate(), machine.server.safety().state());
+        let live = matches!(state, State::Armed | State::Stopping);
+        assert!(
+            live || !gate.open(),
+            "{state:?} and the gate is open\n{story:#?}"
+        );
+        if state != State::Armed && self.state == State::Armed {
+            self.seen = Seen::Nothing;
+        }
+        self.state = state;
+        let owner = machine.server.session().owner();
+        assert!(
+            state != State::Armed || owner.is_some(),
+            "armed, and nobody owns it\n{story:#?}"
+        );
+        if owner.is_none() {
+            self.seen = Seen::Nothing;
+        }
+    }
+}
+
+/// Text of the console.
+#[derive(Debug, Default)]
+pub struct Paper(pub Vec<u8>);
+
+impl firmware::text::Sink for Paper {
+    fn put(&mut self, text: &[u8]) {
+        self.0.extend_from_slice(text);
+    }
+}
+
+impl Paper {
+    /// It fits its place, and upsets no terminal.
+    pub fn judge(&self) {
+        let text = String::from_utf8_lossy(&self.0);
+        assert!(
+            self.0.len() <= firmware::console::ANSWER_MAX,
+            "{} bytes of answer\n{text}",
+            self.0.len()
+        );
+        let plain = |byte: &u8| matches!(byte, b' '..=b'~' | b'\r' | b'\n');
+        assert!(self.0.iter().all(plain), "{text:?}");
+    }
+}
+
+thread_local! {
+    static CONSOLE: std::cell::RefCell<Option<Bench>> = const { std::cell::RefCell::new(None) };
+}
+
+/// Bytes of somebody at the console: lines or telnet's own, answers that fit, and nothing that touches the board.
+pub fn console(data: &[u8]) {
+    // Nobody at the console changes anything, which is asserted: so one board does for all inputs.
+    let mut bench = CONSOLE.take().unwrap_or_default();
+    let mut line = firmware::console::Line::default();
+    for byte in data {
+        if let Some(ask) = line.push(*byte) {
+            let mut paper = Paper::default();
+            bench.machine.answer(ask, &Vitals::default(), &mut paper);
+            paper.judge();
+        }
+    }
+    bench.untouched();
+    CONSOLE.set(Some(bench));
+}

@@ -1,0 +1,70 @@
+//! An input as a tape that is read to its end; behind the end are zeros, so that every input is one.
+
+/// The rest of an input.
+#[derive(Clone, Copy, Debug)]
+pub struct Tape<'d>(pub &'d [u8]);
+
+impl<'d> Tape<'d> {
+    /// Is everything read?
+    pub fn is_over(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The next byte.
+    pub fn byte(&mut self) -> u8 {
+        let [byte] = self.array();
+        byte
+    }
+
+    /// The next two, the larger first.
+    pub fn half(&mut self) -> u16 {
+        u16::from_be_bytes(self.array())
+    }
+
+    /// The next four.
+    pub fn word(&mut self) -> u32 {
+        u32::from_be_bytes(self.array())
+    }
+
+    /// At most so many bytes.
+    pub fn take(&mut self, most: usize) -> &'d [u8] {
+        let (head, rest) = self.0.split_at(most.min(self.0.len()));
+        self.0 = rest;
+        head
+    }
+
+    /// A byte that says how many, and as many.
+    pub fn some(&mut self) -> &'d [u8] {
+        let count = self.byte();
+        self.take(count.into())
+    }
+
+    /// A half that says how many, and as many.
+    pub fn many(&mut self) -> &'d [u8] {
+        let count = self.half();
+        self.take(count.into())
+    }
+
+    /// So many bytes.
+    pub fn array<const N: usize>(&mut self) -> [u8; N] {
+        let mut bytes = [0; N];
+        let head = self.take(N);
+        bytes[..head.len()].copy_from_slice(head);
+        bytes
+    }
+}
+
+/// Bytes as words, the last one filled up with zeros.
+pub fn words(bytes: &[u8]) -> Vec<u32> {
+    let mut tape = Tape(bytes);
+    let mut words = Vec::with_capacity(bytes.len().div_ceil(4));
+    while !tape.is_over() {
+        words.push(tape.word());
+    }
+    words
+}
+
+/// Words as bytes.
+pub fn bytes(words: &[u32]) -> Vec<u8> {
+    words.iter().flat_map(|word| word.to_be_bytes()).collect()
+}
