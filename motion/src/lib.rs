@@ -8,10 +8,13 @@
 #![forbid(unsafe_code)]
 
 pub mod circle;
+pub mod fpgag;
 pub mod gcode;
 pub mod instruction;
+pub mod job;
 pub mod plan;
 pub mod ramp;
 pub mod segment;
+pub mod xypen;
 
 pub use ramp::Ramp;

@@ -1,0 +1,751 @@
+//! The job file: [`Instruction`]s, checked, in blocks that can be sent, stored and resumed one by one.
+//!
+//! ```text
+//! file    = block*                      the first is the header, the last the end
+//! block   = "FJ" kind:u8 0 length:u32 payload[length] crc:u32        all little endian
+//! kind    = 1 header, 2 instructions, 3 end
+//! crc     = CRC-32 (Ethernet's) of everything in the block before it, beginning at "FJ"; it continues from the crc
+//!           of the block before, so that no block can be lost, doubled or moved
+//! header  = version:u8 name (the rest, UTF-8)
+//! end     = instructions:u32 lowest:i64 x 3 highest:i64 x 3           the extents in nm
+//! ```
+//!
+//! An instruction is a byte (low half: what; high half: which fields follow), then varints (seven bits a byte, lowest first; signed ones
+//! zigzag). Lines, places and centres are differences to those of the instruction before, so that a short line takes 6 bytes.
+//!
+//! | low half | instruction | fields, each if its bit is set |
+//! |---|---|---|
+//! | 0 | rapid | `10` X `20` Y `40` Z `80` source line |
+//! | 1 | line | the same; its feed is the last `6` |
+//! | 2, 3 | arc clockwise, counterclockwise | the same, then I and J from the beginning |
+//! | 4 | dwell, microseconds | `80` source line |
+//! | 5 | outputs, bits | `80` source line |
+//! | 6 | feed, nm/s | |
+//! | 7 | home | `10` X `20` Y `40` Z, `80` source line |
+//! | 8, 9 | pause, end of program | `80` source line |
+//!
+//! No instruction crosses a block's end, and a block holds at most [`BLOCK`] bytes of them: a reader needs memory for one block,
+//! and whoever sends can go on from the block after the last one that arrived. The state of the differences goes on across blocks.
+
+use crate::instruction::{Arc, FARTHEST, Feed, Instruction, Place};
+use core::fmt;
+use wire::crc::Crc32;
+
+/// The only version there is.
+pub const VERSION: u8 = 1;
+
+/// Bytes of instructions in a block, at most.
+pub const BLOCK: usize = 1024;
+
+/// Bytes round a block's payload.
+pub const FRAME: usize = HEAD + 4;
+
+/// Bytes of a job's name, at most.
+pub const NAME: usize = 64;
+
+const HEAD: usize = 8;
+const MAGIC: [u8; 2] = *b"FJ";
+
+/// No instruction is longer: a byte and seven varints of ten bytes at most.
+const LONGEST: usize = 64;
+
+/// What a block is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Version and name.
+    Header,
+    /// Instructions.
+    Instructions,
+    /// Count and extents.
+    End,
+}
+
+impl Kind {
+    const fn code(self) -> u8 {
+        match self {
+            Kind::Header => 1,
+            Kind::Instructions => 2,
+            Kind::End => 3,
+        }
+    }
+
+    const fn from_code(code: u8) -> Option<Kind> {
+        match code {
+            1 => Some(Kind::Header),
+            2 => Some(Kind::Instructions),
+            3 => Some(Kind::End),
+            _ => None,
+        }
+    }
+}
+
+/// What is wrong with a job file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Error {
+    /// Not a block where one begins.
+    NoBlock,
+    /// It ends within a block, or without its last.
+    Cut,
+    /// Garbled, or a block is missing before it.
+    Crc {
+        /// As it says.
+        said: u32,
+        /// As it is.
+        is: u32,
+    },
+    /// A header, an end or a name where none belongs.
+    Order,
+    /// Of another version.
+    Version {
+        /// Its.
+        theirs: u8,
+    },
+    /// An instruction nobody here knows, or with impossible fields.
+    Instruction(u8),
+    /// The end counts other instructions than there are.
+    Count {
+        /// As it says.
+        said: u32,
+        /// As it is.
+        is: u32,
+    },
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Error::NoBlock => write!(f, "this is no job file"),
+            Error::Cut => write!(f, "the job is not complete"),
+            Error::Crc { said, is } => write!(
+                f,
+                "garbled, or a block is missing: CRC {said:08x} said, {is:08x} counted"
+            ),
+            Error::Order => write!(f, "a block where it does not belong"),
+            Error::Version { theirs } => write!(
+                f,
+                "the job is of version {theirs}, this reads {VERSION}: prepare it anew"
+            ),
+            Error::Instruction(code) => write!(
+                f,
+                "instruction {code:#04x} is not known here or has impossible fields"
+            ),
+            Error::Count { said, is } => {
+                write!(f, "the job should have {said} instructions, it has {is}")
+            }
+        }
+    }
+}
+
+/// What the end says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Summary {
+    /// Instructions of the program, feeds not counted.
+    pub instructions: u32,
+    /// The smallest X, Y and Z of any instruction's end, in nm. (An arc may reach further.)
+    pub lowest: Place,
+    /// The largest.
+    pub highest: Place,
+}
+
+impl Summary {
+    const NONE: Summary = Summary {
+        instructions: 0,
+        lowest: [0; 3],
+        highest: [0; 3],
+    };
+    const BYTES: usize = 4 + 6 * 8;
+
+    fn add(&mut self, at: &Place) {
+        self.instructions = self.instructions.saturating_add(1);
+        for (axis, nm) in at.iter().enumerate() {
+            self.lowest[axis] = self.lowest[axis].min(*nm);
+            self.highest[axis] = self.highest[axis].max(*nm);
+        }
+    }
+
+    fn bytes(&self) -> [u8; Summary::BYTES] {
+        let mut bytes = [0; Summary::BYTES];
+        bytes[..4].copy_from_slice(&self.instructions.to_le_bytes());
+        for (place, nm) in bytes[4..]
+            .chunks_exact_mut(8)
+            .zip(self.lowest.iter().chain(&self.highest))
+        {
+            place.copy_from_slice(&nm.to_le_bytes());
+        }
+        bytes
+    }
+
+    fn parse(bytes: &[u8]) -> Option<Summary> {
+        let bytes: &[u8; Summary::BYTES] = bytes.try_into().ok()?;
+        let (count, places) = bytes.split_first_chunk()?;
+        let nm = |index: usize| {
+            let place = places.get(8 * index..8 * index + 8)?;
+            Some(i64::from_le_bytes(place.try_into().ok()?))
+        };
+        Some(Summary {
+            instructions: u32::from_le_bytes(*count),
+            lowest: [nm(0)?, nm(1)?, nm(2)?],
+            highest: [nm(3)?, nm(4)?, nm(5)?],
+        })
+    }
+}
+
+/// What instructions are differences to.
+#[derive(Clone, Copy, Debug)]
+struct State {
+    at: Place,
+    feed: Option<u32>,
+    line: u32,
+}
+
+const START: State = State {
+    at: [0; 3],
+    feed: None,
+    line: 0,
+};
+
+/// Writes a job into blocks. Each is to be taken (written, sent) before the next is made.
+#[derive(Clone, Debug)]
+pub struct Writer {
+    block: [u8; HEAD + BLOCK + 4],
+    length: usize,
+    crc: u32,
+    state: State,
+    summary: Summary,
+}
+
+impl Writer {
+    /// The first block and the writer of the others. A name is cut at 64 bytes.
+    pub fn new(name: &str) -> Self {
+        let mut writer = Writer {
+            block: [0; HEAD + BLOCK + 4],
+            length: HEAD,
+            crc: 0,
+            state: START,
+            summary: Summary::NONE,
+        };
+        let end = (0..=NAME.min(name.len()))
+            .rev()
+            .find(|end| name.is_char_boundary(*end));
+        writer.append(&[VERSION]);
+        writer.append(&name.as_bytes()[..end.unwrap_or(0)]);
+        writer
+    }
+
+    /// The block of the name: the first.
+    pub fn header(&mut self) -> &[u8] {
+        self.close(Kind::Header)
+    }
+
+    /// Adds an instruction; `line` is that of its source. When the block is full it comes back, complete, and this instruction
+    /// is in the next.
+    pub fn add(&mut self, instruction: &Instruction, line: u32, mut full: impl FnMut(&[u8])) {
+        if self.length + 2 * LONGEST > HEAD + BLOCK {
+            full(self.close(Kind::Instructions));
+        }
+        let (to, feed) = match *instruction {
+            Instruction::Line { to, feed } => (to, Some(feed)),
+            Instruction::Arc(arc) => (arc.to, Some(arc.feed)),
+            Instruction::Home { axes } => {
+                let at = self.state.at;
+                (
+                    core::array::from_fn(|axis| if axes[axis] { 0 } else { at[axis] }),
+                    None,
+                )
+            }
+            Instruction::Dwell { .. }
+            | Instruction::Aux { .. }
+            | Instruction::Pause
+            | Instruction::End => (self.state.at, None),
+        };
+        if let Some(Feed::Rate(rate)) = feed.filter(|feed| *feed != Feed::Rapid)
+            && self.state.feed.replace(rate) != Some(rate)
+        {
+            self.append(&[6]);
+            self.varint(rate.into());
+        }
+        let from = core::mem::replace(&mut self.state.at, to);
+        let mut fields = if line == self.state.line { 0 } else { 0x80 };
+        let code = match *instruction {
+            Instruction::Line { feed, .. } => u8::from(feed != Feed::Rapid),
+            Instruction::Arc(arc) => {
+                if arc.clockwise {
+                    2
+                } else {
+                    3
+                }
+            }
+            Instruction::Dwell { .. } => 4,
+            Instruction::Aux { .. } => 5,
+            Instruction::Home { .. } => 7,
+            Instruction::Pause => 8,
+            Instruction::End => 9,
+        };
+        let moves = code < 4;
+        for axis in 0..3 {
+            let named = match *instruction {
+                Instruction::Home { axes } => axes[axis],
+                _ => to[axis] != from[axis],
+            };
+            fields |= u8::from(named) << (4 + axis);
+        }
+        self.append(&[code | fields]);
+        for axis in (0..3).filter(|axis| moves && fields >> (4 + axis) & 1 == 1) {
+            self.signed(to[axis] - from[axis]);
+        }
+        if fields & 0x80 != 0 {
+            self.signed(i64::from(line) - i64::from(self.state.line));
+            self.state.line = line;
+        }
+        match *instruction {
+            Instruction::Arc(arc) => {
+                self.signed(arc.center[0] - from[0]);
+                self.signed(arc.center[1] - from[1]);
+            }
+            Instruction::Dwell { micros } => self.varint(micros),
+            Instruction::Aux { bits } => self.varint(bits.into()),
+            Instruction::Line { .. }
+            | Instruction::Home { .. }
+            | Instruction::Pause
+            | Instruction::End => {}
+        }
+        self.summary.add(&to);
+    }
+
+    /// The last instructions and the end.
+    pub fn finish(mut self, mut full: impl FnMut(&[u8])) -> Summary {
+        if self.length > HEAD {
+            full(self.close(Kind::Instructions));
+        }
+        self.append(&self.summary.bytes());
+        full(self.close(Kind::End));
+        self.summary
+    }
+
+    fn close(&mut self, kind: Kind) -> &[u8] {
+        let length = (self.length - HEAD) as u32;
+        self.block[..2].copy_from_slice(&MAGIC);
+        self.block[2] = kind.code();
+        self.block[3] = 0;
+        self.block[4..HEAD].copy_from_slice(&length.to_le_bytes());
+        self.crc = crc(self.crc, &self.block[..self.length]);
+        let end = self.length + 4;
+        self.block[self.length..end].copy_from_slice(&self.crc.to_le_bytes());
+        self.length = HEAD;
+        &self.block[..end]
+    }
+
+    fn append(&mut self, bytes: &[u8]) {
+        let end = self.length + bytes.len();
+        self.block[self.length..end].copy_from_slice(bytes);
+        self.length = end;
+    }
+
+    fn varint(&mut self, mut value: u64) {
+        while value >= 0x80 {
+            self.append(&[value as u8 | 0x80]);
+            value >>= 7;
+        }
+        self.append(&[value as u8]);
+    }
+
+    fn signed(&mut self, value: i64) {
+        self.varint((value << 1 ^ value >> 63) as u64);
+    }
+}
+
+/// Continues from the block before.
+fn crc(before: u32, bytes: &[u8]) -> u32 {
+    let mut crc = Crc32::new();
+    crc.update(&before.to_le_bytes());
+    crc.update(bytes);
+    crc.value()
+}
+
+/// A block whose CRC is right.
+#[derive(Clone, Copy, Debug)]
+pub struct Block<'a> {
+    /// What it is.
+    pub kind: Kind,
+    /// What is in it.
+    pub payload: &'a [u8],
+    /// With its frame.
+    pub length: usize,
+    /// What the next block continues from.
+    pub crc: u32,
+}
+
+impl<'a> Block<'a> {
+    /// The block at the beginning of `bytes`, which may hold more. `before`: the CRC of the block before, 0 for the first.
+    pub fn parse(bytes: &'a [u8], before: u32) -> Result<Block<'a>, Error> {
+        let head: &[u8; HEAD] = bytes.first_chunk().ok_or(Error::Cut)?;
+        let [f, j, code, zero, a, b, c, d] = *head;
+        let kind = Kind::from_code(code).filter(|_| [f, j] == MAGIC && zero == 0);
+        let kind = kind.ok_or(Error::NoBlock)?;
+        let length = u32::from_le_bytes([a, b, c, d]) as usize;
+        if length > BLOCK {
+            return Err(Error::NoBlock);
+        }
+        let end = HEAD + length;
+        let (content, rest) = bytes.split_at_checked(end).ok_or(Error::Cut)?;
+        let said = u32::from_le_bytes(*rest.first_chunk().ok_or(Error::Cut)?);
+        let is = crc(before, content);
+        if said != is {
+            return Err(Error::Crc { said, is });
+        }
+        Ok(Block {
+            kind,
+            payload: &content[HEAD..],
+            length: end + 4,
+            crc: is,
+        })
+    }
+}
+
+/// Reads a job, block by block.
+#[derive(Clone, Debug)]
+pub struct Reader {
+    crc: u32,
+    state: State,
+    summary: Summary,
+    begun: bool,
+    ended: bool,
+}
+
+impl Default for Reader {
+    fn default() -> Self {
+        Reader {
+            crc: 0,
+            state: START,
+            summary: Summary::NONE,
+            begun: false,
+            ended: false,
+        }
+    }
+}
+
+impl Reader {
+    /// The next block of the file, at the beginning of `bytes`. Its instructions go to `each` with their source lines; it says
+    /// how many bytes the block has. An error says nothing about the blocks before it.
+    pub fn block(
+        &mut self,
+        bytes: &[u8],
+        mut each: impl FnMut(Instruction, u32),
+    ) -> Result<usize, Error> {
+        let block = Block::parse(bytes, self.crc)?;
+        match (block.kind, self.begun, self.ended) {
+            (Kind::Header, false, false) => {
+                name_of(block.payload)?;
+                self.begun = true;
+            }
+            (Kind::Instructions, true, false) => {
+                let mut fields = Fields(block.payload);
+                while !fields.0.is_empty() {
+                    if let Some(instruction) = self.instruction(&mut fields)? {
+                        each(instruction, self.state.line);
+                    }
+                }
+            }
+            (Kind::End, true, false) => {
+                let said = Summary::parse(block.payload).ok_or(Error::Order)?;
+                if said != self.summary {
+                    let (said, is) = (said.instructions, self.summary.instructions);
+                    return Err(Error::Count { said, is });
+                }
+                self.ended = true;
+            }
+            (Kind::Header, ..) | (Kind::Instructions, ..) | (Kind::End, ..) => {
+                return Err(Error::Order);
+            }
+        }
+        self.crc = block.crc;
+        Ok(block.length)
+    }
+
+    /// The end was read, and it was right.
+    pub fn summary(&self) -> Option<Summary> {
+        self.ended.then_some(self.summary)
+    }
+
+    /// None for a feed.
+    fn instruction(&mut self, fields: &mut Fields) -> Result<Option<Instruction>, Error> {
+        let [first] = fields.bytes().ok_or(Error::Instruction(0))?;
+        let read = self.read(first, fields);
+        let (to, instruction) = read.ok_or(Error::Instruction(first))?;
+        let near = |nm: i64| nm.abs() <= FARTHEST;
+        if !to.iter().all(|nm| near(*nm)) {
+            return Err(Error::Instruction(first));
+        }
+        self.state.at = to;
+        if instruction.is_some() {
+            self.summary.add(&to);
+        }
+        Ok(instruction)
+    }
+
+    fn read(&mut self, first: u8, fields: &mut Fields) -> Option<(Place, Option<Instruction>)> {
+        let (code, has) = (first & 0xf, |bit: usize| first >> (4 + bit) & 1 == 1);
+        let axes = core::array::from_fn(has);
+        let from = self.state.at;
+        let mut to = from;
+        if code == 6 {
+            let feed = u32::try_from(fields.varint()?)
+                .ok()
+                .filter(|feed| *feed > 0 && first == 6)?;
+            self.state.feed = Some(feed);
+            return Some((to, None));
+        }
+        if code < 4 {
+            for axis in (0..3).filter(|axis| axes[*axis]) {
+                to[axis] = from[axis].checked_add(fields.signed()?)?;
+            }
+        } else if code != 7 && axes != [false; 3] {
+            return None;
+        }
+        if has(3) {
+            let line = i64::from(self.state.line).checked_add(fields.signed()?)?;
+            self.state.line = u32::try_from(line).ok()?;
+        }
+        let feed = self.state.feed.map(Feed::Rate);
+        let instruction = match code {
+            0 => Instruction::Line {
+                to,
+                feed: Feed::Rapid,
+            },
+            1 => Instruction::Line { to, feed: feed? },
+            2 | 3 => {
+                let center = [
+                    from[0].checked_add(fields.signed()?)?,
+                    from[1].checked_add(fields.signed()?)?,
+                ];
+                let arc = Arc {
+                    to,
+                    center,
+                    clockwise: code == 2,
+                    feed: feed?,
+                };
+                let near = center.iter().all(|nm| nm.abs() <= 4 * FARTHEST);
+                near.then_some(Instruction::Arc(arc))?
+            }
+            4 => Instruction::Dwell {
+                micros: fields.varint()?,
+            },
+            5 => Instruction::Aux {
+                bits: u16::try_from(fields.varint()?).ok()?,
+            },
+            7 => {
+                to = core::array::from_fn(|axis| if axes[axis] { 0 } else { from[axis] });
+                Instruction::Home { axes }
+            }
+            8 => Instruction::Pause,
+            9 => Instruction::End,
+            _ => return None,
+        };
+        Some((to, Some(instruction)))
+    }
+}
+
+/// Version and name of a header.
+pub fn name_of(header: &[u8]) -> Result<&str, Error> {
+    match header.split_first() {
+        None => Err(Error::Order),
+        Some((&VERSION, name)) if name.len() <= NAME => {
+            core::str::from_utf8(name).map_err(|_| Error::Order)
+        }
+        Some((&VERSION, _)) => Err(Error::Order),
+        Some((&theirs, _)) => Err(Error::Version { theirs }),
+    }
+}
+
+/// What is left of a block.
+struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    fn bytes<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (bytes, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*bytes)
+    }
+
+    fn varint(&mut self) -> Option<u64> {
+        let mut value = 0;
+        for shift in (0..64).step_by(7) {
+            let [byte] = self.bytes()?;
+            let bits = u64::from(byte & 0x7f);
+            if bits << shift >> shift != bits {
+                return None;
+            }
+            value |= bits << shift;
+            if byte < 0x80 {
+                return Some(value);
+            }
+        }
+        None
+    }
+
+    fn signed(&mut self) -> Option<i64> {
+        let value = self.varint()?;
+        Some((value >> 1) as i64 ^ -((value & 1) as i64))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    fn written(program: &[(Instruction, u32)]) -> Vec<u8> {
+        let mut writer = Writer::new("part");
+        let mut file = writer.header().to_vec();
+        for (instruction, line) in program {
+            writer.add(instruction, *line, |block| file.extend(block));
+        }
+        writer.finish(|block| file.extend(block));
+        file
+    }
+
+    fn read(file: &[u8]) -> Result<Vec<(Instruction, u32)>, Error> {
+        let (mut reader, mut program, mut at) = (Reader::default(), Vec::new(), 0);
+        while at < file.len() {
+            at += reader.block(&file[at..], |instruction, line| {
+                program.push((instruction, line))
+            })?;
+        }
+        reader.summary().map(|_| program).ok_or(Error::Cut)
+    }
+
+    fn any_instruction() -> impl Strategy<Value = Instruction> {
+        let nm = prop_oneof![Just(0), -1000..1000i64, -FARTHEST..=FARTHEST];
+        let place = proptest::array::uniform3(nm.clone());
+        let feed = prop_oneof![
+            Just(Feed::Rapid),
+            Just(Feed::Rate(7)),
+            (1..=u32::MAX).prop_map(Feed::Rate)
+        ];
+        let rate = (1..=u32::MAX).prop_map(Feed::Rate);
+        prop_oneof![
+            (place.clone(), feed).prop_map(|(to, feed)| Instruction::Line { to, feed }),
+            (place, proptest::array::uniform2(nm), any::<bool>(), rate).prop_map(
+                |(to, center, clockwise, feed)| {
+                    Instruction::Arc(Arc {
+                        to,
+                        center,
+                        clockwise,
+                        feed,
+                    })
+                }
+            ),
+            any::<u64>().prop_map(|micros| Instruction::Dwell { micros }),
+            any::<u16>().prop_map(|bits| Instruction::Aux { bits }),
+            any::<[bool; 3]>().prop_map(|axes| Instruction::Home { axes }),
+            Just(Instruction::Pause),
+            Just(Instruction::End),
+        ]
+    }
+
+    fn any_program() -> impl Strategy<Value = Vec<(Instruction, u32)>> {
+        proptest::collection::vec((any_instruction(), any::<u32>()), 0..300)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(100) })]
+
+        #[test]
+        fn what_is_written_is_read(program in any_program()) {
+            prop_assert_eq!(read(&written(&program)).unwrap(), program);
+        }
+
+        #[test]
+        fn a_changed_byte_is_noticed(program in any_program(), at: proptest::sample::Index, change in 1..=255u8) {
+            let mut file = written(&program);
+            let at = at.index(file.len());
+            file[at] ^= change;
+            prop_assert!(read(&file).is_err());
+        }
+
+        #[test]
+        fn a_cut_is_noticed(program in any_program(), at: proptest::sample::Index) {
+            let file = written(&program);
+            prop_assert!(read(&file[..at.index(file.len())]).is_err());
+        }
+
+        #[test]
+        fn no_payload_makes_it_panic(payload in proptest::collection::vec(any::<u8>(), 0..300)) {
+            let mut reader = Reader::default();
+            let mut fields = Fields(&payload);
+            while !fields.0.is_empty() && reader.instruction(&mut fields).is_ok() {}
+        }
+    }
+
+    /// The blocks of a file.
+    fn blocks(file: &[u8]) -> Vec<&[u8]> {
+        let (mut blocks, mut at, mut crc) = (Vec::new(), 0, 0);
+        while at < file.len() {
+            let block = Block::parse(&file[at..], crc).unwrap();
+            crc = block.crc;
+            blocks.push(&file[at..at + block.length]);
+            at += block.length;
+        }
+        blocks
+    }
+
+    fn many_lines() -> Vec<u8> {
+        let line = |i: u32| {
+            (
+                Instruction::Line {
+                    to: [i64::from(i) * 12_345, 0, 0],
+                    feed: Feed::Rate(1_000_000),
+                },
+                i,
+            )
+        };
+        written(&(1..2000).map(line).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn a_block_lost_doubled_or_moved_is_noticed() {
+        let file = many_lines();
+        let blocks = blocks(&file);
+        assert!(blocks.len() > 5);
+        let lost = [&blocks[..2], &blocks[3..]].concat().concat();
+        let doubled = [&blocks[..3], &blocks[2..]].concat().concat();
+        let moved = [&blocks[..1], &[blocks[2], blocks[1]], &blocks[3..]]
+            .concat()
+            .concat();
+        for file in [lost, doubled, moved] {
+            assert!(
+                matches!(read(&file), Err(Error::Crc { .. })),
+                "{:?}",
+                read(&file)
+            );
+        }
+    }
+
+    #[test]
+    fn a_line_of_a_millimetre_takes_six_bytes() {
+        let file = many_lines();
+        assert!(file.len() < 2000 * 6, "{} bytes", file.len());
+    }
+
+    #[test]
+    fn another_version_says_so() {
+        assert_eq!(name_of(&[2, b'x']), Err(Error::Version { theirs: 2 }));
+        assert_eq!(name_of(b"\x01part"), Ok("part"));
+    }
+
+    #[test]
+    fn a_long_name_is_cut_between_letters() {
+        let name = "ö".repeat(40);
+        let mut writer = Writer::new(&name);
+        let block = Block::parse(writer.header(), 0).unwrap();
+        assert_eq!(name_of(block.payload), Ok("ö".repeat(32).as_str()));
+    }
+
+    #[test]
+    fn other_files_are_no_jobs() {
+        assert_eq!(read(b"G1 X1 F100 and so on"), Err(Error::NoBlock));
+        assert_eq!(read(b""), Err(Error::Cut));
+    }
+}
