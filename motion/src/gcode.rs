@@ -22,7 +22,7 @@
 //! at a metre, sums of relative moves drift, and a softcore without FPU is slow with them.
 
 use crate::circle::hypot;
-use crate::instruction::{AUX_TOOL, Arc, FARTHEST, Feed, Instruction, Place};
+use crate::instruction::{AUX_TOOL, Arc, CENTER_FARTHEST, FARTHEST, Feed, Instruction, Place};
 use crate::segment::AXES;
 use core::fmt;
 
@@ -114,6 +114,8 @@ pub enum Fault {
     OffCircle(i64),
     /// More than 10 m from home.
     TooFar,
+    /// The centre of an arc, more than 40 m from home.
+    CenterTooFar,
 }
 
 impl fmt::Display for Error {
@@ -180,6 +182,10 @@ impl fmt::Display for Fault {
                 )
             }
             Fault::TooFar => write!(f, "more than 10 m from home"),
+            Fault::CenterTooFar => write!(
+                f,
+                "the arc's centre is more than 40 m from home; a line does it"
+            ),
         }
     }
 }
@@ -575,6 +581,9 @@ impl Modes {
         };
         let feed = self.cutting(words)?;
         let center = self.center(from, to, clockwise, words)?;
+        if center.iter().any(|nm| nm.abs() > CENTER_FARTHEST) {
+            return Err((words.first_at(), Fault::CenterTooFar));
+        }
         let arc = Arc {
             to,
             center,

@@ -11,6 +11,9 @@ pub type Place = [i64; AXES];
 /// No place of a job is further than 10 m from home.
 pub const FARTHEST: i64 = 10_000_000_000;
 
+/// The centre of an arc may be further: a line that is hardly bent. Beyond that it is a line.
+pub const CENTER_FARTHEST: i64 = 4 * FARTHEST;
+
 /// How fast along the path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Feed {

@@ -24,7 +24,7 @@
 //! lengths differ by a clock bring any velocity to 0 in the last bit.
 
 use crate::circle::Chords;
-use crate::instruction::{FARTHEST, Feed, Instruction, Place};
+use crate::instruction::{CENTER_FARTHEST, FARTHEST, Feed, Instruction, Place};
 use crate::segment::{AXES, Axis, MAX_CLOCKS, MIN_CLOCKS, Machine, Segment};
 use core::fmt;
 use wire::units::Position;
@@ -400,7 +400,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
                 self.line_to(to, feed);
             }
             Instruction::Arc(arc) => {
-                if far(&arc.to) || arc.center.iter().any(|nm| nm.abs() > 4 * FARTHEST) {
+                if far(&arc.to) || arc.center.iter().any(|nm| nm.abs() > CENTER_FARTHEST) {
                     return false;
                 }
                 self.tag = tag;

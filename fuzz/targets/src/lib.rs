@@ -11,13 +11,15 @@
 //! | [`frames`] | `frames` |
 //! | [`describe`] | `describe` |
 //! | [`files`] | `board_toml`, `lcnc_ini`, `litexcnc_json`, `image` |
+//! | [`job`] | `gcode` |
 //!
 //! A new target is a function here, a line in [`TARGETS`], a file in `fuzz/fuzz_targets` with its `[[bin]]`, and a few inputs in
-//! `fuzz/corpus`; the tests say which of these is missing. Jobs and G-code have their place in `files`.
+//! `fuzz/corpus`; the tests say which of these is missing.
 
 pub mod describe;
 pub mod files;
 pub mod frames;
+pub mod job;
 pub mod protocol;
 pub mod seeds;
 pub mod server;
@@ -42,6 +44,7 @@ pub const TARGETS: &[Target] = &[
     ("etherbone", protocol::etherbone),
     ("exchange", protocol::exchange),
     ("frames", frames::frames),
+    ("gcode", job::gcode),
     ("image", files::image),
     ("lcnc_ini", files::lcnc_ini),
     ("litexcnc_json", files::litexcnc_json),

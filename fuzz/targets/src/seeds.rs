@@ -28,6 +28,7 @@ pub fn all() -> Vec<Seed> {
         console_seeds(),
         server_seeds(),
         frames_seeds(),
+        gcode_seeds(),
     ] {
         seeds.extend(each);
     }
@@ -686,5 +687,59 @@ fn frames_seeds() -> Vec<Seed> {
         ),
         ("frames", "who_has", vec![6, 0]),
         ("frames", "runt", vec![0, 0, 3, 1, 2, 3]),
+    ]
+}
+
+fn gcode_seeds() -> Vec<Seed> {
+    let program = |mode: u8, text: &str| [&[mode, 50][..], text.as_bytes()].concat();
+    vec![
+        (
+            "gcode",
+            "square_with_a_pen",
+            program(
+                0,
+                "%\nG21 G90\nG0 X10 Y10\nM3\nG4 P0.1\nG1 X20 F600\nY20\nX10\nY10\nM5\nG0 X0 Y0\nM2\n",
+            ),
+        ),
+        (
+            "gcode",
+            "arcs_and_a_full_circle",
+            program(
+                0,
+                "G1 F1200 X5\nG2 X10 Y5 I5 J0\nG3 X5 Y0 R5\nG2 I2 J0\nG3 X0 Y1 Z1 R-4\nM30\n",
+            ),
+        ),
+        (
+            "gcode",
+            "inches_and_relative",
+            program(
+                2,
+                "N10 G20 G91 (inches)\nN20 G1 X.5 Y-.25 F30 ; a comment\nN30 G92 X0\nN40 G0 Z1*94\nG90 G0 X0\n",
+            ),
+        ),
+        (
+            "gcode",
+            "homed_paused_slowed",
+            program(
+                5,
+                "G28 X0 Y0\nM0\nG1 X3 Y3 F300\nG4 P250\nG4 S1\nM2\nG1 X9\n",
+            ),
+        ),
+        (
+            "gcode",
+            "many_short_lines",
+            program(
+                0,
+                &(0..40)
+                    .map(|n| format!("G1 X{}.{n:02} Y{} F3000\n", n % 7, n % 3))
+                    .collect::<String>(),
+            ),
+        ),
+        ("gcode", "refused", program(0, "G1 X1 F100\nG64 P0.01\n")),
+        (
+            "gcode",
+            "too_far",
+            program(0, "G0 X9999.999999\nG0 X10001\n"),
+        ),
     ]
 }
