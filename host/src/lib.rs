@@ -24,6 +24,7 @@
 //! | [`update`] | a new image over the network |
 //! | [`flash_file`] | a whole flash image, before it is written by JTAG |
 //! | [`jtag`] | openFPGALoader, run for you |
+//! | [`job`] | drawings and programs become jobs, are drawn and checked |
 //! | [`hal`] | typed pins, the real HAL, a HAL in a `Vec` |
 //!
 //! # Pins of a board
@@ -69,6 +70,7 @@ pub mod flash_file;
 pub mod group;
 pub mod hal;
 pub mod image;
+pub mod job;
 pub mod jtag;
 pub mod link;
 pub mod module;

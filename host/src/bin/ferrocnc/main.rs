@@ -6,6 +6,7 @@ mod console;
 mod describe;
 mod discover;
 mod flash;
+mod job;
 mod log;
 mod progress;
 mod set;
@@ -34,6 +35,9 @@ enum Command {
     /// Board files: write, check, show, draw and import them. No board is needed.
     #[command(subcommand)]
     Config(config::Command),
+    /// Jobs: make them of drawings and G-code, draw and check them. No board is needed.
+    #[command(subcommand)]
+    Job(job::Command),
     /// What the board is: versions, channels and their names, clock, state.
     Describe {
         /// IP[:port] of the board.
@@ -106,6 +110,7 @@ fn run(arguments: &Arguments) -> Result<()> {
     let json = arguments.json;
     match &arguments.command {
         Command::Config(command) => config::run(command, json),
+        Command::Job(command) => job::run(command, json),
         Command::Describe { address } => describe::run(&mut open(address)?, json),
         Command::Watch {
             address,
