@@ -187,6 +187,40 @@ fn text_is_drawn_as_its_outlines() {
 }
 
 #[test]
+fn a_font_that_is_not_here_is_said_and_the_text_drawn_all_the_same() {
+    let folder = folder("font");
+    std::fs::write(folder.join("t.svg"), r#"<svg xmlns="http://www.w3.org/2000/svg" width="100" height="50"><text x="5" y="40" font-family="No Such Font" font-size="40">l</text></svg>"#).unwrap();
+    let output = tool(&folder, "prepare t.svg -o t.job --json");
+    if output.status.success() {
+        let prepared: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(prepared["strokes"], 1);
+        assert_eq!(
+            prepared["notes"][0],
+            "no font No Such Font here: its text is drawn with another; --font FILE adds one"
+        );
+    } else {
+        assert!(String::from_utf8_lossy(&output.stderr).contains("no font for the text"));
+    }
+}
+
+#[test]
+fn a_png_has_its_caption_where_there_are_fonts() {
+    let any = ferrocnc::job::fonts::options(&[])
+        .unwrap()
+        .fontdb
+        .faces()
+        .next()
+        .is_some();
+    let picture = |caption: &str| {
+        let svg = format!(
+            r#"<svg xmlns="http://www.w3.org/2000/svg" width="100" height="50"><text x="5" y="40" font-family="sans-serif" font-size="20">{caption}</text></svg>"#
+        );
+        ferrocnc::job::preview::png(&svg, 100).unwrap()
+    };
+    assert_eq!(picture("takes 2.5 s") != picture(""), any);
+}
+
+#[test]
 fn g_code_that_cannot_be_done_says_where_and_no_job_is_written() {
     let folder = folder("unsupported");
     std::fs::write(folder.join("part.ngc"), "G0 X1\nG1 X5 F100\nG1 X7 G43 H1\n").unwrap();

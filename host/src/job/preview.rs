@@ -1,8 +1,9 @@
 //! A picture of a program: what is drawn, what is travelled, how large, how long.
 
+use crate::job::fonts;
 use crate::job::trace::{Planned, Stroke, Trace};
 use resvg::tiny_skia::{Pixmap, Transform};
-use resvg::usvg::{Options, Tree};
+use resvg::usvg::Tree;
 use std::fmt::Write;
 
 /// mm round the path, and the height of a line of text.
@@ -64,8 +65,7 @@ pub fn svg(name: &str, trace: &Trace) -> String {
 
 /// As PNG, so many pixels wide.
 pub fn png(svg: &str, pixels: u32) -> Result<Vec<u8>, String> {
-    let mut options = Options::default();
-    options.fontdb_mut().load_system_fonts();
+    let options = fonts::options(&[])?;
     let tree = Tree::from_str(svg, &options).map_err(|error| error.to_string())?;
     let scale = pixels as f32 / tree.size().width();
     let tall = (tree.size().height() * scale).ceil() as u32;

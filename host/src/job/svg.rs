@@ -2,11 +2,13 @@
 //!
 //! The outlines of what is filled are drawn like strokes; there is no hatching. Clips, masks and pictures are left out, and said.
 
+use crate::job::fonts;
 use crate::job::program::Program;
 use kurbo::PathEl;
 use motion::instruction::{AUX_TOOL, Feed, Instruction, Place};
 use resvg::tiny_skia::PathSegment;
-use resvg::usvg::{Group, Node, Options, Tree};
+use resvg::usvg::fontdb::Database;
+use resvg::usvg::{Group, Node, Tree};
 use std::path::PathBuf;
 
 /// How the tool is put down and lifted.
@@ -59,17 +61,11 @@ type Point = [f64; 2];
 
 /// Of an SVG's text.
 pub fn prepare(name: &str, text: &[u8], wish: &Wish) -> Result<Prepared, String> {
-    let mut options = Options::default();
-    let fonts = options.fontdb_mut();
-    fonts.load_system_fonts();
-    for file in &wish.fonts {
-        fonts
-            .load_font_file(file)
-            .map_err(|error| format!("{}: {error}", file.display()))?;
-    }
+    let options = fonts::options(&wish.fonts)?;
     let tree = Tree::from_data(text, &options).map_err(|error| error.to_string())?;
     let frame = Frame::new(&tree, wish)?;
     let mut found = Found {
+        fonts: tree.fontdb(),
         frame,
         tolerance: wish.tolerance,
         strokes: Vec::new(),
@@ -142,14 +138,15 @@ impl Frame {
     }
 }
 
-struct Found {
+struct Found<'a> {
+    fonts: &'a Database,
     frame: Frame,
     tolerance: f64,
     strokes: Vec<Vec<Point>>,
     notes: Vec<String>,
 }
 
-impl Found {
+impl Found<'_> {
     fn note(&mut self, note: &str) {
         if !self.notes.iter().any(|known| known == note) {
             self.notes.push(note.to_owned());
@@ -171,6 +168,13 @@ impl Found {
                 Node::Image(_) => self.note("pictures made of pixels are not drawn"),
                 Node::Text(text) => {
                     let letters: String = text.chunks().iter().map(|chunk| chunk.text()).collect();
+                    for name in text
+                        .chunks()
+                        .iter()
+                        .filter_map(|chunk| fonts::missing(self.fonts, chunk))
+                    {
+                        self.note(&format!("no font {name} here: its text is drawn with another; --font FILE adds one"));
+                    }
                     let before = self.strokes.len();
                     self.group(text.flattened())?;
                     if !letters.trim().is_empty() && self.strokes.len() == before {
