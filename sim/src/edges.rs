@@ -9,7 +9,8 @@
 //! dir   ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\________________
 //! ```
 //!
-//! A pulse cut short because the gate closed in that very clock is no violation: the gate must win.
+//! A pulse cut short because the gate closed in that very clock, or in the one before when a pin closed it, is no violation: the
+//! gate must win.
 //!
 //! Up/down: both pins carry pulses, each held to rules 1 and 2. Quadrature: every edge of either pin is a step, no two closer
 //! than steplen + stepspace, never both at once.
@@ -159,6 +160,8 @@ pub struct EdgeWatch {
     step: u16,
     dir: u16,
     gate: bool,
+    /// When the gate closed last.
+    closed: Option<u64>,
     /// Channels whose STEP is active low at the pin.
     step_inverted: u16,
     /// Channels whose DIR is low for backward at the pin.
@@ -260,7 +263,11 @@ impl EdgeWatch {
     pub fn change(&mut self, clock: u64, step: u16, dir: u16, gate: bool) -> (u16, u16) {
         let step = step ^ self.step_inverted;
         let dir = dir ^ self.dir_inverted;
-        let closed_now = self.gate && !gate;
+        if self.gate && !gate {
+            self.closed = Some(clock);
+        }
+        // The pins' registers follow the gate by a clock when a pin closes it, and at once when its own register does.
+        let closed_now = !gate && self.closed.is_some_and(|at| clock <= at + 1);
         let (mut forward, mut backward) = (0, 0);
         let mut moved = (step ^ self.step) | (dir ^ self.dir);
         let (old_step, old_dir) = (self.step, self.dir);
@@ -601,6 +608,14 @@ mod tests {
         assert_eq!(w.violations(), []);
         w.change(200, 1, 0, false);
         assert_eq!(w.violations()[0].rule, Rule::Gate);
+        // The reset pin closes the gate at once, the pin's register follows in the next clock and no later.
+        for (falls, broken) in [(301, 0), (302, 1)] {
+            let mut w = watch(T);
+            w.change(298, 1, 0, true);
+            w.change(300, 1, 0, false);
+            w.change(falls, 0, 0, false);
+            assert_eq!(w.violation_count(), broken, "STEP falls at {falls}");
+        }
     }
 
     #[test]

@@ -276,10 +276,9 @@ impl Arguments {
             (None, None) => Card::named(&self.board)?,
         };
         let mut twin = Twin::power_up(twin::Setup {
-            card,
-            plant: self.plant()?,
             flash: self.flash()?,
             factory: self.factory,
+            ..twin::Setup::new(card, self.plant()?)
         });
         if let Some(path) = &self.edges {
             twin.record_edges(path)?;

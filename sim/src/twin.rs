@@ -74,6 +74,10 @@ pub struct Setup {
     pub flash: Shared,
     /// The factory pin is held.
     pub factory: bool,
+    /// The register map its gateware was built from. Another than the firmware's is a board somebody flashed in halves.
+    pub abi: u32,
+    /// What its wall clock shows at the start; it counts clocks since power-up, so 0 unless its end is to come soon.
+    pub wall_clock: u64,
 }
 
 impl Setup {
@@ -84,6 +88,8 @@ impl Setup {
             plant,
             flash: Shared::new(Nor::new(Part::W25Q32JV, UID)),
             factory: false,
+            abi: abi::ABI,
+            wall_clock: 0,
         }
     }
 }
@@ -124,6 +130,8 @@ pub struct Desk {
     blob: Vec<u32>,
     ring: log::Ring<2048>,
     record: Record,
+    /// When the watchdog was last given a token.
+    fed: u64,
     step_inverted: u16,
     dir_inverted: u16,
 }
@@ -131,22 +139,17 @@ pub struct Desk {
 impl Desk {
     /// Switches a board on and brings it to where the firmware starts; what it calls itself comes with it.
     pub fn power_up(setup: Setup) -> (Self, Ident) {
-        let Setup {
-            card,
-            plant,
-            flash,
-            factory,
-        } = setup;
         // Its own time begins anew, its cells do not.
         let trailer = {
-            let mut chip = flash.chip();
+            let mut chip = setup.flash.chip();
             chip.power_up();
             trailer(&chip)
         };
-        let mut desk = Desk::new(&card, plant, flash, trailer, factory);
+        let ident = ident(&setup.card, setup.abi);
+        let mut desk = Desk::new(setup, trailer);
         // The pins are seen by the first instruction.
         desk.pass(FIRST);
-        (desk, ident(&card))
+        (desk, ident)
     }
 
     /// Pins, edges and plant.
@@ -160,12 +163,20 @@ impl Desk {
         self.record.boot(now)
     }
 
-    fn new(card: &Card, plant: Plant, flash: Shared, trailer: Trailer, factory: bool) -> Self {
+    fn new(setup: Setup, trailer: Trailer) -> Self {
+        let Setup {
+            card,
+            plant,
+            flash,
+            factory,
+            abi,
+            wall_clock,
+        } = setup;
         let mut world = World::new(plant, card.clock_hz.into());
         world.factory(factory);
         Desk {
-            model: model::Board::new(build(card)),
-            before: 0,
+            model: model::Board::at(build(&card, abi), wall_clock),
+            before: 0u64.wrapping_sub(wall_clock),
             world,
             flash,
             trailer,
@@ -173,6 +184,7 @@ impl Desk {
             blob: card.words(),
             ring: log::Ring::new(),
             record: Record::EMPTY,
+            fed: 0,
             step_inverted: 0,
             dir_inverted: 0,
         }
@@ -180,7 +192,7 @@ impl Desk {
 
     /// Sys clocks since power-up.
     pub fn clock(&self) -> u64 {
-        self.before + self.model.clocks()
+        self.before.wrapping_add(self.model.clocks())
     }
 
     /// Every core as it powers up; what is wired to them stays as it is, and so does the time of day.
@@ -205,7 +217,7 @@ impl Desk {
         while self.clock() < until {
             let target = until.min(self.world.next().max(self.clock() + 1));
             self.model.drive(&self.world.pins);
-            let changed = self.model.run(target - self.before);
+            let changed = self.model.run(target.wrapping_sub(self.before));
             self.world.pins.take_outputs(self.model.pins());
             let clock = self.clock();
             if changed || clock >= self.world.next() {
@@ -324,6 +336,7 @@ impl cores::Board for Desk {
         self.model.read(pages::WATCHDOG, 5)
     }
     fn feed(&mut self, token: u32) {
+        self.fed = self.clock();
         self.order(pages::WATCHDOG, 2, token);
     }
     fn gate(&mut self) -> Gate {
@@ -381,13 +394,13 @@ impl cores::Board for Desk {
     }
 }
 
-fn build(card: &Card) -> model::board::Build {
+fn build(card: &Card, abi: u32) -> model::board::Build {
     model::board::Build {
         channels: card.channels,
         clock_hz: card.clock_hz,
         estop_mask: card.estop_mask,
         estop_level: card.estop_level,
-        abi: abi::ABI,
+        abi,
         version: firmware::VERSION,
         rom_words: card.words().len() as u32,
     }
@@ -481,9 +494,9 @@ fn payload(words: &[u32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
-fn ident(card: &Card) -> Ident {
+fn ident(card: &Card, abi: u32) -> Ident {
     Ident {
-        abi: abi::ABI,
+        abi,
         version: firmware::VERSION,
         clock_hz: card.clock_hz,
         channels: card.channels,
@@ -523,6 +536,16 @@ impl Twin {
             busy: Duration::ZERO,
             busy_clocks: 0,
         }
+    }
+
+    /// The sys clock in which the watchdog was last given a token: the write is on the bus.
+    pub fn fed(&self) -> u64 {
+        self.machine.board.fed
+    }
+
+    /// As if stepgen and encoder n had come this far; see [`model::Board::preset`].
+    pub fn preset(&mut self, n: usize, pulses: i32, count: i32) {
+        self.machine.board.model.preset(n, pulses, count);
     }
 
     /// Pins, edges and plant.
@@ -644,9 +667,14 @@ impl Twin {
         let board = &mut self.machine.board;
         let boot = board.record.boot(board.model.clocks() as u32);
         let (flash, trailer) = (board.flash.clone(), board.trailer);
-        let spare = Desk::new(&self.card, Plant::default(), flash, trailer, false);
+        let gateware = board.model.build().abi;
+        let spare = Setup {
+            flash,
+            ..Setup::new(self.card.clone(), Plant::default())
+        };
+        let spare = Desk::new(spare, trailer);
         let desk = std::mem::replace(&mut self.machine.board, spare);
-        self.machine = Machine::start(desk, ident(&self.card), abi::ABI, boot);
+        self.machine = Machine::start(desk, ident(&self.card, gateware), abi::ABI, boot);
     }
 
     fn chores(&mut self) {

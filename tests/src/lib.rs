@@ -9,6 +9,7 @@ pub mod driver;
 pub mod flash;
 pub mod image;
 pub mod lan;
+pub mod mill;
 
 use sim::edges;
 use sim::firmware::Image;
@@ -72,6 +73,24 @@ pub fn seed() -> u64 {
     });
     println!("FERROCNC_SEED={seed}");
     seed
+}
+
+/// A number from the environment, or this one.
+pub fn from_environment(name: &str, otherwise: u64) -> u64 {
+    let Ok(text) = std::env::var(name) else {
+        return otherwise;
+    };
+    text.parse()
+        .unwrap_or_else(|error| panic!("{name}={text}: {error}"))
+}
+
+/// Leaves figures for whoever asked for them: `NAME.json` in the folder `FERROCNC_REPORTS` says, if it says one.
+pub fn report(name: &str, figures: &serde_json::Value) {
+    if let Some(folder) = std::env::var_os("FERROCNC_REPORTS") {
+        let path = PathBuf::from(folder).join(format!("{name}.json"));
+        let text = serde_json::to_string_pretty(figures).expect("figures are JSON");
+        std::fs::write(&path, text).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    }
 }
 
 /// Bytes from hexadecimal digits; spaces are for the reader.
@@ -385,6 +404,21 @@ impl Machine {
         self.rig.run_ms(millis);
     }
 
+    /// Lets clocks pass in silence.
+    pub fn run_clocks(&mut self, clocks: u64) {
+        self.rig.run(clocks);
+    }
+
+    /// From now on this goes wrong; [`sim::faults`] says how it is said.
+    pub fn trouble(&mut self, plan: &str) {
+        let plan = plan
+            .parse()
+            .unwrap_or_else(|error| panic!("{plan}: {error}"));
+        self.rig
+            .trouble(&plan)
+            .unwrap_or_else(|error| panic!("{error}"));
+    }
+
     /// Pulses at an axis' pins, signed.
     pub fn pulses(&self, axis: usize) -> i64 {
         self.rig.board.edges.channel(axis).count
@@ -398,6 +432,11 @@ impl Machine {
     /// When an axis' STEP last rose.
     pub fn last_step(&self, axis: usize) -> Option<u64> {
         self.rig.board.edges.channel(axis).last_rise
+    }
+
+    /// The first of them.
+    pub fn broken_rules(&self) -> &[edges::Violation] {
+        self.rig.board.edges.violations()
     }
 
     /// Broken rules of step timing so far.

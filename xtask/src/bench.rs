@@ -1,6 +1,6 @@
 //! Measurements. Each prints its figures and leaves them in `target/reports/NAME.json`.
 
-use crate::{build, root, setup, step, target};
+use crate::{build, faults, root, setup, step, target};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use std::process::Command;
@@ -12,10 +12,14 @@ pub enum What {
     Exchange,
     /// LUTs, flip-flops and memories per core and per board, beside the peers'; writes docs/size.md.
     Gateware,
+    /// What loss on the cable costs a program: real driver, twin, a million exchanges (--exchanges).
+    Loss,
+    /// A day of the board's time on the twin: counters that drift, or do not come round as they should (--hours).
+    Soak,
 }
 
 /// Measures and prints.
-pub fn run(what: What) -> Result<()> {
+pub fn run(what: What, exchanges: u64, hours: u64) -> Result<()> {
     match what {
         What::Exchange => {
             setup::run(setup::Need::Everything)?;
@@ -23,6 +27,20 @@ pub fn run(what: What) -> Result<()> {
             exchange(&parts)
         }
         What::Gateware => gateware(),
+        What::Loss => faults::measure(
+            "loss",
+            "random_loss",
+            "10 min",
+            "FERROCNC_EXCHANGES",
+            exchanges,
+        ),
+        What::Soak => faults::measure(
+            "soak",
+            "a_day_passes",
+            "40 min",
+            "FERROCNC_SOAK_SECONDS",
+            3600 * hours,
+        ),
     }
 }
 

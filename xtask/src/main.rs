@@ -5,6 +5,7 @@ mod bench;
 mod bitstream;
 mod build;
 mod demo;
+mod faults;
 mod fuzz;
 mod regen;
 mod setup;
@@ -43,6 +44,12 @@ enum Task {
         /// What to measure.
         #[arg(value_enum)]
         what: bench::What,
+        /// Loss: how many exchanges.
+        #[arg(long, value_name = "N", default_value_t = 1_000_000)]
+        exchanges: u64,
+        /// Soak: how many hours of the board's time.
+        #[arg(long, value_name = "N", default_value_t = 24)]
+        hours: u64,
     },
     /// Feed what comes from outside with inputs nobody would think of: 60 s per target, or as long as said.
     Fuzz(fuzz::Options),
@@ -58,7 +65,11 @@ fn main() -> std::process::ExitCode {
         Task::Test(options) => test::run(&options),
         Task::Regen { check } => regen::run(check),
         Task::Bitstream(options) => bitstream::run(&options),
-        Task::Bench { what } => bench::run(what),
+        Task::Bench {
+            what,
+            exchanges,
+            hours,
+        } => bench::run(what, exchanges, hours),
         Task::Fuzz(options) => fuzz::run(&options),
         Task::Ci => test::run(&test::Options::default()),
     };

@@ -1,6 +1,6 @@
 //! The test pyramid, one line per level. Lower levels need nothing but Rust.
 
-use crate::{bitstream, build, fuzz, regen, setup, step, target};
+use crate::{bitstream, build, faults, fuzz, regen, setup, step, target};
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
 use std::process::Command;
@@ -29,6 +29,8 @@ enum Level {
     Lockstep,
     /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
     Soc,
+    /// The fault table: every row with the real driver against the twin, the gateware's rows on the RTL with the CPU stopped.
+    Faults,
     /// Defects of the controllers before us, each shown not to be ours.
     Peers,
     /// Flash, settings, discovery and updates with the plug pulled everywhere; real `ferrocnc` on a segment of boards.
@@ -55,6 +57,7 @@ const ALL: &[Level] = &[
     Level::Core,
     Level::Lockstep,
     Level::Soc,
+    Level::Faults,
     Level::Peers,
     Level::Provision,
     Level::Clients,
@@ -77,7 +80,7 @@ pub fn run(options: &Options) -> Result<()> {
     let needs_board = |level: &Level| {
         matches!(
             level,
-            Level::Soc | Level::Peers | Level::Clients | Level::Linuxcnc
+            Level::Soc | Level::Faults | Level::Peers | Level::Clients | Level::Linuxcnc
         )
     };
     if levels.iter().any(needs_board) {
@@ -139,6 +142,7 @@ impl Level {
             Level::Core => "core: RTL at its pins under random stimulus",
             Level::Lockstep => "lockstep: RTL and model, clock by clock",
             Level::Soc => "soc: Verilated board, release image, frames and faults",
+            Level::Faults => "faults: every row of the fault table, at the pins",
             Level::Peers => "peers: defects of others, on the RTL board",
             Level::Provision => "provision: flash and network, the plug pulled everywhere",
             Level::Clients => "clients: LiteX RemoteClient, ping, console",
@@ -180,6 +184,7 @@ impl Level {
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
                 + board_tests("soc", "10 min", "1")?
                 + board_tests("flash", "2 min", "2")?),
+            Level::Faults => faults::run(),
             Level::Peers => board_tests("peers", "3 min", "2"),
             Level::Provision => Ok(board_tests("provision", "1 min", "2")?
                 + board_tests("segment", "2 min", "2")?

@@ -391,6 +391,36 @@ impl Hub {
 }
 
 impl Board {
+    /// A board whose wall clock shows `clock`: as after so many clocks in which nothing happened.
+    pub fn at(build: Build, clock: u64) -> Self {
+        let mut board = Self::new(build);
+        board.clock = clock;
+        board.hub.at = clock;
+        board.hub.timebase = Timebase::at(clock);
+        for lane in &mut board.steps {
+            lane.at = clock;
+        }
+        for lane in &mut board.encoders {
+            lane.at = clock;
+        }
+        for lane in &mut board.pwms {
+            lane.at = clock;
+        }
+        board.next.fill(clock + 1);
+        board.full = clock + 1;
+        board
+    }
+
+    /// As if a stepgen had emitted, and an encoder counted, this much. For counters that are to pass their ends.
+    pub fn preset(&mut self, n: usize, pulses: i32, count: i32) {
+        if let Some(lane) = self.steps.get_mut(n) {
+            lane.core.preset(pulses);
+        }
+        if let Some(lane) = self.encoders.get_mut(n) {
+            lane.core.preset(count);
+        }
+    }
+
     /// A board as it powers up.
     pub fn new(build: Build) -> Self {
         let c = build.channels;

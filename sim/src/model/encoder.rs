@@ -82,6 +82,11 @@ impl Encoder {
         self.count
     }
 
+    /// As if it had counted so far.
+    pub fn preset(&mut self, count: i32) {
+        self.count = count;
+    }
+
     /// The edge word: errors and the time of the last counted edge. Errors within one rotation count once.
     pub fn edge(&self) -> u32 {
         let errors = self.errors.wrapping_add(self.wrong.into());

@@ -144,6 +144,11 @@ impl Stepgen {
         self.pulses
     }
 
+    /// As if it had emitted so many.
+    pub fn preset(&mut self, pulses: i32) {
+        self.pulses = pulses;
+    }
+
     /// Fraction of the position.
     pub fn fraction(&self) -> u32 {
         self.fraction

@@ -32,6 +32,15 @@ pub struct Input {
 }
 
 impl Timebase {
+    /// A wall clock that shows this.
+    pub fn at(now: u64) -> Self {
+        Timebase {
+            next: now.wrapping_add(1),
+            now,
+            ..Timebase::default()
+        }
+    }
+
     /// The wall clock, clocks since power-up.
     pub fn now(&self) -> u64 {
         self.now
