@@ -20,6 +20,8 @@
 //! `EraseSector`, `EraseBlock` and `Program` reach the slot that is not selected, and nothing else; everything
 //! else in the flash changes by `Select`, `SaveSettings`, `ForgetSettings` and `Protect` only.
 
+use crate::codes::codes;
+
 /// The smallest thing that can be erased.
 pub const SECTOR: u32 = 0x1000;
 /// The largest thing erased at once.
@@ -27,44 +29,9 @@ pub const BLOCK: u32 = 0x1_0000;
 /// The largest thing programmed at once.
 pub const PAGE: u32 = 0x100;
 
-macro_rules! codes {
-    ($(#[$meta:meta])* $name:ident { $($(#[doc = $doc:literal])+ $variant:ident = $value:literal, $text:literal;)+ }) => {
-        $(#[$meta])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        #[repr(u8)]
-        pub enum $name { $($(#[doc = $doc])+ $variant = $value),+ }
-
-        impl $name {
-            /// All of them, in wire order.
-            pub const ALL: &'static [$name] = &[$($name::$variant),+];
-
-            /// The one with this wire code.
-            pub const fn from_code(code: u32) -> Option<Self> {
-                match code { $($value => Some($name::$variant),)+ _ => None }
-            }
-
-            /// Its wire code.
-            pub const fn code(self) -> u32 {
-                self as u32
-            }
-
-            /// The word for people.
-            pub const fn text(self) -> &'static str {
-                match self { $($name::$variant => $text),+ }
-            }
-        }
-
-        impl core::fmt::Display for $name {
-            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-                f.write_str(self.text())
-            }
-        }
-    };
-}
-
 codes! {
     /// What the flash can be asked to do.
-    Op {
+    Op: u32 {
         /// `length` bytes (1..=256) from `address` into the buffer.
         Read = 1, "read";
         /// Erase the sector at `address`.
@@ -88,7 +55,7 @@ codes! {
 
 codes! {
     /// How an operation went.
-    OpResult {
+    OpResult: u32 {
         /// As asked.
         Ok = 0, "done";
         /// Still running, or another one is.
@@ -110,7 +77,7 @@ codes! {
 
 codes! {
     /// One of the two places for images.
-    Slot {
+    Slot: u32 {
         /// The lower one.
         A = 1, "A";
         /// The upper one.
@@ -130,7 +97,7 @@ impl Slot {
 
 codes! {
     /// Which image runs.
-    Running {
+    Running: u32 {
         /// Loaded by JTAG: none of those in flash.
         Volatile = 0, "volatile (loaded by JTAG)";
         /// Slot A.
@@ -144,7 +111,7 @@ codes! {
 
 codes! {
     /// Where the settings in force are from.
-    Origin {
+    Origin: u32 {
         /// The board information in the bitstream: nothing valid is saved.
         BuiltIn = 0, "built in";
         /// The first copy in flash.

@@ -29,6 +29,7 @@
 #![forbid(unsafe_code)]
 
 pub mod board;
+mod codes;
 pub mod crc;
 pub mod describe;
 pub mod discovery;

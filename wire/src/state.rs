@@ -1,43 +1,10 @@
 //! What the machine is doing and why it stopped: the words host, firmware and operator share.
 
-macro_rules! wire_enum {
-    ($(#[$meta:meta])* $name:ident { $($(#[doc = $doc:literal])+ $variant:ident = $value:literal, $text:literal;)+ }) => {
-        $(#[$meta])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        #[repr(u8)]
-        pub enum $name { $($(#[doc = $doc])+ $variant = $value),+ }
+use crate::codes::codes;
 
-        impl $name {
-            /// All values, in wire order.
-            pub const ALL: &'static [$name] = &[$($name::$variant),+];
-
-            /// The value with this wire code, if there is one.
-            pub const fn from_code(code: u8) -> Option<Self> {
-                match code { $($value => Some($name::$variant),)+ _ => None }
-            }
-
-            /// Its wire code.
-            pub const fn code(self) -> u8 {
-                self as u8
-            }
-
-            /// The word for people.
-            pub const fn text(self) -> &'static str {
-                match self { $($name::$variant => $text),+ }
-            }
-        }
-
-        impl core::fmt::Display for $name {
-            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-                f.write_str(self.text())
-            }
-        }
-    };
-}
-
-wire_enum! {
+codes! {
     /// The safety state machine's states (`Boot -> Disarmed -> Armed -> Stopping -> Faulted -> Disarmed`).
-    State {
+    State: u8 {
         /// Firmware has not finished starting.
         Boot = 0, "boot";
         /// Outputs safe; waiting for a session, `enable` and a rising edge of `enable-request`.
@@ -51,9 +18,9 @@ wire_enum! {
     }
 }
 
-wire_enum! {
+codes! {
     /// Why the machine stopped.
-    FaultReason {
+    FaultReason: u8 {
         /// It did not.
         None = 0, "none";
         /// No accepted command within the watchdog's timeout.
@@ -77,9 +44,9 @@ wire_enum! {
     }
 }
 
-wire_enum! {
+codes! {
     /// Why the firmware started last.
-    ResetReason {
+    ResetReason: u8 {
         /// The board was switched on, or its bitstream loaded.
         PowerUp = 0, "power-up";
         /// Somebody asked for it.
@@ -93,9 +60,9 @@ wire_enum! {
     }
 }
 
-wire_enum! {
+codes! {
     /// Why the gate closed last, as the gateware remembers it through every restart of the firmware.
-    GateClose {
+    GateClose: u8 {
         /// It has not been open since power-up.
         Never = 0, "never opened";
         /// The watchdog bit and the soft stop is over.
@@ -113,9 +80,9 @@ wire_enum! {
     }
 }
 
-wire_enum! {
+codes! {
     /// How fast the Ethernet link is; what the PHY says in band.
-    LinkSpeed {
+    LinkSpeed: u8 {
         /// Down, or not known yet.
         Down = 0, "down";
         /// 10 Mbit/s.
