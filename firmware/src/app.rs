@@ -386,6 +386,7 @@ impl App {
         self.talking = self.ip.busy();
         let counters = self.machine.server.counters_mut();
         counters.frames_tx = counters.frames_tx.wrapping_add(sent);
+        self.restart_if();
     }
 }
 
@@ -398,6 +399,7 @@ struct Visitor<'a> {
 impl Taker for Visitor<'_> {
     fn greet(&mut self, out: &mut Text) {
         *self.line = console::Line::default();
+        self.machine.greet();
         out.put(console::PROMPT.as_bytes());
     }
 

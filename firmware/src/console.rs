@@ -1,9 +1,10 @@
-//! A window for a human with `telnet` or `nc`: look, do not touch.
+//! A window for a human with `telnet` or `nc`: look at everything, touch next to nothing.
 //!
-//! Lines come in, text goes out. There is no command that changes anything, so the console needs no
-//! password and cannot stop a machine. A line too long, control bytes and telnet's option
-//! negotiation are swallowed without a word of damage.
+//! Lines come in, text goes out. What changes something (`restart`) needs a machine at rest that nobody drives and, if
+//! the board has a key, a `login` ([`crate::auth`]); no command can stop a machine. A line too long, control bytes
+//! and telnet's option negotiation are swallowed without a word of damage.
 
+use crate::auth::{Words, by_port};
 use crate::cores::{
     Board, LATCH_ENCODER, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_STEPGEN, Setting,
 };
@@ -21,10 +22,16 @@ pub const LINE_MAX: usize = 64;
 /// Greets whoever connects, and asks for the next line.
 pub const PROMPT: &str = "ferrocnc> ";
 
+/// `login` answers this, the challenge in 32 hex digits, and the board's unique id in 16.
+pub const CHALLENGE: &str = "challenge ";
+
+/// `login ANSWER` answers this if it is right.
+pub const WELCOME: &str = "welcome";
+
 /// Longest answer, in bytes: sixteen encoders.
 pub const ANSWER_MAX: usize = 1100;
 
-const HELP: [&str; 14] = [
+const HELP: [&str; 16] = [
     "help          this",
     "status        what the machine is doing, and why it stopped",
     "net           frames and refusals by reason",
@@ -38,6 +45,8 @@ const HELP: [&str; 14] = [
     "link          speed, and what got lost",
     "flash         the chip, what runs, what loads next",
     "settings      who this board is, and where it has that from",
+    "login         with the key; `ferrocnc console` does it",
+    "restart       start the firmware anew",
     "quit          good bye",
 ];
 
@@ -70,6 +79,10 @@ pub enum Ask {
     Flash,
     /// The settings in force.
     Settings,
+    /// A challenge, or the answer to one.
+    Login(Option<Words>),
+    /// Restart the firmware.
+    Restart,
     /// Hang up.
     Quit,
     /// An empty line.
@@ -88,6 +101,13 @@ impl Ask {
         let argument = words.next();
         if words.next().is_some() {
             return Ask::Unknown;
+        }
+        if command == "login" {
+            return match argument.map(hex_words) {
+                None => Ask::Login(None),
+                Some(Some(answer)) => Ask::Login(Some(answer)),
+                Some(None) => Ask::Unknown,
+            };
         }
         let number = match argument.map(str::parse::<u8>) {
             None => None,
@@ -108,11 +128,30 @@ impl Ask {
             "link" => Ask::Link,
             "flash" => Ask::Flash,
             "settings" => Ask::Settings,
+            "restart" => Ask::Restart,
             "quit" | "exit" => Ask::Quit,
             _ => Ask::Unknown,
         };
         if number.is_some() { Ask::Unknown } else { ask }
     }
+}
+
+/// 32 hex digits.
+#[inline(never)]
+fn hex_words(text: &str) -> Option<Words> {
+    let mut words = Words::default();
+    let (chunks, []) = text.as_bytes().as_chunks::<8>() else {
+        return None;
+    };
+    if chunks.len() != words.len() {
+        return None;
+    }
+    for (word, digits) in words.iter_mut().zip(chunks) {
+        for digit in digits {
+            *word = *word << 4 | char::from(*digit).to_digit(16)?;
+        }
+    }
+    Some(words)
 }
 
 /// Collects bytes into lines.
@@ -167,13 +206,21 @@ pub struct Vitals {
 /// Answers into `out`; what does not fit there is lost.
 pub fn answer<B: Board>(
     ask: Ask,
-    server: &Server,
+    server: &mut Server,
     board: &mut B,
     us: &Us,
     vitals: &Vitals,
     out: &mut dyn Sink,
 ) {
     let mut out = Out(out);
+    if ask == Ask::Restart {
+        return restart(server, &mut out);
+    }
+    if let Ask::Login(answer) = ask {
+        // A frame brought the line, not long ago.
+        server.auth.stir(board.now_lo());
+        return login(answer.as_ref(), server, &mut out);
+    }
     match ask {
         Ask::Help => {
             for line in HELP {
@@ -193,9 +240,48 @@ pub fn answer<B: Board>(
         Ask::Flash => flash(server, &mut out),
         Ask::Settings => settings(server, us, &mut out),
         Ask::Quit => out.text("bye").end(),
-        Ask::Nothing => {}
+        Ask::Nothing | Ask::Login(_) | Ask::Restart => {}
         Ask::Unknown => out.text("? try help").end(),
     }
+}
+
+/// Restarts, or says why not.
+#[inline(never)]
+fn restart(server: &mut Server, out: &mut Out) {
+    let why = if !server.auth.trusted() {
+        "refused: the board has a key; use `ferrocnc console`"
+    } else if !server.safety().at_rest() {
+        "refused: the machine is armed"
+    } else if server.session().owner().is_some() {
+        "refused: a host drives the board"
+    } else if server.flash().busy() {
+        "refused: a flash operation is running"
+    } else {
+        server.restart();
+        "restarting"
+    };
+    out.text(why).end();
+}
+
+#[inline(never)]
+fn login(answer: Option<&Words>, server: &mut Server, out: &mut Out) {
+    let Some(answer) = answer else {
+        let [a, b, c, d] = *server.auth.challenge(by_port(wire::CONSOLE_PORT));
+        let [uid_hi, uid_lo] = server.flash().uid();
+        out.text(CHALLENGE);
+        for word in [a, b, c, d, uid_hi, uid_lo] {
+            out.hex(word);
+        }
+        return out.text("").end();
+    };
+    let welcome = match server.auth.login(answer) {
+        Ok(()) => WELCOME,
+        Err(why) => {
+            server.refuse(why);
+            "refused: wrong answer"
+        }
+    };
+    out.text(welcome).end();
 }
 
 fn status<B: Board>(server: &Server, board: &mut B, vitals: &Vitals, out: &mut Out) {
@@ -310,7 +396,7 @@ fn settings(server: &Server, us: &Us, out: &mut Out) {
     let [hi, lo] = wire::settings::mac_to_words(us.mac);
     out.text("mac      ").hex(hi).text(" ").hex(lo).end();
     out.text("key      ")
-        .either(settings.key != [0; 4], "set", "none")
+        .either(server.auth.locked(), "set", "none")
         .end();
 }
 
@@ -495,7 +581,7 @@ mod tests {
         let mut out = String::new();
         answer(
             Ask::parse(line),
-            &rig.server,
+            &mut rig.server,
             &mut rig.board,
             &US,
             &Vitals::default(),
@@ -513,6 +599,72 @@ mod tests {
         );
         assert!(said("settings").contains("built in"));
         assert!(said("link").contains("link down"));
+    }
+
+    fn say(rig: &mut Rig, line: &str) -> String {
+        let mut out = String::new();
+        let (server, board) = (&mut rig.server, &mut rig.board);
+        answer(
+            Ask::parse(line),
+            server,
+            board,
+            &US,
+            &Vitals::default(),
+            &mut out,
+        );
+        out
+    }
+
+    #[test]
+    fn a_restart_is_for_a_machine_at_rest_that_nobody_drives() {
+        let mut rig = Rig::armed();
+        assert_eq!(
+            say(&mut rig, "restart"),
+            "refused: the machine is armed\r\n"
+        );
+        let mut rig = Rig::new();
+        rig.acquire();
+        assert_eq!(
+            say(&mut rig, "restart"),
+            "refused: a host drives the board\r\n"
+        );
+        assert!(!rig.server.wants_restart());
+        assert_eq!(say(&mut Rig::new(), "restart 1"), "? try help\r\n");
+        let mut rig = Rig::new();
+        assert_eq!(say(&mut rig, "restart"), "restarting\r\n");
+        assert!(rig.server.wants_restart());
+    }
+
+    #[test]
+    fn a_board_with_a_key_restarts_for_a_friend_only_and_shows_itself_to_all() {
+        const KEY: Words = [5, 6, 7, 8];
+        let mut rig = Rig::new();
+        assert!(
+            say(&mut rig, "login").starts_with("challenge 00000000"),
+            "none is needed"
+        );
+        rig.server.auth.lock(KEY);
+        assert!(say(&mut rig, "status").contains("disarmed"));
+        assert!(say(&mut rig, "settings").contains("key      set"));
+        let refused = "refused: the board has a key; use `ferrocnc console`\r\n";
+        assert_eq!(say(&mut rig, "restart"), refused);
+        for (key, said) in [
+            ([5, 6, 7, 9], "refused: wrong answer\r\n"),
+            (KEY, "welcome\r\n"),
+        ] {
+            let asked = say(&mut rig, "login");
+            let (digits, uid) = asked.trim().strip_prefix(CHALLENGE).unwrap().split_at(32);
+            assert_eq!(uid.len(), 16);
+            let head = wire::auth::Purpose::Login.head(hex_words(digits).unwrap());
+            let tag = crate::auth::tag(&key, &head, &[]);
+            let tag: String = tag.iter().map(|word| format!("{word:08x}")).collect();
+            assert_eq!(say(&mut rig, &format!("login {tag}")), said);
+        }
+        assert_eq!(rig.server.counters().refused[Refusal::Key.index()], 1);
+        assert_eq!(say(&mut rig, "restart"), "restarting\r\n");
+        for wrong in ["login 12", "login x", &format!("login {}", "0".repeat(33))] {
+            assert_eq!(say(&mut rig, wrong), "? try help\r\n", "{wrong}");
+        }
     }
 
     #[test]
@@ -589,7 +741,7 @@ mod tests {
             let mut out = String::new();
             answer(
                 Ask::parse(line),
-                &rig.server,
+                &mut rig.server,
                 &mut rig.board,
                 &US,
                 &Vitals::default(),
@@ -662,7 +814,7 @@ mod tests {
             let mut out = String::new();
             let ask = Ask::parse(line);
             let vitals = Vitals::default();
-            answer(ask, &rig.server, &mut rig.board, &US, &vitals, &mut out);
+            answer(ask, &mut rig.server, &mut rig.board, &US, &vitals, &mut out);
             assert!(out.len() <= ANSWER_MAX, "{line}: {} bytes", out.len());
         }
     }

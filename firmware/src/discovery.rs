@@ -15,9 +15,9 @@ use wire::settings::Settings;
 pub enum Act {
     /// Not for us.
     Nothing,
-    /// Send this to whoever asked.
-    Answer(Message),
-    /// Save these; the answer comes later.
+    /// Say this to whoever asked.
+    Answer(Body),
+    /// Save these, if the key was proved; the answer comes later.
     Save(Settings),
 }
 
@@ -49,6 +49,7 @@ pub fn here(server: &Server, us: &crate::net::Us, dhcp: bool, names: &Names) -> 
         dhcp,
         armed: !server.safety().at_rest(),
         owned: server.session().owner().is_some(),
+        keyed: server.auth.locked(),
         running: flash.running(),
         origin: flash.origin(),
         speed: server.link().word().speed,
@@ -69,28 +70,25 @@ pub fn judge(
     here: impl FnOnce() -> Here,
 ) -> Act {
     let uid = server.flash().uid();
-    let answer = |body| {
-        Act::Answer(Message {
-            nonce: message.nonce,
-            uid,
-            body,
-        })
-    };
     let any = message.uid == [0; 2];
-    match message.body {
-        Body::Who if any || message.uid == uid => answer(Body::Here(here())),
-        Body::Set(_) if any || message.uid != uid => Act::Nothing,
-        Body::Set(settings) => {
-            if !server.safety().at_rest() || server.session().owner().is_some() {
-                answer(Body::Done(OpResult::Armed))
-            } else if !server.flash().busy() {
-                Act::Save(settings)
-            } else if waiting.is_some_and(|waiting| waiting.nonce == message.nonce) {
-                Act::Nothing // asked again; the answer is on its way
-            } else {
-                answer(Body::Done(OpResult::Busy))
-            }
+    let set = |settings| {
+        if any || message.uid != uid {
+            Act::Nothing
+        } else if !server.safety().at_rest() || server.session().owner().is_some() {
+            Act::Answer(Body::Done(OpResult::Armed))
+        } else if !server.flash().busy() {
+            Act::Save(settings)
+        } else if waiting.is_some_and(|waiting| waiting.nonce == message.nonce) {
+            Act::Nothing // asked again; the answer is on its way
+        } else {
+            Act::Answer(Body::Done(OpResult::Busy))
         }
-        Body::Who | Body::Here(_) | Body::Done(_) => Act::Nothing,
+    };
+    match message.body {
+        Body::Who if any || message.uid == uid => Act::Answer(Body::Here(here())),
+        Body::Set(settings) => set(settings),
+        Body::Who | Body::Here(_) | Body::Done(_) | Body::Prove(_) | Body::Proven(..) => {
+            Act::Nothing // answers, or told apart already
+        }
     }
 }

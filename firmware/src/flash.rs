@@ -334,6 +334,12 @@ impl Flash {
         self.word.busy
     }
 
+    /// Lies any of these bytes among the settings? The key is there, which nobody is shown.
+    fn settings_touched(layout: &Layout, address: u32, length: u32) -> bool {
+        let end = layout.settings + 2 * SECTOR;
+        address < end && address.saturating_add(length) > layout.settings
+    }
+
     /// A word of the flash window, by byte address; the link and the address in force are not known here.
     pub fn read_word(&self, address: u32) -> u32 {
         let [uid_hi, uid_lo] = self.uid;
@@ -444,19 +450,20 @@ impl Flash {
             start: 0,
             end: layout.size,
         };
+        let secret = Self::settings_touched(&layout, address, length);
         let paged = (1..=PAGE).contains(&length);
         match op {
             Op::Read => {
                 let bytes = self.buffer.get_mut(..length as usize).filter(|_| paged);
                 let bytes = bytes.ok_or(OpResult::Value)?;
-                if !whole.contains(address, length) {
+                if !whole.contains(address, length) || secret {
                     return Err(OpResult::Address);
                 }
                 nor.read(address, bytes)?;
                 Ok(false)
             }
             Op::Crc => {
-                if !whole.contains(address, length) {
+                if !whole.contains(address, length) || secret {
                     return Err(OpResult::Address);
                 }
                 self.job = Job::Crc {
@@ -514,6 +521,8 @@ impl Flash {
                 for (word, bytes) in words.iter_mut().zip(self.buffer.as_chunks().0) {
                     *word = u32::from_be_bytes(*bytes);
                 }
+                // A key may be in there, and everybody may read the buffer.
+                self.buffer.fill(0xff);
                 let settings = Settings::parse(&words).map_err(|_| OpResult::Value)?;
                 self.save(nor, settings)
             }

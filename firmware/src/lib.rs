@@ -23,6 +23,7 @@
 //! | [`server`] | Etherbone: checks a whole datagram, then executes all of it or nothing |
 //! | [`exchange`] | the servo-period datagram: judge, stage, commit, sample, answer |
 //! | [`session`] | who owns the motion |
+//! | [`auth`] | the pre-shared key: challenges, and judging the answers |
 //! | [`safety`] | the state machine: when outputs may be live |
 //! | [`config`] | which settings exist, their ranges, and which may change while armed |
 //! | [`describe`] | how the board says what it is |
@@ -37,10 +38,11 @@
 //! | [`log`] | the ring `ferrocnc log` reads |
 //! | [`postmortem`] | what survives a panic |
 //! | [`text`] | text in pieces, without `core::fmt` |
-//! | [`console`] | a read-only window for a human with `telnet` |
+//! | [`console`] | a window for a human with `telnet`: to look, and with the key to restart |
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
+pub mod auth;
 pub mod config;
 pub mod console;
 pub mod cores;

@@ -19,6 +19,7 @@
 //! The log is the board's: defmt's ring on the softcore, whatever a model keeps elsewhere
 //! ([`crate::log::Ring`]). What is worth a line in it comes back from [`Machine::chores`].
 
+use crate::auth::{Words, by_port};
 use crate::console::{self, Ask, Vitals};
 use crate::cores::{Board, Control, Ident, Setting};
 use crate::dhcp::{self, Client};
@@ -28,8 +29,9 @@ use crate::postmortem::Boot;
 use crate::server::Server;
 use crate::session::Peer;
 use crate::text::Sink;
+use wire::auth::Purpose;
 use wire::board::{Blob, Kind};
-use wire::discovery::{Body, Message};
+use wire::discovery::{Body, Message, proof};
 use wire::flash::{OpResult, OpWord};
 use wire::images::{Trailer, idcode_of};
 use wire::map::{BoardConfig, StepgenConfig};
@@ -104,6 +106,8 @@ impl<B: Board> Machine<B> {
         let flash = &mut server.flash;
         flash.start(board.spi(), trailer, blob.idcode, blob.settings, factory);
         let settings = *flash.settings();
+        server.auth.lock(settings.key);
+        let flash = &server.flash;
         let [uid_hi, uid_lo] = flash.uid();
         let us = Us {
             mac: if settings.mac == [0; 6] {
@@ -222,6 +226,7 @@ impl<B: Board> Machine<B> {
     fn second_passed(&mut self, clock_hz: u32) {
         self.second_at = self.second_at.wrapping_add(clock_hz);
         self.second = self.second.wrapping_add(1);
+        self.server.auth.tick();
         if self.client.enabled() {
             self.ask |= self.client.tick(self.second);
             self.settle();
@@ -272,29 +277,43 @@ impl<B: Board> Machine<B> {
             .lease()
             .is_some_and(|lease| lease.ip == self.us.ip);
         let here = || discovery::here(&self.server, &self.us, dhcp, &self.names);
-        match discovery::judge(&message, &self.server, self.waiting, here) {
-            Act::Nothing => &[],
-            Act::Answer(answer) => emit(&answer, reply),
-            Act::Save(settings) => {
-                self.server.save(&mut self.board, settings);
-                let OpWord { busy, result, .. } = self.server.flash.word();
-                if busy {
-                    let nonce = message.nonce;
-                    self.waiting = Some(Waiting { nonce, port });
-                    return &[];
+        let body = match discovery::judge(&message, &self.server, self.waiting, here) {
+            Act::Nothing => return &[],
+            Act::Answer(body) => body,
+            Act::Save(settings) => match self.prove(words, port) {
+                Err(challenge) => Body::Prove(challenge),
+                Ok(()) => {
+                    self.server.save(&mut self.board, settings);
+                    let OpWord { busy, result, .. } = self.server.flash.word();
+                    if busy {
+                        let nonce = message.nonce;
+                        self.waiting = Some(Waiting { nonce, port });
+                        return &[];
+                    }
+                    Body::Done(result)
                 }
-                let uid = self.server.flash.uid();
-                let body = Body::Done(result);
-                emit(
-                    &Message {
-                        uid,
-                        body,
-                        ..message
-                    },
-                    reply,
-                )
-            }
+            },
+        };
+        let uid = self.server.flash.uid();
+        let nonce = message.nonce;
+        emit(&Message { nonce, uid, body }, reply)
+    }
+
+    /// Has whoever sent this from there the key? If not, here is something to prove it with.
+    fn prove(&mut self, words: &[u32], port: u16) -> Result<(), Words> {
+        let (signed, answer) = proof(words).unzip();
+        let from = by_port(port);
+        let auth = &mut self.server.auth;
+        auth.stir(self.board.arrival_lo());
+        let Err(why) = auth.prove(from, Purpose::Set, signed.unwrap_or(&[]), answer) else {
+            return Ok(());
+        };
+        let challenge = *auth.challenge(from);
+        // Who has not been asked yet has done nothing wrong.
+        if answer.is_some() {
+            self.server.refuse(why);
         }
+        Err(challenge)
     }
 
     /// Takes a datagram of so many bytes that came to [`dhcp::PORT`].
@@ -345,10 +364,22 @@ impl<B: Board> Machine<B> {
         })
     }
 
-    /// Answers a line of the console.
+    /// Somebody new is at the console.
+    pub fn greet(&mut self) {
+        self.server.auth.greet();
+    }
+
+    /// Answers a line of the console. Afterwards the server may want a restart.
     #[inline]
     pub fn answer(&mut self, ask: Ask, vitals: &Vitals, out: &mut dyn Sink) {
-        console::answer(ask, &self.server, &mut self.board, &self.us, vitals, out);
+        console::answer(
+            ask,
+            &mut self.server,
+            &mut self.board,
+            &self.us,
+            vitals,
+            out,
+        );
     }
 }
 
@@ -376,7 +407,7 @@ fn defaults(board: &mut impl Board, ident: &Ident) {
 
 fn emit<'r>(message: &Message, words: &'r mut [u32; MAX_WORDS]) -> &'r [u32] {
     match words.first_chunk_mut() {
-        Some(room) => message.emit(room),
+        Some(room) => message.emit_answer(room),
         None => &[], // a message is shorter than a frame
     }
 }

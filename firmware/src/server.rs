@@ -7,6 +7,7 @@
 //! Answered are probes, reads and the exchange; a plain write is not. A refused datagram is counted by
 //! reason and nothing else.
 
+use crate::auth::{Auth, Words};
 use crate::cores::{
     Board, Control, Gate, Ident, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_SAMPLE, Led,
     STROBE_COMMIT, STROBE_SAMPLE,
@@ -18,7 +19,8 @@ use crate::postmortem::Boot;
 use crate::safety::{Effects, Event, Safety};
 use crate::session::{Peer, Session};
 use crate::{config, describe, log, service};
-use wire::describe::OBSTACLE_FLASH;
+use wire::auth::Purpose;
+use wire::describe::{FEATURE_KEY, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
 use wire::{GateClose, MAX_WORDS, Refusal, map};
@@ -58,6 +60,7 @@ pub struct Server {
     pub(crate) abi: u32,
     pub(crate) boot: Boot,
     pub(crate) session: Session,
+    pub(crate) auth: Auth,
     pub(crate) safety: Safety,
     pub(crate) counters: Counters,
     pub(crate) flash: Flash,
@@ -89,6 +92,7 @@ impl Server {
             abi,
             boot,
             session: Session::new(),
+            auth: Auth::new(boot.id),
             safety: Safety::new(),
             counters: Counters {
                 frames_rx: 0,
@@ -452,24 +456,33 @@ impl Server {
 
     /// Would every record do? Runs the writes against a copy of who owns and what state it is.
     fn validate<B: Board>(
-        &self,
+        &mut self,
         board: &mut B,
         packet: &Packet,
         peer: Peer,
     ) -> Result<(), Refusal> {
         let now = board.now();
+        self.auth.stir(board.arrival_lo());
         let mut judge = Judge {
             ident: &self.ident,
             boot_id: self.boot.id,
             session: self.session,
+            auth: &mut self.auth,
+            answer: None,
             safety: self.safety,
             peer,
             now,
             flash_busy: self.flash.busy(),
         };
         for record in packet.records() {
-            for (address, value) in writes_of(&record)? {
-                judge.write(address, value)?;
+            if let (map::SESSION_RESPONSE, Ok(answer)) =
+                (record.write_base, record.writes.try_into())
+            {
+                judge.answer = Some(answer);
+            } else {
+                for (address, value) in writes_of(&record)? {
+                    judge.write(address, value)?;
+                }
             }
             for address in record.reads {
                 check_read(*address)?;
@@ -486,7 +499,8 @@ impl Server {
             match address {
                 map::SESSION_ACQUIRE => {
                     let now = board.now();
-                    if self.session.acquire(peer, value, self.boot.id, now).is_ok() {
+                    let boot_id = self.boot.id ^ self.auth.secret();
+                    if self.session.acquire(peer, value, boot_id, now).is_ok() {
                         self.event(board, Event::Acquired);
                     }
                 }
@@ -510,8 +524,8 @@ impl Server {
         }
     }
 
-    /// Reads a word that [`check_read`] allowed. Reading changes nothing.
-    fn read<B: Board>(&self, board: &mut B, address: u32, peer: Peer) -> u32 {
+    /// Reads a word that [`check_read`] allowed. Reading changes nothing but which challenge is in force.
+    fn read<B: Board>(&mut self, board: &mut B, address: u32, peer: Peer) -> u32 {
         match address {
             map::DESCRIBE..map::DESCRIBE_BLOB => self.describe_word(board, address / 4, peer),
             map::DESCRIBE_BLOB..map::SESSION => {
@@ -529,6 +543,15 @@ impl Server {
                 .owner()
                 .map_or(0, |owner| u32::from(owner.port)),
             map::SESSION_LAST_SEQ => self.session.last_sequence(),
+            map::SESSION_CHALLENGE..map::SESSION_RESPONSE => {
+                // None for strangers while somebody owns the session: it would be of no use to them, and hashing for
+                // them would keep the owner waiting.
+                if self.session.owner().is_some() && !self.session.is_owner(peer) {
+                    return 0;
+                }
+                let word = (address - map::SESSION_CHALLENGE) / 4;
+                self.auth.read(peer, word)
+            }
             map::CONFIG..map::COMMAND => config::setting_at(address, self.ident.channels)
                 .map_or(0, |setting| board.setting(setting)),
             map::STATUS..map::COUNTERS => {
@@ -556,6 +579,9 @@ impl Server {
         let mut describe = describe::describe(&self.ident, self.abi, self.boot, state, close);
         if self.flash.busy() {
             describe.obstacles |= OBSTACLE_FLASH;
+        }
+        if self.auth.locked() {
+            describe.features |= FEATURE_KEY;
         }
         let words = describe.to_words();
         words.get(word as usize).copied().unwrap_or(0)
@@ -619,6 +645,9 @@ struct Judge<'s> {
     ident: &'s Ident,
     boot_id: u32,
     session: Session,
+    auth: &'s mut Auth,
+    /// The answer to a challenge.
+    answer: Option<&'s Words>,
     safety: Safety,
     peer: Peer,
     now: u64,
@@ -629,6 +658,10 @@ impl Judge<'_> {
     fn write(&mut self, address: u32, value: u32) -> Result<(), Refusal> {
         match address {
             map::SESSION_ACQUIRE => {
+                // First what is quickly said: nothing is hashed for a stranger while somebody drives.
+                self.session.may_acquire(self.peer, value)?;
+                self.auth
+                    .prove(self.peer, Purpose::Acquire, &[value], self.answer)?;
                 self.session
                     .acquire(self.peer, value, self.boot_id, self.now)?;
                 self.safety = self.safety.step(Event::Acquired, self.now).0;
@@ -685,9 +718,11 @@ impl Judge<'_> {
         }
     }
 
+    /// With a key, only the owner: he has shown that he has it.
     fn owner_or_nobody(&self) -> Result<(), Refusal> {
         match self.session.owner() {
             Some(_) => self.owner(),
+            None if self.auth.locked() => Err(Refusal::Key),
             None => Ok(()),
         }
     }

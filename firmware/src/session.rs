@@ -51,18 +51,24 @@ impl Session {
         boot_id: u32,
         now: u64,
     ) -> Result<(), Refusal> {
-        if nonce == 0 {
-            return Err(Refusal::Value);
-        }
-        if self.owner.is_some_and(|owner| owner.peer != peer) {
-            return Err(Refusal::NotOwner);
-        }
+        self.may_acquire(peer, nonce)?;
         self.owner = Some(Owner {
             peer,
             token: token(peer, nonce, boot_id, now),
             heard: now,
         });
         self.last_sequence = 0;
+        Ok(())
+    }
+
+    /// Could `peer` acquire with this nonce, as far as the session goes?
+    pub fn may_acquire(&self, peer: Peer, nonce: u32) -> Result<(), Refusal> {
+        if nonce == 0 {
+            return Err(Refusal::Value);
+        }
+        if self.owner.is_some_and(|owner| owner.peer != peer) {
+            return Err(Refusal::NotOwner);
+        }
         Ok(())
     }
 

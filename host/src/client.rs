@@ -6,6 +6,7 @@
 //! at all, so an answer to its reads is the receipt for its writes.
 
 use crate::address::Address;
+use crate::keys::{Key, KeyError, Keys};
 use std::io;
 use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
 use std::time::{Duration, Instant};
@@ -59,6 +60,8 @@ pub enum ClientError {
     },
     /// It answers, but will not give its session.
     NoSession(Address),
+    /// It has a key that this computer cannot show.
+    Key(Address, KeyError),
 }
 
 impl core::fmt::Display for ClientError {
@@ -98,6 +101,7 @@ impl core::fmt::Display for ClientError {
                 f,
                 "{address} is driven by {owner}; stop LinuxCNC there, or wait until its watchdog has ended that session"
             ),
+            ClientError::Key(address, error) => write!(f, "{address}: {error}"),
             ClientError::NoSession(address) => write!(
                 f,
                 "{address} answers but gives no session; look at its console (ferrocnc console {})",
@@ -193,6 +197,8 @@ pub struct Client {
     socket: UdpSocket,
     tag: u32,
     patience: Duration,
+    keys: Keys,
+    key: Option<Key>,
 }
 
 impl Client {
@@ -209,6 +215,8 @@ impl Client {
             tag: nonce(),
             socket,
             patience: PATIENCE,
+            keys: Keys::default(),
+            key: None,
         })
     }
 
@@ -217,6 +225,27 @@ impl Client {
     pub fn with_patience(mut self, patience: Duration) -> Self {
         self.patience = patience;
         self
+    }
+
+    /// Looks there for the board's key, if it has one.
+    #[must_use]
+    pub fn with_keys(mut self, keys: Keys) -> Self {
+        self.keys = keys;
+        self
+    }
+
+    /// The key the last acquisition needed.
+    pub fn key(&self) -> Option<Key> {
+        self.key
+    }
+
+    /// Does the board have a key, and what is its unique id?
+    pub fn locked(&mut self) -> Result<(bool, [u32; 2]), ClientError> {
+        let words = self.read(&[FEATURES, map::FLASH_UID_HI, map::FLASH_UID_LO])?;
+        let [features, hi, lo] = words[..] else {
+            return Ok((false, [0; 2])); // as many words come as were asked for
+        };
+        Ok((features & describe::FEATURE_KEY != 0, [hi, lo]))
     }
 
     /// Who is asked.
@@ -295,17 +324,28 @@ impl Client {
     /// Takes the session; its token and the sequence number the board has seen last.
     pub fn acquire(&mut self) -> Result<Session, ClientError> {
         let before = Instant::now();
+        let found = match self.locked()? {
+            (true, uid) => Some(self.keys.find(uid).map_err(|error| self.no_key(error))?),
+            (false, _) => None,
+        };
+        self.key = found.as_ref().map(|(key, _)| *key);
         let patience = core::mem::replace(&mut self.patience, TRY * 3);
+        let mut wrong = 0;
         let result = loop {
             // A refused acquisition is a dropped datagram, so silence here and an answer to the
             // question for the owner together mean "somebody else's".
-            let asked = self.write_then_read(map::SESSION_ACQUIRE, &[nonce()], &SESSION_WORDS);
+            let asked = self.ask_for_session();
             if let Ok(words) = &asked
                 && let Some(session) = Session::from_words(words)
             {
                 break Ok(session);
             }
             let owner = self.read(&[map::SESSION_OWNER_IP, map::SESSION_OWNER_PORT]);
+            // Nobody's, and not given: once may be a challenge that grew too old on its way.
+            wrong += u32::from(owner.as_deref().is_ok_and(|owner| owner == [0, 0]));
+            if let Some((_, path)) = found.as_ref().filter(|_| wrong > 1) {
+                break Err(self.no_key(KeyError::Wrong(path.clone())));
+            }
             if before.elapsed() < patience {
                 continue;
             }
@@ -322,6 +362,41 @@ impl Client {
         };
         self.patience = patience;
         result
+    }
+
+    fn no_key(&self, error: KeyError) -> ClientError {
+        ClientError::Key(self.address.clone(), error)
+    }
+
+    fn ask_for_session(&mut self) -> Result<Vec<u32>, ClientError> {
+        let nonce = nonce();
+        let Some(key) = self.key else {
+            return self.write_then_read(map::SESSION_ACQUIRE, &[nonce], &SESSION_WORDS);
+        };
+        let challenge = self.read(&CHALLENGE_WORDS)?;
+        let challenge = challenge.first_chunk().unwrap_or(&wire::auth::NONE);
+        let answer = key.acquire(*challenge, nonce);
+        let writes: [(u32, &[u32]); 2] = [
+            (map::SESSION_RESPONSE, &answer),
+            (map::SESSION_ACQUIRE, &[nonce]),
+        ];
+        // Once: an answer to a challenge that was used up is none.
+        let patience = core::mem::replace(&mut self.patience, TRY);
+        let asked = self.transact(&writes, &SESSION_WORDS);
+        self.patience = patience;
+        asked
+    }
+
+    /// Gives a session back. One datagram: if it is lost the board takes it back in 3 s.
+    pub fn release(&mut self, session: &Session) {
+        let mut words = [0; 8];
+        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+        if request.write_record(map::SESSION_RELEASE, 1) && request.push(session.token) {
+            let mut bytes = [0; 32];
+            let length = wire::words_to_bytes(request.words(), &mut bytes);
+            // Nothing to be done about a network that is gone.
+            let _ = self.socket.send(&bytes[..length]);
+        }
     }
 
     pub(crate) fn transact(
@@ -423,6 +498,17 @@ pub(crate) const SESSION_WORDS: [u32; 8] = [
     map::DESCRIBE + 4 * 10,
     map::DESCRIBE + 4 * 16,
     map::DESCRIBE + 4 * 17,
+];
+
+/// The describe block's features.
+const FEATURES: u32 = map::DESCRIBE + 4 * 9;
+
+/// A challenge.
+pub(crate) const CHALLENGE_WORDS: [u32; wire::auth::WORDS] = [
+    map::SESSION_CHALLENGE,
+    map::SESSION_CHALLENGE + 4,
+    map::SESSION_CHALLENGE + 8,
+    map::SESSION_CHALLENGE + 12,
 ];
 
 /// A session just taken, and what is needed to know that the board is still the same.

@@ -15,6 +15,7 @@
 
 use crate::client::nonce;
 use crate::flash::uid_text;
+use crate::keys::{Key, KeyError, Keys};
 use socket2::{Domain, Protocol, SockAddr, Socket, Type};
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
@@ -33,6 +34,9 @@ const SET_PATIENCE: Duration = Duration::from_secs(8);
 /// A board that starts anew: less than 1 s, up to 10 s more until a DHCP server that is not there is given up.
 const RESTART_PATIENCE: Duration = Duration::from_secs(15);
 
+/// A wrong key is not tried oftener than this.
+const PROOFS: u32 = 3;
+
 /// Why boards cannot be looked for.
 #[derive(Debug)]
 pub enum DiscoveryError {
@@ -46,6 +50,8 @@ pub enum DiscoveryError {
     Silent([u32; 2]),
     /// It answers and says no.
     Refused(OpResult),
+    /// It has a key that this computer cannot show.
+    Key([u32; 2], KeyError),
 }
 
 impl core::fmt::Display for DiscoveryError {
@@ -67,6 +73,7 @@ impl core::fmt::Display for DiscoveryError {
             DiscoveryError::Refused(OpResult::Armed) => f.write_str(
                 "the board is armed, or LinuxCNC drives it; stop LinuxCNC, then try again",
             ),
+            DiscoveryError::Key(uid, error) => write!(f, "{}: {error}", uid_text(*uid)),
             DiscoveryError::Refused(result) => write!(f, "the board says: {result}"),
         }
     }
@@ -179,22 +186,39 @@ impl Finder {
         found.ok_or(DiscoveryError::Silent(uid))
     }
 
-    /// Gives the board with this id settings; it starts anew with them.
-    pub fn set(&self, uid: [u32; 2], settings: &Settings) -> Result<(), DiscoveryError> {
-        let mut done = None;
-        self.ask(uid, Body::Set(*settings), SET_PATIENCE, &mut |message| {
-            if let Body::Done(result) = message.body
-                && message.uid == uid
-            {
-                done = Some(result);
+    /// Gives the board with this id settings; it starts anew with them. If it has a key, that is looked for there.
+    pub fn set(
+        &self,
+        uid: [u32; 2],
+        settings: &Settings,
+        keys: &Keys,
+    ) -> Result<(), DiscoveryError> {
+        let (mut body, mut used) = (Body::Set(*settings), None);
+        let number = nonce();
+        for tries in 0.. {
+            let mut answer = None;
+            self.ask_as(number, uid, body, SET_PATIENCE, &mut |message| {
+                if let (true, Body::Done(_) | Body::Prove(_)) = (message.uid == uid, message.body) {
+                    answer = Some(message.body);
+                }
+                answer.is_some()
+            })?;
+            let challenge = match answer {
+                Some(Body::Done(OpResult::Ok)) => return Ok(()),
+                Some(Body::Done(result)) => return Err(DiscoveryError::Refused(result)),
+                Some(Body::Prove(challenge)) => challenge,
+                Some(_) | None => return Err(DiscoveryError::Silent(uid)),
+            };
+            let wrong = |error| DiscoveryError::Key(uid, error);
+            // More than once: its Done was lost, and it started anew with another challenge.
+            if let Some(path) = used.filter(|_| tries >= PROOFS) {
+                return Err(wrong(KeyError::Wrong(path)));
             }
-            done.is_some()
-        })?;
-        match done {
-            Some(OpResult::Ok) => Ok(()),
-            Some(result) => Err(DiscoveryError::Refused(result)),
-            None => Err(DiscoveryError::Silent(uid)),
+            let (key, path) = keys.find(uid).map_err(wrong)?;
+            body = proven(&key, challenge, number, uid, settings);
+            used = Some(path);
         }
+        Err(DiscoveryError::Silent(uid))
     }
 
     /// Waits until the board with this id has started anew and says of itself what was asked for.
@@ -224,7 +248,17 @@ impl Finder {
         wait: Duration,
         heard: &mut dyn FnMut(Message) -> bool,
     ) -> Result<(), DiscoveryError> {
-        let nonce = nonce();
+        self.ask_as(nonce(), uid, body, wait, heard)
+    }
+
+    fn ask_as(
+        &self,
+        nonce: u32,
+        uid: [u32; 2],
+        body: Body,
+        wait: Duration,
+        heard: &mut dyn FnMut(Message) -> bool,
+    ) -> Result<(), DiscoveryError> {
         let mut words = [0; WORDS_MAX];
         let words = Message { nonce, uid, body }.emit(&mut words);
         let mut request = [0; WORDS_MAX * 4];
@@ -290,6 +324,21 @@ fn receive(socket: &UdpSocket) -> Option<Message> {
             return Some(message);
         }
     }
+}
+
+/// The Set with the answer to the challenge.
+fn proven(
+    key: &Key,
+    challenge: [u32; wire::auth::WORDS],
+    nonce: u32,
+    uid: [u32; 2],
+    settings: &Settings,
+) -> Body {
+    let body = Body::Proven(*settings, wire::auth::NONE);
+    let mut words = [0; WORDS_MAX];
+    let words = Message { nonce, uid, body }.emit(&mut words);
+    let signed = wire::discovery::proof(words).map_or(&[][..], |(signed, _)| signed);
+    Body::Proven(*settings, key.set(challenge, signed))
 }
 
 fn socket(ip: Ipv4Addr, port: u16, interface: Option<&str>) -> io::Result<UdpSocket> {

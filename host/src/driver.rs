@@ -78,10 +78,11 @@ use crate::blocks::stepgen::{Sample, Stepgen};
 use crate::blocks::wallclock::Wallclock;
 use crate::blocks::watchdog::Watchdog;
 use crate::blocks::{Outlook, Period};
-use crate::client::{SESSION_WORDS, Session, single_record};
+use crate::client::{CHALLENGE_WORDS, SESSION_WORDS, Session, single_record};
 use crate::clock::{BoardClock, Timebase};
 use crate::group::Group;
 use crate::hal::Catalogue;
+use crate::keys::Key;
 use crate::link::Link;
 use crate::names::Glue;
 use crate::settings::{Disarmed, Periods, Sync};
@@ -125,6 +126,8 @@ pub struct Driver {
     channels: Channels,
     clock_hz: u32,
     boot_id: u32,
+    /// To take the board again with, if it has one.
+    key: Option<Key>,
     voice: Voice,
 
     pins: Pins,
@@ -396,6 +399,15 @@ impl Driver {
                     && base == tag
                 {
                     self.owned(token, ip, port);
+                }
+            } else if let Some(challenge) = payload.first_chunk()
+                && payload.len() == CHALLENGE_WORDS.len()
+            {
+                if let Phase::Acquiring { tag, .. } = self.phase
+                    && base == tag
+                {
+                    let challenge = *challenge;
+                    self.prove(tag, challenge);
                 }
             } else if let [_] = payload {
                 let _ = self.disarmed_settings.receipt(base) || self.periods.receipt(base);

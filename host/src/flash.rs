@@ -4,7 +4,7 @@
 //! everybody may ask: is the machine armed, does somebody own it, was the operation taken after all? An operation
 //! is sent again until one of these says how it is; every operation may safely happen twice.
 
-use crate::client::{Client, ClientError};
+use crate::client::{Client, ClientError, Session};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::{Duration, Instant};
 use wire::exchange::StateWord;
@@ -252,6 +252,16 @@ pub struct Flasher<'t> {
     /// When the board answered last, and whether its silence was told.
     heard: Instant,
     silent: bool,
+    /// What a board with a key wants before it takes an operation.
+    session: Option<Session>,
+}
+
+impl Drop for Flasher<'_> {
+    fn drop(&mut self) {
+        if let Some(session) = &self.session {
+            self.client.release(session);
+        }
+    }
 }
 
 impl<'t> Flasher<'t> {
@@ -263,7 +273,16 @@ impl<'t> Flasher<'t> {
             tell: Box::new(tell),
             heard: Instant::now(),
             silent: false,
+            session: None,
         }
+    }
+
+    /// Takes the session of a board with a key: operations are its owner's alone.
+    fn unlock(&mut self) -> Result<(), FlashError> {
+        if let (true, _) = self.client.locked()? {
+            self.session = Some(self.client.acquire()?);
+        }
+        Ok(())
     }
 
     /// The client, for everything else.
@@ -370,6 +389,10 @@ impl<'t> Flasher<'t> {
                     };
                     self.may(&answer)?;
                     if !mine(&answer) {
+                        // A board that was silent for long has forgotten whose it was.
+                        if answer.owner.is_none() {
+                            self.unlock()?;
+                        }
                         if asked.elapsed() > REFUSED {
                             return Err(FlashError::Refused(op));
                         }
@@ -415,7 +438,8 @@ impl<'t> Flasher<'t> {
         self.heard = Instant::now();
         loop {
             if let Some(answer) = self.ask(&[], &LOOKS)? {
-                return self.may(&answer);
+                self.may(&answer)?;
+                return self.unlock();
             }
         }
     }

@@ -72,6 +72,7 @@ pub mod hal;
 pub mod image;
 pub mod job;
 pub mod jtag;
+pub mod keys;
 pub mod link;
 pub mod module;
 pub mod names;

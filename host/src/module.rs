@@ -12,11 +12,13 @@ use crate::group::Group;
 use crate::hal::ffi::{Api, Funct};
 use crate::hal::real::{Component, messenger, print};
 use crate::hal::{ExportError, Level};
+use crate::keys::Keys;
 use crate::link::Link;
 use crate::names::{self, Does, NamesError, Scheme};
 use core::ffi::{CStr, c_char, c_int, c_long, c_void};
 use core::sync::atomic::{AtomicPtr, Ordering};
 use std::ffi::CString;
+use std::path::Path;
 
 /// A pointer-sized word `rtapi_app` reads by name.
 #[repr(transparent)]
@@ -34,6 +36,7 @@ macro_rules! exported {
 
 static BOARDS: AtomicPtr<c_char> = AtomicPtr::new(core::ptr::null_mut());
 static NAMES: AtomicPtr<c_char> = AtomicPtr::new(core::ptr::null_mut());
+static KEY: AtomicPtr<c_char> = AtomicPtr::new(core::ptr::null_mut());
 
 // RTAPI_MP_STRING(boards, "...") and the usual declarations.
 exported!(rtapi_info_type_boards, c"s".as_ptr());
@@ -47,6 +50,12 @@ exported!(rtapi_info_address_names, (&raw const NAMES));
 exported!(
     rtapi_info_description_names,
     c"Pins under other drivers' names as well: lcnc, or litexcnc[:NAME[,NAME...]]".as_ptr()
+);
+exported!(rtapi_info_type_key, c"s".as_ptr());
+exported!(rtapi_info_address_key, (&raw const KEY));
+exported!(
+    rtapi_info_description_key,
+    c"File with the key of boards that have one; each board's own in ~/.config/ferrocnc/keys if not given".as_ptr()
 );
 exported!(rtapi_info_license, c"GPL".as_ptr());
 exported!(
@@ -100,6 +109,7 @@ impl LoadError {
                     -libc::EPROTO
                 }
                 ClientError::Owned { .. } | ClientError::NoSession(_) => -libc::EBUSY,
+                ClientError::Key(..) => -libc::EACCES,
             },
             LoadError::Export(error) => error.errno,
             LoadError::Hal(_, errno) => *errno,
@@ -155,10 +165,12 @@ pub extern "C" fn rtapi_app_exit() {
 fn load(api: Api) -> Result<Loaded, LoadError> {
     let boards = address::parse_list(&parameter(&BOARDS)).map_err(LoadError::Address)?;
     let scheme = Scheme::parse(&parameter(&NAMES)).map_err(LoadError::Names)?;
+    let keys = Some(parameter(&KEY)).filter(|file| !file.is_empty());
+    let keys = Keys::named(keys.as_deref().map(Path::new));
     // Talk to the boards first: if one is missing HAL has never heard of us.
     let clients = boards
         .iter()
-        .map(connect)
+        .map(|address| connect(address, &keys))
         .collect::<Result<Vec<_>, _>>()
         .map_err(LoadError::Client)?;
     let component =
@@ -169,6 +181,7 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
     };
     let (time, group, count) = (Timebase::new(), Group::new(), boards.len());
     for (index, (address, (client, identity))) in boards.into_iter().zip(clients).enumerate() {
+        let key = client.key();
         let link = Link::new(client.into_socket())
             .map_err(|error| LoadError::Client(ClientError::Socket(address.clone(), error)))?;
         let mut driver = Driver::export(
@@ -180,6 +193,7 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
             messenger(api),
         )
         .map_err(LoadError::Export)?;
+        driver.remember(key);
         driver.join(&time, &group, count);
         let mut functions = vec![
             (format!("ferrocnc.{index}.read-request"), READ_REQUEST),
@@ -213,8 +227,11 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
 }
 
 /// Gets to know a board and takes its session.
-fn connect(address: &Address) -> Result<(Client, crate::client::Identity), ClientError> {
-    let mut client = Client::open(address)?;
+fn connect(
+    address: &Address,
+    keys: &Keys,
+) -> Result<(Client, crate::client::Identity), ClientError> {
+    let mut client = Client::open(address)?.with_keys(keys.clone());
     let identity = client.identify()?;
     client.check(&identity)?;
     client.acquire()?;

@@ -7,6 +7,7 @@ use crate::address::{self, Address};
 use crate::client::Client;
 use crate::discovery::{DiscoveryError, Finder, Found, WAIT};
 use crate::flash::{FlashError, Flasher, Overview, uid_text};
+use crate::keys::{Key, Keys};
 use std::net::Ipv4Addr;
 use std::time::Duration;
 use wire::Name;
@@ -236,6 +237,7 @@ pub fn set_by_uid(
     finder: &Finder,
     uid: [u32; 2],
     change: &Change,
+    keys: &Keys,
 ) -> Result<Found, ProvisionError> {
     let found = finder.one(uid, WAIT)?;
     let base = match reach(finder, uid) {
@@ -244,7 +246,7 @@ pub fn set_by_uid(
         Err(_) => None,
     };
     let settings = change.apply(&base.unwrap_or_else(|| settings_of(&found)))?;
-    finder.set(uid, &settings)?;
+    finder.set(uid, &settings, keys)?;
     Ok(finder.until(uid, |here| change.is_in_force(&settings, here))?)
 }
 
@@ -259,6 +261,22 @@ pub fn set_at(client: Client, change: &Change) -> Result<Settings, ProvisionErro
     flasher.save(&settings)?;
     flasher.restart();
     Ok(settings)
+}
+
+/// Gives a board a key, or takes it away. It is saved with everything else as it is, and the board starts anew.
+pub fn set_key(client: Client, key: Option<Key>) -> Result<(), ProvisionError> {
+    let mut client = client;
+    let settings = in_force(&Overview::read(&mut client)?)?;
+    let settings = Settings {
+        key: key.map_or(wire::auth::NONE, |key| key.words()),
+        keep_key: false,
+        ..settings
+    };
+    let mut flasher = Flasher::new(client, crate::client::PATIENCE, |_| {});
+    flasher.may_write()?;
+    flasher.save(&settings)?;
+    flasher.restart();
+    Ok(())
 }
 
 /// Has a board forget its settings and start anew with what is built into its bitstream.

@@ -10,6 +10,7 @@ use ferrocnc::address;
 use ferrocnc::client::Client;
 use ferrocnc::discovery::Finder;
 use ferrocnc::flash::{Overview, uid_text};
+use ferrocnc::keys::Keys;
 use ferrocnc::provision::{self, Change, ProvisionError};
 use ferrocnc_tool::{answer, complaint};
 use std::net::Ipv4Addr;
@@ -42,7 +43,7 @@ fn three_boards_with_one_address_are_told_apart_and_renamed_one_by_one() {
     assert!(found.iter().all(|f| f.here.ip == 0xc0a8_0232));
     for (n, uid) in UIDS.iter().enumerate() {
         let change = named(&format!("mill-{n}"), [192, 168, 2, 60 + n as u8]);
-        let found = provision::set_by_uid(&finder, *uid, &change).unwrap();
+        let found = provision::set_by_uid(&finder, *uid, &change, &Keys::default()).unwrap();
         assert_eq!(found.here.name.text(), format!("mill-{n}"));
     }
     let ips: Vec<u32> = finder
@@ -69,7 +70,7 @@ fn a_lost_answer_is_asked_for_again_and_nothing_is_saved_twice() {
         name: Name::new("again").unwrap(),
         ..Settings::default()
     };
-    finder.set(UIDS[1], &settings).unwrap();
+    finder.set(UIDS[1], &settings, &Keys::default()).unwrap();
     assert_eq!(segment.look()[1].saved, 1);
 }
 
@@ -78,7 +79,12 @@ fn an_armed_board_and_an_unknown_one_are_said_in_a_sentence() {
     let segment = Segment::of(&UIDS);
     let finder = Finder::at(segment.address).unwrap();
     segment.look()[2].armed = true;
-    let said = provision::set_by_uid(&finder, UIDS[2], &named("x", [192, 168, 2, 9]));
+    let said = provision::set_by_uid(
+        &finder,
+        UIDS[2],
+        &named("x", [192, 168, 2, 9]),
+        &Keys::default(),
+    );
     assert!(said.unwrap_err().to_string().contains("stop LinuxCNC"));
     assert_eq!(segment.look()[2].flash.origin, Origin::BuiltIn);
     let said = finder.one([9, 9], WAIT).unwrap_err().to_string();
@@ -97,7 +103,7 @@ fn what_is_not_asked_for_stays_and_a_mac_made_from_the_id_stays_that() {
         name: Some(Name::new("lathe").unwrap()),
         ..Change::default()
     };
-    provision::set_by_uid(&finder, UIDS[0], &change).unwrap();
+    provision::set_by_uid(&finder, UIDS[0], &change, &Keys::default()).unwrap();
     let boards = segment.look();
     let settings = boards[0].flash.settings;
     assert_eq!((settings.port, settings.ip), (4321, 0xc0a8_0232));
@@ -142,6 +148,10 @@ fn settings_over_the_address_are_saved_with_the_key_kept_and_the_board_starts_an
         assert_eq!(mind.flash.settings.mac, [0; 6], "made from the id, not set");
         assert!(mind.boot_id > boots);
     }
+    // It wants its key from now on; with the factory pin held it does not.
+    let said = provision::forget_at(client(&board).with_keys(Keys::File("/none".into())));
+    assert!(said.unwrap_err().to_string().contains("wants a key"));
+    board.look().key = None;
     provision::forget_at(client(&board)).unwrap();
     let overview = Overview::read(&mut client(&board)).unwrap();
     assert_eq!(overview.origin, Origin::BuiltIn);

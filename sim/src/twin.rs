@@ -877,6 +877,7 @@ impl Device for Twin {
     }
 
     fn open(&mut self) -> usize {
+        self.machine.greet();
         let mut visitor = Visitor::default();
         visitor.out.0.extend(console::PROMPT.bytes());
         self.visitors.push(visitor);

@@ -55,7 +55,15 @@ mod tests {
             )+};
         }
         every!(
-            State, FaultReason, ResetReason, GateClose, LinkSpeed, Op, OpResult, Slot, Running,
+            State,
+            FaultReason,
+            ResetReason,
+            GateClose,
+            LinkSpeed,
+            Op,
+            OpResult,
+            Slot,
+            Running,
             Origin
         );
     }

@@ -26,6 +26,10 @@ pub const OBSTACLE_ABI: u32 = 1 << 0;
 /// Obstacle to arming: an operation of the flash is running; over within seconds.
 pub const OBSTACLE_FLASH: u32 = 1 << 1;
 
+/// Feature: a key is set, and whoever wants to change something has to prove to have it ([`crate::auth`]). The bits below 16
+/// are the gateware's.
+pub const FEATURE_KEY: u32 = 1 << 31;
+
 /// How many channels of each kind a board has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Channels {
@@ -89,7 +93,7 @@ pub struct Describe {
     pub clock_hz: u32,
     /// Channel counts.
     pub channels: Channels,
-    /// Reserved, 0.
+    /// What is there besides the channels: [`FEATURE_KEY`].
     pub features: u32,
     /// Changes with every start of the firmware.
     pub boot_id: u32,

@@ -8,6 +8,8 @@
 //! 2     Here  board    [`Here`], 32 words
 //! 3     Set   host     [`Settings`]         only the board with that unique id takes it
 //! 4     Done  board    [`OpResult`]         once the settings lie in flash, or why not
+//! 5     Prove  board   4 words              a board with a key was told to Set: the challenge ([`crate::auth`])
+//! 6     Proven host    [`Settings`], 4 words   the Set with the answer to it
 //! ```
 //!
 //! Requests go to 255.255.255.255, a subnet's broadcast address or the board's own. Answers go to
@@ -15,13 +17,15 @@
 //! whose they are. What has not this form is counted and not answered; so is a request with a unique id that
 //! is not the board's, without being counted.
 //!
+//! A board with a key answers a Set, and a Proven whose answer is not right, with Prove. A Proven is a Set in everything else.
+//!
 //! A Set that was saved is in force after the next start, and the board starts anew by itself right behind
 //! its Done. A Set while the machine is armed or owned is answered [`OpResult::Armed`]. A Set that comes again
 //! (its Done was lost) is answered again; settings equal to those saved are not written twice.
 
 use crate::flash::{OpResult, Origin, Running};
 use crate::settings::{self, Settings, mac_from_words, mac_to_words};
-use crate::{LinkSpeed, Name, Refusal};
+use crate::{LinkSpeed, Name, Refusal, auth};
 
 /// "FDIS".
 pub const MAGIC: u32 = 0x4644_4953;
@@ -31,13 +35,19 @@ pub const VERSION: u32 = 1;
 pub const HEAD: usize = 6;
 /// Words of a [`Here`].
 pub const HERE_WORDS: usize = 8 + 3 * Name::WORDS;
+/// Words of a Proven.
+const PROVEN_WORDS: usize = settings::WORDS + auth::WORDS;
 /// Words of the longest message.
-pub const WORDS_MAX: usize = HEAD + HERE_WORDS;
+pub const WORDS_MAX: usize = HEAD + PROVEN_WORDS;
+
+const _: () = assert!(HERE_WORDS < PROVEN_WORDS);
 
 const WHO: u32 = 1;
 const HERE: u32 = 2;
 const SET: u32 = 3;
 const DONE: u32 = 4;
+const PROVE: u32 = 5;
+const PROVEN: u32 = 6;
 
 /// A message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,6 +71,10 @@ pub enum Body {
     Set(Settings),
     /// They are taken, or not.
     Done(OpResult),
+    /// Not without the key: the answer to this challenge.
+    Prove([u32; auth::WORDS]),
+    /// Take these settings, here is the answer.
+    Proven(Settings, [u32; auth::WORDS]),
 }
 
 /// What a board says of itself to whoever looks for boards.
@@ -78,6 +92,8 @@ pub struct Here {
     pub armed: bool,
     /// A host owns the session.
     pub owned: bool,
+    /// The board has a key.
+    pub keyed: bool,
     /// Which image runs.
     pub running: Running,
     /// Where the settings are from.
@@ -105,6 +121,7 @@ impl Here {
         let flags = u32::from(self.dhcp)
             | u32::from(self.armed) << 1
             | u32::from(self.owned) << 2
+            | u32::from(self.keyed) << 3
             | self.running.code() << 4
             | self.origin.code() << 8
             | (self.speed as u32) << 12;
@@ -153,6 +170,7 @@ impl Here {
             dhcp: flags & 1 != 0,
             armed: flags >> 1 & 1 != 0,
             owned: flags >> 2 & 1 != 0,
+            keyed: flags >> 3 & 1 != 0,
             running: Running::from_code(flags >> 4 & 3).ok_or(Refusal::Value)?,
             origin: Origin::from_code(flags >> 8 & 3).ok_or(Refusal::Value)?,
             speed: LinkSpeed::from_code((flags >> 12 & 3) as u8).ok_or(Refusal::Value)?,
@@ -169,47 +187,66 @@ impl Here {
 impl Message {
     /// Writes it; returns the words used.
     pub fn emit<'b>(&self, buffer: &'b mut [u32; WORDS_MAX]) -> &'b [u32] {
-        let kind = match self.body {
-            Body::Who => WHO,
-            Body::Here(_) => HERE,
-            Body::Set(_) => SET,
-            Body::Done(_) => DONE,
-        };
-        let [uid_hi, uid_lo] = self.uid;
-        let head = [MAGIC, VERSION, kind, self.nonce, uid_hi, uid_lo];
-        for (place, word) in buffer.iter_mut().zip(head) {
-            *place = word;
-        }
-        let mut put = |words: &[u32]| {
-            for (place, word) in buffer.iter_mut().skip(HEAD).zip(words) {
-                *place = *word;
+        match &self.body {
+            Body::Who => self.emit_as(WHO, &[], buffer),
+            Body::Set(settings) => self.emit_as(SET, &settings.to_words(), buffer),
+            Body::Proven(settings, answer) => {
+                let mut words = [0; PROVEN_WORDS];
+                let all = settings.to_words().into_iter().chain(*answer);
+                for (place, word) in words.iter_mut().zip(all) {
+                    *place = word;
+                }
+                self.emit_as(PROVEN, &words, buffer)
             }
-            HEAD + words.len()
-        };
-        let used = match &self.body {
-            Body::Who => HEAD,
-            Body::Here(here) => put(&here.to_words()),
-            Body::Set(settings) => put(&settings.to_words()),
-            Body::Done(result) => put(&[result.code()]),
-        };
-        buffer.get(..used).unwrap_or(&[])
+            Body::Here(_) | Body::Done(_) | Body::Prove(_) => self.emit_answer(buffer),
+        }
     }
 
-    /// Reads and checks what a board may be asked: everything but other boards' answers, which are refused.
+    /// Writes what boards say; nothing for what they do not.
+    pub fn emit_answer<'b>(&self, buffer: &'b mut [u32; WORDS_MAX]) -> &'b [u32] {
+        match &self.body {
+            Body::Here(here) => self.emit_as(HERE, &here.to_words(), buffer),
+            Body::Done(result) => self.emit_as(DONE, &[result.code()], buffer),
+            Body::Prove(challenge) => self.emit_as(PROVE, challenge, buffer),
+            Body::Who | Body::Set(_) | Body::Proven(..) => &[],
+        }
+    }
+
+    fn emit_as<'b>(
+        &self,
+        kind: u32,
+        payload: &[u32],
+        buffer: &'b mut [u32; WORDS_MAX],
+    ) -> &'b [u32] {
+        let [uid_hi, uid_lo] = self.uid;
+        let head = [MAGIC, VERSION, kind, self.nonce, uid_hi, uid_lo];
+        for (place, word) in buffer.iter_mut().zip(head.iter().chain(payload)) {
+            *place = *word;
+        }
+        buffer.get(..HEAD + payload.len()).unwrap_or(&[])
+    }
+
+    /// Reads and checks what a board may be asked: everything but other boards' answers, which are refused. A Proven is a
+    /// Set; its [`proof`] stands apart.
     pub fn parse_request(words: &[u32]) -> Result<Self, Refusal> {
         Self::parse_with(words, |_, _| Err(Refusal::Value))
     }
 
     /// Reads and checks all of it.
     pub fn parse(words: &[u32]) -> Result<Self, Refusal> {
-        Self::parse_with(words, |kind, payload| match kind {
+        let mut message = Self::parse_with(words, |kind, payload| match kind {
             HERE => Ok(Body::Here(Here::parse(exactly(payload)?)?)),
             DONE => {
                 let [code] = *exactly(payload)?;
                 Ok(Body::Done(OpResult::from_code(code).ok_or(Refusal::Value)?))
             }
+            PROVE => Ok(Body::Prove(*exactly(payload)?)),
             _ => Err(Refusal::Value),
-        })
+        })?;
+        if let (Body::Set(settings), Some((_, answer))) = (message.body, proof(words)) {
+            message.body = Body::Proven(settings, *answer);
+        }
+        Ok(message)
     }
 
     fn parse_with(
@@ -229,9 +266,13 @@ impl Message {
         }
         let body = match kind {
             WHO if payload.is_empty() => Body::Who,
-            SET => {
-                let words: &[u32; settings::WORDS] = exactly(payload)?;
-                Body::Set(Settings::parse(words).map_err(|_| Refusal::Value)?)
+            SET | PROVEN => {
+                let payload = match kind {
+                    PROVEN => payload.split_last_chunk::<{ auth::WORDS }>(),
+                    _ => Some((payload, &auth::NONE)),
+                };
+                let (payload, _) = payload.ok_or(Refusal::BlockLength)?;
+                Body::Set(Settings::parse(exactly(payload)?).map_err(|_| Refusal::Value)?)
             }
             WHO => return Err(Refusal::BlockLength),
             kind => answer(kind, payload)?,
@@ -242,6 +283,14 @@ impl Message {
             body,
         })
     }
+}
+
+/// What a Proven signs, and the tag it has for that; `None` for anything else.
+pub fn proof(words: &[u32]) -> Option<(&[u32], &[u32; auth::WORDS])> {
+    // Nothing else is that long.
+    words
+        .split_last_chunk()
+        .filter(|_| words.len() == WORDS_MAX)
 }
 
 fn exactly<const N: usize>(words: &[u32]) -> Result<&[u32; N], Refusal> {
@@ -260,6 +309,7 @@ mod tests {
             dhcp: true,
             armed: false,
             owned: true,
+            keyed: true,
             running: Running::Golden,
             origin: Origin::FactoryPin,
             speed: LinkSpeed::M100,
@@ -287,6 +337,8 @@ mod tests {
             Body::Here(here()),
             Body::Set(Settings::default()),
             Body::Done(OpResult::Armed),
+            Body::Prove([1, 2, 3, 4]),
+            Body::Proven(Settings::default(), [5, 6, 7, 8]),
         ] {
             let mut buffer = [0; WORDS_MAX];
             let words = message(body).emit(&mut buffer);
@@ -301,6 +353,8 @@ mod tests {
             Body::Here(here()),
             Body::Set(Settings::default()),
             Body::Done(OpResult::Ok),
+            Body::Prove([1, 2, 3, 4]),
+            Body::Proven(Settings::default(), [5, 6, 7, 8]),
         ] {
             let mut buffer = [0; WORDS_MAX];
             let length = message(body).emit(&mut buffer).len();
@@ -343,6 +397,8 @@ mod tests {
             (Body::Set(Settings::default()), true),
             (Body::Here(here()), false),
             (Body::Done(OpResult::Ok), false),
+            (Body::Prove([1, 2, 3, 4]), false),
+            (Body::Proven(Settings::default(), [5, 6, 7, 8]), true),
         ] {
             let mut buffer = [0; WORDS_MAX];
             let parsed = Message::parse_request(message(body).emit(&mut buffer));

@@ -17,6 +17,7 @@
 //! (`armed`, `not-owner`, `busy`, `value`) when nobody may ask now; what the operation itself finds wrong is
 //! its result. The operands and the operation may be one datagram: words take effect in order.
 //!
+//! `Read` and `Crc` reach everything but the settings: the key is among them.
 //! `EraseSector`, `EraseBlock` and `Program` reach the slot that is not selected, and nothing else; everything
 //! else in the flash changes by `Select`, `SaveSettings`, `ForgetSettings` and `Protect` only.
 

@@ -14,6 +14,7 @@
 //! | [`exchange`] | one command block out, one status block back, once per servo period |
 //! | [`state`] | the words for what the machine is doing and why it stopped |
 //! | [`flash`] | where what lies in the SPI flash, and the operations of the flash window |
+//! | [`auth`] | the pre-shared key: what is signed, by whom, for what |
 //! | [`settings`] | the settings of a board that outlive a power cycle |
 //! | [`images`] | bitstreams in flash: meta page, stub pages, the trailer of the ROM |
 //! | [`discovery`] | finding boards whatever their address, and giving them one |
@@ -28,6 +29,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod auth;
 pub mod board;
 mod codes;
 pub mod crc;

@@ -21,7 +21,8 @@ pub const DESCRIBE_BLOB: u32 = DESCRIBE + 0x100;
 
 /// Who owns the motion.
 pub const SESSION: u32 = 0x0001_0000;
-/// Write a non-zero nonce to become the owner. Refused (`not-owner`) while somebody else is.
+/// Write a non-zero nonce to become the owner. Refused (`not-owner`) while somebody else is, and (`key`) without the
+/// right [`SESSION_RESPONSE`] in front of it in the same datagram if the board has a key.
 pub const SESSION_ACQUIRE: u32 = SESSION;
 /// Reads as the session token for its owner, as 0 for everyone else.
 pub const SESSION_TOKEN: u32 = SESSION + 0x4;
@@ -33,10 +34,16 @@ pub const SESSION_OWNER_PORT: u32 = SESSION + 0xc;
 pub const SESSION_RELEASE: u32 = SESSION + 0x10;
 /// The last accepted sequence number.
 pub const SESSION_LAST_SEQ: u32 = SESSION + 0x14;
-/// Write [`REBOOT_KEY`] to restart the firmware; only disarmed, only the owner or if nobody owns.
+/// Write [`REBOOT_KEY`] to restart the firmware; only disarmed, only the owner or, without a key, if nobody owns.
 pub const SESSION_REBOOT: u32 = SESSION + 0x18;
+/// 4 words, read in order: what the reader has to answer to acquire ([`crate::auth`]). Zeros if there is no key, and for everybody but
+/// the owner while there is one.
+pub const SESSION_CHALLENGE: u32 = SESSION + 0x20;
+/// 4 words, written as one record: the answer, for an acquisition behind it in the same datagram. Kept no longer; ignored
+/// without a key.
+pub const SESSION_RESPONSE: u32 = SESSION + 0x30;
 /// Length of the session window in bytes.
-pub const SESSION_LEN: u32 = 0x1c;
+pub const SESSION_LEN: u32 = 0x40;
 /// "RBOT".
 pub const REBOOT_KEY: u32 = 0x5242_4f54;
 
@@ -242,7 +249,7 @@ pub const PANIC_TEXT: u32 = PANIC + 0x10;
 pub const PANIC_TEXT_LEN: u32 = 256;
 
 /// The SPI flash ([`crate::flash`]). Everything may be read; written may be [`FLASH_OP`], its operands and the
-/// buffer, disarmed, by the owner or if nobody owns.
+/// buffer, disarmed, by the owner or, on a board without a key, if nobody owns.
 pub const FLASH: u32 = 0x0007_0000;
 /// Write an [`crate::flash::Op`] to start it; reads as an [`crate::flash::OpWord`].
 pub const FLASH_OP: u32 = FLASH;

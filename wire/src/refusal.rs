@@ -74,6 +74,9 @@ refusals! {
     Checksum = "checksum", "a checksum is wrong";
     /// An operation of the flash is running; ask again when it is done.
     Busy = "busy", "a flash operation is still running";
+    /// The board has a key, and the sender has not shown that it has it, too: no answer to the challenge, a wrong one, one
+    /// that was used before, or too late.
+    Key = "key", "the board has a key and the sender has not proved to have it";
 }
 
 impl Refusal {

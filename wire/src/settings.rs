@@ -10,8 +10,8 @@
 //! Two copies lie in flash, a sector each. The newest whole one is in force; saving goes to the other, so a
 //! power cut at any moment leaves the old or the new. The board numbers the sequence itself.
 //!
-//! The key is never read back: the flash window shows zeros in its place, and [`Settings::keep_key`] saves
-//! everything else and leaves the key as it is.
+//! The key ([`crate::auth`]) is never read back: the flash window shows zeros in its place and `Read` does not reach the
+//! settings' sectors; [`Settings::keep_key`] saves everything else and leaves the key as it is.
 
 use crate::crc::crc32_words;
 use crate::{DEFAULT_PORT, DISCOVERY_PORT, Name};

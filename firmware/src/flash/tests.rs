@@ -199,6 +199,26 @@ fn nothing_but_the_slot_that_is_not_selected_can_be_erased_or_programmed() {
         run(&mut flash, &mut chip, Op::Crc, 0x3f_ffff, 2),
         OpResult::Address
     );
+    // The key lies among the settings.
+    let settings = flash.layout().unwrap().settings;
+    for (address, length) in [
+        (settings, 1),
+        (settings - 1, 2),
+        (settings + 0x1fff, 1),
+        (settings - 4, 0x3000),
+    ] {
+        let length = length.min(256);
+        for op in [Op::Read, Op::Crc] {
+            let result = run(&mut flash, &mut chip, op, address, length);
+            assert_eq!(result, OpResult::Address, "{op} {length} at {address:#x}");
+        }
+    }
+    for address in [settings - 1, settings + 0x2000] {
+        assert_eq!(
+            run(&mut flash, &mut chip, Op::Read, address, 1),
+            OpResult::Ok
+        );
+    }
     assert_eq!(
         run(&mut flash, &mut chip, Op::Select, 3, 0),
         OpResult::Value

@@ -122,7 +122,7 @@ fn an_address_in_no_window_is_refused_and_counted() {
     let mut rig = Rig::new();
     for address in [
         0x2000,
-        0x0001_0020,
+        0x0001_0040,
         0x0008_0000,
         0x8000_0000,
         0xefff_fffc,
@@ -366,6 +366,94 @@ fn a_wrong_token_releases_nothing() {
     );
     assert_eq!(rig.write(map::SESSION_RELEASE, token), Ok(()));
     assert_eq!(rig.read(map::SESSION_OWNER_IP), Ok(0));
+}
+
+#[test]
+fn nobody_takes_over_a_machine_in_any_state_while_its_owner_is_there() {
+    let disarmed = || {
+        let mut rig = Rig::new();
+        rig.acquire();
+        rig
+    };
+    let stopping = || {
+        let mut rig = Rig::armed();
+        rig.exchange(false, false).unwrap();
+        rig
+    };
+    let faulted = || {
+        let mut rig = Rig::armed();
+        rig.board.estop = true;
+        rig.server.poll(&mut rig.board);
+        rig
+    };
+    for (state, mut rig) in [
+        (State::Disarmed, disarmed()),
+        (State::Armed, Rig::armed()),
+        (State::Stopping, stopping()),
+        (State::Faulted, faulted()),
+    ] {
+        assert_eq!(rig.server.safety().state(), state);
+        let token = rig.read(map::SESSION_TOKEN).unwrap();
+        let before = rig.board.changes();
+        let other_port = Peer {
+            port: ALICE.port + 1,
+            ..ALICE
+        };
+        for stranger in [BOB, other_port] {
+            let refused = rig.write_as(stranger, map::SESSION_ACQUIRE, 7);
+            assert_eq!(refused, Err(Refusal::NotOwner), "{state}");
+            let refused = rig.write_as(stranger, map::SESSION_RELEASE, token);
+            assert_eq!(refused, Err(Refusal::NotOwner), "{state}");
+        }
+        assert_eq!(rig.board.changes(), before, "{state}: nothing was done");
+        assert_eq!(rig.read(map::SESSION_TOKEN), Ok(token), "{state}");
+        assert_eq!(rig.server.safety().state(), state);
+    }
+}
+
+#[test]
+fn a_token_of_an_earlier_session_is_nobodys_and_feeds_nothing() {
+    let mut rig = Rig::armed();
+    let first = rig.read(map::SESSION_TOKEN).unwrap();
+    rig.board.bite();
+    rig.server.poll(&mut rig.board);
+    let fed = |rig: &Rig| {
+        let feeds = |change: &&Change| matches!(change, Change::Feed(_));
+        rig.board.done.iter().filter(feeds).count()
+    };
+    let before = fed(&rig);
+    // Nobody's, then her own again, then somebody else's.
+    for owner in [None, Some(ALICE), Some(BOB)] {
+        if let Some(owner) = owner {
+            rig.server.session = crate::session::Session::new();
+            rig.board.now += 1;
+            rig.write_as(owner, map::SESSION_ACQUIRE, 7).unwrap();
+        }
+        let command = wire::exchange::Command {
+            token: first,
+            sequence: 1_000,
+            ..Default::default()
+        };
+        for sender in [ALICE, BOB] {
+            let refused = rig.exchange_as(sender, &command);
+            assert_eq!(refused, Err(Refusal::NotOwner), "{owner:?}");
+            let refused = rig.write_as(sender, map::SESSION_RELEASE, first);
+            assert_eq!(refused, Err(Refusal::NotOwner), "{owner:?}");
+        }
+    }
+    assert_eq!(fed(&rig), before);
+}
+
+#[test]
+fn the_same_nonce_again_gives_another_token() {
+    let mut rig = Rig::new();
+    let mut tokens = Vec::new();
+    for _ in 0..100 {
+        rig.board.now += 1;
+        let token = rig.acquire();
+        assert!(!tokens.contains(&token));
+        tokens.push(token);
+    }
 }
 
 #[test]

@@ -69,6 +69,7 @@ struct Visitor<'a> {
 
 impl Taker for Visitor<'_> {
     fn greet(&mut self, out: &mut Text) {
+        self.machine.greet();
         *self.line = console::Line::default();
         out.put(console::PROMPT.as_bytes());
     }

@@ -176,6 +176,7 @@ fn discovery_seeds() -> Vec<Seed> {
         dhcp: false,
         armed: false,
         owned: true,
+        keyed: false,
         running: Running::A,
         origin: Origin::BuiltIn,
         speed: LinkSpeed::M1000,

@@ -136,6 +136,7 @@ impl Driver {
             channels,
             clock_hz: describe.clock_hz,
             boot_id: describe.boot_id,
+            key: None,
             voice,
             pins,
             packets,

@@ -2,8 +2,9 @@
 
 use super::tell::Event;
 use super::{Driver, Phase};
-use crate::client::{Owner, SESSION_WORDS, Session};
+use crate::client::{CHALLENGE_WORDS, Owner, SESSION_WORDS, Session};
 use crate::hal::Level;
+use crate::keys::Key;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use wire::{ReplyWriter, ResetReason, etherbone, map};
 
@@ -15,13 +16,24 @@ const OWNER_WORDS: [u32; 3] = [
 ];
 
 impl Driver {
+    /// The key the board was taken with.
+    pub fn remember(&mut self, key: Option<Key>) {
+        self.key = key;
+    }
+
     pub(super) fn send_acquire(&mut self) -> u32 {
         let tag = self.next_tag();
         let mut words = [0; 16];
         let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-        let fits = request.write_record(map::SESSION_ACQUIRE, 1)
-            && request.push(tag)
-            && request.read_record(tag, &SESSION_WORDS);
+        // A board with a key is asked for a challenge first; `prove` answers it.
+        let fits = match self.key {
+            None => {
+                request.write_record(map::SESSION_ACQUIRE, 1)
+                    && request.push(tag)
+                    && request.read_record(tag, &SESSION_WORDS)
+            }
+            Some(_) => request.read_record(tag, &CHALLENGE_WORDS),
+        };
         debug_assert!(fits, "an acquisition is 13 words");
         // Unsent is unanswered: it is due again in a moment.
         let _ = self.link.send(request.words());
@@ -31,6 +43,21 @@ impl Driver {
             let _ = self.link.send(request.words());
         }
         tag
+    }
+
+    /// Answers a challenge. Should the board have no key any more, the answer is ignored.
+    pub(super) fn prove(&mut self, tag: u32, challenge: [u32; wire::auth::WORDS]) {
+        let Some(key) = self.key else { return };
+        let mut words = [0; 24];
+        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+        let answer = key.acquire(challenge, tag);
+        let fits = request.write_record(map::SESSION_RESPONSE, answer.len() as u8)
+            && request.extend(&answer)
+            && request.write_record(map::SESSION_ACQUIRE, 1)
+            && request.push(tag)
+            && request.read_record(tag, &SESSION_WORDS);
+        debug_assert!(fits, "an acquisition with its answer is 21 words");
+        let _ = self.link.send(request.words());
     }
 
     pub(super) fn acquired(&mut self, session: Option<Session>) {

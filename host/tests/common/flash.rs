@@ -4,6 +4,7 @@
 //! stubs are not in it, the selected slot is a fact of its own.
 #![allow(dead_code)]
 
+use ferrocnc::keys::Key;
 use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -194,6 +195,7 @@ impl FakeFlash {
         let mut page = [0; PAGE as usize];
         wire::words_to_bytes(&self.buffer, &mut page);
         match op {
+            Op::Read | Op::Crc if self.among_settings() => return OpResult::Address,
             Op::Read => {
                 let Some(bytes) = self.bytes.get(at..at + length) else {
                     return OpResult::Address;
@@ -230,8 +232,9 @@ impl FakeFlash {
                 self.selected = Some(slot);
             }
             Op::SaveSettings => {
-                let words = self.buffer.first_chunk::<{ settings::WORDS }>().unwrap();
-                match Settings::parse(words) {
+                let words = *self.buffer.first_chunk::<{ settings::WORDS }>().unwrap();
+                self.buffer.fill(u32::MAX);
+                match Settings::parse(&words) {
                     Ok(settings) => self.save(&settings),
                     Err(_) => return OpResult::Value,
                 }
@@ -243,6 +246,11 @@ impl FakeFlash {
             Op::Protect => self.protected = true,
         }
         OpResult::Ok
+    }
+
+    fn among_settings(&self) -> bool {
+        let first = self.layout().settings;
+        self.address < first + 2 * SECTOR && self.address + self.length > first
     }
 
     pub fn save(&mut self, settings: &Settings) {
@@ -276,6 +284,7 @@ impl FakeFlash {
             dhcp: self.settings.dhcp,
             armed,
             owned: armed,
+            keyed: self.settings.key != wire::auth::NONE,
             running: self.running,
             origin: self.origin,
             speed: LinkSpeed::M1000,
@@ -306,6 +315,8 @@ pub struct Neighbour {
     pub lose: u32,
     /// Settings written so often.
     pub saved: u32,
+    /// Challenges given so often.
+    pub challenges: u32,
 }
 
 impl Segment {
@@ -360,13 +371,12 @@ fn run(socket: &UdpSocket, boards: &Mutex<Vec<Neighbour>>, stop: &AtomicBool) {
         let Ok((length, from)) = socket.recv_from(&mut bytes) else {
             continue;
         };
-        let Ok(asked) =
-            wire::words_from_bytes(&bytes[..length], &mut words).and_then(Message::parse)
-        else {
+        let words_in = wire::words_from_bytes(&bytes[..length], &mut words);
+        let Ok(asked) = words_in.and_then(Message::parse) else {
             continue;
         };
         for board in boards.lock().expect("the test is well").iter_mut() {
-            let Some(body) = board.answer(&asked) else {
+            let Some(body) = board.answer(&asked, &words[..length / 4]) else {
                 continue;
             };
             if board.lose > 0 {
@@ -388,17 +398,35 @@ fn run(socket: &UdpSocket, boards: &Mutex<Vec<Neighbour>>, stop: &AtomicBool) {
 }
 
 impl Neighbour {
-    fn answer(&mut self, asked: &Message) -> Option<Body> {
+    fn answer(&mut self, asked: &Message, words: &[u32]) -> Option<Body> {
         let mine = asked.uid == self.flash.uid;
+        if let (true, false, Body::Set(_) | Body::Proven(..)) = (mine, self.armed, asked.body)
+            && let Some(key) = Key::new(self.flash.settings.key)
+        {
+            let right = wire::discovery::proof(words).is_some_and(|(signed, answer)| {
+                key.set([self.challenges, 1, 2, 3], signed) == *answer && self.challenges > 0
+            });
+            self.challenges += 1;
+            if !right {
+                return Some(Body::Prove([self.challenges, 1, 2, 3]));
+            }
+        }
         match &asked.body {
             Body::Who if mine || asked.uid == [0, 0] => {
                 Some(Body::Here(self.flash.here(self.armed)))
             }
-            Body::Set(_) if mine && self.armed => Some(Body::Done(OpResult::Armed)),
-            Body::Set(settings) if mine => {
+            Body::Set(_) | Body::Proven(..) if mine && self.armed => {
+                Some(Body::Done(OpResult::Armed))
+            }
+            Body::Set(settings) | Body::Proven(settings, _) if mine => {
+                let kept = match settings.keep_key {
+                    true => self.flash.settings.key,
+                    false => settings.key,
+                };
                 let same = Settings {
                     sequence: self.flash.settings.sequence,
                     keep_key: false,
+                    key: kept,
                     ..*settings
                 } == self.flash.settings;
                 if !same {
@@ -408,6 +436,7 @@ impl Neighbour {
                 Some(Body::Done(OpResult::Ok))
             }
             Body::Who | Body::Here(_) | Body::Set(_) | Body::Done(_) => None,
+            Body::Prove(_) | Body::Proven(..) => None,
         }
     }
 }

@@ -11,6 +11,7 @@ pub mod flash;
 pub mod rig;
 
 use ferrocnc::clock::Timebase;
+use ferrocnc::keys::Key;
 use motion::Ramp;
 use motion::ramp::COMMIT_CLOCKS;
 use std::collections::HashMap;
@@ -29,6 +30,7 @@ use wire::{
 
 pub const CLOCK_HZ: u32 = 60_000_000;
 pub const ABI: u32 = 0xfe44_0c4c;
+const RESPONSE_END: u32 = map::SESSION_RESPONSE + 16;
 
 /// The `mill6` board's names.
 pub const MILL6: &[(u8, u8, &str)] = &[
@@ -260,6 +262,12 @@ pub struct Mind {
     pub owner: Option<SocketAddr>,
     token: u32,
     last_sequence: u32,
+    /// The key in force: that of the settings at the last start.
+    pub key: Option<Key>,
+    /// The last answer to a challenge, in the datagram at hand.
+    proof: Option<[u32; 4]>,
+    /// Challenges answered.
+    pub proved: u32,
     request: Option<bool>,
     edge: bool,
     axes: [Axis; exchange::MAX_CHANNELS],
@@ -309,6 +317,9 @@ impl Mind {
             owner: None,
             token: 0,
             last_sequence: 0,
+            key: None,
+            proof: None,
+            proved: 0,
             request: None,
             edge: false,
             axes: [Axis::default(); exchange::MAX_CHANNELS],
@@ -350,6 +361,7 @@ impl Mind {
         self.reset_reason = ResetReason::Panic;
         self.close(State::Faulted, FaultReason::FirmwareFault);
         self.owner = None;
+        self.key = Key::new(self.flash.settings.key);
     }
 
     /// Everything starts again.
@@ -487,9 +499,13 @@ impl Mind {
             return self.exchange(record.writes, from).map(Some);
         }
         self.tick(false);
+        self.proof = None;
         for record in packet.records() {
-            for (n, _) in record.writes.iter().enumerate() {
-                self.may_write(record.write_base + 4 * n as u32, from)?;
+            if record.write_base == map::SESSION_RESPONSE {
+                self.proof = record.writes.try_into().ok();
+            }
+            for (n, word) in record.writes.iter().enumerate() {
+                self.may_write(record.write_base + 4 * n as u32, *word, from)?;
             }
         }
         let mut buffer = vec![0; MAX_WORDS];
@@ -510,16 +526,30 @@ impl Mind {
         Ok((used > etherbone::HEADER_WORDS).then_some(buffer))
     }
 
-    fn may_write(&self, address: u32, from: SocketAddr) -> Result<(), Refusal> {
+    /// Never the same: what was answered is counted in.
+    fn challenge(&self, from: SocketAddr) -> [u32; 4] {
+        let free = self.owner.is_none_or(|owner| owner == from);
+        match self.key {
+            Some(_) if free => [self.boot_id, self.proved, from.port().into(), 77],
+            Some(_) | None => wire::auth::NONE,
+        }
+    }
+
+    fn may_write(&mut self, address: u32, word: u32, from: SocketAddr) -> Result<(), Refusal> {
         let owner = self.owner == Some(from);
         match address {
+            map::SESSION_RESPONSE..RESPONSE_END => Ok(()),
             map::SESSION_ACQUIRE => {
                 let free = self.owner.is_none_or(|owner| owner == from);
-                if free && self.knobs.foreign_owner.is_none() {
-                    Ok(())
-                } else {
-                    Err(Refusal::NotOwner)
+                if !free || self.knobs.foreign_owner.is_some() {
+                    return Err(Refusal::NotOwner);
                 }
+                let Some(key) = self.key else { return Ok(()) };
+                if self.proof != Some(key.acquire(self.challenge(from), word)) {
+                    return Err(Refusal::Key);
+                }
+                self.proved += 1;
+                Ok(())
             }
             map::SESSION_RELEASE if owner => Ok(()),
             map::CONFIG..map::COMMAND if owner => {
@@ -534,6 +564,7 @@ impl Mind {
                 State::Armed | State::Stopping => Err(Refusal::Armed),
                 _ if self.owner.is_some_and(|owner| owner != from) => Err(Refusal::NotOwner),
                 _ if self.knobs.foreign_owner.is_some() => Err(Refusal::NotOwner),
+                _ if self.key.is_some() && !owner => Err(Refusal::Key),
                 _ if self.flash.busy() => Err(Refusal::Busy),
                 _ => Ok(()),
             },
@@ -564,6 +595,7 @@ impl Mind {
             }
             map::FLASH..map::SERVICE => self.flash.write(address, word),
             map::SESSION_REBOOT => self.reboot(),
+            map::SESSION_RESPONSE..RESPONSE_END => {}
             _ => {
                 self.config.insert(address, word);
             }
@@ -598,6 +630,9 @@ impl Mind {
             map::SESSION_OWNER_IP => owner.map_or(0, |owner| (*owner.ip()).into()),
             map::SESSION_OWNER_PORT => owner.map_or(0, |owner| owner.port().into()),
             map::SESSION_LAST_SEQ => self.last_sequence,
+            map::SESSION_CHALLENGE..map::SESSION_RESPONSE => {
+                self.challenge(from)[(address - map::SESSION_CHALLENGE) as usize / 4]
+            }
             map::CONFIG..map::COMMAND => self.setting(address),
             map::FLASH..map::SERVICE => {
                 let link = self.link();
@@ -757,7 +792,10 @@ impl Mind {
             gateware_version: 0x0000_0100,
             clock_hz: CLOCK_HZ,
             channels: self.channels,
-            features: 0,
+            features: match self.key {
+                Some(_) => describe::FEATURE_KEY,
+                None => 0,
+            },
             boot_id: self.boot_id,
             blob_words: self.blob().len() as u32 / 4,
             state: self.state_word(false),

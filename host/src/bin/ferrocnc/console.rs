@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use ferrocnc::address::Address;
+use ferrocnc::keys::KeyError;
 use serde_json::json;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream};
@@ -19,7 +20,13 @@ pub(crate) fn run(address: &Address, command: Option<&str>, as_json: bool) -> Re
         .with_context(|| format!("no console at {}; check address and port", address.socket))?;
     match command {
         Some(command) => {
-            let answer = ask(stream, command)?;
+            let mut line = Line::new(stream)?;
+            let mut answer = line.ask(command)?;
+            // Only what needs the key asks for it: looking costs no more than it did.
+            if answer.starts_with(REFUSED) && line.login()? == Login::Welcome {
+                answer = line.ask(command)?;
+            }
+            line.hang_up();
             let mut out = std::io::stdout().lock();
             if as_json {
                 writeln!(out, "{}", json!({ "command": command, "answer": answer }))?;
@@ -33,41 +40,111 @@ pub(crate) fn run(address: &Address, command: Option<&str>, as_json: bool) -> Re
     }
 }
 
-/// One line there, its answer back. The line goes out before the greeting has come in: a simulated
-/// board's time only passes while it has something to do.
-fn ask(mut stream: TcpStream, command: &str) -> Result<String> {
-    stream.set_read_timeout(Some(PATIENCE))?;
-    stream.write_all(format!("{}\r\n", command.trim()).as_bytes())?;
-    let mut text = Vec::new();
-    let mut buffer = [0; 1024];
-    loop {
-        match stream.read(&mut buffer) {
-            Ok(0) if text.is_empty() => bail!("the board closed the console; one user at a time"),
-            Ok(0) => break,
-            Ok(length) => text.extend_from_slice(&buffer[..length]),
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
-                bail!("the console said nothing for {} s", PATIENCE.as_secs())
-            }
-            Err(error) => return Err(error).context("the console's connection broke"),
-        }
-        if answered(&text).is_some() {
-            break;
-        }
-    }
-    hang_up(&mut stream);
-    let answer = answered(&text).unwrap_or(&text);
-    Ok(String::from_utf8_lossy(answer).replace('\r', ""))
+/// How the board refuses what needs the key.
+const REFUSED: &str = "refused: the board has a key";
+
+/// How a login went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Login {
+    Welcome,
+    /// The board has no key.
+    Needless,
+    /// Its firmware has not heard of keys.
+    Unknown,
 }
 
-/// The board has one line for one user: free it, and see it freed, before the next one dials. We close
-/// first (no `quit`): whoever closes first has to remember the connection for a while, and the board
-/// has no second one.
-fn hang_up(stream: &mut TcpStream) {
-    // The answer is in; a farewell that fails harms nobody.
-    let _ = stream.shutdown(Shutdown::Write);
-    let _ = stream.set_read_timeout(Some(FAREWELL));
-    let mut rest = [0; 256];
-    while let Ok(1..) = stream.read(&mut rest) {}
+/// A console, line by line.
+struct Line {
+    stream: TcpStream,
+    greeted: bool,
+}
+
+impl Line {
+    fn new(stream: TcpStream) -> Result<Self> {
+        stream.set_read_timeout(Some(PATIENCE))?;
+        Ok(Line {
+            stream,
+            greeted: false,
+        })
+    }
+
+    /// One line there, its answer back. The line goes out before the greeting has come in: a simulated
+    /// board's time only passes while it has something to do.
+    fn ask(&mut self, command: &str) -> Result<String> {
+        let line = format!("{}\r\n", command.trim());
+        self.stream.write_all(line.as_bytes())?;
+        // Behind the first answer the greeting is gone, and one prompt is enough.
+        let mut text = match self.greeted {
+            true => PROMPT.as_bytes().to_vec(),
+            false => Vec::new(),
+        };
+        let before = text.len();
+        let mut buffer = [0; 1024];
+        loop {
+            match self.stream.read(&mut buffer) {
+                Ok(0) if text.len() == before => {
+                    bail!("the board closed the console; one user at a time")
+                }
+                Ok(0) => break,
+                Ok(length) => text.extend_from_slice(&buffer[..length]),
+                Err(error)
+                    if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) =>
+                {
+                    bail!("the console said nothing for {} s", PATIENCE.as_secs())
+                }
+                Err(error) => return Err(error).context("the console's connection broke"),
+            }
+            if answered(&text).is_some() {
+                break;
+            }
+        }
+        self.greeted = true;
+        let answer = answered(&text).unwrap_or(&text);
+        Ok(String::from_utf8_lossy(answer).replace('\r', ""))
+    }
+
+    /// Shows the board that we have its key.
+    fn login(&mut self) -> Result<Login> {
+        let said = self.ask("login")?;
+        let Some((challenge, uid)) = challenge(&said) else {
+            return Ok(Login::Unknown);
+        };
+        if challenge == wire::auth::NONE {
+            return Ok(Login::Needless);
+        }
+        let (key, path) = crate::keys().find(uid)?;
+        let answer = key.login(challenge).map(|word| format!("{word:08x}"));
+        let said = self.ask(&format!("login {}", answer.concat()))?;
+        if said.trim() != "welcome" {
+            return Err(KeyError::Wrong(path).into());
+        }
+        Ok(Login::Welcome)
+    }
+
+    /// The board has one line for one user: free it, and see it freed, before the next one dials. We close
+    /// first (no `quit`): whoever closes first has to remember the connection for a while, and the board
+    /// has no second one.
+    fn hang_up(&mut self) {
+        // The answer is in; a farewell that fails harms nobody.
+        let _ = self.stream.shutdown(Shutdown::Write);
+        let _ = self.stream.set_read_timeout(Some(FAREWELL));
+        let mut rest = [0; 256];
+        while let Ok(1..) = self.stream.read(&mut rest) {}
+    }
+}
+
+/// What `login` says: the challenge, and whose it is.
+fn challenge(said: &str) -> Option<([u32; wire::auth::WORDS], [u32; 2])> {
+    let digits = said.trim().strip_prefix("challenge ")?;
+    let mut words = [0; wire::auth::WORDS + 2];
+    if digits.len() != 8 * words.len() || !digits.is_ascii() {
+        return None;
+    }
+    for (n, word) in words.iter_mut().enumerate() {
+        *word = u32::from_str_radix(&digits[8 * n..][..8], 16).ok()?;
+    }
+    let [a, b, c, d, hi, lo] = words;
+    Some(([a, b, c, d], [hi, lo]))
 }
 
 /// What stands between the greeting's prompt and the one after the answer.
@@ -79,6 +156,17 @@ fn answered(text: &[u8]) -> Option<&[u8]> {
 
 /// Keyboard there, board back, until either ends.
 fn talk(stream: TcpStream) -> Result<()> {
+    let mut line = Line::new(stream)?;
+    match line.login() {
+        Ok(Login::Welcome) => eprintln!("logged in with the board's key"),
+        Ok(Login::Needless | Login::Unknown) => {}
+        // Looking is free.
+        Err(error) => eprintln!("{error:#}; look you may, but not change anything"),
+    }
+    let stream = line.stream;
+    stream.set_read_timeout(None)?;
+    print!("{PROMPT}");
+    std::io::stdout().flush()?;
     let mut to_board = stream.try_clone()?;
     std::thread::spawn(move || {
         // The other direction reports a broken connection.
@@ -101,7 +189,7 @@ fn talk(stream: TcpStream) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::answered;
+    use super::{answered, challenge};
 
     #[test]
     fn an_answer_ends_with_the_second_prompt() {
@@ -112,5 +200,20 @@ mod tests {
             Some(&b"state\r\n"[..])
         );
         assert_eq!(answered(b"state\r\nferrocnc> "), Some(&b"state\r\n"[..]));
+    }
+
+    #[test]
+    fn a_challenge_is_four_words_and_the_boards_id() {
+        let said = "challenge 00000001000000020000000300000004d1620c8a1b2c3d4e\n";
+        let read = Some(([1, 2, 3, 4], [0xd162_0c8a, 0x1b2c_3d4e]));
+        assert_eq!(challenge(said), read);
+        for wrong in [
+            "? try help",
+            "challenge ",
+            &said[..said.len() - 2],
+            &said.replace('d', "x"),
+        ] {
+            assert_eq!(challenge(wrong), None, "{wrong}");
+        }
     }
 }

@@ -7,6 +7,7 @@ mod describe;
 mod discover;
 mod flash;
 mod job;
+mod key;
 mod log;
 mod progress;
 mod set;
@@ -17,7 +18,10 @@ use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use ferrocnc::address::{self, Address};
 use ferrocnc::client::Client;
+use ferrocnc::keys::Keys;
+use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::OnceLock;
 
 /// Find, look at, set up and update FerroCNC boards.
 #[derive(Parser)]
@@ -26,6 +30,9 @@ struct Arguments {
     /// Answer in JSON.
     #[arg(long, global = true)]
     json: bool,
+    /// The board's key is in this file, not in ~/.config/ferrocnc/keys/UID.key.
+    #[arg(long, global = true, value_name = "FILE")]
+    key: Option<PathBuf>,
     #[command(subcommand)]
     command: Command,
 }
@@ -83,6 +90,9 @@ enum Command {
         #[command(subcommand)]
         what: flash::Flash,
     },
+    /// A board's pre-shared key: without it nobody else can take, configure or flash the board.
+    #[command(subcommand)]
+    Key(key::Command),
     /// The board's debug console.
     Console {
         /// IP[:port] of the console; the port is telnet's if not given.
@@ -108,6 +118,8 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<()> {
     let json = arguments.json;
+    // Told once, asked wherever a board is opened.
+    let _ = KEY.set(Keys::named(arguments.key.as_deref()));
     match &arguments.command {
         Command::Config(command) => config::run(command, json),
         Command::Job(command) => job::run(command, json),
@@ -126,6 +138,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         Command::Set(arguments) => set::run(arguments, json),
         Command::Update(arguments) => update::run(arguments, json),
         Command::Flash { what } => flash::run(what, json),
+        Command::Key(command) => key::run(command, json),
         Command::Console { address, command } => {
             let address = parse(address, wire::CONSOLE_PORT)?;
             console::run(&address, command.as_deref(), json)
@@ -139,7 +152,15 @@ fn parse(text: &str, port: u16) -> Result<Address> {
 
 fn open(text: &str) -> Result<Client> {
     let address = parse(text, wire::DEFAULT_PORT)?;
-    Client::open(&address).context("no socket")
+    let client = Client::open(&address).context("no socket")?;
+    Ok(client.with_keys(keys()))
+}
+
+static KEY: OnceLock<Keys> = OnceLock::new();
+
+/// Where boards' keys are.
+pub(crate) fn keys() -> Keys {
+    KEY.get().cloned().unwrap_or_default()
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {

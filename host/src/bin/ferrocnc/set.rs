@@ -68,14 +68,14 @@ fn by_uid(uid: [u32; 2], change: &Change, arguments: &Set, as_json: bool) -> Res
     let finder = arguments.wherever.finder()?;
     let found = if arguments.factory {
         let (_, client) = provision::reach(&finder, uid)?;
-        provision::forget_at(client)?;
+        provision::forget_at(client.with_keys(crate::keys()))?;
         // Until it has begun to start anew it says what it said before.
         std::thread::sleep(Duration::from_millis(500));
         finder
             .until(uid, |here| here.origin == wire::flash::Origin::BuiltIn)
             .context("the settings are forgotten, but the board has not come back yet")?
     } else {
-        provision::set_by_uid(&finder, uid, change)?
+        provision::set_by_uid(&finder, uid, change, &crate::keys())?
     };
     tell(&found, as_json);
     Ok(())

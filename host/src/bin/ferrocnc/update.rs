@@ -54,7 +54,9 @@ pub(crate) fn run(arguments: &Update, as_json: bool) -> Result<()> {
     let image = Image::parse(&bytes).with_context(|| file.display().to_string())?;
     let client = match (&arguments.board, arguments.uid) {
         (Some(address), _) => crate::open(address)?,
-        (None, Some(uid)) => provision::reach(&arguments.wherever.finder()?, uid)?.1,
+        (None, Some(uid)) => provision::reach(&arguments.wherever.finder()?, uid)?
+            .1
+            .with_keys(crate::keys()),
         (None, None) => bail!("which board? Name its address or --uid"),
     };
     let options = Options {

@@ -1,0 +1,325 @@
+//! Pre-shared keys on this computer: one file per board, named by the board's unique id, for this user alone.
+//!
+//! ```text
+//! ~/.config/ferrocnc/keys/d162-0c8a-1b2c-3d4e.key     mode 0600: one line, 32 hex digits
+//! ```
+//!
+//! ($XDG_CONFIG_HOME in place of ~/.config.) Everything that changes a board looks there by itself; a file may be named
+//! instead. A file others can read is refused, as ssh does. What is signed with a key is in [`wire::auth`].
+
+use crate::flash::uid_text;
+use hmac::{Hmac, Mac};
+use std::fs::{self, DirBuilder, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use wire::auth::{Purpose, WORDS};
+
+/// A key; it does not show itself in debug output.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Key([u32; WORDS]);
+
+impl core::fmt::Debug for Key {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "Key({})", self.fingerprint())
+    }
+}
+
+impl Key {
+    /// A new one, from the system's random numbers.
+    pub fn random() -> io::Result<Self> {
+        let mut bytes = [0; WORDS * 4];
+        getrandom::fill(&mut bytes).map_err(io::Error::other)?;
+        let mut words = [0; WORDS];
+        for (word, bytes) in words.iter_mut().zip(bytes.as_chunks().0) {
+            *word = u32::from_be_bytes(*bytes);
+        }
+        // All zeros is none; it takes 2^128 tries to see this.
+        Ok(Key::new(words).unwrap_or(Key([1; WORDS])))
+    }
+
+    /// These words, unless they are zeros.
+    pub fn new(words: [u32; WORDS]) -> Option<Self> {
+        (words != wire::auth::NONE).then_some(Key(words))
+    }
+
+    /// 32 hex digits, white space around them.
+    pub fn parse(text: &str) -> Option<Self> {
+        let text = text.trim();
+        if text.len() != WORDS * 8 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+            return None;
+        }
+        let mut words = [0; WORDS];
+        for (n, word) in words.iter_mut().enumerate() {
+            *word = u32::from_str_radix(&text[8 * n..][..8], 16).ok()?;
+        }
+        Key::new(words)
+    }
+
+    /// As settings have it.
+    pub fn words(&self) -> [u32; WORDS] {
+        self.0
+    }
+
+    /// As a file has it.
+    fn text(&self) -> String {
+        let words = self.0.map(|word| format!("{word:08x}"));
+        words.concat()
+    }
+
+    /// Tells keys apart and gives nothing away.
+    pub fn fingerprint(&self) -> String {
+        // No purpose: no board takes this for an answer.
+        let [first, ..] = self.tag(&[0], &[]);
+        format!("{first:08x}")
+    }
+
+    /// HMAC-SHA256 of the words, its first four.
+    pub fn tag(&self, head: &[u32], rest: &[u32]) -> [u32; WORDS] {
+        let mut bytes = [0; WORDS * 4];
+        wire::words_to_bytes(&self.0, &mut bytes);
+        let mut hmac =
+            Hmac::<sha2::Sha256>::new_from_slice(&bytes).expect("HMAC takes keys of any length");
+        for word in head.iter().chain(rest) {
+            hmac.update(&word.to_be_bytes());
+        }
+        let bytes = hmac.finalize().into_bytes();
+        let mut words = [0; WORDS];
+        for (word, bytes) in words.iter_mut().zip(bytes.as_chunks().0) {
+            *word = u32::from_be_bytes(*bytes);
+        }
+        words
+    }
+
+    /// The answer that takes the session with this nonce.
+    pub fn acquire(&self, challenge: [u32; WORDS], nonce: u32) -> [u32; WORDS] {
+        self.tag(&Purpose::Acquire.head(challenge), &[nonce])
+    }
+
+    /// The answer that lets into the console.
+    pub fn login(&self, challenge: [u32; WORDS]) -> [u32; WORDS] {
+        self.tag(&Purpose::Login.head(challenge), &[])
+    }
+
+    /// The answer at the end of a Proven whose words before it are these.
+    pub fn set(&self, challenge: [u32; WORDS], words: &[u32]) -> [u32; WORDS] {
+        self.tag(&Purpose::Set.head(challenge), words)
+    }
+}
+
+/// Why there is no key.
+#[derive(Debug)]
+pub enum KeyError {
+    /// No such file.
+    Missing(PathBuf),
+    /// Others may read it.
+    Open(PathBuf, u32),
+    /// Something else is in it.
+    Malformed(PathBuf),
+    /// It cannot be read or written.
+    Io(PathBuf, io::Error),
+    /// Neither $XDG_CONFIG_HOME nor $HOME is set.
+    NoHome,
+    /// The board does not take it.
+    Wrong(PathBuf),
+}
+
+impl core::fmt::Display for KeyError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            KeyError::Missing(path) => write!(
+                f,
+                "the board wants a key, and there is none at {}; copy that file from the computer where the key was made (ferrocnc key new), or name another: --key FILE, with loadrt key=FILE. Lost for good? Start the board with its factory pin held, then: ferrocnc key clear",
+                path.display()
+            ),
+            KeyError::Open(path, mode) => write!(
+                f,
+                "{} can be read by others (mode {mode:04o}), so it is no secret; if nobody has: chmod 600 {}, else make a new one (ferrocnc key new)",
+                path.display(),
+                path.display()
+            ),
+            KeyError::Malformed(path) => write!(
+                f,
+                "{} holds no key: one line of 32 hex digits, not all zeros",
+                path.display()
+            ),
+            KeyError::Io(path, error) => write!(f, "{}: {error}", path.display()),
+            KeyError::NoHome => f.write_str(
+                "neither $XDG_CONFIG_HOME nor $HOME says where keys are; name the file: --key FILE, with loadrt key=FILE",
+            ),
+            KeyError::Wrong(path) => write!(
+                f,
+                "the board has a key, but not the one in {}; take the file from the computer where the key was made last (ferrocnc key show tells them apart)",
+                path.display()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for KeyError {}
+
+/// Where to look for a board's key.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Keys {
+    /// In this user's files, by the board's unique id.
+    #[default]
+    ByBoard,
+    /// In this file.
+    File(PathBuf),
+}
+
+impl Keys {
+    /// This file, or if none is named the user's.
+    pub fn named(file: Option<&Path>) -> Self {
+        file.map_or(Keys::ByBoard, |file| Keys::File(file.to_owned()))
+    }
+
+    /// The file for this board.
+    pub fn path(&self, uid: [u32; 2]) -> Result<PathBuf, KeyError> {
+        match self {
+            Keys::File(path) => Ok(path.clone()),
+            Keys::ByBoard => user_file(uid),
+        }
+    }
+
+    /// The key for this board, and where it was.
+    pub fn find(&self, uid: [u32; 2]) -> Result<(Key, PathBuf), KeyError> {
+        let path = self.path(uid)?;
+        Ok((read(&path)?, path))
+    }
+}
+
+/// This user's file for the board with this unique id.
+pub fn user_file(uid: [u32; 2]) -> Result<PathBuf, KeyError> {
+    let set = |name| std::env::var_os(name).filter(|value| !value.is_empty());
+    let config = set("XDG_CONFIG_HOME")
+        .map(PathBuf::from)
+        .or_else(|| Some(PathBuf::from(set("HOME")?).join(".config")))
+        .ok_or(KeyError::NoHome)?;
+    let name = format!("{}.key", uid_text(uid));
+    Ok(config.join("ferrocnc").join("keys").join(name))
+}
+
+/// Reads a key that nobody else can read.
+pub fn read(path: &Path) -> Result<Key, KeyError> {
+    let failed = |error: io::Error| match error.kind() {
+        io::ErrorKind::NotFound => KeyError::Missing(path.to_owned()),
+        _ => KeyError::Io(path.to_owned(), error),
+    };
+    let file = fs::File::open(path).map_err(failed)?;
+    let mode = file.metadata().map_err(failed)?.permissions().mode() & 0o777;
+    if mode & 0o077 != 0 {
+        return Err(KeyError::Open(path.to_owned(), mode));
+    }
+    let text = io::read_to_string(file).map_err(failed)?;
+    Key::parse(&text).ok_or_else(|| KeyError::Malformed(path.to_owned()))
+}
+
+/// Writes a key where only this user can read it; what was there before is there until the new one is whole.
+pub fn write(path: &Path, key: &Key) -> Result<(), KeyError> {
+    let failed = |error| KeyError::Io(path.to_owned(), error);
+    let folder = path.parent().filter(|folder| *folder != Path::new(""));
+    if let Some(folder) = folder {
+        let mut builder = DirBuilder::new();
+        let made = builder.recursive(true).mode(0o700).create(folder);
+        made.map_err(failed)?;
+    }
+    let fresh = path.with_extension("key.tmp");
+    // One that a crash left has who knows what mode.
+    let _ = fs::remove_file(&fresh);
+    let mut options = OpenOptions::new();
+    let file = options
+        .write(true)
+        .create_new(true)
+        .mode(0o600)
+        .open(&fresh);
+    let mut file = file.map_err(failed)?;
+    let done = writeln!(file, "{}", key.text()).and_then(|()| file.sync_all());
+    done.and_then(|()| fs::rename(&fresh, path)).map_err(failed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wire::auth::{EXAMPLE_CHALLENGE, EXAMPLE_KEY, EXAMPLE_TAG};
+
+    fn scratch(name: &str) -> PathBuf {
+        let folder = std::env::temp_dir().join(format!("ferrocnc-keys-{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        folder.join(name)
+    }
+
+    #[test]
+    fn the_example_of_the_specification_comes_out() {
+        let key = Key::new(EXAMPLE_KEY).unwrap();
+        assert_eq!(key.acquire(EXAMPLE_CHALLENGE, 7), EXAMPLE_TAG);
+    }
+
+    #[test]
+    fn a_key_is_written_for_its_user_alone_and_read_back() {
+        let path = scratch("deep").join("er").join("written.key");
+        let (one, other) = (Key::random().unwrap(), Key::random().unwrap());
+        assert_ne!(one, other);
+        for key in [one, other] {
+            write(&path, &key).unwrap();
+            assert_eq!(
+                fs::metadata(&path).unwrap().permissions().mode() & 0o777,
+                0o600
+            );
+            assert_eq!(read(&path).unwrap(), key);
+        }
+        let folder = fs::metadata(path.parent().unwrap()).unwrap();
+        assert_eq!(folder.permissions().mode() & 0o777, 0o700);
+    }
+
+    #[test]
+    fn a_key_others_can_read_is_refused_with_the_remedy() {
+        let path = scratch("open.key");
+        write(&path, &Key::random().unwrap()).unwrap();
+        for mode in [0o640, 0o604, 0o620, 0o777] {
+            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+            let said = read(&path).unwrap_err().to_string();
+            assert!(
+                said.contains("chmod 600") && said.contains(&format!("{mode:04o}")),
+                "{said}"
+            );
+        }
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o400)).unwrap();
+        assert!(read(&path).is_ok());
+    }
+
+    #[test]
+    fn what_is_no_key_is_told() {
+        let path = scratch("wrong.key");
+        for text in [
+            "",
+            "xyz",
+            &"0".repeat(32),
+            &"1".repeat(31),
+            &"1".repeat(33),
+            &"+1111111".repeat(4),
+        ] {
+            let _ = fs::remove_file(&path);
+            let mut options = OpenOptions::new();
+            let mut file = options
+                .write(true)
+                .create_new(true)
+                .mode(0o600)
+                .open(&path)
+                .unwrap();
+            file.write_all(text.as_bytes()).unwrap();
+            assert!(matches!(read(&path), Err(KeyError::Malformed(_))), "{text}");
+        }
+        let said = read(&scratch("none.key")).unwrap_err().to_string();
+        assert!(
+            said.contains("wants a key") && said.contains("--key FILE"),
+            "{said}"
+        );
+    }
+
+    #[test]
+    fn a_key_shows_itself_to_nobody() {
+        let key = Key::parse("feedfacefeedfacefeedfacefeedface\n").unwrap();
+        assert!(!format!("{key:?}").contains("feed"));
+    }
+}

@@ -1,0 +1,291 @@
+//! Boards with a key, fake ones: who has it may, who has not is told what to do.
+
+mod common;
+
+use common::flash::Segment;
+use common::rig::PERIOD_NS;
+use common::{FakeBoard, Time};
+use ferrocnc::address;
+use ferrocnc::client::{Client, ClientError};
+use ferrocnc::discovery::{DiscoveryError, Finder};
+use ferrocnc::driver::Driver;
+use ferrocnc::flash::uid_text;
+use ferrocnc::hal::fake::FakeHal;
+use ferrocnc::keys::{self, Key, KeyError, Keys};
+use ferrocnc::link::Link;
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::time::Duration;
+use wire::map;
+use wire::settings::Settings;
+
+/// A folder of this test's own, for $XDG_CONFIG_HOME.
+fn home(test: &str) -> PathBuf {
+    let home = std::env::temp_dir().join(format!("ferrocnc-key-{}-{test}", std::process::id()));
+    let _ = fs::remove_dir_all(&home);
+    fs::create_dir_all(&home).unwrap();
+    home
+}
+
+fn board() -> FakeBoard {
+    let board = FakeBoard::mill6(Time::Lockstep(60_000));
+    board.look().flash.looks = 0;
+    board
+}
+
+/// A board with a key, and a file with that key and one with another.
+fn locked(test: &str) -> (FakeBoard, Keys, Keys) {
+    let board = board();
+    let home = home(test);
+    let [right, wrong] = ["right.key", "wrong.key"].map(|name| home.join(name));
+    let key = Key::random().unwrap();
+    keys::write(&right, &key).unwrap();
+    keys::write(&wrong, &Key::random().unwrap()).unwrap();
+    {
+        let mut mind = board.look();
+        mind.key = Some(key);
+        mind.flash.settings.key = key.words();
+    }
+    (board, Keys::File(right), Keys::File(wrong))
+}
+
+fn client(board: &FakeBoard, keys: &Keys) -> Client {
+    let address = address::parse(&board.text(), 1234).unwrap();
+    let client = Client::open(&address).unwrap().with_keys(keys.clone());
+    client.with_patience(Duration::from_secs(1))
+}
+
+fn tool(home: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_ferrocnc"))
+        .args(arguments)
+        .env("XDG_CONFIG_HOME", home)
+        .output()
+        .unwrap()
+}
+
+#[track_caller]
+fn answer(home: &Path, arguments: &[&str]) -> String {
+    let output = tool(home, arguments);
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{arguments:?}: {error}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[track_caller]
+fn complaint(home: &Path, arguments: &[&str]) -> String {
+    let output = tool(home, arguments);
+    assert!(!output.status.success(), "{arguments:?} succeeded");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+#[test]
+fn who_has_the_key_gets_the_session_and_can_give_it_back() {
+    let (board, right, _) = locked("session");
+    let mut client = client(&board, &right);
+    let session = client.acquire().unwrap();
+    assert!(board.look().owner.is_some());
+    assert!(client.key().is_some());
+    client.release(&session);
+    // The answer to anything is behind the release.
+    client.read(&[map::SESSION_TOKEN]).unwrap();
+    assert!(board.look().owner.is_none());
+}
+
+#[test]
+fn who_has_none_or_another_is_told_what_to_do() {
+    let (board, _, wrong) = locked("refused");
+    let nowhere = Keys::File("/nowhere/at/all.key".into());
+    let said = client(&board, &nowhere).acquire().unwrap_err();
+    assert!(
+        matches!(said, ClientError::Key(_, KeyError::Missing(_))),
+        "{said}"
+    );
+    let said = said.to_string();
+    for part in [
+        &board.text()[..],
+        "wants a key",
+        "/nowhere/at/all.key",
+        "key=FILE",
+        "factory pin",
+    ] {
+        assert!(said.contains(part), "{part} is not in: {said}");
+    }
+    let said = client(&board, &wrong).acquire().unwrap_err();
+    assert!(
+        matches!(said, ClientError::Key(_, KeyError::Wrong(_))),
+        "{said}"
+    );
+    assert!(said.to_string().contains("not the one in"), "{said}");
+    assert!(board.look().owner.is_none());
+}
+
+#[test]
+fn a_key_is_no_help_while_somebody_drives_and_that_is_what_is_told() {
+    let (board, right, _) = locked("owned");
+    let _owner = client(&board, &right).acquire().unwrap();
+    let said = client(&board, &right).acquire().unwrap_err();
+    assert!(matches!(said, ClientError::Owned { .. }), "{said}");
+}
+
+#[test]
+fn a_board_without_a_key_is_asked_for_none() {
+    let board = board();
+    let nowhere = Keys::File("/nowhere/at/all.key".into());
+    client(&board, &nowhere).acquire().unwrap();
+}
+
+#[test]
+fn the_driver_takes_a_board_with_a_key_again_after_the_cable_was_out() {
+    let (board, right, _) = locked("driver");
+    let mut hal = FakeHal::default();
+    let mut client = client(&board, &right);
+    let address = client.address().clone();
+    let identity = client.identify().unwrap();
+    client.acquire().unwrap();
+    let key = client.key();
+    let link = Link::new(client.into_socket()).unwrap();
+    let say = hal.messenger();
+    let mut driver = Driver::export(&mut hal, 0, address, &identity, link, say).unwrap();
+    driver.remember(key);
+    // A busy computer may lose it on its own account; it comes back the same way.
+    let mut online = |other_than: Option<u32>| {
+        (0..1_000).find_map(|_| {
+            driver.read(PERIOD_NS);
+            driver.write(PERIOD_NS);
+            std::thread::sleep(Duration::from_millis(2));
+            driver.token().filter(|token| Some(*token) != other_than)
+        })
+    };
+    let first = online(None).expect("online");
+    let before = board.look().proved;
+    board.look().reboot();
+    online(Some(first)).expect("taken again");
+    assert!(board.look().proved > before);
+}
+
+#[test]
+fn a_key_is_made_kept_for_this_user_alone_shown_changed_and_cleared() {
+    let (board, home) = (board(), home("life"));
+    let at = board.text();
+    let uid = board.look().flash.uid;
+    let file = home
+        .join("ferrocnc/keys")
+        .join(format!("{}.key", uid_text(uid)));
+
+    let said = answer(&home, &["key", "show", &at]);
+    assert!(
+        said.contains("has no key") && said.contains("not there"),
+        "{said}"
+    );
+    let said = complaint(&home, &["key", "clear", &at]);
+    assert!(said.contains("has no key"), "{said}");
+
+    let said = answer(&home, &["key", "new", &at]);
+    assert!(said.contains(file.to_str().unwrap()), "{said}");
+    assert_eq!(
+        fs::metadata(&file).unwrap().permissions().mode() & 0o777,
+        0o600
+    );
+    let first = keys::read(&file).unwrap();
+    assert_eq!(board.look().flash.settings.key, first.words());
+    assert!(
+        !said.contains(fs::read_to_string(&file).unwrap().trim()),
+        "{said}"
+    );
+    let said = answer(&home, &["key", "show", &at]);
+    assert!(
+        said.contains("they fit") && said.contains(&first.fingerprint()),
+        "{said}"
+    );
+
+    // Another computer, which has not the key.
+    let stranger = self::home("stranger");
+    for arguments in [["key", "new", &at], ["key", "clear", &at]] {
+        let said = complaint(&stranger, &arguments);
+        assert!(said.contains("wants a key"), "{said}");
+    }
+    assert_eq!(board.look().flash.settings.key, first.words());
+    let left: Vec<_> = fs::read_dir(stranger.join("ferrocnc/keys"))
+        .unwrap()
+        .collect();
+    assert!(left.is_empty(), "{left:?}");
+
+    answer(&home, &["key", "new", &at]);
+    let second = keys::read(&file).unwrap();
+    assert_ne!(second, first);
+    assert_eq!(board.look().flash.settings.key, second.words());
+
+    let third = home.join("third");
+    keys::write(&third, &Key::random().unwrap()).unwrap();
+    answer(&home, &["key", "set", &at, third.to_str().unwrap()]);
+    assert_eq!(keys::read(&file).unwrap(), keys::read(&third).unwrap());
+
+    answer(&home, &["key", "clear", &at]);
+    assert_eq!(board.look().flash.settings.key, wire::auth::NONE);
+    assert!(!file.exists());
+}
+
+#[test]
+fn settings_change_with_the_key_only_and_leave_it_alone() {
+    let (board, right, wrong) = locked("settings");
+    let home = home("settings-home");
+    let at = board.text();
+    let [right, wrong] = [right, wrong].map(|keys| keys.path([0; 2]).unwrap());
+    let [right, wrong] = [&right, &wrong].map(|path| path.to_str().unwrap());
+    let said = complaint(&home, &["set", &at, "--name", "mill"]);
+    assert!(said.contains("wants a key"), "{said}");
+    let said = complaint(&home, &["set", &at, "--name", "mill", "--key", wrong]);
+    assert!(said.contains("not the one in"), "{said}");
+    assert_eq!(board.look().flash.settings.name.text(), "");
+    let key = board.look().flash.settings.key;
+    answer(&home, &["set", &at, "--name", "mill", "--key", right]);
+    let settings = board.look().flash.settings;
+    assert_eq!((settings.name.text(), settings.key), ("mill", key));
+}
+
+#[test]
+fn settings_by_discovery_are_proved_and_a_lost_receipt_is_asked_for_again() {
+    let segment = Segment::of(&[[1, 2]]);
+    let home = home("discovery");
+    let (right, wrong) = (home.join("right.key"), home.join("wrong.key"));
+    let key = Key::random().unwrap();
+    keys::write(&right, &key).unwrap();
+    keys::write(&wrong, &Key::random().unwrap()).unwrap();
+    segment.look()[0].flash.settings.key = key.words();
+    let finder = Finder::at(segment.address).unwrap();
+    let settings = Settings {
+        ip: 0x0a00_0007,
+        keep_key: true,
+        ..Settings::default()
+    };
+    let said = finder
+        .set([1, 2], &settings, &Keys::File(wrong))
+        .unwrap_err();
+    assert!(
+        matches!(said, DiscoveryError::Key(_, KeyError::Wrong(_))),
+        "{said}"
+    );
+    let said = finder
+        .set([1, 2], &settings, &Keys::File(home.join("none")))
+        .unwrap_err();
+    assert!(
+        matches!(said, DiscoveryError::Key(_, KeyError::Missing(_))),
+        "{said}"
+    );
+    assert_eq!(segment.look()[0].saved, 0);
+    // The challenge arrives, the receipt does not.
+    for lose in [0, 1, 2] {
+        segment.look()[0].lose = lose;
+        let settings = Settings {
+            ip: settings.ip + lose,
+            ..settings
+        };
+        finder
+            .set([1, 2], &settings, &Keys::File(right.clone()))
+            .unwrap();
+        assert_eq!(segment.look()[0].flash.settings.ip, settings.ip);
+        assert_eq!(segment.look()[0].flash.settings.key, key.words());
+    }
+}
