@@ -93,7 +93,7 @@ use tell::{Event, Voice};
 use wire::describe::Channels;
 use wire::exchange::{Command, Latch, Status};
 use wire::units::Clocks;
-use wire::{FaultReason, ReplyWriter, State, etherbone, map};
+use wire::{FaultReason, ReplyWriter, ResetReason, State, etherbone, map};
 
 pub use trouble::GROUP_REASON;
 
@@ -108,6 +108,8 @@ const APPLY_DELAY_NS: u32 = 250_000;
 
 /// Crystals and timers differ by less than 0.1 %.
 const YOUNG: f64 = 1.001;
+/// 10 ms: the least a board is on before anybody reads its clock, and more than two clocks are ever compared wrong.
+const JITTER: f64 = 0.01;
 
 /// Whether the board is ours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -174,6 +176,8 @@ pub struct Driver {
     restarted: bool,
     /// It said that its fabric is a new one; the first sample will tell.
     new_fabric: bool,
+    /// The next answer is the first of this session.
+    first_answer: bool,
     /// `io-error` as it was seen or set last.
     io_error: bool,
 
@@ -468,11 +472,23 @@ impl Driver {
     fn follow_clock(&mut self, status: &Status, clock_hz: f64) {
         let now = self.time.now();
         let silent = (now - core::mem::replace(&mut self.heard, now)) as f64 * 1e-9;
-        // A new fabric is no older than the silence. Its clock went backwards, unless the board was on for less time before
-        // than since.
+        // A fabric whose clock went backwards is a new one. One that was off for longer than it had been on says so, or is behind
+        // what its clock should say by now; it is no older than the silence, and its stepgens have never moved: to take an old
+        // one for new would move the position, so all of it has to fit.
+        let first = core::mem::take(&mut self.first_answer);
+        let sent = self.sent.iter().find(|sent| sent.0 == status.sequence);
+        let due = sent.and_then(|(_, host)| self.clock.board_at(*host));
+        let behind = due.is_some_and(|due| {
+            let late = Clocks(due.0.saturating_sub(status.arrival.0)).to_seconds(clock_hz);
+            late > silent * (YOUNG - 1.0) + JITTER
+        });
         let young = status.sample.to_seconds(clock_hz) <= silent * YOUNG;
-        let new_fabric = core::mem::take(&mut self.new_fabric) && young;
+        let stepgens = &status.stepgen[..self.stepgens.len()];
+        let untouched = stepgens.iter().all(|(position, _)| position.pulses() == 0);
+        let says_so = core::mem::take(&mut self.new_fabric);
+        let new_fabric = young && untouched && (says_so || first && behind);
         if !self.wallclock.sampled(status.sample, clock_hz) || new_fabric {
+            self.tell_restart(ResetReason::PowerUp);
             self.clock.forget();
             for stepgen in &mut self.stepgens {
                 stepgen.rebase();

@@ -103,7 +103,8 @@ fn a_thread_held_up_under_way_is_forgiven_until_the_watchdog_bites_and_no_pulse_
 #[test]
 fn a_thread_later_than_the_watchdog_waits_is_told_as_that_and_not_as_a_cable() {
     let (mut rig, time) = with_time();
-    for _ in 0..20 {
+    // Long enough to know that the board's time is this computer's.
+    for _ in 0..1200 {
         pass(&time, PERIOD_NS);
         rig.run(1);
     }
@@ -286,6 +287,49 @@ fn a_board_off_for_longer_than_it_had_been_on_moves_no_position() {
 }
 
 #[test]
+fn a_board_that_starts_with_the_same_boot_id_is_known_by_its_clock() {
+    let (mut rig, time) = with_time();
+    for off in [1, 600] {
+        rig.travel(5.0, 300);
+        // Long enough to know how its clock runs.
+        for _ in 0..1200 {
+            pass(&time, PERIOD_NS);
+            rig.run(1);
+        }
+        let before = rig.position();
+        rig.board.look().knobs.unplugged = true;
+        timeout(&rig, HASTY);
+        rig.run(10);
+        {
+            let mut board = rig.board.look();
+            board.power_cycle();
+            board.boot_id = 1;
+            board.advance(60_000_000 * off / 2);
+            board.knobs.unplugged = false;
+        }
+        pass(&time, 1_000_000_000 * off as i64);
+        rig.hal.said();
+        come_back(&mut rig);
+        assert_eq!(rig.board.look().pulses(0), 0, "{off} s");
+        let now = rig.position();
+        assert!((now - before).abs() < 1e-6, "off for {off} s: {now}");
+        assert!(
+            !rig.hal.get::<bool>("ferrocnc.0.position-trusted"),
+            "{off}: {:?}",
+            rig.hal.said()
+        );
+        let told = errors(&rig);
+        assert_eq!(told.len(), 1, "{told:?}");
+        assert!(
+            told[0].contains("has restarted (reason: power-up)"),
+            "{told:?}"
+        );
+        rig.arm();
+        assert!(rig.enabled());
+    }
+}
+
+#[test]
 fn a_firmware_that_starts_again_on_a_fabric_that_goes_on_moves_no_position_either() {
     let (mut rig, time) = with_time();
     rig.travel(5.0, 300);
@@ -316,7 +360,10 @@ fn a_restarted_board_says_why_once_and_its_position_is_not_trusted_until_it_is_a
     let told = errors(&rig);
     assert_eq!(told.len(), 2, "{told:?}");
     assert!(told[0].contains("check cable and power"), "{told:?}");
-    assert!(told[1].contains("restarted (firmware panic)"), "{told:?}");
+    assert!(
+        told[1].contains("restarted (reason: firmware panic)"),
+        "{told:?}"
+    );
     rig.arm();
     assert!(rig.enabled() && trusted(&rig));
 }

@@ -7,6 +7,7 @@
 pub mod bench;
 pub mod driver;
 pub mod flash;
+pub mod hal;
 pub mod image;
 pub mod lan;
 pub mod mill;

@@ -3,8 +3,9 @@
 //! HAL exists once per machine, so these tests run one after the other and not beside a LinuxCNC session.
 
 use ferrocnc_tests::Simulator;
+use ferrocnc_tests::hal::{halrun, out, root};
 use sim::edges::{Step, read_file};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -13,42 +14,6 @@ const WATCHDOG: f64 = 5e-3;
 const SOFT_STOP: f64 = 60.0 / 1600.0;
 /// Clocks in a servo period at the board's 60 MHz.
 const PERIOD: u64 = 60_000;
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("the workspace")
-}
-
-fn out(name: &str) -> PathBuf {
-    let folder = root().join("target/linuxcnc").join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).expect("a folder for the run");
-    folder
-}
-
-/// Runs a HAL file without LinuxCNC; what it said.
-fn halrun(name: &str, hal: &str) -> String {
-    let folder = out(name);
-    let file = folder.join("test.hal");
-    std::fs::write(&file, hal).expect("the HAL file");
-    let done = Command::new("timeout")
-        .args(["-k", "5", "120", "halrun"])
-        .arg(&file)
-        .env("RTAPI_UID", "1000")
-        .env(
-            "RTAPI_FIFO_PATH",
-            format!("/tmp/ferrocnc_test_fifo_{}", std::process::id()),
-        )
-        .stdin(Stdio::null())
-        .output()
-        .expect("halrun, which `cargo xtask setup` installs");
-    format!(
-        "{}{}",
-        String::from_utf8_lossy(&done.stdout),
-        String::from_utf8_lossy(&done.stderr)
-    )
-}
 
 #[test]
 fn loadrt_says_in_one_sentence_what_is_wrong_with_its_parameters() {

@@ -5,22 +5,10 @@
 //! programs of seconds. HAL exists once per machine, so these tests run one after the other.
 
 use ferrocnc_tests::Simulator;
+use ferrocnc_tests::hal::{halrun, out, root};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("the workspace")
-}
-
-fn out(name: &str) -> PathBuf {
-    let folder = root().join("target/linuxcnc").join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).expect("a folder for the run");
-    folder
-}
 
 /// Runs the machine of `tests/linuxcnc/complete` on a twin with its plant; what its display found.
 fn complete() -> (Value, Value) {
@@ -143,31 +131,6 @@ fn linuxcnc_homes_to_the_index_probes_threads_and_closes_its_loops() {
     assert!((pitch - 1.0).abs() < 0.01, "pitch {pitch}");
     assert!(worst < 0.02, "Z leaves the spindle by {worst:.4} mm");
     assert_eq!(report["timing_violations"], 0);
-}
-
-/// Runs a HAL file on these twins, without LinuxCNC's task; what it said.
-fn halrun(name: &str, hal: &str) -> String {
-    let folder = out(name);
-    let file = folder.join("test.hal");
-    std::fs::write(&file, hal).expect("the HAL file");
-    let done = Command::new("timeout")
-        .args(["-k", "5", "120", "halrun"])
-        .arg(&file)
-        .env("RTAPI_UID", "1000")
-        .env(
-            "RTAPI_FIFO_PATH",
-            format!("/tmp/ferrocnc_test_fifo_{}", std::process::id()),
-        )
-        .stdin(Stdio::null())
-        .output()
-        .expect("halrun, which `cargo xtask setup` installs");
-    let said = format!(
-        "{}{}",
-        String::from_utf8_lossy(&done.stdout),
-        String::from_utf8_lossy(&done.stderr)
-    );
-    std::fs::write(folder.join("said.txt"), &said).expect("its words");
-    said
 }
 
 /// Pulses per axis in a report.

@@ -37,7 +37,8 @@ enum Level {
     Provision,
     /// LiteX's own client, ping and a console session.
     Clients,
-    /// Real LinuxCNC, our driver, the twin: homing, probing, threading, four boards, other drivers' HAL files.
+    /// Real LinuxCNC, our driver, the twin: homing, probing, threading, four boards, other drivers' HAL files; cables pulled,
+    /// boards restarted, processes killed, frames lost.
     Twin,
     /// Real LinuxCNC, our driver, the simulated board.
     Linuxcnc,
@@ -190,7 +191,9 @@ impl Level {
                 + board_tests("segment", "2 min", "2")?
                 + board_tests("names", "1 min", "1")?),
             Level::Clients => board_tests("clients", "2 min", "1"),
-            Level::Twin => board_tests("twin", "3 min", "1"),
+            Level::Twin => {
+                Ok(board_tests("twin", "3 min", "1")? + board_tests("trouble", "7 min", "1")?)
+            }
             Level::Linuxcnc => board_tests("linuxcnc", "10 min", "1"),
             // Two at once: as many cores as the smallest machine that runs this has.
             Level::Fuzz => fuzz::fuzz(&fuzz::targets()?, FUZZ_SECONDS, 2),

@@ -120,8 +120,21 @@ class Machine:
             time.sleep(0.02)
 
     def run(self):
-        command = self.command
         self.come_up()
+        self.start()
+        print("armed, machine on", flush=True)
+        self.home()
+        print("homed", flush=True)
+        self.begin()
+        print(f"running {os.path.basename(PROGRAM)}", flush=True)
+        self.wait(
+            lambda s: s.interp_state == linuxcnc.INTERP_IDLE and s.inpos and s.exec_state == linuxcnc.EXEC_DONE,
+            "the program ends",
+        )
+        self.rest()
+
+    def start(self):
+        """Out of E-stop, machine on."""
         self.leave_estop()
         self.wait(
             lambda s: s.task_state >= linuxcnc.STATE_ESTOP_RESET,
@@ -129,28 +142,36 @@ class Machine:
             keep_on=False,
             again=self.leave_estop,
         )
-        command.state(linuxcnc.STATE_ON)
+        self.command.state(linuxcnc.STATE_ON)
         self.wait(lambda s: s.task_state == linuxcnc.STATE_ON, "the machine is on", keep_on=False)
-        print("armed, machine on", flush=True)
+
+    def home(self):
+        """All joints, whether they were homed before or not."""
+        command = self.command
         command.mode(linuxcnc.MODE_MANUAL)
         self.wait(lambda s: s.task_mode == linuxcnc.MODE_MANUAL, "manual mode")
         command.teleop_enable(0)
         self.wait(lambda s: s.motion_mode == linuxcnc.TRAJ_MODE_FREE, "joint mode")
+        if any(self.stat.homed[: self.stat.joints]):
+            command.unhome(-1)
+            self.wait(lambda s: not any(s.homed[: s.joints]), "no joint is homed")
         command.home(-1)
         self.wait(lambda s: all(s.homed[: s.joints]), "all joints are homed")
-        print("homed", flush=True)
+
+    def begin(self):
+        """The program, from its first line."""
+        command = self.command
         command.mode(linuxcnc.MODE_AUTO)
         self.wait(lambda s: s.task_mode == linuxcnc.MODE_AUTO, "automatic mode")
         command.program_open(PROGRAM)
         self.wait(lambda s: s.file == PROGRAM, "the program is open")
         command.auto(linuxcnc.AUTO_RUN, 0)
         self.wait(lambda s: s.interp_state != linuxcnc.INTERP_IDLE, "the program starts")
-        print(f"running {os.path.basename(PROGRAM)}", flush=True)
-        self.wait(
-            lambda s: s.interp_state == linuxcnc.INTERP_IDLE and s.inpos and s.exec_state == linuxcnc.EXEC_DONE,
-            "the program ends",
-        )
-        self.rest()
+
+    def pass_periods(self, count):
+        """Lets servo periods pass."""
+        until = periods() + count
+        self.wait(lambda _: periods() >= until, f"{count} servo periods have passed", keep_on=False)
 
     def leave_estop(self):
         self.command.state(linuxcnc.STATE_ESTOP)

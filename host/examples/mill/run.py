@@ -37,6 +37,7 @@ def arguments():
     parser.add_argument("--hal", help="HAL file to run this machine with instead of mill.hal")
     parser.add_argument("--module", help="libferrocnc.so to link as the realtime module (root)")
     parser.add_argument("--lockstep", action="store_true", help="the board's time passes with the exchanges: wait for them")
+    parser.add_argument("--read-timeout", type=int, help="nanoseconds to wait for an answer; lockstep: 2 s unless said otherwise")
     parser.add_argument("--patient", action="store_true", help="no realtime kernel here: long watchdog, wide following error")
     parser.add_argument("--timeout", type=float, default=3600, help="seconds of the wall clock for everything")
     parser.add_argument("--patience", type=float, default=120, help="seconds without progress")
@@ -93,6 +94,8 @@ def configure(options, out):
         machine = set_value(machine, "WATCHDOG_NS", 500_000_000)
         machine = set_value(machine, "FERROR", 20)
         machine = set_value(machine, "MIN_FERROR", 20)
+    if options.read_timeout:
+        machine = set_value(machine, "PACKET_READ_TIMEOUT", options.read_timeout)
     with open(path, "w") as file:
         file.write(machine)
     return path

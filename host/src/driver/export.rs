@@ -171,6 +171,7 @@ impl Driver {
             halting: None,
             restarted: false,
             new_fabric: false,
+            first_answer: false,
             io_error: false,
             group: Group::new(),
             several: false,

@@ -98,6 +98,7 @@ impl Driver {
         self.periods.forget();
         self.arm.forget();
         self.halting = None;
+        self.first_answer = true;
         self.answered = false;
         self.missing = 0;
         self.packets.recovered();
@@ -112,11 +113,16 @@ impl Driver {
         let other_record = (session.boot_id ^ self.boot_id) >> 16 != 0;
         self.new_fabric = why == ResetReason::PowerUp || other_record;
         self.boot_id = session.boot_id;
-        self.restarted = true;
         self.ethernet.forget();
+        self.tell_restart(why);
+    }
+
+    /// The board has started anew, by its own word or by its clock.
+    pub(super) fn tell_restart(&mut self, why: ResetReason) {
+        self.restarted = true;
         self.voice.once(
             Event::Restarted,
-            format_args!("the board has restarted ({why}); home and enable again when the machine is in order"),
+            format_args!("the board has restarted (reason: {why}); home and enable again when the machine is in order"),
         );
     }
 

@@ -34,7 +34,8 @@ impl Driver {
         let was_live = self.live;
         self.no_longer_live();
         let timeout = self.watchdog.timeout_ns();
-        let held_up = self.held_up > timeout;
+        // A simulated board in lockstep knows nothing of this computer's time.
+        let held_up = self.held_up > timeout && self.clock.known();
         let reason = if held_up {
             FaultReason::Watchdog
         } else {
@@ -63,7 +64,7 @@ impl Driver {
             self.voice.once(
                 Event::Silent,
                 format_args!(
-                    "{} answers missing in a row, the board's watchdog stops the machine{others}; check cable and power of the board, then enable again",
+                    "too many answers missing, {} in a row: the board's watchdog stops the machine{others}; check cable and power of the board, then enable again",
                     self.missing
                 ),
             );
@@ -71,7 +72,7 @@ impl Driver {
             self.voice.once(
                 Event::Silent,
                 format_args!(
-                    "{} answers missing in a row; check cable and power of the board",
+                    "too many answers missing, {} in a row; check cable and power of the board",
                     self.missing
                 ),
             );

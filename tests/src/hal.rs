@@ -1,0 +1,44 @@
+//! LinuxCNC's HAL for tests: a folder per run, and `halrun` on a file. HAL exists once per machine.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// The workspace.
+pub fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the workspace")
+}
+
+/// An empty folder for a run of this name.
+pub fn out(name: &str) -> PathBuf {
+    let folder = root().join("target/linuxcnc").join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("a folder for the run");
+    folder
+}
+
+/// Runs a HAL file without LinuxCNC's task; what it said.
+pub fn halrun(name: &str, hal: &str) -> String {
+    let folder = out(name);
+    let file = folder.join("test.hal");
+    std::fs::write(&file, hal).expect("the HAL file");
+    let done = Command::new("timeout")
+        .args(["-k", "5", "120", "halrun"])
+        .arg(&file)
+        .env("RTAPI_UID", "1000")
+        .env(
+            "RTAPI_FIFO_PATH",
+            format!("/tmp/ferrocnc_test_fifo_{}", std::process::id()),
+        )
+        .stdin(Stdio::null())
+        .output()
+        .expect("halrun, which `cargo xtask setup` installs");
+    let said = format!(
+        "{}{}",
+        String::from_utf8_lossy(&done.stdout),
+        String::from_utf8_lossy(&done.stderr)
+    );
+    std::fs::write(folder.join("said.txt"), &said).expect("its words");
+    said
+}
