@@ -182,6 +182,8 @@ pub fn start() -> Machine<Watched> {
         plant: Plant::direct(3),
         flash,
         factory: false,
+        abi: litex_pac::abi::ABI,
+        wall_clock: 0,
     };
     let (mut desk, ident) = Desk::power_up(setup);
     let boot = desk.boot();
