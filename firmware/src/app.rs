@@ -11,6 +11,9 @@ use wire::{CONSOLE_PORT, Refusal};
 
 /// Looks at the MAC between two looks at the clock: some 20 us.
 const POLLS: u32 = 128;
+/// Longest ping or console segment while the machine is not at rest: summing, copying and answering one is 20 clocks a byte. A
+/// console's visitor never sends more, our window is shorter.
+const GUEST_FRAME: usize = 256;
 /// 10 ms between two looks at TCP's timers.
 const CHORES_PER_IP: u8 = 10;
 
@@ -97,7 +100,8 @@ impl App {
                     Some(((frame, length), slot)) => self.exchange(frame, length, slot, pending),
                     None => true,
                 };
-                if !done {
+                // A rehearsal that does not come off is no frame: there is none, or one that nobody has looked at yet.
+                if !done && pending {
                     self.frame();
                 }
                 self.chores_if(BEHIND_A_FRAME);
@@ -200,10 +204,15 @@ impl App {
                 self.mac.dismiss();
                 self.machine.server.refuse(why);
             }
+            Class::Other if length > GUEST_FRAME && !self.machine.server.safety().at_rest() => {
+                self.mac.dismiss();
+                self.machine.server.refuse(Refusal::Oversized);
+            }
             Class::Other => {
                 let length = self.mac.take_bytes();
                 self.talk(Some(length));
             }
+            Class::Nothing => self.mac.dismiss(),
         }
     }
 
@@ -347,8 +356,11 @@ impl App {
             self.shout();
         }
         soc::check_stack();
-        // A guest is work for so long at most; the owner's next frame is on its way, but a period off.
-        self.mac.admit();
+        // A guest is work for so long at most; the owner's next frame is on its way, but a period off. Not while there is a frame: it
+        // may be a guest's, and with a second one in the other slot the owner would find none.
+        if !self.mac.pending() {
+            self.mac.admit();
+        }
         if self.lane.is_some() && self.machine.server.session().owner().is_none() {
             self.close_lane();
         }
@@ -408,6 +420,13 @@ impl Taker for Visitor<'_> {
         for byte in bytes {
             used += 1;
             if let Some(ask) = self.line.push(*byte) {
+                let short = matches!(ask, Ask::Nothing | Ask::Quit | Ask::Unknown);
+                if !short && !self.machine.server.safety().at_rest() {
+                    // An answer takes up to a servo period to write, and the owner would wait for it.
+                    out.put(b"? not while armed\r\n");
+                    out.put(console::PROMPT.as_bytes());
+                    break;
+                }
                 let vitals = Vitals {
                     stack: soc::stack_used(),
                     mac_errors: self.machine.board.mac_errors(),

@@ -1,8 +1,8 @@
 //! Recognises the frames the Etherbone server wants without an IP stack, and checks them whole.
 //!
 //! UDP to our address and port in one IPv4 packet, with IP options or without: that is every frame
-//! Etherbone comes in. Everything else (ARP, ping, TCP, fragments, broadcast) is [`Class::Other`] and
-//! goes to [`crate::ip`]; only discovery and DHCP are taken whatever IP address they are sent to. A frame that
+//! Etherbone comes in. ARP, ping and TCP are [`Class::Other`] and go to [`crate::ip`]; what that would not answer is nothing, and
+//! found out from the words in the slot. Only discovery and DHCP are taken whatever IP address they are sent to. A frame that
 //! is ours but damaged is refused here with its reason.
 //!
 //! Frames are read as big-endian words as the MAC's slots deliver them, two bytes in, so that all
@@ -28,6 +28,9 @@ pub const REHEARSAL_WORDS: usize =
     PAYLOAD_WORD + wire::exchange::REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX;
 
 const ETHERTYPE_IPV4: u32 = 0x0800;
+const ETHERTYPE_ARP: u32 = 0x0806;
+/// Word of the address an ARP request is about.
+const ARP_TARGET: usize = 10;
 /// Version 4, five words of header, no type of service; the total length goes below.
 const IPV4_IHL5: u32 = 0x4500 << 16;
 const PROTOCOL_UDP: u32 = 17;
@@ -79,8 +82,10 @@ pub enum Class {
     Dhcp(Datagram),
     /// Meant for one of these, but damaged.
     Refused(Refusal),
-    /// Somebody else's business.
+    /// For [`crate::ip`]: ARP about our address, and what else comes to it.
     Other,
+    /// Somebody else's business.
+    Nothing,
 }
 
 /// A checked datagram: its headers are right and its payload lies inside the frame.
@@ -123,7 +128,16 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
         && w5 & FRAGMENT == 0
         && w6 >> 16 & 0xff == PROTOCOL_UDP;
     if !recognised {
-        return Class::Other;
+        let ours = match w3 & 0xffff {
+            ETHERTYPE_ARP => frame.word(ARP_TARGET),
+            ETHERTYPE_IPV4 if !broadcast && matches!(w6 >> 16 & 0xff, 1 | 6) => destination,
+            _ => return Class::Nothing,
+        };
+        return if ours == us.ip {
+            Class::Other
+        } else {
+            Class::Nothing
+        };
     }
     let ports = frame.word(9 + options);
     let lengths = frame.word(10 + options);
@@ -132,7 +146,7 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
         // Who looks for boards does not know their addresses; who waits for one has none.
         wire::DISCOVERY_PORT => Class::Discovery,
         crate::dhcp::PORT => Class::Dhcp,
-        _ => return Class::Other,
+        _ => return Class::Nothing,
     };
     if fold(sum_words(frame, 4, 5 + options)) != 0xffff {
         return Class::Refused(Refusal::Checksum);

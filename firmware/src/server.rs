@@ -255,6 +255,15 @@ impl Server {
         }
     }
 
+    /// A machine that is not at rest has little time for guests.
+    fn welcome(&self, words: usize, peer: Peer) -> Result<(), Refusal> {
+        if words <= wire::GUEST_WORDS || self.safety.at_rest() || self.session.is_owner(peer) {
+            Ok(())
+        } else {
+            Err(Refusal::Oversized)
+        }
+    }
+
     /// Looks after what happens without a datagram: the gate's own decisions, silent owners, the LED,
     /// rest. To be called a few hundred times a second; cheap.
     #[inline(always)]
@@ -391,6 +400,7 @@ impl Server {
     ) -> Result<usize, Refusal> {
         let packet = Packet::new_checked(words)?;
         if packet.is_probe() {
+            self.welcome(words.len(), peer)?;
             let mut writer = ReplyWriter::new(reply, etherbone::HEADER_PROBE_REPLY);
             writer.extend(packet.body());
             return Ok(writer.words().len());
@@ -408,6 +418,7 @@ impl Server {
                 writer.words().len()
             });
         }
+        self.welcome(words.len(), peer)?;
         self.validate(board, &packet, peer)?;
         if self.session.is_owner(peer) {
             self.spoke = true;

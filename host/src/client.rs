@@ -21,8 +21,8 @@ const TRY: Duration = Duration::from_millis(200);
 /// How long to go on trying. A board needs well under a second from power-up to its first answer; a
 /// simulated one may take a few.
 pub const PATIENCE: Duration = Duration::from_secs(4);
-/// Words read per request. Far below the 255 of a record: the answer stays a short frame.
-const CHUNK: usize = 128;
+/// Words read per request: as many as a board answers whoever asks, and whatever it does.
+const CHUNK: usize = wire::GUEST_READS;
 
 /// Why a request failed; it says what to do.
 #[derive(Debug)]

@@ -7,6 +7,7 @@
 pub mod bench;
 pub mod driver;
 pub mod flash;
+pub mod flood;
 pub mod hal;
 pub mod image;
 pub mod lan;
@@ -61,6 +62,13 @@ pub fn parts() -> (PathBuf, PathBuf) {
         )
     };
     (from("FERROCNC_SOC"), from("FERROCNC_FIRMWARE"))
+}
+
+/// The workspace's folder.
+pub fn root() -> &'static std::path::Path {
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the crate lies in the workspace")
 }
 
 /// The seed of this run: `FERROCNC_SEED`, or one from the clock. Printed, and part of every message that depends on it.

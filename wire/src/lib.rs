@@ -69,6 +69,13 @@ pub const MAX_PAYLOAD: usize = 1472;
 /// The same in 32-bit words.
 pub const MAX_WORDS: usize = MAX_PAYLOAD / 4;
 
+/// Longest datagram of whoever does not own an armed machine, in 32-bit words: [`GUEST_READS`] in one record. A word read is
+/// some 250 clocks of the board's, and the owner's next exchange may have to wait for all of them.
+pub const GUEST_WORDS: usize = GUEST_READS + 4;
+
+/// Words that can be read at once while somebody else's machine is armed.
+pub const GUEST_READS: usize = 16;
+
 /// Converts a UDP payload into words. Refuses an empty, ragged (not whole words) or oversized one
 /// before looking at a single byte of it.
 pub fn words_from_bytes<'w>(bytes: &[u8], words: &'w mut [u32]) -> Result<&'w [u32], Refusal> {

@@ -28,8 +28,8 @@ macro_rules! refusals {
 refusals! {
     /// Shorter than a packet header, or a probe without payload.
     Short = "short", "the datagram ends before its header does";
-    /// More than [`crate::MAX_PAYLOAD`] bytes.
-    Oversized = "oversized", "the datagram is longer than one frame can carry";
+    /// More than [`crate::MAX_PAYLOAD`] bytes, or than [`crate::GUEST_WORDS`] from anybody but the owner while the machine is armed.
+    Oversized = "oversized", "the datagram is longer than one frame, or than a guest of an armed machine may send";
     /// Not a whole number of 32-bit words.
     Ragged = "ragged", "the datagram is not a whole number of 32-bit words";
     /// Does not begin with `4e 6f`.

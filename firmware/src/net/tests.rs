@@ -136,23 +136,33 @@ fn payload_words_are_the_payload() {
 }
 
 #[test]
-fn what_is_not_plain_udp_to_us_is_left_to_the_stack() {
-    for (what, frame) in [
-        ("another MAC", with(5, 2)),
-        ("broadcast", with(0, 0xff)),
-        ("ARP", with(13, 6)),
-        ("IPv6", with(14, 0x65)),
-        ("an IP header too short to be one", with(14, 0x44)),
-        ("more fragments", with(20, 0x20)),
-        ("a fragment's tail", with(21, 1)),
-        ("ICMP", with(23, 1)),
-        ("TCP", with(23, 6)),
-        ("another IP", with(33, 0x33)),
-        ("another port", with(37, 80)),
-        ("a stub", udp_frame(&[], false)[..41].to_vec()),
-        ("nothing", vec![]),
+fn ping_tcp_and_arp_about_us_are_left_to_the_stack_and_nothing_else_is() {
+    let arp = |about: [u8; 4]| {
+        let mut frame = with(13, 6);
+        frame[38..42].copy_from_slice(&about);
+        frame
+    };
+    for (what, frame, class) in [
+        ("another MAC", with(5, 2), Class::Nothing),
+        ("broadcast", with(0, 0xff), Class::Nothing),
+        ("ARP about us", arp([192, 168, 2, 50]), Class::Other),
+        ("ARP about another", arp([192, 168, 2, 51]), Class::Nothing),
+        ("IPv6", with(14, 0x65), Class::Nothing),
+        ("an IP header too short", with(14, 0x44), Class::Nothing),
+        ("more fragments", with(20, 0x20), Class::Nothing),
+        ("a fragment's tail", with(21, 1), Class::Nothing),
+        ("ICMP", with(23, 1), Class::Other),
+        ("TCP", with(23, 6), Class::Other),
+        ("another IP", with(33, 0x33), Class::Nothing),
+        ("another port", with(37, 80), Class::Nothing),
+        (
+            "a stub",
+            udp_frame(&[], false)[..41].to_vec(),
+            Class::Nothing,
+        ),
+        ("nothing", vec![], Class::Nothing),
     ] {
-        assert_eq!(look(&frame), Class::Other, "{what}");
+        assert_eq!(look(&frame), class, "{what}");
     }
 }
 
@@ -168,7 +178,7 @@ fn discovery_and_dhcp_are_taken_whatever_address_they_are_sent_to() {
             let taken = matches!(class, Class::Discovery(_) | Class::Dhcp(_));
             assert_eq!(taken, ours, "port {port} at {address:?}: {class:?}");
             frame[0] = 0x02;
-            assert_eq!(look(&rechecked(frame)), Class::Other, "another board's");
+            assert_eq!(look(&rechecked(frame)), Class::Nothing, "another board's");
         }
     }
 }

@@ -345,6 +345,32 @@ fn a_stranger_reads_everything_and_changes_nothing() {
 }
 
 #[test]
+fn while_the_machine_is_armed_a_guest_asks_for_little_at_once() {
+    let read = |rig: &mut Rig, who, count: u32| {
+        let mut words = vec![0x4e6f_1044, 0, 0x000f_0000 | count, 7];
+        words.extend((0..count).map(|n| map::STATUS + 4 * n));
+        rig.send_as(who, &words).map(|reply| reply.len())
+    };
+    let most = wire::GUEST_READS as u32;
+    let mut rig = Rig::armed();
+    assert_eq!(read(&mut rig, BOB, most), Ok(4 + wire::GUEST_READS));
+    assert_eq!(read(&mut rig, BOB, most + 1), Err(Refusal::Oversized));
+    assert_eq!(
+        read(&mut rig, ALICE, 200),
+        Ok(204),
+        "the owner knows its time"
+    );
+    let mut probe = vec![0x4e6f_1144, 0];
+    probe.resize(100, 0);
+    assert_eq!(rig.send_as(BOB, &probe), Err(Refusal::Oversized));
+    assert_eq!(
+        read(&mut Rig::new(), BOB, 200),
+        Ok(204),
+        "nobody waits for a machine at rest"
+    );
+}
+
+#[test]
 fn without_a_session_nobody_configures() {
     assert_eq!(
         Rig::new().write(map::CONFIG_STEPGEN, 60),

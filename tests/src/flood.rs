@@ -1,0 +1,586 @@
+//! A third host on the segment that sends as fast as the wire takes it, and frames nobody should have to read.
+//!
+//! The owner's datagrams go out between two of its frames. What a switch in front of the board would do to them there, when both
+//! want more than its port has, is not the board's affair.
+
+use crate::{Machine, STRANGER};
+use rand::Rng;
+use rand::seq::IndexedRandom;
+use rand_pcg::Pcg64Mcg;
+use sim::gmii;
+use sim::rig::RIG_PORT;
+use sim::segment::{BOARD_IP, BOARD_PORT, CONSOLE_PORT, Endpoint, HOST_IP, HOST_MAC};
+use std::net::Ipv4Addr;
+use wire::board::crc32;
+use wire::exchange::{Command, Status};
+use wire::map;
+
+/// The third host.
+pub const INTRUDER_IP: Ipv4Addr = Ipv4Addr::new(192, 168, 2, 9);
+const INTRUDER: Endpoint = (INTRUDER_IP, STRANGER);
+const EVERYBODY: [u8; 6] = [0xff; 6];
+/// Longest frame of ordinary Ethernet, without FCS.
+pub const LONGEST: usize = 1514;
+/// Bytes a gigabit wire takes in a servo period of a millisecond, gaps and preambles included.
+const WIRE_BYTES: u64 = 125_000;
+
+/// A kind of frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Broadcast: who has an address of the segment's, sometimes ours.
+    Arp,
+    /// To the board's port, as short as Etherbone gets.
+    ShortRead,
+    /// To the board's port, as many of the dearest reads as a frame holds.
+    LongRead,
+    /// To the board's port, words of any value, 4 to 1472 bytes.
+    Garbage,
+    /// To any port of the board.
+    OtherPort,
+    /// From the owner's address, but not its port.
+    OwnersAddress,
+    /// Broadcast and multicast: mDNS and its like.
+    Multicast,
+    /// Asks all boards who they are.
+    Discovery,
+    /// Shorter than Ethernet allows, its FCS right.
+    Runt,
+    /// 9018 bytes, its FCS right.
+    Jumbo,
+    /// Whatever else there is, its FCS wrong.
+    BadFcs,
+    /// 802.3x.
+    Pause,
+    /// Ping, as long as it gets.
+    Ping,
+    /// Opens a connection to the console, or pretends to have one.
+    Tcp,
+    /// A part of a datagram to the board's port.
+    Fragment,
+    /// Any of these.
+    Mix,
+}
+
+/// All of them; [`Kind::Mix`] is the last.
+pub const KINDS: [Kind; 16] = [
+    Kind::Arp,
+    Kind::ShortRead,
+    Kind::LongRead,
+    Kind::Garbage,
+    Kind::OtherPort,
+    Kind::OwnersAddress,
+    Kind::Multicast,
+    Kind::Discovery,
+    Kind::Runt,
+    Kind::Jumbo,
+    Kind::BadFcs,
+    Kind::Pause,
+    Kind::Ping,
+    Kind::Tcp,
+    Kind::Fragment,
+    Kind::Mix,
+];
+
+/// An answer to an exchange.
+#[derive(Debug)]
+pub struct Answer {
+    /// What it said.
+    pub status: Status,
+    /// From the last request byte to the first reply byte, clocks.
+    pub turnaround: u64,
+}
+
+/// Preamble, these bytes and their FCS, however few there are.
+pub fn bare(frame: &[u8]) -> Vec<u8> {
+    let mut wire = gmii::PREAMBLE.to_vec();
+    wire.extend(frame);
+    wire.extend(crc32(frame).to_le_bytes());
+    wire
+}
+
+/// A frame's addresses and type in front of this.
+fn ethernet(to: [u8; 6], from: [u8; 6], kind: u16, rest: &[u8]) -> Vec<u8> {
+    [&to[..], &from[..], &kind.to_be_bytes(), rest].concat()
+}
+
+/// The Internet's checksum.
+pub fn checksum(parts: &[&[u8]]) -> [u8; 2] {
+    let bytes = parts.concat();
+    let sum: u32 = bytes
+        .chunks(2)
+        .map(|pair| u32::from(pair[0]) << 8 | pair.get(1).copied().map_or(0, u32::from))
+        .sum();
+    let folded = (sum >> 16) + (sum & 0xffff);
+    (!((folded >> 16) + folded) as u16).to_be_bytes()
+}
+
+/// A read of these words.
+pub fn read_of(addresses: impl Iterator<Item = u32>) -> Vec<u8> {
+    let addresses: Vec<u32> = addresses.collect();
+    let mut words = vec![wire::etherbone::HEADER, 0];
+    for chunk in addresses.chunks(255) {
+        words.extend([wire::etherbone::BYTE_ENABLE | chunk.len() as u32, 0]);
+        words.extend(chunk);
+    }
+    crate::to_bytes(&words)
+}
+
+impl Machine {
+    /// A frame of this kind as it goes over the wire.
+    pub fn frame(&mut self, kind: Kind, rng: &mut Pcg64Mcg) -> Vec<u8> {
+        let short = rng.random_bool(0.5);
+        let udp = |machine: &mut Self, from, port, payload: &[u8]| {
+            let segment = &mut machine.rig.segment;
+            gmii::encode(&segment.udp(from, port, payload))
+        };
+        match kind {
+            Kind::Arp => {
+                let last = *[50, 1, 77].choose(rng).unwrap_or(&50);
+                gmii::encode(&self.arp(INTRUDER_IP, Ipv4Addr::new(192, 168, 2, last), EVERYBODY))
+            }
+            Kind::ShortRead => {
+                let payload = read_of([map::STATUS].into_iter());
+                udp(self, INTRUDER, BOARD_PORT, &payload)
+            }
+            Kind::LongRead => {
+                let payload = read_of((0..360).map(|n| map::DESCRIBE + n % 48 * 4));
+                udp(self, INTRUDER, BOARD_PORT, &payload)
+            }
+            Kind::Garbage => {
+                let length = if short { 4 } else { rng.random_range(4..=1472) };
+                let payload: Vec<u8> = (0..length).map(|_| rng.random()).collect();
+                udp(self, INTRUDER, BOARD_PORT, &payload)
+            }
+            Kind::OtherPort => {
+                let payload = vec![0; if short { 4 } else { 1472 }];
+                udp(self, INTRUDER, rng.random(), &payload)
+            }
+            Kind::OwnersAddress => {
+                let payload = read_of([map::STATUS].into_iter());
+                let port = rng.random_range(1024..RIG_PORT);
+                udp(self, (HOST_IP, port), BOARD_PORT, &payload)
+            }
+            Kind::Multicast => {
+                let to = *[
+                    [1, 0, 0x5e, 0, 0, 0xfb],
+                    [0x33, 0x33, 0, 0, 0, 1],
+                    EVERYBODY,
+                ]
+                .choose(rng)
+                .unwrap_or(&EVERYBODY);
+                let from = self.rig.segment.host_mac(INTRUDER_IP);
+                let rest = vec![0x45; if short { 46 } else { 1500 }];
+                gmii::encode(&ethernet(
+                    to,
+                    from,
+                    *[0x0800, 0x86dd, 0x88cc].choose(rng).unwrap_or(&0),
+                    &rest,
+                ))
+            }
+            Kind::Discovery => {
+                let ask = wire::discovery::Message {
+                    nonce: rng.random(),
+                    uid: [0, 0],
+                    body: wire::discovery::Body::Who,
+                };
+                let mut buffer = [0; wire::discovery::WORDS_MAX];
+                let payload = crate::to_bytes(ask.emit(&mut buffer));
+                let segment = &mut self.rig.segment;
+                gmii::encode(&segment.broadcast(INTRUDER, wire::DISCOVERY_PORT, &payload))
+            }
+            Kind::Runt => {
+                let whole = self.rig.segment.udp(INTRUDER, BOARD_PORT, &[0; 4]);
+                bare(&whole[..rng.random_range(0..whole.len())])
+            }
+            Kind::Jumbo => {
+                let to = self.board_mac();
+                let from = self.rig.segment.host_mac(INTRUDER_IP);
+                bare(&ethernet(to, from, 0x0800, &[0x45; 9000]))
+            }
+            Kind::BadFcs => {
+                let mut wire = if short {
+                    // The owner's own, spoilt on the way.
+                    let command = self.enabled_command();
+                    let bytes = self.command_bytes(&command);
+                    udp(self, (HOST_IP, RIG_PORT), BOARD_PORT, &bytes)
+                } else {
+                    self.frame(Kind::Garbage, rng)
+                };
+                let at = rng.random_range(gmii::PREAMBLE.len()..wire.len());
+                wire[at] ^= 1 << rng.random_range(0..8);
+                wire
+            }
+            Kind::Pause => {
+                let from = self.rig.segment.host_mac(INTRUDER_IP);
+                let rest = [0, 1, 0xff, 0xff];
+                gmii::encode(&ethernet([1, 0x80, 0xc2, 0, 0, 1], from, 0x8808, &rest))
+            }
+            Kind::Ping => {
+                let payload = vec![0x5a; if short { 8 } else { 1472 }];
+                let frame = self
+                    .rig
+                    .segment
+                    .echo_request(INTRUDER_IP, 1, rng.random(), &payload);
+                gmii::encode(&frame)
+            }
+            Kind::Tcp => {
+                let data = vec![b'x'; if short { 0 } else { 1400 }];
+                let flags = if short { 2 } else { rng.random() };
+                let tcp = tcp_segment(rng.random(), flags, rng.random(), &data);
+                gmii::encode(&self.ip(INTRUDER_IP, 6, 0, &tcp))
+            }
+            Kind::Fragment => {
+                let fragment = *[0x2000, 0x2001, 0x0001, 0x1fff].choose(rng).unwrap_or(&1);
+                gmii::encode(&self.ip(
+                    INTRUDER_IP,
+                    17,
+                    fragment,
+                    &vec![0; if short { 26 } else { 1480 }],
+                ))
+            }
+            Kind::Mix => {
+                let kind = *KINDS[..KINDS.len() - 1].choose(rng).unwrap_or(&Kind::Arp);
+                self.frame(kind, rng)
+            }
+        }
+    }
+
+    /// The board's MAC address, which it told when it started.
+    pub fn board_mac(&self) -> [u8; 6] {
+        self.rig
+            .segment
+            .board_mac()
+            .expect("the board has answered ARP")
+    }
+
+    /// Who asks who has this address, in a frame to `to`.
+    pub fn arp(&mut self, asks: Ipv4Addr, about: Ipv4Addr, to: [u8; 6]) -> Vec<u8> {
+        let from = self.rig.segment.host_mac(asks);
+        let rest = [
+            &[0, 1, 8, 0, 6, 4, 0, 1][..],
+            &from,
+            &asks.octets(),
+            &[0; 6],
+            &about.octets(),
+        ];
+        ethernet(to, from, 0x0806, &rest.concat())
+    }
+
+    /// An IP packet to the board.
+    pub fn ip(&mut self, from: Ipv4Addr, protocol: u8, fragment: u16, body: &[u8]) -> Vec<u8> {
+        let length = (20 + body.len()) as u16;
+        let mut header = [
+            &[0x45, 0][..],
+            &length.to_be_bytes(),
+            &[0, 7],
+            &fragment.to_be_bytes(),
+            &[64, protocol, 0, 0],
+            &from.octets(),
+            &BOARD_IP.octets(),
+        ]
+        .concat();
+        let sum = checksum(&[&header]);
+        header[10..12].copy_from_slice(&sum);
+        let mac = self.rig.segment.host_mac(from);
+        ethernet(self.board_mac(), mac, 0x0800, &[&header[..], body].concat())
+    }
+
+    /// A servo period in which these frames and no others are on the wire, the owner's exchange in front of number `at` of them.
+    pub fn period_with(
+        &mut self,
+        command: &mut Command,
+        frames: &[Vec<u8>],
+        at: usize,
+    ) -> Option<Answer> {
+        let end = self.clock() + self.rig.clocks(std::time::Duration::from_millis(1));
+        let (before, after) = frames.split_at(at.min(frames.len()));
+        for wire in before {
+            self.rig.inject_wire(wire.clone());
+        }
+        self.sequence = self.sequence.wrapping_add(1);
+        (command.token, command.sequence) = (self.token, self.sequence);
+        let bytes = self.command_bytes(command);
+        self.rig.post((HOST_IP, RIG_PORT), BOARD_PORT, &bytes);
+        for wire in after {
+            self.rig.inject_wire(wire.clone());
+        }
+        self.rig.run(end - self.clock());
+        let channels = self.channels();
+        self.rig
+            .take_datagrams()
+            .into_iter()
+            .find_map(|(datagram, timing)| {
+                let status =
+                    Status::parse_reply(&crate::to_words(&datagram.payload), channels).ok()?;
+                (status.sequence == command.sequence).then_some(Answer {
+                    status,
+                    turnaround: timing?.turnaround,
+                })
+            })
+    }
+
+    /// A servo period with the wire full of frames of this kind, the exchange anywhere between them.
+    pub fn period_under(
+        &mut self,
+        command: &mut Command,
+        kind: Kind,
+        rng: &mut Pcg64Mcg,
+    ) -> Option<Answer> {
+        let frames = self.wireful(kind, rng);
+        self.period_anywhere(command, &frames, rng)
+    }
+
+    /// A servo period with these frames, the exchange anywhere between them, but early enough to be answered in it.
+    pub fn period_anywhere(
+        &mut self,
+        command: &mut Command,
+        frames: &[Vec<u8>],
+        rng: &mut Pcg64Mcg,
+    ) -> Option<Answer> {
+        self.period_with(command, frames, rng.random_range(0..=frames.len() * 2 / 3))
+    }
+
+    /// As many frames of this kind as a wire takes in a millisecond, an exchange among them.
+    pub fn wireful(&mut self, kind: Kind, rng: &mut Pcg64Mcg) -> Vec<Vec<u8>> {
+        let on_wire = |wire: &Vec<u8>| wire.len() as u64 + u64::from(gmii::INTER_FRAME_GAP);
+        let mut left = WIRE_BYTES - 250;
+        let mut frames = Vec::new();
+        while let wire = self.frame(kind, rng)
+            && on_wire(&wire) <= left
+        {
+            left -= on_wire(&wire);
+            frames.push(wire);
+        }
+        frames
+    }
+}
+
+/// A TCP segment to the console, its checksum right.
+fn tcp_segment(port: u16, flags: u8, sequence: u32, data: &[u8]) -> Vec<u8> {
+    let mut tcp = [
+        &port.to_be_bytes()[..],
+        &CONSOLE_PORT.to_be_bytes(),
+        &sequence.to_be_bytes(),
+        &[0; 4],
+        &[0x50, flags, 0x10, 0, 0, 0, 0, 0],
+        data,
+    ]
+    .concat();
+    let length = (tcp.len() as u32).to_be_bytes();
+    let sum = checksum(&[
+        &INTRUDER_IP.octets(),
+        &BOARD_IP.octets(),
+        &[0, 6],
+        &length[2..],
+        &tcp,
+    ]);
+    tcp[16..18].copy_from_slice(&sum);
+    tcp
+}
+
+/// What became of the frames that were sent to the board, counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mail {
+    /// The CPU got them.
+    pub taken: u32,
+    /// Guests without a ticket.
+    pub guests: u32,
+    /// Both slots were full.
+    pub no_slot: u32,
+    /// Wrong preamble.
+    pub preamble: u32,
+    /// Wrong FCS.
+    pub fcs: u32,
+}
+
+impl Mail {
+    /// What has happened since then.
+    pub fn since(&self, then: &Mail) -> Mail {
+        Mail {
+            taken: self.taken.wrapping_sub(then.taken),
+            guests: self.guests.wrapping_sub(then.guests),
+            no_slot: self.no_slot.wrapping_sub(then.no_slot),
+            preamble: self.preamble.wrapping_sub(then.preamble),
+            fcs: self.fcs.wrapping_sub(then.fcs),
+        }
+    }
+
+    /// Is every one of so many frames counted? One with a wrong FCS that finds no slot either is counted twice.
+    pub fn accounts_for(&self, frames: u64) -> bool {
+        let all = [
+            self.taken,
+            self.guests,
+            self.no_slot,
+            self.preamble,
+            self.fcs,
+        ];
+        let all: u64 = all.iter().map(|count| u64::from(*count)).sum();
+        (all - u64::from(self.fcs)..=all).contains(&frames)
+    }
+}
+
+/// Register pages of the MAC and of its door, words of theirs.
+const MAC: u32 = map::SERVICE + 3 * 0x800;
+const DOOR: u32 = map::SERVICE + 65 * 0x800;
+
+impl Machine {
+    /// The counts as they stand; reading them is a frame, too, and counted.
+    pub fn mail(&mut self) -> Mail {
+        let addresses = [
+            map::COUNTERS,
+            DOOR + 0x30,
+            MAC + 0x8,
+            MAC + 0x3c,
+            MAC + 0x40,
+        ];
+        let words = self.rig.read_words(&addresses).expect("the counters");
+        Mail {
+            taken: words[0],
+            guests: words[1],
+            no_slot: words[2],
+            preamble: words[3],
+            fcs: words[4],
+        }
+    }
+
+    /// A third host's read.
+    pub fn read_frame(&mut self, addresses: impl Iterator<Item = u32>) -> Vec<u8> {
+        let payload = read_of(addresses);
+        gmii::encode(&self.rig.segment.udp(INTRUDER, BOARD_PORT, &payload))
+    }
+
+    /// The owner's host asks the board itself whether it is still where it was.
+    pub fn owners_arp(&mut self) -> Vec<u8> {
+        let board = self.board_mac();
+        let frame = self.arp(HOST_IP, BOARD_IP, board);
+        gmii::encode(&frame)
+    }
+
+    /// Keeps what the board sends from now on.
+    pub fn capture(&mut self) {
+        self.rig.capture_frames();
+        self.rig.take_frames();
+    }
+
+    /// Did it, since [`Machine::capture`]?
+    pub fn told_the_owner_its_address(&mut self) -> bool {
+        let told = |frame: &Vec<u8>| {
+            frame.starts_with(&HOST_MAC) && frame[12..22] == [8, 6, 0, 1, 8, 0, 6, 4, 0, 2]
+        };
+        self.rig.take_frames().iter().any(told)
+    }
+
+    /// A millisecond with the wire full of these frames and somewhere among them an attempt to acquire the board, which nobody owns.
+    pub fn acquires_under(&mut self, kind: Kind, rng: &mut Pcg64Mcg) -> bool {
+        let frames = self.wireful(kind, rng);
+        let (before, after) = frames.split_at(rng.random_range(0..frames.len()));
+        for wire in before {
+            self.rig.inject_wire(wire.clone());
+        }
+        let acquire = [
+            wire::etherbone::HEADER,
+            0,
+            wire::etherbone::BYTE_ENABLE | 1 << 8 | 1,
+            map::SESSION_ACQUIRE,
+            0x1234_5678,
+            0,
+            map::SESSION_TOKEN,
+        ];
+        let from = (HOST_IP, RIG_PORT);
+        self.rig.post(from, BOARD_PORT, &crate::to_bytes(&acquire));
+        for wire in after {
+            self.rig.inject_wire(wire.clone());
+        }
+        self.rig.run_ms(1);
+        let replies = self.rig.take_datagrams();
+        replies.iter().any(|(datagram, _)| {
+            let token = crate::to_words(&datagram.payload).last().copied();
+            datagram.to == from && token.is_some_and(|token| token != 0)
+        })
+    }
+
+    /// Lets the CPU's clock run again.
+    pub fn thaw_cpu(&mut self) {
+        self.rig.freeze_cpu(false);
+    }
+
+    /// How long an exchange takes that comes right behind each of these lines at the console, clocks.
+    pub fn console_costs<'l>(
+        &mut self,
+        command: &mut Command,
+        lines: &[&'l str],
+    ) -> Vec<(&'l str, Option<u64>)> {
+        let connected = self.rig.tcp_connect(CONSOLE_PORT);
+        let connection = connected.unwrap_or_else(|error| panic!("{error}"));
+        let settle = |machine: &mut Self, command: &mut Command| {
+            for _ in 0..6 {
+                machine.period_with(command, &[], 0);
+                machine.rig.segment.recv(connection);
+            }
+        };
+        let mut costs = Vec::new();
+        for line in lines {
+            settle(self, command);
+            let text = format!("{line}\n");
+            self.rig.segment.send(connection, text.as_bytes());
+            // Out of the host's stack, so that it is on the wire in front of the exchange.
+            let clockwork = self.rig.board.clockwork();
+            let now = clockwork.microseconds(self.rig.board.now());
+            self.rig.segment.poll(now);
+            while let Some(frame) = self.rig.segment.take_frame() {
+                self.rig.inject_frame(&frame);
+            }
+            let answer = self.period_with(command, &[], 0);
+            costs.push((*line, answer.map(|answer| answer.turnaround)));
+        }
+        settle(self, command);
+        self.rig.segment.close(connection);
+        costs
+    }
+}
+
+/// Raw frames.
+impl Machine {
+    /// Puts these bytes on the wire behind what is there.
+    pub fn inject(&mut self, wire: Vec<u8>) {
+        self.rig.inject_wire(wire);
+    }
+
+    /// Lets clocks pass.
+    pub fn run_clocks(&mut self, clocks: u64) {
+        self.rig.run(clocks);
+    }
+
+    /// How many datagrams have come from the board since this was last asked.
+    pub fn datagrams(&mut self) -> usize {
+        self.rig.take_datagrams().len()
+    }
+
+    /// A third host's datagram to the board, as a frame without preamble and FCS.
+    pub fn datagram_frame(&mut self, payload: &[u8]) -> Vec<u8> {
+        self.rig.segment.udp(INTRUDER, BOARD_PORT, payload)
+    }
+
+    /// A third host's read of three words, long enough for Ethernet as it is.
+    pub fn plain_read(&mut self) -> Vec<u8> {
+        self.datagram_frame(&read_of(
+            [map::DESCRIBE, map::STATUS, map::SESSION].into_iter(),
+        ))
+    }
+
+    /// What the meter and the firmware have counted, for a message.
+    pub fn history(&mut self) -> String {
+        let words: Vec<u32> = (0..30).map(|n| map::COUNTERS + 4 * n).collect();
+        let counters = self.rig.read_words(&words);
+        let meter = &self.rig.meter;
+        format!(
+            "requested {}, answered {}, counters {counters:?}",
+            meter.requested, meter.answered
+        )
+    }
+
+    /// Frames sent to the board so far, by everybody: the host's stack answers what the board says, too.
+    pub fn sent(&self) -> u64 {
+        self.rig.frames.to_board
+    }
+}

@@ -1,0 +1,280 @@
+//! A third host that sends as fast as the wire takes it, at the release image on the Verilated board: what it can do to the host that
+//! owns the machine, in clocks.
+//!
+//! The bound is [`BOUND`]: an exchange is answered within so many clocks of its last byte whatever the others send. The figures
+//! are printed and stand in `target/reports/flood.json`.
+
+use ferrocnc_tests::flood::{Answer, KINDS, Kind};
+use ferrocnc_tests::{Machine, root, seed};
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+use serde_json::{Map, Value, json};
+use sim::exchange::Spread;
+use wire::exchange::Command;
+use wire::state::State;
+use wire::units::{Accel, StepRate};
+use wire::{GUEST_READS, map};
+
+/// 300 us at 60 MHz: a guest's dearest frame, what an exchange takes that finds nothing of itself in the cache, and the chores
+/// between the two. Less than a third of a servo period of 1 kHz, a sixteenth of the watchdog's five.
+const BOUND: u64 = 18_000;
+/// Servo periods under each kind of flood.
+const PERIODS: usize = 25;
+/// Clocks the watchdog has left when a command comes: five periods, less the two there may be between an exchange at the beginning
+/// of one period and one at the end of the next, less the bound.
+const MARGIN: u32 = 3 * 60_000 - BOUND as u32;
+
+/// A machine whose six axes move, each at its own rate.
+fn moving() -> (Machine, Command) {
+    let machine = Machine::armed();
+    let mut command = machine.enabled_command();
+    for (n, (rate, accel)) in command.stepgen.iter_mut().take(6).enumerate() {
+        *rate = StepRate::from_hz(25e3 * (n as f64 - 2.6), machine.clock_hz());
+        *accel = Accel::from_steps(1e8, machine.clock_hz());
+    }
+    (machine, command)
+}
+
+/// What was asked for is what was done: all axes at rest, every pulse the board tells of was at the pins.
+fn comes_to_rest(machine: &mut Machine, command: &mut Command) {
+    for (rate, _) in &mut command.stepgen {
+        *rate = StepRate(0);
+    }
+    for _ in 0..5 {
+        machine.exchange_and_wait(command);
+    }
+    let status = machine.exchange_and_wait(command);
+    for axis in 0..6 {
+        let told = status.stepgen[axis].0.pulses();
+        assert_eq!(told, machine.pulses(axis), "axis {axis}");
+        assert!(machine.edges(axis) > 0, "axis {axis} moved");
+    }
+    assert_eq!(machine.timing_violations(), 0);
+}
+
+/// Adds a section to the report.
+fn report(section: &str, value: Value) {
+    let file = root().join("target/reports/flood.json");
+    let old = std::fs::read(&file).ok();
+    let mut all: Map<String, Value> = old
+        .and_then(|text| serde_json::from_slice(&text).ok())
+        .unwrap_or_default();
+    all.insert("bound_clocks".into(), BOUND.into());
+    all.insert(section.into(), value);
+    let text = serde_json::to_string_pretty(&all).expect("plain JSON");
+    std::fs::create_dir_all(root().join("target/reports")).expect("a folder for reports");
+    std::fs::write(&file, text + "\n").expect("the report");
+}
+
+#[test]
+fn under_a_flood_of_any_kind_every_exchange_is_answered_within_the_bound() {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed());
+    let (mut machine, mut command) = moving();
+    let mut kinds = Map::new();
+    for kind in KINDS {
+        let (mut turnarounds, mut frames) = (Vec::new(), 0);
+        let before = machine.mail();
+        for n in 0..PERIODS {
+            let wireful = machine.wireful(kind, &mut rng);
+            frames += wireful.len();
+            let answer = machine.period_anywhere(&mut command, &wireful, &mut rng);
+            let Some(Answer { status, turnaround }) = answer else {
+                let mail = machine.mail().since(&before);
+                panic!(
+                    "{kind:?}: exchange {n} was not answered; {mail:?}, {}",
+                    machine.history()
+                );
+            };
+            assert_eq!(status.state.state, State::Armed, "{kind:?}: {status:?}");
+            assert!(
+                status.watchdog_left >= MARGIN,
+                "{kind:?}: {} clocks to the bite",
+                status.watchdog_left
+            );
+            assert!(turnaround <= BOUND, "{kind:?}: {turnaround} clocks");
+            turnarounds.push(turnaround as u32);
+        }
+        let spread = Spread::of(&turnarounds).expect("there were some");
+        let mail = machine.mail().since(&before);
+        println!(
+            "{kind:?}: {frames} frames, {} taken, {} turned away; turnaround {} / {} / {}",
+            mail.taken, mail.guests, spread.min, spread.median, spread.max
+        );
+        kinds.insert(
+            format!("{kind:?}"),
+            json!({"exchanges": PERIODS, "frames": frames, "taken": mail.taken, "turned_away": mail.guests, "no_slot": mail.no_slot, "turnaround_clocks": spread}),
+        );
+        // The exchanges, and the frame that asked for the counts, too.
+        let sent = (frames + PERIODS + 1) as u64;
+        assert!(mail.accounts_for(sent), "{kind:?}: {sent} sent, {mail:?}");
+    }
+    report("floods", kinds.into());
+    comes_to_rest(&mut machine, &mut command);
+}
+
+#[test]
+fn a_guests_dearest_frame_right_in_front_of_an_exchange_delays_it_by_no_more_than_the_bound() {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed());
+    let (mut machine, mut command) = moving();
+    let mut costs: Vec<(String, Option<u64>)> = Vec::new();
+    // First: the console has one visitor, and a SYN is one for half a minute.
+    let lines = [
+        "",
+        "help",
+        "status",
+        "net",
+        "regs",
+        "regs 15",
+        "stepgen",
+        "stepgen 1",
+        "encoder",
+        "pwm",
+        "gpio",
+        "watchdog",
+        "log",
+        "link",
+        "flash",
+        "settings",
+        "no such command",
+    ];
+    for (line, cost) in machine.console_costs(&mut command, &lines) {
+        costs.push((format!("console: {line}"), cost));
+    }
+    for kind in KINDS {
+        let mut worst = Some(0);
+        for _ in 0..8 {
+            let wire = machine.frame(kind, &mut rng);
+            let answer = machine.period_with(&mut command, &[wire], 1);
+            worst = worst.max(answer.as_ref().map(|answer| answer.turnaround));
+            assert!(answer.is_some(), "{kind:?}: no answer");
+            // A ticket for the next one.
+            machine.period_with(&mut command, &[], 0);
+            machine.period_with(&mut command, &[], 0);
+        }
+        costs.push((format!("{kind:?}"), worst));
+    }
+    let windows = [
+        ("describe", map::DESCRIBE, 4),
+        ("its last word", map::DESCRIBE + 4 * 47, 0),
+        ("board", map::DESCRIBE_BLOB, 4),
+        ("config", map::CONFIG_STEPGEN, 4),
+        ("status", map::STATUS, 4),
+        ("counters", map::COUNTERS, 4),
+        ("log", map::LOG_RING, 4),
+        ("panic", map::PANIC, 4),
+        ("flash", map::FLASH, 4),
+        ("registers", map::SERVICE + 14 * 0x800, 4),
+    ];
+    for (name, base, step) in windows {
+        let wire = machine.read_frame((0..GUEST_READS as u32).map(|n| base + n * step));
+        let answer = machine.period_with(&mut command, &[wire], 1);
+        costs.push((
+            format!("{GUEST_READS} words of {name}"),
+            answer.map(|a| a.turnaround),
+        ));
+        machine.period_with(&mut command, &[], 0);
+        machine.period_with(&mut command, &[], 0);
+    }
+    for (name, cost) in &costs {
+        println!("{name}: {cost:?}");
+    }
+    report(
+        "guests",
+        costs
+            .iter()
+            .map(|(name, cost)| (name.clone(), json!(cost)))
+            .collect(),
+    );
+    for (name, cost) in costs {
+        assert!(
+            cost.is_some_and(|cost| cost <= BOUND),
+            "{name}: {cost:?} clocks"
+        );
+    }
+    comes_to_rest(&mut machine, &mut command);
+}
+
+#[test]
+fn the_owners_arp_comes_through_a_storm_and_a_guests_ping_does_when_it_is_over() {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed());
+    let (mut machine, mut command) = moving();
+    for n in 0..20 {
+        let mut frames = machine.wireful(Kind::Arp, &mut rng);
+        let probe = machine.owners_arp();
+        // Early enough for the answer to come in the same period.
+        let at = n * frames.len() / 25;
+        frames.insert(at, probe);
+        machine.capture();
+        let answer = machine.period_with(&mut command, &frames, frames.len() / 2);
+        assert!(answer.is_some(), "period {n}");
+        assert!(machine.told_the_owner_its_address(), "period {n}: no reply");
+    }
+    // A guest without a flood waits for the next chores, three milliseconds at most.
+    for _ in 0..4 {
+        machine.period_with(&mut command, &[], 0);
+    }
+    assert!(machine.ping().is_some());
+    comes_to_rest(&mut machine, &mut command);
+}
+
+#[test]
+fn nobodys_board_is_acquired_through_a_storm_and_after_any_flood() {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed());
+    let mut report_of = Map::new();
+    for kind in [
+        Kind::Arp,
+        Kind::Multicast,
+        Kind::Pause,
+        Kind::BadFcs,
+        Kind::Runt,
+        Kind::ShortRead,
+        Kind::Mix,
+    ] {
+        let mut machine = Machine::start();
+        let tries = (1..=30).find(|_| machine.acquires_under(kind, &mut rng));
+        println!("{kind:?}: acquired at try {tries:?}");
+        report_of.insert(format!("{kind:?}"), json!(tries));
+        let storm = !matches!(kind, Kind::ShortRead | Kind::Mix);
+        if storm {
+            assert!(tries.is_some_and(|tries| tries <= 3), "{kind:?}: {tries:?}");
+        }
+        machine.run_millis(1);
+        machine.make_ready();
+        let mut command = machine.enabled_command();
+        command.stepgen[0].0 = StepRate::from_hz(50e3, machine.clock_hz());
+        for _ in 0..3 {
+            machine.exchange_and_wait(&mut command);
+        }
+        assert!(machine.gate_open());
+    }
+    report("acquired_at_try", report_of.into());
+}
+
+#[test]
+fn a_flood_on_a_frozen_cpu_changes_nothing_about_the_stop() {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed());
+    let (mut machine, mut command) = moving();
+    for _ in 0..5 {
+        machine.exchange_and_wait(&mut command);
+    }
+    let timeout = u64::from(machine.read(map::CONFIG_BOARD));
+    machine.exchange(&mut command);
+    let frozen_at = machine.clock();
+    machine.freeze_cpu();
+    for _ in 0..8 {
+        let answer = machine.period_under(&mut command, Kind::Mix, &mut rng);
+        assert!(answer.is_none(), "nobody is there to answer");
+    }
+    assert!(!machine.gate_open());
+    assert_eq!(machine.outputs(), 0);
+    let stop = (0..6)
+        .map(|axis| machine.soft_stop_clocks(&command, axis))
+        .max();
+    let last = (0..6).filter_map(|axis| machine.last_step(axis)).max();
+    let bound = frozen_at + timeout + stop.unwrap_or(0) + 2;
+    assert!(last.is_some_and(|last| last <= bound), "{last:?} > {bound}");
+    machine.thaw_cpu();
+    machine.run_millis(2);
+    assert!(!machine.gate_open(), "nothing arms by itself");
+    machine.make_ready();
+}
