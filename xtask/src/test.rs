@@ -186,7 +186,8 @@ impl Level {
                 + board_tests("soc", "10 min", "1")?
                 + board_tests("flood", "5 min", "2")?
                 + board_tests("frames", "5 min", "2")?
-                + board_tests("flash", "2 min", "2")?),
+                + board_tests("flash", "2 min", "2")?
+                + board_tests("key", "3 min", "2")?),
             Level::Faults => faults::run(),
             Level::Peers => board_tests("peers", "3 min", "2"),
             Level::Provision => Ok(board_tests("provision", "1 min", "2")?

@@ -1,0 +1,286 @@
+//! A board with a pre-shared key: the release image on the Verilated board, with the key in its flash.
+//!
+//! Judging is tested to the last case beside the firmware (`firmware/src/auth/tests.rs`); here it is held that the image on
+//! real wires makes challenges that differ, takes the key, and nothing else.
+
+use ferrocnc_tests::flash::{self, FIRST, factory};
+use ferrocnc_tests::parts;
+use host::keys::Key;
+use sim::nor::spi::Shared;
+use sim::nor::{Part, Times};
+use sim::rig::{Rig, Setup};
+use sim::segment::{BOARD_IP, HOST_IP};
+use std::net::Ipv4Addr;
+use wire::describe::FEATURE_KEY;
+use wire::discovery::{Body, Message, WORDS_MAX, proof};
+use wire::flash::{Op, OpResult};
+use wire::images::{Role, Trailer};
+use wire::settings::Settings;
+use wire::{CONSOLE_PORT, DISCOVERY_PORT, MAX_WORDS, Refusal, ReplyWriter, etherbone, map};
+
+const UID: [u32; 2] = [0xd162_0c8a, 0x1b2c_3d4e];
+const KEY: [u32; 4] = [0x5eed_0001, 0x5eed_0002, 0x5eed_0003, 0x5eed_0004];
+/// The host's ports.
+const ALICE: u16 = 40_000;
+const MALLORY: u16 = 40_001;
+
+fn key() -> Key {
+    Key::new(KEY).expect("not all zeros")
+}
+
+fn wrong_key() -> Key {
+    let [first, rest @ ..] = KEY;
+    let [b, c, d] = rest;
+    Key::new([first ^ 1, b, c, d]).expect("not all zeros")
+}
+
+/// A flash with the key among its settings.
+fn locked_flash() -> Shared {
+    let mut nor = factory(
+        Part::W25Q32JV.with(Times::QUICK),
+        u64::from(UID[0]) << 32 | u64::from(UID[1]),
+    );
+    let settings = Settings {
+        sequence: 1,
+        key: KEY,
+        ..Settings::default()
+    };
+    let bytes: Vec<u8> = settings
+        .to_words()
+        .iter()
+        .flat_map(|word| word.to_be_bytes())
+        .collect();
+    let at = flash::layout(&nor).settings;
+    nor.preload(at as usize, &bytes);
+    Shared::new(nor)
+}
+
+fn power_up(flash: &Shared, factory_pin: bool) -> Rig {
+    flash.chip().power_up();
+    let (soc, firmware) = parts();
+    let mut setup = Setup::new(&soc, &firmware);
+    setup.flash = Some(flash.clone());
+    setup.board_ip = BOARD_IP;
+    setup.factory = factory_pin;
+    setup.trailer = Trailer {
+        build_id: FIRST,
+        role: Role::Image,
+    };
+    let mut rig = Rig::boot(setup).unwrap_or_else(|error| panic!("{error}"));
+    // A tag is eight runs over 64 bytes at the most, and an acquisition makes two.
+    rig.patience *= 8;
+    rig
+}
+
+fn bytes(words: &[u32]) -> Vec<u8> {
+    words.iter().flat_map(|word| word.to_be_bytes()).collect()
+}
+
+/// One datagram with these records from this port; the words read, if it was answered.
+fn ask(rig: &mut Rig, port: u16, writes: &[(u32, &[u32])], reads: &[u32]) -> Option<Vec<u32>> {
+    let mut words = [0; MAX_WORDS];
+    let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+    for (base, words) in writes {
+        assert!(request.write_record(*base, words.len() as u8) && request.extend(words));
+    }
+    assert!(request.read_record(7, reads));
+    send(rig, port, &bytes(request.words()))
+}
+
+fn send(rig: &mut Rig, port: u16, datagram: &[u8]) -> Option<Vec<u32>> {
+    let reply = rig.request((HOST_IP, port), wire::DEFAULT_PORT, datagram)?;
+    let words = reply.payload.as_chunks::<4>().0.iter();
+    Some(
+        words
+            .skip(4)
+            .map(|word| u32::from_be_bytes(*word))
+            .collect(),
+    )
+}
+
+fn challenge(rig: &mut Rig, port: u16) -> [u32; 4] {
+    let addresses = [0, 4, 8, 12].map(|at| map::SESSION_CHALLENGE + at);
+    let words = ask(rig, port, &[], &addresses).expect("reads are answered");
+    words.try_into().expect("four words")
+}
+
+/// A whole acquisition with this answer, as it goes over the wire.
+fn acquisition(answer: [u32; 4], nonce: u32) -> Vec<u8> {
+    let mut words = [0; MAX_WORDS];
+    let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+    assert!(request.write_record(map::SESSION_RESPONSE, 4) && request.extend(&answer));
+    assert!(request.write_record(map::SESSION_ACQUIRE, 1) && request.push(nonce));
+    assert!(request.read_record(7, &[map::SESSION_TOKEN]));
+    bytes(request.words())
+}
+
+fn owner(rig: &mut Rig) -> u32 {
+    ask(rig, MALLORY, &[], &[map::SESSION_OWNER_PORT]).expect("everybody may read")[0]
+}
+
+fn refused(rig: &mut Rig) -> u32 {
+    let counter = map::COUNTERS_REFUSED + 4 * Refusal::Key.index() as u32;
+    ask(rig, MALLORY, &[], &[counter]).expect("everybody may read")[0]
+}
+
+#[test]
+fn a_board_with_a_key_refuses_who_has_it_not_takes_who_has_and_refuses_the_replay() {
+    let flash = locked_flash();
+    let mut rig = power_up(&flash, false);
+    let features = ask(&mut rig, MALLORY, &[], &[4 * 9]).expect("everybody may read")[0];
+    assert_eq!(features & FEATURE_KEY, FEATURE_KEY);
+
+    // Without the key, and with another.
+    let nothing = ask(
+        &mut rig,
+        MALLORY,
+        &[(map::SESSION_ACQUIRE, &[7])],
+        &[map::SESSION_TOKEN],
+    );
+    assert_eq!(nothing, None);
+    let asked = challenge(&mut rig, MALLORY);
+    let wrong = acquisition(wrong_key().acquire(asked, 7), 7);
+    assert_eq!(send(&mut rig, MALLORY, &wrong), None);
+    let forget: (u32, &[u32]) = (map::FLASH_OP, &[Op::ForgetSettings.code()]);
+    assert_eq!(ask(&mut rig, MALLORY, &[forget], &[map::FLASH_OP]), None);
+    let restart: (u32, &[u32]) = (map::SESSION_REBOOT, &[map::REBOOT_KEY]);
+    assert_eq!(ask(&mut rig, MALLORY, &[restart], &[map::FLASH_OP]), None);
+    assert_eq!((owner(&mut rig), refused(&mut rig)), (0, 4));
+
+    // With the key. What a challenge costs is told in clocks: nobody's exchange waits longer for a stranger.
+    let began = rig.clock();
+    let asked = challenge(&mut rig, ALICE);
+    println!(
+        "a challenge came {} clocks after the question was posted",
+        rig.clock() - began
+    );
+    let right = acquisition(key().acquire(asked, 7), 7);
+    let began = rig.clock();
+    let token = send(&mut rig, ALICE, &right).expect("the right answer")[0];
+    println!(
+        "a session came {} clocks after the answer was posted",
+        rig.clock() - began
+    );
+    assert_ne!(token, 0);
+    assert_eq!(owner(&mut rig), u32::from(ALICE));
+
+    // The same datagram again: while it holds, after it is given back, from elsewhere, after the power was off.
+    assert_eq!(send(&mut rig, ALICE, &right), None, "while she owns it");
+    assert_eq!(
+        challenge(&mut rig, MALLORY),
+        wire::auth::NONE,
+        "somebody drives"
+    );
+    let release: (u32, &[u32]) = (map::SESSION_RELEASE, &[token]);
+    ask(&mut rig, ALICE, &[release], &[map::SESSION_TOKEN]).expect("given back");
+    let before = refused(&mut rig);
+    for port in [ALICE, MALLORY] {
+        assert_eq!(send(&mut rig, port, &right), None);
+        assert_ne!(challenge(&mut rig, port), asked);
+        assert_eq!(
+            send(&mut rig, port, &right),
+            None,
+            "with a challenge in force"
+        );
+    }
+    assert_eq!((owner(&mut rig), refused(&mut rig)), (0, before + 4));
+    let mut rig = power_up(&flash, false);
+    assert_ne!(challenge(&mut rig, ALICE), asked);
+    assert_eq!(send(&mut rig, ALICE, &right), None);
+    assert_eq!(owner(&mut rig), 0);
+}
+
+/// What the board broadcasts to this message.
+fn discover(rig: &mut Rig, message: &Message) -> Option<Body> {
+    let mut buffer = [0; WORDS_MAX];
+    let request = bytes(message.emit(&mut buffer));
+    rig.take_datagrams();
+    rig.broadcast((HOST_IP, ALICE), DISCOVERY_PORT, &request);
+    for _ in 0..100 {
+        rig.run_ms(1);
+        for (datagram, _) in rig.take_datagrams() {
+            if datagram.to == (Ipv4Addr::BROADCAST, ALICE) {
+                let words = datagram.payload.as_chunks::<4>().0.iter();
+                let words: Vec<u32> = words.map(|word| u32::from_be_bytes(*word)).collect();
+                return Message::parse(&words).ok().map(|answer| answer.body);
+            }
+        }
+    }
+    None
+}
+
+#[test]
+fn discovery_and_console_ask_for_the_key_too_and_the_factory_pin_opens_the_board() {
+    let flash = locked_flash();
+    let mut rig = power_up(&flash, false);
+    let settings = Settings {
+        prefix: 16,
+        keep_key: true,
+        ..Settings::default()
+    };
+    let message = |body| Message {
+        nonce: 99,
+        uid: UID,
+        body,
+    };
+    let proven = |key: &Key, challenge| {
+        let unsigned = message(Body::Proven(settings, wire::auth::NONE));
+        let mut words = [0; WORDS_MAX];
+        let (signed, _) = proof(unsigned.emit(&mut words)).expect("a Proven");
+        message(Body::Proven(settings, key.set(challenge, signed)))
+    };
+    let said = discover(&mut rig, &message(Body::Set(settings)));
+    let Some(Body::Prove(challenge)) = said else {
+        panic!("{said:?}");
+    };
+    let said = discover(&mut rig, &proven(&wrong_key(), challenge));
+    assert_eq!(
+        said,
+        Some(Body::Prove(challenge)),
+        "guessing uses up nothing"
+    );
+    assert_eq!(flash.chip().programs(), 0);
+
+    let console = rig.tcp_connect(CONSOLE_PORT).expect("a console");
+    let said = rig.tcp_talk(console, "restart\r\n");
+    assert!(said.contains("refused: the board has a key"), "{said}");
+    let said = rig.tcp_talk(console, "status\r\n");
+    assert!(said.contains("disarmed"), "looking is free: {said}");
+    let said = rig.tcp_talk(console, "login\r\n");
+    let digits = said.split("challenge ").nth(1).expect("a challenge");
+    let words: Vec<u32> = (0..6)
+        .map(|n| u32::from_str_radix(&digits[8 * n..][..8], 16).expect("hex digits"))
+        .collect();
+    assert_eq!(words[4..], UID);
+    let answer = |key: Key| key.login([words[0], words[1], words[2], words[3]]);
+    let login = |answer: [u32; 4]| {
+        format!(
+            "login {}\r\n",
+            answer.map(|word| format!("{word:08x}")).concat()
+        )
+    };
+    let said = rig.tcp_talk(console, &login(answer(wrong_key())));
+    assert!(said.contains("refused: wrong answer"), "{said}");
+    let said = rig.tcp_talk(console, &login(answer(key())));
+    assert!(said.contains("welcome"), "{said}");
+
+    // The console's right answer made the challenges before it worthless.
+    let said = discover(&mut rig, &proven(&key(), challenge));
+    let Some(Body::Prove(challenge)) = said else {
+        panic!("{said:?}");
+    };
+    let said = discover(&mut rig, &proven(&key(), challenge));
+    assert_eq!(said, Some(Body::Done(OpResult::Ok)));
+
+    // The pin: no key, whoever asks.
+    let mut rig = power_up(&flash, true);
+    let features = ask(&mut rig, MALLORY, &[], &[4 * 9]).expect("everybody may read")[0];
+    assert_eq!(features & FEATURE_KEY, 0);
+    let token = ask(
+        &mut rig,
+        MALLORY,
+        &[(map::SESSION_ACQUIRE, &[7])],
+        &[map::SESSION_TOKEN],
+    );
+    assert!(token.is_some_and(|token| token[0] != 0));
+}
