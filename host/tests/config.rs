@@ -229,8 +229,9 @@ fn a_platform_can_be_drawn_with_nothing_on_it() {
 #[test]
 fn the_reader_and_the_driver_agree_how_long_a_name_may_be() {
     assert_eq!(ferrocnc_config::hal::NAME_MAX, ferrocnc::hal::NAME_MAX);
-    let pins = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/driver.rs"))
-        .unwrap();
+    let pins =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/driver/export.rs"))
+            .unwrap();
     for class in Class::ALL {
         let hal = class.hal();
         assert!(

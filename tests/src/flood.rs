@@ -546,11 +546,6 @@ impl Machine {
         self.rig.inject_wire(wire);
     }
 
-    /// Lets clocks pass.
-    pub fn run_clocks(&mut self, clocks: u64) {
-        self.rig.run(clocks);
-    }
-
     /// How many datagrams have come from the board since this was last asked.
     pub fn datagrams(&mut self) -> usize {
         self.rig.take_datagrams().len()

@@ -384,8 +384,9 @@ impl Station {
             }
             Class::Other => {
                 self.talk(Some(bytes));
-                self.untouched("somebody else's frame");
+                self.untouched("a frame for the IP stack");
             }
+            Class::Nothing => self.untouched("somebody else's frame"),
         }
     }
 
@@ -418,7 +419,7 @@ impl Station {
                 assert_eq!(words, long);
             }
             Class::Refused(_) => assert!(!whole, "the lane takes what is refused: {class:?}"),
-            Class::Discovery(_) | Class::Dhcp(_) | Class::Other => {
+            Class::Discovery(_) | Class::Dhcp(_) | Class::Other | Class::Nothing => {
                 panic!("the lane takes {class:?}")
             }
         }
