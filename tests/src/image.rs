@@ -423,7 +423,7 @@ mod tests {
 
     const RET: u32 = 0x0000_8067;
 
-    /// Functions one behind the other from address 0x100 on.
+    /// Functions one behind the other from address 0x1000 on, where what is called through a table may lie.
     fn code(functions: &[(&str, &[u32])], data: &[u32]) -> Code {
         let mut code = Code {
             words: BTreeMap::new(),
@@ -432,7 +432,7 @@ mod tests {
             data: data.to_vec(),
             stack: 4096,
         };
-        let mut at = 0x100;
+        let mut at = 0x1000;
         for (name, words) in functions {
             code.functions.insert(at, ((*name).into(), 0));
             code.names.insert((*name).into(), at);
@@ -484,7 +484,7 @@ mod tests {
             ("unlisted", &[take(-800), take(800), RET]),
         ];
         assert_eq!(
-            code(functions, &[0x110]).deepest("main").unwrap().bytes,
+            code(functions, &[0x1010]).deepest("main").unwrap().bytes,
             112
         );
     }
@@ -530,6 +530,6 @@ mod tests {
             &[],
         );
         let at: Vec<_> = code.panics().iter().map(|panic| panic.at).collect();
-        assert_eq!(at, [0x100, 0x104]);
+        assert_eq!(at, [0x1000, 0x1004]);
     }
 }
