@@ -465,15 +465,15 @@ impl<S: Silicon> Rig<S> {
         std::mem::take(&mut self.inbox)
     }
 
-    /// Longest wait for the answer to `payload`: [`Self::patience`] and 60 clocks for each of its bytes, since a read of 255
-    /// words takes the firmware a millisecond by itself. An exchange is short and gets `patience` alone: whoever waits in
+    /// Longest wait for the answer to `payload`: [`Self::patience`] and 200 clocks for each of its bytes, since a read of 255
+    /// words takes the firmware milliseconds by itself. An exchange is short and gets `patience` alone: whoever waits in
     /// vain for one must not wake the watchdog.
     pub fn wait_for(&self, payload: &[u8]) -> u64 {
         self.patience
             + if is_request(payload) {
                 0
             } else {
-                60 * payload.len() as u64
+                200 * payload.len() as u64
             }
     }
 

@@ -463,6 +463,8 @@ fn a_foreign_host_may_read_but_not_command() {
         read.expect("everyone may read")[16..],
         wire::describe::MAGIC.to_be_bytes()
     );
+    // One stranger's frame a millisecond comes in while somebody owns the session.
+    machine.run_millis(2);
     let token = machine.ask_from(
         STRANGER,
         &hex("4e6f1044 00000000 000f0001 00000007 00010004"),
