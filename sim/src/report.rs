@@ -116,10 +116,10 @@ pub struct Counters {
 impl Counters {
     /// Ask the board; `None` when it does not answer.
     pub fn read<S: Silicon>(rig: &mut Rig<S>) -> Option<Self> {
-        let counters = rig.read_block(wire::map::COUNTERS, COUNTERS)?;
-        let describe = rig.read_block(wire::map::DESCRIBE, 9)?;
+        let counters = rig.read_block_as_guest(wire::map::COUNTERS, COUNTERS)?;
+        let describe = rig.read_block_as_guest(wire::map::DESCRIBE, 9)?;
         let stepgens = describe[7] & 0xff;
-        let status = rig.read_block(wire::map::STATUS, status_words(stepgens));
+        let status = rig.read_block_as_guest(wire::map::STATUS, status_words(stepgens));
         Some(Self::from_words(&counters, &status.unwrap_or_default()))
     }
 

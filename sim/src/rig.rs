@@ -546,6 +546,20 @@ impl<S: Silicon> Rig<S> {
         Some(words)
     }
 
+    /// Read a block as a stranger, who may come once a millisecond and ask for [`wire::GUEST_READS`] words while somebody
+    /// owns the session.
+    pub fn read_block_as_guest(&mut self, base: u32, count: u32) -> Option<Vec<u32>> {
+        let a_while = 2 * self.board.clockwork().sys_hz / 1000;
+        let mut words = Vec::new();
+        while (words.len() as u32) < count {
+            self.run(a_while);
+            let at = base + 4 * words.len() as u32;
+            let some = (count - words.len() as u32).min(wire::GUEST_READS as u32);
+            words.extend(self.read_block(at, some)?);
+        }
+        Some(words)
+    }
+
     /// Write words over Etherbone (no answer is expected: writes have none), and give the board a tenth of a millisecond.
     pub fn write_words(&mut self, base: u32, values: &[u32]) {
         let mut words = vec![

@@ -1,12 +1,14 @@
 //! A twin on a bench in this process, its flash in the tester's hand: operations, restarts, and the plug pulled anywhere.
 
+use host::keys::Key;
 use sim::card::Card;
 use sim::nor::spi::Shared;
 use sim::nor::{Cut, Nor};
 use sim::plant::Plant;
 use sim::server::{Device, Service};
 use sim::twin::{Setup, Twin};
-use wire::describe::Channels;
+use wire::auth::WORDS;
+use wire::describe::{Channels, FEATURE_KEY};
 use wire::discovery::{Body, Message, WORDS_MAX};
 use wire::exchange::{Command, Status};
 use wire::flash::{BLOCK, Op, OpResult, OpWord, PAGE, Slot};
@@ -19,6 +21,11 @@ use crate::flash;
 const PORT: u16 = 40_000;
 /// Milliseconds of board time after which an operation is stuck: 64 KiB are erased in 2 s at worst, an image summed in less.
 const STUCK_MS: u64 = 20_000;
+
+/// The key of the boards that have one.
+pub const KEY: [u32; WORDS] = [1, 2, 3, 4];
+/// The describe block's word of features.
+const FEATURES: u32 = 9;
 
 /// How something went that was asked of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -148,8 +155,35 @@ impl Bench {
         self.transact(&[(address, &[value])], &[map::DESCRIBE]);
     }
 
-    /// Starts an operation and waits for its end.
+    /// Starts an operation and waits for its end; on a board with a key as its owner, who has shown the key.
     pub fn op(&mut self, op: Op, address: u32, length: u32, buffer: &[u32]) -> Went {
+        if self.read(map::DESCRIBE + 4 * FEATURES) & FEATURE_KEY != 0
+            && self.read(map::SESSION_OWNER_PORT) != u32::from(self.port)
+        {
+            self.show_key();
+        }
+        self.unproven_op(op, address, length, buffer)
+    }
+
+    /// Acquires with [`KEY`].
+    fn show_key(&mut self) {
+        const NONCE: u32 = 0x1234_5678;
+        let challenge = self.read_block(map::SESSION_CHALLENGE, WORDS as u32);
+        let challenge = challenge.try_into().expect("as many as asked for");
+        let answer = Key::new(KEY)
+            .expect("not all zeros")
+            .acquire(challenge, NONCE);
+        let taken = self.transact(
+            &[
+                (map::SESSION_RESPONSE, &answer),
+                (map::SESSION_ACQUIRE, &[NONCE]),
+            ],
+            &[map::SESSION_TOKEN],
+        );
+        assert!(taken.is_some(), "the board's key is another than was saved");
+    }
+
+    fn unproven_op(&mut self, op: Op, address: u32, length: u32, buffer: &[u32]) -> Went {
         let operands = [address, length];
         let code = [op.code()];
         let mut writes: Vec<(u32, &[u32])> = vec![(map::FLASH_ADDRESS, &operands)];
@@ -216,7 +250,7 @@ impl Bench {
     /// An operation, asked for by somebody else.
     pub fn op_from_a_stranger(&mut self, op: Op) -> Went {
         self.port = PORT + 1;
-        let went = self.op(op, 0, 0, &[]);
+        let went = self.unproven_op(op, 0, 0, &[]);
         self.port = PORT;
         went
     }

@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use ferrocnc_tests::bench::{Bench, Went, packed};
+use ferrocnc_tests::bench::{Bench, KEY, Went, packed};
 use ferrocnc_tests::flash::{self, Boots, FIRST, boots, factory};
 use ferrocnc_tests::seed;
 use rand::{Rng, RngCore, SeedableRng};
@@ -35,7 +35,7 @@ fn settings(last_octet: u32, name: &str) -> Settings {
     Settings {
         ip: 0xc0a8_0200 + last_octet,
         name: Name::new(name).expect("a name"),
-        key: [1, 2, 3, last_octet],
+        key: KEY,
         ..Settings::default()
     }
 }

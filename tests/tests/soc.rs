@@ -464,7 +464,8 @@ fn a_foreign_host_may_read_but_not_command() {
         wire::describe::MAGIC.to_be_bytes()
     );
     // One stranger's frame a millisecond comes in while somebody owns the session.
-    machine.run_millis(2);
+    machine.exchange_and_wait(&mut command);
+    machine.exchange_and_wait(&mut command);
     let token = machine.ask_from(
         STRANGER,
         &hex("4e6f1044 00000000 000f0001 00000007 00010004"),

@@ -375,11 +375,17 @@ impl Bench {
         self.machine.board.take();
     }
 
+    /// Did this change who owns the session? Whatever else lies in the session's bank does not: a response that nobody
+    /// asked for is taken and means nothing.
     fn rewrote_session(&self, words: &[u32]) -> bool {
         Packet::new_checked(words).is_ok_and(|packet| {
-            packet
-                .records()
-                .any(|r| !r.writes.is_empty() && r.write_base >> 12 == map::SESSION >> 12)
+            packet.records().any(|record| {
+                let written =
+                    (0..record.writes.len() as u32).map(|n| record.write_base.wrapping_add(4 * n));
+                written
+                    .into_iter()
+                    .any(|at| matches!(at, map::SESSION_ACQUIRE | map::SESSION_RELEASE))
+            })
         })
     }
 
