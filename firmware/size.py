@@ -5,7 +5,7 @@ import json
 import struct
 import sys
 
-ROM, RAM = 0x117F0, 0x3800  # as memory.x; the linker enforces them, this only says how much is left
+ROM, RAM = 0x11FF0, 0x3800  # as memory.x; the linker enforces them, this only says how much is left
 
 
 def sections(path):

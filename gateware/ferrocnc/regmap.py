@@ -18,7 +18,7 @@ CSR_BASE = 0xF000_0000
 CSR_PAGE = 0x800
 CSR_ADDRESS_WIDTH = 16
 
-ROM = (0x0000_0000, 0x11800)  # 70 KiB, 35 EBR: the image; smoltcp's TCP alone is 16 KiB without compressed instructions
+ROM = (0x0000_0000, 0x12000)  # 72 KiB, 36 EBR: the image; smoltcp's TCP alone is 16 KiB without compressed instructions
 ROM_TRAILER = 0x10  # the ROM's last bytes, not the linker's: what the bitstream says about itself, see `TRAILER`
 RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: data, bss, 6 KiB of stack
 ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
