@@ -2,13 +2,16 @@
 
 use crate::soc::{self, Mac, Parts, RxFrame, Soc, TxSlot};
 use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
-use firmware::exchange::SlotReply;
+use firmware::exchange::{FLAGS_WORD, SlotReply};
 use firmware::ip::{Ip, Taker, Text};
 use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
-use firmware::net::{self, Class, Datagram, Lane, Us};
+use firmware::net::{self, Class, Datagram, Frame as _, Lane, Us};
 use firmware::text::Sink as _;
+use wire::exchange::REQUEST_OVERHEAD;
 use wire::{CONSOLE_PORT, Refusal};
 
+/// Where a frame in the lane has the flags of its command.
+const FLAGS_AT: usize = net::PAYLOAD_WORD + REQUEST_OVERHEAD + FLAGS_WORD;
 /// Looks at the MAC between two looks at the clock: some 20 us.
 const POLLS: u32 = 128;
 /// Longest ping or console segment while the machine is not at rest: summing, copying and answering one is 20 clocks a byte. A
@@ -104,6 +107,9 @@ impl App {
                 if !done && pending {
                     self.frame();
                 }
+                if self.machine.server.owes_path() {
+                    self.hold_path();
+                }
                 self.chores_if(BEHIND_A_FRAME);
             } else {
                 // Somebody who exchanges gets his chores behind the answer; wait for that a while.
@@ -137,7 +143,9 @@ impl App {
             Ok(()) => {
                 self.mac
                     .send_lane(SlotReply::<TxSlot>::frame_length(&shape));
-                self.machine.server.exchanged();
+                // Read again: kept in a register it would push another out.
+                let flags = frame.word(FLAGS_AT);
+                self.machine.server.exchanged(flags);
                 self.machine.server.counters_mut().frames_tx += 1;
             }
             Err(why) => self.machine.server.refuse(why),
@@ -335,6 +343,16 @@ impl App {
     fn close_lane(&mut self) {
         self.lane = None;
         self.mac.open();
+    }
+
+    /// The answer is on its way: time to see to the axes' decelerations.
+    #[inline(never)]
+    #[unsafe(link_section = ".trap.hot.path")]
+    fn hold_path(&mut self) {
+        let Machine { board, server, .. } = &mut self.machine;
+        server.hold_path(board);
+        // It may have pushed a line of the fast lane out of the cache.
+        self.cold = true;
     }
 
     /// Does the chores if `periods` of theirs have passed.

@@ -457,7 +457,7 @@ fn stepgen<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut
                 ("mode", StepgenConfig::Mode),
             ] {
                 out.text("\r\n    ").text(name).text(" ");
-                out.number(board.setting(Setting::Stepgen(n, field)));
+                out.number(server.setting(board, Setting::Stepgen(n, field)));
             }
         }
         out.end();

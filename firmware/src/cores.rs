@@ -128,7 +128,7 @@ impl Gate {
 pub enum Control {
     /// Open the gate, wake the watchdog.
     Arm,
-    /// Bring every stepgen to rest at its own deceleration, then close.
+    /// Bring every stepgen to rest at the deceleration in its core, then close.
     SoftStop,
     /// Close now.
     Close,
@@ -210,6 +210,8 @@ pub trait Board {
     fn arrival_hi(&mut self) -> u32;
     /// Stages a word of the `command` page.
     fn stage(&mut self, word: usize, value: u32);
+    /// Reads a staged word of the `command` page back.
+    fn staged(&mut self, word: usize) -> u32;
     /// Reads a word of the `status` page.
     fn latched(&mut self, word: usize) -> u32;
     /// When a timed commit happens; `u64::MAX` is never.
@@ -230,6 +232,8 @@ pub trait Board {
     fn setting(&mut self, which: Setting) -> u32;
     /// Changes a setting; [`crate::config::check`] said yes.
     fn set(&mut self, which: Setting, value: u32);
+    /// Changes the deceleration in a stepgen's core, for the time being ([`crate::path_stop`]).
+    fn set_stop_accel(&mut self, stepgen: usize, value: u32);
     /// Reads a raw CSR; [`crate::service::readable`] said yes.
     fn csr_read(&mut self, address: u32) -> u32;
     /// Writes a raw CSR; [`crate::service::check_write`] said yes.

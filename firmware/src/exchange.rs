@@ -22,12 +22,13 @@ use crate::server::Server;
 use crate::session::Peer;
 use wire::describe::Channels;
 use wire::exchange::{
-    COMMAND_STEPGEN, FLAG_APPLY_TIME, FLAG_ENABLE, FLAG_ENABLE_REQUEST, STATUS_ENCODER,
-    STATUS_STEPGEN, command_words, judge_sequence, status_words,
+    COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE, FLAG_ENABLE_REQUEST,
+    STATUS_ENCODER, STATUS_STEPGEN, command_words, judge_sequence, status_words,
 };
-use wire::{Refusal, etherbone};
+use wire::{Refusal, State, etherbone};
 
-const FLAGS_KNOWN: u32 = FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME;
+const FLAGS_KNOWN: u32 =
+    FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME | u32::MAX << FLAG_ALONE_SHIFT;
 /// The last word before the channels: 16 probe arms, then 5 bits of [`wire::exchange::Latch::code`].
 const SELECT_SHIFT: u32 = 16;
 const SELECT_BITS: u32 = 5;
@@ -60,7 +61,7 @@ pub struct Shape {
     pub command: usize,
     /// Words of the status block.
     pub status: usize,
-    stepgens: usize,
+    pub(crate) stepgens: usize,
     encoders: usize,
     pwms: usize,
 }
@@ -86,6 +87,9 @@ pub const fn reply_head(shape: &Shape) -> [u32; 3] {
         etherbone::BYTE_ENABLE | (shape.status as u32) << 8,
     ]
 }
+
+/// Which word of the command block the flags are.
+pub const FLAGS_WORD: usize = 2;
 
 /// Words of an answer before its status block.
 pub const REPLY_OVERHEAD: usize = 4;
@@ -226,10 +230,27 @@ impl Server {
         }
     }
 
-    /// What an executed exchange leaves to do once its answer is on its way.
-    pub fn exchanged(&mut self) {
+    /// What an executed exchange with these flags leaves to do once its answer is on its way.
+    #[inline]
+    pub fn exchanged(&mut self, flags: u32) {
         self.spoke = true;
+        if self.safety.state() == State::Armed {
+            self.path_stop.executed(flags);
+        }
         self.counters.exchanges = self.counters.exchanges.wrapping_add(1);
+    }
+
+    /// Makes the step generators' decelerations fit the last command ([`crate::path_stop`]); to be called behind every
+    /// answer if [`Server::owes_path`]. A few hundred clocks.
+    #[inline(always)]
+    pub fn hold_path<B: Board>(&mut self, board: &mut B) {
+        self.path_stop.hold(board, self.shape.stepgens);
+    }
+
+    /// Has a command been executed that [`Server::hold_path`] has not seen to?
+    #[inline(always)]
+    pub fn owes_path(&self) -> bool {
+        self.path_stop.owed()
     }
 
     /// A timed commit must not fire into half a block: from here on the new command counts.

@@ -138,6 +138,9 @@ impl Board for Notebook {
     fn stage(&mut self, word: usize, value: u32) {
         self.staged[word] = value;
     }
+    fn staged(&mut self, word: usize) -> u32 {
+        self.staged[word]
+    }
     fn latched(&mut self, word: usize) -> u32 {
         self.latched[word]
     }
@@ -191,6 +194,10 @@ impl Board for Notebook {
     fn set(&mut self, which: Setting, value: u32) {
         self.settings.insert(format!("{which:?}"), value);
         self.done.push(Change::Set(which, value));
+    }
+    fn set_stop_accel(&mut self, stepgen: usize, value: u32) {
+        let field = map::StepgenConfig::StopAccel;
+        self.set(Setting::Stepgen(stepgen as u8, field), value);
     }
     fn csr_read(&mut self, address: u32) -> u32 {
         address ^ 0x5555_0000

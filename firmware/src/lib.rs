@@ -35,6 +35,7 @@
 //! | [`dhcp`] | an address from a server, or the static one after 10 s |
 //! | [`ip`] | ARP, ping and the console's TCP connection |
 //! | [`link`] | up, how fast, and what got lost |
+//! | `path_stop` | decelerations that keep the axes on their line when nobody commands them any more |
 //! | [`log`] | the ring `ferrocnc log` reads |
 //! | [`postmortem`] | what survives a panic |
 //! | [`text`] | text in pieces, without `core::fmt` |
@@ -57,6 +58,7 @@ pub mod link;
 pub mod log;
 pub mod machine;
 pub mod net;
+pub(crate) mod path_stop;
 pub mod postmortem;
 pub mod safety;
 pub mod server;

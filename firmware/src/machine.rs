@@ -7,7 +7,7 @@
 //!   Machine::start           gate closed, settings, addresses, state machine out of Boot
 //!   forever
 //!     a datagram             Machine::datagram (words) or Machine::payload (bytes), then, if
-//!                            Machine::due(BEHIND_A_FRAME), Machine::chores
+//!                            Machine::due(BEHIND_A_FRAME), Machine::chores; Server::hold_path once it is sent
 //!     none, and due(IDLE)    Machine::chores
 //!     a byte of the console  console::Line::push, and what it says into Machine::answer
 //!     a discovery datagram   Machine::discover; a DHCP server's: Machine::offered
@@ -393,6 +393,8 @@ fn defaults(board: &mut impl Board, ident: &Ident) {
             (StepgenConfig::Stepspace, 5),
             (StepgenConfig::Dirsetup, 20),
             (StepgenConfig::Dirhold, 20),
+            // What the gateware powers up with: a restart forgets what was made to fit a path.
+            (StepgenConfig::StopAccel, 0),
         ] {
             board.set(Setting::Stepgen(n, field), us * per_us);
         }

@@ -7,7 +7,7 @@
 //!     | stopped badly   |    | at rest, host's wish      |  | gate closed by gateware
 //!     v                 |    +---------- Stopping <------+  |
 //!   Faulted ------------+                 | at rest, fault  |
-//!     ^   resync, cause gone, new edge    |                 |
+//!     ^   cause gone, resync, new edge    |                 |
 //!     +-----------------------------------+-----------------+
 //! ```
 //!
@@ -16,8 +16,17 @@
 //! ABI must fit, a session must exist, the host must say `enable`, raise `enable-request` after having
 //! been seen with it low, and send one more command after that.
 //!
-//! It never touches a position. `position_trusted` says whether pulses were cut off: by the external
-//! reset or an e-stop, by a grace period that ended before the motors did, by the firmware's own death.
+//! A fault is left by a rising edge, and only after a full resync: since the cause struck the session has been
+//! acquired anew (new token, sequence numbers from 0, an edge seen before counts no more), whether the fault ended
+//! the old one (a bite, a release) or not (a pin, the link). So nobody goes on after a stop with what he believed before it.
+//!
+//! It never touches a position, nor could it: no order changes one. `position_trusted` says whether pulses were cut off: by the
+//! external reset or an e-stop, by a grace period that may have ended before the motors did, by the firmware's own death.
+//! The gateware does not tell a soft stop that was done from one whose grace was over; so a stop is believed if
+//! less than the grace has passed since the machine was last seen undisturbed.
+//!
+//! What must hold of every step is written down in `safety/invariants.rs`, checked over every state, event and gate, in random
+//! sequences, and in every debug build that steps this machine.
 //!
 //! After a restart the gateware still knows why the gate closed last, and that is where the machine
 //! goes on: a bite or an e-stop under a hung CPU is not forgotten by resetting the CPU.
@@ -25,9 +34,13 @@
 use crate::cores::{Control, Gate};
 use wire::{FaultReason, GateClose, ResetReason, State};
 
-/// 2 s at 60 MHz. A soft stop that takes longer than any watchdog grace is not a stop; the gateware's
-/// own limit is `watchdog.grace`, this one catches a grace that was configured away.
-pub const STOP_LIMIT_CLOCKS: u64 = 120_000_000;
+/// 1 s at 60 MHz. The gateware ends a soft stop with its grace; a gate still open so long after that is not obeying.
+pub const STOP_SLACK_CLOCKS: u32 = 60_000_000;
+
+#[cfg(any(test, debug_assertions))]
+mod invariants;
+#[cfg(test)]
+mod tests;
 
 /// Something happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,9 +122,16 @@ pub struct Safety {
     reason: FaultReason,
     /// Where `Stopping` leads.
     after_stop: State,
-    stop_since: u64,
+    /// When a soft stop began, or earlier. Low words are enough: nothing stops for a minute.
+    stop_since: u32,
+    /// When the gate was last seen as it should be while armed.
+    seen: u32,
+    /// Longest soft stop the gateware allows, in clocks.
+    grace: u32,
     request: Request,
     session: bool,
+    /// The session was acquired since the last fault.
+    resynced: bool,
     abi_fits: bool,
     /// Something runs that must not meet an armed machine.
     held: bool,
@@ -132,8 +152,11 @@ impl Safety {
             reason: FaultReason::None,
             after_stop: State::Faulted,
             stop_since: 0,
+            seen: 0,
+            grace: 0,
             request: Request::Unknown,
             session: false,
+            resynced: false,
             abi_fits: false,
             held: false,
             position_trusted: true,
@@ -143,6 +166,18 @@ impl Safety {
     /// Keeps the machine from being armed, or no longer. An edge of `enable-request` meanwhile is used up.
     pub(crate) fn hold(&mut self, held: bool) {
         self.held = held;
+    }
+
+    /// The gate opens now, and a soft stop may take so many clocks.
+    pub(crate) fn opens(&mut self, grace: u32, now: u32) {
+        self.grace = grace;
+        self.seen = now;
+    }
+
+    /// The gate was looked at and [`Safety::running`].
+    #[inline]
+    pub(crate) fn seen(&mut self, now: u32) {
+        self.seen = now;
     }
 
     /// The state.
@@ -201,6 +236,15 @@ impl Safety {
 
     /// The one function. Total: every event in every state.
     pub fn step(self, event: Event, now: u64) -> (Safety, Effects) {
+        let (next, effects) = self.decide(event, now);
+        #[cfg(any(test, debug_assertions))]
+        if let Err(why) = invariants::hold(&self, event, &next, &effects) {
+            panic!("{why}: {self:?} --{event:?}--> {next:?} {effects:?}");
+        }
+        (next, effects)
+    }
+
+    fn decide(self, event: Event, now: u64) -> (Safety, Effects) {
         match event {
             Event::Booted {
                 abi_fits,
@@ -214,7 +258,13 @@ impl Safety {
                 request,
                 gate,
             } => self.command(enable, request, gate, now),
-            Event::Gate(gate) => self.gate(gate, now),
+            Event::Gate(gate) => {
+                let (mut next, effects) = self.gate(gate, now);
+                if next.running(gate) {
+                    next.seen = now as u32;
+                }
+                (next, effects)
+            }
             Event::LinkDown => self.soft_stop(FaultReason::LinkDown, State::Faulted, now),
             Event::JobUnderrun => self.soft_stop(FaultReason::JobUnderrun, State::Faulted, now),
         }
@@ -228,6 +278,7 @@ impl Safety {
             }
         }
         self.abi_fits = abi_fits;
+        self.resynced = false;
         self.reason = match (reset, close) {
             (ResetReason::Panic | ResetReason::Trap, _) => FaultReason::FirmwareFault,
             (ResetReason::PowerUp | ResetReason::Requested | ResetReason::Unknown, close) => {
@@ -264,26 +315,27 @@ impl Safety {
             }
         };
         next.session = true;
+        next.resynced = true;
         (next, effects)
     }
 
     fn lost(self, now: u64) -> (Safety, Effects) {
         let (mut next, effects) = self.soft_stop(FaultReason::SessionLost, State::Faulted, now);
-        next.session = false;
-        next.request = Request::Unknown;
+        next.end_session();
         (next, effects)
     }
 
     fn command(self, enable: bool, request: bool, gate: Gate, now: u64) -> (Safety, Effects) {
         // What the gate says comes first: a command must not outrun a bite.
+        let rested = self.at_rest();
         let (mut next, mut effects) = self.gate(gate, now);
         if effects.end_session || !next.session {
             return (next, effects);
         }
         let before = next.request;
         next.request = before.follow(request);
-        if !next.at_rest() && next.request == Request::Edge {
-            // Whoever asks a machine to arm that is running or stopping has to ask again.
+        if !rested && next.request == Request::Edge {
+            // Whoever asks a machine to arm that is running or stopping has to ask again, even if it rests just now.
             next.request = Request::High;
         }
         match next.state {
@@ -302,14 +354,15 @@ impl Safety {
                 next.request = Request::High;
             }
             State::Disarmed if next.request == Request::Edge => {
-                // A bite, reset or e-stop that came while disarmed is latched in gateware, too.
-                if gate.latched() {
+                // A bite, reset or e-stop that came while disarmed is latched in gateware, too. An open gate is
+                // closed first.
+                if gate.latched() && !gate.open() {
                     effects.order = Some(Control::Clear);
                 }
             }
             State::Faulted if next.request == Request::Edge => {
                 // The cause must be gone, and a wrong ABI is never gone.
-                if next.abi_fits && !gate.open() && !gate.pinned_now() {
+                if next.resynced && next.abi_fits && !gate.open() && !gate.pinned_now() {
                     next.state = State::Disarmed;
                     effects.order = Some(Control::Clear);
                 } else {
@@ -343,18 +396,20 @@ impl Safety {
                 }
                 let bitten_meanwhile = gate.bitten() && self.reason != FaultReason::Watchdog;
                 if bitten_meanwhile {
+                    // It was faster than our order, which came to nothing.
+                    self.stop_since = self.seen;
                     self.reason = FaultReason::Watchdog;
                     self.after_stop = State::Faulted;
-                    self.session = false;
-                    self.request = Request::Unknown;
+                    self.end_session();
                 }
                 let mut effects = Effects {
                     end_session: bitten_meanwhile,
                     ..Effects::NONE
                 };
                 if !gate.open() {
+                    self.position_trusted &= !self.may_be_cut(now);
                     self.state = self.after_stop;
-                } else if now.wrapping_sub(self.stop_since) >= STOP_LIMIT_CLOCKS {
+                } else if self.stops_for(now) >= self.grace.saturating_add(STOP_SLACK_CLOCKS) {
                     self.position_trusted = false;
                     self.state = self.after_stop;
                     effects.order = Some(Control::Close);
@@ -371,14 +426,15 @@ impl Safety {
 
     /// The gateware's watchdog bit; it is already stopping everything.
     fn bitten(mut self, gate: Gate, now: u64) -> (Safety, Effects) {
-        self.session = false;
+        self.end_session();
         self.reason = FaultReason::Watchdog;
-        self.request = Request::Unknown;
         self.after_stop = State::Faulted;
-        self.stop_since = now;
+        // It bit at some time since.
+        self.stop_since = self.seen;
         self.state = if gate.open() {
             State::Stopping
         } else {
+            self.position_trusted &= !self.may_be_cut(now);
             State::Faulted
         };
         let effects = Effects {
@@ -401,6 +457,7 @@ impl Safety {
     fn enter_fault(mut self, reason: FaultReason) -> (Safety, Effects) {
         self.state = State::Faulted;
         self.reason = reason;
+        self.resynced = false;
         self.request = Request::Unknown;
         (self, Effects::order(Control::Close))
     }
@@ -411,7 +468,8 @@ impl Safety {
                 self.state = State::Stopping;
                 self.reason = reason;
                 self.after_stop = after;
-                self.stop_since = now;
+                self.stop_since = now as u32;
+                self.resynced = false;
                 self.request = Request::Unknown;
                 (self, Effects::order(Control::SoftStop))
             }
@@ -420,11 +478,28 @@ impl Safety {
                 if self.after_stop == State::Disarmed && after == State::Faulted {
                     self.after_stop = after;
                     self.reason = reason;
+                    self.resynced = false;
                 }
                 (self, Effects::NONE)
             }
             State::Boot | State::Disarmed | State::Faulted => (self, Effects::NONE),
         }
+    }
+
+    fn end_session(&mut self) {
+        self.session = false;
+        self.resynced = false;
+        self.request = Request::Unknown;
+    }
+
+    /// Clocks since the soft stop began, or more.
+    fn stops_for(&self, now: u64) -> u32 {
+        (now as u32).wrapping_sub(self.stop_since)
+    }
+
+    /// May the gateware's grace have been over before the motors stood?
+    fn may_be_cut(&self, now: u64) -> bool {
+        self.stops_for(now) >= self.grace
     }
 
     fn clear_to_arm(gate: Gate) -> bool {
@@ -439,513 +514,6 @@ impl Request {
             (Request::Low, true) => Request::Edge,
             (Request::Edge | Request::High, true) => Request::High,
             (Request::Unknown, true) => Request::Unknown,
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    const CLOSED: Gate = Gate(0);
-    const LIVE: Gate = Gate::LIVE;
-    const BITTEN_STOPPING: Gate = Gate(0b10_0111);
-    const BITTEN: Gate = Gate(0b00_0100);
-    const RESET_HIGH: Gate = Gate(0b01_1000);
-    const RESET_LATCHED: Gate = Gate(0b00_1000);
-    const ESTOP_ACTIVE: Gate = Gate(0b1100_0000);
-    const ESTOP_LATCHED: Gate = Gate(0b0100_0000);
-
-    fn command(enable: bool, request: bool, gate: Gate) -> Event {
-        Event::Command {
-            enable,
-            request,
-            gate,
-        }
-    }
-
-    fn run(events: &[Event]) -> Safety {
-        events
-            .iter()
-            .fold(Safety::new(), |machine, event| machine.step(*event, 0).0)
-    }
-
-    const BOOTED: Event = Event::Booted {
-        abi_fits: true,
-        reset: ResetReason::PowerUp,
-        close: GateClose::Never,
-    };
-
-    fn booted(reset: ResetReason, close: GateClose) -> Safety {
-        let abi_fits = true;
-        run(&[Event::Booted {
-            abi_fits,
-            reset,
-            close,
-        }])
-    }
-
-    fn ready() -> Vec<Event> {
-        vec![
-            BOOTED,
-            Event::Acquired,
-            command(true, false, CLOSED),
-            command(true, true, CLOSED),
-        ]
-    }
-
-    fn armed() -> Safety {
-        let mut events = ready();
-        events.push(command(true, true, CLOSED));
-        run(&events)
-    }
-
-    /// One machine for every way to be in a state, found by walking.
-    fn reachable() -> Vec<Safety> {
-        let mut found = vec![Safety::new()];
-        let mut next = 0;
-        while let Some(machine) = found.get(next).copied() {
-            next += 1;
-            for event in all_events() {
-                for now in [0, STOP_LIMIT_CLOCKS] {
-                    let (mut after, _) = machine.step(event, now);
-                    after.stop_since = 0; // time is not part of where one can be
-                    if !found.contains(&after) {
-                        found.push(after);
-                    }
-                }
-            }
-        }
-        found
-    }
-
-    fn all_events() -> Vec<Event> {
-        let mut events = vec![
-            Event::Acquired,
-            Event::Lost,
-            Event::LinkDown,
-            Event::JobUnderrun,
-        ];
-        for abi_fits in [false, true] {
-            for &reset in ResetReason::ALL {
-                for &close in GateClose::ALL {
-                    events.push(Event::Booted {
-                        abi_fits,
-                        reset,
-                        close,
-                    });
-                }
-            }
-        }
-        for gate in (0..256).map(Gate) {
-            events.push(Event::Gate(gate));
-            for enable in [false, true] {
-                for request in [false, true] {
-                    events.push(command(enable, request, gate));
-                }
-            }
-        }
-        events
-    }
-
-    /// What must hold of every step from anywhere.
-    fn check(before: Safety, event: Event, after: Safety, effects: Effects) {
-        let context = format!("{before:?} --{event:?}--> {after:?} {effects:?}");
-        if effects.order == Some(Control::Arm) {
-            let Event::Command {
-                enable,
-                request,
-                gate,
-            } = event
-            else {
-                panic!("armed without a command: {context}");
-            };
-            assert!(
-                enable && request && before.request == Request::Edge,
-                "{context}"
-            );
-            assert!(before.session && before.abi_fits, "{context}");
-            assert!(!gate.pinned() && !gate.latched(), "{context}");
-            assert_eq!(before.state, State::Disarmed, "{context}");
-        }
-        let became_armed = before.state != State::Armed && after.state == State::Armed;
-        assert_eq!(
-            became_armed,
-            effects.order == Some(Control::Arm),
-            "{context}"
-        );
-        if effects.execute {
-            assert_eq!(
-                after.state,
-                State::Armed,
-                "executed while not armed: {context}"
-            );
-        }
-        if after.state == State::Armed {
-            assert!(after.session && after.abi_fits, "{context}");
-            assert_eq!(after.reason, FaultReason::None, "{context}");
-        }
-        if after.state == State::Faulted {
-            assert_ne!(after.reason, FaultReason::None, "{context}");
-        }
-        if before.state == State::Faulted && after.state != State::Faulted {
-            assert_eq!(after.state, State::Disarmed, "{context}");
-            assert!(
-                matches!(event, Event::Command { request: true, .. }),
-                "{context}"
-            );
-            assert_eq!(before.request, Request::Low, "{context}");
-        }
-        if let Event::Command { gate, .. } | Event::Gate(gate) = event
-            && (gate.pinned() || gate.bitten() || !gate.open())
-            && !became_armed
-        {
-            assert_ne!(
-                after.state,
-                State::Armed,
-                "armed against the gate: {context}"
-            );
-        }
-        if !before.position_trusted && after.position_trusted {
-            assert!(became_armed, "trust came back by itself: {context}");
-        }
-        if effects.end_session {
-            assert!(!after.session, "{context}");
-        }
-        if after.state != State::Boot {
-            assert!(
-                before.state != State::Boot || matches!(event, Event::Booted { .. }),
-                "{context}"
-            );
-        }
-    }
-
-    #[test]
-    fn every_state_meets_every_event_and_no_invariant_breaks() {
-        let machines = reachable();
-        for state in State::ALL {
-            assert!(
-                machines.iter().any(|m| m.state == *state),
-                "{state} is never reached"
-            );
-        }
-        for machine in machines {
-            for event in all_events() {
-                for now in [0, 1, STOP_LIMIT_CLOCKS, u64::MAX] {
-                    let (after, effects) = machine.step(event, now);
-                    check(machine, event, after, effects);
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn steady_says_yes_only_where_a_full_step_would_change_nothing_and_execute() {
-        for machine in reachable() {
-            for event in all_events() {
-                let Event::Command {
-                    enable,
-                    request,
-                    gate,
-                } = event
-                else {
-                    continue;
-                };
-                if machine.steady(enable, request, gate) {
-                    let (after, effects) = machine.step(event, 5);
-                    assert_eq!(after, machine, "{event:?}");
-                    assert_eq!(
-                        effects,
-                        Effects {
-                            execute: true,
-                            ..Effects::NONE
-                        }
-                    );
-                }
-            }
-        }
-        assert!(
-            armed()
-                .step(command(true, true, LIVE), 0)
-                .0
-                .steady(true, true, LIVE)
-        );
-    }
-
-    #[test]
-    fn waiting_says_yes_only_where_a_full_step_would_do_nothing() {
-        let mut times = 0;
-        for machine in reachable() {
-            for event in all_events() {
-                let Event::Command { request, gate, .. } = event else {
-                    continue;
-                };
-                if machine.waiting(request, gate) {
-                    assert_eq!(
-                        machine.step(event, 5),
-                        (machine, Effects::NONE),
-                        "{event:?}"
-                    );
-                    times += 1;
-                }
-            }
-        }
-        assert!(times > 0);
-    }
-
-    proptest! {
-        #[test]
-        fn no_sequence_of_events_breaks_an_invariant(
-            picks in proptest::collection::vec((0usize..1 << 14, 0u64..STOP_LIMIT_CLOCKS), 1..200)
-        ) {
-            let events = all_events();
-            let (mut machine, mut now) = (Safety::new(), 0u64);
-            for (pick, wait) in picks {
-                now += wait;
-                let event = events[pick % events.len()];
-                let (after, effects) = machine.step(event, now);
-                check(machine, event, after, effects);
-                machine = after;
-            }
-        }
-    }
-
-    #[test]
-    fn arming_takes_session_enable_an_edge_and_a_fresh_command_after_it() {
-        let machine = run(&ready());
-        assert_eq!(machine.state(), State::Disarmed);
-        let (machine, effects) = machine.step(command(true, true, CLOSED), 0);
-        assert_eq!(machine.state(), State::Armed);
-        assert_eq!((effects.order, effects.execute), (Some(Control::Arm), true));
-    }
-
-    #[test]
-    fn a_request_that_was_high_from_the_start_never_arms() {
-        let mut machine = run(&[BOOTED, Event::Acquired]);
-        for _ in 0..10 {
-            machine = machine.step(command(true, true, CLOSED), 0).0;
-        }
-        assert_eq!(machine.state(), State::Disarmed);
-    }
-
-    #[test]
-    fn without_enable_the_edge_is_used_up() {
-        let machine = run(&[
-            BOOTED,
-            Event::Acquired,
-            command(false, false, CLOSED),
-            command(false, true, CLOSED),
-        ]);
-        let (machine, _) = machine.step(command(false, true, CLOSED), 0);
-        let (machine, _) = machine.step(command(true, true, CLOSED), 0);
-        assert_eq!(machine.state(), State::Disarmed);
-    }
-
-    #[test]
-    fn a_wrong_abi_never_arms_and_says_why() {
-        let mut machine = run(&[
-            Event::Booted {
-                abi_fits: false,
-                reset: ResetReason::PowerUp,
-                close: GateClose::Never,
-            },
-            Event::Acquired,
-        ]);
-        for level in [false, true, true, false, true, true] {
-            machine = machine.step(command(true, level, CLOSED), 0).0;
-        }
-        assert_eq!(
-            (machine.state(), machine.reason()),
-            (State::Faulted, FaultReason::AbiMismatch)
-        );
-    }
-
-    #[test]
-    fn a_bite_ends_the_session_and_commands_without_a_resync_do_nothing() {
-        let (machine, effects) = armed().step(Event::Gate(BITTEN_STOPPING), 0);
-        assert!(effects.end_session);
-        assert_eq!(
-            (machine.state(), machine.reason()),
-            (State::Stopping, FaultReason::Watchdog)
-        );
-        let (mut machine, _) = machine.step(Event::Gate(BITTEN), 1);
-        assert_eq!(machine.state(), State::Faulted);
-        for level in [false, true, true] {
-            machine = machine.step(command(true, level, BITTEN), 2).0;
-        }
-        assert_eq!(machine.state(), State::Faulted, "a pet cleared a bite");
-    }
-
-    #[test]
-    fn after_a_bite_a_resync_and_a_new_edge_bring_it_back() {
-        let mut machine = armed().step(Event::Gate(BITTEN), 0).0;
-        machine = machine.step(Event::Acquired, 1).0;
-        machine = machine.step(command(true, false, BITTEN), 2).0;
-        let (machine, effects) = machine.step(command(true, true, BITTEN), 3);
-        assert_eq!(effects.order, Some(Control::Clear));
-        assert_eq!(
-            (machine.state(), machine.reason()),
-            (State::Disarmed, FaultReason::Watchdog)
-        );
-        let (machine, effects) = machine.step(command(true, true, CLOSED), 4);
-        assert_eq!(effects.order, Some(Control::Arm));
-        assert_eq!(machine.reason(), FaultReason::None);
-    }
-
-    #[test]
-    fn after_a_bite_a_request_still_high_does_not_rearm() {
-        let mut machine = armed().step(Event::Gate(BITTEN), 0).0;
-        machine = machine.step(Event::Acquired, 1).0;
-        for _ in 0..5 {
-            machine = machine.step(command(true, true, BITTEN), 2).0;
-        }
-        assert_eq!(machine.state(), State::Faulted);
-    }
-
-    #[test]
-    fn an_external_reset_faults_at_once_and_holds_until_the_pin_is_low() {
-        let (mut machine, effects) = armed().step(Event::Gate(RESET_HIGH), 0);
-        assert_eq!(effects.order, Some(Control::Close));
-        assert_eq!(machine.reason(), FaultReason::ExternalReset);
-        assert!(!machine.position_trusted());
-        for level in [false, true, true] {
-            machine = machine.step(command(true, level, RESET_HIGH), 1).0;
-        }
-        assert_eq!(machine.state(), State::Faulted);
-        machine = machine.step(command(true, false, RESET_LATCHED), 2).0;
-        machine = machine.step(command(true, true, RESET_LATCHED), 2).0;
-        machine = machine.step(command(true, true, CLOSED), 3).0;
-        assert_eq!(machine.state(), State::Armed);
-        assert!(
-            machine.position_trusted(),
-            "arming is the host's word that it took note"
-        );
-    }
-
-    #[test]
-    fn taking_enable_away_stops_softly_and_is_no_fault() {
-        let (machine, effects) = armed().step(command(false, true, LIVE), 0);
-        assert_eq!(effects.order, Some(Control::SoftStop));
-        assert!(!effects.execute);
-        assert_eq!(machine.state(), State::Stopping);
-        let (machine, _) = machine.step(Event::Gate(CLOSED), 10);
-        assert_eq!(
-            (machine.state(), machine.reason()),
-            (State::Disarmed, FaultReason::HostDisable)
-        );
-        assert!(machine.position_trusted());
-    }
-
-    #[test]
-    fn a_released_session_stops_the_machine() {
-        let (machine, effects) = armed().step(Event::Lost, 0);
-        assert_eq!(effects.order, Some(Control::SoftStop));
-        let machine = machine.step(Event::Gate(CLOSED), 10).0;
-        assert_eq!(
-            (machine.state(), machine.reason()),
-            (State::Faulted, FaultReason::SessionLost)
-        );
-    }
-
-    #[test]
-    fn a_stop_that_never_ends_is_ended() {
-        let machine = armed().step(command(false, true, LIVE), 5).0;
-        let (machine, effects) = machine.step(Event::Gate(Gate(0b10_0011)), 5 + STOP_LIMIT_CLOCKS);
-        assert_eq!(effects.order, Some(Control::Close));
-        assert!(!machine.position_trusted());
-        assert_eq!(machine.state(), State::Disarmed);
-    }
-
-    #[test]
-    fn an_e_stop_stops_hard_and_holds_until_the_input_is_idle_and_an_edge_clears_it() {
-        let (mut machine, effects) = armed().step(Event::Gate(ESTOP_ACTIVE), 0);
-        assert_eq!(effects.order, Some(Control::Close));
-        assert!(!effects.end_session, "the host shall tell its operator");
-        assert_eq!(
-            (machine.state(), machine.reason()),
-            (State::Faulted, FaultReason::EStop)
-        );
-        assert!(!machine.position_trusted());
-        for level in [false, true, true] {
-            machine = machine.step(command(true, level, ESTOP_ACTIVE), 1).0;
-        }
-        assert_eq!(machine.state(), State::Faulted);
-        machine = machine.step(command(true, true, ESTOP_LATCHED), 2).0;
-        assert_eq!(machine.state(), State::Faulted, "a level is no edge");
-        machine = machine.step(command(true, false, ESTOP_LATCHED), 3).0;
-        let (machine, effects) = machine.step(command(true, true, ESTOP_LATCHED), 4);
-        assert_eq!(effects.order, Some(Control::Clear));
-        assert_eq!(machine.reason(), FaultReason::EStop);
-        assert_eq!(
-            machine.step(command(true, true, CLOSED), 5).0.state(),
-            State::Armed
-        );
-    }
-
-    #[test]
-    fn an_e_stop_during_a_soft_stop_is_the_reason() {
-        let machine = armed().step(command(false, true, LIVE), 0).0;
-        let machine = machine.step(Event::Gate(ESTOP_ACTIVE), 1).0;
-        assert_eq!(
-            (machine.state(), machine.reason()),
-            (State::Faulted, FaultReason::EStop)
-        );
-    }
-
-    #[test]
-    fn an_e_stop_while_disarmed_keeps_it_from_arming_until_cleared() {
-        let mut machine = run(&[BOOTED, Event::Acquired]);
-        for gate in [ESTOP_ACTIVE, ESTOP_LATCHED] {
-            machine = machine.step(command(true, false, gate), 0).0;
-            let (edge, effects) = machine.step(command(true, true, gate), 0);
-            assert_eq!(effects.order, Some(Control::Clear));
-            machine = edge.step(command(true, true, gate), 0).0;
-            assert_eq!(machine.state(), State::Disarmed);
-        }
-    }
-
-    #[test]
-    fn after_a_restart_the_machine_goes_on_where_the_gate_closed() {
-        use FaultReason as Why;
-        use ResetReason as Reset;
-        for (reset, close, reason, trusted) in [
-            (Reset::PowerUp, GateClose::Never, Why::None, true),
-            (Reset::Requested, GateClose::SoftStop, Why::None, true),
-            (Reset::Unknown, GateClose::Order, Why::None, true),
-            (Reset::Unknown, GateClose::Bite, Why::Watchdog, true),
-            (
-                Reset::Unknown,
-                GateClose::ExternalReset,
-                Why::ExternalReset,
-                false,
-            ),
-            (Reset::Unknown, GateClose::EStop, Why::EStop, false),
-            (
-                Reset::PowerUp,
-                GateClose::SystemReset,
-                Why::FirmwareFault,
-                false,
-            ),
-            (Reset::Panic, GateClose::Order, Why::FirmwareFault, false),
-            (Reset::Trap, GateClose::Order, Why::FirmwareFault, false),
-            (Reset::Trap, GateClose::EStop, Why::FirmwareFault, false),
-        ] {
-            let machine = booted(reset, close);
-            let state = if reason == Why::None {
-                State::Disarmed
-            } else {
-                State::Faulted
-            };
-            assert_eq!(
-                (
-                    machine.state(),
-                    machine.reason(),
-                    machine.position_trusted()
-                ),
-                (state, reason, trusted),
-                "{reset}, {close}"
-            );
         }
     }
 }

@@ -10,11 +10,12 @@
 use crate::auth::{Auth, Words};
 use crate::cores::{
     Board, Control, Gate, Ident, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_SAMPLE, Led,
-    STROBE_COMMIT, STROBE_SAMPLE,
+    STROBE_COMMIT, STROBE_SAMPLE, Setting,
 };
 use crate::exchange::{REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
 use crate::flash::Flash;
 use crate::link::Link;
+use crate::path_stop::PathStop;
 use crate::postmortem::Boot;
 use crate::safety::{Effects, Event, Safety};
 use crate::session::{Peer, Session};
@@ -23,6 +24,7 @@ use wire::auth::Purpose;
 use wire::describe::{FEATURE_KEY, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
+use wire::map::BoardConfig;
 use wire::{GateClose, MAX_WORDS, Refusal, map};
 
 /// 10 ms: nobody watches an idle machine faster than this, and a sample costs nothing.
@@ -67,6 +69,7 @@ pub struct Server {
     pub(crate) link: Link,
     /// The state word but for the gate: what every answer begins with.
     state_word: u32,
+    pub(crate) path_stop: PathStop,
     /// A timed commit may still be waiting in gateware.
     pub(crate) commit_pending: bool,
     /// Whose latch the last answer carried.
@@ -104,6 +107,7 @@ impl Server {
             flash: Flash::new(),
             link: Link::new(),
             state_word: 0,
+            path_stop: PathStop::new(),
             commit_pending: false,
             select: 0,
             spoke: false,
@@ -269,7 +273,9 @@ impl Server {
     #[inline(always)]
     pub fn poll<B: Board>(&mut self, board: &mut B) {
         let gate = board.gate();
-        if !self.safety.running(gate) {
+        if self.safety.running(gate) {
+            self.safety.seen(board.now_lo());
+        } else {
             self.look_after(board, gate);
         }
     }
@@ -355,14 +361,20 @@ impl Server {
             self.session.kill();
         }
         if let Some(order) = effects.order {
+            if order == Control::Arm {
+                self.committed = true;
+                self.path_stop.begin(board, self.shape.stepgens);
+                let grace = board.setting(Setting::Board(BoardConfig::WatchdogGrace));
+                self.safety.opens(grace, board.now_lo());
+            }
             board.control(order);
-            self.committed |= order == Control::Arm;
             let (gate, now) = (board.gate(), board.now());
             board.led(self.led(gate, now));
         }
     }
 
-    /// Commits an all-zero command, so that nothing stale waits behind a closed gate.
+    /// Commits an all-zero command, so that nothing stale waits behind a closed gate, and gives the cores their
+    /// configured decelerations back.
     fn rest<B: Board>(&mut self, board: &mut B) {
         if self.commit_pending {
             board.commit_at(u64::MAX);
@@ -372,6 +384,7 @@ impl Server {
             board.stage(word, 0);
         }
         board.strobe(STROBE_COMMIT);
+        self.path_stop.end(board, self.shape.stepgens);
         self.committed = false;
     }
 
@@ -410,7 +423,8 @@ impl Server {
             let [_, _, record] = reply_head(&self.shape);
             writer.push(record);
             self.exchange(board, peer, &mut SliceRequest(block), &mut writer)?;
-            self.exchanged();
+            let flags = block.get(crate::exchange::FLAGS_WORD).copied();
+            self.exchanged(flags.unwrap_or(0));
             debug_assert_eq!(writer.words().len(), REPLY_OVERHEAD + self.shape.status);
             return Ok(if packet.no_reads() {
                 0
@@ -506,6 +520,10 @@ impl Server {
         let Ok(writes) = writes_of(record) else {
             return; // `validate` asked the same question
         };
+        if self.committed && self.safety.at_rest() {
+            // What is written now is not to be undone by the next poll.
+            self.rest(board);
+        }
         for (address, value) in writes {
             match address {
                 map::SESSION_ACQUIRE => {
@@ -564,7 +582,7 @@ impl Server {
                 self.auth.read(peer, word)
             }
             map::CONFIG..map::COMMAND => config::setting_at(address, self.ident.channels)
-                .map_or(0, |setting| board.setting(setting)),
+                .map_or(0, |setting| self.setting(board, setting)),
             map::STATUS..map::COUNTERS => {
                 self.status_word(board, ((address - map::STATUS) / 4) as usize, peer)
             }
@@ -596,6 +614,12 @@ impl Server {
         }
         let words = describe.to_words();
         words.get(word as usize).copied().unwrap_or(0)
+    }
+
+    /// A setting as it was configured.
+    pub(crate) fn setting<B: Board>(&self, board: &mut B, which: Setting) -> u32 {
+        let configured = self.path_stop.configured(which);
+        configured.unwrap_or_else(|| board.setting(which))
     }
 
     /// A word of the last status block, for onlookers.

@@ -317,6 +317,9 @@ impl cores::Board for Desk {
     fn stage(&mut self, word: usize, value: u32) {
         self.model.set(pages::COMMAND, word as u32, value);
     }
+    fn staged(&mut self, word: usize) -> u32 {
+        self.model.read(pages::COMMAND, word as u32)
+    }
     fn latched(&mut self, word: usize) -> u32 {
         self.model.status(word)
     }
@@ -364,6 +367,11 @@ impl cores::Board for Desk {
         if let Setting::Stepgen(n, _) = which {
             self.tell_the_judge(n);
         }
+    }
+    fn set_stop_accel(&mut self, stepgen: usize, value: u32) {
+        let field = wire::map::StepgenConfig::StopAccel;
+        let (page, word) = Self::place(Setting::Stepgen(stepgen as u8, field));
+        self.order(page, word, value);
     }
     fn csr_read(&mut self, address: u32) -> u32 {
         let offset = address.wrapping_sub(wire::map::SERVICE);
@@ -720,6 +728,10 @@ impl Twin {
         };
         if !reply.is_empty() {
             request.reply = Some(payload(reply));
+        }
+        let Machine { server, board, .. } = &mut self.machine;
+        if server.owes_path() {
+            server.hold_path(board);
         }
         self.shout();
         request.answered = self.machine.board.clock() + ANSWER[1];

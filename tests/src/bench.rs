@@ -262,6 +262,16 @@ impl Bench {
         self.command.sequence = self.read(map::SESSION_LAST_SEQ);
     }
 
+    /// What the next exchange says.
+    pub fn command(&mut self) -> &mut Command {
+        &mut self.command
+    }
+
+    /// The board's clock, Hz.
+    pub fn clock_hz(&self) -> f64 {
+        self.twin.clockwork().sys_hz as f64
+    }
+
     /// One servo period.
     pub fn exchange(&mut self) -> Status {
         self.command.sequence = self.command.sequence.wrapping_add(1);

@@ -356,11 +356,16 @@ impl Machine {
         )
     }
 
-    /// One exchange with the next sequence number.
-    pub fn exchange(&mut self, command: &mut Command) -> Status {
+    /// The same, with our token and the next sequence number.
+    pub fn next_command_bytes(&mut self, command: &mut Command) -> Vec<u8> {
         self.sequence = self.sequence.wrapping_add(1);
         (command.token, command.sequence) = (self.token, self.sequence);
-        let bytes = self.command_bytes(command);
+        self.command_bytes(command)
+    }
+
+    /// One exchange with the next sequence number.
+    pub fn exchange(&mut self, command: &mut Command) -> Status {
+        let bytes = self.next_command_bytes(command);
         let reply = self
             .rig
             .exchange(&bytes)
@@ -446,6 +451,11 @@ impl Machine {
     /// The first of them.
     pub fn broken_rules(&self) -> &[edges::Violation] {
         self.rig.board.edges.violations()
+    }
+
+    /// What is seen at the step generators' pins.
+    pub fn edge_watch(&mut self) -> &mut edges::EdgeWatch {
+        &mut self.rig.board.edges
     }
 
     /// Broken rules of step timing so far.

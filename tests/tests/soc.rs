@@ -529,9 +529,11 @@ fn killing_the_host_mid_move_stops_the_steps_and_keeps_the_position() {
     machine.run_millis(30);
     assert!(!machine.gate_open(), "the gate must have closed");
     assert_eq!(machine.outputs(), 0, "outputs at their safe level");
+    // They end together: whoever takes longest says when.
+    let each = (0..3).map(|axis| machine.soft_stop_clocks(&command, axis));
+    let soft_stop = each.max().unwrap_or(0);
     for axis in 0..3 {
         let last = machine.last_step(axis).expect("it moved");
-        let soft_stop = machine.soft_stop_clocks(&command, axis);
         assert!(
             last <= last_good_frame + timeout + soft_stop + 2,
             "axis {axis}: last step {} clocks after the last frame, timeout {timeout}, soft stop {soft_stop}",
@@ -673,6 +675,12 @@ fn an_estop_is_latched_until_it_is_released_and_asked_for_again() {
     machine.exchange_and_wait(&mut command);
     assert!(!machine.gate_open(), "released is not asked for");
     command.stepgen[0].0 = StepRate(0);
+    for request in [false, true, true] {
+        command.enable_request = request;
+        machine.exchange_and_wait(&mut command);
+    }
+    assert!(!machine.gate_open(), "asked for, but not resynchronised");
+    machine.acquire();
     machine.rearm(&mut command);
     assert_eq!(machine.pulses(0), stood, "no step on the way");
 }

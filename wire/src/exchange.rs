@@ -9,7 +9,7 @@
 //!         command                                        status
 //!  0      session token                           0      state word
 //!  1      sequence number                         1      sequence number echoed
-//!  2      flags                                   2, 3   arrival time    lo, hi   clocks
+//!  2      flags, stepgen alone 31:16             2, 3   arrival time    lo, hi   clocks
 //!  3, 4   apply time lo, hi   clocks              4, 5   sample time     lo, hi   clocks
 //!  5      stepgen enable 15:0                     6      watchdog left at arrival, clocks
 //!         encoder index arm 31:16                 7      datagrams refused since boot
@@ -70,6 +70,9 @@ pub const FLAG_ENABLE: u32 = 1 << 0;
 pub const FLAG_ENABLE_REQUEST: u32 = 1 << 1;
 /// Bit of the flags word: apply at the given time instead of at once.
 pub const FLAG_APPLY_TIME: u32 = 1 << 2;
+
+/// Bits of the flags word from here on, one per stepgen: [`Command::stepgen_alone`].
+pub const FLAG_ALONE_SHIFT: u32 = 16;
 
 /// A PWM's word: bits 28:0 active time per period, in 1/256 clock; only dither uses the fraction.
 pub const PWM_WIDTH_MASK: u32 = 0x1fff_ffff;
@@ -135,6 +138,9 @@ pub struct Command {
     pub apply_at: Option<Clocks>,
     /// One bit per stepgen.
     pub stepgen_enable: u16,
+    /// One bit per stepgen: it follows no path with the others (velocity mode). In a soft stop it brakes as configured,
+    /// while the others reach rest together.
+    pub stepgen_alone: u16,
     /// One bit per encoder: latch the count at the next index.
     pub index_arm: u16,
     /// One bit per encoder: latch the count when the probe trips.
@@ -162,6 +168,7 @@ impl Default for Command {
             enable_request: false,
             apply_at: None,
             stepgen_enable: 0,
+            stepgen_alone: 0,
             index_arm: 0,
             probe_arm: 0,
             stepgen_index_arm: 0,
@@ -351,7 +358,8 @@ impl Command {
             self.sequence,
             (u32::from(self.enable) * FLAG_ENABLE)
                 | (u32::from(self.enable_request) * FLAG_ENABLE_REQUEST)
-                | (u32::from(self.apply_at.is_some()) * FLAG_APPLY_TIME),
+                | (u32::from(self.apply_at.is_some()) * FLAG_APPLY_TIME)
+                | u32::from(self.stepgen_alone) << FLAG_ALONE_SHIFT,
             apply as u32,
             (apply >> 32) as u32,
             pair(self.stepgen_enable, self.index_arm),
@@ -398,6 +406,7 @@ impl Command {
             apply_at: (flags & FLAG_APPLY_TIME != 0)
                 .then_some(Clocks::from_words(apply_lo, apply_hi)),
             stepgen_enable: enables as u16,
+            stepgen_alone: (flags >> FLAG_ALONE_SHIFT) as u16,
             index_arm: (enables >> 16) as u16,
             gpio_out,
             stepgen_index_arm: arms as u16,

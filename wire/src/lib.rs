@@ -52,7 +52,7 @@ pub use refusal::Refusal;
 pub use state::{FaultReason, GateClose, LinkSpeed, ResetReason, State};
 
 /// Version of everything in this crate. Host and board must agree; unequal versions never arm.
-pub const WIRE_VERSION: u32 = 3;
+pub const WIRE_VERSION: u32 = 4;
 
 /// UDP port of the Etherbone server. LiteX's and Lcnc's default (CERN's would be 60368).
 pub const DEFAULT_PORT: u16 = 1234;

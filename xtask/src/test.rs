@@ -183,6 +183,7 @@ impl Level {
                 board_tests("lockstep", "3 min", "2")
             }
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
+                + board_tests("path_stop", "1 min", "2")?
                 + board_tests("soc", "10 min", "1")?
                 + board_tests("flood", "5 min", "2")?
                 + board_tests("frames", "5 min", "2")?

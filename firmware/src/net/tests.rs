@@ -352,7 +352,7 @@ fn down_the_lane(rig: &mut Rig, frame: Vec<u8>) -> Option<Result<Vec<u32>, Refus
     {
         return Some(Err(why));
     }
-    rig.server.exchanged();
+    rig.server.exchanged(0);
     let frame = Bytes(slot.bytes());
     let length = SlotReply::<Words>::frame_length(&shape);
     assert_eq!(length, frame.0.len());

@@ -1077,6 +1077,11 @@ fn an_e_stop_keeps_the_session_and_comes_back_by_the_documented_way_only() {
     rig.exchange(true, false).unwrap();
     rig.exchange(true, true).unwrap();
     let status = rig.exchange(true, true).unwrap();
+    assert_eq!(status.state.state, State::Faulted, "not without a resync");
+    rig.acquire();
+    rig.exchange(true, false).unwrap();
+    rig.exchange(true, true).unwrap();
+    let status = rig.exchange(true, true).unwrap();
     assert_eq!(
         (status.state.state, status.state.reason, status.state.estop),
         (State::Armed, FaultReason::None, false)

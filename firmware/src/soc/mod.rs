@@ -18,7 +18,7 @@ use firmware::machine::BLOB_MAX;
 use firmware::{log, postmortem as record, service};
 use litex_pac::{Peripherals, abi};
 use wire::describe::Channels;
-use wire::map::BoardConfig;
+use wire::map::{BoardConfig, StepgenConfig};
 
 /// The register map this image was built for.
 pub const ABI: u32 = abi::ABI;
@@ -214,6 +214,12 @@ impl Board for Soc {
     }
 
     #[inline(always)]
+    fn staged(&mut self, word: usize) -> u32 {
+        // SAFETY: as `stage`; reading has no side effect.
+        unsafe { read_volatile((abi::CSR_COMMAND as *const u32).add(word)) }
+    }
+
+    #[inline(always)]
     fn latched(&mut self, word: usize) -> u32 {
         // SAFETY: as `stage`, for the status page; reading has no side effect.
         unsafe { read_volatile((abi::CSR_STATUS as *const u32).add(word)) }
@@ -278,6 +284,14 @@ impl Board for Soc {
     fn set(&mut self, which: Setting, value: u32) {
         // SAFETY: a register of the map, aligned; the lib checked the value.
         unsafe { write_volatile(Self::setting_address(which) as *mut u32, value) }
+    }
+
+    #[inline(always)]
+    fn set_stop_accel(&mut self, stepgen: usize, value: u32) {
+        let at =
+            abi::CSR_STEPGEN0 + stepgen * abi::CSR_PAGE + 4 * StepgenConfig::StopAccel as usize;
+        // SAFETY: a register of the map, aligned; the lib counts the board's stepgens.
+        unsafe { write_volatile(at as *mut u32, value) }
     }
 
     fn csr_read(&mut self, address: u32) -> u32 {

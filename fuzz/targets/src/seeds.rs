@@ -406,6 +406,7 @@ fn server_seeds() -> Vec<Seed> {
                 pins(1),
                 exchange(0, 3, 0),
                 pins(0),
+                acquire(0),
                 exchange(0, 1, 0),
                 exchange(0, 3, 0),
                 exchange(0, 1, 0),

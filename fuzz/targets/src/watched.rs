@@ -98,6 +98,9 @@ impl Board for Watched {
         self.deeds.staged += 1;
         self.desk.stage(word, value);
     }
+    fn staged(&mut self, word: usize) -> u32 {
+        self.desk.staged(word)
+    }
     fn latched(&mut self, word: usize) -> u32 {
         self.desk.latched(word)
     }
@@ -138,6 +141,9 @@ impl Board for Watched {
     fn set(&mut self, which: Setting, value: u32) {
         self.deeds.written += 1;
         self.desk.set(which, value);
+    }
+    fn set_stop_accel(&mut self, stepgen: usize, value: u32) {
+        self.desk.set_stop_accel(stepgen, value);
     }
     fn csr_read(&mut self, address: u32) -> u32 {
         self.desk.csr_read(address)

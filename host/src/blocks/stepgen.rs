@@ -120,6 +120,8 @@ pub struct Target {
     pub rate: StepRate,
     /// By at most this per clock.
     pub accel: Accel,
+    /// In velocity mode: it is on no path with the others.
+    pub alone: bool,
 }
 
 impl Stepgen {
@@ -304,6 +306,7 @@ impl Stepgen {
             enable: true,
             rate,
             accel: Accel::from_steps(accel, period.clock_hz),
+            alone: self.control_type.get(),
         };
         self.sent
     }

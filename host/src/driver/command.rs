@@ -160,6 +160,7 @@ impl Driver {
             let target = stepgen.command(live, feedback, period);
             command.stepgen[n] = (target.rate, target.accel);
             command.stepgen_enable |= u16::from(target.enable) << n;
+            command.stepgen_alone |= u16::from(target.alone) << n;
         }
         let sequence = self.sequence;
         for (n, stepgen) in self.stepgens.iter_mut().enumerate() {

@@ -212,6 +212,10 @@ impl Driver {
             .sampled(word.bitten, status.watchdog_left, awake, clock_hz);
         let fell = self.live && !armed && self.halting.is_none();
         self.live = armed;
+        if word.state == State::Faulted && self.state != State::Faulted {
+            // The board lets nobody out of a fault who has not resynchronised since; it goes on telling why until then.
+            self.phase = Phase::Acquiring { wait: 0, tag: 0 };
+        }
         self.state = word.state;
         self.pins.enabled.set(armed);
         self.pins.state.set(u32::from(word.state.code()));

@@ -1,0 +1,299 @@
+//! When nobody commands them any more, all axes come to rest together and on the line they were on. Seen at the pins, on the
+//! Verilated board with the release image and on the twin.
+//!
+//! Without the common path each axis would brake as configured: here Y would stand after 1.8 ms, while X needs ten.
+
+use ferrocnc_tests::Machine;
+use ferrocnc_tests::bench::Bench;
+use ferrocnc_tests::flash::factory;
+use sim::edges::Step;
+use sim::nor::{Part, Times};
+use wire::exchange::Command;
+use wire::map;
+use wire::units::{Accel, StepRate};
+
+/// Steps/s, and steps/s^2 of the configured deceleration. X takes longest: 10 ms and 1000 steps.
+const AXES: [(f64, f64); 3] = [(200e3, 2e7), (-73e3, 4e7), (11e3, 1e7)];
+const TAKES: f64 = 200e3 / 2e7;
+/// Counting the pulses of two axes leaves a line within two steps; one more for rounding.
+const OFF_THE_LINE: f64 = 3.0;
+const TIMEOUT: f64 = 5e-3;
+const GRACE: f64 = 0.1;
+
+/// A board on which somebody drives three axes.
+trait Table {
+    fn with_axes() -> Self;
+    /// One servo period; the clock at which its command arrived.
+    fn period(&mut self, command: &mut Command) -> u64;
+    /// Milliseconds without a command.
+    fn silence(&mut self, millis: u64);
+    fn clock_hz(&self) -> f64;
+    fn keep_steps(&mut self);
+    fn take_steps(&mut self) -> Vec<Step>;
+    fn gate_open(&mut self) -> bool;
+}
+
+/// What makes a board's settings those of [`AXES`].
+fn settings(clock_hz: f64) -> Vec<(u32, u32)> {
+    let clocks = |seconds: f64| (seconds * clock_hz) as u32;
+    let mut all = vec![
+        (map::CONFIG_BOARD, clocks(TIMEOUT)),
+        (map::CONFIG_BOARD + 4, clocks(GRACE)),
+    ];
+    for (n, (_, accel)) in (0..).zip(AXES) {
+        let base = map::CONFIG_STEPGEN + n * map::CONFIG_STRIDE;
+        // 1 us each.
+        all.extend([(base, clocks(1e-6)), (base + 4, clocks(1e-6))]);
+        let accel = Accel::from_steps(accel, clock_hz).0;
+        all.push((base + 4 * map::StepgenConfig::StopAccel as u32, accel));
+    }
+    all
+}
+
+impl Table for Machine {
+    fn with_axes() -> Self {
+        let mut machine = Machine::start();
+        machine.acquire();
+        machine.configure();
+        for (address, value) in settings(machine.clock_hz()) {
+            machine.write(address, value);
+        }
+        let mut command = machine.enabled_command();
+        machine.rearm(&mut command);
+        machine
+    }
+
+    fn period(&mut self, command: &mut Command) -> u64 {
+        self.exchange_and_wait(command).arrival.0
+    }
+
+    fn silence(&mut self, millis: u64) {
+        self.run_millis(millis);
+    }
+
+    fn clock_hz(&self) -> f64 {
+        Machine::clock_hz(self)
+    }
+
+    fn keep_steps(&mut self) {
+        self.edge_watch().keep_steps();
+    }
+
+    fn take_steps(&mut self) -> Vec<Step> {
+        self.edge_watch().take_steps()
+    }
+
+    fn gate_open(&mut self) -> bool {
+        Machine::gate_open(self)
+    }
+}
+
+impl Table for Bench {
+    fn with_axes() -> Self {
+        let mut bench = Bench::new(factory(Part::W25Q32JV.with(Times::QUICK), 1));
+        bench.acquire();
+        for (address, value) in settings(bench.clock_hz()) {
+            bench.write(address, value);
+        }
+        bench.arm();
+        bench
+    }
+
+    fn period(&mut self, command: &mut Command) -> u64 {
+        let here = self.command();
+        (here.stepgen, here.stepgen_enable) = (command.stepgen, command.stepgen_enable);
+        here.enable = command.enable;
+        self.exchange().arrival.0
+    }
+
+    fn silence(&mut self, millis: u64) {
+        self.pass(millis);
+    }
+
+    fn clock_hz(&self) -> f64 {
+        Bench::clock_hz(self)
+    }
+
+    fn keep_steps(&mut self) {
+        self.world().edges.keep_steps();
+    }
+
+    fn take_steps(&mut self) -> Vec<Step> {
+        self.world().edges.take_steps()
+    }
+
+    fn gate_open(&mut self) -> bool {
+        self.world().pins().gate != 0
+    }
+}
+
+/// At speed on the line; the clock of the last command.
+fn at_speed(table: &mut impl Table) -> (Command, u64) {
+    let clock_hz = table.clock_hz();
+    let mut command = Command {
+        enable: true,
+        enable_request: true,
+        stepgen_enable: 0b111,
+        ..Command::default()
+    };
+    // Up along the line, so that no axis leaves it on the way.
+    let mut last = 0;
+    for part in (1..=25).map(|n| f64::from(n.min(20)) / 20.0) {
+        for (axis, (rate, _)) in AXES.into_iter().enumerate() {
+            let rate = StepRate::from_hz(rate * part, clock_hz);
+            command.stepgen[axis] = (rate, Accel::UNLIMITED);
+        }
+        if part == 1.0 {
+            table.keep_steps();
+        }
+        last = table.period(&mut command);
+    }
+    (command, last)
+}
+
+/// From here on: on the line at every step, and at rest within a moment of each other, when the slowest must be.
+fn ends_on_the_line_at(table: &mut impl Table, stop: u64) {
+    let clock_hz = table.clock_hz();
+    assert!(!table.gate_open(), "the gate must have closed");
+    let steps = table.take_steps();
+    let first = |axis: u8| steps.iter().find(|step| step.channel == axis);
+    let origin = [0, 1, 2].map(|axis| first(axis).expect("it moved").count);
+    let mut at = origin;
+    let mut worst: f64 = 0.0;
+    let mut last = [0; 3];
+    for step in &steps {
+        let axis = usize::from(step.channel);
+        at[axis] = step.count;
+        last[axis] = step.clock;
+        let travelled = |axis: usize| f64::from(at[axis] - origin[axis]);
+        for axis in [1, 2] {
+            let line = travelled(0) * AXES[axis].0 / AXES[0].0;
+            worst = worst.max((travelled(axis) - line).abs());
+        }
+    }
+    println!("{worst:.2} steps off the line at most");
+    assert!(worst <= OFF_THE_LINE, "{worst} steps off the line");
+    // The last whole step of an axis comes when less than one step is left to go: that long before its rest.
+    let rest = stop as f64 + TAKES * clock_hz;
+    for (axis, clock) in last.into_iter().enumerate() {
+        let braking = AXES[axis].0.abs() / TAKES;
+        let one_step = (2.0 / braking).sqrt() * clock_hz;
+        let early = rest - clock as f64;
+        println!("axis {axis}: {early:.0} clocks before rest, one step is {one_step:.0}");
+        // 2 clocks for the stop itself, and what passes between arrival and the watchdog's food.
+        assert!(
+            (-1000.0..=one_step + 1000.0).contains(&early),
+            "axis {axis} ended {early} clocks before the slowest axis must be at rest"
+        );
+    }
+}
+
+fn timeout(table: &impl Table) -> u64 {
+    (TIMEOUT * table.clock_hz()) as u64
+}
+
+fn the_host_dies(mut table: impl Table) {
+    let (_, last) = at_speed(&mut table);
+    table.silence(25);
+    let stop = last + timeout(&table);
+    ends_on_the_line_at(&mut table, stop);
+}
+
+fn the_host_lets_go(mut table: impl Table) {
+    let (mut command, _) = at_speed(&mut table);
+    command.enable = false;
+    let stop = table.period(&mut command);
+    for _ in 0..15 {
+        table.period(&mut command);
+    }
+    ends_on_the_line_at(&mut table, stop);
+}
+
+#[test]
+fn when_the_host_dies_mid_move_all_axes_end_together_on_the_line() {
+    the_host_dies(Machine::with_axes());
+}
+
+#[test]
+fn when_the_host_dies_mid_move_all_axes_end_together_on_the_line_on_the_twin() {
+    the_host_dies(Bench::with_axes());
+}
+
+#[test]
+fn when_the_host_takes_enable_away_all_axes_end_together_on_the_line() {
+    the_host_lets_go(Machine::with_axes());
+}
+
+#[test]
+fn when_the_host_takes_enable_away_all_axes_end_together_on_the_line_on_the_twin() {
+    the_host_lets_go(Bench::with_axes());
+}
+
+#[test]
+fn when_the_cpu_freezes_mid_move_all_axes_end_together_on_the_line() {
+    let mut machine = Machine::with_axes();
+    let (mut command, last) = at_speed(&mut machine);
+    machine.freeze_cpu();
+    // The host goes on, and nobody hears it.
+    for _ in 0..20 {
+        command.sequence = command.sequence.wrapping_add(1);
+        let bytes = machine.command_bytes(&command);
+        machine.tell_from(sim::rig::RIG_PORT, &bytes);
+        machine.run_millis(1);
+    }
+    let stop = last + timeout(&machine);
+    ends_on_the_line_at(&mut machine, stop);
+}
+
+#[test]
+fn what_was_configured_is_read_back_in_motion_and_in_the_cores_again_at_rest() {
+    let mut machine = Machine::with_axes();
+    let (mut command, _) = at_speed(&mut machine);
+    let configured = |machine: &mut Machine, axis: u32| {
+        let base = map::CONFIG_STEPGEN + axis * map::CONFIG_STRIDE;
+        machine.read(base + 4 * map::StepgenConfig::StopAccel as u32)
+    };
+    // Page 16 and up: the core's own register.
+    let core = |machine: &mut Machine, axis: u32| {
+        machine.read(map::SERVICE + (16 + axis) * 0x800 + 4 * map::StepgenConfig::StopAccel as u32)
+    };
+    let clock_hz = Machine::clock_hz(&machine);
+    for (axis, (rate, accel)) in (0..).zip(AXES) {
+        let accel = Accel::from_steps(accel, clock_hz).0;
+        assert_eq!(configured(&mut machine, axis), accel);
+        let held = Accel::from_steps(rate.abs() / TAKES, clock_hz).0;
+        let core = core(&mut machine, axis);
+        // A rate is a whole number of units: 11 kHz are 787 000 of them.
+        assert!(
+            core.abs_diff(held) <= 2 + held / 100_000,
+            "axis {axis}: {core}, not {held}"
+        );
+    }
+    command.enable = false;
+    for _ in 0..15 {
+        machine.exchange_and_wait(&mut command);
+    }
+    for (axis, (_, accel)) in (0..).zip(AXES) {
+        let accel = Accel::from_steps(accel, clock_hz).0;
+        assert_eq!(configured(&mut machine, axis), accel);
+        assert_eq!(core(&mut machine, axis), accel);
+    }
+}
+
+#[test]
+fn the_decelerations_are_ready_a_fraction_of_a_period_after_the_answer() {
+    let mut machine = Machine::with_axes();
+    let (mut command, _) = at_speed(&mut machine);
+    // The next exchange waits in the receive slot while they are computed.
+    let alone = machine.turnaround_spread(5).max;
+    let bytes: Vec<Vec<u8>> = (0..2)
+        .map(|_| machine.next_command_bytes(&mut command))
+        .collect();
+    machine.ask_back_to_back(&bytes);
+    let second = machine.turnarounds(1)[0];
+    println!("turnaround {alone} clocks, {second} right behind another");
+    assert!(
+        u64::from(second) < (Machine::clock_hz(&machine) / 1000.0) as u64 / 10,
+        "{second} clocks"
+    );
+}
