@@ -85,26 +85,20 @@ impl App {
     pub fn run(mut self) -> ! {
         loop {
             // Asked in a tight loop: whatever else stands in it is added to somebody's turnaround.
-            let mut pending = false;
-            for _ in 0..POLLS {
-                pending = self.mac.pending();
-                if pending {
-                    break;
-                }
-            }
+            let pending = (0..POLLS).any(|_| self.mac.pending());
             if pending || self.cold {
                 // One call of `exchange`, so that a rehearsal runs the very instructions of a performance.
-                let stage = if pending {
-                    Some((self.mac.frame(), self.mac.lane_slot()))
+                let (frame, length, slot) = if pending {
+                    let (frame, length) = self.mac.frame();
+                    (frame, length, self.mac.lane_slot())
                 } else {
-                    self.rehearsal()
+                    let length = self.rehearsal();
+                    let (frame, slot) = self.mac.rehearsal();
+                    (frame, length, slot)
                 };
-                let done = match stage {
-                    Some(((frame, length), slot)) => self.exchange(frame, length, slot, pending),
-                    None => true,
-                };
+                let done = self.exchange(frame, length, slot);
                 // A rehearsal that does not come off is no frame: there is none, or one that nobody has looked at yet.
-                if !done && pending {
+                if !done && frame.genuine() {
                     self.frame();
                 }
                 if self.machine.server.owes_path() {
@@ -120,7 +114,7 @@ impl App {
 
     /// The fast lane. True if the frame was an exchange and is dealt with.
     #[inline(always)]
-    fn exchange(&mut self, frame: RxFrame, length: usize, mut slot: TxSlot, genuine: bool) -> bool {
+    fn exchange(&mut self, frame: RxFrame, length: usize, mut slot: TxSlot) -> bool {
         let Some(lane) = &self.lane else {
             return false;
         };
@@ -131,18 +125,16 @@ impl App {
             // The last answer has not left yet: nobody waits for this one.
             return false;
         }
-        let shape = *self.machine.server.shape();
         let mut reply = SlotReply::resume(&mut slot);
         let peer = lane.datagram.peer;
         let Machine { board, server, .. } = &mut self.machine;
         let served = server.exchange(board, peer, &mut command, &mut reply);
-        if !genuine {
+        if !frame.genuine() {
             return true;
         }
         match served {
             Ok(()) => {
-                self.mac
-                    .send_lane(SlotReply::<TxSlot>::frame_length(&shape));
+                self.mac.send_lane();
                 // Read again: kept in a register it would push another out.
                 let flags = frame.word(FLAGS_AT);
                 self.machine.server.exchanged(flags);
@@ -156,20 +148,23 @@ impl App {
     }
 
     /// Something else ran: makes up an exchange that walks the fast lane and does nothing, so that the
-    /// next one finds its instructions in the cache. Cold it takes some 1500 clocks longer.
+    /// next one finds its instructions in the cache. Cold it takes some 1500 clocks longer. Returns the frame's length, which is
+    /// nobody's if there is nothing to rehearse.
     #[inline(never)]
-    fn rehearsal(&mut self) -> Option<((RxFrame, usize), TxSlot)> {
+    fn rehearsal(&mut self) -> usize {
         self.cold = false;
-        let lane = self
-            .lane
-            .as_ref()
-            .filter(|_| self.machine.server.may_rehearse())?;
+        let Some(lane) = &self.lane else {
+            return 0;
+        };
         let session = self.machine.server.session();
         let token = session.token_for(lane.datagram.peer);
         let sequence = session.last_sequence().wrapping_add(1);
-        let length = lane.rehearse(token, sequence, self.mac.rehearsal_words()?);
-        let (frame, slot) = self.mac.rehearsal();
-        Some(((frame, length), slot))
+        match self.mac.rehearsal_words() {
+            Some(words) if self.machine.server.may_rehearse() => {
+                lane.rehearse(token, sequence, words)
+            }
+            Some(_) | None => 0,
+        }
     }
 
     /// Any frame, the long way.
@@ -324,14 +319,16 @@ impl App {
         if !self.mac.wait_lane() {
             return;
         }
-        let payload = SlotReply::<TxSlot>::frame_length(&shape) - net::HEADERS;
+        let length = SlotReply::<TxSlot>::frame_length(&shape);
+        let payload = length - net::HEADERS;
         let us = self.machine.us;
         let mut slot = self.mac.lane_slot();
         SlotReply::prepare(
             &mut slot,
             |slot| net::emit_headers(slot, &us, &datagram, payload),
-            &shape,
+            &self.machine.server,
         );
+        self.mac.aim(length);
         let lane = Lane::new(&us, datagram, shape.command);
         self.mac.guard(&lane);
         self.lane = Some(lane);

@@ -52,6 +52,12 @@ pub trait Request {
 pub trait Reply {
     /// The next word.
     fn put(&mut self, word: u32);
+
+    /// The next word, which is the same in every answer until the next start: whoever has it already leaves it.
+    #[inline(always)]
+    fn keep(&mut self, word: u32) {
+        self.put(word);
+    }
 }
 
 /// How long this board's blocks are, worked out once.
@@ -93,6 +99,10 @@ pub const FLAGS_WORD: usize = 2;
 
 /// Words of an answer before its status block.
 pub const REPLY_OVERHEAD: usize = 4;
+/// Where an answer's frame goes on behind its headers and [`reply_head`].
+const RESUME: usize = crate::net::PAYLOAD_WORD + REPLY_OVERHEAD - 1;
+/// Where the boot id stands in it: behind sequence, state, sequence, two times, what the watchdog has left, refusals.
+const KEPT: usize = RESUME + 9;
 
 /// Loads words of the status page into names, then puts them: see [`Request`] for why.
 macro_rules! copy {
@@ -214,7 +224,7 @@ impl Server {
         reply.put(sample_hi);
         reply.put(left);
         reply.put(self.counters.refused_total);
-        reply.put(self.boot.id);
+        reply.keep(self.boot.id);
         reply.put(estop);
         reply.put(inputs);
         let latch = board.latched(LATCH_LATCH + select as usize);
@@ -406,9 +416,10 @@ pub struct SlotReply<'s, S> {
 
 impl<'s, S: crate::net::Slot> SlotReply<'s, S> {
     /// Writes everything of the frame that is the same in every answer of this lane.
-    pub fn prepare(slot: &mut S, lane_headers: impl FnOnce(&mut S), shape: &Shape) {
+    pub fn prepare(slot: &mut S, lane_headers: impl FnOnce(&mut S), server: &Server) {
         lane_headers(slot);
-        crate::net::emit_payload(slot, &reply_head(shape));
+        crate::net::emit_payload(slot, &reply_head(&server.shape));
+        slot.put(KEPT, server.boot.id);
     }
 
     /// Goes on behind what [`SlotReply::prepare`] wrote.
@@ -416,7 +427,7 @@ impl<'s, S: crate::net::Slot> SlotReply<'s, S> {
     pub fn resume(slot: &'s mut S) -> Self {
         SlotReply {
             slot,
-            index: crate::net::PAYLOAD_WORD + 3,
+            index: RESUME,
         }
     }
 
@@ -430,6 +441,12 @@ impl<S: crate::net::Slot> Reply for SlotReply<'_, S> {
     #[inline(always)]
     fn put(&mut self, word: u32) {
         self.slot.put(self.index, word);
+        self.index += 1;
+    }
+
+    /// Only the boot id is kept, and it is in the slot.
+    #[inline(always)]
+    fn keep(&mut self, _word: u32) {
         self.index += 1;
     }
 }

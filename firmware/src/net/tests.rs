@@ -343,7 +343,7 @@ fn down_the_lane(rig: &mut Rig, frame: Vec<u8>) -> Option<Result<Vec<u32>, Refus
     SlotReply::prepare(
         &mut slot,
         |slot| emit_headers(slot, &US, &lane.datagram, payload),
-        &shape,
+        &rig.server,
     );
     let mut reply = SlotReply::resume(&mut slot);
     if let Err(why) =

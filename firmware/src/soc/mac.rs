@@ -88,7 +88,7 @@ impl Buffer {
             carry = next;
         }
         slot.put(words, carry << 16);
-        Mac::start_on(&regs, COMMON, length);
+        start_common(&regs, length);
     }
 }
 
@@ -99,6 +99,22 @@ const DRAIN_LOOKS: u32 = 60_000;
 /// Waits until nothing is queued for sending. False if it does not get less.
 fn drained(regs: &Ethmac) -> bool {
     (0..DRAIN_LOOKS).any(|_| regs.sram_reader_level().read().bits() == 0)
+}
+
+/// What the next start sends.
+fn aim(regs: &Ethmac, slot: u32, length: u32) {
+    regs.sram_reader_slot().write(|w| unsafe { w.bits(slot) });
+    regs.sram_reader_length()
+        .write(|w| unsafe { w.bits(length) });
+}
+
+/// Sends the common slot, and aims at the lane's again: that one has no time for it.
+fn start_common(regs: &Ethmac, length: usize) {
+    let slot = regs.sram_reader_slot().read().bits();
+    let lane = regs.sram_reader_length().read().bits();
+    aim(regs, COMMON as u32, (length + PAD) as u32);
+    regs.sram_reader_start().write(|w| unsafe { w.bits(1) });
+    aim(regs, slot, lane);
 }
 
 /// The MAC.
@@ -232,10 +248,17 @@ impl Mac {
         Self::tx(LANE)
     }
 
-    /// Sends the lane's slot.
+    /// From now on [`Mac::send_lane`] sends so many bytes.
+    pub fn aim(&mut self, length: usize) {
+        aim(&self.regs, LANE as u32, (length + PAD) as u32);
+    }
+
+    /// Sends the lane's slot: the MAC is still aimed at it.
     #[inline(always)]
-    pub fn send_lane(&mut self, length: usize) {
-        self.start(LANE, length);
+    pub fn send_lane(&mut self) {
+        self.regs
+            .sram_reader_start()
+            .write(|w| unsafe { w.bits(1) });
     }
 
     /// The common slot, as soon as it may be written; none if nothing leaves the board.
@@ -245,7 +268,7 @@ impl Mac {
 
     /// Sends the common slot.
     pub fn send(&mut self, length: usize) {
-        self.start(COMMON, length);
+        start_common(&self.regs, length);
     }
 
     /// Copies the frame out of its slot as bytes, and gives the slot back. Says how many there are.
@@ -267,20 +290,5 @@ impl Mac {
     fn tx(slot: usize) -> TxSlot {
         let slots = abi::ETHMAC_BASE + abi::ETHMAC_RX_SLOTS * abi::ETHMAC_SLOT_SIZE;
         TxSlot((slots + slot * abi::ETHMAC_SLOT_SIZE) as *mut u32)
-    }
-
-    #[inline(always)]
-    fn start(&mut self, slot: usize, length: usize) {
-        Self::start_on(&self.regs, slot, length);
-    }
-
-    #[inline(always)]
-    fn start_on(regs: &Ethmac, slot: usize, length: usize) {
-        let length = (length + PAD) as u32;
-        regs.sram_reader_slot()
-            .write(|w| unsafe { w.bits(slot as u32) });
-        regs.sram_reader_length()
-            .write(|w| unsafe { w.bits(length) });
-        regs.sram_reader_start().write(|w| unsafe { w.bits(1) });
     }
 }

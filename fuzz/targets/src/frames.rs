@@ -435,7 +435,7 @@ impl Station {
         SlotReply::prepare(
             &mut slot,
             |slot| net::emit_headers(slot, &us, &datagram, bytes - HEADERS),
-            &shape,
+            &machine.server,
         );
         let mut reply = SlotReply::resume(&mut slot);
         machine.board.take();
