@@ -3,6 +3,7 @@
 use crate::cores::Ident;
 use crate::postmortem::Boot;
 use wire::GateClose;
+pub use wire::describe::WORDS;
 use wire::describe::{Describe, OBSTACLE_ABI};
 use wire::exchange::StateWord;
 

@@ -442,8 +442,9 @@ impl Server {
             self.execute(board, &record, peer);
             if !record.reads.is_empty() && !packet.no_reads() {
                 writer.write_record(record.return_base, record.reads.len() as u8);
+                let mut description = None;
                 for address in record.reads {
-                    writer.push(self.read(board, *address, peer));
+                    writer.push(self.read(board, *address, peer, &mut description));
                 }
             }
         }
@@ -553,10 +554,21 @@ impl Server {
         }
     }
 
-    /// Reads a word that [`check_read`] allowed. Reading changes nothing but which challenge is in force.
-    fn read<B: Board>(&mut self, board: &mut B, address: u32, peer: Peer) -> u32 {
+    /// Reads a word that [`check_read`] allowed. Reading changes nothing but which challenge is in force. The describe block is put
+    /// together once for all words of a record: it takes as long as twenty words of anything else.
+    fn read<B: Board>(
+        &mut self,
+        board: &mut B,
+        address: u32,
+        peer: Peer,
+        description: &mut Option<[u32; describe::WORDS]>,
+    ) -> u32 {
         match address {
-            map::DESCRIBE..map::DESCRIBE_BLOB => self.describe_word(board, address / 4, peer),
+            map::DESCRIBE..map::DESCRIBE_BLOB => description
+                .get_or_insert_with(|| self.describe(board, peer))
+                .get((address - map::DESCRIBE) as usize / 4)
+                .copied()
+                .unwrap_or(0),
             map::DESCRIBE_BLOB..map::SESSION => {
                 let word = (address - map::DESCRIBE_BLOB) / 4;
                 if word < self.ident.blob_words {
@@ -602,7 +614,8 @@ impl Server {
         }
     }
 
-    fn describe_word<B: Board>(&self, board: &mut B, word: u32, peer: Peer) -> u32 {
+    #[inline(never)]
+    fn describe<B: Board>(&self, board: &mut B, peer: Peer) -> [u32; describe::WORDS] {
         let state = self.state(board.gate(), self.session.is_owner(peer));
         let close = last_close(board);
         let mut describe = describe::describe(&self.ident, self.abi, self.boot, state, close);
@@ -612,8 +625,7 @@ impl Server {
         if self.auth.locked() {
             describe.features |= FEATURE_KEY;
         }
-        let words = describe.to_words();
-        words.get(word as usize).copied().unwrap_or(0)
+        describe.to_words()
     }
 
     /// A setting as it was configured.
