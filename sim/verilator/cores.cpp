@@ -35,6 +35,12 @@ struct Cores {
         model->spi_miso = 1;
         model->eval();
     }
+
+    // As in shim.cpp.
+    ~Cores() {
+        Verilated::threadContextp(&context);
+        model.reset();
+    }
 };
 }  // namespace
 

@@ -77,6 +77,12 @@ struct Soc {
         model = std::make_unique<FC_MODEL>(&context, "soc");
     }
 
+    // A scope asks the thread for the context to leave, which is that of the model made last, and that one may be gone.
+    ~Soc() {
+        Verilated::threadContextp(&context);
+        model.reset();
+    }
+
     bool tracing() const {
 #if defined(FC_TRACE_FST) || defined(FC_TRACE_VCD)
         return trace && trace->isOpen();

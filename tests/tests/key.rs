@@ -23,6 +23,8 @@ const KEY: [u32; 4] = [0x5eed_0001, 0x5eed_0002, 0x5eed_0003, 0x5eed_0004];
 /// The host's ports.
 const ALICE: u16 = 40_000;
 const MALLORY: u16 = 40_001;
+/// In front of every datagram.
+const PAUSE_MS: u64 = 2;
 
 fn key() -> Key {
     Key::new(KEY).expect("not all zeros")
@@ -87,7 +89,9 @@ fn ask(rig: &mut Rig, port: u16, writes: &[(u32, &[u32])], reads: &[u32]) -> Opt
     send(rig, port, &bytes(request.words()))
 }
 
+/// Sent two milliseconds after whatever was before: while somebody owns the session one frame of others comes in each.
 fn send(rig: &mut Rig, port: u16, datagram: &[u8]) -> Option<Vec<u32>> {
+    rig.run_ms(PAUSE_MS);
     let reply = rig.request((HOST_IP, port), wire::DEFAULT_PORT, datagram)?;
     let words = reply.payload.as_chunks::<4>().0.iter();
     Some(
@@ -152,14 +156,14 @@ fn a_board_with_a_key_refuses_who_has_it_not_takes_who_has_and_refuses_the_repla
     let asked = challenge(&mut rig, ALICE);
     println!(
         "a challenge came {} clocks after the question was posted",
-        rig.clock() - began
+        rig.clock() - began - PAUSE_MS * 60_000
     );
     let right = acquisition(key().acquire(asked, 7), 7);
     let began = rig.clock();
     let token = send(&mut rig, ALICE, &right).expect("the right answer")[0];
     println!(
         "a session came {} clocks after the answer was posted",
-        rig.clock() - began
+        rig.clock() - began - PAUSE_MS * 60_000
     );
     assert_ne!(token, 0);
     assert_eq!(owner(&mut rig), u32::from(ALICE));
