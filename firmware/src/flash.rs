@@ -13,7 +13,7 @@ use embedded_hal::spi::{Operation, SpiDevice};
 use wire::crc::Crc32;
 use wire::flash::{Area, BLOCK, Layout, Op, OpResult, OpWord, Origin, PAGE, Running, SECTOR, Slot};
 use wire::images::{META_BYTES, Meta, Trailer};
-use wire::settings::Settings;
+use wire::settings::{Settings, WORDS};
 use wire::{map, settings as layout_of};
 
 /// Bytes read in one slice: some 0.2 ms on the softcore, a fifth of a servo period.
@@ -158,6 +158,9 @@ pub struct Flash {
     selected: Option<Slot>,
     running: Running,
     settings: Settings,
+    /// The settings as everybody may read them. Made once: their sum alone takes longer than an exchange may wait for a
+    /// stranger.
+    shown: [u32; WORDS],
     origin: Origin,
     word: OpWord,
     address: u32,
@@ -188,6 +191,7 @@ impl Flash {
             selected: None,
             running: Running::Volatile,
             settings: Settings::BUILT_IN,
+            shown: [0; WORDS],
             origin: Origin::BuiltIn,
             word: OpWord::IDLE,
             address: 0,
@@ -233,6 +237,7 @@ impl Flash {
         if self.settings.mac == [0; 6] && self.uid != [0; 2] {
             self.settings.mac = layout_of::mac_of_uid(self.uid);
         }
+        self.shown = self.settings.blanked().to_words();
     }
 
     fn identify<S: SpiDevice>(&mut self, nor: &mut Nor<S>) -> Result<(), OpResult> {
@@ -364,8 +369,7 @@ impl Flash {
             }
             map::FLASH_SETTINGS.. => {
                 let word = (address - map::FLASH_SETTINGS) as usize / 4;
-                let words = self.settings.blanked().to_words();
-                words.get(word).copied().unwrap_or(0)
+                self.shown.get(word).copied().unwrap_or(0)
             }
             _ => 0,
         }

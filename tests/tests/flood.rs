@@ -163,6 +163,7 @@ fn a_guests_dearest_frame_right_in_front_of_an_exchange_delays_it_by_no_more_tha
         ("log", map::LOG_RING, 4),
         ("panic", map::PANIC, 4),
         ("flash", map::FLASH, 4),
+        ("settings", map::FLASH_SETTINGS, 4),
         ("registers", map::SERVICE + 14 * 0x800, 4),
     ];
     for (name, base, step) in windows {
