@@ -490,11 +490,14 @@ class Cores(LiteXModule):
 
     def _pwm(self, fabric, n):
         b = rm.PWM[n]
-        command = fabric.storage(rm.COMMAND, f"pwm{n}_width")
+        # A width is 0 without the enable beside it as soon as it is written, once for all channels. The core would need a reset
+        # for each to forget it at the commit (decision 10); what is read back is the mirror's, as written.
+        data = fabric.data
+        command = fabric.storage(rm.COMMAND, f"pwm{n}_width", data=Cat(data[:29] & Replicate(data[30], 29), data[29:]))
         mode = fabric.storage(b, "mode", 5)
         self.specials += Instance("pwm",
             i_clk=self.clk, i_gate=self.gate, i_commit=self.commit,
-            i_enable=command[30], i_direction=command[31], i_width=command[:29], i_period=fabric.storage(b, "period", 21),
+            i_enable=1, i_direction=command[31], i_width=command[:29], i_period=fabric.storage(b, "period", 21),
             i_invert=mode[0], i_kind=mode[1:3], i_dither=mode[3], i_swap=mode[4],
             o_out=self.pads.pwm[n], o_dir=self.pads.pwm_dir[n])
 

@@ -19,7 +19,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from . import ecp5, image, regmap as rm, soc as ferro, tools
+from . import ecp5, image, netlist, regmap as rm, soc as ferro, tools
 from .board import BoardError, pins_missing, read_board
 
 TOP = "top"
@@ -118,6 +118,9 @@ class Design:
         if "cells" not in self.record:
             with self.watch.core((self.options.first_seed, self.turn)):
                 self._stage("synthesis", self._synthesise)
+        if self.record.get("flags") != ecp5.PLACER and not self.options.firmware_only:
+            self.record |= {"flags": ecp5.PLACER, "seeds": {}}
+            self._save()
         seed = self._search()
         found = self._report(seed)
         if self.pins and self.options.firmware:
@@ -163,10 +166,10 @@ class Design:
         return [tools.version("yosys"), tools.version("nextpnr-ecp5")]
 
     def _netlist(self):
-        """Hash of all yosys and nextpnr read."""
+        """Hash of all yosys reads, and of what makes of it what nextpnr does."""
         files = [self.work / f"{TOP}{end}" for end in (".v", ".ys", ".lpf")]
-        files += sorted(self.work.glob("*.init")) + sorted((self.work / "src").iterdir())
-        sum_ = hashlib.sha256(repr((self._tools(), _device(self.board), ecp5.PLACER, self.pins)).encode())
+        files += sorted(self.work.glob("*.init")) + sorted((self.work / "src").iterdir()) + [Path(netlist.__file__)]
+        sum_ = hashlib.sha256(repr((self._tools(), _device(self.board), self.pins)).encode())
         for file in files:
             sum_.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
         return sum_.hexdigest()
@@ -218,7 +221,7 @@ class Design:
     def _synthesise(self):
         began = time.monotonic()
         tools.run("yosys", ["-q", "-l", f"{TOP}.rpt", f"{TOP}.ys"], self.work, "yosys.log")
-        self.record |= {"cells": _synthesis(self.work / f"{TOP}.rpt"), "synthesis_seconds": round(time.monotonic() - began)}
+        self.record |= {"cells": netlist.trim(self.work / f"{TOP}.json"), "synthesis_seconds": round(time.monotonic() - began)}
         self.record["seeds"] = {}
         self._save()
 
@@ -499,20 +502,6 @@ def read_image(path):
 
 # Reports ----------------------------------------------------------------------------------------------------------
 
-_CELLS = {"lut4": "LUT4", "ff": "TRELLIS_FF", "ebr": "DP16KD", "dsp": "MULT18X18D", "ccu2c": "CCU2C", "lutram": "TRELLIS_DPR16X4"}
-
-
-def _synthesis(path):
-    """Cell counts from the last `stat` in a yosys log."""
-    text = Path(path).read_text(encoding="utf-8")
-    text = text[text.rfind("=== design hierarchy ===") if "=== design hierarchy ===" in text else text.rfind("=== "):]
-    counts = {}
-    for key, cell in _CELLS.items():
-        found = re.findall(rf"^\s*(?:{cell}\s+(\d+)|(\d+)\s+(?:\S+\s+)?{cell})\s*$", text, re.M)
-        counts[key] = sum(int(a or b) for a, b in found[-1:])
-    return counts
-
-
 def _clocks(board, data):
     clocks = {}
     for net, f in data["fmax"].items():
@@ -548,9 +537,9 @@ def bench(root, out, report=None, seed=None, document=None):
     for source in sorted(ferro.RTL.glob("*.sv")):
         folder = out / source.stem
         folder.mkdir(parents=True, exist_ok=True)
-        script = f"read_verilog -sv {sources}; {ecp5.ABC9_AREA}; synth_ecp5 -top {source.stem} -json {TOP}.json; tee -o stat.txt stat"
+        script = f"read_verilog -sv {sources}; {ecp5.ABC9_AREA}; synth_ecp5 -top {source.stem} -json {TOP}.json"
         tools.run("yosys", ["-q", "-p", script], folder, "yosys.log", [ferro.RTL.resolve()])
-        cores[source.stem] = _synthesis(folder / "stat.txt") | _packed(folder, ("--25k", "--package", "CABGA256", "--speed", "6"))
+        cores[source.stem] = netlist.trim(folder / f"{TOP}.json") | _packed(folder, ("--25k", "--package", "CABGA256", "--speed", "6"))
     for name in ("none", "mill6", "max"):
         board = read_board(root / "boards" / f"{'max' if name == 'none' else name}.toml")
         if name == "none":
@@ -558,7 +547,7 @@ def bench(root, out, report=None, seed=None, document=None):
                 setattr(board, kind, [])
         folder = out / name
         _bare_synthesis(board, name == "mill6", folder)
-        boards[name] = _synthesis(folder / "stat.txt") | _packed(folder, ("--lpf", f"{TOP}.lpf", *_device(board)))
+        boards[name] = netlist.trim(folder / f"{TOP}.json") | _packed(folder, ("--lpf", f"{TOP}.lpf", *_device(board)))
         if seed is not None and name != "none":
             boards[name]["clocks"] = _clocks(board, place(board, folder, seed, "--lpf-allow-unconstrained"))
             boards[name]["seed"] = seed
@@ -633,6 +622,4 @@ def _packed(folder, args):
 def _bare_synthesis(board, all_pins, folder):
     """A board synthesised, whether or not it has pins; pins without a ball go wherever the placer puts them."""
     elaborate(board, folder, all_pins)
-    script = (folder / f"{TOP}.ys").read_text() + "\ntee -o stat.txt stat\n"
-    (folder / f"{TOP}.ys").write_text(script)
     tools.run("yosys", ["-q", f"{TOP}.ys"], folder, "yosys.log")

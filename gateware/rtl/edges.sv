@@ -48,10 +48,9 @@ module edges #(
             seen[n]  <= moved[n] | (seen[n] & ~turn[n]);
             wrong[n] <= illegal[n] | (wrong[n] & ~turn[n]);
             if (sample) stamp_caught[4*n +: 4] <= stamp[4*n +: 4];
-            if (turn[n]) seen_caught[n] <= 1'b0;
-            else if (sample) seen_caught[n] <= seen[n];
-            if (turn[n]) wrong_caught[n] <= 1'b0;
-            else if (sample) wrong_caught[n] <= wrong[n];
+            // Written so, they are LUTs and not flip-flops with a reset of their own for each channel (decision 10).
+            seen_caught[n]  <= ~turn[n] & (sample ? seen[n] : seen_caught[n]);
+            wrong_caught[n] <= ~turn[n] & (sample ? wrong[n] : wrong_caught[n]);
         end
     end
 

@@ -72,8 +72,10 @@ module stepgen (
     logic        halted  = 1'b1;
     logic        fresh   = 1'b0;  // target changed: `up` and `jump` are not valid in this clock
     logic        braking = 1'b1;  // towards rest, at stop_accel
-    logic [31:0] target  = 32'd0;
+    logic [31:0] wanted  = 32'd0;
     logic [31:0] limit   = 32'd0;
+    // A mask and no reset: each channel would have its own, and all flip-flops of a tile share one (decision 10).
+    wire  [31:0] target  = wanted & {32{~braking}};
 
     wire take  = commit & ~halt;
     wire pause = fresh | take | (halt & ~halted);
@@ -81,11 +83,12 @@ module stepgen (
     always_ff @(posedge clk) begin
         halted <= halt;
         fresh  <= take | (halt & ~halted);
-        if (halt | (take & ~enable)) target <= 32'd0;
-        else if (take) target <= velocity;
         if (halt | (take & ~enable)) braking <= 1'b1;
         else if (take) braking <= 1'b0;
-        if (take) limit <= accel;
+        if (take) begin
+            wanted <= velocity;
+            limit  <= accel;
+        end
     end
 
     // ---- velocity: s32.24, moves towards target by at most limit per clock ------------------------------------------

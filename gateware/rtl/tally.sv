@@ -51,8 +51,10 @@ module tally #(
 
     logic [CHANNELS-1:0]   clearing = {CHANNELS{1'b0}};    // the total restarts at the next visit
     logic [CHANNELS-1:0]   afresh   = {CHANNELS{1'b0}};    // the strobe came after such a capture
-    logic [5*CHANNELS-1:0] caught   = {5*CHANNELS{1'b0}};  // delta at the strobe; 0 if the visit has added it
+    logic [5*CHANNELS-1:0] caught   = {5*CHANNELS{1'b0}};  // delta at the strobe; means something until the visit
     logic [5*CHANNELS-1:0] held     = {5*CHANNELS{1'b0}};  // delta at the capture; likewise
+    logic [CHANNELS-1:0]   passed   = {CHANNELS{1'b0}};    // the visit was in the strobe's own clock and has added it:
+    logic [CHANNELS-1:0]   added    = {CHANNELS{1'b0}};    // the next adds nothing; the capture's own clock likewise
 
     assign visit = turn[CHANNELS-1:0] | (capture & clear);
 
@@ -67,12 +69,15 @@ module tally #(
             pending[n]  <= capture[n] | (pending[n] & ~turn[n]);
             if (capture[n] & clear[n]) clearing[n] <= 1'b1;
             else if (turn[n]) clearing[n] <= 1'b0;
-            if (turn[n]) afresh[n] <= 1'b0;
-            else if (sample) afresh[n] <= clearing[n];
-            if (turn[n]) caught[5*n +: 5] <= 5'd0;
-            else if (sample) caught[5*n +: 5] <= delta[5*n +: 5];
-            if (turn[n]) held[5*n +: 5] <= 5'd0;
-            else if (capture[n]) held[5*n +: 5] <= delta[5*n +: 5];
+            afresh[n] <= ~turn[n] & (sample ? clearing[n] : afresh[n]);
+            if (sample) begin  // without a reset, of which every channel would have its own (decision 10)
+                caught[5*n +: 5] <= delta[5*n +: 5];
+                passed[n]        <= turn[n];
+            end
+            if (capture[n]) begin
+                held[5*n +: 5] <= delta[5*n +: 5];
+                added[n]       <= turn[n];
+            end
         end
     end
 
@@ -93,8 +98,8 @@ module tally #(
         pending_met = {GROUPS{1'b0}};
         for (int c = 0; c < CHANNELS; c++) begin
             delta_met[5*(c/8) +: 5]  = delta_met[5*(c/8) +: 5] | ({5{turn[c]}} & delta[5*c +: 5]);
-            caught_met[5*(c/8) +: 5] = caught_met[5*(c/8) +: 5] | ({5{turn[c]}} & caught[5*c +: 5]);
-            held_met[5*(c/8) +: 5]   = held_met[5*(c/8) +: 5] | ({5{turn[c]}} & held[5*c +: 5]);
+            caught_met[5*(c/8) +: 5] = caught_met[5*(c/8) +: 5] | ({5{turn[c] & ~passed[c]}} & caught[5*c +: 5]);
+            held_met[5*(c/8) +: 5]   = held_met[5*(c/8) +: 5] | ({5{turn[c] & ~added[c]}} & held[5*c +: 5]);
             pending_met[c/8]         = pending_met[c/8] | (turn[c] & pending[c]);
         end
     end
@@ -158,7 +163,8 @@ module tally #(
     // What the RAM holds, or will when the write of this clock is done.
     wire         f_behind = behind == f_channel;
     wire  [31:0] f_total  = f_behind ? sum(base_total, add_total) : totals[f_channel];
-    wire  [4:0]  f_delta = delta[5*f_channel +: 5], f_caught = caught[5*f_channel +: 5], f_held = held[5*f_channel +: 5];
+    wire  [4:0]  f_delta = delta[5*f_channel +: 5];
+    wire  [4:0]  f_caught = {5{~passed[f_channel]}} & caught[5*f_channel +: 5], f_held = {5{~added[f_channel]}} & held[5*f_channel +: 5];
     wire         f_clearing = clearing[f_channel], f_pending = pending[f_channel], f_afresh = afresh[f_channel];
     wire  [3:0]  f_coming = f_channel - at, f_ends = last - at, f_begun = at - last;
 

@@ -54,7 +54,7 @@ mutant encoder debounce "filter one short"              's/long_enough = still =
 mutant latch latch "latches every index"                's/free( +)= ~\(index_flag \| probe_flag \| pending\)/free\1= ~pending/'
 mutant latch latch "a level is an edge"                 's/index_was <= index \| ~arm_index/index_was <= index \& arm_index/'
 mutant latch latch "a flag before its value"            's/arm_index & index_flag & ~pending/arm_index \& index_flag/'
-mutant tally tally "a sample with the event of its clock's visit twice" 's/if \(turn\[n\]\) caught\[5\*n \+: 5\] <= 5.d0;/if (1'"'"'b0) caught[5*n +: 5] <= 5'"'"'d0;/'
+mutant tally tally "a sample with the event of its clock's visit twice" 's/passed\[n\]        <= turn\[n\]/passed[n] <= 1'"'"'b0/'
 mutant tally tally "a clear that clears the latch, too" 's/base_latch  <= total;/base_latch  <= |(clearing \& turn[CHANNELS-1:0]) ? 32'"'"'d0 : total;/'
 mutant edges edges "an edge time one late"              's/ago = edge_at - behind,/ago = edge_at - behind + 4'"'"'d1,/'
 mutant edges edges "an edge after the strobe in the sample" 's/\|seen_caught_shown \? time_caught/(|seen_shown | (|seen_caught_shown \& 1'"'"'b0)) ? time_new + (time_caught \& 24'"'"'d0)/'

@@ -20,7 +20,7 @@ if [ -z "${VERILATOR:-}" ]; then
 fi
 
 failed=0
-for test in board bitstream; do
+for test in board bitstream netlist; do
     [ -z "$only" ] || [ "$only" = "$test" ] || continue
     "$root/target/venv/bin/python" "$here/${test}_test.py" || failed=1
 done

@@ -49,6 +49,9 @@ pub struct Options {
     /// Tools running at once, half a gigabyte each; one per core if not said.
     #[arg(long)]
     jobs: Option<u32>,
+    /// A configuration that has no pins for all it names, such as boards/max.toml, too; it gets no images.
+    #[arg(long)]
+    without_pins: bool,
     /// Per cent of its frequency every clock must have to spare.
     #[arg(long, default_value_t = 5.0)]
     slack: f32,
@@ -82,9 +85,12 @@ pub fn run(options: &Options) -> Result<()> {
     if options.firmware_only {
         more.push("--firmware-only".to_owned());
     }
+    if options.all || options.without_pins {
+        more.push("--without-pins".to_owned());
+    }
     if options.all {
         let document = root().join("docs/timing.md");
-        more.extend(["--without-pins", "--document"].map(str::to_owned));
+        more.push("--document".to_owned());
         more.push(document.display().to_string());
     }
     let printed = images(&boards, &more)?;
