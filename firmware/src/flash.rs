@@ -237,6 +237,12 @@ impl Flash {
         if self.settings.mac == [0; 6] && self.uid != [0; 2] {
             self.settings.mac = layout_of::mac_of_uid(self.uid);
         }
+        self.show();
+    }
+
+    /// Outside of [`Flash::start`], which would leave the words' place on the stack for as long as the board runs.
+    #[inline(never)]
+    fn show(&mut self) {
         self.shown = self.settings.blanked().to_words();
     }
 

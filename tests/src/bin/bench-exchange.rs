@@ -55,6 +55,8 @@ fn main() -> Result<()> {
             machine.exchange_and_wait(&mut command);
         }
     }
+    // The console is shut while the machine is armed: silence until the watchdog has disarmed it.
+    machine.run_millis(100);
     let stack = stack_used(&mut machine);
     let image = image_sizes(&options.firmware)?;
 
