@@ -56,7 +56,17 @@ impl App {
             boot,
             ident,
         } = parts;
-        let machine = Machine::start(soc, ident, soc::ABI, boot);
+        let mut app = App {
+            machine: Machine::asleep(soc, ident, soc::ABI, boot),
+            ip_in: CHORES_PER_IP,
+            mac,
+            lane: None,
+            cold: false,
+            ip: &mut memory.ip,
+            talking: false,
+            line: console::Line::default(),
+        };
+        app.machine.wake();
         defmt::info!("boot {=u32:x}, reset {=u8}", boot.id, boot.reset.code());
         if ident.abi != soc::ABI {
             defmt::error!(
@@ -65,17 +75,7 @@ impl App {
                 ident.abi
             );
         }
-        memory.ip.listen(CONSOLE_PORT, ANSWER_MAX);
-        let mut app = App {
-            ip_in: CHORES_PER_IP,
-            machine,
-            mac,
-            lane: None,
-            cold: false,
-            ip: &mut memory.ip,
-            talking: false,
-            line: console::Line::default(),
-        };
+        app.ip.listen(CONSOLE_PORT, ANSWER_MAX);
         app.mac.address(net::to_mac(app.machine.us.mac));
         app
     }

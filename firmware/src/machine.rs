@@ -95,55 +95,83 @@ pub struct Machine<B> {
 impl<B: Board> Machine<B> {
     /// Brings the board into a safe state, finds out where it is, and ends start-up. `abi` is the
     /// firmware's; `boot` comes from the postmortem record.
-    pub fn start(mut board: B, ident: Ident, abi: u32, boot: Boot) -> Self {
-        board.control(Control::Close);
-        defaults(&mut board, &ident);
-        let mut server = Server::new(ident, abi, boot);
-        let mut blob = Built::new();
-        blob.read(&mut board, &ident);
-        let trailer = Trailer::from_words(board.trailer());
-        let factory = board.factory_pin();
-        let flash = &mut server.flash;
-        flash.start(board.spi(), trailer, blob.idcode, blob.settings, factory);
-        let settings = *flash.settings();
-        server.auth.lock(settings.key);
-        let flash = &server.flash;
-        let [uid_hi, uid_lo] = flash.uid();
-        let us = Us {
-            mac: if settings.mac == [0; 6] {
-                FALLBACK_MAC
-            } else {
-                settings.mac
-            },
-            // While a DHCP server is asked there is none.
-            ip: if settings.dhcp { 0 } else { settings.ip },
-            port: settings.port,
-        };
-        let mut client = if settings.dhcp {
-            Client::on(boot.id ^ uid_hi ^ uid_lo.rotate_left(16))
-        } else {
-            Client::off()
-        };
-        server.ip = us.ip;
-        server.start(&mut board);
-        let now = board.now_lo();
+    pub fn start(board: B, ident: Ident, abi: u32, boot: Boot) -> Self {
+        let mut machine = Machine::asleep(board, ident, abi, boot);
+        machine.wake();
+        machine
+    }
+
+    /// As it is before anything was done: [`Machine::wake`] comes next. The image makes it and wakes it where it stays; moved
+    /// about on the way, it would be on the stack twice.
+    #[inline(never)]
+    pub fn asleep(board: B, ident: Ident, abi: u32, boot: Boot) -> Self {
         Machine {
-            chores_at: now,
-            second_at: now,
-            second: 0,
-            chores_every: ident.clock_hz / CHORES_PER_SECOND,
-            told: server.safety().state(),
-            names: blob.names,
-            ask: client.tick(0),
-            client,
+            board,
+            server: Server::new(ident, abi, boot),
+            us: Us {
+                mac: FALLBACK_MAC,
+                ip: 0,
+                port: 0,
+            },
+            net: (0, 0),
+            names: Names {
+                configuration: Name::EMPTY,
+                platform: Name::EMPTY,
+            },
+            client: Client::off(),
             waiting: None,
             done: None,
+            ask: false,
             moved: false,
-            net: (settings.prefix, settings.gateway),
-            board,
-            server,
-            us,
+            told: State::Boot,
+            chores_at: 0,
+            chores_every: ident.clock_hz / CHORES_PER_SECOND,
+            second_at: 0,
+            second: 0,
         }
+    }
+
+    /// Closes the gate, gives every setting its default, finds out who and where the board is, and ends start-up.
+    #[inline(never)]
+    pub fn wake(&mut self) {
+        let (ident, boot) = (self.server.ident, self.server.boot);
+        self.board.control(Control::Close);
+        defaults(&mut self.board, &ident);
+        self.find_itself(&ident, boot);
+        self.server.start(&mut self.board);
+        let now = self.board.now_lo();
+        self.chores_at = now;
+        self.second_at = now;
+        self.told = self.server.safety().state();
+        self.ask = self.client.tick(0);
+    }
+
+    /// Reads what was built in and what was saved: who and where the board is.
+    #[inline(never)]
+    fn find_itself(&mut self, ident: &Ident, boot: Boot) {
+        let mut built = Built::new();
+        built.read(&mut self.board, ident);
+        self.names = built.names;
+        let trailer = Trailer::from_words(self.board.trailer());
+        let factory = self.board.factory_pin();
+        let flash = &mut self.server.flash;
+        let spi = self.board.spi();
+        flash.start(spi, trailer, built.idcode, built.settings, factory);
+        let [uid_hi, uid_lo] = flash.uid();
+        let settings = flash.settings();
+        self.server.auth.lock(settings.key);
+        if settings.mac != [0; 6] {
+            self.us.mac = settings.mac;
+        }
+        self.us.port = settings.port;
+        self.net = (settings.prefix, settings.gateway);
+        if settings.dhcp {
+            // While a server is asked there is no address.
+            self.client = Client::on(boot.id ^ uid_hi ^ uid_lo.rotate_left(16));
+        } else {
+            self.us.ip = settings.ip;
+        }
+        self.server.ip = self.us.ip;
     }
 
     /// Judges a datagram and executes it; what is to be sent back, if anything, is in `reply`.
