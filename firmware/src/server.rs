@@ -521,8 +521,8 @@ impl Server {
         let Ok(writes) = writes_of(record) else {
             return; // `validate` asked the same question
         };
-        if self.committed && self.safety.at_rest() {
-            // What is written now is not to be undone by the next poll.
+        if !record.writes.is_empty() && self.committed && self.safety.at_rest() {
+            // What is written now is not to be undone by the next poll. Whoever only reads disturbs nothing.
             self.rest(board);
         }
         for (address, value) in writes {
