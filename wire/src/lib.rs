@@ -18,12 +18,13 @@
 //! | [`settings`] | the settings of a board that outlive a power cycle |
 //! | [`images`] | bitstreams in flash: meta page, stub pages, the trailer of the ROM |
 //! | [`discovery`] | finding boards whatever their address, and giving them one |
+//! | [`jobs`] | over TCP: programs the board executes by itself, and what their operator says |
 //! | [`name`] | names of 32 bytes |
 //! | [`crc`] | the one CRC |
 //! | [`refusal`] | every reason for which a datagram is dropped, each with its own counter |
 //! | [`units`] | step rate, acceleration, position and counts as types |
 //!
-//! Everything on the wire is big-endian 32-bit words. Inside, words are `u32` in the machine's own
+//! Everything on the wire but [`jobs`] is big-endian 32-bit words. Inside, words are `u32` in the machine's own
 //! order: a transport converts once ([`words_from_bytes`], [`words_to_bytes`]), everyone else
 //! reads numbers.
 #![no_std]
@@ -39,6 +40,7 @@ pub mod etherbone;
 pub mod exchange;
 pub mod flash;
 pub mod images;
+pub mod jobs;
 pub mod map;
 pub mod name;
 pub mod refusal;
