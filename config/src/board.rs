@@ -186,6 +186,11 @@ pub const KEYS: &[Key] = &[
         Kind::Table(LINE),
         "a table with pin and active: held at power-up, the board forgets its stored settings for this run",
     ),
+    may(
+        "jobs",
+        Kind::Integer { min: 0, max: 7 },
+        "how many step generators, from the first on, jobs move without a PC; 0 (if nothing is said): there are no jobs",
+    ),
     must(
         "network",
         Kind::Table(NETWORK),
@@ -415,6 +420,8 @@ pub struct Board {
     pub ext_reset: Line,
     /// Held at power-up: factory settings.
     pub factory: Option<Line>,
+    /// Axes of a job: step generators 0 and up; 0: there are no jobs.
+    pub jobs: usize,
     /// `None`: made of the flash's serial number.
     pub mac: Option<[u8; 6]>,
     /// Until another is set.
@@ -497,6 +504,16 @@ impl Board {
             active: Level::Low,
         });
         let factory = line("factory", &mut wiring, Some(&ext_reset))?;
+        let jobs = at.integer("jobs").unwrap_or(0) as usize;
+        let stepgens = channels[Class::Stepgen as usize].len();
+        if jobs > stepgens {
+            return Err(at.error(
+                "jobs",
+                &jobs.to_string(),
+                format!("is more axes than the {stepgens} step generators there are"),
+                "write a smaller number, or another [[stepgen]]",
+            ));
+        }
         let modified = wiring.modified;
         let network = at.table("network")?;
         let network = network.as_ref().unwrap_or(&at);
@@ -507,6 +524,7 @@ impl Board {
             phy,
             ext_reset,
             factory,
+            jobs,
             mac: mac(network)?,
             ipv4: ipv4(network)?,
             udp_port: network.integer("udp_port").unwrap_or_default() as u16,

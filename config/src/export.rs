@@ -26,6 +26,7 @@ pub fn export(board: &Board) -> Result<Value, Error> {
             "pin": board.factory.as_ref().and_then(|line| line.pin.as_ref()),
             "active_low": board.factory.as_ref().is_none_or(|line| line.active == Level::Low),
         },
+        "jobs": board.jobs,
         "safe_mask": board.safe_mask(),
         "invert_mask": board.invert_mask(),
         "missing_pins": board.missing_pins(),

@@ -27,6 +27,9 @@ pub fn to_toml(board: &Board, notes: &[String]) -> String {
     if let Some(factory) = &board.factory {
         let _ = writeln!(out, "factory = {}", line(factory));
     }
+    if board.jobs != 0 {
+        let _ = writeln!(out, "jobs = {}", board.jobs);
+    }
     let modified = &board.modified;
     if *modified != Default::default() {
         out += "\n[modified]\n";

@@ -19,6 +19,7 @@ The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on 
 
 from functools import reduce
 from operator import or_
+from types import SimpleNamespace
 
 from migen import Array, Cat, ClockSignal, Constant, If, Instance, Mux, Replicate, Signal
 from litex.gen import LiteXModule
@@ -207,7 +208,7 @@ class Cores(LiteXModule):
     """All cores of one board and their banks. `arrival` is the wall clock of the frame the MAC presents."""
 
     def __init__(self, channels, sys_clk_hz, rom_words, ext_reset_active_low=False, estop_mask=0, estop_level=0,
-                 safe_mask=0, invert_mask=0):
+                 safe_mask=0, invert_mask=0, jobs=0):
         self.pads = pads = Pads(channels)
         self.abi = Signal(32)            # constant; the SoC knows it once its map is final
         self.frame_done = Signal()       # MAC: a frame is complete in `frame_slot`
@@ -217,6 +218,7 @@ class Cores(LiteXModule):
         self.fabric = fabric = FabricBus()
         self.bus = fabric.bus
         self._caught = {}
+        self.jobs = jobs                 # axes of a job: step generators 0 and up; 0: no segments
 
         # # #
 
@@ -228,6 +230,7 @@ class Cores(LiteXModule):
         self._ident(fabric, channels, sys_clk_hz, rom_words)
         self._led(fabric, sys_clk_hz)
         self._flash(fabric)
+        self.job = self._segments(fabric, jobs, channels) if jobs else None
         self._gpio(fabric, channels, estop, estop_mask, estop_level, safe_mask, invert_mask)
         arms = {name: self._committed(fabric, name) for name in ("enables", "arms", "probe_arms")}
         self._stepgens(fabric, channels.stepgen, arms)
@@ -320,6 +323,7 @@ class Cores(LiteXModule):
             ("channels0", channels.stepgen | channels.encoder << 8 | channels.pwm << 16),
             ("channels1", channels.inputs | channels.outputs << 8),
             ("board_rom_words", rom_words),
+            *((("features", 1),) if self.jobs else ()),
         ):
             fabric.live(rm.IDENT, name, value)
 
@@ -352,6 +356,8 @@ class Cores(LiteXModule):
         limit_we = fabric.write_page(rm.DEBOUNCE.page, max(1, channels.inputs))
         self.specials += Instance("gpio",
             p_INPUTS=n_in, p_OUTPUTS=n_out, p_ESTOP_MASK=Constant(estop_mask, 32), p_ESTOP_LEVEL=Constant(estop_level, 32),
+            p_JOBS=int(self.jobs > 0), i_job_mask=self.job.mask if self.job else 0,
+            i_job_value=Cat(self.job.aux, self.job.aux)[:n_out] if self.job else 0,
             i_clk=self.clk, i_gate=self.gate, i_commit=self.commit,
             i_value=value, i_safe=safe, i_invert=invert, i_in_pins=self.pads.inputs,
             i_debounce_we=limit_we, i_debounce_pin=fabric.we_word[:5], i_debounce_limit=fabric.data[:16], i_clear=self.cleared,
@@ -385,25 +391,79 @@ class Cores(LiteXModule):
             o_capture=capture, o_index_latched=indexed, o_probe_latched=probed)
         return capture
 
+    def _segments(self, fabric, axes, channels):
+        """What plays segments into the first `axes` step generators; returns what those and the outputs have to know of it."""
+        assert 1 <= axes <= min(rm.JOB_AXES_MAX, channels.stepgen), f"jobs of {axes} axes on a board with {channels.stepgen} step generators"
+        b, n_out = rm.SEGMENTS, max(1, channels.outputs)
+        job = SimpleNamespace(
+            **{name: Signal(name=f"job_{name}") for name in ("advance", "stop", "busy", "stage", "commit", "waits", "stopped")},
+            at=Signal(4), word=Signal(32), data=Signal(32), aux=Signal(16), mask=fabric.storage(b, "mask", n_out))
+        level, state, reason, refused, stands, held = Signal(8), Signal(2), Signal(3), Signal(5), Signal(), Signal()
+        begun, left, tag, pace_now = Signal(32), Signal(32), Signal(16), Signal(17)
+        pace, slew, beam = fabric.storage(b, "pace", 17, reset=0x10000), fabric.storage(b, "slew"), fabric.storage(b, "beam", 16)
+        control = fabric.pulse(b, "control")
+        self.specials += Instance("segments",
+            p_AXES=axes, p_DEPTH=rm.JOB_SEGMENTS, i_clk=self.clk, i_gate=self.gate, i_halt=self.stop,
+            i_word_we=fabric.write_page(b.page, 16), i_word_at=fabric.we_word[:4], i_word=fabric.data, i_push=fabric.pulse(b, "push"),
+            **{f"i_{name}": control & (fabric.data == n) for n, name in ((1, "start"), (2, "quit"), (3, "clear"))},
+            i_pace_we=fabric.pulse(b, "pace"), i_pace=pace, i_slew=slew, i_beam=beam,
+            i_waits=job.waits, i_stopped=job.stopped, o_advance=job.advance, o_stop=job.stop, o_busy=job.busy,
+            o_stage=job.stage, o_stage_at=job.at, o_staged_word=job.word, o_commit=job.commit, o_aux=job.aux,
+            o_level=level, o_state=state, o_reason=reason, o_refused=refused, o_stands=stands, o_held=held,
+            o_begun=begun, o_left_now=left, o_tag=tag, o_pace_now=pace_now)
+        zero = Constant(0, 2)
+        for name, value in (
+            ("pace", pace), ("slew", slew), ("beam", beam), ("mask", job.mask),
+            ("status", Cat(level, state, zero, reason, zero[0], refused, Constant(0, 3), stands, held)),
+            ("begun", begun), ("left", left), ("current", Cat(job.aux, tag)), ("pace_now", pace_now), ("shape", axes | rm.JOB_SEGMENTS << 8),
+        ):
+            fabric.live(b, name, value)
+        # Who owns the step generators writes their staged commands: one choice for all of them.
+        self.comb += job.data.eq(Mux(job.busy, job.word, fabric.data))
+        return job
+
+    def _job_storage(self, fabric, n):
+        """The staged command of a job's step generator: the segments' while they are played, else the bus'. Nothing is left of a job."""
+        job, staged = self.job, []
+        lowest = job.data == 0x8000_0000
+        for name, at, data in (("velocity", 2 * n, job.data | lowest), ("accel", 2 * n + 1, job.data)):
+            signal = Signal(32, reset_less=True, name=f"command_stepgen{n}_{name}")
+            written = fabric.write_hit(rm.COMMAND.page, rm.COMMAND.offset(f"stepgen{n}_{name}") // 4)
+            self.sync += If(Mux(job.busy, job.stage & (job.at == at), written), signal.eq(data))
+            if name == "velocity":
+                self.sync += If(job.stop, signal.eq(0))
+            staged.append(signal)
+        return staged
+
+    def _job_of(self, n, enable):
+        """Who tells step generator n what to do, and whether its time passes."""
+        if n >= self.jobs:
+            return {"i_stop": self.stop, "i_advance": 1, "i_commit": self.commit, "i_enable": enable}
+        job = self.job
+        return {"p_TIMED": 1, "i_stop": self.stop | job.stop, "i_advance": job.advance,
+                "i_commit": Mux(job.busy, job.commit, self.commit), "i_enable": enable | job.busy}
+
     def _stepgens(self, fabric, channels, arms):
         self.stepgen_flags = index_flags, probe_flags, limited = [[Signal() for _ in range(channels)] for _ in range(3)]
         if not channels:
             self.comb += self.all_stopped.eq(1)
             return
         (enables, _), (_, index_arms), (_, probe_arms) = (arms[name] for name in ("enables", "arms", "probe_arms"))
-        visit, pending, deltas, captures, stopped = Signal(channels), Signal(channels), [], [], []
+        visit, pending, deltas, captures, stopped, waiting = Signal(channels), Signal(channels), [], [], [], []
         for n in range(channels):
             b = rm.STEPGEN[n]
             # -2^31 has no positive twin; taking it as -(2^31-1) keeps |velocity| representable for everyone downstream.
             lowest = fabric.data == 0x8000_0000
-            velocity = fabric.storage(rm.COMMAND, f"stepgen{n}_velocity", data=fabric.data | lowest)
-            accel = fabric.storage(rm.COMMAND, f"stepgen{n}_accel")
+            if n < self.jobs:
+                velocity, accel = self._job_storage(fabric, n)
+            else:
+                velocity = fabric.storage(rm.COMMAND, f"stepgen{n}_velocity", data=fabric.data | lowest)
+                accel = fabric.storage(rm.COMMAND, f"stepgen{n}_accel")
             mode = fabric.storage(b, "mode", 5)
             delta, fraction, velocity_now = Signal(5), Signal(32), Signal(32)
             rest, waits, waited = Signal(), Signal(), Signal()
             self.specials += Instance("stepgen",
-                i_clk=self.clk, i_gate=self.gate, i_stop=self.stop, o_stopped=rest,
-                i_commit=self.commit, i_enable=enables[n], i_velocity=velocity, i_accel=accel,
+                i_clk=self.clk, i_gate=self.gate, o_stopped=rest, **self._job_of(n, enables[n]), i_velocity=velocity, i_accel=accel,
                 i_steplen=fabric.storage(b, "steplen", 13), i_stepspace=fabric.storage(b, "stepspace", 13),
                 i_dirsetup=fabric.storage(b, "dirsetup", 16), i_dirhold=fabric.storage(b, "dirhold", 16),
                 i_stop_accel=fabric.storage(b, "stop_accel"), i_kind=mode[2:4], i_step_invert=mode[0], i_dir_invert=mode[1],
@@ -420,6 +480,12 @@ class Cores(LiteXModule):
             captures.append(self._latch(index, probe_arms[n], index_arms[n], pending[n], index_flags[n], probe_flags[n]))
             deltas.append(delta)
             stopped.append(rest)
+            waiting.append(waits)
+        if self.jobs:
+            self.comb += [
+                self.job.waits.eq(reduce(or_, waiting[:self.jobs])),
+                self.job.stopped.eq(reduce(lambda a, b: a & b, stopped[:self.jobs])),
+            ]
         self.comb += self.all_stopped.eq(reduce(lambda a, b: a & b, stopped))
 
         word = fabric.word

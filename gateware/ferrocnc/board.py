@@ -79,6 +79,7 @@ class Board:
     invert_mask: int = 0  # what `gpio.invert_out` holds at power-up
     missing: list = field(default_factory=list)
     blob: bytes = b""
+    jobs: int = 0         # axes of a job, step generators 0 and up; 0: the board executes none
 
     @property
     def estop_mask(self):
@@ -133,7 +134,7 @@ def _board(said):
         stepgen=said["stepgen"], encoder=said["encoder"], pwm=said["pwm"], gpio_in=said["gpio_in"], gpio_out=said["gpio_out"],
         ext_reset_pin=said["ext_reset"]["pin"], ext_reset_active_low=said["ext_reset"]["active_low"],
         factory_pin=said["factory"]["pin"], factory_active_low=said["factory"]["active_low"],
-        safe_mask=said["safe_mask"], invert_mask=said["invert_mask"], missing=said["missing_pins"], blob=bytes.fromhex(said["blob"]))
+        safe_mask=said["safe_mask"], invert_mask=said["invert_mask"], missing=said["missing_pins"], jobs=said["jobs"], blob=bytes.fromhex(said["blob"]))
 
 
 def pins_missing(board):

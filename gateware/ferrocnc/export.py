@@ -177,6 +177,8 @@ def abi_rs(banks, abi):
     out += const("ETHMAC_SLOT_SIZE", f"0x{rm.ETHMAC_SLOT:x}", "Bytes of one slot.", "usize")
     for name, value in (("STEPGEN", rm.MAX_STEPGEN), ("ENCODER", rm.MAX_ENCODER), ("PWM", rm.MAX_PWM), ("IN", rm.MAX_IN), ("OUT", rm.MAX_OUT)):
         out += const(f"{name}_MAX", value, "Channels of this kind the map has room for.", "usize")
+    out += const("JOB_AXES_MAX", rm.JOB_AXES_MAX, "Axes a job can have at most.", "usize")
+    out += const("JOB_SEGMENTS", rm.JOB_SEGMENTS, "Room for so many segments.", "usize")
     for name, value in (("ARM", rm.ARM), ("SOFT", rm.SOFT), ("STOP", rm.STOP), ("CLEAR", rm.CLEAR)):
         out += const(f"KEY_{name}", f"0x{value:08x}", f"`watchdog.control`: {name.lower()}.")
     out += const("STROBE_COMMIT", 1, "`timebase.strobe`: commit now.")

@@ -122,7 +122,9 @@ IDENT = Bank("ident", 8, "ident", "Who the gateware is. Constant; read by firmwa
         Field("inputs", 0, 8, "Number of general purpose inputs."),
         Field("outputs", 8, 8, "Number of general purpose outputs."),
     )),
-    Reg("features", "ro", "Optional parts present, one bit each. None is defined yet: reads 0."),
+    Reg("features", "ro", "Optional parts present, one bit each.", (
+        _bit("jobs", 0, "1: the board executes jobs; `segments` is there."),
+    )),
     Reg("board_rom_words", "ro", "Length of the board info blob at 0x90000000 in 32-bit words."),
 ))
 
@@ -242,6 +244,66 @@ GUEST = Bank("guest", 65, "guest", "Who may occupy a receive slot: frames that a
     Reg("admit", "wo", "Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."),
     Reg("refused", "ro", "Guests discarded because there was no ticket, a count since power-up."),
 ))
+
+
+JOB_AXES_MAX = 7
+JOB_SEGMENTS = 64
+
+SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, and what plays it into the first step generators. Boards without jobs do not have it.", tuple(
+    [Reg("clocks", "wo", "Duration of the segment being written, in clocks of the path, 64 at least."),
+     Reg("aux", "wo", "Outputs and tag of the segment being written.", (
+         Field("outputs", 0, 16, "Level of output n and of output n + 16, where `mask` lets it, from the segment's first clock on."),
+         Field("tag", 16, 16, "Comes back in `current`; no unit."),
+     ))] +
+    [reg for n in range(JOB_AXES_MAX) for reg in (
+        Reg(f"axis{n}_velocity", "wo", f"Signed step rate of step generator {n} towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."),
+        Reg(f"axis{n}_accel", "wo", f"Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."),
+    )] + [
+    Reg("push", "wo", "Writing any value pushes the segment written, if it is complete and there is room; otherwise nothing changes and `status.refused` says why."),
+    Reg("control", "wo", "Commands, a number; any other value is ignored.", (
+        Field("command", 0, 2, "Which command, a number.", (
+            ("start", 1, "Play the segments: when all step generators of the job stand, the first begins. Refused unless one waits, the gate is open and no end is to be cleared."),
+            ("quit", 2, "Bring the step generators to rest, each at its stop_accel, and forget the segments."),
+            ("clear", 3, "Forget what was refused; and, while idle, why it ended and the segments that wait."),
+        )),
+    )),
+    Reg("pace", "rw", "How fast the time of the path passes, in 1/65536; 65536 or more is 1, 0 pauses.", (Field("scale", 0, 17, "Clocks of the path per clock, in 1/65536."),)),
+    Reg("slew", "rw", "How fast the pace changes while playing, in 2^-32 per clock; 0 is at once."),
+    Reg("beam", "rw", "Outputs of a segment that are low unless the axes are on their way: not in a pause, not in a stop, not after the end.", (Field("outputs", 0, 16, "One bit per output of `aux`."),)),
+    Reg("mask", "rw", "Outputs that follow the segments instead of `command.gpio_out`, one bit per output."),
+    Reg("status", "ro", "What the core does now.", (
+        Field("level", 0, 8, "Complete segments that wait, a count."),
+        Field("state", 8, 2, "What it does, a number.", (
+            ("idle", 0, "Nothing: the step generators follow the bus."),
+            ("settle", 1, "Waits for the step generators to stand, before the first segment."),
+            ("play", 2, "Plays, or stands in a pause."),
+            ("halt", 3, "Brings the step generators to rest."),
+        )),
+        Field("reason", 12, 3, "Why it ended last, a number. From 2 on the FIFO stays empty and nothing starts until `clear`.", (
+            ("none", 0, "It has not ended since it started, or this was cleared."),
+            ("done", 1, "There was no segment left, and all velocities were 0."),
+            ("underrun", 2, "There was no complete segment in time, and some velocity was not 0."),
+            ("quit", 3, "The command."),
+            ("halted", 4, "The watchdog's soft stop."),
+            ("closed", 5, "The gate closed."),
+        )),
+        Field("refused", 16, 5, "What was refused since `clear`, one bit each: 0 a push without room, 1 one with a word missing, 2 one shorter than 64 clocks, "
+              "3 one with the gate closed or an end to be cleared, 4 a start."),
+        _bit("stands", 24, "1: the pace is 0, the path's time does not pass."),
+        _bit("held", 25, "1: since the start a pulse has had to wait for its pins' times, and has held the time of the path."),
+    )),
+    Reg("begun", "ro", "Segments begun since power-up, a count: the job's sign of life, and its progress."),
+    Reg("left", "ro", "Clocks of the path left of the present segment, less 1; 2^32 - 1 in its last and when there is none."),
+    Reg("current", "ro", "The segment begun last.", (
+        Field("outputs", 0, 16, "Outputs as they are now, `beam` considered."),
+        Field("tag", 16, 16, "Its tag."),
+    )),
+    Reg("pace_now", "ro", "The pace on its way to what it was told, in 1/65536."),
+    Reg("shape", "ro", "What was built.", (
+        Field("axes", 0, 8, "Axes, a count: step generators 0 and up."),
+        Field("segments", 8, 8, "Room for so many segments, a count."),
+    )),
+]))
 
 
 def _command():
@@ -370,7 +432,7 @@ STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", f"Timing, kind and polari
 ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", f"Counting mode and filter of encoder {n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
 PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n}.", PWM_REGS) for n in range(MAX_PWM))
 
-BANKS = (IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH, GUEST)
+BANKS = (IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH, GUEST, SEGMENTS)
 
 
 def check():

@@ -176,7 +176,7 @@ def elaborate_cores(board, out):
     out = Path(out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     cores = banks.Cores(board.channels, board.sys_clk_hz, len(blob(board)) // 4, estop_mask=board.estop_mask, estop_level=board.estop_level,
-                        **dict(zip(("safe_mask", "invert_mask"), ferro.power_up_masks(board))))
+                        jobs=board.jobs, **dict(zip(("safe_mask", "invert_mask"), ferro.power_up_masks(board))))
     cores.cd_sys = ClockDomain()
     bus, pads = cores.bus, cores.pads
     ports = {

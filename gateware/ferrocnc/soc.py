@@ -85,7 +85,7 @@ class FerroSoC(SoCCore):
             self.platform.add_source(str(source), "systemverilog")
         self.cores = cores = banks.Cores(
             self.board.channels, self.board.sys_clk_hz, len(self.blob) // 4, self.board.ext_reset_active_low,
-            self.board.estop_mask, self.board.estop_level, *power_up_masks(self.board))
+            self.board.estop_mask, self.board.estop_level, *power_up_masks(self.board), jobs=getattr(self.board, "jobs", 0))
         self.fabric_buses.append(cores.bus)
         fifo = self.ethmac.interface.sram.writer.stat_fifo
         self.comb += [

@@ -1,7 +1,8 @@
 // gpio: inputs through two flip-flops and a debouncer, outputs through the gate, e-stop inputs straight to the gate.
 //
 // While the gate is closed every output carries its safe level; after the gate opens it stays there until the next
-// commit. `invert` turns a pin over, safe level included.
+// commit. `invert` turns a pin over, safe level included. Where there are jobs, outputs in `job_mask` carry `job_value` from
+// that commit on, whatever was committed.
 //
 //   gate    ___/‾‾‾‾‾‾‾‾‾‾‾\____
 //   commit  ________/‾\_________
@@ -23,7 +24,8 @@ module gpio #(
     parameter integer INPUTS  = 32,
     parameter integer OUTPUTS = 32,
     parameter logic [31:0] ESTOP_MASK  = 32'd0,  // 1: this input is an e-stop
-    parameter logic [31:0] ESTOP_LEVEL = 32'd0   // the level at which it triggers
+    parameter logic [31:0] ESTOP_LEVEL = 32'd0,  // the level at which it triggers
+    parameter bit JOBS = 1'b0  // 1: outputs in `job_mask` carry `job_value`, without a commit
 ) (
     input  wire               clk,
     input  wire               gate,
@@ -31,6 +33,8 @@ module gpio #(
     input  wire [OUTPUTS-1:0] value,
     input  wire [OUTPUTS-1:0] safe,
     input  wire [OUTPUTS-1:0] invert,
+    input  wire [OUTPUTS-1:0] job_mask,
+    input  wire [OUTPUTS-1:0] job_value,
     input  wire  [INPUTS-1:0] in_pins,         // asynchronous
     input  wire               debounce_we,
     input  wire         [4:0] debounce_pin,
@@ -91,10 +95,12 @@ module gpio #(
     logic               live = 1'b0;  // a commit has come since the gate opened
     initial out_pins = {OUTPUTS{1'b0}};
 
+    wire  [OUTPUTS-1:0] driven = JOBS ? (held & ~job_mask) | (job_value & job_mask) : held;
+
     always_ff @(posedge clk) begin
         if (commit) held <= value;
         live     <= gate & (live | commit);
-        out_pins <= ((gate & live) ? held : safe) ^ invert;
+        out_pins <= ((gate & live) ? driven : safe) ^ invert;
     end
 
 `ifdef FORMAL  // what gateware/formal proves: the promises, told without the logic above
@@ -108,7 +114,7 @@ module gpio #(
         f_live   <= gate & (f_live | commit);
         f_driven <= gate & f_live;
         f_safe   <= safe ^ invert;
-        f_wanted <= f_value ^ invert;
+        f_wanted <= (JOBS ? (f_value & ~job_mask) | (job_value & job_mask) : f_value) ^ invert;
         if (commit) f_value <= value;
 `ifdef PROVE_outputs_are_safe_unless_committed_since_the_gate_opened
         if (f_age != 2'd0) assert (out_pins == (f_driven ? f_wanted : f_safe));

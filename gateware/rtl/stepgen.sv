@@ -31,14 +31,22 @@
 // `stop`, or enable = 0 at a commit, ramps to rest at `stop_accel`. `gate` = 0 makes the pulse inactive on the next clock,
 // forgets target and velocity and keeps the position; DIR and quadrature lines keep their level, so that no edge disturbs
 // the last pulse. After either, nothing moves until the next commit: an old target cannot come back to life.
+//
+// Velocity and position live in path time, which passes in the clocks in which `advance` is 1 (TIMED; else in every clock). In the
+// others they stand, and so does what a commit has begun; pulses, their times, and a stop's ramp go on by the clock. Whoever scales
+// time has `waits` hold it (segments.sv): a late pulse then makes everybody late and loses nothing.
 `default_nettype none
-module stepgen (
+module stepgen #(
+    parameter bit TIMED = 1'b0        // 1: path time is scaled; 0: `advance` is not looked at, and costs nothing
+) (
     input  wire         clk,
 
     // the gate and the watchdog
     input  wire         gate,         // 1: outputs live
     input  wire         stop,         // 1: come to rest; commits are ignored
     output logic        stopped,      // 1: `stop` has been obeyed: velocity 0 and no pulse active
+
+    input  wire         advance,      // 1: path time passes
 
     // the command, taken while `commit`
     input  wire         commit,
@@ -61,7 +69,7 @@ module stepgen (
     output logic [4:0]  delta,        // signed pulses since the visit before; 16 clocks hold 8 at most
     output logic [31:0] fraction,     // of the next pulse; powers up at half a step
     output wire  [31:0] velocity_now, // signed, integer part
-    output wire         waits,        // 1: a pulse is due in this clock and has to wait
+    output wire         waits,        // 1: a pulse is due in this clock and has to wait; says nothing about `advance`
 
     // the pins, registered
     output logic        step,
@@ -79,10 +87,12 @@ module stepgen (
 
     wire take  = commit & ~halt;
     wire pause = fresh | take | (halt & ~halted);
+    wire holds = TIMED ? pause | ~(advance | braking) : pause;  // a stop is obeyed whether or not time passes
 
     always_ff @(posedge clk) begin
         halted <= halt;
         fresh  <= take | (halt & ~halted);
+        if (TIMED ? fresh & ~advance & ~braking : 1'b0) fresh <= 1'b1;
         if (halt | (take & ~enable)) braking <= 1'b1;
         else if (take) braking <= 1'b0;
         if (take) begin
@@ -109,9 +119,9 @@ module stepgen (
         else if (fresh) up <= below;
         if (fresh | (up & ~gate)) jump <= move[31:0] == 32'd0;
         if (~gate) v[55:24] <= 32'd0;
-        else if (~pause) v[55:24] <= arrived ? target : moved[55:24];
-        if (~gate | (~pause & arrived)) v[23:0] <= 24'd0;
-        else if (~pause) v[23:0] <= moved[23:0];
+        else if (~holds) v[55:24] <= arrived ? target : moved[55:24];
+        if (~gate | (~holds & arrived)) v[23:0] <= 24'd0;
+        else if (~holds) v[23:0] <= moved[23:0];
     end
 
     assign velocity_now = v[55:24];
@@ -122,13 +132,14 @@ module stepgen (
     wire  [32:0] sum     = {1'b0, fraction} + {v[55], v[55:24]};
     wire         due     = sum[32];
     wire         ready;
-    wire         emit    = gate & due & ready;
+    wire         ripe    = gate & due & ready;
+    wire         emit    = TIMED ? ripe & advance : ripe;
     wire  [3:0]  carry   = delta[3:0] ^ {4{reverse}};
 
     assign waits = gate & due & ~ready;
 
     always_ff @(posedge clk) begin
-        if (gate & (~due | ready)) fraction <= sum[31:0];
+        if (TIMED ? advance : 1'b1) if (gate & (~due | ready)) fraction <= sum[31:0];
         if (visit) delta <= {{4{emit & reverse}}, emit};
         else if (emit) delta <= delta ^ {&carry, &carry[2:0], &carry[1:0], carry[0], 1'b1};  // +-1 without a carry chain
     end
@@ -255,7 +266,9 @@ module stepgen (
     logic        resting = 1'b1;
     logic [31:0] asked = 32'd0, given = 32'd0;
     wire  [31:0] allowed = resting ? stop_accel : given;
-    logic        was_resting = 1'b1, was_paused = 1'b1, was_taken = 1'b0, was_waiting = 1'b0, was_halt = 1'b0, was_halted = 1'b0;
+    logic        was_resting = 1'b1, was_paused = 1'b1, was_taken = 1'b0, was_waiting = 1'b0, was_advancing = 1'b0, was_halt = 1'b0, was_halted = 1'b0;
+    logic        was_fresh = 1'b0;
+    logic [64:0] was_kept = 65'd0;
     logic [31:0] was_allowed = 32'd0, was_asked = 32'd0;
     logic [55:0] was_v = 56'd0;
     logic [63:0] was_at = 64'd0;
@@ -274,6 +287,9 @@ module stepgen (
         was_paused  <= pause;
         was_taken   <= commit & ~halting;
         was_waiting <= waits;
+        was_advancing <= advance;
+        was_fresh   <= fresh;
+        was_kept    <= {target, limit, braking};
         was_halt    <= halting;
         was_halted  <= was_halt;
         was_allowed <= allowed;
@@ -336,7 +352,15 @@ module stepgen (
         if (rests == 2'd2) assert (stopped);
 `endif
 `ifdef PROVE_position_is_the_sum_of_the_velocities
-        assert (at == was_at + (was_open & ~was_waiting ? {{32{was_v[55]}}, was_v[55:24]} : 64'd0));
+        assert (at == was_at + (was_open & was_advancing & ~was_waiting ? {{32{was_v[55]}}, was_v[55:24]} : 64'd0));
+`endif
+`ifdef PROVE_time_that_stands_moves_nothing
+        // Nor does it forget that a command has just come: path time goes on as if it had not stood.
+        if (~was_advancing) assert (at == was_at);
+        if (was_open & ~was_advancing & ~was_taken & ~was_resting & ~was_halt) assert (v == was_v & fresh == was_fresh & {target, limit, braking} == was_kept);
+`endif
+`ifdef PROVE_a_late_pulse_that_holds_time_loses_nothing
+        assert (at == was_at + (was_open & was_advancing ? {{32{was_v[55]}}, was_v[55:24]} : 64'd0));
 `endif
     end
 

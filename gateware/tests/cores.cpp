@@ -112,6 +112,7 @@ int main(int argc, char **argv) {
             for (auto prefix : {std::string(kind), std::string("command.") + kind, std::string("status.") + kind})
                 if (name.rfind(prefix, 0) == 0 && isdigit(name[prefix.size()])) return unsigned(atoi(name.c_str() + prefix.size())) < n;
         if (name.rfind("debounce.in", 0) == 0) return unsigned(atoi(name.c_str() + 11)) < ins;
+        if (name.rfind("segments.", 0) == 0) return (k.read("ident.features") & 1) != 0;
         return true;
     };
     std::map<std::string, uint32_t> wrote;
@@ -124,7 +125,7 @@ int main(int argc, char **argv) {
     }
     for (auto &[name, value] : wrote) {
         uint32_t mask = k.map[name].mask;
-        if (name == "gpio.safe" || name == "gpio.invert_out" || name == "command.gpio_out") mask = uint32_t((1ull << outs) - 1);
+        if (name == "gpio.safe" || name == "gpio.invert_out" || name == "command.gpio_out" || name == "segments.mask") mask = uint32_t((1ull << outs) - 1);
         const uint32_t is = k.read(name);
         CHECK(b, (is & mask) == (value & mask), "%s reads %08x, wrote %08x", name.c_str(), is, value);
     }

@@ -35,14 +35,17 @@ for bench in "$here"/*.cpp; do
     case $core in
         safety) lint=-Wno-UNUSEDSIGNAL ;;  # it wires two inputs of 32
         gpio) parameters="-GESTOP_MASK=32'h80000801 -GESTOP_LEVEL=32'h00000801" ;;  # a board with e-stop inputs: gpio.cpp names the same ones
+        stepgen) parameters="-GTIMED=1" ;;
         led) parameters="-GBITS=14" ;;  # a round of milliseconds
     esac
     if [ "$core" = cores ]; then  # made by the generator: the banks around every core, for one board
         board=${BOARD:-mill6}
+        file=$root/boards/$board.toml
+        [ -e "$file" ] || file=$root/tests/boards/$board.toml
         top=$dir/cores.v
         flags="-DMAP='\"$dir/cores.map\"'" lint="-Wno-lint -Wno-style -Wno-COMBDLY"
         PYTHONPATH=$here/.. "$root/target/venv/bin/python" -m ferrocnc elaborate --target cores \
-            --board "$root/boards/$board.toml" --out "$dir" >/dev/null
+            --board "$file" --out "$dir" >/dev/null
     fi
     if [ "$core" = rgmii ]; then  # the board's PHY with LiteEth's MAC behind it and the ECP5's pins in front
         top=$dir/rgmii.v more=$here/ecp5_models.v lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP -Wno-UNOPTFLAT"

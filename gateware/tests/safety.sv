@@ -54,7 +54,7 @@ module safety (
         .bitten(bitten), .reset_latched(reset_latched), .estop_latched(estop_latched), .armed(armed), .cleared(cleared),
         .last_close(last_close), .remaining(remaining), .last_token(), .bites(bites));
     stepgen s (
-        .clk(clk), .gate(gate), .stop(stopping), .stopped(stopped), .commit(commit), .enable(1'b1), .velocity(velocity),
+        .clk(clk), .gate(gate), .stop(stopping), .stopped(stopped), .advance(1'b1), .commit(commit), .enable(1'b1), .velocity(velocity),
         .accel(accel), .steplen(steplen), .stepspace(13'd1), .dirsetup(16'd3), .dirhold(16'd3), .stop_accel(stop_accel),
         .kind(kind), .step_invert(1'b0), .dir_invert(1'b0), .visit(1'b1), .delta(delta), .fraction(fraction), .velocity_now(velocity_now),
         .waits(), .step(step), .dir(dir));
@@ -62,7 +62,7 @@ module safety (
         .clk(clk), .gate(gate), .commit(commit), .enable(1'b1), .direction(1'b0), .width(29'd40 << 8), .period(21'd41), .kind(2'd0),
         .dither(1'b0), .swap(1'b0), .invert(1'b0), .out(pwm_out), .dir());
     gpio #(.INPUTS(2), .OUTPUTS(8), .ESTOP_MASK(32'h3), .ESTOP_LEVEL(32'h1)) g (
-        .clk(clk), .gate(gate), .commit(commit), .value(out_value), .safe(out_safe), .invert(8'h0f), .in_pins(estop_pins),
+        .clk(clk), .gate(gate), .commit(commit), .value(out_value), .safe(out_safe), .invert(8'h0f), .job_mask(8'd0), .job_value(8'd0), .in_pins(estop_pins),
         .debounce_we(1'b0), .debounce_pin(5'd0), .debounce_limit(16'd0), .clear(cleared), .in(), .raw(),
         .estop(estop), .estop_latched(estop_inputs), .out_pins(out_pins));
     /* verilator lint_on PINCONNECTEMPTY */

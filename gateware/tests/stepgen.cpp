@@ -111,7 +111,9 @@ struct Checker {
     int64_t velocity = 0;  // s32.24
     int64_t target = 0;
     uint32_t limit = 0;
-    bool halted = true, fresh = false;
+    bool halted = true, fresh = false, braking = true;
+    unsigned standing = 0;  // of 16 clocks, how many path time stands in
+    uint64_t stood = 0;
     // The ghost.
     bool pulse = false, reverse = false, a = false, bb = false;
     uint64_t high = 0, low = LONG_AGO, since_dir = LONG_AGO;
@@ -137,7 +139,10 @@ struct Checker {
         auto &c = *b.core;
         since_visit++;
         c.visit = since_visit >= 16 || b.random.one_in(64);
+        c.advance = b.random.below(16) >= standing;
         b.settle();
+        const bool advance = c.advance;
+        stood += !advance;
         const uint64_t steplen = std::max(1u, s.steplen), stepspace = std::max(1u, s.stepspace);
         const uint64_t dirsetup = std::max(1u, s.dirsetup), dirhold = std::max(1u, s.dirhold);
         const bool gate = c.gate, halt = c.stop || !gate, take = c.commit && !halt;
@@ -158,15 +163,17 @@ struct Checker {
 
         // The ramp.
         const bool pause = take || fresh || (halt && !halted);
-        const int64_t velocity_next = !gate ? 0 : pause ? velocity : ramped();
-        fresh = take || (halt && !halted);
+        const bool ramps = advance || braking;
+        const int64_t velocity_next = !gate ? 0 : pause || !ramps ? velocity : ramped();
+        fresh = take || (halt && !halted) || (fresh && !ramps);
+        if (halt || take) braking = halt || !c.enable;
         halted = halt;
         if (halt) target = 0, limit = s.stop_accel;
         else if (take) target = c.enable ? int32_t(c.velocity) : 0, limit = c.enable ? c.accel : s.stop_accel;
         velocity = velocity_next;
 
         // The ghost.
-        const bool start = gate && due && allowed;
+        const bool start = gate && due && allowed && advance;
         const bool end = pulse && (high >= steplen || (!gate && s.kind != 2));
         if (start) (a == bb) != reverse ? a = !a : bb = !bb;
         if (turn) reverse = !reverse, since_dir = 0;
@@ -186,7 +193,8 @@ struct Checker {
         const int32_t pulses = int32_t(uint32_t(total) + uint32_t(delta(c)));
         const int64_t now = int64_t(uint64_t(uint32_t(pulses)) << 32 | c.fraction);
         CHECK(b, pulses == int32_t(drive.counted), "position says %d pulses, the pins had %lld", pulses, (long long)drive.counted);
-        CHECK(b, now == (!gate || waited ? position : next), "position %016llx, expected %016llx", (long long)now, (long long)(!gate || waited ? position : next));
+        const int64_t expected = !gate || waited || !advance ? position : next;
+        CHECK(b, now == expected, "position %016llx, expected %016llx", (long long)now, (long long)expected);
         position = now;
         waits += waited;
         waiting = waited ? waiting + 1 : 0;
@@ -255,6 +263,7 @@ static void random_rounds(Checker &k, uint64_t wanted) {
     auto &c = *k.b.core;
     for (unsigned round = 0; k.drive.pulses < wanted || round < 400; round++) {
         k.reconfigure(any_settings(r, round));
+        k.standing = r.one_in(3) ? r.below(17) : 0;  // path time that never passes, too
         const unsigned style = r.below(4);
         const uint64_t commits = 20 + r.below(60);
         for (uint64_t n = 0; n < commits; n++) {
@@ -408,6 +417,7 @@ int main(int argc, char **argv) {
     gate_in_mid_pulse(k);
     widest_times(k);
     random_rounds(k, argc > 2 ? strtoull(argv[2], nullptr, 0) : 2000000);
-    return b.pass("%llu pulses at the pins = position, %llu reversals, %llu clocks waited", (unsigned long long)k.drive.pulses,
-                  (unsigned long long)k.drive.reversals, (unsigned long long)k.waits);
+    return b.pass("%llu pulses at the pins = position, %llu reversals, %llu clocks waited, time stood in %llu", (unsigned long long)k.drive.pulses,
+                  (unsigned long long)k.drive.reversals, (unsigned long long)k.waits,
+                  (unsigned long long)k.stood);
 }

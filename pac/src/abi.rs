@@ -3,7 +3,7 @@
 //! for the one comparison that decides whether a board may arm.
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version.
-pub const ABI: u32 = 0xa2b9b919;
+pub const ABI: u32 = 0xfae188aa;
 /// Version of the exchange's word layout this map was made for.
 pub const WIRE_LAYOUT: u32 = 3;
 /// What `ident.magic` reads: "FCnC".
@@ -11,7 +11,7 @@ pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
 pub const ROM_BASE: usize = 0x00000000;
 /// Bytes of the image.
-pub const ROM_SIZE: usize = 0x12000;
+pub const ROM_SIZE: usize = 0x11800;
 /// First byte of data, bss and stack.
 pub const RAM_BASE: usize = 0x10000000;
 /// Bytes of data, bss and stack.
@@ -25,7 +25,7 @@ pub const BOARD_ROM_BASE: usize = 0x90000000;
 /// Bytes of the board info blob.
 pub const BOARD_ROM_SIZE: usize = 0x800;
 /// First byte of the trailer: four words, `TRAILER_MAGIC`, build id, role, 0.
-pub const ROM_TRAILER: usize = 0x00011ff0;
+pub const ROM_TRAILER: usize = 0x000117f0;
 /// First word of a trailer: "FTRL".
 pub const TRAILER_MAGIC: u32 = 0x4654524c;
 /// Third word of a trailer: an image of a slot.
@@ -48,6 +48,10 @@ pub const PWM_MAX: usize = 16;
 pub const IN_MAX: usize = 32;
 /// Channels of this kind the map has room for.
 pub const OUT_MAX: usize = 32;
+/// Axes a job can have at most.
+pub const JOB_AXES_MAX: usize = 7;
+/// Room for so many segments.
+pub const JOB_SEGMENTS: usize = 64;
 /// `watchdog.control`: arm.
 pub const KEY_ARM: u32 = 0x41524d31;
 /// `watchdog.control`: soft.
@@ -67,7 +71,7 @@ pub const CSR_BASE: usize = 0xf0000000;
 /// Bytes of a page; channel n of a kind is n pages after channel 0.
 pub const CSR_PAGE: usize = 0x800;
 /// Pages in use, absent channels included.
-pub const CSR_PAGES: usize = 66;
+pub const CSR_PAGES: usize = 67;
 /// Page of `ctrl`.
 pub const CSR_CTRL: usize = 0xf0000000;
 /// Page of `identifier_mem`.
@@ -102,6 +106,8 @@ pub const CSR_PWM0: usize = 0xf0018000;
 pub const CSR_FLASH: usize = 0xf0020000;
 /// Page of `guest`.
 pub const CSR_GUEST: usize = 0xf0020800;
+/// Page of `segments`.
+pub const CSR_SEGMENTS: usize = 0xf0021000;
 /// Word of the command window: enables.
 pub const COMMAND_ENABLES: usize = 0;
 /// Word of the command window: outputs.

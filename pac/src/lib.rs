@@ -1866,7 +1866,7 @@ pub mod ident {
         pub const fn channels1(&self) -> &Channels1 {
             &self.channels1
         }
-        #[doc = "0x18 - Optional parts present, one bit each. None is defined yet: reads 0."]
+        #[doc = "0x18 - Optional parts present, one bit each."]
         #[inline(always)]
         pub const fn features(&self) -> &Features {
             &self.features
@@ -2056,19 +2056,23 @@ pub mod ident {
         #[doc = "`reset()` method sets CHANNELS1 to value 0"]
         impl crate::Resettable for Channels1Spec {}
     }
-    #[doc = "FEATURES (r) register accessor: Optional parts present, one bit each. None is defined yet: reads 0.\n\nYou can [`read`](crate::Reg::read) this register and get [`features::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@features`] module"]
+    #[doc = "FEATURES (r) register accessor: Optional parts present, one bit each.\n\nYou can [`read`](crate::Reg::read) this register and get [`features::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@features`] module"]
     #[doc(alias = "FEATURES")]
     pub type Features = crate::Reg<features::FeaturesSpec>;
-    #[doc = "Optional parts present, one bit each. None is defined yet: reads 0."]
+    #[doc = "Optional parts present, one bit each."]
     pub mod features {
         #[doc = "Register `FEATURES` reader"]
         pub type R = crate::R<FeaturesSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
+        #[doc = "Field `jobs` reader - 1: the board executes jobs; `segments` is there."]
+        pub type JobsR = crate::BitReader;
+        impl R {
+            #[doc = "Bit 0 - 1: the board executes jobs; `segments` is there."]
+            #[inline(always)]
+            pub fn jobs(&self) -> JobsR {
+                JobsR::new((self.bits & 1) != 0)
             }
         }
-        #[doc = "Optional parts present, one bit each. None is defined yet: reads 0.\n\nYou can [`read`](crate::Reg::read) this register and get [`features::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Optional parts present, one bit each.\n\nYou can [`read`](crate::Reg::read) this register and get [`features::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct FeaturesSpec;
         impl crate::RegisterSpec for FeaturesSpec {
             type Ux = u32;
@@ -13012,6 +13016,1156 @@ pub mod guest {
         impl crate::Resettable for RefusedSpec {}
     }
 }
+#[doc = "Motion segments for jobs: a FIFO, and what plays it into the first step generators. Boards without jobs do not have it."]
+pub type Segments = crate::Periph<segments::RegisterBlock, 0xf002_1000>;
+impl core::fmt::Debug for Segments {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        f.debug_struct("Segments").finish()
+    }
+}
+#[doc = "Motion segments for jobs: a FIFO, and what plays it into the first step generators. Boards without jobs do not have it."]
+pub mod segments {
+    #[repr(C)]
+    #[doc = "Register block"]
+    pub struct RegisterBlock {
+        clocks: Clocks,
+        aux: Aux,
+        axis0_velocity: Axis0Velocity,
+        axis0_accel: Axis0Accel,
+        axis1_velocity: Axis1Velocity,
+        axis1_accel: Axis1Accel,
+        axis2_velocity: Axis2Velocity,
+        axis2_accel: Axis2Accel,
+        axis3_velocity: Axis3Velocity,
+        axis3_accel: Axis3Accel,
+        axis4_velocity: Axis4Velocity,
+        axis4_accel: Axis4Accel,
+        axis5_velocity: Axis5Velocity,
+        axis5_accel: Axis5Accel,
+        axis6_velocity: Axis6Velocity,
+        axis6_accel: Axis6Accel,
+        push: Push,
+        control: Control,
+        pace: Pace,
+        slew: Slew,
+        beam: Beam,
+        mask: Mask,
+        status: Status,
+        begun: Begun,
+        left: Left,
+        current: Current,
+        pace_now: PaceNow,
+        shape: Shape,
+    }
+    impl RegisterBlock {
+        #[doc = "0x00 - Duration of the segment being written, in clocks of the path, 64 at least."]
+        #[inline(always)]
+        pub const fn clocks(&self) -> &Clocks {
+            &self.clocks
+        }
+        #[doc = "0x04 - Outputs and tag of the segment being written."]
+        #[inline(always)]
+        pub const fn aux(&self) -> &Aux {
+            &self.aux
+        }
+        #[doc = "0x08 - Signed step rate of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[inline(always)]
+        pub const fn axis0_velocity(&self) -> &Axis0Velocity {
+            &self.axis0_velocity
+        }
+        #[doc = "0x0c - Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+        #[inline(always)]
+        pub const fn axis0_accel(&self) -> &Axis0Accel {
+            &self.axis0_accel
+        }
+        #[doc = "0x10 - Signed step rate of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[inline(always)]
+        pub const fn axis1_velocity(&self) -> &Axis1Velocity {
+            &self.axis1_velocity
+        }
+        #[doc = "0x14 - Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+        #[inline(always)]
+        pub const fn axis1_accel(&self) -> &Axis1Accel {
+            &self.axis1_accel
+        }
+        #[doc = "0x18 - Signed step rate of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[inline(always)]
+        pub const fn axis2_velocity(&self) -> &Axis2Velocity {
+            &self.axis2_velocity
+        }
+        #[doc = "0x1c - Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+        #[inline(always)]
+        pub const fn axis2_accel(&self) -> &Axis2Accel {
+            &self.axis2_accel
+        }
+        #[doc = "0x20 - Signed step rate of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[inline(always)]
+        pub const fn axis3_velocity(&self) -> &Axis3Velocity {
+            &self.axis3_velocity
+        }
+        #[doc = "0x24 - Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+        #[inline(always)]
+        pub const fn axis3_accel(&self) -> &Axis3Accel {
+            &self.axis3_accel
+        }
+        #[doc = "0x28 - Signed step rate of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[inline(always)]
+        pub const fn axis4_velocity(&self) -> &Axis4Velocity {
+            &self.axis4_velocity
+        }
+        #[doc = "0x2c - Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+        #[inline(always)]
+        pub const fn axis4_accel(&self) -> &Axis4Accel {
+            &self.axis4_accel
+        }
+        #[doc = "0x30 - Signed step rate of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[inline(always)]
+        pub const fn axis5_velocity(&self) -> &Axis5Velocity {
+            &self.axis5_velocity
+        }
+        #[doc = "0x34 - Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+        #[inline(always)]
+        pub const fn axis5_accel(&self) -> &Axis5Accel {
+            &self.axis5_accel
+        }
+        #[doc = "0x38 - Signed step rate of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[inline(always)]
+        pub const fn axis6_velocity(&self) -> &Axis6Velocity {
+            &self.axis6_velocity
+        }
+        #[doc = "0x3c - Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+        #[inline(always)]
+        pub const fn axis6_accel(&self) -> &Axis6Accel {
+            &self.axis6_accel
+        }
+        #[doc = "0x40 - Writing any value pushes the segment written, if it is complete and there is room; otherwise nothing changes and `status.refused` says why."]
+        #[inline(always)]
+        pub const fn push(&self) -> &Push {
+            &self.push
+        }
+        #[doc = "0x44 - Commands, a number; any other value is ignored."]
+        #[inline(always)]
+        pub const fn control(&self) -> &Control {
+            &self.control
+        }
+        #[doc = "0x48 - How fast the time of the path passes, in 1/65536; 65536 or more is 1, 0 pauses."]
+        #[inline(always)]
+        pub const fn pace(&self) -> &Pace {
+            &self.pace
+        }
+        #[doc = "0x4c - How fast the pace changes while playing, in 2^-32 per clock; 0 is at once."]
+        #[inline(always)]
+        pub const fn slew(&self) -> &Slew {
+            &self.slew
+        }
+        #[doc = "0x50 - Outputs of a segment that are low unless the axes are on their way: not in a pause, not in a stop, not after the end."]
+        #[inline(always)]
+        pub const fn beam(&self) -> &Beam {
+            &self.beam
+        }
+        #[doc = "0x54 - Outputs that follow the segments instead of `command.gpio_out`, one bit per output."]
+        #[inline(always)]
+        pub const fn mask(&self) -> &Mask {
+            &self.mask
+        }
+        #[doc = "0x58 - What the core does now."]
+        #[inline(always)]
+        pub const fn status(&self) -> &Status {
+            &self.status
+        }
+        #[doc = "0x5c - Segments begun since power-up, a count: the job's sign of life, and its progress."]
+        #[inline(always)]
+        pub const fn begun(&self) -> &Begun {
+            &self.begun
+        }
+        #[doc = "0x60 - Clocks of the path left of the present segment, less 1; 2^32 - 1 in its last and when there is none."]
+        #[inline(always)]
+        pub const fn left(&self) -> &Left {
+            &self.left
+        }
+        #[doc = "0x64 - The segment begun last."]
+        #[inline(always)]
+        pub const fn current(&self) -> &Current {
+            &self.current
+        }
+        #[doc = "0x68 - The pace on its way to what it was told, in 1/65536."]
+        #[inline(always)]
+        pub const fn pace_now(&self) -> &PaceNow {
+            &self.pace_now
+        }
+        #[doc = "0x6c - What was built."]
+        #[inline(always)]
+        pub const fn shape(&self) -> &Shape {
+            &self.shape
+        }
+    }
+    #[doc = "CLOCKS (w) register accessor: Duration of the segment being written, in clocks of the path, 64 at least.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`clocks::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@clocks`] module"]
+    #[doc(alias = "CLOCKS")]
+    pub type Clocks = crate::Reg<clocks::ClocksSpec>;
+    #[doc = "Duration of the segment being written, in clocks of the path, 64 at least."]
+    pub mod clocks {
+        #[doc = "Register `CLOCKS` writer"]
+        pub type W = crate::W<ClocksSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<ClocksSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Duration of the segment being written, in clocks of the path, 64 at least.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`clocks::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct ClocksSpec;
+        impl crate::RegisterSpec for ClocksSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`clocks::W`](W) writer structure"]
+        impl crate::Writable for ClocksSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets CLOCKS to value 0"]
+        impl crate::Resettable for ClocksSpec {}
+    }
+    #[doc = "AUX (w) register accessor: Outputs and tag of the segment being written.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`aux::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@aux`] module"]
+    #[doc(alias = "AUX")]
+    pub type Aux = crate::Reg<aux::AuxSpec>;
+    #[doc = "Outputs and tag of the segment being written."]
+    pub mod aux {
+        #[doc = "Register `AUX` writer"]
+        pub type W = crate::W<AuxSpec>;
+        #[doc = "Field `outputs` writer - Level of output n and of output n + 16, where `mask` lets it, from the segment's first clock on."]
+        pub type OutputsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        #[doc = "Field `tag` writer - Comes back in `current`; no unit."]
+        pub type TagW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl W {
+            #[doc = "Bits 0:15 - Level of output n and of output n + 16, where `mask` lets it, from the segment's first clock on."]
+            #[inline(always)]
+            pub fn outputs(&mut self) -> OutputsW<'_, AuxSpec> {
+                OutputsW::new(self, 0)
+            }
+            #[doc = "Bits 16:31 - Comes back in `current`; no unit."]
+            #[inline(always)]
+            pub fn tag(&mut self) -> TagW<'_, AuxSpec> {
+                TagW::new(self, 16)
+            }
+        }
+        #[doc = "Outputs and tag of the segment being written.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`aux::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct AuxSpec;
+        impl crate::RegisterSpec for AuxSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`aux::W`](W) writer structure"]
+        impl crate::Writable for AuxSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AUX to value 0"]
+        impl crate::Resettable for AuxSpec {}
+    }
+    #[doc = "AXIS0_VELOCITY (w) register accessor: Signed step rate of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis0_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis0_velocity`] module"]
+    #[doc(alias = "AXIS0_VELOCITY")]
+    pub type Axis0Velocity = crate::Reg<axis0_velocity::Axis0VelocitySpec>;
+    #[doc = "Signed step rate of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    pub mod axis0_velocity {
+        #[doc = "Register `AXIS0_VELOCITY` writer"]
+        pub type W = crate::W<Axis0VelocitySpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis0VelocitySpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Signed step rate of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis0_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis0VelocitySpec;
+        impl crate::RegisterSpec for Axis0VelocitySpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis0_velocity::W`](W) writer structure"]
+        impl crate::Writable for Axis0VelocitySpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS0_VELOCITY to value 0"]
+        impl crate::Resettable for Axis0VelocitySpec {}
+    }
+    #[doc = "AXIS0_ACCEL (w) register accessor: Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis0_accel::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis0_accel`] module"]
+    #[doc(alias = "AXIS0_ACCEL")]
+    pub type Axis0Accel = crate::Reg<axis0_accel::Axis0AccelSpec>;
+    #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+    pub mod axis0_accel {
+        #[doc = "Register `AXIS0_ACCEL` writer"]
+        pub type W = crate::W<Axis0AccelSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis0AccelSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis0_accel::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis0AccelSpec;
+        impl crate::RegisterSpec for Axis0AccelSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis0_accel::W`](W) writer structure"]
+        impl crate::Writable for Axis0AccelSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS0_ACCEL to value 0"]
+        impl crate::Resettable for Axis0AccelSpec {}
+    }
+    #[doc = "AXIS1_VELOCITY (w) register accessor: Signed step rate of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis1_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis1_velocity`] module"]
+    #[doc(alias = "AXIS1_VELOCITY")]
+    pub type Axis1Velocity = crate::Reg<axis1_velocity::Axis1VelocitySpec>;
+    #[doc = "Signed step rate of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    pub mod axis1_velocity {
+        #[doc = "Register `AXIS1_VELOCITY` writer"]
+        pub type W = crate::W<Axis1VelocitySpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis1VelocitySpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Signed step rate of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis1_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis1VelocitySpec;
+        impl crate::RegisterSpec for Axis1VelocitySpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis1_velocity::W`](W) writer structure"]
+        impl crate::Writable for Axis1VelocitySpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS1_VELOCITY to value 0"]
+        impl crate::Resettable for Axis1VelocitySpec {}
+    }
+    #[doc = "AXIS1_ACCEL (w) register accessor: Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis1_accel::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis1_accel`] module"]
+    #[doc(alias = "AXIS1_ACCEL")]
+    pub type Axis1Accel = crate::Reg<axis1_accel::Axis1AccelSpec>;
+    #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+    pub mod axis1_accel {
+        #[doc = "Register `AXIS1_ACCEL` writer"]
+        pub type W = crate::W<Axis1AccelSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis1AccelSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis1_accel::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis1AccelSpec;
+        impl crate::RegisterSpec for Axis1AccelSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis1_accel::W`](W) writer structure"]
+        impl crate::Writable for Axis1AccelSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS1_ACCEL to value 0"]
+        impl crate::Resettable for Axis1AccelSpec {}
+    }
+    #[doc = "AXIS2_VELOCITY (w) register accessor: Signed step rate of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis2_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis2_velocity`] module"]
+    #[doc(alias = "AXIS2_VELOCITY")]
+    pub type Axis2Velocity = crate::Reg<axis2_velocity::Axis2VelocitySpec>;
+    #[doc = "Signed step rate of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    pub mod axis2_velocity {
+        #[doc = "Register `AXIS2_VELOCITY` writer"]
+        pub type W = crate::W<Axis2VelocitySpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis2VelocitySpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Signed step rate of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis2_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis2VelocitySpec;
+        impl crate::RegisterSpec for Axis2VelocitySpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis2_velocity::W`](W) writer structure"]
+        impl crate::Writable for Axis2VelocitySpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS2_VELOCITY to value 0"]
+        impl crate::Resettable for Axis2VelocitySpec {}
+    }
+    #[doc = "AXIS2_ACCEL (w) register accessor: Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis2_accel::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis2_accel`] module"]
+    #[doc(alias = "AXIS2_ACCEL")]
+    pub type Axis2Accel = crate::Reg<axis2_accel::Axis2AccelSpec>;
+    #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+    pub mod axis2_accel {
+        #[doc = "Register `AXIS2_ACCEL` writer"]
+        pub type W = crate::W<Axis2AccelSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis2AccelSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis2_accel::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis2AccelSpec;
+        impl crate::RegisterSpec for Axis2AccelSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis2_accel::W`](W) writer structure"]
+        impl crate::Writable for Axis2AccelSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS2_ACCEL to value 0"]
+        impl crate::Resettable for Axis2AccelSpec {}
+    }
+    #[doc = "AXIS3_VELOCITY (w) register accessor: Signed step rate of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis3_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis3_velocity`] module"]
+    #[doc(alias = "AXIS3_VELOCITY")]
+    pub type Axis3Velocity = crate::Reg<axis3_velocity::Axis3VelocitySpec>;
+    #[doc = "Signed step rate of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    pub mod axis3_velocity {
+        #[doc = "Register `AXIS3_VELOCITY` writer"]
+        pub type W = crate::W<Axis3VelocitySpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis3VelocitySpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Signed step rate of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis3_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis3VelocitySpec;
+        impl crate::RegisterSpec for Axis3VelocitySpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis3_velocity::W`](W) writer structure"]
+        impl crate::Writable for Axis3VelocitySpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS3_VELOCITY to value 0"]
+        impl crate::Resettable for Axis3VelocitySpec {}
+    }
+    #[doc = "AXIS3_ACCEL (w) register accessor: Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis3_accel::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis3_accel`] module"]
+    #[doc(alias = "AXIS3_ACCEL")]
+    pub type Axis3Accel = crate::Reg<axis3_accel::Axis3AccelSpec>;
+    #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+    pub mod axis3_accel {
+        #[doc = "Register `AXIS3_ACCEL` writer"]
+        pub type W = crate::W<Axis3AccelSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis3AccelSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis3_accel::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis3AccelSpec;
+        impl crate::RegisterSpec for Axis3AccelSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis3_accel::W`](W) writer structure"]
+        impl crate::Writable for Axis3AccelSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS3_ACCEL to value 0"]
+        impl crate::Resettable for Axis3AccelSpec {}
+    }
+    #[doc = "AXIS4_VELOCITY (w) register accessor: Signed step rate of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis4_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis4_velocity`] module"]
+    #[doc(alias = "AXIS4_VELOCITY")]
+    pub type Axis4Velocity = crate::Reg<axis4_velocity::Axis4VelocitySpec>;
+    #[doc = "Signed step rate of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    pub mod axis4_velocity {
+        #[doc = "Register `AXIS4_VELOCITY` writer"]
+        pub type W = crate::W<Axis4VelocitySpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis4VelocitySpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Signed step rate of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis4_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis4VelocitySpec;
+        impl crate::RegisterSpec for Axis4VelocitySpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis4_velocity::W`](W) writer structure"]
+        impl crate::Writable for Axis4VelocitySpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS4_VELOCITY to value 0"]
+        impl crate::Resettable for Axis4VelocitySpec {}
+    }
+    #[doc = "AXIS4_ACCEL (w) register accessor: Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis4_accel::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis4_accel`] module"]
+    #[doc(alias = "AXIS4_ACCEL")]
+    pub type Axis4Accel = crate::Reg<axis4_accel::Axis4AccelSpec>;
+    #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+    pub mod axis4_accel {
+        #[doc = "Register `AXIS4_ACCEL` writer"]
+        pub type W = crate::W<Axis4AccelSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis4AccelSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis4_accel::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis4AccelSpec;
+        impl crate::RegisterSpec for Axis4AccelSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis4_accel::W`](W) writer structure"]
+        impl crate::Writable for Axis4AccelSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS4_ACCEL to value 0"]
+        impl crate::Resettable for Axis4AccelSpec {}
+    }
+    #[doc = "AXIS5_VELOCITY (w) register accessor: Signed step rate of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis5_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis5_velocity`] module"]
+    #[doc(alias = "AXIS5_VELOCITY")]
+    pub type Axis5Velocity = crate::Reg<axis5_velocity::Axis5VelocitySpec>;
+    #[doc = "Signed step rate of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    pub mod axis5_velocity {
+        #[doc = "Register `AXIS5_VELOCITY` writer"]
+        pub type W = crate::W<Axis5VelocitySpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis5VelocitySpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Signed step rate of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis5_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis5VelocitySpec;
+        impl crate::RegisterSpec for Axis5VelocitySpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis5_velocity::W`](W) writer structure"]
+        impl crate::Writable for Axis5VelocitySpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS5_VELOCITY to value 0"]
+        impl crate::Resettable for Axis5VelocitySpec {}
+    }
+    #[doc = "AXIS5_ACCEL (w) register accessor: Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis5_accel::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis5_accel`] module"]
+    #[doc(alias = "AXIS5_ACCEL")]
+    pub type Axis5Accel = crate::Reg<axis5_accel::Axis5AccelSpec>;
+    #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+    pub mod axis5_accel {
+        #[doc = "Register `AXIS5_ACCEL` writer"]
+        pub type W = crate::W<Axis5AccelSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis5AccelSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis5_accel::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis5AccelSpec;
+        impl crate::RegisterSpec for Axis5AccelSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis5_accel::W`](W) writer structure"]
+        impl crate::Writable for Axis5AccelSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS5_ACCEL to value 0"]
+        impl crate::Resettable for Axis5AccelSpec {}
+    }
+    #[doc = "AXIS6_VELOCITY (w) register accessor: Signed step rate of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis6_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis6_velocity`] module"]
+    #[doc(alias = "AXIS6_VELOCITY")]
+    pub type Axis6Velocity = crate::Reg<axis6_velocity::Axis6VelocitySpec>;
+    #[doc = "Signed step rate of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    pub mod axis6_velocity {
+        #[doc = "Register `AXIS6_VELOCITY` writer"]
+        pub type W = crate::W<Axis6VelocitySpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis6VelocitySpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Signed step rate of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis6_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis6VelocitySpec;
+        impl crate::RegisterSpec for Axis6VelocitySpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis6_velocity::W`](W) writer structure"]
+        impl crate::Writable for Axis6VelocitySpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS6_VELOCITY to value 0"]
+        impl crate::Resettable for Axis6VelocitySpec {}
+    }
+    #[doc = "AXIS6_ACCEL (w) register accessor: Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis6_accel::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis6_accel`] module"]
+    #[doc(alias = "AXIS6_ACCEL")]
+    pub type Axis6Accel = crate::Reg<axis6_accel::Axis6AccelSpec>;
+    #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."]
+    pub mod axis6_accel {
+        #[doc = "Register `AXIS6_ACCEL` writer"]
+        pub type W = crate::W<Axis6AccelSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<Axis6AccelSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis6_accel::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Axis6AccelSpec;
+        impl crate::RegisterSpec for Axis6AccelSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`axis6_accel::W`](W) writer structure"]
+        impl crate::Writable for Axis6AccelSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets AXIS6_ACCEL to value 0"]
+        impl crate::Resettable for Axis6AccelSpec {}
+    }
+    #[doc = "PUSH (w) register accessor: Writing any value pushes the segment written, if it is complete and there is room; otherwise nothing changes and `status.refused` says why.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`push::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@push`] module"]
+    #[doc(alias = "PUSH")]
+    pub type Push = crate::Reg<push::PushSpec>;
+    #[doc = "Writing any value pushes the segment written, if it is complete and there is room; otherwise nothing changes and `status.refused` says why."]
+    pub mod push {
+        #[doc = "Register `PUSH` writer"]
+        pub type W = crate::W<PushSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<PushSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Writing any value pushes the segment written, if it is complete and there is room; otherwise nothing changes and `status.refused` says why.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`push::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct PushSpec;
+        impl crate::RegisterSpec for PushSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`push::W`](W) writer structure"]
+        impl crate::Writable for PushSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets PUSH to value 0"]
+        impl crate::Resettable for PushSpec {}
+    }
+    #[doc = "CONTROL (w) register accessor: Commands, a number; any other value is ignored.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`control::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@control`] module"]
+    #[doc(alias = "CONTROL")]
+    pub type Control = crate::Reg<control::ControlSpec>;
+    #[doc = "Commands, a number; any other value is ignored."]
+    pub mod control {
+        #[doc = "Register `CONTROL` writer"]
+        pub type W = crate::W<ControlSpec>;
+        #[doc = "Which command, a number.\n\nValue on reset: 0"]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum Command {
+            #[doc = "1: Play the segments: when all step generators of the job stand, the first begins. Refused unless one waits, the gate is open and no end is to be cleared."]
+            Start = 1,
+            #[doc = "2: Bring the step generators to rest, each at its stop_accel, and forget the segments."]
+            Quit = 2,
+            #[doc = "3: Forget what was refused; and, while idle, why it ended and the segments that wait."]
+            Clear = 3,
+        }
+        impl From<Command> for u8 {
+            #[inline(always)]
+            fn from(variant: Command) -> Self {
+                variant as _
+            }
+        }
+        impl crate::FieldSpec for Command {
+            type Ux = u8;
+        }
+        impl crate::IsEnum for Command {}
+        #[doc = "Field `command` writer - Which command, a number."]
+        pub type CommandW<'a, REG> = crate::FieldWriter<'a, REG, 2, Command>;
+        impl<'a, REG> CommandW<'a, REG>
+        where
+            REG: crate::Writable + crate::RegisterSpec,
+            REG::Ux: From<u8>,
+        {
+            #[doc = "Play the segments: when all step generators of the job stand, the first begins. Refused unless one waits, the gate is open and no end is to be cleared."]
+            #[inline(always)]
+            pub fn start(self) -> &'a mut crate::W<REG> {
+                self.variant(Command::Start)
+            }
+            #[doc = "Bring the step generators to rest, each at its stop_accel, and forget the segments."]
+            #[inline(always)]
+            pub fn quit(self) -> &'a mut crate::W<REG> {
+                self.variant(Command::Quit)
+            }
+            #[doc = "Forget what was refused; and, while idle, why it ended and the segments that wait."]
+            #[inline(always)]
+            pub fn clear(self) -> &'a mut crate::W<REG> {
+                self.variant(Command::Clear)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:1 - Which command, a number."]
+            #[inline(always)]
+            pub fn command(&mut self) -> CommandW<'_, ControlSpec> {
+                CommandW::new(self, 0)
+            }
+        }
+        #[doc = "Commands, a number; any other value is ignored.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`control::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct ControlSpec;
+        impl crate::RegisterSpec for ControlSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`control::W`](W) writer structure"]
+        impl crate::Writable for ControlSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets CONTROL to value 0"]
+        impl crate::Resettable for ControlSpec {}
+    }
+    #[doc = "PACE (rw) register accessor: How fast the time of the path passes, in 1/65536; 65536 or more is 1, 0 pauses.\n\nYou can [`read`](crate::Reg::read) this register and get [`pace::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`pace::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@pace`] module"]
+    #[doc(alias = "PACE")]
+    pub type Pace = crate::Reg<pace::PaceSpec>;
+    #[doc = "How fast the time of the path passes, in 1/65536; 65536 or more is 1, 0 pauses."]
+    pub mod pace {
+        #[doc = "Register `PACE` reader"]
+        pub type R = crate::R<PaceSpec>;
+        #[doc = "Register `PACE` writer"]
+        pub type W = crate::W<PaceSpec>;
+        #[doc = "Field `scale` reader - Clocks of the path per clock, in 1/65536."]
+        pub type ScaleR = crate::FieldReader<u32>;
+        #[doc = "Field `scale` writer - Clocks of the path per clock, in 1/65536."]
+        pub type ScaleW<'a, REG> = crate::FieldWriter<'a, REG, 17, u32>;
+        impl R {
+            #[doc = "Bits 0:16 - Clocks of the path per clock, in 1/65536."]
+            #[inline(always)]
+            pub fn scale(&self) -> ScaleR {
+                ScaleR::new(self.bits & 0x0001_ffff)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:16 - Clocks of the path per clock, in 1/65536."]
+            #[inline(always)]
+            pub fn scale(&mut self) -> ScaleW<'_, PaceSpec> {
+                ScaleW::new(self, 0)
+            }
+        }
+        #[doc = "How fast the time of the path passes, in 1/65536; 65536 or more is 1, 0 pauses.\n\nYou can [`read`](crate::Reg::read) this register and get [`pace::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`pace::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct PaceSpec;
+        impl crate::RegisterSpec for PaceSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`pace::R`](R) reader structure"]
+        impl crate::Readable for PaceSpec {}
+        #[doc = "`write(|w| ..)` method takes [`pace::W`](W) writer structure"]
+        impl crate::Writable for PaceSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets PACE to value 0"]
+        impl crate::Resettable for PaceSpec {}
+    }
+    #[doc = "SLEW (rw) register accessor: How fast the pace changes while playing, in 2^-32 per clock; 0 is at once.\n\nYou can [`read`](crate::Reg::read) this register and get [`slew::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`slew::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@slew`] module"]
+    #[doc(alias = "SLEW")]
+    pub type Slew = crate::Reg<slew::SlewSpec>;
+    #[doc = "How fast the pace changes while playing, in 2^-32 per clock; 0 is at once."]
+    pub mod slew {
+        #[doc = "Register `SLEW` reader"]
+        pub type R = crate::R<SlewSpec>;
+        #[doc = "Register `SLEW` writer"]
+        pub type W = crate::W<SlewSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        impl W {}
+        #[doc = "How fast the pace changes while playing, in 2^-32 per clock; 0 is at once.\n\nYou can [`read`](crate::Reg::read) this register and get [`slew::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`slew::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct SlewSpec;
+        impl crate::RegisterSpec for SlewSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`slew::R`](R) reader structure"]
+        impl crate::Readable for SlewSpec {}
+        #[doc = "`write(|w| ..)` method takes [`slew::W`](W) writer structure"]
+        impl crate::Writable for SlewSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets SLEW to value 0"]
+        impl crate::Resettable for SlewSpec {}
+    }
+    #[doc = "BEAM (rw) register accessor: Outputs of a segment that are low unless the axes are on their way: not in a pause, not in a stop, not after the end.\n\nYou can [`read`](crate::Reg::read) this register and get [`beam::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`beam::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@beam`] module"]
+    #[doc(alias = "BEAM")]
+    pub type Beam = crate::Reg<beam::BeamSpec>;
+    #[doc = "Outputs of a segment that are low unless the axes are on their way: not in a pause, not in a stop, not after the end."]
+    pub mod beam {
+        #[doc = "Register `BEAM` reader"]
+        pub type R = crate::R<BeamSpec>;
+        #[doc = "Register `BEAM` writer"]
+        pub type W = crate::W<BeamSpec>;
+        #[doc = "Field `outputs` reader - One bit per output of `aux`."]
+        pub type OutputsR = crate::FieldReader<u16>;
+        #[doc = "Field `outputs` writer - One bit per output of `aux`."]
+        pub type OutputsW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl R {
+            #[doc = "Bits 0:15 - One bit per output of `aux`."]
+            #[inline(always)]
+            pub fn outputs(&self) -> OutputsR {
+                OutputsR::new((self.bits & 0xffff) as u16)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:15 - One bit per output of `aux`."]
+            #[inline(always)]
+            pub fn outputs(&mut self) -> OutputsW<'_, BeamSpec> {
+                OutputsW::new(self, 0)
+            }
+        }
+        #[doc = "Outputs of a segment that are low unless the axes are on their way: not in a pause, not in a stop, not after the end.\n\nYou can [`read`](crate::Reg::read) this register and get [`beam::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`beam::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct BeamSpec;
+        impl crate::RegisterSpec for BeamSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`beam::R`](R) reader structure"]
+        impl crate::Readable for BeamSpec {}
+        #[doc = "`write(|w| ..)` method takes [`beam::W`](W) writer structure"]
+        impl crate::Writable for BeamSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets BEAM to value 0"]
+        impl crate::Resettable for BeamSpec {}
+    }
+    #[doc = "MASK (rw) register accessor: Outputs that follow the segments instead of `command.gpio_out`, one bit per output.\n\nYou can [`read`](crate::Reg::read) this register and get [`mask::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mask::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mask`] module"]
+    #[doc(alias = "MASK")]
+    pub type Mask = crate::Reg<mask::MaskSpec>;
+    #[doc = "Outputs that follow the segments instead of `command.gpio_out`, one bit per output."]
+    pub mod mask {
+        #[doc = "Register `MASK` reader"]
+        pub type R = crate::R<MaskSpec>;
+        #[doc = "Register `MASK` writer"]
+        pub type W = crate::W<MaskSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        impl W {}
+        #[doc = "Outputs that follow the segments instead of `command.gpio_out`, one bit per output.\n\nYou can [`read`](crate::Reg::read) this register and get [`mask::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mask::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct MaskSpec;
+        impl crate::RegisterSpec for MaskSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`mask::R`](R) reader structure"]
+        impl crate::Readable for MaskSpec {}
+        #[doc = "`write(|w| ..)` method takes [`mask::W`](W) writer structure"]
+        impl crate::Writable for MaskSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets MASK to value 0"]
+        impl crate::Resettable for MaskSpec {}
+    }
+    #[doc = "STATUS (r) register accessor: What the core does now.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@status`] module"]
+    #[doc(alias = "STATUS")]
+    pub type Status = crate::Reg<status::StatusSpec>;
+    #[doc = "What the core does now."]
+    pub mod status {
+        #[doc = "Register `STATUS` reader"]
+        pub type R = crate::R<StatusSpec>;
+        #[doc = "Field `level` reader - Complete segments that wait, a count."]
+        pub type LevelR = crate::FieldReader;
+        #[doc = "What it does, a number.\n\nValue on reset: 0"]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum State {
+            #[doc = "0: Nothing: the step generators follow the bus."]
+            Idle = 0,
+            #[doc = "1: Waits for the step generators to stand, before the first segment."]
+            Settle = 1,
+            #[doc = "2: Plays, or stands in a pause."]
+            Play = 2,
+            #[doc = "3: Brings the step generators to rest."]
+            Halt = 3,
+        }
+        impl From<State> for u8 {
+            #[inline(always)]
+            fn from(variant: State) -> Self {
+                variant as _
+            }
+        }
+        impl crate::FieldSpec for State {
+            type Ux = u8;
+        }
+        impl crate::IsEnum for State {}
+        #[doc = "Field `state` reader - What it does, a number."]
+        pub type StateR = crate::FieldReader<State>;
+        impl StateR {
+            #[doc = "Get enumerated values variant"]
+            #[inline(always)]
+            pub const fn variant(&self) -> State {
+                match self.bits {
+                    0 => State::Idle,
+                    1 => State::Settle,
+                    2 => State::Play,
+                    3 => State::Halt,
+                    _ => unreachable!(),
+                }
+            }
+            #[doc = "Nothing: the step generators follow the bus."]
+            #[inline(always)]
+            pub fn is_idle(&self) -> bool {
+                *self == State::Idle
+            }
+            #[doc = "Waits for the step generators to stand, before the first segment."]
+            #[inline(always)]
+            pub fn is_settle(&self) -> bool {
+                *self == State::Settle
+            }
+            #[doc = "Plays, or stands in a pause."]
+            #[inline(always)]
+            pub fn is_play(&self) -> bool {
+                *self == State::Play
+            }
+            #[doc = "Brings the step generators to rest."]
+            #[inline(always)]
+            pub fn is_halt(&self) -> bool {
+                *self == State::Halt
+            }
+        }
+        #[doc = "Why it ended last, a number. From 2 on the FIFO stays empty and nothing starts until `clear`.\n\nValue on reset: 0"]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u8)]
+        pub enum Reason {
+            #[doc = "0: It has not ended since it started, or this was cleared."]
+            None = 0,
+            #[doc = "1: There was no segment left, and all velocities were 0."]
+            Done = 1,
+            #[doc = "2: There was no complete segment in time, and some velocity was not 0."]
+            Underrun = 2,
+            #[doc = "3: The command."]
+            Quit = 3,
+            #[doc = "4: The watchdog's soft stop."]
+            Halted = 4,
+            #[doc = "5: The gate closed."]
+            Closed = 5,
+        }
+        impl From<Reason> for u8 {
+            #[inline(always)]
+            fn from(variant: Reason) -> Self {
+                variant as _
+            }
+        }
+        impl crate::FieldSpec for Reason {
+            type Ux = u8;
+        }
+        impl crate::IsEnum for Reason {}
+        #[doc = "Field `reason` reader - Why it ended last, a number. From 2 on the FIFO stays empty and nothing starts until `clear`."]
+        pub type ReasonR = crate::FieldReader<Reason>;
+        impl ReasonR {
+            #[doc = "Get enumerated values variant"]
+            #[inline(always)]
+            pub const fn variant(&self) -> Option<Reason> {
+                match self.bits {
+                    0 => Some(Reason::None),
+                    1 => Some(Reason::Done),
+                    2 => Some(Reason::Underrun),
+                    3 => Some(Reason::Quit),
+                    4 => Some(Reason::Halted),
+                    5 => Some(Reason::Closed),
+                    _ => None,
+                }
+            }
+            #[doc = "It has not ended since it started, or this was cleared."]
+            #[inline(always)]
+            pub fn is_none(&self) -> bool {
+                *self == Reason::None
+            }
+            #[doc = "There was no segment left, and all velocities were 0."]
+            #[inline(always)]
+            pub fn is_done(&self) -> bool {
+                *self == Reason::Done
+            }
+            #[doc = "There was no complete segment in time, and some velocity was not 0."]
+            #[inline(always)]
+            pub fn is_underrun(&self) -> bool {
+                *self == Reason::Underrun
+            }
+            #[doc = "The command."]
+            #[inline(always)]
+            pub fn is_quit(&self) -> bool {
+                *self == Reason::Quit
+            }
+            #[doc = "The watchdog's soft stop."]
+            #[inline(always)]
+            pub fn is_halted(&self) -> bool {
+                *self == Reason::Halted
+            }
+            #[doc = "The gate closed."]
+            #[inline(always)]
+            pub fn is_closed(&self) -> bool {
+                *self == Reason::Closed
+            }
+        }
+        #[doc = "Field `refused` reader - What was refused since `clear`, one bit each: 0 a push without room, 1 one with a word missing, 2 one shorter than 64 clocks, 3 one with the gate closed or an end to be cleared, 4 a start."]
+        pub type RefusedR = crate::FieldReader;
+        #[doc = "Field `stands` reader - 1: the pace is 0, the path's time does not pass."]
+        pub type StandsR = crate::BitReader;
+        #[doc = "Field `held` reader - 1: since the start a pulse has had to wait for its pins' times, and has held the time of the path."]
+        pub type HeldR = crate::BitReader;
+        impl R {
+            #[doc = "Bits 0:7 - Complete segments that wait, a count."]
+            #[inline(always)]
+            pub fn level(&self) -> LevelR {
+                LevelR::new((self.bits & 0xff) as u8)
+            }
+            #[doc = "Bits 8:9 - What it does, a number."]
+            #[inline(always)]
+            pub fn state(&self) -> StateR {
+                StateR::new(((self.bits >> 8) & 3) as u8)
+            }
+            #[doc = "Bits 12:14 - Why it ended last, a number. From 2 on the FIFO stays empty and nothing starts until `clear`."]
+            #[inline(always)]
+            pub fn reason(&self) -> ReasonR {
+                ReasonR::new(((self.bits >> 12) & 7) as u8)
+            }
+            #[doc = "Bits 16:20 - What was refused since `clear`, one bit each: 0 a push without room, 1 one with a word missing, 2 one shorter than 64 clocks, 3 one with the gate closed or an end to be cleared, 4 a start."]
+            #[inline(always)]
+            pub fn refused(&self) -> RefusedR {
+                RefusedR::new(((self.bits >> 16) & 0x1f) as u8)
+            }
+            #[doc = "Bit 24 - 1: the pace is 0, the path's time does not pass."]
+            #[inline(always)]
+            pub fn stands(&self) -> StandsR {
+                StandsR::new(((self.bits >> 24) & 1) != 0)
+            }
+            #[doc = "Bit 25 - 1: since the start a pulse has had to wait for its pins' times, and has held the time of the path."]
+            #[inline(always)]
+            pub fn held(&self) -> HeldR {
+                HeldR::new(((self.bits >> 25) & 1) != 0)
+            }
+        }
+        #[doc = "What the core does now.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct StatusSpec;
+        impl crate::RegisterSpec for StatusSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`status::R`](R) reader structure"]
+        impl crate::Readable for StatusSpec {}
+        #[doc = "`reset()` method sets STATUS to value 0"]
+        impl crate::Resettable for StatusSpec {}
+    }
+    #[doc = "BEGUN (r) register accessor: Segments begun since power-up, a count: the job's sign of life, and its progress.\n\nYou can [`read`](crate::Reg::read) this register and get [`begun::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@begun`] module"]
+    #[doc(alias = "BEGUN")]
+    pub type Begun = crate::Reg<begun::BegunSpec>;
+    #[doc = "Segments begun since power-up, a count: the job's sign of life, and its progress."]
+    pub mod begun {
+        #[doc = "Register `BEGUN` reader"]
+        pub type R = crate::R<BegunSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Segments begun since power-up, a count: the job's sign of life, and its progress.\n\nYou can [`read`](crate::Reg::read) this register and get [`begun::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct BegunSpec;
+        impl crate::RegisterSpec for BegunSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`begun::R`](R) reader structure"]
+        impl crate::Readable for BegunSpec {}
+        #[doc = "`reset()` method sets BEGUN to value 0"]
+        impl crate::Resettable for BegunSpec {}
+    }
+    #[doc = "LEFT (r) register accessor: Clocks of the path left of the present segment, less 1; 2^32 - 1 in its last and when there is none.\n\nYou can [`read`](crate::Reg::read) this register and get [`left::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@left`] module"]
+    #[doc(alias = "LEFT")]
+    pub type Left = crate::Reg<left::LeftSpec>;
+    #[doc = "Clocks of the path left of the present segment, less 1; 2^32 - 1 in its last and when there is none."]
+    pub mod left {
+        #[doc = "Register `LEFT` reader"]
+        pub type R = crate::R<LeftSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Clocks of the path left of the present segment, less 1; 2^32 - 1 in its last and when there is none.\n\nYou can [`read`](crate::Reg::read) this register and get [`left::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct LeftSpec;
+        impl crate::RegisterSpec for LeftSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`left::R`](R) reader structure"]
+        impl crate::Readable for LeftSpec {}
+        #[doc = "`reset()` method sets LEFT to value 0"]
+        impl crate::Resettable for LeftSpec {}
+    }
+    #[doc = "CURRENT (r) register accessor: The segment begun last.\n\nYou can [`read`](crate::Reg::read) this register and get [`current::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@current`] module"]
+    #[doc(alias = "CURRENT")]
+    pub type Current = crate::Reg<current::CurrentSpec>;
+    #[doc = "The segment begun last."]
+    pub mod current {
+        #[doc = "Register `CURRENT` reader"]
+        pub type R = crate::R<CurrentSpec>;
+        #[doc = "Field `outputs` reader - Outputs as they are now, `beam` considered."]
+        pub type OutputsR = crate::FieldReader<u16>;
+        #[doc = "Field `tag` reader - Its tag."]
+        pub type TagR = crate::FieldReader<u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Outputs as they are now, `beam` considered."]
+            #[inline(always)]
+            pub fn outputs(&self) -> OutputsR {
+                OutputsR::new((self.bits & 0xffff) as u16)
+            }
+            #[doc = "Bits 16:31 - Its tag."]
+            #[inline(always)]
+            pub fn tag(&self) -> TagR {
+                TagR::new(((self.bits >> 16) & 0xffff) as u16)
+            }
+        }
+        #[doc = "The segment begun last.\n\nYou can [`read`](crate::Reg::read) this register and get [`current::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct CurrentSpec;
+        impl crate::RegisterSpec for CurrentSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`current::R`](R) reader structure"]
+        impl crate::Readable for CurrentSpec {}
+        #[doc = "`reset()` method sets CURRENT to value 0"]
+        impl crate::Resettable for CurrentSpec {}
+    }
+    #[doc = "PACE_NOW (r) register accessor: The pace on its way to what it was told, in 1/65536.\n\nYou can [`read`](crate::Reg::read) this register and get [`pace_now::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@pace_now`] module"]
+    #[doc(alias = "PACE_NOW")]
+    pub type PaceNow = crate::Reg<pace_now::PaceNowSpec>;
+    #[doc = "The pace on its way to what it was told, in 1/65536."]
+    pub mod pace_now {
+        #[doc = "Register `PACE_NOW` reader"]
+        pub type R = crate::R<PaceNowSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "The pace on its way to what it was told, in 1/65536.\n\nYou can [`read`](crate::Reg::read) this register and get [`pace_now::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct PaceNowSpec;
+        impl crate::RegisterSpec for PaceNowSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`pace_now::R`](R) reader structure"]
+        impl crate::Readable for PaceNowSpec {}
+        #[doc = "`reset()` method sets PACE_NOW to value 0"]
+        impl crate::Resettable for PaceNowSpec {}
+    }
+    #[doc = "SHAPE (r) register accessor: What was built.\n\nYou can [`read`](crate::Reg::read) this register and get [`shape::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@shape`] module"]
+    #[doc(alias = "SHAPE")]
+    pub type Shape = crate::Reg<shape::ShapeSpec>;
+    #[doc = "What was built."]
+    pub mod shape {
+        #[doc = "Register `SHAPE` reader"]
+        pub type R = crate::R<ShapeSpec>;
+        #[doc = "Field `axes` reader - Axes, a count: step generators 0 and up."]
+        pub type AxesR = crate::FieldReader;
+        #[doc = "Field `segments` reader - Room for so many segments, a count."]
+        pub type SegmentsR = crate::FieldReader;
+        impl R {
+            #[doc = "Bits 0:7 - Axes, a count: step generators 0 and up."]
+            #[inline(always)]
+            pub fn axes(&self) -> AxesR {
+                AxesR::new((self.bits & 0xff) as u8)
+            }
+            #[doc = "Bits 8:15 - Room for so many segments, a count."]
+            #[inline(always)]
+            pub fn segments(&self) -> SegmentsR {
+                SegmentsR::new(((self.bits >> 8) & 0xff) as u8)
+            }
+        }
+        #[doc = "What was built.\n\nYou can [`read`](crate::Reg::read) this register and get [`shape::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct ShapeSpec;
+        impl crate::RegisterSpec for ShapeSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`shape::R`](R) reader structure"]
+        impl crate::Readable for ShapeSpec {}
+        #[doc = "`reset()` method sets SHAPE to value 0"]
+        impl crate::Resettable for ShapeSpec {}
+    }
+}
 #[unsafe(no_mangle)]
 static mut DEVICE_PERIPHERALS: bool = false;
 #[doc = r" All the peripherals."]
@@ -13139,6 +14293,8 @@ pub struct Peripherals {
     pub flash: Flash,
     #[doc = "GUEST"]
     pub guest: Guest,
+    #[doc = "SEGMENTS"]
+    pub segments: Segments,
 }
 impl Peripherals {
     #[doc = r" Returns all the peripherals *once*."]
@@ -13222,6 +14378,7 @@ impl Peripherals {
             pwm15: unsafe { Pwm15::steal() },
             flash: unsafe { Flash::steal() },
             guest: unsafe { Guest::steal() },
+            segments: unsafe { Segments::steal() },
         }
     }
 }

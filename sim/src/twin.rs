@@ -404,6 +404,7 @@ impl cores::Board for Desk {
 
 fn build(card: &Card, abi: u32) -> model::board::Build {
     model::board::Build {
+        jobs: 0,
         channels: card.channels,
         clock_hz: card.clock_hz,
         estop_mask: card.estop_mask,

@@ -1,7 +1,7 @@
 #!/bin/bash
 # Turn the cores and banks of a board into a shared library for the lock-step test (tests/tests/lockstep.rs).
 #
-#   sim/verilator/cores.sh [NAME [DIR]]        boards/NAME.toml (mill6) -> DIR/libferrocnc_cores.so (target/sim/cores-NAME)
+#   sim/verilator/cores.sh [NAME [DIR]]        boards/NAME.toml (mill6) or tests/boards/NAME.toml -> DIR/libferrocnc_cores.so (target/sim/cores-NAME)
 #
 # RTL=DIR takes the cores from elsewhere: a broken one must make the test fail. Skips in a blink when no input changed.
 # Verilator and Python as for build.sh.
@@ -15,7 +15,9 @@ venv=${FERROCNC_VENV:-$repo/target/venv}
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
 
-PYTHONPATH=$repo/gateware "$venv/bin/python" -m ferrocnc elaborate --target cores --board "$repo/boards/$board.toml" --out "$out" > "$out/elaborate.log" \
+file=$repo/boards/$board.toml
+[ -e "$file" ] || file=$repo/tests/boards/$board.toml
+PYTHONPATH=$repo/gateware "$venv/bin/python" -m ferrocnc elaborate --target cores --board "$file" --out "$out" > "$out/elaborate.log" \
     || { cat "$out/elaborate.log" >&2; exit 1; }
 
 if command -v verilator >/dev/null && [ "$(verilator --version | sed -E 's/^Verilator ([0-9]+).*/\1/')" -ge 5 ]; then

@@ -545,6 +545,7 @@ fn run(seed: u64, clocks: u64) -> Run {
         abi: 0x1234_5678,
         version: 0x00_0100,
         rom_words: card.words().len() as u32,
+        jobs: 0,
     });
     let started = std::time::Instant::now();
     let mut stimulus = Stimulus::new(seed, &card);

@@ -68,6 +68,7 @@ impl<'p> Draft<'p> {
                 pin: None,
                 active: Level::High,
             },
+            jobs: 0,
             // The button has no other use in anybody's configuration, unless it has one: then `finish` takes this away.
             factory: Some(Line {
                 pin: Some("key".to_owned()),

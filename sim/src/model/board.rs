@@ -17,6 +17,7 @@ use super::gpio::{self, Gpio};
 use super::latch::{self, Latch};
 use super::led::Led;
 use super::pwm::{self, Pwm};
+use super::segments::{self, Order, Segments, State, Told};
 use super::stepgen::{self, Stepgen};
 use super::tally::{ROTATION, Tally};
 use super::timebase::{self, Timebase};
@@ -46,6 +47,8 @@ pub mod pages {
     pub const COMMAND: u32 = page(abi::CSR_COMMAND);
     /// The last sample.
     pub const STATUS: u32 = page(abi::CSR_STATUS);
+    /// Motion segments.
+    pub const SEGMENTS: u32 = page(abi::CSR_SEGMENTS);
     /// Settings of stepgen 0.
     pub const STEPGEN: u32 = page(abi::CSR_STEPGEN0);
     /// Settings of encoder 0.
@@ -73,6 +76,8 @@ pub struct Build {
     pub version: u32,
     /// Words of the board information ROM.
     pub rom_words: u32,
+    /// Axes of a job; 0: no segments.
+    pub jobs: u8,
 }
 
 /// The register bus and the MAC's signals before an edge.
@@ -97,6 +102,7 @@ struct Common {
     estop: bool,
     probe: bool,
     all_stopped: bool,
+    job: Told,
 }
 
 /// What happens to all lanes in one clock.
@@ -125,13 +131,22 @@ struct Regs {
     enables_now: u32,
     arms_now: u32,
     probe_arms_now: u32,
+    /// As the bus wrote them, and as they are.
     velocity: [u32; CHANNELS],
     accel: [u32; CHANNELS],
+    staged: [[u32; 2]; CHANNELS],
     pwm: [u32; CHANNELS],
     stepgen: [stepgen::Settings; CHANNELS],
     encoder: [[u32; 2]; CHANNELS],
     pwm_set: [[u32; 2]; CHANNELS],
     debounce: [u16; 32],
+    jobs: usize,
+    pace: u32,
+    slew: u32,
+    beam: u16,
+    mask: u32,
+    /// What the segments say of the outputs.
+    aux: u32,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -190,6 +205,8 @@ pub struct Board {
     common: Common,
     regs: Regs,
     hub: Hub,
+    segments: Option<Segments>,
+    segments_at: u64,
     steps: Vec<StepLane>,
     encoders: Vec<EncoderLane>,
     pwms: Vec<PwmLane>,
@@ -216,14 +233,21 @@ fn put(word: &mut u16, n: usize, on: bool) {
 impl Regs {
     fn stepgen_input(&self, n: usize, common: &Common, commit: bool) -> stepgen::Input {
         // -2^31 has no positive twin.
-        let velocity = self.velocity[n] | u32::from(self.velocity[n] == 0x8000_0000);
+        let [velocity, accel] = self.staged[n];
+        let velocity = velocity | u32::from(velocity == 0x8000_0000);
+        let job = if n < self.jobs {
+            common.job
+        } else {
+            Told::default()
+        };
         stepgen::Input {
             gate: common.gate,
-            stop: common.stop,
-            commit,
-            enable: bit(self.enables, n),
+            stop: common.stop || job.stop,
+            commit: if job.busy { job.commit } else { commit },
+            enable: bit(self.enables, n) || job.busy,
             velocity: velocity as i32,
-            accel: self.accel[n],
+            accel,
+            still: job.still,
             set: self.stepgen[n],
         }
     }
@@ -359,6 +383,8 @@ impl Hub {
             pins: self.inputs,
             limit: None,
             clear: false,
+            job_mask: regs.mask,
+            job_value: regs.aux,
         }
     }
 
@@ -396,6 +422,7 @@ impl Board {
         let mut board = Self::new(build);
         board.clock = clock;
         board.hub.at = clock;
+        board.segments_at = clock;
         board.hub.timebase = Timebase::at(clock);
         for lane in &mut board.steps {
             lane.at = clock;
@@ -464,13 +491,22 @@ impl Board {
                 probe_arms_now: 0,
                 velocity: [0; CHANNELS],
                 accel: [0; CHANNELS],
+                staged: [[0; 2]; CHANNELS],
                 pwm: [0; CHANNELS],
                 stepgen: Default::default(),
                 encoder: [[0; 2]; CHANNELS],
                 pwm_set: [[0; 2]; CHANNELS],
                 debounce: [0; 32],
+                jobs: build.jobs.into(),
+                pace: segments::PACE_ONE,
+                slew: 0,
+                beam: 0,
+                mask: 0,
+                aux: 0,
             },
             hub,
+            segments: (build.jobs != 0).then(|| Segments::new(build.jobs.into())),
+            segments_at: 0,
             steps: vec![StepLane::default(); c.stepgens.into()],
             encoders: vec![EncoderLane::default(); c.encoders.into()],
             pwms: vec![PwmLane::default(); c.pwms.into()],
@@ -562,12 +598,17 @@ impl Board {
             estop,
             probe: self.hub.probe,
             all_stopped: self.steps.iter().all(|lane| lane.core.stopped()),
+            job: Told::default(),
         }
     }
 
     fn catch_up(&mut self) {
         let (regs, common, to) = (&self.regs, &self.common, self.clock);
         self.hub.catch_up(to, regs);
+        if let Some(segments) = &mut self.segments {
+            segments.skip(to - self.segments_at);
+            self.segments_at = to;
+        }
         for (n, lane) in self.steps.iter_mut().enumerate() {
             lane.catch_up(to, n, regs, common);
         }
@@ -593,6 +634,10 @@ impl Board {
     fn edge(&mut self, bus: &Bus) {
         self.catch_up();
         self.common = self.common_now();
+        let job = self.job_input();
+        if let Some(segments) = &self.segments {
+            self.common.job = segments.tells(&job);
+        }
         let (regs, common) = (&mut self.regs, &self.common);
         let hub = &mut self.hub;
         let now = hub.timebase.now();
@@ -695,16 +740,72 @@ impl Board {
             regs.arms_now = regs.arms;
             regs.probe_arms_now = regs.probe_arms;
         }
+        let told = common.job;
+        if let Some(segments) = &mut self.segments {
+            segments.clock(&job);
+            self.segments_at += 1;
+            for (n, staged) in regs.staged.iter_mut().take(regs.jobs).enumerate() {
+                match told.stage {
+                    Some((at, word)) if told.busy && at / 2 == n => staged[at & 1] = word,
+                    _ => {}
+                }
+                if told.stop {
+                    staged[0] = 0;
+                }
+            }
+        }
         let write = self.write.take();
         self.clock += 1;
         if let Some((address, data)) = write {
-            self.store(address >> 9, address & 0x1ff, data);
+            self.store(address >> 9, address & 0x1ff, data, told);
         }
+        self.shine();
         self.write = bus.write.filter(|_| !bus.rst);
         self.show_all();
     }
 
-    fn store(&mut self, page: u32, word: u32, data: u32) {
+    /// What the segments are told in this clock.
+    fn job_input(&self) -> segments::Input {
+        let (regs, common) = (&self.regs, &self.common);
+        let mut input = segments::Input {
+            gate: common.gate,
+            halt: common.stop,
+            pace: regs.pace,
+            slew: regs.slew,
+            stopped: self.steps.iter().take(regs.jobs).all(|lane| lane.core.stopped()),
+            waits: self.steps.iter().take(regs.jobs).enumerate().any(|(n, lane)| {
+                lane.core.waits(&regs.stepgen_input(n, common, false))
+            }),
+            ..segments::Input::default()
+        };
+        if let Some((address, data)) = self.write {
+            match (address >> 9, address & 0x1ff) {
+                (pages::SEGMENTS, at @ 0..16) => input.word = Some((at as usize, data)),
+                (pages::SEGMENTS, 16) => input.push = true,
+                (pages::SEGMENTS, 17) => {
+                    input.order = match data {
+                        1 => Some(Order::Start),
+                        2 => Some(Order::Quit),
+                        3 => Some(Order::Clear),
+                        _ => None,
+                    }
+                }
+                (pages::SEGMENTS, 18) => input.pace_we = true,
+                _ => {}
+            }
+        }
+        input
+    }
+
+    /// The segments' outputs as they are now.
+    fn shine(&mut self) {
+        if let Some(segments) = &self.segments {
+            let aux = u32::from(segments.aux(self.regs.beam));
+            self.regs.aux = aux << 16 | aux;
+        }
+    }
+
+    fn store(&mut self, page: u32, word: u32, data: u32, job: Told) {
         let c = self.build.channels;
         let outputs = 1u32
             .checked_shl(c.outputs.max(1).into())
@@ -736,8 +837,17 @@ impl Board {
                 } else {
                     &mut regs.accel
                 };
-                into[(at - 4) / 2] = data;
+                let n = (at - 4) / 2;
+                into[n] = data;
+                let kept = n < regs.jobs && (job.busy || (job.stop && word & 1 == 0));
+                if !kept {
+                    regs.staged[n][at & 1] = data;
+                }
             }
+            (pages::SEGMENTS, 18) if regs.jobs != 0 => regs.pace = data & 0x1_ffff,
+            (pages::SEGMENTS, 19) if regs.jobs != 0 => regs.slew = data,
+            (pages::SEGMENTS, 20) if regs.jobs != 0 => regs.beam = data as u16,
+            (pages::SEGMENTS, 21) if regs.jobs != 0 => regs.mask = data & outputs,
             (pages::COMMAND, 36..52) if at < 36 + usize::from(c.pwms) => regs.pwm[at - 36] = data,
             _ => {
                 if let Some(n) = channel(pages::STEPGEN, c.stepgens) {
@@ -796,6 +906,7 @@ impl Board {
             (pages::IDENT, 3) => self.build.clock_hz,
             (pages::IDENT, 4) => u32::from_le_bytes([c.stepgens, c.encoders, c.pwms, 0]),
             (pages::IDENT, 5) => u32::from_le_bytes([c.inputs, c.outputs, 0, 0]),
+            (pages::IDENT, 6) => u32::from(self.build.jobs != 0),
             (pages::IDENT, 7) => self.build.rom_words,
             (pages::TIMEBASE, 0 | 1) => half(self.now_caught, word),
             (pages::TIMEBASE, 3 | 4) => half(self.arrival, word - 3),
@@ -825,6 +936,7 @@ impl Board {
             (pages::COMMAND, 4..36) if word & 1 == 0 => regs.velocity[(at - 4) / 2],
             (pages::COMMAND, 4..36) => regs.accel[(at - 4) / 2],
             (pages::COMMAND, 36..52) => regs.pwm[at - 36],
+            (pages::SEGMENTS, _) => self.job_word(at),
             (pages::STATUS, _) => self.status(at),
             _ => {
                 if let Some(n) = channel(pages::STEPGEN, c.stepgens) {
@@ -849,6 +961,23 @@ impl Board {
                 }
             }
         }
+    }
+
+    fn job_word(&self, word: usize) -> u32 {
+        let regs = &self.regs;
+        self.segments.as_ref().map_or(0, |segments| match word {
+            18 => regs.pace,
+            19 => regs.slew,
+            20 => regs.beam.into(),
+            21 => regs.mask,
+            22 => segments.status(),
+            23 => segments.begun(),
+            24 => segments.left(),
+            25 => u32::from(segments.tag()) << 16 | u32::from(segments.aux(regs.beam)),
+            26 => segments.pace_now(),
+            27 => (segments.axes() | segments::DEPTH << 8) as u32,
+            _ => 0,
+        })
     }
 
     /// A word of the status page.
@@ -929,7 +1058,10 @@ impl Board {
     /// After an edge: does the next one have to be made of everything?
     fn plan_common(&mut self) {
         let changed = self.common_now() != self.common;
-        self.full = if changed || self.write.is_some() {
+        let plays = self.segments.as_ref().is_some_and(|segments| {
+            segments.quiet(self.common.gate, self.regs.pace) == 0
+        });
+        self.full = if changed || plays || self.write.is_some() {
             self.clock + 1
         } else {
             u64::MAX
@@ -1078,7 +1210,12 @@ impl Board {
         if page != pages::COMMAND {
             self.catch_up();
         }
-        self.store(page, word, data);
+        let job = self.segments.as_ref().map_or(Told::default(), |segments| Told {
+            busy: segments.state() != State::Idle,
+            ..Told::default()
+        });
+        self.store(page, word, data, job);
+        self.shine();
         if page == pages::DEBOUNCE {
             self.order(page, word, data);
         } else if page != pages::COMMAND {
@@ -1122,6 +1259,7 @@ mod tests {
         abi: 1,
         version: 2,
         rom_words: 3,
+        jobs: 2,
     };
 
     /// Something a host, a firmware or a machine does, and how many clocks go by before it.
@@ -1132,6 +1270,8 @@ mod tests {
         Shaft(usize, u16),
         Marks(u16, u16, u16),
         Reset(bool),
+        /// A whole segment.
+        Segment([u32; 6]),
     }
 
     fn word() -> impl Strategy<Value = u32> {
@@ -1180,6 +1320,12 @@ mod tests {
             1 => (0..4u32, 0..4u32).prop_map(|(n, how)| Deed::Write(pages::GPIO, 7, n | how << 8)),
             1 => (0..4u32, 0..9u32).prop_map(|(n, limit)| Deed::Write(pages::DEBOUNCE, n, limit)),
             1 => (0..8u32).prop_map(|pattern| Deed::Write(pages::LED, 0, pattern)),
+            2 => (18..22u32, word()).prop_map(|(w, data)| Deed::Write(pages::SEGMENTS, w, data)),
+            1 => Just(Deed::Write(pages::SEGMENTS, 18, 0x1_0000)),
+            2 => (1..4u32).prop_map(|order| Deed::Write(pages::SEGMENTS, 17, order)),
+            3 => (64..400u32, any::<u32>(), (-400_000_000..400_000_000i32), word(), any::<bool>()).prop_map(|(clocks, aux, v, a, last)| {
+                Deed::Segment([clocks, aux, if last { 0 } else { v as u32 }, a, if last { 0 } else { !v as u32 >> 4 }, a >> 3])
+            }),
             2 => (0..8u32).prop_map(Deed::Inputs),
             8 => (0..2usize, 0..4u16).prop_map(|(n, phase)| Deed::Shaft(n, phase)),
             2 => (0..4u16, 0..4u16, 0..8u16).prop_map(|(i, m, s)| Deed::Marks(i, m, s)),
@@ -1189,6 +1335,7 @@ mod tests {
 
     fn registers() -> impl Iterator<Item = (u32, u32)> {
         let wide = (8..16).flat_map(|page| (0..120).map(move |word| (page, word)));
+        let wide = wide.chain((0..30).map(|word| (pages::SEGMENTS, word)));
         wide.chain((16..64).flat_map(|page| (0..6).map(move |word| (page, word))))
     }
 
@@ -1230,6 +1377,20 @@ mod tests {
                         (pins.enc_i, pins.enc_mask, pins.step_index) = (index, mask, step);
                     }
                     Deed::Reset(on) => pins.ext_reset = on.into(),
+                    Deed::Segment(words) => {
+                        for (at, data) in (0..).zip(words).chain([(16, 0)]) {
+                            for board in [&mut slow, &mut fast] {
+                                board.order(pages::SEGMENTS, at, data);
+                            }
+                            let until = slow.clocks() + 2;
+                            while slow.clocks() < until {
+                                slow.clock(&Bus::default());
+                            }
+                            while fast.clocks() < until {
+                                fast.run(until);
+                            }
+                        }
+                    }
                 }
                 slow.drive(&pins);
                 fast.drive(&pins);

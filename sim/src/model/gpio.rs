@@ -42,6 +42,10 @@ pub struct Input {
     pub limit: Option<(usize, u16)>,
     /// Forget e-stop inputs that are released.
     pub clear: bool,
+    /// Outputs that follow a job instead of what was committed.
+    pub job_mask: u32,
+    /// What it has them carry.
+    pub job_value: u32,
 }
 
 fn mask(count: u32) -> u32 {
@@ -104,7 +108,7 @@ impl Gpio {
 
     fn next_out(&self, i: &Input) -> u32 {
         let level = if i.gate && self.live {
-            self.held
+            self.held & !i.job_mask | i.job_value & i.job_mask
         } else {
             i.safe
         };

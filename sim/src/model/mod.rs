@@ -15,6 +15,7 @@ pub mod gpio;
 pub mod latch;
 pub mod led;
 pub mod pwm;
+pub mod segments;
 pub mod stepgen;
 pub mod tally;
 pub mod timebase;

@@ -134,6 +134,8 @@ pub struct Input {
     pub velocity: i32,
     /// Its acceleration limit.
     pub accel: u32,
+    /// Path time stands.
+    pub still: bool,
     /// Settings.
     pub set: Settings,
 }
@@ -213,7 +215,7 @@ impl Stepgen {
             && (!self.setup || self.dir_done(set))
     }
 
-    /// A pulse is due in this clock and has to wait.
+    /// A pulse is due in this clock and has to wait. Says nothing about `still`.
     pub fn waits(&self, i: &Input) -> bool {
         i.gate && self.due() && !self.ready(&i.set)
     }
@@ -245,6 +247,7 @@ impl Stepgen {
         let halt = i.stop || !i.gate;
         let take = i.commit && !halt;
         let pause = self.fresh || take || (halt && !self.halted);
+        let holds = pause || (i.still && !self.braking);
 
         // Velocity. In the clock after a new target the adder tries a move upwards, and only its comparison is used.
         let reach = i64::from(self.reach(set));
@@ -255,9 +258,9 @@ impl Stepgen {
 
         // Position.
         let (due, ready) = (self.due(), self.ready(set));
-        let emit = i.gate && due && ready;
+        let emit = i.gate && due && ready && !i.still;
         let turn = self.turns(i);
-        if i.gate && (!due || ready) {
+        if !i.still && i.gate && (!due || ready) {
             self.fraction = self.sum() as u32;
         }
         if emit {
@@ -287,7 +290,7 @@ impl Stepgen {
         // Ramp and target.
         if !i.gate {
             self.v = 0;
-        } else if !pause {
+        } else if !holds {
             self.v = if arrived {
                 i64::from(self.target) << VELOCITY_FRACTION
             } else {
@@ -302,6 +305,7 @@ impl Stepgen {
         } else if self.fresh {
             self.up = below;
         }
+        let waits = self.fresh && i.still && !self.braking;
         if halt || (take && !i.enable) {
             self.target = 0;
             self.braking = true;
@@ -312,7 +316,7 @@ impl Stepgen {
         if take {
             self.limit = i.accel;
         }
-        self.fresh = take || (halt && !self.halted);
+        self.fresh = take || (halt && !self.halted) || waits;
         self.halted = halt;
         emit
     }
@@ -344,6 +348,7 @@ impl Stepgen {
         let halt = i.stop || !i.gate;
         if self.fresh
             || self.halted != halt
+            || i.still
             || self.jump != (self.reach(set) == 0)
             || self.pins != self.polarised(set, self.pulse, self.reverse, self.reverse)
         {

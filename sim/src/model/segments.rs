@@ -1,0 +1,443 @@
+//! `segments.sv`: plays segments into the first stepgens. What it says in a clock depends on whether a pulse waits in that
+//! clock, so it is asked in two steps: [`Segments::tells`] before the stepgens' edge, [`Segments::clock`] with it.
+
+use litex_pac::abi;
+
+/// Room for so many segments.
+pub const DEPTH: usize = abi::JOB_SEGMENTS;
+/// The shortest segment.
+pub const CLOCKS_MIN: u32 = 64;
+/// A pace of 1.
+pub const PACE_ONE: u32 = 1 << 16;
+
+/// What it does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum State {
+    /// Nothing.
+    #[default]
+    Idle,
+    /// Waits for the stepgens to stand.
+    Settle,
+    /// Plays.
+    Play,
+    /// Brings the stepgens to rest.
+    Halt,
+}
+
+/// Why it ended.
+pub mod reason {
+    /// It has not.
+    pub const NONE: u8 = 0;
+    /// No segment left, at rest.
+    pub const DONE: u8 = 1;
+    /// No segment in time, not at rest.
+    pub const UNDERRUN: u8 = 2;
+    /// Told to.
+    pub const QUIT: u8 = 3;
+    /// The watchdog's soft stop.
+    pub const HALTED: u8 = 4;
+    /// The gate closed.
+    pub const CLOSED: u8 = 5;
+}
+
+/// What was refused.
+pub mod refused {
+    /// A push without room.
+    pub const FULL: u8 = 1;
+    /// One with a word missing.
+    pub const INCOMPLETE: u8 = 2;
+    /// One too short.
+    pub const SHORT: u8 = 4;
+    /// One with the gate closed or an end to be cleared.
+    pub const NOT_NOW: u8 = 8;
+    /// A start.
+    pub const START: u8 = 16;
+}
+
+/// A command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Play.
+    Start,
+    /// Stop.
+    Quit,
+    /// Forget what went wrong.
+    Clear,
+}
+
+/// What it is told in a clock.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Input {
+    /// Outputs are live.
+    pub gate: bool,
+    /// The watchdog's soft stop.
+    pub halt: bool,
+    /// A word of a segment, and its place.
+    pub word: Option<(usize, u32)>,
+    /// The segment is complete.
+    pub push: bool,
+    /// A command.
+    pub order: Option<Order>,
+    /// From the next clock on `pace` may be another.
+    pub pace_we: bool,
+    /// Path clocks per clock, in 1/65536.
+    pub pace: u32,
+    /// How fast that changes.
+    pub slew: u32,
+    /// One of its stepgens waits.
+    pub waits: bool,
+    /// All of them stand.
+    pub stopped: bool,
+}
+
+/// What it tells its stepgens in a clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Told {
+    /// Path time stands.
+    pub still: bool,
+    /// Come to rest.
+    pub stop: bool,
+    /// They are its.
+    pub busy: bool,
+    /// Take the staged command.
+    pub commit: bool,
+    /// A staged word: 2n the velocity of axis n, 2n + 1 its acceleration.
+    pub stage: Option<(usize, u32)>,
+}
+
+/// The core.
+#[derive(Clone, Debug)]
+pub struct Segments {
+    words: usize,
+    slot: usize,
+    memory: Vec<u32>,
+    out: u32,
+    head: usize,
+    tail: usize,
+    level: usize,
+    seen: u32,
+    short: bool,
+    at: usize,
+    staged: bool,
+    fetched: Option<usize>,
+    next: u32,
+    next_moves: bool,
+    left: i64,
+    first: bool,
+    moves: bool,
+    outputs: u16,
+    tag: u16,
+    scale: u64,
+    turned: bool,
+    up: bool,
+    phase: u32,
+    tick: bool,
+    state: State,
+    reason: u8,
+    refused: u8,
+    held: bool,
+    begun: u32,
+}
+
+impl Segments {
+    /// For so many axes.
+    pub fn new(axes: usize) -> Self {
+        let words = 2 + 2 * axes;
+        let slot = words.next_power_of_two();
+        Segments {
+            words,
+            slot,
+            memory: vec![0; DEPTH * slot],
+            out: 0,
+            head: 0,
+            tail: 0,
+            level: 0,
+            seen: 0,
+            short: false,
+            at: words - 1,
+            staged: false,
+            fetched: None,
+            next: 0,
+            next_moves: false,
+            left: -1,
+            first: true,
+            moves: false,
+            outputs: 0,
+            tag: 0,
+            scale: u64::from(PACE_ONE) << 16,
+            turned: false,
+            up: false,
+            phase: 0,
+            tick: true,
+            state: State::Idle,
+            reason: reason::NONE,
+            refused: 0,
+            held: false,
+            begun: 0,
+        }
+    }
+
+    /// Axes.
+    pub fn axes(&self) -> usize {
+        self.words / 2 - 1
+    }
+
+    /// What it does.
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// Why it ended.
+    pub fn reason(&self) -> u8 {
+        self.reason
+    }
+
+    /// Segments that wait.
+    pub fn level(&self) -> usize {
+        self.level
+    }
+
+    /// Segments begun.
+    pub fn begun(&self) -> u32 {
+        self.begun
+    }
+
+    /// Path clocks left, less 1.
+    pub fn left(&self) -> u32 {
+        self.left as u32
+    }
+
+    /// Of the segment begun last.
+    pub fn tag(&self) -> u16 {
+        self.tag
+    }
+
+    /// Path clocks per clock, in 1/65536.
+    pub fn pace_now(&self) -> u32 {
+        (self.scale >> 16) as u32
+    }
+
+    /// Outputs.
+    pub fn aux(&self, beam: u16) -> u16 {
+        let off = self.state != State::Play || self.pace_now() == 0;
+        self.outputs & !if off { beam } else { 0 }
+    }
+
+    /// The status register.
+    pub fn status(&self) -> u32 {
+        let bits = [
+            (0, self.level as u32),
+            (8, self.state as u32),
+            (12, self.reason.into()),
+            (16, self.refused.into()),
+            (24, (self.pace_now() == 0).into()),
+            (25, self.held.into()),
+        ];
+        bits.iter().fold(0, |word, (at, value)| word | value << at)
+    }
+
+    fn dead(&self, gate: bool) -> bool {
+        self.reason > reason::DONE || !gate
+    }
+
+    fn breaks(i: &Input) -> bool {
+        !i.gate || i.halt || i.order == Some(Order::Quit)
+    }
+
+    /// What its stepgens are told in this clock.
+    pub fn tells(&self, i: &Input) -> Told {
+        let timed = matches!(self.state, State::Play | State::Halt);
+        let advance = !timed || (self.tick && !i.waits);
+        Told {
+            still: !advance,
+            stop: matches!(self.state, State::Settle | State::Halt),
+            busy: self.state != State::Idle,
+            commit: self.state == State::Play
+                && self.staged
+                && self.left < 0
+                && advance
+                && !Self::breaks(i),
+            stage: self
+                .fetched
+                .filter(|at| *at > 1)
+                .map(|at| (at - 2, self.out)),
+        }
+    }
+
+    /// One rising edge.
+    pub fn clock(&mut self, i: &Input) {
+        let told = self.tells(i);
+        let (advance, commit) = (!told.still, told.commit);
+        let (state, dead) = (self.state, self.dead(i.gate));
+        let play = state == State::Play;
+        let full = self.level == DEPTH;
+        let clear = i.order == Some(Order::Clear);
+        let over = self.left < 0 && advance;
+        let starts = i.order == Some(Order::Start)
+            && state == State::Idle
+            && !dead
+            && !i.halt
+            && self.level != 0;
+
+        // Segment by segment.
+        if state == State::Settle {
+            self.held = false;
+        } else if play && self.tick && i.waits {
+            self.held = true;
+        }
+        let why = match () {
+            () if !Self::breaks(i) => reason::NONE,
+            () if !i.gate => reason::CLOSED,
+            () if i.halt => reason::HALTED,
+            () => reason::QUIT,
+        };
+        let failed = self.reason > reason::DONE;
+        (self.state, self.reason) = match state {
+            State::Idle if starts => (State::Settle, reason::NONE),
+            State::Idle if clear => (State::Idle, reason::NONE),
+            State::Idle => (State::Idle, self.reason),
+            State::Settle | State::Play if why != reason::NONE => (State::Halt, why),
+            State::Settle if i.stopped => (State::Play, self.reason),
+            State::Settle => (State::Settle, self.reason),
+            State::Play if over && !self.staged && !self.first => {
+                let end = if self.moves {
+                    reason::UNDERRUN
+                } else {
+                    reason::DONE
+                };
+                (State::Halt, end)
+            }
+            State::Play => (State::Play, self.reason),
+            State::Halt => {
+                let ends = i.stopped || !i.gate;
+                let reason = if !i.gate && !failed {
+                    reason::CLOSED
+                } else {
+                    self.reason
+                };
+                (if ends { State::Idle } else { State::Halt }, reason)
+            }
+        };
+        if state == State::Settle {
+            (self.left, self.first) = (-1, true);
+        } else if commit {
+            (self.left, self.first) = (i64::from(self.out) - 2, false);
+        } else if self.left >= 0 && advance {
+            self.left -= 1;
+        }
+        if commit {
+            self.begun = self.begun.wrapping_add(1);
+            self.moves = self.next_moves;
+            (self.tag, self.outputs) = ((self.next >> 16) as u16, self.next as u16);
+        } else if state == State::Idle && dead {
+            self.outputs = 0;
+        }
+
+        // The next one.
+        let fetch = play && !self.staged && self.level != 0;
+        if self.fetched == Some(1) {
+            self.next = self.out;
+        }
+        let moves = matches!(told.stage, Some((at, word)) if at & 1 == 0 && word != 0);
+        self.next_moves = play && !commit && (self.next_moves || moves);
+        self.staged = play && !commit && (self.staged || (fetch && self.at == 0));
+        let at = self.at;
+        self.fetched = fetch.then_some(at);
+        self.at = if !play || commit {
+            self.words - 1
+        } else if fetch && at != 0 {
+            at - 1
+        } else {
+            at
+        };
+
+        // The FIFO.
+        self.out = self.memory[self.tail * self.slot + at];
+        let whole = self.seen == (1 << self.words) - 1;
+        let taken = i.push && !full && !dead && whole && !self.short;
+        if i.push {
+            self.refused |= match () {
+                () if full => refused::FULL,
+                () if dead => refused::NOT_NOW,
+                () if !whole => refused::INCOMPLETE,
+                () if self.short => refused::SHORT,
+                () => 0,
+            };
+        }
+        if i.order == Some(Order::Start) && !starts {
+            self.refused |= refused::START;
+        }
+        if clear {
+            self.refused = 0;
+        }
+        let write = i.word.filter(|(at, _)| *at < self.words && !full);
+        if let Some((at, word)) = write {
+            self.memory[self.head * self.slot + at] = word;
+            if at == 0 {
+                self.short = word < CLOCKS_MIN;
+            }
+        }
+        if i.push || dead {
+            self.seen = 0;
+        } else if let Some((at, _)) = write {
+            self.seen |= 1 << at;
+        }
+        let flush = dead || (clear && state == State::Idle);
+        (self.tail, self.level) = if flush {
+            (self.head, 0)
+        } else {
+            (
+                (self.tail + usize::from(commit)) % DEPTH,
+                self.level + usize::from(taken) - usize::from(commit),
+            )
+        };
+        self.head = (self.head + usize::from(taken)) % DEPTH;
+
+        // Time.
+        let pace_now = self.pace_now();
+        let wanted = u64::from(i.pace.min(PACE_ONE)) << 16;
+        let down = !self.up && !self.turned;
+        let slew = i64::from(i.slew);
+        let moved = self.scale as i64 + if down { -slew } else { slew };
+        let below = moved < wanted as i64;
+        let there = i.slew == 0 || self.up != below;
+        if !matches!(state, State::Play | State::Halt) {
+            self.scale = wanted;
+        } else if play && !self.turned {
+            self.scale = if there { wanted } else { moved as u64 };
+        }
+        if self.turned {
+            self.up = below;
+        }
+        self.turned = i.pace_we;
+        let sum = self.phase + pace_now;
+        self.tick = sum >> 16 != 0;
+        self.phase = sum & 0xffff;
+    }
+
+    /// Clocks in which it does nothing by itself but let its phase go round.
+    pub fn quiet(&self, gate: bool, pace: u32) -> u64 {
+        let dead = self.dead(gate);
+        let settled = self.state == State::Idle
+            && !self.turned
+            && self.fetched.is_none()
+            && !self.staged
+            && !self.next_moves
+            && self.at == self.words - 1
+            && self.scale == u64::from(pace.min(PACE_ONE)) << 16
+            && !(dead && (self.outputs != 0 || self.level != 0 || self.seen != 0));
+        if settled { u64::MAX } else { 0 }
+    }
+
+    /// That many quiet clocks at once.
+    pub fn skip(&mut self, clocks: u64) {
+        if clocks == 0 {
+            return;
+        }
+        let before = u64::from(self.phase) + (clocks - 1) * u64::from(self.pace_now());
+        let sum = (before & 0xffff) as u32 + self.pace_now();
+        self.tick = sum >> 16 != 0;
+        self.phase = sum & 0xffff;
+        self.out = self.memory[self.tail * self.slot + self.at];
+    }
+}
