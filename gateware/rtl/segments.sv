@@ -223,5 +223,163 @@ module segments #(
             end
         endcase
     end
+
+`ifdef FORMAL
+`ifdef PROVE_all_of_it_with_three_axes_and_64_segments
+`define PROVE_a_segment_counts_only_when_complete
+`define PROVE_what_is_played_is_what_was_pushed
+`define PROVE_a_segment_lasts_its_clocks_then_the_next_begins_or_everything_stops
+`define PROVE_an_underrun_is_never_a_held_velocity
+`define PROVE_outputs_switch_on_the_first_clock_of_their_segment
+`define PROVE_a_pause_holds_the_path
+`define PROVE_a_job_begins_and_ends_at_rest
+`endif
+    // ---- what must hold: gateware/formal/segments.proofs --------------------------------------------------------------
+    // Any one slot of the FIFO and any one word of it, remembered apart from the memory; any one axis' staged word; and a clock of the
+    // path of our own. Every promise is told in terms of those.
+    (* anyconst *) logic [SLOT-1:0] f_slot;
+    (* anyconst *) logic [BITS-1:0] f_at;     // 2 and more: a word of an axis
+    always_comb assume (f_at >= BITS'(2) & {27'd0, 1'b0, f_at} < WORDS);
+    always_comb assume (word_we + push + start + quit + clear <= 1);
+
+    logic        f_has0 = 1'b0, f_has1 = 1'b0, f_hasw = 1'b0;
+    logic [31:0] f_clocks = '0, f_aux = '0, f_word = '0;      // the slot's
+    logic [31:0] f_staged = '0;                              // whoever holds the staged commands
+    logic        f_mine = 1'b0;                              // the present segment came from the slot
+    logic [31:0] f_duration = '0, f_velocity = '0, f_since = '0;  // its words; path clocks since its commit
+    logic [15:0] f_outputs = '0;
+    logic        f_known = 1'b1;                             // what the outputs should be
+    logic [WORDS-1:0] f_seen = '0;                           // the words written since the last push
+    logic        f_short = 1'b0;
+    logic [31:0] f_level = '0;
+    logic        f_owes = 1'b0;                              // a stop that has not come to its end
+    logic        f_failed = 1'b0;                            // an underrun nobody has cleared
+    logic        f_past = 1'b0, f_stood = 1'b0, f_waited = 1'b0, f_full = 1'b0, f_held = 1'b0, f_rest = 1'b0, f_gate = 1'b0;
+    logic        f_advanced = 1'b0, f_committed = 1'b0, f_last = 1'b0, f_cleared = 1'b0;
+    logic [1:0]  f_state = IDLE;
+    logic [32:0] f_left = '1;
+    logic [7:0]  f_levelled = '0;
+
+    wire f_head  = head == f_slot;
+    wire f_tail  = tail == f_slot;
+    wire [SLOT-1:0] f_index = f_slot - tail;
+    wire f_waits = {1'b0, f_index} < level[SLOT:0];          // the slot is one of those that wait
+    wire f_fits  = f_level < DEPTH;
+    wire f_moves = ~f_at[0] & f_word != 32'd0;               // the word is a velocity, and not 0
+    wire f_ended = state == PLAY & left[32] & ~first & advance & ~commit;
+
+    always_ff @(posedge clk) begin
+        if (word_we & f_fits & f_head & word_at == 4'd0) {f_has0, f_clocks} <= {1'b1, word};
+        if (word_we & f_fits & f_head & word_at == 4'd1) {f_has1, f_aux} <= {1'b1, word};
+        if (word_we & f_fits & f_head & word_at == {{4 - BITS{1'b0}}, f_at}) {f_hasw, f_word} <= {1'b1, word};
+        if (stage & stage_at == {{4 - BITS{1'b0}}, f_at} - 4'd2) f_staged <= staged_word;
+
+        if (push | ~gate | reason > DONE) f_seen <= '0;
+        else if (word_we & f_fits & {28'd0, word_at} < WORDS) f_seen[word_at] <= 1'b1;
+        if (word_we & f_fits & word_at == 4'd0) f_short <= word < 32'd64;
+        if (~gate | reason > DONE | (clear & state == IDLE)) f_level <= '0;
+        else f_level <= f_level + (push & f_fits & &f_seen & ~f_short) - commit;
+
+        if (commit) {f_mine, f_duration, f_velocity, f_since} <= {f_tail, f_clocks, f_at[0] ? 32'd0 : f_word, 32'd0};
+        else if (advance & state == PLAY) f_since <= f_since + 32'd1;
+        if (commit) {f_known, f_outputs} <= {f_tail, f_aux[15:0]};
+        else if (state == IDLE & (~gate | reason > DONE)) {f_known, f_outputs} <= {1'b1, 16'd0};
+
+        f_owes   <= state == PLAY ? f_ended | breaks : state == SETTLE ? breaks : f_owes & ~stopped & gate;
+        f_failed <= (f_failed & ~(clear & state == IDLE)) | (f_ended & f_mine & f_velocity != 32'd0);
+
+        f_past      <= 1'b1;
+        f_stood     <= stands & (state == PLAY | state == HALT);
+        f_full      <= pace_now == 17'h10000;
+        f_advanced  <= advance;
+        f_committed <= commit;
+        f_state     <= state;
+        f_rest      <= stopped;
+        f_gate      <= gate;
+        f_left      <= left;
+        f_levelled  <= level;
+        f_last      <= f_ended;
+        f_cleared   <= clear;
+    end
+
+    always_comb begin
+`ifdef PROVE_a_segment_counts_only_when_complete
+        assert ({24'd0, level} == f_level);
+        if (taken) assert (&f_seen & ~f_short & f_fits & gate & reason <= DONE);
+        assert (level <= 8'(DEPTH));
+`endif
+`ifdef PROVE_what_is_played_is_what_was_pushed
+        // The staged word, the duration and the outputs at the commit are those written into the slot before its push.
+        if (commit & f_tail) assert (f_has0 & f_has1 & f_hasw & f_staged == f_word & out == f_clocks & next == f_aux & f_clocks >= 32'd64);
+        if (commit) assert (level != 8'd0);
+`endif
+`ifdef PROVE_a_segment_lasts_its_clocks_then_the_next_begins_or_everything_stops
+        if (f_mine & commit & ~first) assert (f_since + 32'd1 == f_duration);
+        if (f_mine & state == PLAY & ~first) assert (f_since < f_duration);
+        if (f_last) assert (state == HALT & stop);
+        if (f_owes) assert (state == HALT & stop & ~commit);
+`endif
+`ifdef PROVE_an_underrun_is_never_a_held_velocity
+        // However slowly time passes: from the clock after the last one on the stepgens have their stop until they stand.
+        if (f_last & f_mine & f_velocity != 32'd0) assert (stop & reason > DONE);
+        if (f_failed) assert (stop & f_owes | state == IDLE | ~f_gate | f_rest);
+        if (f_failed) assert (state != PLAY & state != SETTLE & ~commit & (state != IDLE | reason > DONE | level == 8'd0));
+`endif
+`ifdef PROVE_outputs_switch_on_the_first_clock_of_their_segment
+        if (f_known) assert (aux == (f_outputs & ~(state != PLAY | pace_now == 17'd0 ? beam : 16'd0)));
+`endif
+`ifdef PROVE_a_pause_holds_the_path
+        if (f_past & f_stood & (state == PLAY | state == HALT)) assert (~advance & ~commit);
+        if (waits & (state == PLAY | state == HALT)) assert (~advance & ~commit);
+        if (f_past & f_state == PLAY & state == PLAY & ~f_advanced) assert (left == f_left & ~f_committed & f_levelled <= level);
+        if (f_past & f_full & state == PLAY & ~waits) assert (advance);
+`endif
+`ifdef PROVE_a_job_begins_and_ends_at_rest
+        if (f_past & state == PLAY & f_state != PLAY) assert (f_rest & f_state == SETTLE);
+        if (f_past & f_state != IDLE & state == IDLE) assert (f_state == HALT & (f_rest | ~f_gate));
+        if (state == IDLE) assert (~stop & ~commit & ~busy & ~stage & advance);
+        if (commit) assert (gate & ~halt & state == PLAY);
+        if (reason > DONE & state == IDLE & f_past & f_state == IDLE & ~f_cleared) assert (level == 8'd0);
+`endif
+    end
+
+`ifndef BROKEN
+    always_comb begin
+        assert (level <= 8'(DEPTH) & SLOT'(head - tail) == level[SLOT-1:0]);
+        assert ({24'd0, level} == f_level & seen == f_seen);
+        assert (~full | seen == '0);
+        if (seen[0]) assert (short == f_short);
+        if (f_has0) assert (words[{f_slot, BITS'(0)}] == f_clocks);
+        if (f_has1) assert (words[{f_slot, BITS'(1)}] == f_aux);
+        if (f_hasw) assert (words[{f_slot, f_at}] == f_word);
+        if (f_waits) assert (f_has0 & f_has1 & f_hasw & f_clocks >= 32'd64);
+        if (f_head & seen[0]) assert (f_has0 & f_short == (f_clocks < 32'd64));
+        if (f_head & seen[1]) assert (f_has1);
+        if (f_head & seen[f_at]) assert (f_hasw);
+        if (state == IDLE | state == SETTLE) assert (at == LAST & ~staged & ~fetched & ~next_moves);
+        if (state == PLAY & staged) assert (at == '0 & (~fetched | fetched_at == '0) & level != 8'd0);
+        if (state == PLAY & ~staged & fetched) assert (fetched_at == at + 1'b1 & at < LAST & level != 8'd0);
+        if (state == PLAY & ~staged & ~fetched) assert (at == LAST & ~next_moves);
+        if (state == PLAY & f_tail & fetched) assert (out == words[{f_slot, fetched_at}]);
+        if (state == PLAY & f_tail & staged) assert (out == words[{f_slot, BITS'(0)}] & next == f_aux);
+        if (state == PLAY & f_tail & (staged | fetched) & at + 2 <= f_at) assert (f_staged == f_word & (~f_moves | next_moves));
+        if (state == PLAY) assert (~first | left == '1);
+        if (state == PLAY & f_mine & ~first) assert (left == {1'b0, f_duration} - 33'd2 - {1'b0, f_since} & f_duration >= 32'd64 & f_since < f_duration);
+        if (state == PLAY & f_mine & ~first) assert (f_velocity == 32'd0 | moves);
+        if (f_known) assert (outputs == f_outputs);
+        assert (~f_owes | state == HALT);
+        if (f_past) assert (f_owes == (state == HALT) | state == HALT & (f_state == HALT));
+        if (state == HALT) assert (f_owes & reason != NONE);
+        if (f_failed) assert (state == HALT & reason > DONE | state == IDLE & (reason > DONE));
+        if (state == SETTLE | state == PLAY) assert (reason == NONE);
+        if (reason > DONE & state == IDLE & f_past & f_state == IDLE) assert (level == 8'd0);
+        if (f_past & f_stood) assert (~tick);
+        if (f_past & f_full) assert (tick);
+        assert (f_past | state == IDLE & reason == NONE);
+        if (f_last) assert (state == HALT);
+        if (f_last & f_mine & f_velocity != 32'd0) assert (reason > DONE);
+    end
+`endif
+`endif
 endmodule
 `default_nettype wire

@@ -20,12 +20,11 @@
 //! Exactness: the reference is continuous, in steps with 32 fraction bits and clocks with 16. A segment lasts whole clocks and aims
 //! from where the integrators *are* (they are computed with the arithmetic of the gateware, bit by bit) at the reference's velocity at
 //! its end, with what is missing in position spread over the next 2^21 clocks. So nothing accumulates. At a stop (tool, dwell, home, pause,
-//! end) the place is a whole step, and two last segments whose
-//! lengths differ by a clock bring any velocity to 0 in the last bit.
+//! end) the place is a whole step, and the last segment's velocity is 0.
 
 use crate::circle::Chords;
 use crate::instruction::{CENTER_FARTHEST, FARTHEST, Feed, Instruction, Place};
-use crate::segment::{AXES, Axis, MAX_CLOCKS, MIN_CLOCKS, Machine, Segment};
+use crate::segment::{AXES, Axis, COMMIT_CLOCKS, MAX_CLOCKS, MIN_CLOCKS, Machine, Segment};
 use core::fmt;
 use wire::units::Position;
 
@@ -136,7 +135,7 @@ struct Machinery {
     /// nm/s^2. A 64th below the limit, likewise.
     accel: [u64; AXES],
     /// Units of a segment's acceleration: the limit itself.
-    limit: [i32; AXES],
+    limit: [u32; AXES],
 }
 
 impl Machinery {
@@ -183,7 +182,7 @@ impl Machinery {
             }
             machinery.speed[index] = speed;
             machinery.accel[index] = axis.max_accel - axis.max_accel / 64;
-            machinery.limit[index] = limit as i32;
+            machinery.limit[index] = limit as u32;
         }
         Ok(machinery)
     }
@@ -348,8 +347,6 @@ pub struct Planner<const DEPTH: usize> {
     leg: Option<Leg>,
     /// Clocks (16 fraction bits) the reference is ahead of the segments; below 65.
     ahead: i64,
-    /// Brings everything to rest: the second of the two last segments.
-    rest: Option<Segment>,
     machine: Machine,
 }
 
@@ -373,7 +370,6 @@ impl<const DEPTH: usize> Planner<DEPTH> {
             running: None,
             leg: None,
             ahead: 0,
-            rest: None,
             machine: Machine::default(),
         })
     }
@@ -419,7 +415,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
     /// What is to be done next. `None`: it needs another instruction to know.
     pub fn poll(&mut self) -> Option<Output> {
         loop {
-            if let Some(segment) = self.rest.take().or_else(|| self.piece()) {
+            if let Some(segment) = self.piece() {
                 self.machine.run(&segment);
                 return Some(Output::Segment(segment));
             }
@@ -462,7 +458,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
     }
 
     /// The limit of an axis' acceleration in a segment's units; every segment keeps it.
-    pub fn limits(&self) -> [i32; AXES] {
+    pub fn limits(&self) -> [u32; AXES] {
         self.machinery.limit
     }
 
@@ -790,46 +786,38 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         };
         leg.at += i64::from(clocks) << 16;
         let leg = *leg;
-        let accel = core::array::from_fn(|axis| {
+        let aims: [(i32, u32); AXES] = core::array::from_fn(|axis| {
             let (position, velocity) = leg.reference(axis);
             let limit = self.machinery.limit[axis];
             self.machine.axes[axis].aim(clocks, position, velocity, limit)
         });
         Some(Segment {
             clocks,
-            accel,
+            velocity: aims.map(|aim| aim.0),
+            accel: aims.map(|aim| aim.1),
             aux: self.machine.aux,
+            tag: self.tag() as u16,
         })
     }
 
-    /// The next of the segments that end at a velocity of exactly 0. Usually two do it, of n and n + 1 clocks: `n a + (n + 1) b = -v` has
-    /// whole solutions for every `v`. The shortest within the limits is taken, from 64 clocks on.
-    fn come_to_rest(&mut self) -> Segment {
-        let aux = self.machine.aux;
-        for clocks in (6..12).map(|bits| 1 << bits) {
-            let ends: [(i32, i32); AXES] = self.machine.axes.map(|axis| axis.two_to_rest(clocks));
-            let fits =
-                |(end, limit): (&(i32, i32), &i32)| end.0.abs() <= *limit && end.1.abs() <= *limit;
-            if ends.iter().zip(&self.machinery.limit).all(fits) {
-                self.rest = Some(Segment {
-                    clocks: clocks + 1,
-                    accel: ends.map(|end| end.1),
-                    aux,
-                });
-                return Segment {
-                    clocks,
-                    accel: ends.map(|end| end.0),
-                    aux,
-                };
-            }
+    /// The segment that ends at rest: as short as the limits allow.
+    fn come_to_rest(&self) -> Segment {
+        let mut clocks = MIN_CLOCKS;
+        for (axis, limit) in self.machine.axes.iter().zip(self.machinery.limit) {
+            let moves = axis.velocity.unsigned_abs().div_ceil(u64::from(limit));
+            clocks = clocks.max(moves as u32 + COMMIT_CLOCKS);
         }
-        // Too fast for that, as corrections can leave a very slow machine. The next round will do.
-        let clocks = 1 << 12;
-        let accel = core::array::from_fn(|axis| {
-            let limit = i64::from(self.machinery.limit[axis]);
-            (-self.machine.axes[axis].velocity / i64::from(clocks)).clamp(-limit, limit) as i32
+        let accel = self.machine.axes.map(|axis| {
+            let moves = u64::from(clocks - COMMIT_CLOCKS);
+            axis.velocity.unsigned_abs().div_ceil(moves).max(1) as u32
         });
-        Segment { clocks, accel, aux }
+        Segment {
+            clocks,
+            velocity: [0; AXES],
+            accel,
+            aux: self.machine.aux,
+            tag: self.tag() as u16,
+        }
     }
 
     fn at_rest(&mut self) -> Output {
@@ -852,8 +840,9 @@ impl<const DEPTH: usize> Planner<DEPTH> {
                 self.then = (left > 0).then_some(Then::Dwell(left));
                 let segment = Segment {
                     clocks: now as u32,
-                    accel: [0; AXES],
                     aux: self.machine.aux,
+                    tag: self.tag() as u16,
+                    ..Segment::default()
                 };
                 self.machine.run(&segment);
                 return Output::Segment(segment);
@@ -889,32 +878,28 @@ impl Leg {
 }
 
 impl Axis {
-    /// Accelerations for `clocks` and `clocks + 1` clocks after which the velocity is 0, as even as there are. Saturating, if it is
-    /// much too fast for that.
-    fn two_to_rest(&self, clocks: u32) -> (i32, i32) {
-        let (velocity, short) = (-self.velocity, i64::from(clocks));
-        let least = velocity.div_euclid(2 * short + 1) - short / 2;
-        let second = least + (velocity - least).rem_euclid(short);
-        let first = (velocity - second * (short + 1)) / short;
-        let narrow = |accel: i64| accel.clamp(-i64::from(i32::MAX), i32::MAX.into()) as i32;
-        (narrow(first), narrow(second))
-    }
-
-    /// The acceleration that leads to this velocity in so many clocks, and in the 2^21 clocks after them to the reference's position:
-    /// slow enough to be stable for segments of any length up to 2^20.
-    fn aim(&self, clocks: u32, position: i64, velocity: i64, limit: i32) -> i32 {
+    /// The velocity, and the acceleration to it, that leads in so many clocks to the reference's velocity, and in the 2^21 clocks after
+    /// them to its position: slow enough to be stable for segments of any length up to 2^20.
+    fn aim(&self, clocks: u32, position: i64, velocity: i64, limit: u32) -> (i32, u32) {
+        let moves = i64::from(clocks - COMMIT_CLOCKS);
         let sum = i128::from(self.velocity) + i128::from(velocity);
-        let mean = (sum * i128::from(clocks)) >> 25;
+        // The last of the moves is too late to count: v0 v0 v1 .. vm.
+        let late = i128::from(self.velocity) - i128::from(velocity);
+        let mean = (sum * i128::from(clocks) + late) >> 25;
         let off = self
             .position
             .wrapping_add(mean as i64)
             .wrapping_sub(position);
         // At most half a step in 2^21 clocks, 14 steps/s at 60 MHz: more is never missing.
         let correction = off.clamp(-(1 << 31), 1 << 31) << 3;
-        let change = velocity - correction - self.velocity;
-        let clocks = i64::from(clocks);
-        let accel = (change + change.signum() * (clocks / 2)) / clocks;
-        accel.clamp(-i64::from(limit), limit.into()) as i32
+        let most = i64::from(limit) * moves;
+        let wanted = velocity - correction;
+        // Velocities are whole at the end of a segment, so they are at the beginning of the next.
+        let nearest = (wanted + (1 << 23)) >> 24;
+        let [least, greatest] = [self.velocity - most, self.velocity + most];
+        let rate = nearest.clamp(-(-least >> 24), greatest >> 24);
+        let change = (rate << 24).abs_diff(self.velocity);
+        (rate as i32, change.div_ceil(moves as u64).max(1) as u32)
     }
 }
 

@@ -1,40 +1,74 @@
-//! Motion segments, as the `segments` core executes them, and the integer model that predicts every edge.
+//! Motion segments, as the `segments` core plays them into the stepgens, and the integer model that predicts every edge.
 //!
-//! A segment says for how many clocks each axis accelerates by how much. There is no velocity in it and no
-//! target: the integrators of the stepgens run on from where the segment before left them.
+//! A segment says how long it lasts, which velocity each axis has at its end and which acceleration leads there. The stepgens'
+//! own integrators make the motion ([`crate::ramp`]); they keep the last bit from one segment to the next.
 //!
 //! ```text
-//! every clock:   position += floor(velocity / 2^24)      s32.32 += s32     as in ramp.rs and stepgen.sv
-//!                velocity += accel                       s32.24 += s32
+//! clock       0    1    2    3   ...  N-2  N-1      of a segment of N clocks
+//! position    +v0  +v0  +v1  +v2      +vm' +vm      m = N-2 moves of at most `accel` towards `velocity`:
+//! velocity    v0 ------|v1  |v2  ...  |vm ------    the first and the last clock belong to the commits (gateware/rtl/segments.sv)
 //! ```
 //!
-//! So nothing is ever dropped between two segments, and whoever knows the integrators at the beginning and
-//! the segments knows every edge: [`Axis::clock`] is the definition, [`Axis::advance`] the same bits in closed
-//! form, [`Edges`] the clocks in which a step is due. What the pins' timing (`steplen`, `dirsetup`) may add to
-//! an edge is the stepgen's business, not this module's.
+//! A stepgen never passes its target, so a segment whose acceleration suffices ends at exactly its velocity, a whole number, and a
+//! rounding lasts no longer than its segment. Whoever knows the integrators at the beginning and the segments knows every edge:
+//! [`Play::clock`] is the definition, [`Play::after`] the same bits in closed form, [`Edges`] the clocks in which a step is due. A pulse
+//! that has to wait for its pins' times (`steplen`, `dirsetup`) holds the time of all axes: it makes edges later, and changes none.
 
-use crate::ramp::sum_of_floors;
-use wire::units::Position;
+use crate::ramp::{Ramp, VELOCITY_FRACTION};
+use wire::units::{Accel, Position, StepRate};
 
 /// Axes of a job: X, Y, Z.
 pub const AXES: usize = 3;
 
-/// For how long, how much, and with which outputs.
+/// Words of a segment at the core's window.
+pub const WORDS: usize = 2 + 2 * AXES;
+
+/// For how long, how fast in the end, and with which outputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Segment {
     /// Clocks it lasts; at least [`MIN_CLOCKS`].
     pub clocks: u32,
-    /// What is added to each velocity in each of these clocks: `f_clk^2 / 2^56` steps/s^2, signed.
-    pub accel: [i32; AXES],
+    /// Towards its end: `f_clk / 2^32` steps/s, signed.
+    pub velocity: [i32; AXES],
+    /// By how much the velocities move in a clock: `f_clk^2 / 2^56` steps/s^2. 0 is at once.
+    pub accel: [u32; AXES],
     /// The outputs, from the first clock on.
     pub aux: u16,
+    /// Comes back from the core: which segment this is, for whoever watches.
+    pub tag: u16,
+}
+
+impl Segment {
+    /// As the core takes it: window words from 0 on, then the push.
+    pub fn words(&self) -> [u32; WORDS] {
+        let mut words = [0; WORDS];
+        words[0] = self.clocks;
+        words[1] = u32::from(self.tag) << 16 | u32::from(self.aux);
+        for axis in 0..AXES {
+            words[2 + 2 * axis] = self.velocity[axis] as u32;
+            words[3 + 2 * axis] = self.accel[axis];
+        }
+        words
+    }
+
+    /// What it is to one axis.
+    pub const fn play(&self, axis: usize) -> Play {
+        Play {
+            clocks: self.clocks,
+            velocity: StepRate(self.velocity[axis]),
+            accel: Accel(self.accel[axis]),
+        }
+    }
 }
 
 /// No segment is shorter: about a microsecond, time enough for a core to fetch the next one.
 pub const MIN_CLOCKS: u32 = 64;
 
-/// No segment that accelerates is longer. Its acceleration is a whole number, so the velocity at its end is
-/// off by up to half a unit for each clock; in 2^20 clocks (17 ms at 60 MHz) that makes 6e-6 steps.
+/// Clocks of a segment in which no velocity moves.
+pub const COMMIT_CLOCKS: u32 = 2;
+
+/// No segment that accelerates is longer. Its velocity is a whole number, so it is off by up to half a unit for each clock; in 2^20
+/// clocks (17 ms at 60 MHz) that makes 1.2e-4 steps, and the next one makes up for it.
 pub const MAX_CLOCKS: u32 = 1 << 20;
 
 /// The two integrators of one stepgen.
@@ -66,32 +100,88 @@ impl Axis {
         self.position >> 32
     }
 
-    /// One clock: the definition.
-    pub const fn clock(&mut self, accel: i32) {
-        self.position = self.position.wrapping_add(self.velocity >> 24);
-        self.velocity += accel as i64;
+    /// A clock in which the velocity does not move.
+    const fn hold(&mut self, clocks: u32) {
+        let way = (self.velocity >> VELOCITY_FRACTION).wrapping_mul(clocks as i64);
+        self.position = self.position.wrapping_add(way);
     }
 
-    /// `clocks` clocks at once, with the same result as that many calls of [`Axis::clock`].
-    pub fn advance(&mut self, clocks: u32, accel: i32) {
-        let travelled = sum_of_floors(clocks.into(), self.velocity, accel.into());
-        self.position = self.position.wrapping_add(travelled as i64);
-        self.velocity += i64::from(accel) * i64::from(clocks);
-    }
-
-    fn after(mut self, clocks: u32, accel: i32) -> Self {
-        self.advance(clocks, accel);
-        self
-    }
-
-    /// The clocks of a segment in which a step is due.
-    pub fn edges(self, clocks: u32, accel: i32) -> Edges {
-        Edges {
-            axis: self,
-            accel,
-            done: 0,
-            clocks,
+    fn ramp(&self, play: &Play) -> Ramp {
+        Ramp {
+            position: self.position,
+            velocity: self.velocity,
+            target: play.velocity,
+            accel: play.accel,
         }
+    }
+}
+
+/// A segment as one axis plays it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Play {
+    /// How long.
+    pub clocks: u32,
+    /// Towards this velocity.
+    pub velocity: StepRate,
+    /// By so much a clock.
+    pub accel: Accel,
+}
+
+impl Play {
+    /// Clocks in which the velocity moves.
+    const fn moves(&self) -> u32 {
+        self.clocks.saturating_sub(COMMIT_CLOCKS)
+    }
+
+    /// Clock number `clock` (from 0): the definition.
+    pub fn clock(&self, axis: &mut Axis, clock: u32) {
+        if clock == 0 || clock > self.moves() {
+            axis.hold(1);
+        } else {
+            let mut ramp = axis.ramp(self);
+            ramp.clock();
+            (axis.position, axis.velocity) = (ramp.position, ramp.velocity);
+        }
+    }
+
+    /// The first `clocks` of its clocks at once, with the same result as that many calls of [`Play::clock`].
+    pub fn after(&self, mut axis: Axis, clocks: u32) -> Axis {
+        let clocks = clocks.min(self.clocks);
+        let moves = clocks.saturating_sub(1).min(self.moves());
+        axis.hold(clocks.min(1));
+        let mut ramp = axis.ramp(self);
+        ramp.advance(moves.into());
+        (axis.position, axis.velocity) = (ramp.position, ramp.velocity);
+        axis.hold(clocks.saturating_sub(1) - moves);
+        axis
+    }
+
+    /// The clocks in which a step is due.
+    pub fn edges(&self, axis: Axis) -> Edges {
+        Edges {
+            play: *self,
+            begin: axis,
+            axis,
+            done: 0,
+            turn: self.turn(&axis),
+        }
+    }
+
+    /// The clock from which on the other direction holds; up to it, and from it on, the position goes one way.
+    fn turn(&self, axis: &Axis) -> u32 {
+        let goal = i64::from(self.velocity.0) << VELOCITY_FRACTION;
+        let (velocity, accel) = (axis.velocity, i64::from(self.accel.0));
+        let moves = if (velocity < 0) == (goal < 0) {
+            return self.clocks;
+        } else if accel == 0 {
+            1
+        } else if velocity < 0 {
+            velocity.unsigned_abs().div_ceil(accel as u64) as i64
+        } else {
+            velocity / accel + 1
+        };
+        // Clock 0 holds, and every move is seen by the clock after it.
+        u32::try_from(moves + 1).map_or(self.clocks, |turn| turn.min(self.clocks))
     }
 }
 
@@ -107,52 +197,42 @@ pub struct Edge {
 /// The edges of one axis in one segment, in order, found by bisection of the closed form.
 #[derive(Clone, Debug)]
 pub struct Edges {
+    play: Play,
+    begin: Axis,
     axis: Axis,
-    accel: i32,
     done: u32,
-    clocks: u32,
-}
-
-impl Edges {
-    /// Clocks from now in which the velocity keeps its sign, and the position so its direction.
-    fn one_way(&self) -> u32 {
-        let left = self.clocks - self.done;
-        let (velocity, accel) = (self.axis.velocity, i64::from(self.accel));
-        let turns = if velocity >= 0 && accel < 0 {
-            velocity / -accel + 1
-        } else if velocity < 0 && accel > 0 {
-            velocity.unsigned_abs().div_ceil(accel.unsigned_abs()) as i64
-        } else {
-            return left;
-        };
-        u32::try_from(turns).map_or(left, |turns| turns.min(left))
-    }
+    turn: u32,
 }
 
 impl Iterator for Edges {
     type Item = Edge;
 
     fn next(&mut self) -> Option<Edge> {
-        while self.done < self.clocks {
+        while self.done < self.play.clocks {
             let here = self.axis.steps();
-            let (mut low, mut high) = (0, self.one_way());
-            let end = self.axis.after(high, self.accel);
+            let (mut low, mut high) = (
+                self.done,
+                if self.done < self.turn {
+                    self.turn
+                } else {
+                    self.play.clocks
+                },
+            );
+            let end = self.play.after(self.begin, high);
             if end.steps() == here {
-                self.axis = end;
-                self.done += high;
+                (self.axis, self.done) = (end, high);
                 continue;
             }
             // After `low` clocks we are still here, after `high` no more.
             while high - low > 1 {
                 let middle = low + (high - low) / 2;
-                if self.axis.after(middle, self.accel).steps() == here {
+                if self.play.after(self.begin, middle).steps() == here {
                     low = middle;
                 } else {
                     high = middle;
                 }
             }
-            self.axis.advance(high, self.accel);
-            self.done += high;
+            (self.axis, self.done) = (self.play.after(self.begin, high), high);
             return Some(Edge {
                 clock: self.done - 1,
                 forward: self.axis.steps() > here,
@@ -176,11 +256,19 @@ pub struct Machine {
 impl Machine {
     /// Executes a segment.
     pub fn run(&mut self, segment: &Segment) {
-        for (axis, accel) in self.axes.iter_mut().zip(segment.accel) {
-            axis.advance(segment.clocks, accel);
+        *self = self.within(segment, segment.clocks);
+    }
+
+    /// After so many clocks of a segment that begins now.
+    pub fn within(&self, segment: &Segment, clocks: u32) -> Self {
+        let clocks = clocks.min(segment.clocks);
+        Machine {
+            axes: core::array::from_fn(|axis| {
+                segment.play(axis).after(self.axes[axis], clocks)
+            }),
+            aux: segment.aux,
+            clocks: self.clocks + u64::from(clocks),
         }
-        self.aux = segment.aux;
-        self.clocks += u64::from(segment.clocks);
     }
 
     /// Steps emitted by each axis.
@@ -202,7 +290,6 @@ mod tests {
     use std::vec::Vec;
 
     fn any_axis() -> impl Strategy<Value = Axis> {
-        // A step every fourth clock at most, so that no acceleration below overflows the velocity.
         let velocity = prop_oneof![
             Just(0),
             Just(-1),
@@ -210,25 +297,31 @@ mod tests {
             -1i64 << 30..1 << 30,
             -1i64 << 54..1 << 54
         ];
-        (any::<i64>(), velocity).prop_map(|(position, velocity)| Axis { position, velocity })
+        // Away from the wrap, where a direction by comparison would be wrong.
+        (-1i64 << 55..1 << 55, velocity).prop_map(|(position, velocity)| Axis { position, velocity })
     }
 
-    fn any_accel() -> impl Strategy<Value = i32> {
-        prop_oneof![
+    fn any_play() -> impl Strategy<Value = Play> {
+        let velocity = prop_oneof![
             Just(0),
             -10..10i32,
             -1_000_000..1_000_000i32,
-            -i32::MAX..i32::MAX
-        ]
+            -1i32 << 30..1 << 30
+        ];
+        let accel = prop_oneof![Just(0), 1..10u32, 1..1_000_000u32, any::<u32>()];
+        (64..5000u32, velocity, accel).prop_map(|(clocks, velocity, accel)| Play {
+            clocks,
+            velocity: StepRate(velocity),
+            accel: Accel(accel),
+        })
     }
 
-    fn edges_by_clock(mut axis: Axis, clocks: u32, accel: i32) -> Vec<Edge> {
+    fn edges_by_clock(play: &Play, mut axis: Axis) -> Vec<Edge> {
         let mut edges = Vec::new();
-        for clock in 0..clocks {
+        for clock in 0..play.clocks {
             let before = axis.steps();
-            axis.clock(accel);
-            // Across 2^63 the direction is the difference's, not the comparison's.
-            match axis.steps().wrapping_sub(before) << 32 >> 32 {
+            play.clock(&mut axis, clock);
+            match axis.steps() - before {
                 0 => {}
                 difference => edges.push(Edge {
                     clock,
@@ -243,19 +336,17 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(500))]
 
         #[test]
-        fn any_number_of_clocks_at_once_is_the_same_as_one_by_one(axis in any_axis(), accel in any_accel(), clocks in 0..3000u32) {
+        fn any_number_of_clocks_at_once_is_the_same_as_one_by_one(axis in any_axis(), play in any_play(), part in 0..5000u32) {
             let mut slow = axis;
-            for _ in 0..clocks {
-                slow.clock(accel);
+            for clock in 0..part.min(play.clocks) {
+                play.clock(&mut slow, clock);
             }
-            prop_assert_eq!(axis.after(clocks, accel), slow);
+            prop_assert_eq!(play.after(axis, part), slow);
         }
 
         #[test]
-        fn the_closed_form_finds_every_edge_and_its_clock(axis in any_axis(), accel in any_accel(), clocks in 0..5000u32) {
-            // Away from the wrap, where a direction by comparison would be wrong.
-            let axis = Axis { position: axis.position >> 8, ..axis };
-            prop_assert_eq!(axis.edges(clocks, accel).collect::<Vec<_>>(), edges_by_clock(axis, clocks, accel));
+        fn the_closed_form_finds_every_edge_and_its_clock(axis in any_axis(), play in any_play()) {
+            prop_assert_eq!(play.edges(axis).collect::<Vec<_>>(), edges_by_clock(&play, axis));
         }
     }
 
@@ -265,23 +356,40 @@ mod tests {
             velocity: 1 << 50,
             ..Axis::at(0)
         };
-        let accel = -(1 << 30);
-        let edges: Vec<Edge> = axis.edges(1 << 21, accel).collect();
+        let play = Play {
+            clocks: 1 << 21,
+            velocity: StepRate(-(1 << 26)),
+            accel: Accel(1 << 30),
+        };
+        let edges: Vec<Edge> = play.edges(axis).collect();
         let forward = edges.iter().filter(|edge| edge.forward).count();
-        assert_eq!(edges, edges_by_clock(axis, 1 << 21, accel));
-        assert!(forward > 5 && forward * 2 >= edges.len() - 1, "{edges:?}");
+        assert_eq!(edges, edges_by_clock(&play, axis));
+        assert!(forward > 5 && forward * 2 <= edges.len(), "{edges:?}");
     }
 
     #[test]
-    fn a_segment_without_acceleration_at_rest_is_a_dwell() {
+    fn a_segment_at_rest_is_a_dwell() {
         let mut machine = Machine::default();
         machine.run(&Segment {
             clocks: u32::MAX,
-            accel: [0; AXES],
             aux: 5,
+            ..Segment::default()
         });
         assert!(machine.rests());
         assert_eq!((machine.steps(), machine.aux), ([0; AXES], 5));
         assert_eq!(machine.clocks, u64::from(u32::MAX));
+    }
+
+    #[test]
+    fn the_words_are_where_the_core_has_them() {
+        let segment = Segment {
+            clocks: 1000,
+            velocity: [1, -1, 3],
+            accel: [4, 5, 6],
+            aux: 0x8001,
+            tag: 7,
+        };
+        let words = [1000, 0x7_8001, 1, 4, u32::MAX, 5, 3, 6];
+        assert_eq!(segment.words(), words);
     }
 }

@@ -36,7 +36,7 @@ struct Run {
     /// Integrators before each segment and after the last.
     states: Vec<Machine>,
     outputs: Vec<Output>,
-    limits: [i32; 3],
+    limits: [u32; 3],
 }
 
 fn run_at(setup: &Setup, program: &[Instruction], percent: u32) -> Run {
@@ -115,10 +115,8 @@ fn path(setup: &Setup, run: &Run) -> Vec<[f64; 3]> {
     let mut path = vec![place_of(setup, &run.states[0])];
     for (segment, state) in run.segments.iter().zip(&run.states) {
         for part in 0..8u64 {
-            let mut state = *state;
             let clocks = (u64::from(segment.clocks) * part / 8) as u32;
-            state.run(&Segment { clocks, ..*segment });
-            path.push(place_of(setup, &state));
+            path.push(place_of(setup, &state.within(segment, clocks)));
         }
     }
     path.push(place_of(setup, run.states.last().unwrap()));
@@ -144,9 +142,12 @@ fn keeps_its_limits(setup: &Setup, run: &Run) {
     for (segment, after) in run.segments.iter().zip(&run.states[1..]) {
         for (i, axis) in setup.axes.iter().enumerate() {
             assert!(
-                segment.accel[i].abs() <= run.limits[i],
+                segment.accel[i] <= run.limits[i],
                 "axis {i}: {segment:?}"
             );
+            // What it says is what it does: the acceleration suffices.
+            let reached = i64::from(segment.velocity[i]) << 24;
+            assert_eq!(after.axes[i].velocity, reached, "axis {i}: {segment:?}");
             let steps_per_s =
                 after.axes[i].velocity as f64 / 2f64.powi(56) * f64::from(setup.clock_hz);
             let most = f64::from(axis.max_speed) * 1e-12 * axis.steps_per_km as f64;
@@ -520,12 +521,11 @@ fn every_edge_of_a_program_is_predicted() {
     for (segment, state) in run.segments.iter().zip(&run.states) {
         for (axis, steps) in steps.iter_mut().enumerate() {
             let mut slow = state.axes[axis];
-            let mut edges = state.axes[axis]
-                .edges(segment.clocks, segment.accel[axis])
-                .peekable();
+            let play = segment.play(axis);
+            let mut edges = play.edges(slow).peekable();
             for clock in 0..segment.clocks {
                 let before = slow.steps();
-                slow.clock(segment.accel[axis]);
+                play.clock(&mut slow, clock);
                 if let Some(edge) = edges.next_if(|edge| edge.clock == clock) {
                     *steps += if edge.forward { 1 } else { -1 };
                 }

@@ -9,6 +9,7 @@
 //! | `FERROCNC_CLOCKS` | clocks to compare, in all | 12000000 |
 //! | `FERROCNC_SEED` | seed; printed | from the clock |
 
+use motion::segment::{Machine, Segment};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg32;
 use sim::model::Board;
@@ -81,8 +82,8 @@ impl Pair {
             Build {
                 channels: CHANNELS,
                 clock_hz: 60_000_000,
-                estop_mask: 0,
-                estop_level: 0,
+                estop_mask: 8,
+                estop_level: 8,
                 abi: 0,
                 version: 0x00_0100,
                 rom_words: pins.dat_r,
@@ -484,5 +485,180 @@ fn segments_and_their_model_agree_on_every_pin_and_register_in_every_clock() {
         let n = happened.get(what).copied().unwrap_or(0);
         let wanted = least * (clocks / 1_000_000);
         assert!(n >= wanted, "{what}: {n} in {clocks} clocks, wanted {wanted}");
+    }
+}
+
+/// Plays a random job of so many segments and returns (edges, clocks, clocks in which time stood). Every edge must come in the clock of
+/// the path in which the integer model has it; and when nothing scales time and no pulse waits, that is every clock.
+fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
+    let mut random = Pcg32::seed_from_u64(seed);
+    let mut pair = Pair::new(seed);
+    let segments: Vec<Segment> = job(&mut random, segments);
+
+    // What will happen, from the words alone.
+    let mut machine = Machine::default();
+    let mut expected: [VecDeque<(usize, u32, bool)>; AXES] = Default::default();
+    for (number, segment) in segments.iter().enumerate() {
+        for (axis, expected) in expected.iter_mut().enumerate() {
+            let edges = segment.play(axis).edges(machine.axes[axis]);
+            expected.extend(edges.map(|edge| (number, edge.clock, edge.forward)));
+        }
+        machine.run(segment);
+    }
+    assert!(machine.rests());
+    let edges = expected.iter().map(|edges| edges.len() as u64).sum();
+
+    let mut writes: VecDeque<(u32, u32, u32)> = VecDeque::new();
+    for n in 0..4 {
+        let times = [4, 4, 1, 1, 1 << 24, 0];
+        writes.extend((0..).zip(times).map(|(word, data)| (pages::STEPGEN + n, word, data)));
+    }
+    writes.extend([
+        (pages::WATCHDOG, 0, u32::MAX),
+        (pages::WATCHDOG, 1, 1000),
+        (pages::WATCHDOG, 3, ARM),
+        (pages::TIMEBASE, 7, 1),
+        (pages::SEGMENTS, 19, 1 << 20),
+        (pages::SEGMENTS, 21, 0xf_ffff),
+    ]);
+    let mut to_push = segments.iter().enumerate();
+    let (mut started, mut first, mut stood, mut begun_at) = (false, None, 0, vec![0u64]);
+    let mut ticks = 0;
+    for segment in &segments {
+        begun_at.push(begun_at.last().unwrap() + u64::from(segment.clocks));
+    }
+    loop {
+        let status = pair.status();
+        let (level, state, why) = (status & 0xff, status >> 8 & 3, (status >> 12 & 7) as u8);
+        if started && state == 0 {
+            assert_eq!(why, reason::DONE, "seed {seed}: it ended before its end");
+            break;
+        }
+        ticks += 1;
+        assert!(ticks < 500_000_000, "seed {seed}: it never ends");
+        if writes.is_empty() {
+            if !started && level == 60 {
+                writes.push_back((pages::SEGMENTS, CONTROL, START));
+            } else if level < 60
+                && let Some((_, segment)) = to_push.next()
+            {
+                let words = segment.words();
+                writes.extend((0..).zip(words).map(|(at, word)| (pages::SEGMENTS, at, word)));
+                writes.push_back((pages::SEGMENTS, PUSH, 0));
+            } else if scaled && random.random_range(0..700) == 0 {
+                let pace = match random.random_range(0..6) {
+                    0 | 1 => 0,
+                    2 => 0x1_0000,
+                    _ => random.random_range(0..0x1_0000),
+                };
+                writes.push_back((pages::SEGMENTS, PACE, pace));
+            }
+        }
+        started |= writes.front() == Some(&(pages::SEGMENTS, CONTROL, START));
+
+        let begun = pair.board.peek(pages::SEGMENTS, 23) as usize;
+        let left = pair.board.peek(pages::SEGMENTS, 24);
+        let pins = pair.pins;
+        let write = writes.pop_front();
+        let address = write.map_or(0, |(page, word, _)| page << 9 | word);
+        pair.clock(address, write.map(|(_, _, data)| data));
+        if first.is_none() && begun == 1 {
+            first = Some(pair.clock);
+        }
+        stood += u64::from(state == 2 && pair.board.peek(pages::SEGMENTS, 24) == left && begun > 0);
+        let risen = pair.pins.step & !pins.step;
+        for (axis, expected) in expected.iter_mut().enumerate() {
+            if risen >> axis & 1 == 0 {
+                continue;
+            }
+            let number = begun - 1;
+            let clock = segments[number].clocks.wrapping_sub(2).wrapping_sub(left);
+            let forward = pair.pins.dir >> axis & 1 == 0;
+            assert_eq!(
+                Some((number, clock, forward)),
+                expected.pop_front(),
+                "seed {seed}, clock {}: an edge of axis {axis} (segment, clock of it, forward): emitted, predicted",
+                pair.clock
+            );
+            let held = pair.status() >> 25 & 1 != 0;
+            if !scaled && !held {
+                let path = begun_at[number] + u64::from(clock);
+                let real = pair.clock - first.expect("begun");
+                assert_eq!(real, path, "seed {seed}: time passed differently, and nobody told it to");
+            }
+        }
+    }
+    let missing: usize = expected.iter().map(VecDeque::len).sum();
+    assert_eq!(missing, 0, "seed {seed}: edges predicted and not emitted");
+    assert_eq!(pair.board.peek(pages::SEGMENTS, 23) as usize, segments.len());
+    // The counts of the tallies, too.
+    pair.clock(pages::TIMEBASE << 9 | 7, Some(2));
+    for _ in 0..40 {
+        pair.clock(0, None);
+    }
+    for (axis, state) in machine.axes.iter().enumerate() {
+        let at = pages::STATUS << 9 | (8 + 3 * axis as u32);
+        let fraction = u64::from(pair.clock(at, None));
+        let pulses = u64::from(pair.clock(at + 1, None));
+        assert_eq!((pulses << 32 | fraction) as i64, state.position, "seed {seed}: axis {axis}");
+    }
+    (edges, pair.clock, stood)
+}
+
+fn job(random: &mut Pcg32, segments: usize) -> Vec<Segment> {
+    let mut before = [0i32; AXES];
+    (0..segments)
+        .map(|number| {
+            let last = number + 1 == segments;
+            let clocks = match random.random_range(0..6) {
+                0 if !last => 64,
+                _ => random.random_range(64..900),
+            };
+            // What the steepest acceleration reaches: 256 units of rate a clock. More comes at once, but never through a reversal.
+            let most = (i64::from(clocks) - 2) << 8;
+            let aims = before.map(|before| {
+                let wanted = match random.random_range(0..6) {
+                    _ if last => 0,
+                    0 => 0,
+                    1 => before,
+                    _ => random.random_range(-(1i32 << 27)..1 << 27),
+                };
+                let near = i64::from(wanted).clamp(i64::from(before) - most, i64::from(before) + most);
+                let same_way = (before < 0) == (wanted < 0) || wanted == 0;
+                let away = (near - i64::from(before)).unsigned_abs() << 24;
+                // The whole segment, or less of it: a ramp and then a constant velocity.
+                let least = away.div_ceil(u64::from(clocks) - 2).max(1);
+                let steeper = random.random_range(1..4);
+                match same_way && (last || random.random_range(0..4) == 0) {
+                    true => (wanted, 0),
+                    false => (near as i32, (least * steeper).min(u32::MAX.into()) as u32),
+                }
+            });
+            let (velocity, accel) = (aims.map(|aim| aim.0), aims.map(|aim| aim.1));
+            before = velocity;
+            Segment {
+                clocks,
+                velocity,
+                accel,
+                aux: random.random(),
+                tag: number as u16,
+            }
+        })
+        .collect()
+}
+
+#[test]
+fn every_edge_of_10_000_segments_is_where_the_integer_model_has_it() {
+    let seed = seed();
+    let runs = [false, true].map(|scaled| {
+        std::thread::spawn(move || predicted(seed, if scaled { 3_000 } else { 10_000 }, scaled))
+    });
+    for (run, what) in runs.into_iter().zip(["at full pace", "with random pace and pauses"]) {
+        match run.join() {
+            Ok((edges, clocks, stood)) => println!(
+                "seed {seed}, {what}: {edges} edges in {clocks} clocks, time stood in {stood}; emitted and predicted differ in 0"
+            ),
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
     }
 }

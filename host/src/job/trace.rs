@@ -223,13 +223,12 @@ impl Walk<'_> {
         self.second = second;
         self.planned.densest = self.planned.densest.max(self.in_second);
         self.clocks += u64::from(segment.clocks);
-        if before.rests() && segment.accel == [0; AXES] {
+        if before.rests() && segment.velocity == [0; AXES] {
             return;
         }
         for part in 1..=4u64 {
-            let mut state = *before;
             let clocks = (u64::from(segment.clocks) * part / 4) as u32;
-            state.run(&Segment { clocks, ..*segment });
+            let state = before.within(segment, clocks);
             let place = self.place(&state);
             self.planned.deviation = self
                 .planned
