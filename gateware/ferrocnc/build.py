@@ -569,7 +569,7 @@ What the gateware costs on an LFE5U-25F-6 (24 288 TRELLIS_COMB, 24 288 FF, 56 EB
 chain, four and two for each LUT RAM. It is what the placer has to find room for, and the figure to compare.
 
 A core is measured alone; `tally`, `edges` and `gpio` are there once for all channels (16, 16, 32 + 32), each encoder has two
-`debounce` inside, each encoder and each step generator a `latch` beside it. `max` has no pins on a 5A-75B: its inputs come from a
+`debounce` inside, each encoder and each step generator a `latch` beside it. `segments` (3 axes) is on boards with jobs only. `max` has no pins on a 5A-75B: its inputs come from a
 shift register behind one pad and its outputs leave as a parity through another, so that nothing is optimised away (about 40 LUTs).
 It is packed here; what it reaches when it is placed and routed is in [timing.md](timing.md).
 

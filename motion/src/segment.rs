@@ -263,9 +263,7 @@ impl Machine {
     pub fn within(&self, segment: &Segment, clocks: u32) -> Self {
         let clocks = clocks.min(segment.clocks);
         Machine {
-            axes: core::array::from_fn(|axis| {
-                segment.play(axis).after(self.axes[axis], clocks)
-            }),
+            axes: core::array::from_fn(|axis| segment.play(axis).after(self.axes[axis], clocks)),
             aux: segment.aux,
             clocks: self.clocks + u64::from(clocks),
         }
@@ -298,7 +296,8 @@ mod tests {
             -1i64 << 54..1 << 54
         ];
         // Away from the wrap, where a direction by comparison would be wrong.
-        (-1i64 << 55..1 << 55, velocity).prop_map(|(position, velocity)| Axis { position, velocity })
+        (-1i64 << 55..1 << 55, velocity)
+            .prop_map(|(position, velocity)| Axis { position, velocity })
     }
 
     fn any_play() -> impl Strategy<Value = Play> {

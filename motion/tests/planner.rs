@@ -141,10 +141,7 @@ fn distance_to_line(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
 fn keeps_its_limits(setup: &Setup, run: &Run) {
     for (segment, after) in run.segments.iter().zip(&run.states[1..]) {
         for (i, axis) in setup.axes.iter().enumerate() {
-            assert!(
-                segment.accel[i] <= run.limits[i],
-                "axis {i}: {segment:?}"
-            );
+            assert!(segment.accel[i] <= run.limits[i], "axis {i}: {segment:?}");
             // What it says is what it does: the acceleration suffices.
             let reached = i64::from(segment.velocity[i]) << 24;
             assert_eq!(after.axes[i].velocity, reached, "axis {i}: {segment:?}");

@@ -116,8 +116,12 @@ impl Pair {
         self.board.clock(&bus);
         self.cores.rise(&mut self.pins);
         let (p, m) = (&self.pins, self.board.pins());
-        let theirs = (p.step, p.dir, p.step_n, p.dir_n, p.gpio_out, p.pwm_out, p.gate);
-        let ours = (m.step, m.dir, m.step_n, m.dir_n, m.gpio_out, m.pwm_out, m.gate);
+        let theirs = (
+            p.step, p.dir, p.step_n, p.dir_n, p.gpio_out, p.pwm_out, p.gate,
+        );
+        let ours = (
+            m.step, m.dir, m.step_n, m.dir_n, m.gpio_out, m.pwm_out, m.gate,
+        );
         assert!(
             theirs == ours,
             "clock {}, seed {}: pins (step, dir, step_n, dir_n, gpio, pwm, gate)\n  gateware {theirs:x?}\n  model    {ours:x?}",
@@ -397,12 +401,18 @@ impl Seen {
         }
         let plays = status >> 8 & 3 == 2;
         self.add("clocks of pause", u64::from(plays && status >> 24 & 1 != 0));
-        self.add("starts after which a pulse held time", u64::from((status & !self.status) >> 25 & 1));
+        self.add(
+            "starts after which a pulse held time",
+            u64::from((status & !self.status) >> 25 & 1),
+        );
         let begun = pair.board.peek(pages::SEGMENTS, 23);
         self.add("segments", begun.wrapping_sub(self.begun).into());
         let m = pair.board.pins();
         self.add("edges of STEP", (m.step ^ self.steps).count_ones().into());
-        self.add("edges of outputs", (m.gpio_out ^ self.outputs).count_ones().into());
+        self.add(
+            "edges of outputs",
+            (m.gpio_out ^ self.outputs).count_ones().into(),
+        );
         (self.status, self.begun, self.steps, self.outputs) = (status, begun, m.step, m.gpio_out);
     }
 }
@@ -476,7 +486,10 @@ fn segments_and_their_model_agree_on_every_pin_and_register_in_every_clock() {
             *happened.entry(what).or_default() += n;
         }
         let rate = clocks as f64 / 2.0 / seconds / 1e3;
-        println!("seed {seed}: {} clocks, {rate:.0} kclk/s, no difference", clocks / 2);
+        println!(
+            "seed {seed}: {} clocks, {rate:.0} kclk/s, no difference",
+            clocks / 2
+        );
     }
     for (what, n) in &happened {
         println!("  {what}: {n}");
@@ -484,7 +497,10 @@ fn segments_and_their_model_agree_on_every_pin_and_register_in_every_clock() {
     for (what, least) in LEAST_PER_MILLION {
         let n = happened.get(what).copied().unwrap_or(0);
         let wanted = least * (clocks / 1_000_000);
-        assert!(n >= wanted, "{what}: {n} in {clocks} clocks, wanted {wanted}");
+        assert!(
+            n >= wanted,
+            "{what}: {n} in {clocks} clocks, wanted {wanted}"
+        );
     }
 }
 
@@ -511,7 +527,11 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
     let mut writes: VecDeque<(u32, u32, u32)> = VecDeque::new();
     for n in 0..4 {
         let times = [4, 4, 1, 1, 1 << 24, 0];
-        writes.extend((0..).zip(times).map(|(word, data)| (pages::STEPGEN + n, word, data)));
+        writes.extend(
+            (0..)
+                .zip(times)
+                .map(|(word, data)| (pages::STEPGEN + n, word, data)),
+        );
     }
     writes.extend([
         (pages::WATCHDOG, 0, u32::MAX),
@@ -543,7 +563,11 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
                 && let Some((_, segment)) = to_push.next()
             {
                 let words = segment.words();
-                writes.extend((0..).zip(words).map(|(at, word)| (pages::SEGMENTS, at, word)));
+                writes.extend(
+                    (0..)
+                        .zip(words)
+                        .map(|(at, word)| (pages::SEGMENTS, at, word)),
+                );
                 writes.push_back((pages::SEGMENTS, PUSH, 0));
             } else if scaled && random.random_range(0..700) == 0 {
                 let pace = match random.random_range(0..6) {
@@ -584,13 +608,19 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
             if !scaled && !held {
                 let path = begun_at[number] + u64::from(clock);
                 let real = pair.clock - first.expect("begun");
-                assert_eq!(real, path, "seed {seed}: time passed differently, and nobody told it to");
+                assert_eq!(
+                    real, path,
+                    "seed {seed}: time passed differently, and nobody told it to"
+                );
             }
         }
     }
     let missing: usize = expected.iter().map(VecDeque::len).sum();
     assert_eq!(missing, 0, "seed {seed}: edges predicted and not emitted");
-    assert_eq!(pair.board.peek(pages::SEGMENTS, 23) as usize, segments.len());
+    assert_eq!(
+        pair.board.peek(pages::SEGMENTS, 23) as usize,
+        segments.len()
+    );
     // The counts of the tallies, too.
     pair.clock(pages::TIMEBASE << 9 | 7, Some(2));
     for _ in 0..40 {
@@ -600,7 +630,11 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
         let at = pages::STATUS << 9 | (8 + 3 * axis as u32);
         let fraction = u64::from(pair.clock(at, None));
         let pulses = u64::from(pair.clock(at + 1, None));
-        assert_eq!((pulses << 32 | fraction) as i64, state.position, "seed {seed}: axis {axis}");
+        assert_eq!(
+            (pulses << 32 | fraction) as i64,
+            state.position,
+            "seed {seed}: axis {axis}"
+        );
     }
     (edges, pair.clock, stood)
 }
@@ -623,7 +657,8 @@ fn job(random: &mut Pcg32, segments: usize) -> Vec<Segment> {
                     1 => before,
                     _ => random.random_range(-(1i32 << 27)..1 << 27),
                 };
-                let near = i64::from(wanted).clamp(i64::from(before) - most, i64::from(before) + most);
+                let near =
+                    i64::from(wanted).clamp(i64::from(before) - most, i64::from(before) + most);
                 let same_way = (before < 0) == (wanted < 0) || wanted == 0;
                 let away = (near - i64::from(before)).unsigned_abs() << 24;
                 // The whole segment, or less of it: a ramp and then a constant velocity.
@@ -653,7 +688,10 @@ fn every_edge_of_10_000_segments_is_where_the_integer_model_has_it() {
     let runs = [false, true].map(|scaled| {
         std::thread::spawn(move || predicted(seed, if scaled { 3_000 } else { 10_000 }, scaled))
     });
-    for (run, what) in runs.into_iter().zip(["at full pace", "with random pace and pauses"]) {
+    for (run, what) in runs
+        .into_iter()
+        .zip(["at full pace", "with random pace and pauses"])
+    {
         match run.join() {
             Ok((edges, clocks, stood)) => println!(
                 "seed {seed}, {what}: {edges} edges in {clocks} clocks, time stood in {stood}; emitted and predicted differ in 0"

@@ -30,6 +30,9 @@ pub const OBSTACLE_FLASH: u32 = 1 << 1;
 /// are the gateware's.
 pub const FEATURE_KEY: u32 = 1 << 31;
 
+/// A feature: the gateware plays segments, `ident.features` bit 0.
+pub const FEATURE_JOBS: u32 = 1;
+
 /// How many channels of each kind a board has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Channels {
@@ -93,7 +96,7 @@ pub struct Describe {
     pub clock_hz: u32,
     /// Channel counts.
     pub channels: Channels,
-    /// What is there besides the channels: [`FEATURE_KEY`].
+    /// What is there besides the channels: [`FEATURE_KEY`], [`FEATURE_JOBS`].
     pub features: u32,
     /// Changes with every start of the firmware.
     pub boot_id: u32,

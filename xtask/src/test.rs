@@ -89,6 +89,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     if levels.contains(&Level::Lockstep) {
         build::simulated_cores(build::BOARD)?;
+        build::simulated_cores(JOBS_BOARD)?;
     }
     if levels.contains(&Level::Provision) {
         build::host()?;
@@ -180,7 +181,7 @@ impl Level {
             ),
             Level::Lockstep => {
                 // Two runs with a seed each, side by side.
-                board_tests("lockstep", "3 min", "2")
+                Ok(board_tests("lockstep", "3 min", "2")? + jobs()?)
             }
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
                 + board_tests("path_stop", "1 min", "2")?
@@ -262,6 +263,9 @@ fn maximum_board() -> Result<()> {
     )
 }
 
+/// `tests/boards/NAME.toml`.
+const JOBS_BOARD: &str = "jobs";
+
 /// A test binary of the `tests` crate that needs a simulated board, so many tests at once: with LinuxCNC
 /// one, for its HAL is one per machine.
 fn board_tests(name: &str, expect: &str, threads: &str) -> Result<usize> {
@@ -282,6 +286,29 @@ fn board_tests(name: &str, expect: &str, threads: &str) -> Result<usize> {
         &format!("test-{name}"),
         &format!("tests against the simulated board: {name}"),
         expect,
+        &arguments,
+    )
+}
+
+/// The cores of a job, which no board of ours has yet.
+fn jobs() -> Result<usize> {
+    let arguments = [
+        "test",
+        "--release",
+        "--package",
+        "ferrocnc-sim",
+        "--features",
+        "board",
+        "--test",
+        "jobs",
+        "--",
+        "--test-threads",
+        "1",
+    ];
+    cargo_tests(
+        "test-jobs",
+        "segments: RTL and model, clock by clock; edges emitted and predicted",
+        "3 min",
         &arguments,
     )
 }

@@ -772,10 +772,17 @@ impl Board {
             halt: common.stop,
             pace: regs.pace,
             slew: regs.slew,
-            stopped: self.steps.iter().take(regs.jobs).all(|lane| lane.core.stopped()),
-            waits: self.steps.iter().take(regs.jobs).enumerate().any(|(n, lane)| {
-                lane.core.waits(&regs.stepgen_input(n, common, false))
-            }),
+            stopped: self
+                .steps
+                .iter()
+                .take(regs.jobs)
+                .all(|lane| lane.core.stopped()),
+            waits: self
+                .steps
+                .iter()
+                .take(regs.jobs)
+                .enumerate()
+                .any(|(n, lane)| lane.core.waits(&regs.stepgen_input(n, common, false))),
             ..segments::Input::default()
         };
         if let Some((address, data)) = self.write {
@@ -1058,9 +1065,10 @@ impl Board {
     /// After an edge: does the next one have to be made of everything?
     fn plan_common(&mut self) {
         let changed = self.common_now() != self.common;
-        let plays = self.segments.as_ref().is_some_and(|segments| {
-            segments.quiet(self.common.gate, self.regs.pace) == 0
-        });
+        let plays = self
+            .segments
+            .as_ref()
+            .is_some_and(|segments| segments.quiet(self.common.gate, self.regs.pace) == 0);
         self.full = if changed || plays || self.write.is_some() {
             self.clock + 1
         } else {
@@ -1210,10 +1218,13 @@ impl Board {
         if page != pages::COMMAND {
             self.catch_up();
         }
-        let job = self.segments.as_ref().map_or(Told::default(), |segments| Told {
-            busy: segments.state() != State::Idle,
-            ..Told::default()
-        });
+        let job = self
+            .segments
+            .as_ref()
+            .map_or(Told::default(), |segments| Told {
+                busy: segments.state() != State::Idle,
+                ..Told::default()
+            });
         self.store(page, word, data, job);
         self.shine();
         if page == pages::DEBOUNCE {
