@@ -441,3 +441,193 @@ impl Segments {
         self.out = self.memory[self.tail * self.slot + self.at];
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::board::{Build, pages};
+    use crate::model::{Board, board::Bus};
+    use motion::instruction::{Feed, Instruction};
+    use motion::plan::{AxisSetup, Output, Planner, Setup};
+    use motion::segment::{AXES, Segment};
+    use proptest::prelude::*;
+    use std::collections::VecDeque;
+    use wire::describe::Channels;
+
+    fn board(times: [u32; 4]) -> Board {
+        let mut board = Board::new(Build {
+            channels: Channels {
+                stepgens: 3,
+                encoders: 0,
+                pwms: 0,
+                inputs: 0,
+                outputs: 16,
+            },
+            clock_hz: 1_000_000,
+            estop_mask: 0,
+            estop_level: 0,
+            abi: 0,
+            version: 0,
+            rom_words: 0,
+            jobs: AXES as u8,
+        });
+        for n in 0..3 {
+            for (word, time) in (0..).zip(times) {
+                write(&mut board, pages::STEPGEN + n, word, time);
+            }
+        }
+        write(&mut board, pages::WATCHDOG, 0, u32::MAX);
+        write(&mut board, pages::WATCHDOG, 3, abi::KEY_ARM);
+        write(&mut board, pages::TIMEBASE, 7, abi::STROBE_COMMIT);
+        board
+    }
+
+    /// As the bus does it: an access every second clock.
+    fn write(board: &mut Board, page: u32, word: u32, data: u32) {
+        board.order(page, word, data);
+        board.clock(&Bus::default());
+        board.clock(&Bus::default());
+    }
+
+    fn push(board: &mut Board, segment: &Segment) {
+        for (at, word) in (0..).zip(segment.words()) {
+            write(board, pages::SEGMENTS, at, word);
+        }
+        write(board, pages::SEGMENTS, 16, 0);
+    }
+
+    fn status(board: &Board) -> u32 {
+        board.peek(pages::SEGMENTS, 22)
+    }
+
+    fn position(board: &mut Board, axis: u32) -> i64 {
+        write(board, pages::TIMEBASE, 7, abi::STROBE_SAMPLE);
+        for _ in 0..20 {
+            board.clock(&Bus::default());
+        }
+        let at = 8 + 3 * axis;
+        let low = u64::from(board.peek(pages::STATUS, at));
+        (u64::from(board.peek(pages::STATUS, at + 1)) << 32 | low) as i64
+    }
+
+    fn setup() -> Setup {
+        let axis = |steps_per_mm: u64, mm_per_s: u32, mm_per_s2: u64| AxisSetup {
+            steps_per_km: steps_per_mm * 1_000_000,
+            max_speed: mm_per_s * 1_000_000,
+            max_accel: mm_per_s2 * 1_000_000,
+        };
+        Setup {
+            clock_hz: 1_000_000,
+            axes: [
+                axis(80, 200, 8000),
+                axis(100, 150, 6000),
+                axis(400, 40, 2000),
+            ],
+            chord_tolerance: 5000,
+            junction_deviation: 20_000,
+            aux_settle: 0,
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(12) })]
+
+        /// What the planner says, pushed as words and played by the cores' models: every axis on the exact step and the exact
+        /// fraction of it, at rest, whatever the pins' times (they hold the path's time) and however often it was paused.
+        #[test]
+        fn a_planned_job_ends_exactly_where_the_planner_says(
+            places in proptest::collection::vec((-4_000_000..4_000_000i64, -4_000_000..4_000_000i64, -500_000..500_000i64), 1..8),
+            times in (1..20u32, 1..20u32, 1..60u32, 1..60u32),
+            paces in proptest::collection::vec(prop_oneof![Just(0u32), Just(PACE_ONE), 20_000..PACE_ONE], 1..20),
+        ) {
+            let mut planner = Planner::<16>::new(&setup()).unwrap();
+            let lines = places.iter().enumerate().flat_map(|(n, &(x, y, z))| {
+                let line = Instruction::Line { to: [x, y, z], feed: Feed::Rate(100_000_000) };
+                let tool = (n % 3 == 2).then_some(Instruction::Aux { bits: n as u16 });
+                [Some(line), tool].into_iter().flatten()
+            });
+            let mut program = lines.chain([Instruction::End]).peekable();
+            let mut segments = VecDeque::new();
+            loop {
+                while planner.accepts() && program.peek().is_some() {
+                    prop_assert!(planner.push(&program.next().unwrap(), 0));
+                }
+                match planner.poll() {
+                    Some(Output::Segment(segment)) => segments.push_back(segment),
+                    Some(Output::End) => break,
+                    _ => {}
+                }
+            }
+            let all = segments.len() as u32;
+            let mut board = board([times.0, times.1, times.2, times.3]);
+            write(&mut board, pages::SEGMENTS, 19, 1 << 20);
+            let (mut started, mut paces, mut clocks) = (false, paces.iter().cycle(), 0u64);
+            loop {
+                let now = status(&board);
+                if started && now >> 8 & 3 == 0 {
+                    prop_assert_eq!((now >> 12 & 7) as u8, reason::DONE);
+                    break;
+                }
+                if now & 0xff < 60 && let Some(segment) = segments.pop_front() {
+                    push(&mut board, &segment);
+                } else if !started {
+                    write(&mut board, pages::SEGMENTS, 17, 1);
+                    started = true;
+                } else {
+                    for _ in 0..100 {
+                        board.clock(&Bus::default());
+                    }
+                    clocks += 100;
+                    if clocks.is_multiple_of(20_000) {
+                        let pace = *paces.next().unwrap();
+                        // A pause ends some time.
+                        let pace = if clocks.is_multiple_of(40_000) { PACE_ONE } else { pace };
+                        write(&mut board, pages::SEGMENTS, 18, pace);
+                    }
+                }
+            }
+            prop_assert_eq!(board.peek(pages::SEGMENTS, 23), all);
+            for axis in 0..AXES {
+                prop_assert_eq!(position(&mut board, axis as u32), planner.machine().axes[axis].position, "axis {}", axis);
+            }
+            prop_assert!(planner.machine().rests());
+        }
+    }
+
+    #[test]
+    fn an_underrun_brakes_and_says_so_and_nothing_starts_before_clear() {
+        let mut board = board([1, 1, 1, 1]);
+        for n in 0..3 {
+            write(&mut board, pages::STEPGEN + n, 4, 1 << 28);
+        }
+        let segment = Segment {
+            clocks: 2000,
+            velocity: [1 << 16, -(1 << 15), 0],
+            accel: [1 << 30; 3],
+            ..Segment::default()
+        };
+        push(&mut board, &segment);
+        push(&mut board, &segment);
+        write(&mut board, pages::SEGMENTS, 17, 1);
+        let mut clocks = 0;
+        while status(&board) >> 8 & 3 != 0 {
+            board.clock(&Bus::default());
+            clocks += 1;
+        }
+        assert!((4000..10_000).contains(&clocks), "{clocks} clocks");
+        assert_eq!((status(&board) >> 12 & 7) as u8, reason::UNDERRUN);
+        let rest = position(&mut board, 0);
+        push(&mut board, &segment);
+        write(&mut board, pages::SEGMENTS, 17, 1);
+        let refused = (status(&board) >> 16 & 31) as u8;
+        assert_eq!(refused, refused::NOT_NOW | refused::START);
+        for _ in 0..5000 {
+            board.clock(&Bus::default());
+        }
+        assert_eq!(position(&mut board, 0), rest);
+        write(&mut board, pages::SEGMENTS, 17, 3);
+        push(&mut board, &segment);
+        write(&mut board, pages::SEGMENTS, 17, 1);
+        assert_eq!(status(&board) >> 8 & 3, State::Settle as u32);
+    }
+}
