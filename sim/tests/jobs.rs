@@ -7,6 +7,7 @@
 //! |---|---|---|
 //! | `FERROCNC_JOBS_CORES` | folder of `libferrocnc_cores.so`, as `sim/verilator/cores.sh` leaves it | `target/sim/cores-jobs` |
 //! | `FERROCNC_CLOCKS` | clocks to compare, in all | 12000000 |
+//! | `FERROCNC_SEGMENTS` | segments of the job whose edges are predicted | 10000 |
 //! | `FERROCNC_SEED` | seed; printed | from the clock |
 
 use motion::segment::{Machine, Segment};
@@ -686,8 +687,9 @@ fn job(random: &mut Pcg32, segments: usize) -> Vec<Segment> {
 #[test]
 fn every_edge_of_10_000_segments_is_where_the_integer_model_has_it() {
     let seed = seed();
+    let segments: usize = from_environment("FERROCNC_SEGMENTS", 10_000);
     let runs = [false, true].map(|scaled| {
-        std::thread::spawn(move || predicted(seed, if scaled { 3_000 } else { 10_000 }, scaled))
+        std::thread::spawn(move || predicted(seed, if scaled { segments / 3 } else { segments }, scaled))
     });
     for (run, what) in runs
         .into_iter()
