@@ -544,7 +544,8 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
         (pages::SEGMENTS, 21, 0xf_ffff),
     ]);
     let mut to_push = segments.iter().enumerate();
-    let (mut started, mut first, mut stood, mut begun_at) = (false, None, 0, vec![0u64]);
+    let (mut asked, mut started, mut first, mut stood, mut begun_at) =
+        (false, false, None, 0, vec![0u64]);
     let mut ticks = 0;
     for segment in &segments {
         begun_at.push(begun_at.last().unwrap() + u64::from(segment.clocks));
@@ -559,7 +560,7 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
         ticks += 1;
         assert!(ticks < 60_000_000, "seed {seed}: it never ends");
         if writes.is_empty() {
-            if !started && level == 60 {
+            if !asked && (level == 60 || to_push.len() == 0) {
                 writes.push_back((pages::SEGMENTS, CONTROL, START));
             } else if level < 60
                 && let Some((_, segment)) = to_push.next()
@@ -580,7 +581,8 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
                 writes.push_back((pages::SEGMENTS, PACE, pace));
             }
         }
-        started |= writes.front() == Some(&(pages::SEGMENTS, CONTROL, START));
+        asked |= writes.front() == Some(&(pages::SEGMENTS, CONTROL, START));
+        started |= state != 0;
 
         let begun = pair.board.peek(pages::SEGMENTS, 23) as usize;
         let left = pair.board.peek(pages::SEGMENTS, 24);
@@ -689,7 +691,9 @@ fn every_edge_of_10_000_segments_is_where_the_integer_model_has_it() {
     let seed = seed();
     let segments: usize = from_environment("FERROCNC_SEGMENTS", 10_000);
     let runs = [false, true].map(|scaled| {
-        std::thread::spawn(move || predicted(seed, if scaled { segments / 3 } else { segments }, scaled))
+        std::thread::spawn(move || {
+            predicted(seed, if scaled { segments / 3 } else { segments }, scaled)
+        })
     });
     for (run, what) in runs
         .into_iter()
