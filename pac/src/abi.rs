@@ -3,7 +3,7 @@
 //! for the one comparison that decides whether a board may arm.
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version.
-pub const ABI: u32 = 0xfae188aa;
+pub const ABI: u32 = 0xcb64934a;
 /// Version of the exchange's word layout this map was made for.
 pub const WIRE_LAYOUT: u32 = 3;
 /// What `ident.magic` reads: "FCnC".
@@ -11,7 +11,7 @@ pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
 pub const ROM_BASE: usize = 0x00000000;
 /// Bytes of the image.
-pub const ROM_SIZE: usize = 0x11800;
+pub const ROM_SIZE: usize = 0x12000;
 /// First byte of data, bss and stack.
 pub const RAM_BASE: usize = 0x10000000;
 /// Bytes of data, bss and stack.
@@ -25,7 +25,7 @@ pub const BOARD_ROM_BASE: usize = 0x90000000;
 /// Bytes of the board info blob.
 pub const BOARD_ROM_SIZE: usize = 0x800;
 /// First byte of the trailer: four words, `TRAILER_MAGIC`, build id, role, 0.
-pub const ROM_TRAILER: usize = 0x000117f0;
+pub const ROM_TRAILER: usize = 0x00011ff0;
 /// First word of a trailer: "FTRL".
 pub const TRAILER_MAGIC: u32 = 0x4654524c;
 /// Third word of a trailer: an image of a slot.
