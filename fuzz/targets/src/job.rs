@@ -139,7 +139,7 @@ impl Bench {
                 let still = segment.accel == [0; AXES];
                 assert!(still || segment.clocks <= MAX_CLOCKS, "{segment:?}");
                 for (accel, limit) in segment.accel.iter().zip(self.planner.limits()) {
-                    assert!(accel.unsigned_abs() <= limit as u32, "{segment:?}, {limit}");
+                    assert!(*accel <= limit, "{segment:?}, {limit}");
                 }
                 let rests = self.planner.machine().rests();
                 assert!(
