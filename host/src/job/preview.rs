@@ -11,6 +11,11 @@ const EDGE: f64 = 6.0;
 
 /// As SVG, one unit a millimetre, Y upwards.
 pub fn svg(name: &str, trace: &Trace) -> String {
+    svg_over(name, trace, "")
+}
+
+/// The same, over something that is SVG already.
+pub fn svg_over(name: &str, trace: &Trace, below: &str) -> String {
     let [low, high] = trace.extents;
     let (width, height) = (high[0] - low[0], high[1] - low[1]);
     // Text and lines keep their size on the screen: a 200th of the picture's.
@@ -37,6 +42,7 @@ pub fn svg(name: &str, trace: &Trace) -> String {
         -high[1],
         unit / 4.0
     );
+    svg.push_str(below);
     for (travel, color, thick) in [(true, "#e08030", 0.3), (false, "#1040a0", 0.6)] {
         let strokes = trace
             .strokes

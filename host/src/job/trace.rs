@@ -65,7 +65,8 @@ fn apart(a: [f64; AXES], b: [f64; AXES]) -> f64 {
 }
 
 impl Trace {
-    fn go(&mut self, travel: bool, to: [f64; AXES]) {
+    /// On from where it ended.
+    pub(crate) fn go(&mut self, travel: bool, to: [f64; AXES]) {
         let from = self
             .strokes
             .last()
