@@ -340,7 +340,7 @@ impl Stimulus {
         if (state == 0 && (level > 8 || self.complete) && self.one_in(3)) || self.one_in(60) {
             self.write(pages::SEGMENTS, CONTROL, START);
         }
-        match self.below(1200) {
+        match self.below(1203) {
             0 | 1 => self.write(pages::WATCHDOG, 3, STOP),
             2 => self.write(pages::WATCHDOG, 3, SOFT),
             3..6 => self.write(pages::SEGMENTS, CONTROL, QUIT),
@@ -357,6 +357,7 @@ impl Stimulus {
             }
             52..200 => self.write(pages::SEGMENTS, PACE, 1 << 16),
             200..203 => self.write(pages::SEGMENTS, PUSH, 1),
+            1200..1203 => self.write(pages::WATCHDOG, 3, SOFT),
             _ => {}
         }
     }
