@@ -4,6 +4,7 @@ use motion::plan::{AxisSetup, Planner, Setup};
 use motion::segment::AXES;
 use serde::Deserialize;
 use std::path::Path;
+use wire::jobs;
 
 /// A machine.
 #[derive(Clone, Debug, Deserialize)]
@@ -17,6 +18,14 @@ pub struct Machine {
     pub junction_deviation: f64,
     /// How long everything rests after the tool was switched, in seconds.
     pub tool_delay: f64,
+    /// Outputs of the board that follow the job: 0 and 16 are M3's. The others stay low.
+    pub outputs: Vec<u8>,
+    /// Outputs of the job (0 is M3's) that are off unless the axes move: a laser.
+    pub beam: Vec<u8>,
+    /// Outputs of the board that are active low.
+    pub active_low: Vec<u8>,
+    /// Outputs of the board that are high while it is not armed.
+    pub safe_high: Vec<u8>,
     /// Axes.
     pub x: Axis,
     /// Axes.
@@ -39,6 +48,66 @@ pub struct Axis {
     pub min: f64,
     /// Where it may be, in mm from home.
     pub max: f64,
+    /// How long STEP is active, in ns.
+    pub steplen: u32,
+    /// How long it is inactive at least, in ns.
+    pub stepspace: u32,
+    /// From a change of DIR to the next STEP, in ns.
+    pub dirsetup: u32,
+    /// From the end of a STEP to a change of DIR, in ns.
+    pub dirhold: u32,
+    /// STEP is active low.
+    pub step_inverted: bool,
+    /// DIR is low for minus.
+    pub dir_inverted: bool,
+    /// Its switch; an axis without one is at 0 where it was started.
+    pub home: Option<Home>,
+}
+
+/// The switch of an axis: where it opens is 0.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Home {
+    /// In which direction it lies.
+    pub towards: Direction,
+    /// Input of the board.
+    pub input: u8,
+    /// Its level while the switch is closed.
+    pub closed: Level,
+    /// Axes with the lowest number are homed first.
+    pub order: u8,
+    /// mm/s towards it.
+    pub fast: f64,
+    /// mm/s off it, for the place that counts.
+    pub slow: f64,
+    /// How far off it between the two, in mm.
+    pub backoff: f64,
+    /// How far it may be, in mm.
+    pub travel: f64,
+    /// How long all of it may take, in seconds.
+    pub timeout: f64,
+    /// How long the input has to stay the same, in microseconds.
+    pub debounce: u32,
+}
+
+/// Of an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Direction {
+    /// Towards smaller numbers.
+    Minus,
+    /// Towards larger ones.
+    Plus,
+}
+
+/// Of a pin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Level {
+    /// 0 V.
+    Low,
+    /// The other.
+    High,
 }
 
 impl Machine {
@@ -59,7 +128,70 @@ impl Machine {
             }
         }
         Planner::<3>::new(&machine.setup()).map_err(|error| error.to_string())?;
+        let pins = [
+            ("outputs", &machine.outputs, 32),
+            ("beam", &machine.beam, 16),
+            ("active_low", &machine.active_low, 32),
+            ("safe_high", &machine.safe_high, 32),
+        ];
+        for (name, pins, end) in pins {
+            if let Some(pin) = pins.iter().find(|pin| **pin >= end) {
+                return Err(format!("{name}: {pin} is none of 0 to {}", end - 1));
+            }
+        }
+        // What depends on the board's pins is for the board to say.
+        let board = machine.to_board();
+        board
+            .check(machine.clock, 32, 32)
+            .map_err(|(field, axis)| {
+                format!("{}: {}", ["x", "y", "z"][usize::from(axis)], field.text())
+            })?;
         Ok(machine)
+    }
+
+    /// As a board is told.
+    pub fn to_board(&self) -> jobs::Machine {
+        let setup = self.setup();
+        let bits = |pins: &[u8]| pins.iter().fold(0u32, |bits, pin| bits | 1 << (pin & 31));
+        let nm = |mm: f64| (mm * 1e6).round();
+        let axis = |index: usize| {
+            let (axis, setup) = (self.axes()[index], &setup.axes[index]);
+            jobs::Axis {
+                steps_per_km: setup.steps_per_km,
+                max_speed: setup.max_speed,
+                max_accel: setup.max_accel,
+                lowest: nm(axis.min) as i64,
+                highest: nm(axis.max) as i64,
+                steplen: axis.steplen,
+                stepspace: axis.stepspace,
+                dirsetup: axis.dirsetup,
+                dirhold: axis.dirhold,
+                step_invert: axis.step_inverted,
+                dir_invert: axis.dir_inverted,
+                home: axis.home.as_ref().map(|home| jobs::Home {
+                    plus: home.towards == Direction::Plus,
+                    low: home.closed == Level::Low,
+                    input: home.input,
+                    order: home.order,
+                    fast: nm(home.fast) as u32,
+                    slow: nm(home.slow) as u32,
+                    backoff: nm(home.backoff) as u32,
+                    travel: nm(home.travel) as u32,
+                    timeout: (home.timeout * 1e3).round() as u32,
+                    debounce: home.debounce,
+                }),
+            }
+        };
+        jobs::Machine {
+            chord_tolerance: setup.chord_tolerance,
+            junction_deviation: setup.junction_deviation,
+            tool_delay: setup.aux_settle,
+            outputs: bits(&self.outputs),
+            beam: bits(&self.beam) as u16,
+            invert: bits(&self.active_low),
+            safe: bits(&self.safe_high),
+            axes: [axis(0), axis(1), axis(2)],
+        }
     }
 
     /// X, Y, Z.

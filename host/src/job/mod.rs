@@ -2,8 +2,9 @@
 //!
 //! [`program`] reads and writes them, [`svg`] makes one of a drawing, [`machine`] knows what will execute it, [`trace`] executes it with
 //! the planner and the integer model the board has, [`preview`] draws what came out; [`pins`] holds what a
-//! board did against it; [`fonts`] finds letters for both. Docs: `docs/jobs.md`.
+//! board did against it; [`client`] speaks to boards; [`fonts`] finds letters for both. Docs: `docs/jobs.md`.
 
+pub mod client;
 pub mod fonts;
 pub mod machine;
 pub mod pins;

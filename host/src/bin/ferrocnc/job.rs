@@ -1,4 +1,6 @@
-//! `ferrocnc job`: makes jobs of drawings and programs, draws and checks them. It needs no board.
+//! `ferrocnc job`: makes jobs of drawings and programs, draws and checks them, for which it needs no board; and has a board execute them.
+
+mod board;
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
@@ -37,6 +39,8 @@ pub(crate) enum Command {
         #[command(flatten)]
         source: Source,
     },
+    #[command(flatten)]
+    Board(board::Command),
 }
 
 /// Where from, and for which machine.
@@ -216,6 +220,7 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
             save(output, &picture, *force)?;
             report(&program, &trace, &[], as_json)
         }
+        Command::Board(command) => board::run(command, as_json),
         Command::Check { source } => {
             let (program, machine) = source.read()?;
             let wrong = machine.as_ref().map_or(Vec::new(), |machine| {

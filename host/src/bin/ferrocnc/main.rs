@@ -42,7 +42,7 @@ enum Command {
     /// Board files: write, check, show, draw and import them. No board is needed.
     #[command(subcommand)]
     Config(config::Command),
-    /// Jobs: make them of drawings and G-code, draw and check them. No board is needed.
+    /// Jobs: make them of drawings and G-code, draw and check them; send them to a board that executes them by itself.
     #[command(subcommand)]
     Job(job::Command),
     /// What the board is: versions, channels and their names, clock, state.

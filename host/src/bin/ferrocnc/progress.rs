@@ -43,6 +43,17 @@ impl Bar {
         self.bar.set_position((part * 1000.0) as u64);
     }
 
+    /// As [`Bar::show`], of what somebody else knows the remaining time of.
+    pub(crate) fn show_remaining(&mut self, step: &str, part: f64, remaining: &str) {
+        self.show(step, part);
+        self.bar.set_prefix(format!("{remaining} to go"));
+        if let Ok(style) =
+            ProgressStyle::with_template("{msg:<24} [{bar:40}] {percent:>3} % {prefix}")
+        {
+            self.bar.set_style(style.progress_chars("=> "));
+        }
+    }
+
     /// A sentence between bars.
     pub(crate) fn say(&self, text: &str) {
         if self.lines {

@@ -1,0 +1,586 @@
+//! Jobs on a board: [`wire::jobs`] over TCP, with what a network does to it.
+//!
+//! A connection that breaks is made again and the request that had no answer repeated under its own id, which the board acts on once. An
+//! upload goes on where it was cut. The board has one line for one client, so nobody holds it for longer than he talks:
+//! [`Board::hang_up`] between two looks, so that somebody else can say stop.
+
+use crate::address::Address;
+use crate::client::{Client, ClientError};
+use crate::keys::{KeyError, Keys};
+use std::io::{self, Read, Write};
+use std::net::{Shutdown, SocketAddr, SocketAddrV4, TcpStream};
+use std::time::{Duration, Instant};
+use wire::crc::crc32;
+use wire::jobs::{
+    Command, DATA, Entry, FRAME, Field, Frame, Machine, NAME, Op, Report, Request, Status, VERSION,
+    Welcome, word,
+};
+use wire::{DEFAULT_PORT, Name};
+
+/// A board answers in milliseconds, a simulated one in seconds.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// How long to wait for an answer before asking again.
+const TRY: Duration = Duration::from_secs(5);
+/// Between two tries of a connection that is refused, or that somebody else has.
+const AGAIN: Duration = Duration::from_millis(50);
+/// A healthy board hangs up within a round trip.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// Why a board did not do it.
+#[derive(Debug)]
+pub enum JobError {
+    /// No connection, or it broke and could not be made again.
+    Line(SocketAddrV4, io::Error),
+    /// It is connected and says nothing.
+    Silent(SocketAddrV4, Op),
+    /// It answers something that is none of our answers.
+    Strange(SocketAddrV4, Op),
+    /// Of another version.
+    Version(SocketAddrV4, u16),
+    /// It refused, and said why.
+    Refused(Op, Status, Option<Detail>),
+    /// A name a board cannot store.
+    Name(String),
+    /// A job that no board can hold.
+    Long(usize),
+    /// It has a key, and we have none that fits.
+    Key(KeyError),
+    /// It has a key, and could not be asked whose it is.
+    Uid(ClientError),
+    /// The board restarted while we were at it.
+    Restarted,
+}
+
+/// What a refusal carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// Bytes free in the store.
+    Free(u32),
+    /// The offset of something in the job.
+    Offset(u32),
+    /// What is wrong with the machine, and with which axis.
+    Machine(Field, u8),
+    /// Which axis.
+    Axis(u8),
+    /// A line of the source, and which axis.
+    Line(u32, u8),
+    /// The board's state word.
+    State(u32),
+}
+
+impl Detail {
+    fn parse(status: Status, payload: &[u8]) -> Option<Detail> {
+        match status {
+            Status::Full => word(payload).map(Detail::Free),
+            Status::Offset | Status::Incomplete | Status::NoJob => {
+                word(payload).map(Detail::Offset)
+            }
+            Status::NotArmed => word(payload).map(Detail::State),
+            Status::Machine => match *payload {
+                [field, axis] => Some(Detail::Machine(Field::from_code(field)?, axis)),
+                _ => None,
+            },
+            Status::NotHomed | Status::NoSwitch => payload.first().copied().map(Detail::Axis),
+            Status::Limits => {
+                let (line, rest) = payload.split_first_chunk()?;
+                Some(Detail::Line(u32::from_le_bytes(*line), *rest.first()?))
+            }
+            _ => None,
+        }
+    }
+}
+
+/// X, Y, Z.
+pub fn axis_name(axis: u8) -> &'static str {
+    ["X", "Y", "Z"]
+        .get(usize::from(axis))
+        .copied()
+        .unwrap_or("?")
+}
+
+impl std::fmt::Display for JobError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            JobError::Line(at, error) => write!(
+                f,
+                "no connection to the jobs of {at} ({error}); is it a board with jobs (ferrocnc describe), and is this its address?"
+            ),
+            JobError::Silent(at, op) => write!(
+                f,
+                "{at} did not answer ({op}) for {} s; check cable and power",
+                PATIENCE.as_secs()
+            ),
+            JobError::Strange(at, op) => write!(
+                f,
+                "{at} answered {op} with something else; update the board or this program"
+            ),
+            JobError::Version(at, theirs) => write!(
+                f,
+                "{at} speaks version {theirs} of the protocol of jobs, this program {VERSION}; update the older one"
+            ),
+            JobError::Refused(_, status, detail) => {
+                f.write_str(status.text())?;
+                match *detail {
+                    None => Ok(()),
+                    Some(Detail::Free(bytes)) => write!(f, " ({bytes} bytes are free)"),
+                    Some(Detail::Offset(offset)) => write!(f, " (at byte {offset})"),
+                    Some(Detail::Machine(field, axis)) => {
+                        write!(f, ": {}: {}", axis_name(axis), field.text())
+                    }
+                    Some(Detail::Axis(axis)) => write!(f, " ({})", axis_name(axis)),
+                    Some(Detail::Line(line, axis)) => {
+                        write!(f, " (line {line}, {})", axis_name(axis))
+                    }
+                    Some(Detail::State(word)) => write!(f, " (state word {word:#010x})"),
+                }
+            }
+            JobError::Name(name) => write!(
+                f,
+                "{name:?} is no name for a job on a board: 1 to {NAME} bytes, printable; --name gives another"
+            ),
+            JobError::Long(bytes) => write!(f, "a job of {bytes} bytes fits on no board"),
+            JobError::Key(error) => error.fmt(f),
+            JobError::Uid(error) => write!(
+                f,
+                "the board has a key, and did not say whose it is ({error}); name the file: --key FILE"
+            ),
+            JobError::Restarted => f.write_str(
+                "the board restarted: its store and its machine are gone; send both again",
+            ),
+        }
+    }
+}
+
+impl std::error::Error for JobError {}
+
+/// What came back: the payload of an answer that refuses nothing.
+type Payload = Vec<u8>;
+
+/// A board that executes jobs, and the line to it while there is one.
+#[derive(Debug)]
+pub struct Board {
+    at: SocketAddrV4,
+    client: u32,
+    id: u16,
+    line: Option<Line>,
+    welcome: Welcome,
+    keys: Keys,
+    patience: Duration,
+}
+
+#[derive(Debug)]
+struct Line {
+    stream: TcpStream,
+    heard: Vec<u8>,
+}
+
+/// How one try went wrong.
+enum Broken {
+    Io(io::Error),
+    Busy,
+    Silent,
+    Strange,
+}
+
+impl Board {
+    /// Connects, and gets to know it.
+    pub fn open(address: &Address, keys: Keys) -> Result<Board, JobError> {
+        Board::with_patience(address.socket, keys, PATIENCE)
+    }
+
+    /// As [`Board::open`], giving up after this long.
+    pub fn with_patience(
+        at: SocketAddrV4,
+        keys: Keys,
+        patience: Duration,
+    ) -> Result<Board, JobError> {
+        let mut board = Board {
+            at,
+            client: number(),
+            id: 0,
+            line: None,
+            welcome: Welcome::default(),
+            keys,
+            patience,
+        };
+        board.connect()?;
+        Ok(board)
+    }
+
+    /// What it said of itself.
+    pub fn welcome(&self) -> &Welcome {
+        &self.welcome
+    }
+
+    /// Lets somebody else have the line. The next request makes a new one.
+    pub fn hang_up(&mut self) {
+        let Some(line) = self.line.take() else {
+            return;
+        };
+        // We close first, and see the board close, so that it is free for the next one. A farewell that fails harms nobody.
+        let _ = line.stream.shutdown(Shutdown::Write);
+        let _ = line.stream.set_read_timeout(Some(FAREWELL));
+        let mut rest = [0; 256];
+        while let Ok(1..) = (&line.stream).read(&mut rest) {}
+    }
+
+    fn connect(&mut self) -> Result<(), JobError> {
+        if self.line.is_some() {
+            return Ok(());
+        }
+        let began = Instant::now();
+        loop {
+            let broken = match self.try_connect() {
+                Ok(()) => return self.prove(),
+                Err(broken) => broken,
+            };
+            self.line = None;
+            let late = began.elapsed() >= self.patience;
+            match broken {
+                Broken::Io(error) if late || error.kind() == io::ErrorKind::ConnectionRefused => {
+                    return Err(JobError::Line(self.at, error));
+                }
+                Broken::Busy if late => {
+                    return Err(JobError::Refused(Op::Hello, Status::Busy, None));
+                }
+                Broken::Silent if late => return Err(JobError::Silent(self.at, Op::Hello)),
+                Broken::Strange => return Err(JobError::Strange(self.at, Op::Hello)),
+                Broken::Io(_) | Broken::Busy | Broken::Silent => std::thread::sleep(AGAIN),
+            }
+        }
+    }
+
+    fn try_connect(&mut self) -> Result<(), Broken> {
+        let stream = TcpStream::connect_timeout(&SocketAddr::V4(self.at), TRY);
+        let stream = stream.map_err(Broken::Io)?;
+        // Requests are small and waited for.
+        stream.set_nodelay(true).map_err(Broken::Io)?;
+        self.line = Some(Line {
+            stream,
+            heard: Vec::new(),
+        });
+        let client = self.client;
+        self.id = self.id.wrapping_add(1);
+        let (status, payload) = self.exchange(&Request::Hello { client }, self.id)?;
+        match (status, Welcome::parse(&payload)) {
+            (Status::Busy, _) => Err(Broken::Busy),
+            (Status::Normal, Some(welcome)) => {
+                self.welcome = welcome;
+                Ok(())
+            }
+            _ => Err(Broken::Strange),
+        }
+    }
+
+    /// Shows the board its key, if it has one.
+    fn prove(&mut self) -> Result<(), JobError> {
+        if self.welcome.version != VERSION {
+            return Err(JobError::Version(self.at, self.welcome.version));
+        }
+        self.id = self.id.wrapping_add(1);
+        let asked = self.exchange(&Request::Challenge, self.id);
+        let challenge = match asked {
+            Ok((Status::Normal, payload)) => four(&payload),
+            // While somebody owns the session there is none; looking and stopping is possible all the same.
+            Ok(_) => None,
+            Err(_) => return Err(JobError::Silent(self.at, Op::Challenge)),
+        };
+        let Some(challenge) = challenge.filter(|words| *words != wire::auth::NONE) else {
+            return Ok(());
+        };
+        let uid = match self.keys {
+            Keys::File(_) => [0; 2],
+            Keys::ByBoard => self.uid()?,
+        };
+        let (key, path) = match self.keys.find(uid) {
+            Ok(found) => found,
+            // Who only looks needs none; what needs it will say so.
+            Err(KeyError::Missing(_) | KeyError::NoHome) => return Ok(()),
+            Err(error) => return Err(JobError::Key(error)),
+        };
+        let words = key.acquire(challenge, self.client);
+        self.id = self.id.wrapping_add(1);
+        match self.exchange(&Request::Respond { words }, self.id) {
+            Ok((Status::Normal, _)) => Ok(()),
+            Ok(_) => Err(JobError::Key(KeyError::Wrong(path))),
+            Err(_) => Err(JobError::Silent(self.at, Op::Respond)),
+        }
+    }
+
+    fn uid(&self) -> Result<[u32; 2], JobError> {
+        let socket = SocketAddrV4::new(*self.at.ip(), DEFAULT_PORT);
+        let address = Address {
+            text: socket.to_string(),
+            socket,
+        };
+        let mut client = Client::open(&address).map_err(JobError::Uid)?;
+        Ok(client.locked().map_err(JobError::Uid)?.1)
+    }
+
+    /// One request on the line there is.
+    fn exchange(&mut self, request: &Request, id: u16) -> Result<(Status, Payload), Broken> {
+        let mut frame = [0; FRAME];
+        let length = request.emit(id, &mut frame);
+        let line = self.line.as_mut().ok_or(Broken::Silent)?;
+        line.stream
+            .write_all(&frame[..length])
+            .map_err(Broken::Io)?;
+        let until = Instant::now() + TRY.min(self.patience);
+        loop {
+            let answer = line.frame(until)?;
+            let (frame, _) = Frame::parse(&answer)
+                .ok()
+                .flatten()
+                .ok_or(Broken::Strange)?;
+            // Said to whoever has no business here, whatever he asked.
+            if Status::from_code(frame.status) == Some(Status::Busy) {
+                return Ok((Status::Busy, Vec::new()));
+            }
+            let (op, status) = frame.answer().ok_or(Broken::Strange)?;
+            if (op, frame.id) == (request.op(), id) {
+                return Ok((status, frame.payload.to_vec()));
+            }
+        }
+    }
+
+    /// A request, until it is answered: over a new connection under its old id if need be.
+    pub fn ask(&mut self, request: &Request) -> Result<Payload, JobError> {
+        let op = request.op();
+        self.connect()?;
+        self.id = self.id.wrapping_add(1);
+        let id = self.id;
+        let (began, boot) = (Instant::now(), self.welcome.boot_id);
+        loop {
+            let broken = match self.exchange(request, id) {
+                Ok((Status::Normal, payload)) => return Ok(payload),
+                Ok((Status::Busy | Status::Garbled, _)) => Broken::Silent,
+                Ok((status, payload)) => {
+                    return Err(JobError::Refused(
+                        op,
+                        status,
+                        Detail::parse(status, &payload),
+                    ));
+                }
+                Err(broken) => broken,
+            };
+            self.line = None;
+            if began.elapsed() >= self.patience {
+                return Err(match broken {
+                    Broken::Io(error) => JobError::Line(self.at, error),
+                    Broken::Busy | Broken::Silent => JobError::Silent(self.at, op),
+                    Broken::Strange => JobError::Strange(self.at, op),
+                });
+            }
+            // The new connection's own requests must not take this one's place as the client's last: they count on from here, and
+            // the board compares op and id.
+            self.connect()?;
+            if self.welcome.boot_id != boot {
+                return Err(JobError::Restarted);
+            }
+        }
+    }
+
+    fn strange(&self, op: Op) -> JobError {
+        JobError::Strange(self.at, op)
+    }
+
+    /// Puts a job into the store; what was cut goes on where it was cut. `shown` is told bytes there and bytes in all.
+    pub fn send(
+        &mut self,
+        name: &str,
+        job: &[u8],
+        mut shown: impl FnMut(usize, usize),
+    ) -> Result<Entry, JobError> {
+        let put = Request::Put {
+            total: u32::try_from(job.len()).map_err(|_| JobError::Long(job.len()))?,
+            crc: crc32(job),
+            name: self::name(name)?,
+        };
+        let mut offset = self.offset(&put)?;
+        loop {
+            shown(offset, job.len());
+            let Some(rest) = job.get(offset..).filter(|rest| !rest.is_empty()) else {
+                break;
+            };
+            let bytes = &rest[..rest.len().min(DATA)];
+            let data = Request::Data {
+                offset: offset as u32,
+                bytes,
+            };
+            offset = match self.offset(&data) {
+                Ok(offset) => offset,
+                // Somebody came between, or an answer was lost: the board knows how far it is.
+                Err(JobError::Refused(
+                    _,
+                    Status::Offset | Status::NoSuchJob | Status::NoHello,
+                    _,
+                )) => self.offset(&put)?,
+                Err(error) => return Err(error),
+            };
+        }
+        let payload = match self.ask(&Request::Commit) {
+            Err(JobError::Refused(_, Status::NoSuchJob, _)) => {
+                self.offset(&put)?;
+                self.ask(&Request::Commit)?
+            }
+            other => other?,
+        };
+        Entry::parse(&payload).ok_or_else(|| self.strange(Op::Commit))
+    }
+
+    fn offset(&mut self, request: &Request) -> Result<usize, JobError> {
+        let payload = self.ask(request)?;
+        let offset = word(&payload).ok_or_else(|| self.strange(request.op()))?;
+        Ok(offset as usize)
+    }
+
+    /// What is in the store.
+    pub fn list(&mut self) -> Result<Vec<Entry>, JobError> {
+        let mut entries: Vec<Entry> = Vec::new();
+        loop {
+            let index = entries.len() as u8;
+            let payload = match self.ask(&Request::List { index }) {
+                Err(JobError::Refused(_, Status::NoSuchJob, _)) => return Ok(entries),
+                other => other?,
+            };
+            let entry = Entry::parse(&payload).ok_or_else(|| self.strange(Op::List))?;
+            entries.push(entry);
+            if entries.len() >= usize::from(entry.count) {
+                return Ok(entries);
+            }
+        }
+    }
+
+    /// Takes a job out of the store; how many bytes are free then.
+    pub fn delete(&mut self, name: &str) -> Result<u32, JobError> {
+        let name = self::name(name)?;
+        let payload = self.ask(&Request::Delete { name })?;
+        word(&payload).ok_or_else(|| self.strange(Op::Delete))
+    }
+
+    /// Tells it which machine it moves.
+    pub fn put_machine(&mut self, machine: &Machine) -> Result<(), JobError> {
+        self.ask(&Request::PutMachine(*machine)).map(drop)
+    }
+
+    /// How it goes.
+    pub fn report(&mut self) -> Result<Report, JobError> {
+        let payload = self.ask(&Request::Report)?;
+        Report::parse(&payload).ok_or_else(|| self.strange(Op::Report))
+    }
+
+    /// One of XYPenPlotter's codes that needs no more than itself.
+    pub fn command(&mut self, code: Command) -> Result<Report, JobError> {
+        self.commanded(code, 0, 0, Name::EMPTY)
+    }
+
+    /// Starts a job. `keepalive`: how long we may be silent; none: it goes on without us.
+    pub fn start(&mut self, name: &str, keepalive: Option<Duration>) -> Result<Report, JobError> {
+        let (flags, millis) = attendance(keepalive);
+        self.commanded(Command::Start, flags, millis, self::name(name)?)
+    }
+
+    /// Finds the switches of these axes; of none: of all that have one.
+    pub fn home(
+        &mut self,
+        axes: [bool; wire::jobs::AXES],
+        keepalive: Option<Duration>,
+    ) -> Result<Report, JobError> {
+        let (flags, millis) = attendance(keepalive);
+        let bits = (0..).zip(axes).filter(|(_, homed)| *homed);
+        let bits = bits.fold(0, |bits, (axis, _)| bits | 1 << axis);
+        self.commanded(Command::Calibrate, flags | bits, millis, Name::EMPTY)
+    }
+
+    /// How fast, in percent of what the job says.
+    pub fn feed(&mut self, percent: u16) -> Result<Report, JobError> {
+        let payload = self.ask(&Request::Feed { percent })?;
+        Report::parse(&payload).ok_or_else(|| self.strange(Op::Feed))
+    }
+
+    fn commanded(
+        &mut self,
+        code: Command,
+        flags: u8,
+        keepalive: u16,
+        name: Name,
+    ) -> Result<Report, JobError> {
+        let payload = self.ask(&Request::Command {
+            code: code.code(),
+            flags,
+            keepalive,
+            name,
+        })?;
+        Report::parse(&payload).ok_or_else(|| self.strange(Op::Command))
+    }
+}
+
+impl Drop for Board {
+    fn drop(&mut self) {
+        self.hang_up();
+    }
+}
+
+impl Line {
+    /// The next whole frame.
+    fn frame(&mut self, until: Instant) -> Result<Vec<u8>, Broken> {
+        let mut buffer = [0; 2048];
+        loop {
+            match Frame::parse(&self.heard) {
+                Ok(Some((_, length))) => {
+                    let rest = self.heard.split_off(length);
+                    return Ok(std::mem::replace(&mut self.heard, rest));
+                }
+                Ok(None) => {}
+                Err(_) => return Err(Broken::Strange),
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(Broken::Silent);
+            }
+            let timeout = self.stream.set_read_timeout(Some(left));
+            timeout.map_err(Broken::Io)?;
+            match self.stream.read(&mut buffer) {
+                Ok(0) => return Err(Broken::Io(io::ErrorKind::UnexpectedEof.into())),
+                Ok(length) => self.heard.extend_from_slice(&buffer[..length]),
+                Err(error) => match error.kind() {
+                    io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
+                        return Err(Broken::Silent);
+                    }
+                    io::ErrorKind::Interrupted => {}
+                    _ => return Err(Broken::Io(error)),
+                },
+            }
+        }
+    }
+}
+
+fn attendance(keepalive: Option<Duration>) -> (u8, u16) {
+    match keepalive {
+        None => (wire::jobs::UNATTENDED, 0),
+        Some(time) => (0, u16::try_from(time.as_millis()).unwrap_or(u16::MAX)),
+    }
+}
+
+fn four(payload: &[u8]) -> Option<[u32; 4]> {
+    let (words, rest) = payload.as_chunks::<4>();
+    let words: &[[u8; 4]; 4] = words.try_into().ok()?;
+    rest.is_empty().then_some(words.map(u32::from_le_bytes))
+}
+
+/// A name as the board stores it.
+pub fn name(text: &str) -> Result<Name, JobError> {
+    let wrong = || JobError::Name(text.to_owned());
+    let fits = (1..=NAME).contains(&text.len());
+    Name::new(text).ok().filter(|_| fits).ok_or_else(wrong)
+}
+
+/// Who we are: random, so that no two are one; never 0.
+fn number() -> u32 {
+    let mut bytes = [0; 4];
+    // Without random numbers the process and the time will do.
+    if getrandom::fill(&mut bytes).is_err() {
+        bytes = std::process::id().to_le_bytes();
+    }
+    u32::from_le_bytes(bytes).max(1)
+}
