@@ -2,16 +2,13 @@
 
 use crate::soc::{self, Mac, Parts, RxFrame, Soc, TxSlot};
 use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
-use firmware::exchange::{FLAGS_WORD, SlotReply};
+use firmware::exchange::{FRAME_FLAGS, SlotReply};
 use firmware::ip::{Ip, Taker, Text};
 use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
 use firmware::net::{self, Class, Datagram, Frame as _, Lane, Us};
 use firmware::text::Sink as _;
-use wire::exchange::REQUEST_OVERHEAD;
 use wire::{CONSOLE_PORT, Refusal};
 
-/// Where a frame in the lane has the flags of its command.
-const FLAGS_AT: usize = net::PAYLOAD_WORD + REQUEST_OVERHEAD + FLAGS_WORD;
 /// Looks at the MAC between two looks at the clock: some 20 us.
 const POLLS: u32 = 128;
 /// Longest ping or console segment while the machine is not at rest: summing, copying and answering one is 20 clocks a byte. A
@@ -136,7 +133,7 @@ impl App {
             Ok(()) => {
                 self.mac.send_lane();
                 // Read again: kept in a register it would push another out.
-                let flags = frame.word(FLAGS_AT);
+                let flags = frame.word(FRAME_FLAGS);
                 self.machine.server.exchanged(flags);
                 self.machine.server.counters_mut().frames_tx += 1;
             }

@@ -23,7 +23,7 @@ use crate::session::Peer;
 use wire::describe::Channels;
 use wire::exchange::{
     COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE, FLAG_ENABLE_REQUEST,
-    STATUS_ENCODER, STATUS_STEPGEN, command_words, judge_sequence, status_words,
+    REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, command_words, judge_sequence, status_words,
 };
 use wire::{Refusal, State, etherbone};
 
@@ -96,6 +96,9 @@ pub const fn reply_head(shape: &Shape) -> [u32; 3] {
 
 /// Which word of the command block the flags are.
 pub const FLAGS_WORD: usize = 2;
+
+/// Where a frame in the lane has them.
+pub const FRAME_FLAGS: usize = crate::net::PAYLOAD_WORD + REQUEST_OVERHEAD + FLAGS_WORD;
 
 /// Words of an answer before its status block.
 pub const REPLY_OVERHEAD: usize = 4;

@@ -114,10 +114,7 @@ impl<B: Board> Machine<B> {
                 port: 0,
             },
             net: (0, 0),
-            names: Names {
-                configuration: Name::EMPTY,
-                platform: Name::EMPTY,
-            },
+            names: Names::default(),
             client: Client::off(),
             waiting: None,
             done: None,
@@ -450,13 +447,10 @@ struct Built {
 }
 
 impl Built {
-    const fn new() -> Self {
+    fn new() -> Self {
         Built {
             settings: Settings::BUILT_IN,
-            names: Names {
-                configuration: Name::EMPTY,
-                platform: Name::EMPTY,
-            },
+            names: Names::default(),
             idcode: None,
         }
     }

@@ -501,7 +501,7 @@ pub(crate) const SESSION_WORDS: [u32; 8] = [
 ];
 
 /// The describe block's features.
-const FEATURES: u32 = map::DESCRIBE + 4 * 9;
+const FEATURES: u32 = map::DESCRIBE + 4 * wire::describe::FEATURES_AT as u32;
 
 /// A challenge.
 pub(crate) const CHALLENGE_WORDS: [u32; wire::auth::WORDS] = [

@@ -8,14 +8,14 @@ use sim::plant::Plant;
 use sim::server::{Device, Service};
 use sim::twin::{Setup, Twin};
 use wire::auth::WORDS;
-use wire::describe::{Channels, FEATURE_KEY};
+use wire::describe::{Channels, FEATURE_KEY, FEATURES_AT};
 use wire::discovery::{Body, Message, WORDS_MAX};
 use wire::exchange::{Command, Status};
 use wire::flash::{BLOCK, Op, OpResult, OpWord, PAGE, Slot};
 use wire::map;
 use wire::settings::{self, Settings};
 
-use crate::flash;
+use crate::{flash, to_bytes, to_words};
 
 /// The tester's port.
 const PORT: u16 = 40_000;
@@ -24,8 +24,6 @@ const STUCK_MS: u64 = 20_000;
 
 /// The key of the boards that have one.
 pub const KEY: [u32; WORDS] = [1, 2, 3, 4];
-/// The describe block's word of features.
-const FEATURES: u32 = 9;
 
 /// How something went that was asked of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,13 +108,11 @@ impl Bench {
 
     fn post(&mut self, service: Service, words: &[u32]) -> Option<Vec<u32>> {
         self.twin.take_replies();
-        let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_be_bytes()).collect();
-        self.twin.post(self.port, service, &bytes);
+        self.twin.post(self.port, service, &to_bytes(words));
         let end = self.twin.clock() + 3_000;
         while self.twin.clock() < end && !self.twin.pass(end) {}
         let reply = self.twin.take_replies().pop()?;
-        let words = reply.payload.as_chunks::<4>().0.iter();
-        Some(words.map(|word| u32::from_be_bytes(*word)).collect())
+        Some(to_words(&reply.payload))
     }
 
     /// One datagram: these writes in order, then these reads.
@@ -157,7 +153,7 @@ impl Bench {
 
     /// Starts an operation and waits for its end; on a board with a key as its owner, who has shown the key.
     pub fn op(&mut self, op: Op, address: u32, length: u32, buffer: &[u32]) -> Went {
-        if self.read(map::DESCRIBE + 4 * FEATURES) & FEATURE_KEY != 0
+        if self.read(map::DESCRIBE + 4 * FEATURES_AT as u32) & FEATURE_KEY != 0
             && self.read(map::SESSION_OWNER_PORT) != u32::from(self.port)
         {
             self.show_key();

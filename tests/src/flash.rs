@@ -4,11 +4,14 @@
 //! what loads after a power cut is decided by what an ECP5 would do and by nothing of ours.
 
 use sim::loader::{self, Small, Trouble};
+use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part};
+use sim::rig::{Rig, Setup};
+use std::net::Ipv4Addr;
 use wire::Name;
 use wire::crc::crc32;
 use wire::flash::{Area, Layout, Slot};
-use wire::images::{Meta, Stub};
+use wire::images::{Meta, Role, Stub, Trailer};
 
 /// The FPGA on all these boards: LFE5U-25F.
 pub const IDCODE: u32 = 0x4111_1043;
@@ -104,4 +107,19 @@ pub fn boots(nor: &Nor) -> Boots {
             Boots::Golden(loaded.fell_back)
         }
     }
+}
+
+/// Power comes to a Verilated board with this flash that is expected at this address, and runs [`FIRST`].
+pub fn power_up(flash: &Shared, ip: Ipv4Addr, factory_pin: bool) -> Rig {
+    flash.chip().power_up();
+    let (soc, firmware) = crate::parts();
+    let mut setup = Setup::new(&soc, &firmware);
+    setup.flash = Some(flash.clone());
+    setup.board_ip = ip;
+    setup.factory = factory_pin;
+    setup.trailer = Trailer {
+        build_id: FIRST,
+        role: Role::Image,
+    };
+    Rig::boot(setup).unwrap_or_else(|error| panic!("{error}"))
 }

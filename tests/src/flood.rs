@@ -297,9 +297,7 @@ impl Machine {
         for wire in before {
             self.rig.inject_wire(wire.clone());
         }
-        self.sequence = self.sequence.wrapping_add(1);
-        (command.token, command.sequence) = (self.token, self.sequence);
-        let bytes = self.command_bytes(command);
+        let bytes = self.next_command_bytes(command);
         self.rig.post((HOST_IP, RIG_PORT), BOARD_PORT, &bytes);
         for wire in after {
             self.rig.inject_wire(wire.clone());

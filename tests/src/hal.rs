@@ -1,14 +1,9 @@
 //! LinuxCNC's HAL for tests: a folder per run, and `halrun` on a file. HAL exists once per machine.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// The workspace.
-pub fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("the workspace")
-}
+pub use crate::root;
 
 /// An empty folder for a run of this name.
 pub fn out(name: &str) -> PathBuf {

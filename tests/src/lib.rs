@@ -102,6 +102,20 @@ pub fn report(name: &str, figures: &serde_json::Value) {
     }
 }
 
+/// Puts a part into `target/reports/NAME.json`, beside what other tests put there.
+pub fn report_part(name: &str, part: &str, figures: serde_json::Value) {
+    static WRITING: std::sync::Mutex<()> = std::sync::Mutex::new(());
+    let _writing = WRITING.lock();
+    let folder = root().join("target/reports");
+    std::fs::create_dir_all(&folder).expect("a folder for reports");
+    let path = folder.join(format!("{name}.json"));
+    let before = std::fs::read_to_string(&path).unwrap_or_default();
+    let mut all: serde_json::Value =
+        serde_json::from_str(&before).unwrap_or_else(|_| serde_json::json!({}));
+    all[part] = figures;
+    std::fs::write(&path, format!("{all:#}\n")).expect("the report");
+}
+
 /// Bytes from hexadecimal digits; spaces are for the reader.
 pub fn hex(text: &str) -> Vec<u8> {
     let digits: Vec<u8> = text
@@ -115,11 +129,13 @@ pub fn hex(text: &str) -> Vec<u8> {
         .collect()
 }
 
-fn to_bytes(words: &[u32]) -> Vec<u8> {
+/// Words as they lie on the wire.
+pub fn to_bytes(words: &[u32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
-fn to_words(bytes: &[u8]) -> Vec<u32> {
+/// The whole words of what lay on the wire.
+pub fn to_words(bytes: &[u8]) -> Vec<u32> {
     bytes
         .as_chunks::<4>()
         .0

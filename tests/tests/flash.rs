@@ -8,14 +8,13 @@ use std::net::Ipv4Addr;
 
 use ferrocnc_tests::bench::packed;
 use ferrocnc_tests::flash::{self, Boots, FIRST, boots, factory};
-use ferrocnc_tests::parts;
+use ferrocnc_tests::{parts, to_bytes, to_words};
 use sim::nor::spi::Shared;
 use sim::nor::{Cut, Order, Part, Times};
-use sim::rig::{Rig, Setup};
+use sim::rig::Rig;
 use sim::segment::{BOARD_IP, HOST_IP, Segment};
 use wire::discovery::{Body, Message, WORDS_MAX};
 use wire::flash::{LinkWord, Op, OpResult, OpWord, Origin, PAGE, Running, Slot};
-use wire::images::{Role, Trailer};
 use wire::map;
 use wire::settings::{self, Settings};
 use wire::{LinkSpeed, Name};
@@ -33,18 +32,8 @@ fn new_flash() -> Shared {
 
 /// Power comes to a board with this flash that is expected at this address.
 fn power_up(flash: &Shared, ip: Ipv4Addr, factory_pin: bool) -> Rig {
-    flash.chip().power_up();
-    let (soc, firmware) = parts();
-    let mut setup = Setup::new(&soc, &firmware);
-    setup.flash = Some(flash.clone());
-    setup.board_ip = ip;
-    setup.factory = factory_pin;
-    setup.trailer = Trailer {
-        build_id: FIRST,
-        role: Role::Image,
-    };
     // What a datagram writes while an image is summed up waits for a slice of that: a fifth of a millisecond.
-    let mut rig = Rig::boot(setup).unwrap_or_else(|error| panic!("{error}"));
+    let mut rig = flash::power_up(flash, ip, factory_pin);
     rig.patience *= 4;
     rig
 }
@@ -97,8 +86,7 @@ fn settings_at(last_octet: u8, name: &str) -> Settings {
 /// A message to everybody; the answers that come within some milliseconds.
 fn discover(rig: &mut Rig, message: &Message, milliseconds: u64) -> Vec<Message> {
     let mut buffer = [0; WORDS_MAX];
-    let words = message.emit(&mut buffer);
-    let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_be_bytes()).collect();
+    let bytes = to_bytes(message.emit(&mut buffer));
     rig.take_datagrams();
     rig.broadcast((HOST_IP, PORT), wire::DISCOVERY_PORT, &bytes);
     rig.run_ms(milliseconds);
@@ -106,8 +94,7 @@ fn discover(rig: &mut Rig, message: &Message, milliseconds: u64) -> Vec<Message>
     came.filter(|(datagram, _)| datagram.to == (Ipv4Addr::BROADCAST, PORT))
         .map(|(datagram, _)| {
             assert_eq!(datagram.from.1, wire::DISCOVERY_PORT);
-            let words = datagram.payload.as_chunks::<4>().0.iter();
-            let words: Vec<u32> = words.map(|word| u32::from_be_bytes(*word)).collect();
+            let words = to_words(&datagram.payload);
             Message::parse(&words).unwrap_or_else(|why| panic!("{words:x?}: {why}"))
         })
         .collect()

@@ -5,7 +5,7 @@
 //! are printed and stand in `target/reports/flood.json`.
 
 use ferrocnc_tests::flood::{Answer, KINDS, Kind};
-use ferrocnc_tests::{Machine, root, seed};
+use ferrocnc_tests::{Machine, report_part, seed};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde_json::{Map, Value, json};
@@ -54,16 +54,8 @@ fn comes_to_rest(machine: &mut Machine, command: &mut Command) {
 
 /// Adds a section to the report.
 fn report(section: &str, value: Value) {
-    let file = root().join("target/reports/flood.json");
-    let old = std::fs::read(&file).ok();
-    let mut all: Map<String, Value> = old
-        .and_then(|text| serde_json::from_slice(&text).ok())
-        .unwrap_or_default();
-    all.insert("bound_clocks".into(), BOUND.into());
-    all.insert(section.into(), value);
-    let text = serde_json::to_string_pretty(&all).expect("plain JSON");
-    std::fs::create_dir_all(root().join("target/reports")).expect("a folder for reports");
-    std::fs::write(&file, text + "\n").expect("the report");
+    report_part("flood", "bound_clocks", BOUND.into());
+    report_part("flood", section, value);
 }
 
 #[test]

@@ -3,18 +3,17 @@
 //! Judging is tested to the last case beside the firmware (`firmware/src/auth/tests.rs`); here it is held that the image on
 //! real wires makes challenges that differ, takes the key, and nothing else.
 
-use ferrocnc_tests::flash::{self, FIRST, factory};
-use ferrocnc_tests::parts;
+use ferrocnc_tests::flash::{self, factory};
+use ferrocnc_tests::{to_bytes, to_words};
 use host::keys::Key;
 use sim::nor::spi::Shared;
 use sim::nor::{Part, Times};
-use sim::rig::{Rig, Setup};
+use sim::rig::Rig;
 use sim::segment::{BOARD_IP, HOST_IP};
 use std::net::Ipv4Addr;
-use wire::describe::FEATURE_KEY;
+use wire::describe::{FEATURE_KEY, FEATURES_AT};
 use wire::discovery::{Body, Message, WORDS_MAX, proof};
 use wire::flash::{Op, OpResult};
-use wire::images::{Role, Trailer};
 use wire::settings::Settings;
 use wire::{CONSOLE_PORT, DISCOVERY_PORT, MAX_WORDS, Refusal, ReplyWriter, etherbone, map};
 
@@ -47,35 +46,17 @@ fn locked_flash() -> Shared {
         key: KEY,
         ..Settings::default()
     };
-    let bytes: Vec<u8> = settings
-        .to_words()
-        .iter()
-        .flat_map(|word| word.to_be_bytes())
-        .collect();
+    let bytes = to_bytes(&settings.to_words());
     let at = flash::layout(&nor).settings;
     nor.preload(at as usize, &bytes);
     Shared::new(nor)
 }
 
 fn power_up(flash: &Shared, factory_pin: bool) -> Rig {
-    flash.chip().power_up();
-    let (soc, firmware) = parts();
-    let mut setup = Setup::new(&soc, &firmware);
-    setup.flash = Some(flash.clone());
-    setup.board_ip = BOARD_IP;
-    setup.factory = factory_pin;
-    setup.trailer = Trailer {
-        build_id: FIRST,
-        role: Role::Image,
-    };
-    let mut rig = Rig::boot(setup).unwrap_or_else(|error| panic!("{error}"));
+    let mut rig = flash::power_up(flash, BOARD_IP, factory_pin);
     // A tag is eight runs over 64 bytes at the most, and an acquisition makes two.
     rig.patience *= 8;
     rig
-}
-
-fn bytes(words: &[u32]) -> Vec<u8> {
-    words.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
 /// One datagram with these records from this port; the words read, if it was answered.
@@ -86,20 +67,14 @@ fn ask(rig: &mut Rig, port: u16, writes: &[(u32, &[u32])], reads: &[u32]) -> Opt
         assert!(request.write_record(*base, words.len() as u8) && request.extend(words));
     }
     assert!(request.read_record(7, reads));
-    send(rig, port, &bytes(request.words()))
+    send(rig, port, &to_bytes(request.words()))
 }
 
 /// Sent two milliseconds after whatever was before: while somebody owns the session one frame of others comes in each.
 fn send(rig: &mut Rig, port: u16, datagram: &[u8]) -> Option<Vec<u32>> {
     rig.run_ms(PAUSE_MS);
     let reply = rig.request((HOST_IP, port), wire::DEFAULT_PORT, datagram)?;
-    let words = reply.payload.as_chunks::<4>().0.iter();
-    Some(
-        words
-            .skip(4)
-            .map(|word| u32::from_be_bytes(*word))
-            .collect(),
-    )
+    Some(to_words(&reply.payload).into_iter().skip(4).collect())
 }
 
 fn challenge(rig: &mut Rig, port: u16) -> [u32; 4] {
@@ -115,7 +90,7 @@ fn acquisition(answer: [u32; 4], nonce: u32) -> Vec<u8> {
     assert!(request.write_record(map::SESSION_RESPONSE, 4) && request.extend(&answer));
     assert!(request.write_record(map::SESSION_ACQUIRE, 1) && request.push(nonce));
     assert!(request.read_record(7, &[map::SESSION_TOKEN]));
-    bytes(request.words())
+    to_bytes(request.words())
 }
 
 fn owner(rig: &mut Rig) -> u32 {
@@ -131,7 +106,13 @@ fn refused(rig: &mut Rig) -> u32 {
 fn a_board_with_a_key_refuses_who_has_it_not_takes_who_has_and_refuses_the_replay() {
     let flash = locked_flash();
     let mut rig = power_up(&flash, false);
-    let features = ask(&mut rig, MALLORY, &[], &[4 * 9]).expect("everybody may read")[0];
+    let features = ask(
+        &mut rig,
+        MALLORY,
+        &[],
+        &[map::DESCRIBE + 4 * FEATURES_AT as u32],
+    )
+    .expect("everybody may read")[0];
     assert_eq!(features & FEATURE_KEY, FEATURE_KEY);
 
     // Without the key, and with another.
@@ -197,15 +178,14 @@ fn a_board_with_a_key_refuses_who_has_it_not_takes_who_has_and_refuses_the_repla
 /// What the board broadcasts to this message.
 fn discover(rig: &mut Rig, message: &Message) -> Option<Body> {
     let mut buffer = [0; WORDS_MAX];
-    let request = bytes(message.emit(&mut buffer));
+    let request = to_bytes(message.emit(&mut buffer));
     rig.take_datagrams();
     rig.broadcast((HOST_IP, ALICE), DISCOVERY_PORT, &request);
     for _ in 0..100 {
         rig.run_ms(1);
         for (datagram, _) in rig.take_datagrams() {
             if datagram.to == (Ipv4Addr::BROADCAST, ALICE) {
-                let words = datagram.payload.as_chunks::<4>().0.iter();
-                let words: Vec<u32> = words.map(|word| u32::from_be_bytes(*word)).collect();
+                let words = to_words(&datagram.payload);
                 return Message::parse(&words).ok().map(|answer| answer.body);
             }
         }
@@ -278,7 +258,13 @@ fn discovery_and_console_ask_for_the_key_too_and_the_factory_pin_opens_the_board
 
     // The pin: no key, whoever asks.
     let mut rig = power_up(&flash, true);
-    let features = ask(&mut rig, MALLORY, &[], &[4 * 9]).expect("everybody may read")[0];
+    let features = ask(
+        &mut rig,
+        MALLORY,
+        &[],
+        &[map::DESCRIBE + 4 * FEATURES_AT as u32],
+    )
+    .expect("everybody may read")[0];
     assert_eq!(features & FEATURE_KEY, 0);
     let token = ask(
         &mut rig,

@@ -13,7 +13,7 @@
 //! The clocks are split over two threads with a seed each. What happened is counted per core, and a run in which too little
 //! did is refused. `target/reports/lockstep.json` has the figures.
 
-use ferrocnc_tests::seed;
+use ferrocnc_tests::{root, seed};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg32;
 use sim::card::Card;
@@ -21,19 +21,13 @@ use sim::model::Board;
 use sim::model::board::{Build, Bus, pages};
 use sim::soc::{Cores, CoresPins, Pins};
 use std::collections::{BTreeMap, VecDeque};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use wire::describe::Channels;
 
 const ARM: u32 = 0x4152_4d31;
 const SOFT: u32 = 0x534f_4654;
 const STOP: u32 = 0x5354_4f50;
 const CLEAR: u32 = 0x434c_5231;
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("the workspace")
-}
 
 fn from_environment<T: std::str::FromStr>(name: &str, usual: T) -> T {
     let given = std::env::var(name).ok().and_then(|text| text.parse().ok());

@@ -1,11 +1,8 @@
 //! docs/safety.md promises tests; this holds it to that, and the fault table's tests to the document.
 
+use ferrocnc_tests::root;
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
+use std::path::Path;
 
 fn document() -> String {
     std::fs::read_to_string(root().join("docs/safety.md")).expect("docs/safety.md")

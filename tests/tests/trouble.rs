@@ -7,6 +7,7 @@
 
 use ferrocnc_tests::Simulator;
 use ferrocnc_tests::hal::{halrun, out, root};
+use ferrocnc_tests::report_part;
 use host::address;
 use host::client::Client;
 use host::driver::Driver;
@@ -435,18 +436,7 @@ fn a_program_on_a_lossy_network_finishes_with_a_bounded_following_error_or_stops
         "longest_gap": result["longest_gap"],
         "seed": result["seed"],
     }));
-    report("programs", &json!(rows));
-}
-
-/// Puts a part into `target/reports/loss.json`.
-fn report(part: &str, value: &Value) {
-    let folder = root().join("target/reports");
-    std::fs::create_dir_all(&folder).expect("a folder for reports");
-    let path = folder.join("loss.json");
-    let before = std::fs::read_to_string(&path).unwrap_or_default();
-    let mut all: Value = serde_json::from_str(&before).unwrap_or_else(|_| json!({}));
-    all[part] = value.clone();
-    std::fs::write(&path, format!("{all:#}\n")).expect("the report");
+    report_part("loss", "programs", json!(rows));
 }
 
 /// Exchanges of the long run; fewer in `FERROCNC_EXCHANGES`.
@@ -529,9 +519,10 @@ fn at_one_frame_in_ten_thousand_nothing_stops_over_a_million_exchanges() {
     println!(
         "{exchanges} exchanges, {missing} without an answer, following error at most {worst:.1} steps"
     );
-    report(
+    report_part(
+        "loss",
         "million",
-        &json!({
+        json!({
             "loss": "0.01%",
             "exchanges": exchanges,
             "missing": missing,

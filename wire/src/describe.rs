@@ -18,6 +18,8 @@ use crate::{Refusal, exchange};
 pub const MAGIC: u32 = 0x4643_5231;
 /// Words before the board blob.
 pub const WORDS: usize = 18;
+/// Where the features are, in words.
+pub const FEATURES_AT: usize = 9;
 /// Where the board blob begins, in words.
 pub const BLOB_AT: usize = 64;
 
@@ -205,7 +207,7 @@ impl Describe {
             gateware_version: words[5],
             clock_hz: words[6],
             channels,
-            features: words[9],
+            features: words[FEATURES_AT],
             boot_id: words[10],
             blob_words: words[13],
             state,

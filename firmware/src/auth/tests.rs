@@ -163,12 +163,15 @@ impl Rig {
     }
 }
 
+/// The describe block's features.
+const FEATURES: u32 = map::DESCRIBE + 4 * wire::describe::FEATURES_AT as u32;
+
 #[test]
 fn a_board_with_a_key_says_so_and_gives_its_session_to_who_has_it() {
     let mut rig = Rig::new();
-    assert_eq!(rig.read(4 * 9), Ok(0));
+    assert_eq!(rig.read(FEATURES), Ok(0));
     rig.server.auth.lock(KEY);
-    assert_eq!(rig.read(4 * 9), Ok(wire::describe::FEATURE_KEY));
+    assert_eq!(rig.read(FEATURES), Ok(wire::describe::FEATURE_KEY));
     assert_eq!(rig.write(map::SESSION_ACQUIRE, 7), Err(Refusal::Key));
     rig.unlock(ALICE);
     assert!(rig.server.session().is_owner(ALICE));

@@ -8,12 +8,11 @@ use crate::server::Bench;
 use crate::tape::Tape;
 use crate::watched::Watched;
 use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
-use firmware::exchange::{FLAGS_WORD, Request, SlotReply};
+use firmware::exchange::{FRAME_FLAGS, Request, SlotReply};
 use firmware::ip::{Ip, Taker, Text};
 use firmware::machine::Machine;
 use firmware::net::{self, Class, Datagram, Frame, HEADERS, Lane, PAYLOAD_WORD, Slot, Us};
 use firmware::text::Sink;
-use wire::exchange::REQUEST_OVERHEAD;
 use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
 
 /// Longest frame without its FCS.
@@ -446,9 +445,7 @@ impl Station {
         match served {
             Ok(()) => {
                 assert!(whole, "a damaged command was executed");
-                machine
-                    .server
-                    .exchanged(frame.word(net::PAYLOAD_WORD + REQUEST_OVERHEAD + FLAGS_WORD));
+                machine.server.exchanged(frame.word(FRAME_FLAGS));
                 check(&slot.frame(bytes), &us);
                 self.outcome.lane[0] += 1;
             }

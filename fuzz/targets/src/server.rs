@@ -16,6 +16,7 @@ use firmware::cores::Board;
 use firmware::machine::{BEHIND_A_FRAME, Machine};
 use firmware::session::Peer;
 use std::sync::atomic::Ordering::Relaxed;
+use wire::etherbone::Record;
 use wire::exchange::{Command, REQUEST_OVERHEAD, Status};
 use wire::units::{Accel, StepRate};
 use wire::{MAX_WORDS, Packet, State, etherbone, map};
@@ -315,13 +316,9 @@ impl Bench {
                 }
                 if writes && owner.is_none_or(|owner| owner != peer) {
                     // A stranger's datagram that does anything has acquired before.
-                    let acquires = packet.records().any(|record| {
-                        record.write_base <= map::SESSION_ACQUIRE
-                            && map::SESSION_ACQUIRE
-                                < record
-                                    .write_base
-                                    .saturating_add(4 * record.writes.len() as u32)
-                    });
+                    let acquires = packet
+                        .records()
+                        .any(|record| writes_to(&record, map::SESSION_ACQUIRE));
                     let free = owner.is_none();
                     assert!(free, "a stranger's write was taken\n{story:#?}");
                     if acquires {
@@ -363,7 +360,7 @@ impl Bench {
                 );
                 assert_eq!(deeds.armed, 0, "armed without a command\n{story:#?}");
                 // Acquired, or given back: what was seen before no longer counts.
-                if served.is_ok() && words.len() > 2 && self.rewrote_session(words) {
+                if served.is_ok() && words.len() > 2 && rewrote_session(words) {
                     self.seen = Seen::Nothing;
                 }
             }
@@ -373,20 +370,6 @@ impl Bench {
             self.machine.chores();
         }
         self.machine.board.take();
-    }
-
-    /// Did this change who owns the session? Whatever else lies in the session's bank does not: a response that nobody
-    /// asked for is taken and means nothing.
-    fn rewrote_session(&self, words: &[u32]) -> bool {
-        Packet::new_checked(words).is_ok_and(|packet| {
-            packet.records().any(|record| {
-                let written =
-                    (0..record.writes.len() as u32).map(|n| record.write_base.wrapping_add(4 * n));
-                written
-                    .into_iter()
-                    .any(|at| matches!(at, map::SESSION_ACQUIRE | map::SESSION_RELEASE))
-            })
-        })
     }
 
     /// The owner's command was accepted.
@@ -514,6 +497,21 @@ impl Bench {
             self.seen = Seen::Nothing;
         }
     }
+}
+
+/// Is there a word for this address in it?
+fn writes_to(record: &Record, address: u32) -> bool {
+    (0..record.writes.len() as u32).any(|n| record.write_base.wrapping_add(4 * n) == address)
+}
+
+/// Did this change who owns the session? Whatever else lies in the session's bank does not: a response that nobody
+/// asked for is taken and means nothing.
+fn rewrote_session(words: &[u32]) -> bool {
+    Packet::new_checked(words).is_ok_and(|packet| {
+        packet.records().any(|record| {
+            writes_to(&record, map::SESSION_ACQUIRE) || writes_to(&record, map::SESSION_RELEASE)
+        })
+    })
 }
 
 /// Text of the console.
