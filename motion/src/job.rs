@@ -27,7 +27,7 @@
 //! No instruction crosses a block's end, and a block holds at most [`BLOCK`] bytes of them: a reader needs memory for one block,
 //! and whoever sends can go on from the block after the last one that arrived. The state of the differences goes on across blocks.
 
-use crate::instruction::{Arc, FARTHEST, Feed, Instruction, Place};
+use crate::instruction::{Arc, CENTER_FARTHEST, FARTHEST, Feed, Instruction, Place};
 use core::fmt;
 use wire::crc::Crc32;
 
@@ -472,7 +472,7 @@ impl Reader {
         let [first] = fields.bytes().ok_or(Error::Instruction(0))?;
         let read = self.read(first, fields);
         let (to, instruction) = read.ok_or(Error::Instruction(first))?;
-        let near = |nm: i64| nm.abs() <= FARTHEST;
+        let near = |nm: i64| nm.unsigned_abs() <= FARTHEST.unsigned_abs();
         if !to.iter().all(|nm| near(*nm)) {
             return Err(Error::Instruction(first));
         }
@@ -524,7 +524,9 @@ impl Reader {
                     clockwise: code == 2,
                     feed: feed?,
                 };
-                let near = center.iter().all(|nm| nm.abs() <= 4 * FARTHEST);
+                let near = center
+                    .iter()
+                    .all(|nm| nm.unsigned_abs() <= CENTER_FARTHEST.unsigned_abs());
                 near.then_some(Instruction::Arc(arc))?
             }
             4 => Instruction::Dwell {

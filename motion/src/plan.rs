@@ -114,6 +114,10 @@ pub enum Output {
 /// The largest square of a speed, in (nm/s)^2.
 const FASTEST: u64 = 1 << 63;
 
+/// Clocks no line takes more than, but for its ramps: a week at 60 MHz. A feed that asks for more is raised, whatever the override:
+/// time with its 16 fraction bits is 64 bits wide. It is 300 nm/s for a metre.
+const LONGEST: u64 = 1 << 45;
+
 /// Directions have 30 fraction bits.
 const ONE: i64 = 1 << 30;
 
@@ -219,6 +223,8 @@ struct Line {
     accel: u64,
     /// What the axes allow, nm/s.
     top: u64,
+    /// The speed that takes [`LONGEST`] for it, nm/s; at most `top`.
+    slowest: u64,
     /// What is asked for, nm/s, at 100 %.
     feed: u64,
     /// How far the blend at its beginning reaches into it, nm.
@@ -239,6 +245,7 @@ impl Line {
         end: [0; AXES],
         accel: 0,
         top: 0,
+        slowest: 0,
         feed: 0,
         cut: 0,
         corner: 0,
@@ -255,7 +262,7 @@ impl Line {
     /// Square of the speed it is to be drawn with.
     fn fastest(&self, percent: u32) -> u64 {
         let feed = u128::from(self.feed) * u128::from(percent) / 100;
-        let speed = feed.clamp(1, u128::from(self.top));
+        let speed = feed.clamp(u128::from(self.slowest), u128::from(self.top));
         square(speed as u64)
     }
 
@@ -386,7 +393,11 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         if !self.accepts() {
             return false;
         }
-        let far = |place: &Place| place.iter().any(|nm| nm.abs() > FARTHEST);
+        let far = |place: &Place| {
+            place
+                .iter()
+                .any(|nm| nm.unsigned_abs() > FARTHEST.unsigned_abs())
+        };
         match *instruction {
             Instruction::Line { to, feed } => {
                 if far(&to) {
@@ -396,7 +407,12 @@ impl<const DEPTH: usize> Planner<DEPTH> {
                 self.line_to(to, feed);
             }
             Instruction::Arc(arc) => {
-                if far(&arc.to) || arc.center.iter().any(|nm| nm.abs() > CENTER_FARTHEST) {
+                if far(&arc.to)
+                    || arc
+                        .center
+                        .iter()
+                        .any(|nm| nm.unsigned_abs() > CENTER_FARTHEST.unsigned_abs())
+                {
                     return false;
                 }
                 self.tag = tag;
@@ -530,13 +546,16 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         }
         let direction =
             nm.map(|nm| ((i128::from(nm) * i128::from(ONE)) / i128::from(length)) as i64);
+        let top = smallest(&machinery.speed, &direction).min(u64::from(u32::MAX));
+        let slowest = u128::from(length) * u128::from(machinery.setup.clock_hz);
         let mut line = Line {
             length,
             direction,
             slope: steps.map(|steps| ((i128::from(steps) << 32) / i128::from(length)) as i64),
             end: goal,
             accel: smallest(&machinery.accel, &direction),
-            top: smallest(&machinery.speed, &direction).min(u64::from(u32::MAX)),
+            top,
+            slowest: (slowest.div_ceil(u128::from(LONGEST)) as u64).min(top),
             feed: match pending.feed {
                 Feed::Rapid => u64::from(u32::MAX),
                 Feed::Rate(rate) => u64::from(rate),

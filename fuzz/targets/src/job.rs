@@ -1,10 +1,14 @@
-//! Programs: read to their end or refused with a place, and what was read is motion the machine can make.
+//! Programs (G-code, the job file, XYPenPlotter's binary): read to their end or refused with a place, and what was read is motion
+//! the machine can make.
 
 use crate::tape::Tape;
 use motion::gcode::{DwellUnit, Options, Reader};
 use motion::instruction::{FARTHEST, Feed, Instruction, Place};
+use motion::job::{self, BLOCK, Kind};
 use motion::plan::{AxisSetup, Output, Planner, Setup};
 use motion::segment::{AXES, MAX_CLOCKS, MIN_CLOCKS};
+use motion::xypen::{self, Quirks, Record};
+use wire::crc::Crc32;
 
 /// A circle of ten metres has more chords than a fuzzer has time.
 const OUTPUTS: u32 = 20_000;
@@ -45,18 +49,14 @@ pub fn gcode(data: &[u8]) {
         _ => DwellUnit::Milliseconds,
     };
     let mut reader = Reader::new(Options { dwell });
-    let setup = Setup {
-        junction_deviation: if mode & 2 == 0 {
-            PLOTTER.junction_deviation
-        } else {
-            0
-        },
-        ..PLOTTER
-    };
-    let mut bench = Bench {
-        planner: Planner::new(&setup).expect("a plotter"),
-        outputs: 0,
-    };
+    let mut bench = Bench::new();
+    if mode & 2 != 0 {
+        let setup = Setup {
+            junction_deviation: 0,
+            ..PLOTTER
+        };
+        bench.planner = Planner::new(&setup).expect("a plotter");
+    }
     if mode & 4 != 0 {
         bench.planner.set_override(percent.into());
     }
@@ -88,9 +88,160 @@ pub fn gcode(data: &[u8]) {
     bench.execute(&Instruction::End, reader.line_number());
 }
 
+/// The job file. With the first bit of the first byte the input is the file; without, it is what blocks with a right CRC hold, so
+/// that a fuzzer comes behind it.
+pub fn job(data: &[u8]) {
+    let mut tape = Tape(data);
+    let [mode] = tape.array();
+    let file = match mode & 1 {
+        1 => tape.0.to_vec(),
+        _ => in_blocks(&mut tape),
+    };
+    let mut bench = Bench::new();
+    let mut reader = job::Reader::default();
+    let mut read: Vec<(Instruction, u32)> = Vec::new();
+    let mut at = 0;
+    let refused = loop {
+        match reader.block(&file[at..], |instruction, line| {
+            possible(&instruction);
+            read.push((instruction, line));
+        }) {
+            Ok(length) => at += length,
+            Err(error) => break error,
+        }
+        if reader.summary().is_some() {
+            break job::Error::Cut;
+        }
+    };
+    assert!(!refused.to_string().is_empty());
+    for (instruction, line) in &read {
+        if bench.outputs >= OUTPUTS {
+            break;
+        }
+        bench.execute(instruction, *line);
+    }
+    written_it_reads_the_same(&read);
+}
+
+/// Blocks of the input: how long, then its bytes.
+fn in_blocks(tape: &mut Tape) -> Vec<u8> {
+    let mut file = Vec::new();
+    let mut before = block(&mut file, Kind::Header, b"\x01fuzz", 0);
+    while !tape.is_over() {
+        let length = usize::from(tape.half()) % (BLOCK + 1);
+        let payload = tape.take(length);
+        before = block(&mut file, Kind::Instructions, payload, before);
+    }
+    file
+}
+
+/// A block as the writer frames it; says its CRC.
+fn block(file: &mut Vec<u8>, kind: Kind, payload: &[u8], before: u32) -> u32 {
+    let begin = file.len();
+    let code = match kind {
+        Kind::Header => 1,
+        Kind::Instructions => 2,
+        Kind::End => 3,
+    };
+    file.extend([b'F', b'J', code, 0]);
+    file.extend((payload.len() as u32).to_le_bytes());
+    file.extend(payload);
+    let mut crc = Crc32::new();
+    crc.update(&before.to_le_bytes());
+    crc.update(&file[begin..]);
+    file.extend(crc.value().to_le_bytes());
+    crc.value()
+}
+
+fn written_it_reads_the_same(program: &[(Instruction, u32)]) {
+    let mut writer = job::Writer::new("again");
+    let mut file = writer.header().to_vec();
+    for (instruction, line) in program {
+        writer.add(instruction, *line, |full| file.extend(full));
+    }
+    let written = writer.finish(|full| file.extend(full));
+    let (mut reader, mut read, mut at) = (job::Reader::default(), Vec::new(), 0);
+    while reader.summary().is_none() {
+        at += reader
+            .block(&file[at..], |instruction, line| {
+                read.push((instruction, line));
+            })
+            .expect("what is written can be read");
+    }
+    assert_eq!(at, file.len());
+    assert_eq!(reader.summary(), Some(written));
+    assert_eq!(read, program);
+}
+
+/// Binary G-code of XYPenPlotter, by all its flags.
+pub fn xypen(data: &[u8]) {
+    let mut tape = Tape(data);
+    let [flags, dwell, feed] = tape.array();
+    let quirks = Quirks {
+        count_fields: flags & 1 != 0,
+        invert_y: flags & 2 != 0,
+        dwell_micros: 1 + 100 * u32::from(dwell),
+        feed: match feed {
+            0 => Feed::Rapid,
+            feed => Feed::Rate(1_000_000 * u32::from(feed)),
+        },
+    };
+    // Without the flag the count is right, so that a fuzzer comes behind it.
+    let mut file = tape.0.to_vec();
+    if flags & 4 == 0 {
+        let whole = file.len() / (4 * xypen::FIELDS) * xypen::FIELDS;
+        file.truncate(4 * whole);
+        let count = if quirks.count_fields {
+            whole
+        } else {
+            whole / xypen::FIELDS
+        };
+        file.splice(0..0, (count as u32).to_le_bytes());
+    }
+    let reader = match xypen::Reader::new(&file, quirks) {
+        Ok(reader) => reader,
+        Err(error) => return assert!(!error.to_string().is_empty()),
+    };
+    let mut bench = Bench::new();
+    let mut program = Vec::new();
+    for read in reader {
+        match read {
+            Ok(instruction) => program.push(instruction),
+            Err(error) => {
+                assert!(!error.to_string().is_empty());
+                return;
+            }
+        }
+    }
+    for instruction in &program {
+        possible(instruction);
+        if bench.outputs < OUTPUTS {
+            bench.execute(instruction, 0);
+        }
+    }
+    let mut writer = xypen::Writer::new(quirks);
+    let records: Vec<Record> = program
+        .iter()
+        .map(|instruction| writer.record(instruction))
+        .map(|record| {
+            record
+                .expect("what the format said it can say")
+                .expect("no end")
+        })
+        .collect();
+    let mut again = writer.count().to_le_bytes().to_vec();
+    again.extend(records.iter().flat_map(|record| record.to_bytes()));
+    let read = xypen::Reader::new(&again, quirks).expect("a count of its own");
+    assert_eq!(read.count(), program.len());
+}
+
 /// An instruction a machine can be asked for.
 fn possible(instruction: &Instruction) {
-    let near = |place: &Place| place.iter().all(|nm| nm.abs() <= FARTHEST);
+    let near = |place: &Place| {
+        place
+            .iter()
+            .all(|nm| nm.unsigned_abs() <= FARTHEST.unsigned_abs())
+    };
     let (to, feed) = match instruction {
         Instruction::Line { to, feed } => (to, feed),
         Instruction::Arc(arc) => (&arc.to, &arc.feed),
@@ -110,6 +261,13 @@ struct Bench {
 }
 
 impl Bench {
+    fn new() -> Self {
+        Bench {
+            planner: Planner::new(&PLOTTER).expect("a plotter"),
+            outputs: 0,
+        }
+    }
+
     fn execute(&mut self, instruction: &Instruction, line: u32) {
         while !self.planner.accepts() {
             if !self.output() {

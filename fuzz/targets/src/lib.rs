@@ -11,7 +11,7 @@
 //! | [`frames`] | `frames` |
 //! | [`describe`] | `describe` |
 //! | [`files`] | `board_toml`, `lcnc_ini`, `litexcnc_json`, `image` |
-//! | [`job`] | `gcode` |
+//! | [`job`] | `gcode`, `job`, `xypen` |
 //!
 //! A new target is a function here, a line in [`TARGETS`], a file in `fuzz/fuzz_targets` with its `[[bin]]`, and a few inputs in
 //! `fuzz/corpus`; the tests say which of these is missing.
@@ -45,6 +45,8 @@ pub const TARGETS: &[Target] = &[
     ("exchange", protocol::exchange),
     ("frames", frames::frames),
     ("gcode", job::gcode),
+    ("job", job::job),
+    ("xypen", job::xypen),
     ("image", files::image),
     ("lcnc_ini", files::lcnc_ini),
     ("litexcnc_json", files::litexcnc_json),
