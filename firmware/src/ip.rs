@@ -12,6 +12,7 @@
 //! ```
 
 use crate::net::Us;
+use crate::thrift::move_down;
 
 /// Room for what the other side has not acknowledged yet.
 pub const TEXT: usize = 1536;
@@ -95,7 +96,7 @@ impl Text {
         // Sliced first: so it is plain that nothing here can be out of range.
         let text = self.bytes.get_mut(..self.used).unwrap_or(&mut []);
         let count = count.min(text.len());
-        text.copy_within(count.., 0);
+        move_down(text, count);
         self.used = text.len() - count;
     }
 }
@@ -199,7 +200,7 @@ impl Ip {
             taken = self.ahead.len(); // nobody listens any more
         }
         let taken = taken.min(self.ahead.len());
-        self.ahead.copy_within(taken.., 0);
+        move_down(&mut self.ahead, taken);
         self.ahead.truncate(self.ahead.len() - taken);
     }
 

@@ -39,6 +39,7 @@
 //! | [`log`] | the ring `ferrocnc log` reads |
 //! | [`postmortem`] | what survives a panic |
 //! | [`text`] | text in pieces, without `core::fmt` |
+//! | [`thrift`] | what the compiler's library does at the price of a kilobyte |
 //! | [`console`] | a window for a human with `telnet`: to look, and with the key to restart |
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
@@ -66,6 +67,7 @@ pub mod service;
 pub mod session;
 pub mod settings;
 pub mod text;
+pub mod thrift;
 
 #[cfg(test)]
 mod fake;

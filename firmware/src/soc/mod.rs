@@ -15,6 +15,7 @@ use crate::app::Memory;
 use core::ptr::{read_volatile, write_volatile};
 use firmware::cores::{self, Board, Control, Gate, Ident, Led, Setting};
 use firmware::machine::BLOB_MAX;
+use firmware::thrift::divide;
 use firmware::{log, postmortem as record, service};
 use litex_pac::{Peripherals, abi};
 use wire::describe::Channels;
@@ -99,8 +100,8 @@ pub fn start() -> Parts {
 
 /// Milliseconds since power-up, for TCP's timers.
 pub fn milliseconds(soc: &mut Soc) -> u32 {
-    let per_ms = u64::from((soc.p.ident.sys_clk_hz().read().bits() / 1000).max(1));
-    (soc.now() / per_ms) as u32
+    let per_ms = soc.p.ident.sys_clk_hz().read().bits() / 1000;
+    divide(soc.now(), per_ms) as u32
 }
 
 fn blob_word(word: usize) -> u32 {

@@ -8,6 +8,7 @@ use core::mem::MaybeUninit;
 use core::panic::{Location, PanicInfo};
 use core::ptr::null;
 use firmware::postmortem::{Boot, Record};
+use firmware::thrift::divide;
 use litex_pac::{Ident, Timebase, Watchdog, abi};
 use riscv::register::{mcause, mepc, mtval};
 use wire::ResetReason;
@@ -38,7 +39,7 @@ pub fn microseconds() -> u64 {
     timebase.snapshot().write(|w| unsafe { w.bits(1) });
     let now = u64::from(timebase.now_hi().read().bits()) << 32
         | u64::from(timebase.now_lo().read().bits());
-    now / u64::from((ident.sys_clk_hz().read().bits() / 1_000_000).max(1))
+    divide(now, ident.sys_clk_hz().read().bits() / 1_000_000)
 }
 
 /// Somebody asked for it.
