@@ -246,4 +246,6 @@ pub trait Board {
     fn log(&mut self, read: crate::log::Read) -> u32;
     /// Reads the panic window, by byte offset.
     fn panic(&mut self, offset: u32) -> u32;
+    /// Gives this start another boot id, made of this, and says which.
+    fn rename_boot(&mut self, seed: u32) -> u32;
 }

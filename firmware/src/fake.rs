@@ -217,6 +217,9 @@ impl Board for Notebook {
     fn panic(&mut self, offset: u32) -> u32 {
         self.record.word(offset)
     }
+    fn rename_boot(&mut self, seed: u32) -> u32 {
+        self.record.rename(seed)
+    }
 }
 
 /// A flash chip, no better than a test of our own commands needs: it does at once what it is told, stays busy for

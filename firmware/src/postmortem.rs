@@ -58,6 +58,14 @@ impl Record {
         boot
     }
 
+    /// Takes another first boot id: what power-up had to offer is the same every time, the clock in which somebody first
+    /// writes is not. Returns this start's.
+    pub fn rename(&mut self, seed: u32) -> u32 {
+        self.boots = seed << 16 | self.boots & 0xffff;
+        self.check = self.sum();
+        self.boots
+    }
+
     /// Leaves word why the next start will be one.
     pub fn part(&mut self, why: ResetReason) {
         self.parting = why as u32;
@@ -139,6 +147,14 @@ mod tests {
             }
         );
         assert_eq!(record.boot(99).id, 0x3_0002);
+    }
+
+    #[test]
+    fn another_first_boot_id_is_kept_over_a_restart() {
+        let mut record = Record::EMPTY;
+        let _ = record.boot(3);
+        assert_eq!(record.rename(0xabcd_1234), 0x1234_0001);
+        assert_eq!(record.boot(3).id, 0x1234_0002);
     }
 
     #[test]

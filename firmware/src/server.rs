@@ -25,7 +25,7 @@ use wire::describe::{FEATURE_KEY, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
 use wire::map::BoardConfig;
-use wire::{GateClose, MAX_WORDS, Refusal, map};
+use wire::{GateClose, MAX_WORDS, Refusal, ResetReason, map};
 
 /// 10 ms: nobody watches an idle machine faster than this, and a sample costs nothing.
 const IDLE_SAMPLE_PER_SECOND: u32 = 100;
@@ -82,6 +82,8 @@ pub struct Server {
     /// Frames when last looked, and when that number was new.
     frames: (u32, u64),
     restart: bool,
+    /// After power-up, until the first datagram: the boot id is that of every power-up.
+    nameless: bool,
     /// The address in force, for the flash window.
     pub(crate) ip: u32,
 }
@@ -115,6 +117,7 @@ impl Server {
             sampled_at: 0,
             frames: (0, 0),
             restart: false,
+            nameless: matches!(boot.reset, ResetReason::PowerUp),
             ip: 0,
         }
     }
@@ -488,7 +491,12 @@ impl Server {
         peer: Peer,
     ) -> Result<(), Refusal> {
         let now = board.now();
-        self.auth.stir(board.arrival_lo());
+        let arrival = board.arrival_lo();
+        self.auth.stir(arrival);
+        if self.nameless {
+            self.nameless = false;
+            self.boot.id = board.rename_boot(arrival);
+        }
         let mut judge = Judge {
             ident: &self.ident,
             boot_id: self.boot.id,

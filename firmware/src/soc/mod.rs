@@ -320,4 +320,8 @@ impl Board for Soc {
     fn panic(&mut self, offset: u32) -> u32 {
         postmortem::word(offset)
     }
+
+    fn rename_boot(&mut self, seed: u32) -> u32 {
+        postmortem::rename(seed)
+    }
 }

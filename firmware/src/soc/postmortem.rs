@@ -27,6 +27,11 @@ pub fn boot(seed: u32) -> Boot {
     record().boot(seed)
 }
 
+/// Another number for this start.
+pub fn rename(seed: u32) -> u32 {
+    record().rename(seed)
+}
+
 /// A word of the panic window.
 pub fn word(offset: u32) -> u32 {
     record().word(offset)

@@ -164,6 +164,9 @@ impl Board for Watched {
     fn panic(&mut self, offset: u32) -> u32 {
         self.desk.panic(offset)
     }
+    fn rename_boot(&mut self, seed: u32) -> u32 {
+        self.desk.rename_boot(seed)
+    }
 }
 
 thread_local! {
