@@ -115,6 +115,9 @@ struct Arguments {
     /// Loopback address that stands for the board's console, TCP port 23.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:2323")]
     console: SocketAddr,
+    /// Loopback address that stands for the board's port of jobs, TCP port 724: for `ferrocnc job`, on boards that execute jobs.
+    #[arg(long, value_name = "ADDR:PORT")]
+    jobs: Option<SocketAddr>,
     /// Take control commands, one per line, on this TCP address (`help` lists them).
     #[arg(long, value_name = "ADDR:PORT")]
     control: Option<SocketAddr>,
@@ -324,6 +327,7 @@ impl Arguments {
             discovery: self.discovery,
             interface: self.interface.clone(),
             console: Some(self.console),
+            jobs: self.jobs,
             control: self.control,
             stdin: self.stdin,
             mode,

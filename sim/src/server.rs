@@ -90,8 +90,8 @@ pub trait Device {
         None
     }
 
-    /// A visitor comes.
-    fn open(&mut self) -> Self::Console;
+    /// A visitor comes to this TCP port: the console's, or that of jobs.
+    fn open(&mut self, port: u16) -> Self::Console;
     /// He types; how many bytes were taken.
     fn type_in(&mut self, console: Self::Console, bytes: &[u8]) -> usize;
     /// What the board has said to him since.
@@ -173,8 +173,8 @@ impl<S: Silicon> Device for Rig<S> {
             self.patience / 10
         }
     }
-    fn open(&mut self) -> Connection {
-        self.segment.connect(CONSOLE_PORT)
+    fn open(&mut self, port: u16) -> Connection {
+        self.segment.connect(port)
     }
     fn type_in(&mut self, console: Connection, bytes: &[u8]) -> usize {
         self.segment.send(console, bytes)
@@ -257,6 +257,8 @@ pub struct Options {
     pub interface: Option<String>,
     /// Loopback address that stands for the board's console port.
     pub console: Option<SocketAddr>,
+    /// Loopback address that stands for the board's port of jobs.
+    pub jobs: Option<SocketAddr>,
     /// Loopback address that takes control commands, a line each.
     pub control: Option<SocketAddr>,
     /// Take control commands from stdin too.
@@ -275,7 +277,7 @@ pub struct Options {
 /// What the outside world did.
 enum Event {
     Datagram(Service, SocketAddr, Vec<u8>),
-    Opened(u64, TcpStream),
+    Opened(u64, u16, TcpStream),
     Typed(u64, Vec<u8>),
     Closed(u64),
     Command(String, Option<TcpStream>),
@@ -299,6 +301,7 @@ pub struct Server<D: Device> {
     known: Option<Addresses>,
     sender: Sender<Event>,
     console_address: Option<SocketAddr>,
+    jobs_address: Option<SocketAddr>,
     control_address: Option<SocketAddr>,
     events: Receiver<Event>,
     nat: Nat<SocketAddr>,
@@ -341,12 +344,17 @@ impl<D: Device> Server<D> {
             ear.udp.set_broadcast(true)?;
         }
         let console = options.console.map(TcpListener::bind).transpose()?;
+        let jobs = options.jobs.map(TcpListener::bind).transpose()?;
         let control = options.control.map(TcpListener::bind).transpose()?;
         let console_address = console.as_ref().map(TcpListener::local_addr).transpose()?;
+        let jobs_address = jobs.as_ref().map(TcpListener::local_addr).transpose()?;
         let control_address = control.as_ref().map(TcpListener::local_addr).transpose()?;
-        if let Some(listener) = console {
+        let doors = [(console, CONSOLE_PORT), (jobs, wire::jobs::PORT)];
+        for (first, (listener, port)) in (0..).zip(doors) {
             let to = sender.clone();
-            std::thread::spawn(move || accept_consoles(&listener, &to));
+            if let Some(listener) = listener {
+                std::thread::spawn(move || accept_visitors(&listener, first, port, &to));
+            }
         }
         if let Some(listener) = control {
             let to = sender.clone();
@@ -373,6 +381,7 @@ impl<D: Device> Server<D> {
             known: None,
             sender,
             console_address,
+            jobs_address,
             control_address,
             events,
             nat: Nat::default(),
@@ -442,12 +451,14 @@ impl<D: Device> Server<D> {
             Mode::Free { pace: Some(pace) } => format!("free pace={pace}"),
         };
         let address = |a: Option<SocketAddr>| a.map_or("-".into(), |a| a.to_string());
+        let jobs = self.jobs_address.map(|at| format!(" jobs={at}"));
         format!(
-            "ready udp={} console={} control={} sys_clk_hz={} mode={mode}",
+            "ready udp={} console={} control={} sys_clk_hz={} mode={mode}{}",
             address(self.udp.udp.local_addr().ok()),
             address(self.console_address),
             address(self.control_address),
             self.rig.clockwork().sys_hz,
+            jobs.unwrap_or_default(),
         )
     }
 
@@ -613,8 +624,8 @@ impl<D: Device> Server<D> {
             Event::Datagram(service, sender, payload) => {
                 self.post(service, sender, &payload);
             }
-            Event::Opened(id, stream) => {
-                let connection = self.rig.open();
+            Event::Opened(id, port, stream) => {
+                let connection = self.rig.open(port);
                 self.consoles.insert(
                     id,
                     Console {
@@ -882,12 +893,13 @@ fn read_datagrams(udp: &UdpSocket, service: Service, to: &Sender<Event>, deaf: &
     }
 }
 
-fn accept_consoles(listener: &TcpListener, to: &Sender<Event>) {
-    for (id, stream) in (0..).zip(listener.incoming().flatten()) {
+/// Visitors are numbered `first`, `first` + 2, ..: there are two doors.
+fn accept_visitors(listener: &TcpListener, first: u64, port: u16, to: &Sender<Event>) {
+    for (id, stream) in (first..).step_by(2).zip(listener.incoming().flatten()) {
         let Ok(mut reader) = stream.try_clone() else {
             continue;
         };
-        if to.send(Event::Opened(id, stream)).is_err() {
+        if to.send(Event::Opened(id, port, stream)).is_err() {
             return;
         }
         let to = to.clone();
@@ -1004,6 +1016,7 @@ mod tests {
             discovery: None,
             interface: None,
             console: None,
+            jobs: None,
             control: Some(any),
             stdin: false,
             mode,

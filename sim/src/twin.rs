@@ -35,6 +35,7 @@ use crate::nor::{Nor, Part};
 use crate::plant::Plant;
 use crate::report::{Counters, Report, Seen};
 use crate::rig::FrameCounts;
+use crate::segment::CONSOLE_PORT;
 use crate::server::{Addresses, Device, Reply, Service};
 use crate::soc::LINK_1000;
 use crate::world::World;
@@ -892,10 +893,14 @@ impl Device for Twin {
         }
     }
 
-    fn open(&mut self) -> usize {
-        self.machine.greet();
+    fn open(&mut self, port: u16) -> usize {
         let mut visitor = Visitor::default();
-        visitor.out.0.extend(console::PROMPT.bytes());
+        if port == CONSOLE_PORT {
+            self.machine.greet();
+            visitor.out.0.extend(console::PROMPT.bytes());
+        } else {
+            visitor.said_goodbye = true;
+        }
         self.visitors.push(visitor);
         self.visitors.len() - 1
     }
@@ -1229,7 +1234,7 @@ mod tests {
     #[test]
     fn a_visitor_is_greeted_answered_and_let_go() {
         let mut twin = Twin::start(Card::plain(SIX, HZ), Plant::default());
-        let visitor = twin.open();
+        let visitor = twin.open(CONSOLE_PORT);
         assert_eq!(twin.heard(visitor), console::PROMPT.as_bytes());
         twin.type_in(visitor, b"status\nquit\n");
         let heard = String::from_utf8(twin.heard(visitor)).expect("text");

@@ -5,6 +5,7 @@
 //! board and the image come from is said by `FERROCNC_SOC` and `FERROCNC_FIRMWARE`, which `cargo xtask test` sets.
 
 pub mod bench;
+pub mod drawing;
 pub mod driver;
 pub mod flash;
 pub mod flood;
