@@ -979,7 +979,7 @@ impl Board {
             21 => regs.mask,
             22 => segments.status(),
             23 => segments.begun(),
-            24 => segments.left(),
+            24 => segments.left_after(self.clock - self.segments_at),
             25 => u32::from(segments.tag()) << 16 | u32::from(segments.aux(regs.beam)),
             26 => segments.pace_now(),
             27 => (segments.axes() | segments::DEPTH << 8) as u32,
@@ -1064,21 +1064,34 @@ impl Board {
 
     /// After an edge: does the next one have to be made of everything?
     fn plan_common(&mut self) {
-        let changed = self.common_now() != self.common;
-        let plays = self
-            .segments
-            .as_ref()
-            .is_some_and(|segments| segments.quiet(self.common.gate, self.regs.pace) == 0);
-        self.full = if changed || plays || self.write.is_some() {
+        let mut now = self.common_now();
+        let mut plays = u64::MAX;
+        if let Some(segments) = &mut self.segments {
+            segments.skip(self.clock - self.segments_at);
+            self.segments_at = self.clock;
+            plays = segments.quiet(self.common.gate, self.regs.pace);
+            now.job = segments.steady();
+            if plays != 0 {
+                self.common.job = now.job;
+            }
+        }
+        let changed = now != self.common;
+        self.full = if changed || plays == 0 || self.write.is_some() {
             self.clock + 1
         } else {
-            u64::MAX
+            self.clock.saturating_add(1).saturating_add(plays)
         };
+    }
+
+    /// The next edge is one of a stepgen that plays segments: whether it waits is everybody's affair.
+    fn is_of_a_job(&self, edge: u64) -> bool {
+        let lanes = self.next.get(1..=self.regs.jobs).unwrap_or(&[]);
+        self.common.job.busy && lanes.contains(&edge)
     }
 
     fn plan_all(&mut self) {
         self.plan_common();
-        if self.full != u64::MAX {
+        if self.full == self.clock + 1 {
             return;
         }
         let timed = self.hub.timebase.quiet(self.regs.commit_at());
@@ -1119,7 +1132,7 @@ impl Board {
             }
             self.clock = next - 1;
             let before = self.out;
-            if self.full == next {
+            if self.full == next || self.is_of_a_job(next) {
                 self.edge(&Bus::default());
                 self.plan_all();
             } else {

@@ -207,6 +207,11 @@ impl Segments {
         self.left as u32
     }
 
+    /// The same, so many quiet clocks later.
+    pub fn left_after(&self, clocks: u64) -> u32 {
+        (self.left - clocks as i64).max(-1) as u32
+    }
+
     /// Of the segment begun last.
     pub fn tag(&self) -> u16 {
         self.tag
@@ -415,9 +420,29 @@ impl Segments {
         self.phase = sum & 0xffff;
     }
 
-    /// Clocks in which it does nothing by itself but let its phase go round.
+    /// What its stepgens are told in the quiet clocks of a segment.
+    pub fn steady(&self) -> Told {
+        Told {
+            busy: self.state != State::Idle,
+            ..Told::default()
+        }
+    }
+
+    /// Clocks in which it does nothing by itself but count: its phase, and a segment's clocks at full pace. As long as none of its stepgens
+    /// waits, and nobody says anything.
     pub fn quiet(&self, gate: bool, pace: u32) -> u64 {
         let dead = self.dead(gate);
+        if self.state == State::Play {
+            let steady = !self.turned
+                && !dead
+                && self.fetched.is_none()
+                && (self.staged || self.level == 0)
+                && self.tick
+                && pace >= PACE_ONE
+                && self.scale == u64::from(PACE_ONE) << 16;
+            // The last clock, and the commit behind it, are made one by one.
+            return if steady { self.left.max(0) as u64 } else { 0 };
+        }
         let settled = self.state == State::Idle
             && !self.turned
             && self.fetched.is_none()
@@ -438,6 +463,8 @@ impl Segments {
         let sum = (before & 0xffff) as u32 + self.pace_now();
         self.tick = sum >> 16 != 0;
         self.phase = sum & 0xffff;
+        // It counts to its end even when nobody plays it any more.
+        self.left = (self.left - clocks as i64).max(-1);
         self.out = self.memory[self.tail * self.slot + self.at];
     }
 }
@@ -630,5 +657,58 @@ mod tests {
         push(&mut board, &segment);
         write(&mut board, pages::SEGMENTS, 17, 1);
         assert_eq!(status(&board) >> 8 & 3, State::Settle as u32);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(48) })]
+
+        /// [`Board::run`], which leaves out what is quiet, and clock by clock: the same pins and registers wherever one looks.
+        #[test]
+        fn many_clocks_of_a_segment_at_once_are_those_clocks_one_by_one(
+            rates in proptest::collection::vec((64..5000u32, -(1i32 << 28)..1 << 28, -(1i32 << 26)..1 << 26, 0..4u16), 1..12),
+            times in (1..20u32, 1..20u32, 1..60u32, 1..60u32),
+            looks in proptest::collection::vec((1..900u64, 0..40u8), 20..200),
+        ) {
+            let (mut slow, mut fast) = (board([times.0, times.1, times.2, times.3]), board([times.0, times.1, times.2, times.3]));
+            for board in [&mut slow, &mut fast] {
+                write(board, pages::SEGMENTS, 19, 1 << 20);
+                write(board, pages::SEGMENTS, 21, 3);
+                for (clocks, x, y, aux) in &rates {
+                    let segment = Segment { clocks: *clocks, velocity: [*x, *y, 0], accel: [1 << 24, 0, 1], aux: *aux, tag: 7 };
+                    push(board, &segment);
+                }
+                write(board, pages::SEGMENTS, 17, 1);
+            }
+            for (clocks, deed) in looks {
+                let until = slow.clocks() + clocks;
+                while slow.clocks() < until {
+                    slow.clock(&Bus::default());
+                }
+                while fast.clocks() < until {
+                    fast.run(until);
+                }
+                prop_assert_eq!(slow.pins(), fast.pins(), "clock {}", until);
+                for word in 22..27 {
+                    prop_assert_eq!(slow.peek(pages::SEGMENTS, word), fast.peek(pages::SEGMENTS, word), "word {} in clock {}", word, until);
+                }
+                // Now and then a pause, a stop, another segment.
+                let (word, data) = match deed {
+                    0 | 1 => (18, 0),
+                    2..6 => (18, PACE_ONE),
+                    6 => (18, PACE_ONE / 3),
+                    7 => (17, 2),
+                    8 => (17, 3),
+                    9..14 => (16, 0),
+                    _ => continue,
+                };
+                for board in [&mut slow, &mut fast] {
+                    if word == 16 {
+                        push(board, &Segment { clocks: 700, velocity: [1 << 25, 0, 0], accel: [1 << 22, 0, 1], aux: 1, tag: 8 });
+                    } else {
+                        write(board, pages::SEGMENTS, word, data);
+                    }
+                }
+            }
+        }
     }
 }
