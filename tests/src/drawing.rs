@@ -34,7 +34,7 @@ pub fn machine() -> Machine {
     Machine::read(&folder().join("machine.toml")).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// The drawing as a program, its curves as lines within `tolerance` mm. Without any font on this machine its letters are left out, and that is said.
+/// The drawing as a program, its curves as lines within `tolerance` mm. Its letters need a font on this machine, any.
 pub fn program(tolerance: f64) -> Program {
     let wish = Wish {
         page: None,
@@ -118,6 +118,16 @@ impl Verdict {
             self.allowed
         );
         assert_eq!(drawn.steps, told.steps, "the axes end elsewhere");
+    }
+
+    /// For other programs. Nobody planned on the board's own processor, so how fast that is is not among them.
+    pub fn figures(&self, player: &str) -> serde_json::Value {
+        serde_json::json!({
+            "played_by": player, "segments": self.segments, "edges": self.difference.edges, "edge_differences": self.difference.wrong,
+            "pen_switches": self.difference.switches, "pen_late_clocks_max": self.difference.late,
+            "deviation_max_mm": self.drawn.deviation, "missing_max_mm": self.drawn.missing, "deviation_allowed_mm": self.allowed,
+            "end_steps": self.drawn.steps, "segments_per_second": null,
+        })
     }
 
     /// One line.

@@ -98,5 +98,9 @@ fn a_drawing_on_the_verilated_cores_is_on_its_curves_and_every_edge_in_its_clock
         verdict.text(),
         verdict.clocks as f64 / f64::from(machine.clock)
     );
+    ferrocnc_tests::report(
+        "jobs",
+        &verdict.figures("Verilated cores, planned on the PC"),
+    );
     verdict.assert_good(&told);
 }

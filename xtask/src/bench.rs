@@ -14,6 +14,9 @@ pub enum What {
     Gateware,
     /// What loss on the cable costs a program: real driver, twin, a million exchanges (--exchanges).
     Loss,
+    /// A drawing as a job, edge by edge at the pins: how many are not where they are predicted, how far the path is from the
+    /// drawing; a picture of both.
+    Jobs,
     /// A day of the board's time on the twin: counters that drift, or do not come round as they should (--hours).
     Soak,
 }
@@ -27,6 +30,7 @@ pub fn run(what: What, exchanges: u64, hours: u64) -> Result<()> {
             exchange(&parts)
         }
         What::Gateware => gateware(),
+        What::Jobs => jobs(),
         What::Loss => faults::measure(
             "loss",
             "random_loss",
@@ -74,6 +78,28 @@ pub fn exchange(parts: &build::Parts) -> Result<()> {
     )?;
     println!("{}", printed.trim_end());
     Ok(())
+}
+
+/// The drawing on the Verilated cores: figures and picture.
+fn jobs() -> Result<()> {
+    setup::run(setup::Need::Everything)?;
+    build::simulated_cores(build::JOBS_BOARD)?;
+    step::heading("bench: jobs");
+    std::fs::create_dir_all(target("reports"))?;
+    let mut bench = Command::new("cargo");
+    bench.args(["test", "--release", "--package", "ferrocnc-tests"]);
+    bench.args(["--features", "board", "--test", "jobs", "--", "--nocapture"]);
+    bench.env("FERROCNC_REPORTS", target("reports"));
+    let printed = step::run_quietly("bench-jobs", "a drawing, edge by edge", "3 min", &mut bench)?;
+    for line in printed.lines().filter(|line| line.contains(" segments, ")) {
+        println!("{line}");
+    }
+    let picture = target("reports/drawing-cores.png");
+    println!("picture: {}", picture.display());
+    let report = target("reports/jobs.json");
+    std::fs::metadata(&report)
+        .with_context(|| format!("no report at {}", report.display()))
+        .map(drop)
 }
 
 fn gateware() -> Result<()> {

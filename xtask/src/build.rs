@@ -84,6 +84,9 @@ pub fn simulated_board(board: &str) -> Result<PathBuf> {
     Ok(soc(board))
 }
 
+/// `tests/boards/NAME.toml`: what a job needs.
+pub const JOBS_BOARD: &str = "jobs";
+
 /// Verilates the cores and banks of a board without the processor, for the comparison with their models.
 pub fn simulated_cores(board: &str) -> Result<()> {
     let mut build = Command::new("bash");

@@ -27,6 +27,8 @@ enum Level {
     Core,
     /// Every core against its bit-exact model, clock by clock.
     Lockstep,
+    /// A drawing as a job: the path rebuilt from the pins' edges, over the drawing.
+    Jobs,
     /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
     Soc,
     /// The fault table: every row with the real driver against the twin, the gateware's rows on the RTL with the CPU stopped.
@@ -57,6 +59,7 @@ const ALL: &[Level] = &[
     Level::Formal,
     Level::Core,
     Level::Lockstep,
+    Level::Jobs,
     Level::Soc,
     Level::Faults,
     Level::Peers,
@@ -89,7 +92,10 @@ pub fn run(options: &Options) -> Result<()> {
     }
     if levels.contains(&Level::Lockstep) {
         build::simulated_cores(build::BOARD)?;
-        build::simulated_cores(JOBS_BOARD)?;
+        build::simulated_cores(build::JOBS_BOARD)?;
+    }
+    if levels.contains(&Level::Jobs) {
+        build::simulated_cores(build::JOBS_BOARD)?;
     }
     if levels.contains(&Level::Provision) {
         build::host()?;
@@ -143,6 +149,7 @@ impl Level {
             Level::Formal => "formal: pulse, count and watchdog promises, proven",
             Level::Core => "core: RTL at its pins under random stimulus",
             Level::Lockstep => "lockstep: RTL and model, clock by clock",
+            Level::Jobs => "jobs: a drawing, from SVG to edges and back",
             Level::Soc => "soc: Verilated board, release image, frames and faults",
             Level::Faults => "faults: every row of the fault table, at the pins",
             Level::Peers => "peers: defects of others, on the RTL board",
@@ -183,6 +190,7 @@ impl Level {
                 // Two runs with a seed each, side by side.
                 Ok(board_tests("lockstep", "3 min", "2")? + jobs()?)
             }
+            Level::Jobs => board_tests("jobs", "3 min", "2"),
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
                 + board_tests("path_stop", "1 min", "2")?
                 + board_tests("soc", "10 min", "1")?
@@ -262,9 +270,6 @@ fn maximum_board() -> Result<()> {
         &mut elaborate,
     )
 }
-
-/// `tests/boards/NAME.toml`.
-const JOBS_BOARD: &str = "jobs";
 
 /// A test binary of the `tests` crate that needs a simulated board, so many tests at once: with LinuxCNC
 /// one, for its HAL is one per machine.

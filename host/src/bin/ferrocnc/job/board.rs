@@ -372,20 +372,8 @@ fn watch(board: &mut Board, keepalive: Option<Duration>, as_json: bool) -> Resul
     if !as_json {
         super::say(&text(&report))?;
     }
-    match report.end {
-        End::None | End::Done => Ok(()),
-        End::Stopped
-        | End::HostLost
-        | End::Underrun
-        | End::Watchdog
-        | End::EStop
-        | End::ExternalReset
-        | End::SessionLost
-        | End::Broken
-        | End::NoSwitch
-        | End::StuckSwitch
-        | End::Limits
-        | End::NotArmed
-        | End::Restart => bail!("it did not come to its end: {}", ended(&report)),
+    if matches!(report.end, End::None | End::Done) {
+        return Ok(());
     }
+    bail!("it did not come to its end: {}", ended(&report))
 }
