@@ -514,6 +514,14 @@ impl Board {
                 "write a smaller number, or another [[stepgen]]",
             ));
         }
+        if jobs > 0 && platform.sdram.is_none() {
+            return Err(at.error(
+                "jobs",
+                &jobs.to_string(),
+                format!("needs an SDRAM, and {} has none", platform.name),
+                "leave the key out, or say in the platform file where the SDRAM is ([sdram])",
+            ));
+        }
         let modified = wiring.modified;
         let network = at.table("network")?;
         let network = network.as_ref().unwrap_or(&at);

@@ -80,6 +80,10 @@ fn platform(platform: &Platform, phy: usize) -> Value {
         "ethernet": ethernet,
         "phy_reset": platform.phy_reset,
         "flash": { "cs": cs, "mosi": mosi, "miso": miso, "bytes": platform.flash_bytes },
+        "sdram": platform.sdram.as_ref().map(|sdram| json!({
+            "chip": sdram.chip, "clk": sdram.clk, "we": sdram.we, "ras": sdram.ras, "cas": sdram.cas,
+            "ba": sdram.ba.join(" "), "a": sdram.a.join(" "), "dq": sdram.dq.join(" "),
+        })),
         "pins": pins,
     })
 }

@@ -182,6 +182,27 @@ impl Level {
     }
 }
 
+/// The balls of the SDRAM: 32 bits wide. Its clock enable, chip select and data masks are wired on the board.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sdram {
+    /// What is printed on it, as in `M12L64322A` or `2x M12L16161A`.
+    pub chip: String,
+    /// Clock.
+    pub clk: String,
+    /// Write enable.
+    pub we: String,
+    /// Row address strobe.
+    pub ras: String,
+    /// Column address strobe.
+    pub cas: String,
+    /// Bank address, bit 0 first.
+    pub ba: Vec<String>,
+    /// Address, bit 0 first.
+    pub a: Vec<String>,
+    /// Data, bit 0 first.
+    pub dq: Vec<String>,
+}
+
 /// The balls of one PHY's RGMII.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Phy {
@@ -243,6 +264,8 @@ pub struct Platform {
     pub flash_bytes: u32,
     /// Chip select, data to the flash, data from the flash.
     pub flash_balls: [String; 3],
+    /// The SDRAM, if the file says where it is.
+    pub sdram: Option<Sdram>,
     /// What is printed on the PHYs.
     pub phy_chip: String,
     /// Management data and clock of all PHYs.
@@ -280,6 +303,7 @@ impl Platform {
             flash_chip: String::new(),
             flash_bytes: 0,
             flash_balls: Default::default(),
+            sdram: None,
             phy_chip: String::new(),
             mdio: Default::default(),
             phy_reset: None,
@@ -317,12 +341,16 @@ impl Platform {
             ];
         }
         if let Some(sdram) = at.table("sdram")? {
-            for key in ["clk", "we", "ras", "cas"] {
-                claims.key(&sdram, key)?;
-            }
-            claims.keys(&sdram, "ba", None)?;
-            claims.keys(&sdram, "a", None)?;
-            claims.keys(&sdram, "dq", Some(32))?;
+            platform.sdram = Some(Sdram {
+                chip: sdram.text("chip").unwrap_or_default().to_owned(),
+                clk: claims.key(&sdram, "clk")?,
+                we: claims.key(&sdram, "we")?,
+                ras: claims.key(&sdram, "ras")?,
+                cas: claims.key(&sdram, "cas")?,
+                ba: claims.keys(&sdram, "ba", None)?,
+                a: claims.keys(&sdram, "a", None)?,
+                dq: claims.keys(&sdram, "dq", Some(32))?,
+            });
         }
         if let Some(management) = at.table("ethernet")? {
             platform.phy_chip = management.text("chip").unwrap_or_default().to_owned();

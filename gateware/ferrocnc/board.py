@@ -50,6 +50,7 @@ class Platform:
     ethernet: dict     # the RGMII balls of the PHY in use
     phy_reset: str | None  # the ball of the reset both PHYs share: never to be driven low
     flash: dict        # cs, mosi, miso: balls; bytes
+    sdram: dict | None  # chip; clk, we, ras, cas, ba, a, dq: balls
     pins: dict         # "j1:0" -> ball; a shared line has a name on every header
     file: str
 
@@ -129,7 +130,7 @@ def _board(said):
         platform=Platform(
             name=p["name"], title=p["title"], device=p["device"], package=p["package"], clock_ball=p["clock"]["ball"], clock_hz=p["clock"]["hz"],
             led_ball=p["led"]["ball"], led_active_low=p["led"]["active_low"], ethernet=p["ethernet"], phy_reset=p["phy_reset"], flash=p["flash"],
-            pins=p["pins"], file=p["file"]),
+            sdram=p["sdram"], pins=p["pins"], file=p["file"]),
         mac=bytes(said["mac"]) if said["mac"] else None, ipv4=bytes(said["ipv4"]), udp_port=said["udp_port"],
         stepgen=said["stepgen"], encoder=said["encoder"], pwm=said["pwm"], gpio_in=said["gpio_in"], gpio_out=said["gpio_out"],
         ext_reset_pin=said["ext_reset"]["pin"], ext_reset_active_low=said["ext_reset"]["active_low"],

@@ -132,7 +132,7 @@ class Design:
     def prove(self):
         """Unpacks what was built and compares. Yields what was proven."""
         seed = json.loads((self.folder / "report.json").read_text())["seed"]
-        yield from image.prove(self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder)
+        yield from image.prove(self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder, self._program())
 
     # What was made from what
 
@@ -293,7 +293,17 @@ class Design:
         return f"{self.name}: the best of {len(tried)} seeds {what}:\n" + "\n".join(lines) + "\n  more seeds: --seeds"
 
     def _pack(self, seed):
-        return image.pack(self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder)
+        return image.pack(self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder, self._program())
+
+    def _program(self):
+        """The jobs program that was built with this firmware, if the board has jobs."""
+        if not self.board.jobs:
+            return b""
+        path = Path(self.options.firmware).with_name("ferrocnc-jobs.bin")
+        try:
+            return path.read_bytes()
+        except OSError as e:
+            raise BuildError(f"{self.name}: has jobs, but {path.name} cannot be read ({e.strerror}); firmware/build.sh makes it beside the firmware") from e
 
     def _report(self, seed):
         found = self.record["seeds"][str(seed)]

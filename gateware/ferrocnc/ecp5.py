@@ -3,9 +3,10 @@
 from functools import reduce
 from operator import xor
 
-from migen import ClockDomain, Instance, Signal
+from migen import ClockDomain, ClockSignal, Instance, Module, Signal
 from litex.gen import LiteXModule
 from litex.build.generic_platform import IOStandard, Misc, Pins, Subsignal
+from litex.build.io import DDROutput, SDRInput, SDROutput, SDRTristate
 from litex.build.lattice import LatticeECP5Platform
 from litex.soc.cores.clock import ECP5PLL
 
@@ -37,6 +38,27 @@ _PADS = (
 _FERRY = (("ferry_in", 0, Pins("X"), *_IN), ("ferry_out", 0, Pins("X"), *_OUT))
 
 
+# The SDRAM's clock behind the core's, in degrees. Commands and data leave registers in their pads and come back into such, so
+# a third of a period of 16.7 ns: 5.6 ns before the chip's edge (it wants 2), and 11.1 ns from it to ours, less the 6 ns of the
+# chip and some 3 of two pads. LiteX's boards run with 180, their data through registers in the fabric.
+SDRAM_PHASE = 120
+
+
+class _PadRegisters(Module):
+    """A two-way pad with its three registers beside it: LiteX would leave that of the direction in the fabric."""
+
+    def __init__(self, io, o, oe, i, clk):
+        data, off, came = Signal(), Signal(reset=1), Signal()
+        self.specials += [
+            SDROutput(o, data, clk), SDROutput(~oe, off, clk), SDRInput(came, i, clk),
+            Instance("TRELLIS_IO", p_DIR="BIDIR", i_B=io, i_I=data, i_T=off, o_O=came),
+        ]
+
+    @staticmethod
+    def lower(dr):
+        return _PadRegisters(dr.io, dr.o, dr.oe, dr.i, dr.clk)
+
+
 def _factory(board):
     """(pin, active low) of the factory pin."""
     return getattr(board, "factory_pin", None), getattr(board, "factory_active_low", False)
@@ -63,6 +85,11 @@ class _Platform(LatticeECP5Platform):
         if flash := getattr(p, "flash", None):
             io += [(f"flash_{k}", 0, Pins(flash[k]), _LVCMOS, Misc("SLEWRATE=SLOW")) for k in ("cs", "mosi")]
             io.append(("flash_miso", 0, Pins(flash["miso"]), _LVCMOS, Misc("PULLMODE=UP")))
+        if board.jobs:
+            chips = p.sdram
+            io.append(("sdram_clk", 0, Pins(chips["clk"]), _LVCMOS))
+            io.append(("sdram", 0, *(Subsignal(name, Pins(chips[key])) for name, key in (
+                ("we_n", "we"), ("ras_n", "ras"), ("cas_n", "cas"), ("ba", "ba"), ("a", "a"), ("dq", "dq"))), _LVCMOS))
         for kind, pin, _, output in _PADS:
             for n, channel in enumerate(getattr(board, kind)):
                 if channel[pin]:
@@ -71,6 +98,9 @@ class _Platform(LatticeECP5Platform):
             io += _FERRY
         LatticeECP5Platform.__init__(self, p.device, io, toolchain="trellis")
 
+    def get_verilog(self, *args, special_overrides=None, **kwargs):
+        return LatticeECP5Platform.get_verilog(self, *args, special_overrides={SDRTristate: _PadRegisters, **(special_overrides or {})}, **kwargs)
+
     def do_finalize(self, fragment):
         LatticeECP5Platform.do_finalize(self, fragment)
         self.add_period_constraint(self.lookup_request("clk", loose=True), self.default_clk_period)
@@ -78,13 +108,17 @@ class _Platform(LatticeECP5Platform):
 
 
 class _CRG(LiteXModule):
-    def __init__(self, platform, hz_in, hz):
+    def __init__(self, platform, hz_in, hz, sdram):
         self.rst = Signal()
         self.cd_sys = ClockDomain()
         self.pll = pll = ECP5PLL()
         self.comb += pll.reset.eq(self.rst)
         pll.register_clkin(platform.request("clk"), hz_in)
         pll.create_clkout(self.cd_sys, hz)
+        if sdram:
+            self.cd_sdram = ClockDomain(reset_less=True)
+            pll.create_clkout(self.cd_sdram, hz, phase=SDRAM_PHASE, with_reset=False)
+            self.specials += DDROutput(1, 0, platform.request("sdram_clk"), ClockSignal("sdram"))
 
 
 class BoardSoC(ferro.FerroSoC):
@@ -95,12 +129,12 @@ class BoardSoC(ferro.FerroSoC):
         if all_pins and missing:
             raise BoardError(board.file, missing[0], f"has no pin ({len(missing)} are missing); a configuration without pins can only be simulated")
         platform = _Platform(board, all_pins)
-        crg = _CRG(platform, board.platform.clock_hz, board.sys_clk_hz)
+        crg = _CRG(platform, board.platform.clock_hz, board.sys_clk_hz, board.jobs)
 
         def phy(_):
             return rgmii.board_phy(platform.request("eth_clocks", 0), platform.request("eth", 0))
 
-        ferro.FerroSoC.__init__(self, platform, board, crg, phy)
+        ferro.FerroSoC.__init__(self, platform, board, crg, phy, sdram_pads=platform.request("sdram") if board.jobs else None)
         self._pins(platform, board, all_pins)
 
     def _pins(self, platform, board, all_pins):

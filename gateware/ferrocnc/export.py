@@ -165,6 +165,7 @@ def abi_rs(banks, abi):
     for name, (origin, size), what in (
         ("ROM", rm.ROM, "the image"), ("RAM", rm.RAM, "data, bss and stack"),
         ("ETHMAC", rm.ETHMAC, "the MAC's slots: receive, then transmit"), ("BOARD_ROM", rm.BOARD_ROM, "the board info blob"),
+        ("SDRAM", rm.SDRAM_RAM, "the SDRAM's window, on boards with jobs; a smaller one is seen in it twice"),
     ):
         out += const(f"{name}_BASE", f"0x{origin:08x}", f"First byte of {what}.", "usize")
         out += const(f"{name}_SIZE", f"0x{size:x}", f"Bytes of {what}.", "usize")
@@ -257,6 +258,7 @@ def registers_md(banks, abi):
         ("rom", rm.ROM, f"the image; its last {rm.ROM_TRAILER} bytes are the trailer: \"FTRL\", build id, role (1 image, 2 golden), 0"), ("ram", rm.RAM, "data, bss, stack"),
         ("ethmac", rm.ETHMAC, f"{rm.ETHMAC_RX_SLOTS} receive and {rm.ETHMAC_TX_SLOTS} transmit slots of {rm.ETHMAC_SLOT} bytes"),
         ("board rom", rm.BOARD_ROM, "board info blob; big-endian words, laid out in `wire::board`"),
+        ("sdram", rm.SDRAM_RAM, "on boards with jobs: the jobs program, its data, the jobs; a smaller SDRAM is seen twice"),
     ):
         out.append(f"| {name} | `0x{origin:08x}` | {size} | {what} |")
     done = set()

@@ -5,6 +5,8 @@
     NAME.svf         the image for other JTAG tools, until power-off
     NAME.flash       all a board's flash holds on its first day: `ferrocnc flash write`
 
+Behind the bitstream of a board with jobs, in all but the SVF, lies the jobs program; the length and the CRC of an image are of both.
+
 Nothing in them depends on the day, the folder or the machine. What the bytes mean is written in `wire::flash`, `wire::images` and
 `host::image`, which parse what is made here; the test level `bitstream` lets them.
 """
@@ -31,13 +33,13 @@ FILES = (".bit", "-golden.bit", ".svf", ".flash")
 _ROLES = {rm.ROLE_IMAGE: "", rm.ROLE_GOLDEN: "-golden"}
 
 
-def pack(board, work, routed, firmware, out):
-    """Writes the four files into `out` from the routed text configuration `work / routed` and the ROM's words. Returns what the
-    report says of them."""
+def pack(board, work, routed, firmware, out, program=b""):
+    """Writes the four files into `out` from the routed text configuration `work / routed`, the ROM's words and the jobs program.
+    Returns what the report says of them."""
     missing = [name for name in ("cs", "mosi", "miso", "bytes") if name not in board.platform.flash]
     if missing or board.platform.flash["bytes"] not in _LAYOUTS:
         raise BoardError(board.platform.file, "flash", "needs cs, mosi, miso and bytes; images are made for flashes of 2 and 4 MiB")
-    build = build_id(_memories(board, work, routed, firmware, 0, 0, "unsigned.config"))
+    build = build_id(_memories(board, work, routed, firmware, 0, 0, "unsigned.config") + program)
     part = re.search(r"^\.comment Part: (\S+)$", (work / routed).read_text(), re.M)[1]
     images = {}
     for role, suffix in _ROLES.items():
@@ -45,7 +47,7 @@ def pack(board, work, routed, firmware, out):
         _memories(board, work, routed, firmware, build, role, f"{name}.config")
         svf = ["--svf", f"{name}.svf"] if role == rm.ROLE_IMAGE else []
         tools.run("ecppack", ["--compress", *svf, f"{name}.config", f"{name}.bit"], work, "ecppack.log")
-        images[role] = body((work / f"{name}.bit").read_bytes())
+        images[role] = with_program(body((work / f"{name}.bit").read_bytes()), program)
         _write(out / f"{board.name}{suffix}.bit", header(board, part, build, images[role]) + images[role])
     _write(out / f"{board.name}.svf", (work / "packed.svf").read_bytes())
     _write(out / f"{board.name}.flash", flash(board, build, images[rm.ROLE_IMAGE], images[rm.ROLE_GOLDEN]))
@@ -72,7 +74,8 @@ def rom(firmware, build, role):
 
 
 def build_id(config):
-    """First 32 bits of the SHA-256 over the routed design with its firmware: two builds that differ anywhere differ here."""
+    """First 32 bits of the SHA-256 over the routed design with its firmware, and the jobs program: two builds that differ anywhere
+    differ here."""
     return int.from_bytes(hashlib.sha256(config).digest()[:4], "big")
 
 
@@ -144,6 +147,11 @@ def body(file):
     return file[at:]
 
 
+def with_program(data, program):
+    """An image: a bitstream, and at its end, where the ROM looks for it from behind, the jobs program of a board that has jobs."""
+    return data + b"\xff" * (-len(data) % 4) + program if program else data
+
+
 def idcode(data):
     """The FPGA's id as the bitstream asks for it."""
     at = data.index(_VERIFY_ID) + len(_VERIFY_ID)
@@ -200,7 +208,7 @@ def flash(board, build, image, golden):
 
 # Proof --------------------------------------------------------------------------------------------------------------
 
-def prove(board, work, routed, firmware, out):
+def prove(board, work, routed, firmware, out, program=b""):
     """Unpacks the finished files and compares: what is in the block RAMs is the firmware with its trailer and the board's own
     description, and packing the routed design again gives the same bytes. Yields what was proven."""
     said = (work / routed).read_text()
@@ -209,7 +217,9 @@ def prove(board, work, routed, firmware, out):
     build = None
     for role, suffix in _ROLES.items():
         name = f"{board.name}{suffix}.bit"
-        (work / "unpack.bit").write_bytes(before[name])
+        (work / "unpack.bit").write_bytes(before[name].removesuffix(program))
+        if not before[name].endswith(program):
+            raise ValueError(f"{name}: does not end with the jobs program")
         tools.run("ecpunpack", ["unpack.bit", "unpacked.config"], work, "ecpunpack.log")
         found, blob = contents(said, (work / "unpacked.config").read_text())
         build = found[-3]
@@ -222,7 +232,7 @@ def prove(board, work, routed, firmware, out):
     shutil.rmtree(elsewhere, ignore_errors=True)
     elsewhere.mkdir(parents=True)
     shutil.copyfile(work / routed, elsewhere / routed)
-    pack(board, elsewhere, routed, firmware, elsewhere)
+    pack(board, elsewhere, routed, firmware, elsewhere, program)
     for name in files:
         if (elsewhere / name).read_bytes() != before[name]:
             raise ValueError(f"{name}: packed again, in another folder, it has other bytes")

@@ -23,6 +23,7 @@ ROM_TRAILER = 0x10  # the ROM's last bytes, not the linker's: what the bitstream
 RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: data, bss, 6 KiB of stack
 ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
 BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
+SDRAM_RAM = (0x4000_0000, 0x80_0000)  # 8 MiB, on boards with jobs: the jobs program, its data, the jobs; cached
 TRAILER = ("magic", "build", "role", "zero")  # words of the trailer; `TRAILER_MAGIC` where there is one
 TRAILER_MAGIC = 0x4654_524C  # "FTRL"
 ROLE_IMAGE = 1
@@ -102,6 +103,31 @@ def _bit(name, lsb, doc):
 
 
 # The pages --------------------------------------------------------------------------------------------------------
+
+# LiteDRAM's registers, on boards with jobs only; `soc` compares them with what was built.
+SDRAM = Bank("sdram", 5, "sdram", "LiteDRAM's controller: firmware starts the SDRAM by hand, command by command, and then leaves it to the hardware. Boards without jobs do not have it.", (
+    Reg("dfii_control", "rw", "Who drives the SDRAM.", (
+        _bit("sel", 0, "1: the controller; 0: the registers below."),
+        _bit("cke", 1, "Clock enable; wired high on the cards."),
+        _bit("odt", 2, "Nothing on an SDRAM."),
+        _bit("reset_n", 3, "Nothing on an SDRAM."),
+    )),
+    Reg("dfii_pi0_command", "rw", "The next command, as levels: 1 is active.", (
+        _bit("cs", 0, "Chip select."),
+        _bit("we", 1, "Write enable."),
+        _bit("cas", 2, "Column address strobe."),
+        _bit("ras", 3, "Row address strobe."),
+        _bit("wren", 4, "Drives `dfii_pi0_wrdata`."),
+        _bit("rden", 5, "Catches `dfii_pi0_rddata`."),
+        _bit("cs_top", 6, "Nothing here."),
+        _bit("cs_bottom", 7, "Nothing here."),
+    )),
+    Reg("dfii_pi0_command_issue", "rw", "Writing any value gives the command, for one clock; reads 0, no unit."),
+    Reg("dfii_pi0_address", "rw", "Address lines of the command, or the mode register's value."),
+    Reg("dfii_pi0_baddress", "rw", "Bank lines of the command."),
+    Reg("dfii_pi0_wrdata", "rw", "Data of a command with `wren`."),
+    Reg("dfii_pi0_rddata", "ro", "Data of the last command with `rden`."),
+))
 
 IDENT = Bank("ident", 8, "ident", "Who the gateware is. Constant; read by firmware at boot before it trusts anything else.", (
     Reg("magic", "ro", "Always 0x46436e43 (\"FCnC\"): this is FerroCNC gateware and this map applies."),
@@ -432,7 +458,7 @@ STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", f"Timing, kind and polari
 ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", f"Counting mode and filter of encoder {n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
 PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n}.", PWM_REGS) for n in range(MAX_PWM))
 
-BANKS = (IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH, GUEST, SEGMENTS)
+BANKS = (SDRAM, IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH, GUEST, SEGMENTS)
 
 
 def check():

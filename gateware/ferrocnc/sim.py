@@ -8,16 +8,20 @@ import json
 import re
 from pathlib import Path
 
-from migen import Cat, ClockDomain, Mux, Signal
+from types import SimpleNamespace
+
+from migen import Cat, ClockDomain, ClockSignal, Instance, Module, Mux, Signal
 from litex.gen import LiteXModule
 from litex.gen.fhdl import verilog
 from litex.build.generic_platform import GenericPlatform, Pins
+from litex.build.io import SDRTristate
 from litex.build.sim import common as sim_common
 from litex.soc.interconnect.csr import CSRField, CSRStatus, CSRStorage
 
-from . import banks, regmap as rm, rgmii, soc as ferro
+from . import banks, regmap as rm, rgmii, sdram, soc as ferro
 from .board import blob
 
+CHIP = Path(__file__).resolve().parents[2] / "sim" / "verilator" / "sdram.sv"
 PORTS = (
     ("sys_clk", 1), ("sys_rst", 1), ("eth_clk", 1),
     ("gmii_rx_data", 8), ("gmii_rx_dv", 1), ("gmii_tx_data", 8), ("gmii_tx_en", 1),
@@ -34,7 +38,7 @@ class _Platform(GenericPlatform):
         GenericPlatform.__init__(self, "SIM", [(name, 0, Pins(width)) for name, width in PORTS], name="sim")
 
     def get_verilog(self, *args, special_overrides=None, **kwargs):
-        overrides = dict(sim_common.sim_special_overrides)
+        overrides = {**sim_common.sim_special_overrides, SDRTristate: _PadRegisters}
         overrides.update(special_overrides or {})
         return GenericPlatform.get_verilog(self, *args, special_overrides=overrides, **kwargs)
 
@@ -80,6 +84,32 @@ class GMIIPins(LiteXModule):
         ]
 
 
+class _PadRegisters(Module):
+    """A two-way pad's registers, with a wire for each way instead of the pad."""
+
+    def __init__(self, io, o, oe, i):
+        pad, n = io.value, io.start
+        self.sync += [pad.out[n].eq(o), pad.drives[n].eq(oe), i.eq(pad.back[n])]
+
+    @staticmethod
+    def lower(dr):
+        return _PadRegisters(dr.io, dr.o, dr.oe, dr.i)
+
+
+def _sdram(soc, platform, board):
+    """The wires of an SDRAM, and the chip at their other end (`sdram.sv`): GENSDRPHY as on the card, its pad registers included."""
+    chips = sdram.module(board).geom_settings
+    dq = Signal(32)
+    dq.out, dq.drives, dq.back = Signal(32), Signal(32), Signal(32)
+    pads = SimpleNamespace(dq=dq, a=Signal(chips.addressbits), ba=Signal(chips.bankbits), **{name: Signal(reset=1) for name in ("ras_n", "cas_n", "we_n")})
+    platform.add_source(str(CHIP), "systemverilog")
+    soc.specials += Instance("sdram_chip",
+        p_BANK_BITS=chips.bankbits, p_ROW_BITS=chips.rowbits, p_COL_BITS=chips.colbits,
+        i_clk=ClockSignal(), i_ras_n=pads.ras_n, i_cas_n=pads.cas_n, i_we_n=pads.we_n, i_ba=pads.ba, i_a=pads.a,
+        i_drives=dq.drives[0], i_d=dq.out, o_q=dq.back)
+    return pads
+
+
 def _phy(platform):
     pins = GMIIPins(platform)
     phy = rgmii.PHY(pins.wires, MDIO, word=platform.request("link_status"))
@@ -90,7 +120,8 @@ def _phy(platform):
 class SimSoC(ferro.FerroSoC):
     def __init__(self, board):
         platform = _Platform()
-        ferro.FerroSoC.__init__(self, platform, board, _CRG(platform), lambda soc: _phy(platform))
+        pads = _sdram(self, platform, board) if board.jobs else None
+        ferro.FerroSoC.__init__(self, platform, board, _CRG(platform), lambda soc: _phy(platform), sdram_pads=pads)
         self._freeze(platform.request("cpu_freeze"))
         pads, channels = self.cores.pads, board.channels
         for port, signal, count in (

@@ -17,7 +17,7 @@ from litex.soc.interconnect import csr_bus, wishbone
 from litex.soc.interconnect.csr import CSRStatus
 from liteeth import mac as liteeth_mac
 
-from . import VERSION, banks, board as board_file, regmap as rm, slots
+from . import VERSION, banks, board as board_file, regmap as rm, sdram, slots
 
 RTL = Path(__file__).resolve().parent.parent / "rtl"
 
@@ -42,10 +42,10 @@ class FerroSoC(SoCCore):
     """`phy` is called after the CPU exists, with the SoC, and returns LiteEth's idea of a PHY."""
 
     packed = False  # True: the board ROM holds random words, too, until `image` puts the blob there
-    csr_map = rm.LITEX_PAGES
+    csr_map = {**rm.LITEX_PAGES, rm.SDRAM.name: rm.SDRAM.page}
     mem_map = {"ethmac": rm.ETHMAC[0]}
 
-    def __init__(self, platform, board, crg, phy, rom_init=None):
+    def __init__(self, platform, board, crg, phy, rom_init=None, sdram_pads=None):
         self.board = board
         self.blob = board_file.blob(board)
         self.fabric_buses = []
@@ -72,7 +72,13 @@ class FerroSoC(SoCCore):
             nrxslots=rm.ETHMAC_RX_SLOTS, ntxslots=rm.ETHMAC_TX_SLOTS)
         self.cpu.endianness = order
         self._add_board_rom()
+        if self._jobs():
+            sdram.add(self, sdram_pads)
         self._add_cores()
+
+    def _jobs(self):
+        """Axes of a job; without any there is no SDRAM."""
+        return getattr(self.board, "jobs", 0)
 
     def _add_board_rom(self):
         origin, size = rm.BOARD_ROM
@@ -85,7 +91,7 @@ class FerroSoC(SoCCore):
             self.platform.add_source(str(source), "systemverilog")
         self.cores = cores = banks.Cores(
             self.board.channels, self.board.sys_clk_hz, len(self.blob) // 4, self.board.ext_reset_active_low,
-            self.board.estop_mask, self.board.estop_level, *power_up_masks(self.board), jobs=getattr(self.board, "jobs", 0))
+            self.board.estop_mask, self.board.estop_level, *power_up_masks(self.board), jobs=self._jobs())
         self.fabric_buses.append(cores.bus)
         fifo = self.ethmac.interface.sram.writer.stat_fifo
         self.comb += [
@@ -196,17 +202,23 @@ def check_map(soc):
     assert soc.bus.regions["csr"].origin == rm.CSR_BASE
     for name, page in rm.LITEX_PAGES.items():
         assert soc.csr.regions[name].origin == rm.CSR_BASE + page * rm.CSR_PAGE, f"{name}: not on page {page}"
+    if getattr(soc.board, "jobs", 0):
+        region, built = soc.bus.regions["main_ram"], soc.csr.regions[rm.SDRAM.name]
+        assert (region.origin, region.size) == rm.SDRAM_RAM, f"main_ram: built at {region.origin:#x}, {region.size:#x} bytes"
+        assert built.origin == rm.SDRAM.base, f"{rm.SDRAM.name}: not on page {rm.SDRAM.page}"
+        assert [csr.name for csr in built.obj] == [reg.name for reg in rm.SDRAM.regs], f"{rm.SDRAM.name}: LiteDRAM's registers are {[csr.name for csr in built.obj]}"
 
 
 def all_banks(soc):
-    """Every bank of the map in address order: LiteX's as built, ours with all channels present."""
+    """Every bank of the map in address order: LiteX's as built, ours with all channels present, and LiteDRAM's, which not every
+    board has, as `check_map` finds it."""
     return litex_banks(soc) + list(rm.BANKS)
 
 
 def normalised_map(soc):
     """The map as text, one fact per line: what the ABI number is the hash of. Prose is not part of it."""
     lines = [f"wire {rm.WIRE_LAYOUT}"]
-    lines += [f"memory {n} {o:08x} {s:x}" for n, (o, s) in (("rom", rm.ROM), ("ram", rm.RAM), ("ethmac", rm.ETHMAC), ("board_rom", rm.BOARD_ROM))]
+    lines += [f"memory {n} {o:08x} {s:x}" for n, (o, s) in (("rom", rm.ROM), ("ram", rm.RAM), ("ethmac", rm.ETHMAC), ("board_rom", rm.BOARD_ROM), ("sdram", rm.SDRAM_RAM))]
     for bank in all_banks(soc):
         for i, reg in enumerate(bank.regs):
             lines.append(f"{bank.base + 4 * i:08x} {bank.name}.{reg.name} {reg.access}")

@@ -3,7 +3,7 @@
 //! for the one comparison that decides whether a board may arm.
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version.
-pub const ABI: u32 = 0xcb64934a;
+pub const ABI: u32 = 0xffac269b;
 /// Version of the exchange's word layout this map was made for.
 pub const WIRE_LAYOUT: u32 = 3;
 /// What `ident.magic` reads: "FCnC".
@@ -24,6 +24,10 @@ pub const ETHMAC_SIZE: usize = 0x2000;
 pub const BOARD_ROM_BASE: usize = 0x90000000;
 /// Bytes of the board info blob.
 pub const BOARD_ROM_SIZE: usize = 0x800;
+/// First byte of the SDRAM's window, on boards with jobs; a smaller one is seen in it twice.
+pub const SDRAM_BASE: usize = 0x40000000;
+/// Bytes of the SDRAM's window, on boards with jobs; a smaller one is seen in it twice.
+pub const SDRAM_SIZE: usize = 0x800000;
 /// First byte of the trailer: four words, `TRAILER_MAGIC`, build id, role, 0.
 pub const ROM_TRAILER: usize = 0x00011ff0;
 /// First word of a trailer: "FTRL".
@@ -80,6 +84,8 @@ pub const CSR_IDENTIFIER_MEM: usize = 0xf0000800;
 pub const CSR_ETHMAC: usize = 0xf0001800;
 /// Page of `ethphy`.
 pub const CSR_ETHPHY: usize = 0xf0002000;
+/// Page of `sdram`.
+pub const CSR_SDRAM: usize = 0xf0002800;
 /// Page of `ident`.
 pub const CSR_IDENT: usize = 0xf0004000;
 /// Page of `timebase`.
