@@ -19,7 +19,13 @@ fn main() {
     println!("cargo:rustc-link-search={}", root.display());
     // riscv-rt evaluates ORIGIN(REGION_TEXT) when it reads link.x: memory.x has to come first.
     for script in ["memory.x", "link.x", "defmt.x"] {
-        println!("cargo:rustc-link-arg-bins=-T{script}");
+        println!("cargo:rustc-link-arg-bin=ferrocnc-firmware=-T{script}");
     }
-    println!("cargo:rustc-link-arg-bins=--defsym=_hart_stack_size={STACK}");
+    println!("cargo:rustc-link-arg-bin=ferrocnc-firmware=--defsym=_hart_stack_size={STACK}");
+    let jobs = Path::new(&manifest).join("jobs.x");
+    println!("cargo:rerun-if-changed={}", jobs.display());
+    println!(
+        "cargo:rustc-link-arg-bin=ferrocnc-jobs=-T{}",
+        jobs.display()
+    );
 }

@@ -1,5 +1,6 @@
 #!/bin/bash
-# Builds the firmware image: target/firmware/ferrocnc-firmware.elf, and says how big it is.
+# Builds the firmware image, target/firmware/ferrocnc-firmware.elf, and the jobs program of boards with SDRAM,
+# target/firmware/ferrocnc-jobs.bin, and says how big they are.
 #
 #   firmware/build.sh [cargo arguments]
 #
@@ -17,7 +18,7 @@ flags="-Ctarget-feature=+relax -Cllvm-args=-enable-machine-outliner"
 flags+=" -Cpasses=deadargelim,function(dse,adce),deadargelim,globaldce"
 flags+=" --remap-path-prefix=$root/="
 for folder in "${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/; do flags+=" --remap-path-prefix=$folder="; done
-common=(build --manifest-path "$root/Cargo.toml" --package ferrocnc-firmware --bin ferrocnc-firmware --features soc
+common=(build --manifest-path "$root/Cargo.toml" --package ferrocnc-firmware --features soc
     --profile firmware-image --target "$target" --target-dir "$out")
 
 # defmt keeps only errors unless told; transitions are `info`, and nothing is logged per period.
@@ -47,3 +48,4 @@ elf=$out/ferrocnc-firmware.elf
 built=$out/$target/firmware-image/ferrocnc-firmware
 cmp -s "$built" "$elf" || cp "$built" "$elf"
 "$root/firmware/size.py" "$elf"
+"$root/firmware/program.py" "$out/$target/firmware-image/ferrocnc-jobs" "$out/ferrocnc-jobs.bin"

@@ -1,13 +1,16 @@
 //! Ties the lib to the hardware: one loop, no interrupts, no heap.
 
 use crate::soc::{self, Mac, Parts, RxFrame, Soc, TxSlot};
+use core::ffi::c_void;
 use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
 use firmware::ip::{Ip, Taker, Text};
+use firmware::jobs::abi;
 use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
 use firmware::net::{self, Class, Datagram, Frame as _, Lane, Us};
 use firmware::text::Sink as _;
-use wire::{CONSOLE_PORT, Refusal};
+use wire::describe::JobsState;
+use wire::{CONSOLE_PORT, MAX_WORDS, Refusal};
 
 /// Looks at the MAC between two looks at the clock: some 20 us.
 const POLLS: u32 = 128;
@@ -41,6 +44,10 @@ pub struct App {
     ip_in: u8,
     /// A copy of [`Ip::busy`]: looking there itself costs the next exchange a line of the data cache.
     talking: bool,
+    /// The jobs program.
+    jobs: Option<abi::Entry>,
+    /// The jobs program wants to be called in every turn.
+    restless: bool,
 }
 
 impl App {
@@ -61,6 +68,8 @@ impl App {
             cold: false,
             ip: &mut memory.ip,
             talking: false,
+            jobs: None,
+            restless: false,
             line: console::Line::default(),
         };
         app.machine.wake();
@@ -73,6 +82,7 @@ impl App {
             );
         }
         app.ip.listen(CONSOLE_PORT, ANSWER_MAX);
+        app.begin_jobs();
         app.mac.address(net::to_mac(app.machine.us.mac));
         app
     }
@@ -105,6 +115,10 @@ impl App {
             } else {
                 // Somebody who exchanges gets his chores behind the answer; wait for that a while.
                 self.chores_if(IDLE);
+            }
+            // Nobody exchanges whom it could keep waiting.
+            if self.restless && self.lane.is_none() {
+                self.jobs(core::ptr::null(), abi::POLL);
             }
         }
     }
@@ -204,13 +218,20 @@ impl App {
                 self.mac.dismiss();
                 self.machine.server.refuse(why);
             }
-            Class::Other if length > GUEST_FRAME && !self.machine.server.safety().at_rest() => {
+            Class::Other
+                if length > GUEST_FRAME
+                    && self.lane.is_some()
+                    && !self.machine.server.safety().at_rest() =>
+            {
                 self.mac.dismiss();
                 self.machine.server.refuse(Refusal::Oversized);
             }
             Class::Other => {
                 let length = self.mac.take_bytes();
-                self.talk(Some(length));
+                let frame = self.mac.input.bytes().as_ptr();
+                if self.jobs(frame, length) & abi::TAKEN == 0 {
+                    self.talk(Some(length));
+                }
             }
             Class::Nothing => self.mac.dismiss(),
         }
@@ -373,7 +394,11 @@ impl App {
         if !self.mac.pending() {
             self.mac.admit();
         }
-        if self.lane.is_some() && self.machine.server.session().owner().is_none() {
+        let session = self.machine.server.session();
+        if self
+            .lane
+            .is_some_and(|lane| !session.is_owner(lane.datagram.peer))
+        {
             self.close_lane();
         }
         // A hundredth of a second is fine enough for TCP's timers.
@@ -383,7 +408,46 @@ impl App {
             if self.talking {
                 self.talk(None);
             }
+            self.jobs(core::ptr::null(), abi::POLL);
         }
+    }
+
+    /// Looks for a jobs program, and says what came of it.
+    #[inline(never)]
+    fn begin_jobs(&mut self) {
+        let state = match soc::load(&mut self.machine) {
+            Err(why) => why,
+            Ok(entry) => {
+                self.jobs = Some(entry);
+                if self.jobs(core::ptr::null(), abi::START) & abi::FAILED == 0 {
+                    JobsState::Alive
+                } else {
+                    self.jobs = None;
+                    JobsState::Sdram
+                }
+            }
+        };
+        self.machine.server.jobs(state);
+    }
+
+    /// Calls the jobs program, if there is one. What it answers is 0 without.
+    #[cold]
+    #[inline(never)]
+    fn jobs(&mut self, frame: *const u8, length: usize) -> u32 {
+        let Some(entry) = self.jobs else {
+            return 0;
+        };
+        self.cold = true;
+        let rom = abi::Rom {
+            datagram,
+            send,
+            output: self.mac.output.bytes().as_mut_ptr().cast(),
+            us: &raw const self.machine.us,
+            context: (&raw mut *self).cast(),
+        };
+        let answer = entry(&rom, frame, length);
+        self.restless = answer & abi::RESTLESS != 0;
+        answer
     }
 
     /// ARP, ping and the console: a frame of so many bytes in `input`, and what there is to say beyond an answer.
@@ -412,6 +476,37 @@ impl App {
         counters.frames_tx = counters.frames_tx.wrapping_add(sent);
         self.restart_if();
     }
+}
+
+/// [`abi::Rom::datagram`].
+extern "C" fn datagram(
+    context: *mut c_void,
+    request: *const u32,
+    words: usize,
+    reply: &mut [u32; MAX_WORDS],
+) -> isize {
+    // SAFETY: `context` is the app that waits in `App::jobs` and touches nothing meanwhile; the program says how long its request is.
+    let (app, request) = unsafe {
+        (
+            &mut *context.cast::<App>(),
+            core::slice::from_raw_parts(request, words),
+        )
+    };
+    let answer = match app.machine.inside(request, reply) {
+        Ok(reply) => reply.len() as isize,
+        Err(why) => -1 - why as isize,
+    };
+    if app.machine.server.owes_path() {
+        app.hold_path();
+    }
+    answer
+}
+
+/// [`abi::Rom::send`].
+extern "C" fn send(context: *mut c_void, length: usize) {
+    // SAFETY: as above.
+    let app = unsafe { &mut *context.cast::<App>() };
+    app.mac.output.send(length);
 }
 
 /// Somebody at the console.

@@ -289,6 +289,19 @@ impl Flash {
         Ok(())
     }
 
+    /// Where the image that runs begins, and how long it is; `None` if it was loaded by JTAG.
+    pub fn image<S: SpiDevice>(&self, spi: &mut S) -> Option<(u32, u32)> {
+        let layout = self.layout?;
+        let area = match self.running {
+            Running::Volatile => return None,
+            Running::A => layout.slot_a,
+            Running::B => layout.slot_b,
+            Running::Golden => layout.golden,
+        };
+        let meta = meta(&mut Nor(spi), area).ok()??;
+        Some((area.start, meta.length))
+    }
+
     /// Its JEDEC id, 0 if there is no flash.
     pub fn jedec(&self) -> u32 {
         self.jedec

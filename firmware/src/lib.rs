@@ -55,6 +55,7 @@ pub mod exchange;
 pub mod flash;
 pub mod images;
 pub mod ip;
+pub mod jobs;
 pub mod link;
 pub mod log;
 pub mod machine;

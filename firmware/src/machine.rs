@@ -178,7 +178,21 @@ impl<B: Board> Machine<B> {
         peer: Peer,
         reply: &'r mut [u32; MAX_WORDS],
     ) -> Result<&'r [u32], Refusal> {
+        if peer.ip == Peer::INSIDE.ip {
+            // No such sender is on any wire.
+            return Err(Refusal::NotOwner);
+        }
         self.server.datagram(&mut self.board, words, peer, reply)
+    }
+
+    /// The same for a datagram of the jobs program, which lives on this board and needs no key.
+    pub fn inside<'r>(
+        &mut self,
+        words: &[u32],
+        reply: &'r mut [u32; MAX_WORDS],
+    ) -> Result<&'r [u32], Refusal> {
+        self.server
+            .datagram(&mut self.board, words, Peer::INSIDE, reply)
     }
 
     /// The same for a UDP payload as bytes, for transports whose frames are not words. Counts the frames.
@@ -561,6 +575,23 @@ mod tests {
         let counters = machine.server.counters();
         assert_eq!((counters.frames_rx, counters.frames_tx), (3, 1));
         assert_eq!(counters.refused_total, 2);
+    }
+
+    #[test]
+    fn nobody_on_the_wire_is_taken_for_the_jobs_program() {
+        let mut machine = machine(Notebook::new());
+        let mut reply = [0; MAX_WORDS];
+        for port in [0, 724] {
+            let peer = Peer {
+                port,
+                ..Peer::INSIDE
+            };
+            let refused = machine.payload(&read(0), peer, &mut reply);
+            assert_eq!(refused, Err(Refusal::NotOwner));
+        }
+        let request = [0x4e6f_1044u32, 0, 0x000f_0001, 0x77, 0];
+        let answer = machine.inside(&request, &mut reply).unwrap();
+        assert_eq!(answer[4], wire::describe::MAGIC);
     }
 
     #[test]

@@ -62,6 +62,7 @@ pub trait Slot {
 
 /// Our side of the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(C)]
 pub struct Us {
     /// MAC address.
     pub mac: [u8; 6],

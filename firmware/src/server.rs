@@ -138,6 +138,11 @@ impl Server {
         &self.ident
     }
 
+    /// Says in the description what became of the jobs program.
+    pub fn jobs(&mut self, state: wire::describe::JobsState) {
+        self.ident.features |= state.code() << wire::describe::JobsState::AT;
+    }
+
     /// This board's block lengths.
     pub fn shape(&self) -> &Shape {
         &self.shape

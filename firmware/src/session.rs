@@ -19,6 +19,14 @@ pub struct Peer {
     pub port: u16,
 }
 
+impl Peer {
+    /// The jobs program on the board itself. Nothing that came from the wire is ever taken for it.
+    pub const INSIDE: Peer = Peer {
+        ip: 0x7f00_0001,
+        port: 0,
+    };
+}
+
 /// The one session, or its absence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Session {

@@ -22,7 +22,7 @@
 
 use wire::Name;
 use wire::board::crc32;
-use wire::images::{Meta, idcode_of};
+use wire::images::{Meta, idcode_of, program_length};
 
 /// Where the configuration begins: two dummy bytes, then the key.
 const PREAMBLE: [u8; 4] = [0xff, 0xff, 0xbd, 0xb3];
@@ -211,6 +211,16 @@ impl Image {
 }
 
 impl Image {
+    /// Bytes of the jobs program behind the bitstream; 0 if there is none. The FPGA is not to see it.
+    pub fn program(&self) -> usize {
+        let last = self.bytes.last_chunk::<8>().map(|last| {
+            let [a, b, c, d, e, f, g, h] = *last;
+            [[a, b, c, d], [e, f, g, h]].map(u32::from_le_bytes)
+        });
+        let length = last.and_then(program_length).unwrap_or(0);
+        if length < self.bytes.len() { length } else { 0 }
+    }
+
     /// What its slot's meta page says of it.
     pub fn meta(&self) -> Meta {
         Meta {
@@ -414,6 +424,23 @@ mod tests {
             image.to_string(),
             "mill6 on 5a-75b-8.0, build 89abcdef, FerroCNC 0.1.0"
         );
+    }
+
+    #[test]
+    fn a_jobs_program_behind_the_bitstream_is_told_from_it() {
+        let end = |length: u32, magic: u32| [length.to_le_bytes(), magic.to_le_bytes()].concat();
+        let program = |body: &[u8]| {
+            let file = sample::wrap("plotter", "5a-75b-8.0", 1, body);
+            Image::parse(&file).unwrap().program()
+        };
+        let bitstream = sample::body(0x4111_1043, 1, 1500);
+        assert_eq!(program(&bitstream), 0);
+        let whole = [&bitstream[..], &[0; 92], &end(100, 0x424f_4a46)].concat();
+        assert_eq!(program(&whole), 100);
+        for (length, magic) in [(100, 0x424f_4a47), (101, 0x424f_4a46), (9_000, 0x424f_4a46)] {
+            let whole = [&bitstream[..], &[0; 92], &end(length, magic)].concat();
+            assert_eq!(program(&whole), 0, "{length} {magic:x}");
+        }
     }
 
     #[test]

@@ -34,6 +34,14 @@ pub fn image(build: u32, frames: u16) -> Vec<u8> {
     small.bytes()
 }
 
+/// The same image with the jobs program behind it, as packing puts it there.
+pub fn with_program(image: &[u8], program: &[u8]) -> Vec<u8> {
+    let mut image = image.to_vec();
+    image.resize(image.len().next_multiple_of(4), 0xff);
+    image.extend(program);
+    image
+}
+
 /// What its meta page says.
 pub fn meta(image: &[u8], build: u32) -> Meta {
     let name = |text| Name::new(text).unwrap_or_default();

@@ -16,7 +16,7 @@ pub mod mill;
 
 use sim::edges;
 use sim::firmware::Image;
-use sim::rig::RIG_PORT;
+use sim::rig::{RIG_PORT, Setup};
 use sim::segment::{BOARD_PORT, HOST_IP};
 use sim::{Rig, exchange::Spread};
 use std::path::PathBuf;
@@ -154,8 +154,14 @@ impl Machine {
 
     /// As [`Machine::start`], from these places.
     pub fn start_with(soc: &std::path::Path, firmware: &std::path::Path) -> Self {
-        let mut rig = Rig::start(soc, firmware).unwrap_or_else(|error| panic!("{error}"));
-        let image = Image::read(firmware, rig.board.silicon().rom_words())
+        Self::boot(Setup::new(soc, firmware))
+    }
+
+    /// A board set up like this that has just started.
+    pub fn boot(setup: Setup) -> Self {
+        let firmware = setup.firmware.clone();
+        let mut rig = Rig::boot(setup).unwrap_or_else(|error| panic!("{error}"));
+        let image = Image::read(&firmware, rig.board.silicon().rom_words())
             .unwrap_or_else(|error| panic!("{error}"));
         let words = rig
             .read_block(map::DESCRIBE, wire::describe::WORDS as u32)
@@ -176,6 +182,11 @@ impl Machine {
         let mut machine = Self::start();
         machine.make_ready();
         machine
+    }
+
+    /// The board, its cable and the hosts on it.
+    pub fn rig(&mut self) -> &mut Rig {
+        &mut self.rig
     }
 
     /// Acquires, configures and arms.

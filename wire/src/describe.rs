@@ -11,6 +11,7 @@
 //!                                                              64.. the board blob
 //! ```
 
+use crate::codes::codes;
 use crate::state::{GateClose, ResetReason};
 use crate::{Refusal, exchange};
 
@@ -34,6 +35,34 @@ pub const FEATURE_KEY: u32 = 1 << 31;
 
 /// A feature: the gateware plays segments, `ident.features` bit 0.
 pub const FEATURE_JOBS: u32 = 1;
+
+codes! {
+    /// Whether jobs can be executed without a PC: the feature bits from [`JobsState::AT`] on.
+    JobsState: u32 {
+        /// The gateware has no segments.
+        None = 0, "none";
+        /// The jobs program runs.
+        Alive = 1, "ready";
+        /// The SDRAM does not keep what is written into it.
+        Sdram = 2, "the SDRAM failed its test";
+        /// The image that runs has no jobs program: it was loaded by JTAG, or made without.
+        Missing = 3, "no program in flash";
+        /// The program's CRC or length is wrong.
+        Damaged = 4, "the program is damaged";
+        /// The program was built for another register map or another ROM.
+        Foreign = 5, "the program is of another build";
+    }
+}
+
+impl JobsState {
+    /// Lowest of its bits in the features.
+    pub const AT: u32 = 16;
+
+    /// Out of the features; what is none of these counts as damaged.
+    pub fn of(features: u32) -> Self {
+        Self::from_code(features >> Self::AT & 7).unwrap_or(Self::Damaged)
+    }
+}
 
 /// How many channels of each kind a board has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -15,6 +15,9 @@
 //! A stub is written but for its preamble, then gets that, its first byte last; a stub is broken by clearing
 //! that byte. Either is one byte, so whatever is cut short leaves it live or not, never something else.
 //!
+//! **Jobs program**, behind the bitstream of a board with jobs: its last two words are its length in bytes and [`PROGRAM_MAGIC`],
+//! the image's last ones, each lowest byte first ([`program_length`]). The FPGA does not read that far.
+//!
 //! **Trailer**, the last four words of the firmware's ROM ([`Trailer`]): which build this is.
 
 use crate::crc::crc32_words;
@@ -29,6 +32,19 @@ pub const VERSION: u32 = 1;
 pub const META_WORDS: usize = 6 + 2 * Name::WORDS + 1;
 /// The same in bytes.
 pub const META_BYTES: usize = META_WORDS * 4;
+
+/// "FJOB".
+pub const PROGRAM_MAGIC: u32 = 0x424f_4a46;
+/// Longest jobs program: 512 KiB, what there is of SDRAM for it.
+pub const PROGRAM_MAX: usize = 512 * 1024;
+
+/// Bytes of the jobs program at the end of an image whose last two words these are; `None` if there is none.
+pub const fn program_length(last: [u32; 2]) -> Option<usize> {
+    let [length, magic] = last;
+    let right =
+        magic == PROGRAM_MAGIC && length.is_multiple_of(4) && length as usize <= PROGRAM_MAX;
+    if right { Some(length as usize) } else { None }
+}
 
 /// What an image says of itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

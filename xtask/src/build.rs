@@ -8,6 +8,9 @@ use std::process::Command;
 /// The board the demo and the tests use.
 pub const BOARD: &str = "mill6";
 
+/// The board with jobs, and so with SDRAM, that the tests use.
+pub const JOBS_BOARD: &str = "plotter";
+
 /// Where LinuxCNC looks for realtime modules; compiled into its loader.
 const MODULES: &str = "/usr/lib/linuxcnc/modules";
 

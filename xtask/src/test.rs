@@ -90,6 +90,9 @@ pub fn run(options: &Options) -> Result<()> {
     if levels.iter().any(needs_board) {
         build::everything()?;
     }
+    if levels.contains(&Level::Soc) {
+        build::simulated_board(build::JOBS_BOARD)?;
+    }
     if levels.contains(&Level::Lockstep) {
         build::simulated_cores(build::BOARD)?;
         build::simulated_cores(build::JOBS_BOARD)?;
@@ -192,6 +195,7 @@ impl Level {
             }
             Level::Jobs => board_tests("jobs", "3 min", "2"),
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
+                + board_tests("jobs_program", "1 min", "2")?
                 + board_tests("path_stop", "1 min", "2")?
                 + board_tests("soc", "10 min", "1")?
                 + board_tests("flood", "5 min", "2")?

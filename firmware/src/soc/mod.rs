@@ -2,11 +2,13 @@
 //! what survives a restart, and start-up.
 
 mod hal;
+mod jobs;
 mod logger;
 mod mac;
 mod postmortem;
 mod stack;
 
+pub use jobs::load;
 pub use mac::{Mac, RxFrame, TxSlot};
 pub use postmortem::restart;
 pub use stack::{check as check_stack, used as stack_used};

@@ -72,11 +72,26 @@ fn read(file: &Path) -> Result<Vec<u8>> {
 }
 
 fn load(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
-    let image = Image::parse(&read(file)?).with_context(|| file.display().to_string())?;
+    let bytes = read(file)?;
+    let image = Image::parse(&bytes).with_context(|| file.display().to_string())?;
     loader.expect(image.idcode)?;
-    loader.load(file, &mut |progress| show(bar, &progress))?;
+    let program = image.program();
+    if program == 0 {
+        loader.load(file, &mut |progress| show(bar, &progress))?;
+    } else {
+        // What lies behind the bitstream is read from the flash by the firmware; to the FPGA it would be commands.
+        let name = format!("ferrocnc-load-{}.bit", std::process::id());
+        let alone = std::env::temp_dir().join(name);
+        std::fs::write(&alone, bytes.get(..bytes.len() - program).unwrap_or(&bytes))
+            .with_context(|| format!("cannot write {}", alone.display()))?;
+        let loaded = loader.load(&alone, &mut |progress| show(bar, &progress));
+        // Nobody misses it.
+        let _ = std::fs::remove_file(&alone);
+        loaded?;
+    }
+    let jobs = if program == 0 { "" } else { ", without jobs" };
     Ok(format!(
-        "loaded: {image}. It runs until power-off; then the board loads from its flash again"
+        "loaded: {image}. It runs until power-off{jobs}; then the board loads from its flash again"
     ))
 }
 

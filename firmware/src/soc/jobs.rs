@@ -1,0 +1,99 @@
+//! Starts the SDRAM, and finds, copies and checks the jobs program. Whether all of the SDRAM holds what it is given the program
+//! finds out: here is no room for that, and that the program is whole says as much of the memory it lies in.
+
+use super::{ABI, Soc};
+use firmware::cores::Board as _;
+use firmware::flash::Nor;
+use firmware::jobs::abi::{self, Header};
+use firmware::machine::Machine;
+use litex_pac::{Sdram, abi as map};
+use wire::describe::JobsState;
+use wire::images::program_length;
+
+/// CS with RAS, CAS and WE: precharge, refresh, mode register.
+const PRECHARGE: u32 = 0b1011;
+const REFRESH: u32 = 0b1101;
+const MODE: u32 = 0b1111;
+/// Address bit 10 with a precharge: all banks.
+const ALL: u32 = 1 << 10;
+/// Mode register: bursts of one word, two clocks from column to data.
+const CL_2: u32 = 2 << 4;
+/// Clock enable; the clock has been running for long.
+const BY_HAND: u32 = 0b1110;
+/// The controller does the rest.
+const BY_HARDWARE: u32 = 1;
+/// More refreshes than any data sheet asks for.
+const REFRESHES: u32 = 8;
+/// Clocks: 200 us at up to 125 MHz.
+const REST: u32 = 25_000;
+
+/// The beginning of the SDRAM.
+struct Room([u32; abi::ROOM / 4]);
+
+impl Room {
+    fn bytes(&mut self, count: usize) -> &mut [u8] {
+        // SAFETY: the same memory, as much as there is of it.
+        unsafe { core::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), count.min(abi::ROOM)) }
+    }
+}
+
+/// Everything there is to do at start: the jobs program's entry, if there is one, and what is to be said of it.
+#[inline(never)]
+pub fn load(machine: &mut Machine<Soc>) -> Result<abi::Entry, JobsState> {
+    if machine.server.ident().features & wire::describe::FEATURE_JOBS == 0 {
+        return Err(JobsState::None);
+    }
+    wake(&mut machine.board);
+    let spi = machine.board.spi();
+    let Some((start, length)) = machine.server.flash().image(spi) else {
+        return Err(JobsState::Missing);
+    };
+    let (mut nor, end) = (Nor(spi), start + length);
+    // SAFETY: the SDRAM is nobody else's yet, there is this much of it, and it is aligned.
+    let room = unsafe { &mut *(map::SDRAM_BASE as *mut Room) };
+    let _ = nor.read(end.wrapping_sub(8), room.bytes(8));
+    let [first, second, ..] = room.0;
+    let Some(length) = program_length([first, second]) else {
+        return Err(JobsState::Missing);
+    };
+    let _ = nor.read(end.wrapping_sub(length as u32), room.bytes(length));
+    let words = room.0.get(..length / 4).unwrap_or(&[]);
+    match abi::check(words, ABI) {
+        JobsState::Alive => {
+            // SAFETY: forgets instructions from before, if there were any. The words are a whole header of a program linked to this
+            // address.
+            unsafe {
+                core::arch::asm!("fence.i");
+                Ok((*(map::SDRAM_BASE as *const Header)).entry)
+            }
+        }
+        state => Err(state),
+    }
+}
+
+/// The SDRAM's start, as its data sheets have it.
+#[inline(never)]
+fn wake(board: &mut Soc) {
+    // SAFETY: nobody else touches these registers; every value below is one of a command's.
+    let regs = unsafe { Sdram::steal() };
+    regs.dfii_control().write(|w| unsafe { w.bits(BY_HAND) });
+    regs.dfii_pi0_baddress().write(|w| unsafe { w.bits(0) });
+    for step in 0..=REFRESHES + 2 {
+        // The first command wants a rest of 200 us before it; between the others a few clocks would do.
+        let start = board.now_lo();
+        while board.now_lo().wrapping_sub(start) < REST {}
+        let (address, command) = match step {
+            0 => (ALL, PRECHARGE),
+            1..=REFRESHES => (0, REFRESH),
+            _ => (CL_2, MODE),
+        };
+        regs.dfii_pi0_address()
+            .write(|w| unsafe { w.bits(address) });
+        regs.dfii_pi0_command()
+            .write(|w| unsafe { w.bits(command) });
+        regs.dfii_pi0_command_issue()
+            .write(|w| unsafe { w.bits(1) });
+    }
+    regs.dfii_control()
+        .write(|w| unsafe { w.bits(BY_HARDWARE) });
+}

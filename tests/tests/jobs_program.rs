@@ -1,0 +1,159 @@
+//! The jobs program on the Verilated board: the release image finds it behind the bitstream in the flash, puts it into the SDRAM
+//! and lets it answer on the port of jobs; and without it, or with a damaged one, everything else works as ever.
+
+use ferrocnc_tests::flash::{self, FIRST};
+use ferrocnc_tests::{Machine, parts};
+use sim::nor::spi::Shared;
+use sim::nor::{Nor, Part};
+use sim::rig::Setup;
+use std::path::PathBuf;
+use wire::describe::{FEATURE_JOBS, JobsState};
+use wire::images::{Role, Trailer};
+use wire::map;
+
+/// Words of a header: the CRC, the interface, the register map.
+const INTERFACE_AT: usize = 4;
+const ABI_AT: usize = 8;
+
+/// What the build left.
+fn program() -> Vec<u8> {
+    let (_, firmware) = parts();
+    let path = firmware.with_file_name("ferrocnc-jobs.bin");
+    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// A board with jobs, switched on with this behind the bitstream in its flash; its image runs from slot A.
+fn board(behind: &[u8]) -> Machine {
+    Machine::boot(setup(behind))
+}
+
+fn setup(behind: &[u8]) -> Setup {
+    let (mill, firmware) = parts();
+    let soc: PathBuf = mill.with_file_name("plotter");
+    let mut nor = flash::factory(Part::W25Q32JV, 7);
+    put(&mut nor, behind);
+    let mut setup = Setup::new(&soc, &firmware);
+    setup.flash = Some(Shared::new(nor));
+    setup.trailer = Trailer {
+        build_id: FIRST,
+        role: Role::Image,
+    };
+    // Reading the program takes its time: 4 clocks a bit, and as much again.
+    setup.boot_clocks = 20_000_000;
+    setup
+}
+
+/// Slot A: an image that ends with these bytes.
+fn put(nor: &mut Nor, behind: &[u8]) {
+    let image = flash::with_program(&flash::image(FIRST, 3), behind);
+    let area = flash::layout(nor).slot_a;
+    nor.preload(area.start as usize, &image);
+    let meta = flash::meta(&image, FIRST);
+    nor.preload(area.meta() as usize, &meta.to_page());
+}
+
+fn state(machine: &mut Machine) -> JobsState {
+    let features = machine.read(map::DESCRIBE + 9 * 4);
+    assert_ne!(features & FEATURE_JOBS, 0, "the gateware has segments");
+    JobsState::of(features)
+}
+
+/// Words again behind a change: the CRC made right.
+fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
+    let words: Vec<u32> = bytes
+        .as_chunks()
+        .0
+        .iter()
+        .map(|word| u32::from_le_bytes(*word))
+        .collect();
+    let crc = wire::crc::crc32_words(&words[1..]);
+    bytes[..4].copy_from_slice(&crc.to_le_bytes());
+    bytes
+}
+
+/// The board without jobs is the board there always was.
+fn works_otherwise(machine: &mut Machine) {
+    assert!(
+        machine.console("status\n").contains("disarmed"),
+        "the console answers"
+    );
+    assert!(machine.ping().is_some(), "a ping is answered");
+    machine.make_ready();
+    let mut command = machine.enabled_command();
+    assert!(machine.exchange(&mut command).state.accepted);
+}
+
+#[test]
+fn the_program_is_found_in_the_flash_and_answers_on_its_port() {
+    let mut machine = board(&program());
+    println!("started after {} clocks", machine.clock());
+    assert_eq!(state(&mut machine), JobsState::Alive);
+    let rig = machine.rig();
+    let visitor = rig.tcp_connect(wire::jobs::PORT).expect("a connection");
+    let heard = rig.tcp_talk(visitor, "");
+    assert!(heard.starts_with("jobs"), "{heard:?}");
+    works_otherwise(&mut machine);
+}
+
+#[test]
+fn without_a_whole_program_of_this_build_there_are_no_jobs_and_everything_else_works() {
+    let good = program();
+    let damaged = |at: usize| {
+        let mut bytes = good.clone();
+        bytes[at] ^= 0x10;
+        bytes
+    };
+    let middle = good.len() / 2;
+    for (what, behind, told) in [
+        ("none at all", Vec::new(), JobsState::Missing),
+        ("one cut short", good[..middle].to_vec(), JobsState::Missing),
+        ("a wrong CRC", damaged(0), JobsState::Damaged),
+        (
+            "a bit of its code turned over",
+            damaged(middle),
+            JobsState::Damaged,
+        ),
+        (
+            "another register map",
+            sealed(damaged(ABI_AT)),
+            JobsState::Foreign,
+        ),
+        (
+            "another interface",
+            sealed(damaged(INTERFACE_AT)),
+            JobsState::Foreign,
+        ),
+    ] {
+        let mut machine = board(&behind);
+        assert_eq!(state(&mut machine), told, "{what}");
+        assert!(
+            machine.rig().tcp_connect(wire::jobs::PORT).is_err(),
+            "{what}: nobody answers there"
+        );
+        works_otherwise(&mut machine);
+    }
+}
+
+#[test]
+fn an_image_loaded_by_jtag_has_no_program() {
+    let mut setup = setup(&program());
+    setup.trailer.build_id ^= 1;
+    let mut machine = Machine::boot(setup);
+    assert_eq!(state(&mut machine), JobsState::Missing);
+    works_otherwise(&mut machine);
+}
+
+#[test]
+fn an_exchange_is_answered_within_a_thousand_clocks_while_the_program_waits() {
+    const EXCHANGES: usize = 300;
+    let mut machine = board(&program());
+    assert_eq!(state(&mut machine), JobsState::Alive);
+    machine.make_ready();
+    let mut command = machine.enabled_command();
+    for _ in 0..EXCHANGES {
+        assert!(machine.exchange_and_wait(&mut command).state.accepted);
+    }
+    let spread = machine.turnaround_spread(EXCHANGES);
+    println!("turnaround {spread:?}");
+    assert!(spread.max < 1000, "{spread:?}");
+}
