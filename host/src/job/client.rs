@@ -231,7 +231,8 @@ impl Board {
         let began = Instant::now();
         loop {
             let broken = match self.try_connect() {
-                Ok(()) => return self.prove(),
+                Ok(()) if self.welcome.version == VERSION => return Ok(()),
+                Ok(()) => return Err(JobError::Version(self.at, self.welcome.version)),
                 Err(broken) => broken,
             };
             self.line = None;
@@ -272,32 +273,24 @@ impl Board {
         }
     }
 
-    /// Shows the board its key, if it has one.
+    /// Shows the board the key it asked for. Not before: what was asked last has to stay what was asked last.
     fn prove(&mut self) -> Result<(), JobError> {
-        if self.welcome.version != VERSION {
-            return Err(JobError::Version(self.at, self.welcome.version));
-        }
         self.id = self.id.wrapping_add(1);
         let asked = self.exchange(&Request::Challenge, self.id);
         let challenge = match asked {
             Ok((Status::Normal, payload)) => four(&payload),
-            // While somebody owns the session there is none; looking and stopping is possible all the same.
-            Ok(_) => None,
+            Ok((status, _)) => return Err(JobError::Refused(Op::Challenge, status, None)),
             Err(_) => return Err(JobError::Silent(self.at, Op::Challenge)),
         };
         let Some(challenge) = challenge.filter(|words| *words != wire::auth::NONE) else {
-            return Ok(());
+            // While somebody owns the session there is none.
+            return Err(JobError::Refused(Op::Challenge, Status::Owned, None));
         };
         let uid = match self.keys {
             Keys::File(_) => [0; 2],
             Keys::ByBoard => self.uid()?,
         };
-        let (key, path) = match self.keys.find(uid) {
-            Ok(found) => found,
-            // Who only looks needs none; what needs it will say so.
-            Err(KeyError::Missing(_) | KeyError::NoHome) => return Ok(()),
-            Err(error) => return Err(JobError::Key(error)),
-        };
+        let (key, path) = self.keys.find(uid).map_err(JobError::Key)?;
         let words = key.acquire(challenge, self.client);
         self.id = self.id.wrapping_add(1);
         match self.exchange(&Request::Respond { words }, self.id) {
@@ -348,11 +341,20 @@ impl Board {
         let op = request.op();
         self.connect()?;
         self.id = self.id.wrapping_add(1);
-        let id = self.id;
+        let mut id = self.id;
         let (began, boot) = (Instant::now(), self.welcome.boot_id);
+        let mut proven = false;
         loop {
             let broken = match self.exchange(request, id) {
                 Ok((Status::Normal, payload)) => return Ok(payload),
+                Ok((Status::Key, _)) if !proven => {
+                    self.prove()?;
+                    proven = true;
+                    // Another request: this one was answered.
+                    self.id = self.id.wrapping_add(1);
+                    id = self.id;
+                    continue;
+                }
                 Ok((Status::Busy | Status::Garbled, _)) => Broken::Silent,
                 Ok((status, payload)) => {
                     return Err(JobError::Refused(
@@ -371,8 +373,8 @@ impl Board {
                     Broken::Strange => JobError::Strange(self.at, op),
                 });
             }
-            // The new connection's own requests must not take this one's place as the client's last: they count on from here, and
-            // the board compares op and id.
+            proven = false;
+            // Its Hello is not this client's last request for the board: that is the one which is repeated.
             self.connect()?;
             if self.welcome.boot_id != boot {
                 return Err(JobError::Restarted);
