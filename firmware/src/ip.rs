@@ -16,8 +16,8 @@ use crate::thrift::move_down;
 
 /// Room for what the other side has not acknowledged yet.
 pub const TEXT: usize = 1536;
-/// Bytes the peer may send ahead: two of the longest lines.
-const AHEAD: usize = 128;
+/// Bytes the peer may send ahead: two of the console's longest lines. An [`Ip`] for others says its own.
+pub const AHEAD: usize = 128;
 /// Longest payload of ours: fits every tunnel.
 const SEGMENT: usize = 512;
 /// Milliseconds until something is sent again the first time, then twice that, and so on.
@@ -60,7 +60,7 @@ struct Peer {
 pub trait Taker {
     /// Somebody is there.
     fn greet(&mut self, out: &mut Text);
-    /// Takes at most one line of these bytes, at least one byte; says how many.
+    /// Takes at most one line of these bytes; says how many. 0: none now, ask again later.
     fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize;
 }
 
@@ -73,8 +73,15 @@ pub struct Text {
     pub close: bool,
 }
 
+impl Default for Text {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Text {
-    const fn new() -> Self {
+    /// Empty.
+    pub const fn new() -> Self {
         Text {
             bytes: [0; TEXT],
             used: 0,
@@ -82,12 +89,18 @@ impl Text {
         }
     }
 
+    /// All of it.
+    pub fn bytes(&self) -> &[u8] {
+        self.bytes.get(..self.used).unwrap_or(&[])
+    }
+
     /// Bytes that still fit.
     pub fn room(&self) -> usize {
         TEXT - self.used
     }
 
-    fn clear(&mut self) {
+    /// Forgets all of it.
+    pub fn clear(&mut self) {
         self.used = 0;
         self.close = false;
     }
@@ -110,7 +123,7 @@ impl crate::text::Sink for Text {
     }
 }
 
-impl Default for Ip {
+impl<const AHEAD: usize> Default for Ip<AHEAD> {
     fn default() -> Self {
         Self::new()
     }
@@ -118,7 +131,7 @@ impl Default for Ip {
 
 /// The stack.
 #[derive(Clone, Debug)]
-pub struct Ip {
+pub struct Ip<const AHEAD: usize = { crate::ip::AHEAD }> {
     port: u16,
     /// The least room for text that lets the peer send another byte.
     reserve: usize,
@@ -141,7 +154,7 @@ pub struct Ip {
     text: Text,
 }
 
-impl Ip {
+impl<const AHEAD: usize> Ip<AHEAD> {
     /// A stack that listens nowhere. All zeros, so that a static one costs no ROM.
     pub const fn new() -> Self {
         Ip {
@@ -174,6 +187,18 @@ impl Ip {
         self.reserve = reserve;
     }
 
+    /// Is this frame, which is TCP, from whom the connection is with?
+    pub fn is_peer(&self, frame: &[u8]) -> bool {
+        let source = |ip: &[u8]| {
+            let tcp = usize::from(ip.first()? & 15) * 4;
+            Some((
+                ip.get(12..16)? == self.peer.ip,
+                ip.get(tcp..tcp + 2)? == self.peer.port,
+            ))
+        };
+        frame.get(ETHERNET..).and_then(source) == Some((true, true))
+    }
+
     /// Is there a connection, so that time matters?
     pub fn busy(&self) -> bool {
         self.state != State::Listen
@@ -194,7 +219,10 @@ impl Ip {
             if rest.is_empty() {
                 break;
             }
-            taken += taker.take(rest, &mut self.text).max(1);
+            match taker.take(rest, &mut self.text) {
+                0 => break,
+                count => taken += count,
+            }
         }
         if self.text.close {
             taken = self.ahead.len(); // nobody listens any more

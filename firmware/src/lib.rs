@@ -34,6 +34,7 @@
 //! | [`discovery`] | being found, and told who to be, whatever the address |
 //! | [`dhcp`] | an address from a server, or the static one after 10 s |
 //! | [`ip`] | ARP, ping and the console's TCP connection |
+//! | [`jobs`] | what the board does without a PC, in a program of its own |
 //! | [`link`] | up, how fast, and what got lost |
 //! | `path_stop` | decelerations that keep the axes on their line when nobody commands them any more |
 //! | [`log`] | the ring `ferrocnc log` reads |

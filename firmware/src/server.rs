@@ -216,7 +216,8 @@ impl Server {
     #[cold]
     #[inline(never)]
     fn link_changed<B: Board>(&mut self, board: &mut B, now: crate::cores::Link) {
-        if self.link.look(now) {
+        // A job asks itself whether somebody is to be there: one that is not attended runs on.
+        if self.link.look(now) && !self.session.is_owner(Peer::INSIDE) {
             self.event(board, Event::LinkDown);
         }
         self.refresh();

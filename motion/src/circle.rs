@@ -164,6 +164,20 @@ impl Chords {
         self.count
     }
 
+    /// How long the arc is, in nm; of a helix, what is seen from above.
+    pub fn length(&self) -> u64 {
+        let radius = u128::from(self.radii[0].max(self.radii[1]).unsigned_abs());
+        let turns = u128::from(self.sweep.unsigned_abs());
+        // 2 pi with 16 fraction bits.
+        let length = (((radius * turns) >> 32) * TWO_PI_16) >> 40;
+        u64::try_from(length).unwrap_or(u64::MAX)
+    }
+
+    /// The largest distance from the centre.
+    pub fn radius(&self) -> i64 {
+        self.radii[0].max(self.radii[1])
+    }
+
     fn end(&self, index: u32) -> Place {
         let part =
             |whole: i64| (i128::from(whole) * i128::from(index) / i128::from(self.count)) as i64;

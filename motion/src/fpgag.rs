@@ -10,8 +10,9 @@
 //! | 2, 2 | deceleration, loops decel | how many steps slow down, and how fast |
 //!
 //! Its code had fields its description has not, and its last version a third form. What the unit of the acceleration is, it never
-//! said; whoever executes this says it. Here the words are taken apart, and refused when they are no instruction.
+//! said; whoever executes this says it ([`crate::words`]). Here the words are taken apart, and refused when they are no instruction.
 
+use crate::segment::AXES;
 use core::fmt;
 
 /// Bytes of an instruction.
@@ -87,6 +88,59 @@ pub struct Move {
     pub loops_decel: u16,
 }
 
+/// Words of an instruction of the final revision, three motors.
+pub const CURVE_WORDS: usize = 1 + 3 * AXES;
+
+/// Ticks of a curve that says none: its longest.
+pub const CURVE_TICKS: u16 = 1100;
+
+/// A curve of the final revision: word 0 is command (bits 7:0), outputs (15:8) and 16 bits it had no use for, here the ticks (1 us each, 0 is
+/// [`CURVE_TICKS`]); then per motor three signed words.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Curve {
+    /// Outputs.
+    pub aux: u8,
+    /// How long, 1 to 1100.
+    pub ticks: u16,
+    /// Per motor c0, c1, c2: after t ticks it has made `(c0 t + c1 t^2 + c2 t^3) / 2^31` steps.
+    pub motors: [[i32; 3]; AXES],
+}
+
+impl Curve {
+    /// From its words.
+    pub fn parse(words: [u32; CURVE_WORDS]) -> Result<Curve, Error> {
+        let [head, motors @ ..] = words;
+        let [command, aux, ..] = head.to_le_bytes();
+        if command != Move::COMMAND {
+            return Err(Error::Command(command));
+        }
+        let ticks = (head >> 16) as u16;
+        if ticks > CURVE_TICKS {
+            return Err(Error::Ticks(ticks));
+        }
+        let mut curve = Curve {
+            aux,
+            ticks: if ticks == 0 { CURVE_TICKS } else { ticks },
+            motors: [[0; 3]; AXES],
+        };
+        for (motor, words) in curve.motors.iter_mut().zip(motors.as_chunks().0) {
+            *motor = words.map(|word| word as i32);
+        }
+        Ok(curve)
+    }
+
+    /// As its words.
+    pub fn words(&self) -> [u32; CURVE_WORDS] {
+        let mut words = [0; CURVE_WORDS];
+        let [head, motors @ ..] = &mut words;
+        *head = u32::from_le_bytes([Move::COMMAND, self.aux, 0, 0]) | u32::from(self.ticks) << 16;
+        for (words, motor) in motors.as_chunks_mut().0.iter_mut().zip(self.motors) {
+            *words = motor.map(|word| word as u32);
+        }
+        words
+    }
+}
+
 /// What is wrong with an instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Error {
@@ -94,6 +148,14 @@ pub enum Error {
     Command(u8),
     /// The unused bytes at its end are not 0: the words are out of step.
     Padding(u16),
+    /// More of them than a curve may last.
+    Ticks(u16),
+    /// A motor that is on its way would turn or halt at once.
+    Jump,
+    /// More speed or acceleration than the machine has.
+    Fast,
+    /// It ends beyond the machine's limits.
+    Bounds,
     /// It speeds up or slows down for some steps at no acceleration.
     NoAcceleration,
 }
@@ -106,6 +168,10 @@ impl fmt::Display for Error {
                 f,
                 "{bytes:#x} where an instruction's unused bytes are: words are missing"
             ),
+            Error::Ticks(ticks) => write!(f, "{ticks} ticks, of {CURVE_TICKS} at most"),
+            Error::Jump => write!(f, "a motor that is on its way would have to jump"),
+            Error::Fast => write!(f, "more speed or acceleration than the machine has"),
+            Error::Bounds => write!(f, "it ends beyond the machine's limits"),
             Error::NoAcceleration => write!(f, "steps of acceleration without an acceleration"),
         }
     }
@@ -212,6 +278,17 @@ mod tests {
             let [loops_accel, loops_travel, loops_decel] = loops;
             let written = Move { direction, aux, acceleration, loops_accel, loops_travel, deceleration, loops_decel };
             prop_assert_eq!(Move::parse(written.words()), Ok(written));
+        }
+
+        #[test]
+        fn a_curve_that_is_written_is_read(aux: u8, ticks in 1..=CURVE_TICKS, motors: [[i32; 3]; AXES]) {
+            let written = Curve { aux, ticks, motors };
+            prop_assert_eq!(Curve::parse(written.words()), Ok(written));
+            let mut words = written.words();
+            words[0] &= 0xffff;
+            prop_assert_eq!(Curve::parse(words), Ok(Curve { ticks: CURVE_TICKS, ..written }));
+            words[0] |= u32::from(CURVE_TICKS + ticks) << 16;
+            prop_assert_eq!(Curve::parse(words), Err(Error::Ticks(CURVE_TICKS + ticks)));
         }
 
         #[test]

@@ -547,6 +547,72 @@ impl Reader {
     }
 }
 
+/// Reads a job instruction by instruction, when the next is wanted: with memory for one block.
+#[derive(Clone, Debug)]
+pub struct Pull {
+    reader: Reader,
+    block: [u8; BLOCK + FRAME],
+    /// Bytes in it, and where the instruction read next begins and they all end.
+    loaded: usize,
+    at: usize,
+    end: usize,
+}
+
+impl Default for Pull {
+    fn default() -> Self {
+        Pull {
+            reader: Reader::default(),
+            block: [0; BLOCK + FRAME],
+            loaded: 0,
+            at: 0,
+            end: 0,
+        }
+    }
+}
+
+impl Pull {
+    /// The next instruction and its source line. `None`: none this time; ask again unless it is [`Pull::ended`]. `fill` writes the next bytes
+    /// of the file and says how many.
+    pub fn next(
+        &mut self,
+        fill: impl FnOnce(&mut [u8]) -> usize,
+    ) -> Result<Option<(Instruction, u32)>, Error> {
+        while self.at < self.end {
+            let mut fields = Fields(self.block.get(self.at..self.end).unwrap_or(&[]));
+            let read = self.reader.instruction(&mut fields)?;
+            self.at = self.end - fields.0.len();
+            if let Some(instruction) = read {
+                return Ok(Some((instruction, self.reader.state.line)));
+            }
+        }
+        if self.ended() {
+            return Ok(None);
+        }
+        // The block that is done goes, with its CRC.
+        let done = if self.end > 0 { self.end + 4 } else { 0 };
+        self.block.copy_within(done..self.loaded, 0);
+        self.loaded -= done;
+        (self.at, self.end) = (0, 0);
+        self.loaded += fill(self.block.get_mut(self.loaded..).unwrap_or(&mut []));
+        let known = self.block.get(..self.loaded).unwrap_or(&[]);
+        let block = Block::parse(known, self.reader.crc)?;
+        let (length, crc) = (block.length, block.crc);
+        if block.kind == Kind::Instructions && self.reader.begun && !self.reader.ended {
+            self.reader.crc = crc;
+            (self.at, self.end) = (HEAD, length - 4);
+        } else {
+            self.reader.block(known, |_, _| {})?;
+            (self.at, self.end) = (length - 4, length - 4);
+        }
+        Ok(None)
+    }
+
+    /// The end was read, and it was right.
+    pub fn ended(&self) -> bool {
+        self.reader.ended
+    }
+}
+
 /// Version and name of a header.
 pub fn name_of(header: &[u8]) -> Result<&str, Error> {
     match header.split_first() {

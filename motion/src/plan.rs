@@ -298,15 +298,15 @@ enum Then {
 
 /// A part of the reference with one acceleration.
 #[derive(Clone, Copy, Debug)]
-struct Leg {
+pub(crate) struct Leg {
     /// Clocks, 16 fraction bits.
-    duration: i64,
+    pub(crate) duration: i64,
     /// Time of the last segment's end, in clocks with 16 fraction bits since the leg began; up to 64 clocks before it.
-    at: i64,
-    position: [i64; AXES],
-    velocity: [i64; AXES],
+    pub(crate) at: i64,
+    pub(crate) position: [i64; AXES],
+    pub(crate) velocity: [i64; AXES],
     /// 2^-72 steps per clock^2.
-    accel: [i64; AXES],
+    pub(crate) accel: [i64; AXES],
 }
 
 /// The stretches of the line being drawn that are still to come.
@@ -351,18 +351,17 @@ pub struct Planner<const DEPTH: usize> {
     /// The speed the line drawn ends with, nm/s.
     speed: u64,
     running: Option<Running>,
-    leg: Option<Leg>,
-    /// Clocks (16 fraction bits) the reference is ahead of the segments; below 65.
-    ahead: i64,
-    machine: Machine,
+    follower: Follower,
 }
 
 impl<const DEPTH: usize> Planner<DEPTH> {
     /// At rest, at home, all outputs off.
     pub fn new(setup: &Setup) -> Result<Self, SetupError> {
         const { assert!(DEPTH >= 3, "a line, its successor, and one to look at") };
+        let machinery = Machinery::new(setup)?;
         Ok(Planner {
-            machinery: Machinery::new(setup)?,
+            follower: Follower::new(machinery.limit),
+            machinery,
             percent: 100,
             lines: [Line::NONE; DEPTH],
             head: 0,
@@ -375,9 +374,6 @@ impl<const DEPTH: usize> Planner<DEPTH> {
             then: None,
             speed: 0,
             running: None,
-            leg: None,
-            ahead: 0,
-            machine: Machine::default(),
         })
     }
 
@@ -431,8 +427,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
     /// What is to be done next. `None`: it needs another instruction to know.
     pub fn poll(&mut self) -> Option<Output> {
         loop {
-            if let Some(segment) = self.piece() {
-                self.machine.run(&segment);
+            if let Some(segment) = self.follower.piece(self.tag() as u16) {
                 return Some(Output::Segment(segment));
             }
             if self.next_stretch() || self.next_chord() || self.last_line() || self.begin_line() {
@@ -442,14 +437,42 @@ impl<const DEPTH: usize> Planner<DEPTH> {
             if self.count > 0 || self.pending.is_some() {
                 continue;
             }
-            if !self.machine.rests() {
-                let segment = self.come_to_rest();
-                self.machine.run(&segment);
+            if !self.follower.machine.rests() {
+                let segment = self.follower.come_to_rest(self.tag() as u16);
                 return Some(Output::Segment(segment));
             }
-            self.ahead = 0;
+            self.follower.ahead = 0;
             return Some(self.at_rest());
         }
+    }
+
+    /// Goes on from where the integrators are: at rest, and with nothing planned. False, and nothing happened, otherwise. The first line leads
+    /// to its end from there, and ends on a whole step like any other.
+    #[must_use]
+    pub fn begin_at(&mut self, positions: [i64; AXES]) -> bool {
+        let busy = self.count > 0
+            || self.pending.is_some()
+            || self.chords.is_some()
+            || self.running.is_some()
+            || self.follower.leg.is_some();
+        if busy || !self.follower.machine.rests() {
+            return false;
+        }
+        let nm = |axis: usize| {
+            let steps = positions[axis].wrapping_sub(Position::ZERO.0);
+            ((i128::from(steps) * self.machinery.pitch[axis]) >> 64) as i64
+        };
+        self.at = core::array::from_fn(nm);
+        self.end = (self.at, positions);
+        self.follower.ahead = 0;
+        self.speed = 0;
+        for (axis, position) in self.follower.machine.axes.iter_mut().zip(positions) {
+            *axis = Axis {
+                position,
+                velocity: 0,
+            };
+        }
+        true
     }
 
     /// Percent of the feed, for what is not planned to the end yet; rapids too. The path stays the same.
@@ -460,7 +483,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
 
     /// The integrators and outputs after everything [`Planner::poll`] said.
     pub fn machine(&self) -> &Machine {
-        &self.machine
+        &self.follower.machine
     }
 
     /// Of the line being drawn.
@@ -767,7 +790,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         };
         let mut leg = Leg {
             duration: stretch.duration,
-            at: -self.ahead,
+            at: -self.follower.ahead,
             position: [0; AXES],
             velocity: [0; AXES],
             accel: [0; AXES],
@@ -782,12 +805,80 @@ impl<const DEPTH: usize> Planner<DEPTH> {
                 leg.accel[axis] = accel as i64;
             }
         }
-        self.leg = Some(leg);
+        self.follower.leg = Some(leg);
         true
     }
 
+    fn at_rest(&mut self) -> Output {
+        let output = match self.then {
+            Some(Then::Aux(bits)) => {
+                self.follower.machine.aux = bits;
+                let settle = self.clocks_of(self.machinery.setup.aux_settle.into());
+                self.then = Some(Then::Dwell(settle.max(MIN_CLOCKS.into())));
+                return self.at_rest();
+            }
+            Some(Then::Dwell(clocks)) => {
+                // Half of 2^32 at a time, so that what is left is never too short for a segment.
+                let now = clocks.max(MIN_CLOCKS.into());
+                let now = if now >> 31 > 1 {
+                    1 << 31
+                } else {
+                    now.min(u32::MAX.into())
+                };
+                let left = clocks.saturating_sub(now);
+                self.then = (left > 0).then_some(Then::Dwell(left));
+                let segment = Segment {
+                    clocks: now as u32,
+                    aux: self.follower.machine.aux,
+                    tag: self.tag() as u16,
+                    ..Segment::default()
+                };
+                self.follower.machine.run(&segment);
+                return Output::Segment(segment);
+            }
+            Some(Then::Home(axes)) => {
+                for (axis, homed) in axes.iter().enumerate() {
+                    if *homed {
+                        self.follower.machine.axes[axis] = Axis::default();
+                        self.at[axis] = 0;
+                        self.end.0[axis] = 0;
+                        self.end.1[axis] = Position::ZERO.0;
+                    }
+                }
+                Output::Home(axes)
+            }
+            Some(Then::Pause) => Output::Pause,
+            Some(Then::End) | None => Output::End,
+        };
+        self.then = None;
+        output
+    }
+}
+
+/// Segments after a reference, from where the integrators are.
+#[derive(Clone, Debug)]
+pub(crate) struct Follower {
+    /// The integrators, and the outputs.
+    pub(crate) machine: Machine,
+    /// What there is of the reference.
+    pub(crate) leg: Option<Leg>,
+    /// Clocks (16 fraction bits) the reference is ahead of the segments; below 65.
+    pub(crate) ahead: i64,
+    limit: [u32; AXES],
+}
+
+impl Follower {
+    pub(crate) fn new(limit: [u32; AXES]) -> Self {
+        Follower {
+            machine: Machine::default(),
+            leg: None,
+            ahead: 0,
+            limit,
+        }
+    }
+
     /// The next segment of the leg.
-    fn piece(&mut self) -> Option<Segment> {
+    pub(crate) fn piece(&mut self, tag: u16) -> Option<Segment> {
         let leg = self.leg.as_mut()?;
         let clocks = (leg.duration - leg.at) >> 16;
         if clocks < i64::from(MIN_CLOCKS) {
@@ -807,22 +898,24 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         let leg = *leg;
         let aims: [(i32, u32); AXES] = core::array::from_fn(|axis| {
             let (position, velocity) = leg.reference(axis);
-            let limit = self.machinery.limit[axis];
+            let limit = self.limit[axis];
             self.machine.axes[axis].aim(clocks, position, velocity, limit)
         });
-        Some(Segment {
+        let segment = Segment {
             clocks,
             velocity: aims.map(|aim| aim.0),
             accel: aims.map(|aim| aim.1),
             aux: self.machine.aux,
-            tag: self.tag() as u16,
-        })
+            tag,
+        };
+        self.machine.run(&segment);
+        Some(segment)
     }
 
     /// The segment that ends at rest: as short as the limits allow.
-    fn come_to_rest(&self) -> Segment {
+    pub(crate) fn come_to_rest(&mut self, tag: u16) -> Segment {
         let mut clocks = MIN_CLOCKS;
-        for (axis, limit) in self.machine.axes.iter().zip(self.machinery.limit) {
+        for (axis, limit) in self.machine.axes.iter().zip(self.limit) {
             let moves = axis.velocity.unsigned_abs().div_ceil(u64::from(limit));
             clocks = clocks.max(moves as u32 + COMMIT_CLOCKS);
         }
@@ -830,62 +923,27 @@ impl<const DEPTH: usize> Planner<DEPTH> {
             let moves = u64::from(clocks - COMMIT_CLOCKS);
             axis.velocity.unsigned_abs().div_ceil(moves).max(1) as u32
         });
-        Segment {
+        let segment = Segment {
             clocks,
             velocity: [0; AXES],
             accel,
             aux: self.machine.aux,
-            tag: self.tag() as u16,
-        }
-    }
-
-    fn at_rest(&mut self) -> Output {
-        let output = match self.then {
-            Some(Then::Aux(bits)) => {
-                self.machine.aux = bits;
-                let settle = self.clocks_of(self.machinery.setup.aux_settle.into());
-                self.then = Some(Then::Dwell(settle.max(MIN_CLOCKS.into())));
-                return self.at_rest();
-            }
-            Some(Then::Dwell(clocks)) => {
-                // Half of 2^32 at a time, so that what is left is never too short for a segment.
-                let now = clocks.max(MIN_CLOCKS.into());
-                let now = if now >> 31 > 1 {
-                    1 << 31
-                } else {
-                    now.min(u32::MAX.into())
-                };
-                let left = clocks.saturating_sub(now);
-                self.then = (left > 0).then_some(Then::Dwell(left));
-                let segment = Segment {
-                    clocks: now as u32,
-                    aux: self.machine.aux,
-                    tag: self.tag() as u16,
-                    ..Segment::default()
-                };
-                self.machine.run(&segment);
-                return Output::Segment(segment);
-            }
-            Some(Then::Home(axes)) => {
-                for (axis, homed) in axes.iter().enumerate() {
-                    if *homed {
-                        self.machine.axes[axis] = Axis::default();
-                        self.at[axis] = 0;
-                        self.end.0[axis] = 0;
-                        self.end.1[axis] = Position::ZERO.0;
-                    }
-                }
-                Output::Home(axes)
-            }
-            Some(Then::Pause) => Output::Pause,
-            Some(Then::End) | None => Output::End,
+            tag,
         };
-        self.then = None;
-        output
+        self.machine.run(&segment);
+        segment
     }
 }
 
 impl Leg {
+    /// Evenly to these velocities.
+    pub(crate) fn steer(&mut self, end: &[i64; AXES]) {
+        for (axis, end) in end.iter().enumerate() {
+            let change = i128::from(end - self.velocity[axis]);
+            self.accel[axis] = ((change << 32) / i128::from(self.duration.max(1))) as i64;
+        }
+    }
+
     /// Where the reference is, and how fast.
     fn reference(&self, axis: usize) -> (i64, i64) {
         let time = i128::from(self.at);

@@ -24,6 +24,8 @@ pub struct Card {
     pub estop_mask: u32,
     /// The level at which they do.
     pub estop_level: u32,
+    /// Axes of its jobs; 0 without any.
+    pub jobs: u8,
 }
 
 const BUILT_IN: [(&str, &[u8], &[u8]); 3] = [
@@ -114,6 +116,7 @@ impl Card {
             channels,
             estop_mask: 0,
             estop_level: 0,
+            jobs: 0,
         }
     }
 
@@ -156,6 +159,7 @@ impl Card {
             channels,
             estop_mask,
             estop_level,
+            jobs: 0,
             blob,
         })
     }

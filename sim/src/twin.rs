@@ -408,7 +408,7 @@ impl cores::Board for Desk {
 
 fn build(card: &Card, abi: u32) -> model::board::Build {
     model::board::Build {
-        jobs: 0,
+        jobs: card.jobs,
         channels: card.channels,
         clock_hz: card.clock_hz,
         estop_mask: card.estop_mask,
@@ -513,7 +513,7 @@ fn ident(card: &Card, abi: u32) -> Ident {
         version: firmware::VERSION,
         clock_hz: card.clock_hz,
         channels: card.channels,
-        features: 0,
+        features: u32::from(card.jobs > 0) * wire::describe::FEATURE_JOBS,
         blob_words: card.words().len() as u32,
     }
 }

@@ -38,7 +38,8 @@
 //! **Machine**: a job needs one; it is what the planner and the drives have to know ([`Machine`]). It is kept until the power is off.
 //!
 //! **Command** takes XYPenPlotter's codes ([`Command`]); others are refused. Stop is right in every state. Codes that do not fit the state are
-//! [`Status::NotNow`].
+//! [`Status::NotNow`]. A Start is answered before the job is looked through: what is found then is the [`End`] of a [`Report`], with axis and line.
+//! A command that is refused is answered without a report.
 //!
 //! **The key**: on a board with a key a connection that has not proven it may look, and stop, and nothing else ([`Status::Key`]). It proves it with
 //! the answer ([`crate::auth`], to acquire, its nonce the client's number) to the last Challenge, which can be had while nobody owns the session.
@@ -157,16 +158,10 @@ codes! {
         NotNow = 15, "not now: the state of the board does not allow that";
         /// Somebody, LinuxCNC perhaps, owns the session.
         Owned = 16, "the board is owned by a session: stop LinuxCNC, or whoever holds it";
-        /// A place of the job is out of bounds; payload: line:u32, axis:u8.
-        Limits = 17, "a place of the job is beyond the machine's limits";
-        /// An axis that has a switch was not homed since the board knows its position no more; payload: axis.
-        NotHomed = 18, "find the switches first: ferrocnc job home";
-        /// An axis that is to be homed has no switch; payload: axis.
+        /// An axis that is to be homed has no switch, or none of them has.
         NoSwitch = 19, "this axis has no switch";
         /// The name is empty, too long or not printable.
         Name = 20, "a job's name has 1 to 31 printable bytes";
-        /// The board does not arm; payload: the state word.
-        NotArmed = 21, "the board does not arm";
         /// The gateware has no segments core, or the memory failed its test.
         NoJobs = 22, "this board cannot execute jobs";
         /// A value out of its range.

@@ -83,7 +83,7 @@ pub fn exchange(parts: &build::Parts) -> Result<()> {
 /// The drawing on the Verilated cores: figures and picture.
 fn jobs() -> Result<()> {
     setup::run(setup::Need::Everything)?;
-    build::simulated_cores(build::JOBS_BOARD)?;
+    build::simulated_cores(build::CORES_BOARD)?;
     step::heading("bench: jobs");
     std::fs::create_dir_all(target("reports"))?;
     let mut bench = Command::new("cargo");

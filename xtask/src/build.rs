@@ -88,7 +88,7 @@ pub fn simulated_board(board: &str) -> Result<PathBuf> {
 }
 
 /// `tests/boards/NAME.toml`: what a job needs.
-pub const JOBS_BOARD: &str = "jobs";
+pub const CORES_BOARD: &str = "jobs";
 
 /// Verilates the cores and banks of a board without the processor, for the comparison with their models.
 pub fn simulated_cores(board: &str) -> Result<()> {

@@ -95,10 +95,10 @@ pub fn run(options: &Options) -> Result<()> {
     }
     if levels.contains(&Level::Lockstep) {
         build::simulated_cores(build::BOARD)?;
-        build::simulated_cores(build::JOBS_BOARD)?;
+        build::simulated_cores(build::CORES_BOARD)?;
     }
     if levels.contains(&Level::Jobs) {
-        build::simulated_cores(build::JOBS_BOARD)?;
+        build::simulated_cores(build::CORES_BOARD)?;
     }
     if levels.contains(&Level::Provision) {
         build::host()?;
@@ -310,14 +310,16 @@ fn jobs() -> Result<usize> {
         "board",
         "--test",
         "jobs",
+        "--test",
+        "executor",
         "--",
         "--test-threads",
         "1",
     ];
     cargo_tests(
         "test-jobs",
-        "segments: RTL and model, clock by clock; edges emitted and predicted",
-        "3 min",
+        "segments: RTL and model, clock by clock; edges emitted and predicted; jobs on the models",
+        "5 min",
         &arguments,
     )
 }

@@ -60,12 +60,6 @@ pub enum Detail {
     Offset(u32),
     /// What is wrong with the machine, and with which axis.
     Machine(Field, u8),
-    /// Which axis.
-    Axis(u8),
-    /// A line of the source, and which axis.
-    Line(u32, u8),
-    /// The board's state word.
-    State(u32),
 }
 
 impl Detail {
@@ -75,16 +69,10 @@ impl Detail {
             Status::Offset | Status::Incomplete | Status::NoJob => {
                 word(payload).map(Detail::Offset)
             }
-            Status::NotArmed => word(payload).map(Detail::State),
             Status::Machine => match *payload {
                 [field, axis] => Some(Detail::Machine(Field::from_code(field)?, axis)),
                 _ => None,
             },
-            Status::NotHomed | Status::NoSwitch => payload.first().copied().map(Detail::Axis),
-            Status::Limits => {
-                let (line, rest) = payload.split_first_chunk()?;
-                Some(Detail::Line(u32::from_le_bytes(*line), *rest.first()?))
-            }
             _ => None,
         }
     }
@@ -127,11 +115,6 @@ impl std::fmt::Display for JobError {
                     Some(Detail::Machine(field, axis)) => {
                         write!(f, ": {}: {}", axis_name(axis), field.text())
                     }
-                    Some(Detail::Axis(axis)) => write!(f, " ({})", axis_name(axis)),
-                    Some(Detail::Line(line, axis)) => {
-                        write!(f, " (line {line}, {})", axis_name(axis))
-                    }
-                    Some(Detail::State(word)) => write!(f, " (state word {word:#010x})"),
                 }
             }
             JobError::Name(name) => write!(

@@ -60,6 +60,8 @@ codes! {
         NotArmed = 13, "not armed";
         /// The board restarted.
         Restart = 14, "the board restarted";
+        /// The job moves an axis that has a switch nobody has found.
+        NotHomed = 15, "find the switches first: ferrocnc job home";
     }
 }
 

@@ -1,0 +1,1116 @@
+//! What is executed, and how it ends.
+//!
+//! ```text
+//!            start             within limits       armed              done
+//!   Stopped --------> Checking -------------> Open ------> Running --------> Close --> Stopped
+//!      |                                       ^           |  ^  \             ^
+//!      +---------------------------------------+     pause |  |   \ stop,      |
+//!          calibrate                                       v  |    \ host lost |
+//!                                                         Paused ---> Brake ---+
+//! ```
+//!
+//! | what happens | the axes | the end | afterwards |
+//! |---|---|---|---|
+//! | the program is over | stand on whole steps | done | position known |
+//! | stop | slow down on the path, stand | stopped | known |
+//! | the starter is silent for longer than it said (attended) | the same | host lost | known |
+//! | no segment in time | each brakes | underrun | known |
+//! | this program hangs, or is not called | each brakes | watchdog | known |
+//! | e-stop, external reset | pulses end on that clock | e-stop, external reset | not known: switches have to be found |
+//! | the link goes down | nothing by itself: attended jobs end as host lost | | known |
+//! | the firmware restarts | each brakes, or pulses end | the board restarted | not known |
+//! | pause | slow down on the path, stand | none: continue goes on exactly there | known |
+//!
+//! Positions are counted by the step generators and never set; a switch that was found gives an axis an offset, a whole number of steps.
+
+use super::Outside;
+use super::check::{Check, Trouble, nominal};
+use super::core::{Core, State as CoreState, reason};
+use super::homing::{Homing, Next, rest};
+use super::inside::{Inside, REST, Rates};
+use super::marks::{Mark, Marks};
+use super::program::Program;
+use super::store::{Id, Store};
+use super::words::Words;
+use motion::fpgag;
+use motion::instruction::{Instruction, Place};
+use motion::plan::{AxisSetup, Output, Planner, Setup, SetupError};
+use motion::segment::{AXES, MIN_CLOCKS, Segment};
+use wire::describe::{Channels, Describe};
+use wire::exchange::StateWord;
+use wire::jobs::{
+    self, Command, End, Field, KEEPALIVE_MS, Machine, Report, State, Status, UNATTENDED,
+};
+use wire::units::Position;
+use wire::{FaultReason, Name, ResetReason};
+
+/// Lines the planner looks ahead: as the host does when it predicts a job.
+pub const LOOK_AHEAD: usize = 32;
+
+/// 5 s: who sends words sends the next long before that.
+const WORDS_KEEPALIVE_MS: u16 = 5000;
+
+/// 5 ms: a twentieth of the watchdog's patience.
+const EXCHANGES_PER_SECOND: u64 = 200;
+/// 1 ms while a switch is looked for: what it can be off at the slow speed.
+const LOOKS_PER_SECOND: u64 = 1000;
+/// 100 ms to arm: three exchanges do it.
+const ARMING: u8 = 20;
+/// 250 ms to disarm: the board ends a stop with its grace.
+const DISARMING: u32 = 400;
+
+const _: () = assert!(AXES == wire::jobs::AXES);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    Idle,
+    /// Looks the job through.
+    Check,
+    /// Takes the board: so many steps of that are done.
+    Open(u8),
+    /// Plans, feeds the FIFO.
+    Play,
+    /// The job waits for the operator.
+    Held,
+    /// Lifts the tool, before switches are looked for.
+    Lift,
+    /// Finds switches.
+    Home,
+    /// An axis that looked for its switch comes to rest.
+    Rest,
+    /// The path's time comes to a stand.
+    Brake,
+    /// The core comes to its end.
+    Quit,
+    /// The board is given back: so many exchanges ago.
+    Close(u32),
+}
+
+/// Who started it, and for how long he may be silent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Starter {
+    client: u32,
+    /// Clocks; `None` unattended.
+    patience: Option<u64>,
+    heard: u64,
+}
+
+/// The executor.
+#[derive(Debug)]
+pub struct Executor {
+    inside: Inside,
+    core: Core,
+    clock_hz: u32,
+    channels: Channels,
+    phase: Phase,
+    /// How what is going on will end.
+    ending: End,
+    /// How it ended last.
+    end: End,
+    trouble: (u8, Option<u32>),
+    machine: Option<Machine>,
+    planner: Option<Planner<LOOK_AHEAD>>,
+    program: Program,
+    calibrates: bool,
+    /// FPGA G's words, and whether they are what is executed.
+    words: Option<Words>,
+    streams: bool,
+    job: Option<Id>,
+    name: Name,
+    instruction: Option<(Instruction, u32)>,
+    from: Place,
+    /// The planner's number of the instruction pushed last, and nominal time up to its end.
+    micros: u64,
+    total: u64,
+    check: Check,
+    segment: Option<Segment>,
+    waiting: Option<Output>,
+    marks: Marks,
+    /// Segments begun before this job.
+    base: u32,
+    homing: Homing,
+    rates: Rates,
+    paused: bool,
+    starter: Starter,
+    percent: u16,
+    offset: [i64; AXES],
+    homed: [bool; AXES],
+    /// Integrators at the last exchange.
+    positions: [i64; AXES],
+    at_rest: bool,
+    /// The board ended it.
+    torn: bool,
+    board: u32,
+    exchanged: u64,
+    /// What had begun and was left then.
+    progress: (u32, u32),
+}
+
+impl Executor {
+    /// For this board.
+    pub fn new(inside: Inside, board: &Describe, core: Core) -> Self {
+        Executor {
+            inside,
+            core,
+            clock_hz: board.clock_hz,
+            channels: board.channels,
+            phase: Phase::Idle,
+            ending: End::None,
+            end: match board.reset_reason {
+                ResetReason::PowerUp => End::None,
+                ResetReason::Requested
+                | ResetReason::Panic
+                | ResetReason::Trap
+                | ResetReason::Unknown => End::Restart,
+            },
+            trouble: (0xff, None),
+            machine: None,
+            planner: None,
+            program: Program::nothing(),
+            calibrates: false,
+            words: None,
+            streams: false,
+            job: None,
+            name: Name::EMPTY,
+            instruction: None,
+            from: [0; AXES],
+            micros: 0,
+            total: 0,
+            check: Check::new([false; AXES]),
+            segment: None,
+            waiting: None,
+            marks: Marks::new(),
+            base: 0,
+            homing: Homing::new([false; AXES], REST),
+            rates: REST,
+            paused: false,
+            starter: Starter {
+                client: 0,
+                patience: None,
+                heard: 0,
+            },
+            percent: 100,
+            offset: [0; AXES],
+            homed: [false; AXES],
+            positions: [Position::ZERO.0; AXES],
+            at_rest: true,
+            torn: false,
+            board: 0,
+            exchanged: 0,
+            progress: (0, 0),
+        }
+    }
+
+    /// Something is going on.
+    pub fn busy(&self) -> bool {
+        self.phase != Phase::Idle
+    }
+
+    /// The board's description of itself that the executor knows.
+    pub fn clock_hz(&self) -> u32 {
+        self.clock_hz
+    }
+
+    /// The client on the board.
+    pub fn inside(&mut self) -> &mut Inside {
+        &mut self.inside
+    }
+
+    /// The machine.
+    pub fn machine(&self) -> Option<&Machine> {
+        self.machine.as_ref()
+    }
+
+    /// This client said something.
+    pub fn heard(&mut self, client: u32, now: u64) {
+        if client == self.starter.client {
+            self.starter.heard = now;
+        }
+    }
+
+    /// This job is being executed.
+    pub fn executes(&self, store: &Store, name: &Name) -> bool {
+        self.busy() && self.job.is_some_and(|id| store.is(id, name))
+    }
+
+    /// Another machine. Where its axes are is not known any more.
+    pub fn set_machine(&mut self, machine: Machine) -> Result<(), (Status, Field, u8)> {
+        if self.busy() {
+            return Err((Status::NotNow, Field::Format, 0));
+        }
+        let wrong = |(field, axis)| (Status::Machine, field, axis);
+        let (inputs, outputs) = (self.channels.inputs, self.channels.outputs);
+        machine
+            .check(self.clock_hz, inputs, outputs)
+            .map_err(wrong)?;
+        let setup = setup(&machine, self.clock_hz);
+        let planner = Planner::new(&setup).map_err(|error| {
+            wrong(match error {
+                SetupError::Clock => (Field::Board, 0),
+                SetupError::Scale(axis) => (Field::Scale, axis as u8),
+                SetupError::Speed(axis) => (Field::Speed, axis as u8),
+                SetupError::Accel(axis) => (Field::Acceleration, axis as u8),
+                SetupError::Tolerance => (Field::ChordTolerance, 0),
+            })
+        })?;
+        if self.machine != Some(machine) {
+            self.homed = machine.axes.map(|axis| axis.home.is_none());
+        }
+        self.planner = Some(planner);
+        self.machine = Some(machine);
+        Ok(())
+    }
+
+    /// Percent of the feed.
+    pub fn feed(&mut self, percent: u16) -> Result<(), Status> {
+        if !(1..=200).contains(&percent) {
+            return Err(Status::Value);
+        }
+        self.percent = percent;
+        if let Some(planner) = &mut self.planner {
+            planner.set_override(percent.into());
+        }
+        Ok(())
+    }
+
+    // ---- commands ------------------------------------------------------------------------------------------------
+
+    /// One of XYPenPlotter's codes.
+    pub fn command(
+        &mut self,
+        (code, flags, keepalive): (u8, u8, u16),
+        name: &Name,
+        client: u32,
+        store: &Store,
+        now: u64,
+        out: &mut impl Outside,
+    ) -> Result<(), Status> {
+        let command = Command::from_code(code).ok_or(Status::UnknownCode)?;
+        match command {
+            Command::Welcome => Ok(()),
+            Command::Stop => {
+                self.stop(End::Stopped, out);
+                Ok(())
+            }
+            Command::Continue | Command::Unpause => self.go_on(out),
+            Command::Pause => self.pause(out),
+            Command::Start => {
+                let job = store.get(name)?;
+                let starter = self.starter(client, flags, keepalive, now)?;
+                let homed = self.homed;
+                self.may_begin(out)?;
+                self.begin(starter, Phase::Check);
+                self.program.job(store, job);
+                (self.job, self.name, self.calibrates) = (Some(job), *name, false);
+                self.check = Check::new(homed);
+                Ok(())
+            }
+            Command::Calibrate => {
+                let starter = self.starter(client, flags, keepalive, now)?;
+                let axes = self.switches(flags)?;
+                self.may_begin(out)?;
+                self.begin(starter, Phase::Open(0));
+                self.program.only(Instruction::Home { axes });
+                (self.job, self.name, self.calibrates) = (None, Name::EMPTY, true);
+                Ok(())
+            }
+        }
+    }
+
+    fn starter(&self, client: u32, flags: u8, keepalive: u16, now: u64) -> Result<Starter, Status> {
+        let attended = flags & UNATTENDED == 0;
+        if attended && !KEEPALIVE_MS.contains(&keepalive) {
+            return Err(Status::Value);
+        }
+        let per_ms = u64::from(self.clock_hz / 1000);
+        Ok(Starter {
+            client,
+            patience: attended.then_some(u64::from(keepalive) * per_ms),
+            heard: now,
+        })
+    }
+
+    /// Those asked for, or all that have a switch.
+    fn switches(&self, flags: u8) -> Result<[bool; AXES], Status> {
+        let machine = self.machine.as_ref().ok_or(Status::NoMachine)?;
+        let has = machine.axes.map(|axis| axis.home.is_some());
+        let asked = flags & !UNATTENDED;
+        if asked >> AXES != 0 {
+            return Err(Status::Value);
+        }
+        let axes: [bool; AXES] = ::core::array::from_fn(|axis| asked >> axis & 1 == 1);
+        match (
+            asked,
+            axes.iter().zip(has).any(|(asked, has)| *asked && !has),
+        ) {
+            (0, _) if has == [false; AXES] => Err(Status::NoSwitch),
+            (0, _) => Ok(has),
+            (_, true) => Err(Status::NoSwitch),
+            (_, false) => Ok(axes),
+        }
+    }
+
+    fn may_begin(&mut self, out: &mut impl Outside) -> Result<(), Status> {
+        if self.busy() {
+            Err(Status::NotNow)
+        } else if self.machine.is_none() {
+            Err(Status::NoMachine)
+        } else if self.inside.owned(out) {
+            Err(Status::Owned)
+        } else {
+            Ok(())
+        }
+    }
+
+    /// FPGA G's protocol: the status word.
+    pub fn words(
+        &mut self,
+        (command, form): (u8, u8),
+        words: jobs::Words,
+        client: u32,
+        now: u64,
+        out: &mut impl Outside,
+    ) -> Result<u32, Status> {
+        let command = fpgag::Command::from_code(command).ok_or(Status::UnknownCode)?;
+        if self.busy() && !self.streams {
+            return Err(Status::NotNow);
+        }
+        let machine = self.machine.ok_or(Status::NoMachine)?;
+        match command {
+            fpgag::Command::Empty => Ok(0),
+            fpgag::Command::Status => Ok(self.words.as_ref().map_or(0, Words::status)),
+            fpgag::Command::Stop => {
+                if let Some(words) = &mut self.words {
+                    words.executes = false;
+                }
+                Ok(0)
+            }
+            fpgag::Command::Gcode => {
+                let limits = limits(&machine, &self.limits(), self.clock_hz);
+                if !self.busy() && self.words.is_none() {
+                    let (_, positions) = self.inside.look(out).ok_or(Status::NotNow)?;
+                    self.positions = positions;
+                    self.words = Some(Words::new(limits, self.places()));
+                }
+                let queue = self.words.as_mut().ok_or(Status::NotNow)?;
+                Ok(queue.gcode(form, words.iter()))
+            }
+            fpgag::Command::Start => {
+                if let (true, Some(words)) = (self.busy(), &mut self.words) {
+                    words.executes = true;
+                    return Ok(0);
+                }
+                if self.homed != [true; AXES] {
+                    return Err(Status::NotNow);
+                }
+                let starter = self.starter(client, 0, WORDS_KEEPALIVE_MS, now)?;
+                self.may_begin(out)?;
+                self.begin(starter, Phase::Open(0));
+                (self.streams, self.calibrates) = (true, false);
+                (self.job, self.name) = (None, Name::EMPTY);
+                Ok(0)
+            }
+        }
+    }
+
+    fn begin(&mut self, starter: Starter, phase: Phase) {
+        self.streams = false;
+        self.starter = starter;
+        self.phase = phase;
+        (self.ending, self.end) = (End::Done, End::None);
+        self.trouble = (0xff, None);
+        (self.instruction, self.segment, self.waiting) = (None, None, None);
+        (self.from, self.micros, self.total) = ([0; AXES], 0, 0);
+        self.paused = false;
+        self.marks.clear();
+        if let Some(machine) = &self.machine
+            && let Ok(mut planner) = Planner::new(&setup(machine, self.clock_hz))
+        {
+            planner.set_override(self.percent.into());
+            self.planner = Some(planner);
+        }
+    }
+
+    fn go_on(&mut self, out: &mut impl Outside) -> Result<(), Status> {
+        match self.phase {
+            Phase::Held => {
+                self.phase = Phase::Play;
+                Ok(())
+            }
+            Phase::Check | Phase::Open(_) | Phase::Play if !self.calibrates => {
+                if ::core::mem::take(&mut self.paused) {
+                    self.core.pass(true, out);
+                }
+                Ok(())
+            }
+            Phase::Check
+            | Phase::Open(_)
+            | Phase::Play
+            | Phase::Idle
+            | Phase::Lift
+            | Phase::Home
+            | Phase::Rest
+            | Phase::Brake
+            | Phase::Quit
+            | Phase::Close(_) => Err(Status::NotNow),
+        }
+    }
+
+    fn pause(&mut self, out: &mut impl Outside) -> Result<(), Status> {
+        match self.phase {
+            Phase::Held => Ok(()),
+            Phase::Check | Phase::Open(_) | Phase::Play if !self.calibrates => {
+                self.paused = true;
+                self.core.pass(false, out);
+                Ok(())
+            }
+            Phase::Check
+            | Phase::Open(_)
+            | Phase::Play
+            | Phase::Idle
+            | Phase::Lift
+            | Phase::Home
+            | Phase::Rest
+            | Phase::Brake
+            | Phase::Quit
+            | Phase::Close(_) => Err(Status::NotNow),
+        }
+    }
+
+    /// Ends what is going on, along the path.
+    fn stop(&mut self, why: End, out: &mut impl Outside) {
+        match self.phase {
+            Phase::Idle | Phase::Brake | Phase::Quit | Phase::Rest | Phase::Close(_) => return,
+            Phase::Check | Phase::Open(0) => self.phase = Phase::Idle,
+            Phase::Open(_) | Phase::Held => self.phase = Phase::Close(0),
+            Phase::Play | Phase::Lift => {
+                self.core.pass(false, out);
+                self.phase = Phase::Brake;
+            }
+            Phase::Home => {
+                self.rates = self.rest();
+                self.phase = Phase::Rest;
+            }
+        }
+        self.ending = why;
+        if self.phase == Phase::Idle {
+            self.over(why);
+        }
+    }
+
+    fn rest(&self) -> Rates {
+        rest(&self.limits())
+    }
+
+    fn limits(&self) -> [u32; AXES] {
+        self.planner.as_ref().map_or([0; AXES], Planner::limits)
+    }
+
+    // ---- work ----------------------------------------------------------------------------------------------------
+
+    /// Does the next thing; false when there is none to do.
+    pub fn poll(&mut self, store: &mut Store, now: u64, out: &mut impl Outside) -> bool {
+        if self.phase == Phase::Idle {
+            return false;
+        }
+        if let Some(patience) = self.starter.patience
+            && now.wrapping_sub(self.starter.heard) > patience
+        {
+            self.stop(End::HostLost, out);
+        }
+        match self.phase {
+            Phase::Idle => false,
+            Phase::Check => {
+                self.look_through(store);
+                true
+            }
+            Phase::Open(done) if done < 2 => {
+                self.open(done, out);
+                true
+            }
+            _ if self.phase != Phase::Quit && self.due(now) => {
+                self.exchanged = now;
+                self.exchange(now, out);
+                true
+            }
+            Phase::Open(_) | Phase::Home | Phase::Rest | Phase::Close(_) | Phase::Held => false,
+            Phase::Play => self.play(store, out),
+            Phase::Lift => self.lift(out),
+            Phase::Brake => {
+                self.core.pass(false, out);
+                let state = self.core.state(out);
+                if state.stands() || state.idle() {
+                    self.core.quit(out);
+                    self.phase = Phase::Quit;
+                }
+                false
+            }
+            Phase::Quit => {
+                if self.core.state(out).idle() {
+                    self.core.clear(out);
+                    self.phase = Phase::Close(0);
+                }
+                false
+            }
+        }
+    }
+
+    fn due(&self, now: u64) -> bool {
+        let per_second = match self.phase {
+            Phase::Home | Phase::Rest | Phase::Close(_) => LOOKS_PER_SECOND,
+            _ => EXCHANGES_PER_SECOND,
+        };
+        now.wrapping_sub(self.exchanged) >= u64::from(self.clock_hz) / per_second
+    }
+
+    /// An instruction, or some chords of it.
+    fn look_through(&mut self, store: &Store) {
+        let Some(machine) = &self.machine else {
+            return self.over(End::Broken);
+        };
+        let seen = if self.check.busy() {
+            self.check.go_on(machine)
+        } else {
+            match self.program.next(store) {
+                Err(_) => return self.over(End::Broken),
+                Ok(None) => Ok(()),
+                Ok(Some((Instruction::End, _))) => {
+                    self.total = self.check.micros;
+                    if let Some(job) = self.job {
+                        self.program.job(store, job);
+                    }
+                    self.phase = Phase::Open(0);
+                    return;
+                }
+                Ok(Some((instruction, line))) => {
+                    self.check.instruction(&instruction, line, machine)
+                }
+            }
+        };
+        if let Err(Trouble { end, axis, line }) = seen {
+            self.trouble = (axis, Some(line));
+            self.over(end);
+        }
+    }
+
+    /// It ended before it began.
+    fn over(&mut self, why: End) {
+        if self.streams {
+            // What was not executed is not executed later.
+            self.words = None;
+        }
+        (self.end, self.ending) = (why, why);
+        self.phase = Phase::Idle;
+    }
+
+    fn open(&mut self, done: u8, out: &mut impl Outside) {
+        let Some(machine) = &self.machine else {
+            return self.over(End::Broken);
+        };
+        if done == 0 {
+            if !self.inside.acquire(out) {
+                return self.over(End::NotArmed);
+            }
+        } else {
+            let limits = self.limits();
+            self.inside.configure(machine, &limits, out);
+            self.core.set(
+                slew(machine, self.clock_hz),
+                machine.beam,
+                machine.outputs,
+                out,
+            );
+            self.core.clear(out);
+            self.core.pass(!self.paused, out);
+            self.rates = self.rest();
+        }
+        self.phase = Phase::Open(done + 1);
+    }
+
+    /// Speaks to the board: to feed its watchdog, if there is a reason to, and to see how it is.
+    fn exchange(&mut self, now: u64, out: &mut impl Outside) {
+        if self.phase == Phase::Play && !self.goes_on(out) {
+            return;
+        }
+        let (enable, request) = match self.phase {
+            Phase::Close(_) => (false, false),
+            Phase::Open(done) => (true, done > 2),
+            _ => (true, true),
+        };
+        let answer = self.inside.exchange(enable, request, &self.rates, out);
+        let Some(status) = answer else {
+            if matches!(self.phase, Phase::Close(_)) {
+                return self.closed(out);
+            }
+            let state = self.inside.state(out);
+            self.board = state.map_or(self.board, StateWord::to_word);
+            return self.lost(state, out);
+        };
+        self.board = status.state.to_word();
+        for (place, (position, _)) in self.positions.iter_mut().zip(&status.stepgen) {
+            *place = position.0;
+        }
+        let rates = || status.stepgen.iter().take(AXES);
+        self.at_rest = rates().all(|(_, rate)| rate.0 == 0);
+        match self.phase {
+            Phase::Open(_) if status.state.enabled => self.opened(out),
+            Phase::Open(ARMING) => {
+                self.ending = End::NotArmed;
+                self.phase = Phase::Close(0);
+            }
+            Phase::Open(done) => self.phase = Phase::Open(done + 1),
+            Phase::Close(count) if !status.state.enabled || count >= DISARMING => {
+                self.closed(out);
+            }
+            Phase::Close(count) => self.phase = Phase::Close(count + 1),
+            _ if !status.state.enabled => self.lost(Some(status.state), out),
+            Phase::Home => self.home(&status, now, out),
+            Phase::Rest if self.at_rest => self.phase = Phase::Close(0),
+            Phase::Idle
+            | Phase::Check
+            | Phase::Play
+            | Phase::Held
+            | Phase::Lift
+            | Phase::Rest
+            | Phase::Brake
+            | Phase::Quit => {}
+        }
+    }
+
+    fn closed(&mut self, out: &mut impl Outside) {
+        if ::core::mem::take(&mut self.torn) {
+            let state = self.inside.state(out);
+            self.explain(state);
+        }
+        self.inside.release(out);
+        self.over(self.ending);
+    }
+
+    /// The watchdog is to be fed: something has moved on, or nothing shall move.
+    fn goes_on(&mut self, out: &mut impl Outside) -> bool {
+        let state = self.core.state(out);
+        let now = self.core.progress(out);
+        let before = ::core::mem::replace(&mut self.progress, now);
+        before != now || state.idle() || self.paused && state.stands()
+    }
+
+    /// The board is armed.
+    fn opened(&mut self, out: &mut impl Outside) {
+        (self.base, _) = self.core.progress(out);
+        self.settle();
+        self.phase = Phase::Play;
+        if self.streams {
+            let at = self.places();
+            let machine = self.machine.as_ref();
+            let limits = machine.map(|machine| limits(machine, &self.limits(), self.clock_hz));
+            match (&mut self.words, limits) {
+                (Some(words), _) => {
+                    // Somebody may have moved the axes since the first words came.
+                    if words.begin(at).is_err() {
+                        self.ending = End::Limits;
+                        self.phase = Phase::Close(0);
+                    }
+                }
+                (None, Some(limits)) => self.words = Some(Words::new(limits, at)),
+                (None, None) => {}
+            }
+        }
+    }
+
+    /// Integrators as planner and words have them: 0 is home.
+    fn places(&self) -> [i64; AXES] {
+        ::core::array::from_fn(|axis| {
+            let offset = self.offset.get(axis).copied().unwrap_or(0);
+            let position = self.positions.get(axis).copied().unwrap_or(0);
+            position.wrapping_sub(offset)
+        })
+    }
+
+    /// The planner goes on from where the axes are.
+    fn settle(&mut self) {
+        let at = self.places();
+        if let Some(planner) = &mut self.planner {
+            let _at_rest = planner.begin_at(at);
+        }
+    }
+
+    /// The board took its outputs away, or the session.
+    fn lost(&mut self, state: Option<StateWord>, out: &mut impl Outside) {
+        let underrun = self.core.state(out).reason() == reason::UNDERRUN;
+        self.ending = if underrun {
+            End::Underrun
+        } else {
+            End::SessionLost
+        };
+        self.torn = true;
+        self.explain(state);
+        self.core.quit(out);
+        self.phase = Phase::Quit;
+    }
+
+    /// Why that was. The gateware is quicker than the firmware's state machine, so this is asked once more in the end.
+    fn explain(&mut self, state: Option<StateWord>) {
+        self.ending = match state.map_or(FaultReason::None, |state| state.reason) {
+            FaultReason::EStop => End::EStop,
+            FaultReason::ExternalReset => End::ExternalReset,
+            FaultReason::Watchdog => End::Watchdog,
+            FaultReason::None
+            | FaultReason::HostDisable
+            | FaultReason::SessionLost
+            | FaultReason::LinkDown
+            | FaultReason::FirmwareFault
+            | FaultReason::JobUnderrun
+            | FaultReason::AbiMismatch => self.ending,
+        };
+        if state.is_none_or(|state| !state.position_trusted) {
+            self.forget();
+        }
+    }
+
+    /// Where the axes are is not known.
+    fn forget(&mut self) {
+        if let Some(machine) = &self.machine {
+            for (homed, axis) in self.homed.iter_mut().zip(&machine.axes) {
+                *homed &= axis.home.is_none();
+            }
+        }
+    }
+
+    /// Plans, or feeds. False when the FIFO is full, or what waits has to wait.
+    fn play(&mut self, store: &Store, out: &mut impl Outside) -> bool {
+        let state = self.core.state(out);
+        if state.failed() {
+            self.failed(state, out);
+            return true;
+        }
+        if let Some(segment) = &self.segment {
+            if self.core.has_room(state) {
+                self.core.push(segment, out);
+                let number = self.planner.as_ref().map_or(0, Planner::tag);
+                self.marks.segment(number, segment.clocks);
+                self.segment = None;
+                return true;
+            }
+            if state.idle() {
+                self.core.start(out);
+            }
+            return false;
+        }
+        if let Some(output) = self.waiting {
+            if !state.idle() {
+                return false;
+            }
+            if state.level() > 0 {
+                self.core.start(out);
+                return false;
+            }
+            self.waiting = None;
+            self.arrived(output);
+            return true;
+        }
+        if !self.streams {
+            self.plan(store);
+            return true;
+        }
+        let words = self.words.as_mut();
+        self.segment = words.and_then(|words| {
+            let executes = words.executes;
+            words.player().poll(executes)
+        });
+        if self.segment.is_none() && state.idle() && state.level() > 0 {
+            self.core.start(out);
+        }
+        self.segment.is_some()
+    }
+
+    /// The core ended by itself.
+    fn failed(&mut self, state: CoreState, out: &mut impl Outside) {
+        if !state.idle() {
+            return;
+        }
+        if state.reason() == reason::UNDERRUN {
+            self.ending = End::Underrun;
+            self.core.clear(out);
+            self.phase = Phase::Close(0);
+        } else {
+            let state = self.inside.state(out);
+            self.lost(state, out);
+        }
+    }
+
+    /// One step: an instruction into the planner, or a segment out of it.
+    fn plan(&mut self, store: &Store) {
+        let (Some(planner), Some(machine)) = (&mut self.planner, &self.machine) else {
+            return self.broken();
+        };
+        if let Some((instruction, line)) = self.instruction
+            && planner.accepts()
+        {
+            let mark = Mark {
+                line,
+                micros: self.micros,
+            };
+            let number = self.marks.instruction(mark);
+            if !planner.push(&instruction, number) {
+                return self.broken();
+            }
+            self.micros += nominal(&self.from, &instruction, machine);
+            self.from = match instruction {
+                Instruction::Line { to, .. } => to,
+                Instruction::Arc(arc) => arc.to,
+                Instruction::Home { axes } => {
+                    let from = self.from;
+                    ::core::array::from_fn(|axis| match (axes.get(axis), from.get(axis)) {
+                        (Some(false), Some(nm)) => *nm,
+                        _ => 0,
+                    })
+                }
+                Instruction::Dwell { .. }
+                | Instruction::Aux { .. }
+                | Instruction::Pause
+                | Instruction::End => self.from,
+            };
+            self.instruction = None;
+            return;
+        }
+        if self.instruction.is_none() && planner.accepts() {
+            match self.program.next(store) {
+                Ok(next) => self.instruction = next,
+                Err(_) => self.broken(),
+            }
+            return;
+        }
+        match planner.poll() {
+            Some(Output::Segment(segment)) => self.segment = Some(segment),
+            Some(output) => self.waiting = Some(output),
+            None => {}
+        }
+    }
+
+    /// The job in the store is not what it was: what is planned is drawn to where it can stop.
+    fn broken(&mut self) {
+        self.ending = End::Broken;
+        self.phase = Phase::Brake;
+    }
+
+    /// Everything stands, and this is next.
+    fn arrived(&mut self, output: Output) {
+        match output {
+            Output::Segment(segment) => self.segment = Some(segment),
+            Output::Pause => self.phase = Phase::Held,
+            Output::End => self.phase = Phase::Close(0),
+            Output::Home(axes) => {
+                self.homing = Homing::new(axes, self.rest());
+                let delay = self
+                    .machine
+                    .as_ref()
+                    .map_or(0, |machine| machine.tool_delay);
+                let clocks = u64::from(delay) * u64::from(self.clock_hz) / 1_000_000;
+                // The tool is lifted, and has the time it takes.
+                self.segment = Some(Segment {
+                    clocks: clocks.clamp(MIN_CLOCKS.into(), u32::MAX.into()) as u32,
+                    ..Segment::default()
+                });
+                self.phase = Phase::Lift;
+            }
+        }
+    }
+
+    fn lift(&mut self, out: &mut impl Outside) -> bool {
+        let state = self.core.state(out);
+        if state.failed() {
+            self.failed(state, out);
+        } else if let Some(segment) = self.segment.take() {
+            self.core.push(&segment, out);
+            self.marks.segment(0, segment.clocks);
+            self.core.start(out);
+            return true;
+        } else if state.idle() && state.level() == 0 {
+            self.phase = Phase::Home;
+        }
+        false
+    }
+
+    fn home(&mut self, status: &wire::exchange::Status, now: u64, out: &mut impl Outside) {
+        let Some(machine) = &self.machine else {
+            return self.broken();
+        };
+        let next = self.homing.step(machine, self.clock_hz, status, now);
+        self.rates = self.homing.rates;
+        match next {
+            Next::Go => {}
+            Next::Failed(why, axis) => {
+                self.trouble = (axis, None);
+                self.stop(why, out);
+            }
+            Next::Done => self.found(),
+        }
+    }
+
+    /// Where switches opened is 0 now, and that is where the axes go.
+    fn found(&mut self) {
+        self.rates = self.rest();
+        let mut to = [0; AXES];
+        for (axis, found) in self.homing.found.iter().enumerate() {
+            let (Some(found), Some(offset), Some(homed)) =
+                (found, self.offset.get_mut(axis), self.homed.get_mut(axis))
+            else {
+                continue;
+            };
+            // Whole steps: the fraction stays what the integrator has.
+            *offset = found & !0xffff_ffff;
+            *homed = true;
+        }
+        let tool = self
+            .planner
+            .as_ref()
+            .map_or(0, |planner| planner.machine().aux);
+        self.settle();
+        if let Some(planner) = &self.planner {
+            let at = planner.target();
+            for ((to, at), found) in to.iter_mut().zip(at).zip(&self.homing.found) {
+                *to = if found.is_some() { 0 } else { at };
+            }
+        }
+        let feed = motion::instruction::Feed::Rapid;
+        self.program.insert(Instruction::Line { to, feed });
+        if tool != 0 {
+            self.program.insert(Instruction::Aux { bits: tool });
+        }
+        self.phase = Phase::Play;
+    }
+
+    // ---- how it goes ---------------------------------------------------------------------------------------------
+
+    /// What is going on.
+    pub fn state(&self) -> State {
+        match self.phase {
+            Phase::Idle => State::Stopped,
+            Phase::Check => State::Checking,
+            Phase::Lift | Phase::Home => State::Calibrating,
+            Phase::Open(_) | Phase::Play if self.calibrates => State::Calibrating,
+            Phase::Held => State::Paused,
+            Phase::Open(_) | Phase::Play if self.paused => State::Paused,
+            Phase::Open(_) | Phase::Play => State::Running,
+            Phase::Rest | Phase::Brake | Phase::Quit | Phase::Close(_) => State::Stopping,
+        }
+    }
+
+    /// All of it.
+    pub fn report(&mut self, out: &mut impl Outside) -> Report {
+        let (begun, left) = self.core.progress(out);
+        let segments = begun.wrapping_sub(self.base);
+        let (mark, clocks) = if self.marks.pushed() == 0 {
+            (Mark::default(), 0)
+        } else {
+            self.marks.at(segments.min(self.marks.pushed()), left)
+        };
+        if self.phase == Phase::Idle
+            && let Some((state, positions)) = self.inside.look(out)
+        {
+            (self.board, self.positions) = (state.to_word(), positions);
+            self.at_rest = true;
+        }
+        let state = self.core.state(out);
+        let millis = |clocks: u64| {
+            let millis = clocks / u64::from((self.clock_hz / 1000).max(1));
+            u32::try_from(millis).unwrap_or(u32::MAX)
+        };
+        let elapsed = millis(clocks);
+        let done = mark.micros.min(self.total);
+        let progress = match done * 100 / self.total.max(1) {
+            _ if self.end == End::Done && !self.busy() => 100,
+            percent => percent.min(99) as u8,
+        };
+        let rest = (self.total - done) / 1000 * 100 / u64::from(self.percent.max(1));
+        // What has taken longer than it should will go on doing so.
+        let ratio = u64::from(elapsed) * u64::from(self.percent) * 10 / (done / 1000).max(1);
+        let ratio = if done < 1_000_000 {
+            1000
+        } else {
+            ratio.max(1000)
+        };
+        let remaining = if self.busy() { rest * ratio / 1000 } else { 0 };
+        let steps = ::core::array::from_fn(|axis| {
+            let position = self.positions.get(axis).copied().unwrap_or(0);
+            let offset = self.offset.get(axis).copied().unwrap_or(0);
+            (position.wrapping_sub(offset) >> 32) as i32
+        });
+        let known = self.machine.is_some() && self.homed == [true; AXES];
+        let bits = self.homed.iter().rev();
+        let (axis, line) = self.trouble;
+        Report {
+            state: self.state(),
+            progress,
+            end: self.end,
+            stands: state.idle() && self.at_rest || state.stands(),
+            machine: self.machine.is_some(),
+            attended: self.busy() && self.starter.patience.is_some(),
+            known,
+            homed: bits.fold(0, |bits, homed| bits << 1 | u8::from(*homed)),
+            axis: if self.phase == Phase::Home {
+                self.homing.axis()
+            } else {
+                axis
+            },
+            percent: self.percent,
+            line: line.unwrap_or(mark.line),
+            elapsed,
+            remaining: u32::try_from(remaining).unwrap_or(u32::MAX),
+            board: self.board,
+            steps,
+            outputs: self.core.outputs(out),
+            refused: 0,
+            segments: if self.marks.pushed() == 0 {
+                0
+            } else {
+                segments
+            },
+            name: self.name,
+        }
+    }
+}
+
+/// The planner's.
+fn setup(machine: &Machine, clock_hz: u32) -> Setup {
+    Setup {
+        clock_hz,
+        axes: machine.axes.map(|axis| AxisSetup {
+            steps_per_km: axis.steps_per_km,
+            max_speed: axis.max_speed,
+            max_accel: axis.max_accel,
+        }),
+        chord_tolerance: machine.chord_tolerance,
+        junction_deviation: machine.junction_deviation,
+        aux_settle: machine.tool_delay,
+    }
+}
+
+/// What the words may ask for.
+fn limits(machine: &Machine, accel: &[u32; AXES], clock_hz: u32) -> motion::words::Limits {
+    let steps = |nm: i64, per_km: u64| {
+        (i128::from(nm) * i128::from(per_km)).div_euclid(1_000_000_000_000) as i64
+    };
+    motion::words::Limits {
+        clock_hz,
+        accel: *accel,
+        speed: machine
+            .axes
+            .map(|axis| steps(axis.max_speed.into(), axis.steps_per_km) as u32),
+        bounds: machine.axes.map(|axis| {
+            let per_km = axis.steps_per_km;
+            (steps(axis.lowest, per_km), steps(axis.highest, per_km))
+        }),
+    }
+}
+
+/// How fast the path's time comes to a stand: so that at full speed it adds a quarter of the acceleration, of the axis that can
+/// bear the least.
+fn slew(machine: &Machine, clock_hz: u32) -> u32 {
+    let per_second = machine
+        .axes
+        .iter()
+        .map(|axis| (u128::from(axis.max_accel) << 32) / (4 * u128::from(axis.max_speed.max(1))));
+    let slew = per_second.min().unwrap_or(0) / u128::from(clock_hz.max(1));
+    u32::try_from(slew).unwrap_or(u32::MAX).max(1)
+}

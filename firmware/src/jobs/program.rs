@@ -1,0 +1,78 @@
+//! Where instructions come from: a job in the store, or the few that find the switches. Some may be put in front.
+
+use super::store::{Id, Store, Tape};
+use motion::instruction::Instruction;
+use motion::job::Pull;
+
+/// The job cannot be read any more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Broken;
+
+/// A source of instructions.
+#[derive(Debug)]
+pub struct Program {
+    tape: Option<Tape>,
+    pull: Pull,
+    first: heapless::Deque<Instruction, 4>,
+    line: u32,
+}
+
+impl Program {
+    /// Nothing but the end.
+    pub fn nothing() -> Self {
+        Program {
+            tape: None,
+            pull: Pull::default(),
+            first: heapless::Deque::new(),
+            line: 0,
+        }
+    }
+
+    /// Begins with a job of the store.
+    pub fn job(&mut self, store: &Store, id: Id) {
+        self.tape = Some(store.tape(id));
+        self.pull = Pull::default();
+        self.first.clear();
+        self.line = 0;
+    }
+
+    /// Nothing but this, and the end.
+    pub fn only(&mut self, instruction: Instruction) {
+        self.tape = None;
+        self.line = 0;
+        self.first.clear();
+        self.insert(instruction);
+    }
+
+    /// To come before everything else, behind what was inserted before.
+    pub fn insert(&mut self, instruction: Instruction) {
+        // Four are enough for a way back and a tool.
+        let _ = self.first.push_back(instruction);
+    }
+
+    /// The next instruction and its line; `None`: none this time.
+    pub fn next(&mut self, store: &Store) -> Result<Option<(Instruction, u32)>, Broken> {
+        if let Some(instruction) = self.first.pop_front() {
+            return Ok(Some((instruction, self.line)));
+        }
+        let Some(tape) = &mut self.tape else {
+            return Ok(Some((Instruction::End, self.line)));
+        };
+        let mut gone = false;
+        let next = self.pull.next(|out| {
+            let count = store.read(tape, out);
+            gone = count.is_none();
+            count.unwrap_or(0)
+        });
+        match next {
+            Ok(_) | Err(_) if gone => Err(Broken),
+            Err(_) => Err(Broken),
+            Ok(Some((instruction, line))) => {
+                self.line = line;
+                Ok(Some((instruction, line)))
+            }
+            Ok(None) if self.pull.ended() => Ok(Some((Instruction::End, self.line))),
+            Ok(None) => Ok(None),
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! FPGA G's protocol.
+
+use crate::rig::*;
+use motion::fpgag::{Curve, Move, status};
+use wire::jobs::{self, End, Request, State, Status};
+
+const GCODE: u8 = 1;
+const STATUS: u8 = 2;
+const START: u8 = 3;
+const STOP: u8 = 4;
+
+fn say(rig: &mut Rig, command: u8, form: u8, words: &[u32]) -> u32 {
+    let bytes: Vec<[u8; 4]> = words.iter().map(|word| word.to_le_bytes()).collect();
+    let words = jobs::Words::new(&bytes);
+    jobs::word(&rig.ok(&Request::Segment {
+        command,
+        form,
+        words,
+    }))
+    .unwrap()
+}
+
+/// X alone: 64 * 500 steps/s^2 for so many steps, and the other way round.
+fn there(steps: u16, backwards: bool) -> Move {
+    Move {
+        direction: 0x60 | u8::from(backwards),
+        aux: 1,
+        acceleration: 500,
+        loops_accel: steps,
+        loops_travel: 100,
+        deceleration: 500,
+        loops_decel: steps,
+    }
+}
+
+/// Until everything that waits is done.
+fn settle(rig: &mut Rig) {
+    let mut last = rig.pins();
+    for _ in 0..1000 {
+        rig.run(50 * MS);
+        // Who is silent has gone.
+        rig.report();
+        if rig.pins() == last {
+            return;
+        }
+        last = rig.pins();
+    }
+    panic!("moves for ever");
+}
+
+#[test]
+fn moves_are_executed_to_the_exact_step() {
+    let mut rig = Rig::plotter();
+    assert_eq!(say(&mut rig, GCODE, 0, &there(300, false).words()), 0);
+    // Word by word, as over SPI.
+    for word in there(40, true).words() {
+        assert_eq!(say(&mut rig, GCODE, 0, &[word]), 0);
+    }
+    assert_eq!(rig.pins(), [0; 3], "not before START");
+    assert_eq!(say(&mut rig, START, 0, &[]), 0);
+    assert_eq!(say(&mut rig, STATUS, 0, &[]), 0);
+    settle(&mut rig);
+    assert_eq!(rig.pins(), [700 - 180, 0, 0]);
+    assert_eq!(rig.report().state, State::Running);
+    // All three motors, and one that begins with the speed the one before left.
+    let all = Move {
+        direction: 2,
+        loops_decel: 0,
+        ..there(200, false)
+    };
+    let on = Move {
+        direction: 2,
+        loops_accel: 0,
+        loops_decel: 200,
+        ..there(0, false)
+    };
+    let words = [all.words(), on.words()].concat();
+    assert_eq!(say(&mut rig, GCODE, 0, &words), 0);
+    settle(&mut rig);
+    assert_eq!(rig.pins(), [520 + 600, -600, 600]);
+    assert_eq!(rig.command(0), Status::Normal);
+    assert_eq!(rig.finish().end, End::Stopped);
+}
+
+#[test]
+fn stop_keeps_the_queue_and_start_goes_on() {
+    let mut rig = Rig::plotter();
+    say(&mut rig, GCODE, 0, &there(300, false).words());
+    say(&mut rig, GCODE, 0, &there(300, true).words());
+    say(&mut rig, START, 0, &[]);
+    while rig.pins() == [0; 3] {
+        rig.run(MS);
+    }
+    assert_eq!(say(&mut rig, STOP, 0, &[]), 0);
+    settle(&mut rig);
+    let first = rig.pins()[0];
+    assert!(
+        first == 700 || first == 0,
+        "a move is executed whole: {first}"
+    );
+    say(&mut rig, START, 0, &[]);
+    settle(&mut rig);
+    assert_eq!(rig.pins(), [0; 3]);
+}
+
+#[test]
+fn refused_words_change_nothing_and_say_why() {
+    let mut rig = Rig::plotter();
+    let good = there(50, false);
+    let wrong = [
+        Move {
+            deceleration: 0,
+            ..good
+        }
+        .words(),
+        [0x0200_0000, 0, 0, 0],
+        [0x0160_0001, 0x01f4_0032, 100 << 16 | 500, 50 << 16 | 7],
+        // Ends at less than nothing, is faster than the machine, and leaves its limits.
+        Move {
+            loops_decel: 60,
+            ..good
+        }
+        .words(),
+        Move {
+            acceleration: 60_000,
+            ..good
+        }
+        .words(),
+        Move {
+            loops_travel: 60_000,
+            direction: 0x61,
+            ..good
+        }
+        .words(),
+    ];
+    for words in wrong {
+        assert_eq!(
+            say(&mut rig, GCODE, 0, &words),
+            status::PARSE_ERROR,
+            "{words:x?}"
+        );
+    }
+    // A motor that is on its way cannot turn.
+    say(
+        &mut rig,
+        GCODE,
+        0,
+        &Move {
+            loops_decel: 0,
+            ..good
+        }
+        .words(),
+    );
+    let turns = Move {
+        direction: 0x61,
+        ..good
+    };
+    assert_eq!(say(&mut rig, GCODE, 0, &turns.words()), status::PARSE_ERROR);
+    say(
+        &mut rig,
+        GCODE,
+        0,
+        &Move {
+            loops_accel: 0,
+            ..good
+        }
+        .words(),
+    );
+    assert_eq!(say(&mut rig, STATUS, 0, &[]), 0, "an error is no state");
+    for _ in 2..64 {
+        assert_eq!(say(&mut rig, GCODE, 0, &there(5, false).words()), 0);
+    }
+    assert_eq!(say(&mut rig, STATUS, 0, &[]), status::FULL);
+    assert_eq!(
+        say(&mut rig, GCODE, 0, &there(5, false).words()),
+        status::FULL
+    );
+    say(&mut rig, START, 0, &[]);
+    settle(&mut rig);
+    assert_eq!(rig.pins(), [50 + 100 + 100 + 50 + 62 * 110, 0, 0]);
+    assert_eq!(say(&mut rig, STATUS, 0, &[]), 0);
+}
+
+#[test]
+fn curves_of_the_final_revision_are_drawn() {
+    let mut rig = Rig::plotter();
+    // Velocities in 2^-31 steps a tick: 0, 30 000 by a parabola, 158 000, 286 000, and back again: 0.295 steps.
+    let bits = |ticks, motor: [i32; 3]| Curve {
+        aux: 1,
+        ticks,
+        motors: [motor, motor.map(|c| -c), [0; 3]],
+    };
+    for _ in 0..10 {
+        for curve in [
+            bits(100, [0, 0, 1]),
+            bits(1000, [30_000, 64, 0]),
+            bits(1000, [158_000, 64, 0]),
+            bits(1000, [286_000, -64, 0]),
+            bits(1000, [158_000, -64, 0]),
+            bits(100, [30_000, -300, 1]),
+        ] {
+            assert_eq!(say(&mut rig, GCODE, 1, &curve.words()), 0, "{curve:?}");
+        }
+    }
+    let curve = Curve {
+        aux: 1,
+        ticks: 1000,
+        motors: [[0; 3]; 3],
+    };
+    say(&mut rig, START, 0, &[]);
+    settle(&mut rig);
+    // 2.95 steps each, from the middle of a step.
+    assert_eq!(rig.pins(), [3, -3, 0]);
+    let jump = Curve {
+        motors: [[i32::MAX, 0, 0]; 3],
+        ..curve
+    };
+    assert_eq!(say(&mut rig, GCODE, 1, &jump.words()), status::PARSE_ERROR);
+    assert_eq!(say(&mut rig, GCODE, 2, &[1]), status::PARSE_ERROR);
+}
+
+#[test]
+fn a_job_and_words_do_not_mix() {
+    let mut rig = Rig::plotter();
+    rig.start("G1 X10 F6000\nM2\n");
+    let words = jobs::Words::new(&[]);
+    let start = Request::Segment {
+        command: START,
+        form: 0,
+        words,
+    };
+    assert_eq!(rig.status(&start), Status::NotNow);
+    assert_eq!(rig.finish().end, End::Done);
+    rig.ok(&start);
+    rig.run(100 * MS);
+    assert_eq!(
+        rig.command_with(2, jobs::UNATTENDED, 0, "job"),
+        Status::NotNow
+    );
+    // Nobody sends any more: its session is over after 5 s.
+    rig.run(6000 * MS);
+    assert_eq!(rig.report().end, End::HostLost);
+}
