@@ -9,6 +9,7 @@ use sim::rig::Setup;
 use std::path::PathBuf;
 use wire::describe::{FEATURE_JOBS, JobsState};
 use wire::images::{Role, Trailer};
+use wire::jobs::{Frame, Op, Request, Status, Welcome};
 use wire::map;
 
 /// Words of a header: the CRC, the interface, the register map.
@@ -58,6 +59,25 @@ fn state(machine: &mut Machine) -> JobsState {
     JobsState::of(features)
 }
 
+/// Connects to the port of jobs and says who is there.
+fn hello(machine: &mut Machine) -> Option<Welcome> {
+    let mut request = [0; wire::jobs::FRAME];
+    let length = Request::Hello { client: 7 }.emit(1, &mut request);
+    let rig = machine.rig();
+    let visitor = rig.tcp_connect(wire::jobs::PORT).ok()?;
+    assert_eq!(rig.segment.send(visitor, &request[..length]), length);
+    let mut heard = Vec::new();
+    for _ in 0..50 {
+        rig.run_ms(1);
+        heard.extend(rig.segment.recv(visitor));
+        if let Ok(Some((frame, _))) = Frame::parse(&heard) {
+            assert_eq!(frame.answer(), Some((Op::Hello, Status::Normal)));
+            return Welcome::parse(frame.payload);
+        }
+    }
+    None
+}
+
 /// Words again behind a change: the CRC made right.
 fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let words: Vec<u32> = bytes
@@ -88,10 +108,16 @@ fn the_program_is_found_in_the_flash_and_answers_on_its_port() {
     let mut machine = board(&program());
     println!("started after {} clocks", machine.clock());
     assert_eq!(state(&mut machine), JobsState::Alive);
-    let rig = machine.rig();
-    let visitor = rig.tcp_connect(wire::jobs::PORT).expect("a connection");
-    let heard = rig.tcp_talk(visitor, "");
-    assert!(heard.starts_with("jobs"), "{heard:?}");
+    let welcome = hello(&mut machine).expect("a welcome");
+    assert_eq!((welcome.version, welcome.axes), (wire::jobs::VERSION, 3));
+    assert_eq!(welcome.clock_hz, 60_000_000);
+    let crc = welcome.program.to_le_bytes();
+    assert_eq!(crc, program()[..4], "it knows its own CRC");
+    assert!(
+        welcome.room > 7 << 20,
+        "8 MiB less the program: {}",
+        welcome.room
+    );
     works_otherwise(&mut machine);
 }
 

@@ -3,11 +3,14 @@
 #![no_main]
 
 use core::arch::global_asm;
+use core::mem::MaybeUninit;
 use core::slice;
-use firmware::ip::{Ip, Taker, Text};
-use firmware::jobs::abi::{FAILED, Header, INTERFACE, RESTLESS, Rom, START, TAKEN};
-use firmware::text::Sink as _;
+use firmware::jobs::abi::{FAILED, Header, INTERFACE, RESTLESS, ROOM, Rom, START, TAKEN};
+use firmware::jobs::{Jobs, Outside};
+use firmware::net::Us;
 use litex_pac::abi;
+use wire::MAX_WORDS;
+use wire::jobs::PORT;
 
 const _: () = assert!(abi::SDRAM_BASE == 0x4000_0000 && firmware::jobs::abi::ROOM == 512 * 1024);
 
@@ -42,30 +45,51 @@ static JOBS_HEADER: Header = Header {
     entry: jobs_entry,
 };
 
-/// TCP port of jobs.
-const PORT: u16 = wire::jobs::PORT;
-
-/// All there is; in `.bss`.
-struct Memory {
-    ip: Ip,
-}
-
-static mut MEMORY: Memory = Memory { ip: Ip::new() };
+/// All there is; in `.bss`, and something from [`START`] on.
+static mut JOBS: MaybeUninit<Jobs<'static>> = MaybeUninit::uninit();
 
 /// On the program's own stack, as [`firmware::jobs::abi::Entry`] has it.
 #[unsafe(no_mangle)]
 extern "C" fn jobs_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
+    let mut rom = Calls(rom);
+    // SAFETY: the ROM calls once at a time, and what is called back does not call again.
+    let place = unsafe { &mut *(&raw mut JOBS) };
     if frame.is_null() && length == START {
-        clear();
-        let Some(_size) = test() else {
-            return FAILED;
+        return match start(&mut rom) {
+            Some(jobs) => {
+                place.write(jobs);
+                0
+            }
+            None => FAILED,
         };
     }
-    // SAFETY: the ROM calls once at a time, and what is called back does not call again.
-    let memory = unsafe { &mut *(&raw mut MEMORY) };
-    // SAFETY: the ROM says how long its frame is.
-    let frame = (!frame.is_null()).then(|| unsafe { slice::from_raw_parts(frame, length) });
-    memory.turn(rom, frame)
+    // SAFETY: the ROM calls nothing before START, and nothing behind one that FAILED.
+    let jobs = unsafe { place.assume_init_mut() };
+    let mut answer = 0;
+    if !frame.is_null() {
+        // SAFETY: the ROM says how long its frame is. It is not where an answer is written to.
+        let frame = unsafe { slice::from_raw_parts(frame, length) };
+        if !ours(frame) {
+            return 0;
+        }
+        jobs.frame(frame, &mut rom);
+        answer |= TAKEN;
+    }
+    if jobs.poll(&mut rom) {
+        answer |= RESTLESS;
+    }
+    answer
+}
+
+/// `None` if the SDRAM is not what it should be, or the board is none with jobs.
+fn start(rom: &mut Calls) -> Option<Jobs<'static>> {
+    clear();
+    // SAFETY: the first word is the image's CRC, which was right. The test below takes its place.
+    let program = unsafe { (abi::SDRAM_BASE as *const u32).read_volatile() };
+    let memory = test()?.checked_sub(ROOM)?;
+    // SAFETY: behind the program, to the SDRAM's end: nobody else's.
+    let memory = unsafe { slice::from_raw_parts_mut((abi::SDRAM_BASE + ROOM) as *mut u8, memory) };
+    Jobs::new(memory, program, rom)
 }
 
 /// Everything that is not in the image is zero.
@@ -112,25 +136,50 @@ fn test() -> Option<usize> {
     }
 }
 
-impl Memory {
-    fn turn(&mut self, rom: &Rom, frame: Option<&[u8]>) -> u32 {
-        if frame.is_some_and(|frame| !ours(frame)) {
-            return 0;
-        }
-        self.ip.listen(PORT, 64);
-        // SAFETY: both are the ROM's, and valid while it waits.
-        let (us, out) = unsafe { (&*rom.us, &mut *rom.output) };
-        let now = milliseconds();
-        let ip = &mut self.ip;
-        let mut answer = frame
-            .and_then(|frame| ip.frame(frame, us, now, &mut Visitor, out))
-            .or_else(|| ip.poll(us, now, &mut Visitor, out));
-        while let Some(length) = answer {
-            (rom.send)(rom.context, length);
-            answer = ip.poll(us, now, &mut Visitor, out);
-        }
-        if ip.busy() { RESTLESS | TAKEN } else { TAKEN }
+/// The board, as the ROM lets it be reached.
+struct Calls<'a>(&'a Rom);
+
+impl Outside for Calls<'_> {
+    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
+        let words = (self.0.datagram)(self.0.context, request.as_ptr(), request.len(), reply);
+        usize::try_from(words).unwrap_or(0)
     }
+
+    fn send_frame(&mut self, frame: &[u8]) {
+        // SAFETY: the ROM's, and nobody else's while it waits.
+        let room = unsafe { &mut *self.0.output };
+        if let Some(room) = room.get_mut(..frame.len()) {
+            room.copy_from_slice(frame);
+            (self.0.send)(self.0.context, frame.len());
+        }
+    }
+
+    fn read_segments(&mut self, word: usize) -> u32 {
+        // SAFETY: a page of registers, whatever the word; reading changes nothing.
+        unsafe { segments(word).read_volatile() }
+    }
+
+    fn write_segments(&mut self, word: usize, value: u32) {
+        // SAFETY: a page of registers, whatever the word; only this program writes them.
+        unsafe { segments(word).write_volatile(value) }
+    }
+
+    fn now(&mut self) -> u64 {
+        // SAFETY: reads the clock as the ROM does, which waits meanwhile.
+        let timebase = unsafe { litex_pac::Timebase::steal() };
+        timebase.snapshot().write(|w| unsafe { w.bits(1) });
+        let high = u64::from(timebase.now_hi().read().bits());
+        high << 32 | u64::from(timebase.now_lo().read().bits())
+    }
+
+    fn us(&mut self) -> Us {
+        // SAFETY: valid while the ROM waits.
+        unsafe { *self.0.us }
+    }
+}
+
+fn segments(word: usize) -> *mut u32 {
+    (abi::CSR_SEGMENTS + word % (abi::CSR_PAGE / 4) * 4) as *mut u32
 }
 
 /// Is this TCP, to the port of jobs?
@@ -138,30 +187,6 @@ fn ours(frame: &[u8]) -> bool {
     let ip = frame.get(12..14) == Some(&[8, 0]) && frame.get(23) == Some(&6);
     let header = frame.get(14).map_or(0, |byte| usize::from(byte & 15) * 4);
     ip && frame.get(14 + header + 2..14 + header + 4) == Some(&PORT.to_be_bytes())
-}
-
-/// Since power-up, for TCP's timers.
-fn milliseconds() -> u32 {
-    // SAFETY: reads the clock as the ROM does, which waits meanwhile.
-    let (timebase, ident) = unsafe { (litex_pac::Timebase::steal(), litex_pac::Ident::steal()) };
-    timebase.snapshot().write(|w| unsafe { w.bits(1) });
-    let now = u64::from(timebase.now_hi().read().bits()) << 32
-        | u64::from(timebase.now_lo().read().bits());
-    (now / u64::from((ident.sys_clk_hz().read().bits() / 1000).max(1))) as u32
-}
-
-/// Whoever is connected.
-struct Visitor;
-
-impl Taker for Visitor {
-    fn greet(&mut self, out: &mut Text) {
-        out.put(b"jobs\r\n");
-    }
-
-    fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize {
-        out.put(bytes);
-        bytes.len()
-    }
 }
 
 /// Into the ROM's trap handler, which leaves a record and starts the board anew, its gate closed.

@@ -153,7 +153,12 @@ impl<O: Outside> Counter<'_, '_, O> {
             self.executor.heard(self.desk.client, self.now);
         }
         let number = (self.desk.client, frame.op, frame.id);
-        let again = self.desk.known && self.desk.last == Some(number);
+        // What a new connection begins with is not the request that may come again over it.
+        let greets = matches!(
+            Op::from_code(frame.op),
+            Some(Op::Hello | Op::Challenge | Op::Respond)
+        );
+        let again = !greets && self.desk.known && self.desk.last == Some(number);
         if !again {
             let mut answer = self.desk.answer;
             let mut length = 0;
@@ -164,6 +169,11 @@ impl<O: Outside> Counter<'_, '_, O> {
             };
             if status != Status::Normal {
                 self.desk.refused = self.desk.refused.wrapping_add(1);
+            }
+            if greets {
+                self.desk.have = 0;
+                out.put(answer.get(..length).unwrap_or(&[]));
+                return;
             }
             (self.desk.answer, self.desk.length) = (answer, length);
             self.desk.last = Some((self.desk.client, frame.op, frame.id));
