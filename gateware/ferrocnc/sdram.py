@@ -8,12 +8,12 @@ of VexRiscv's caches fetch 8 words in a row.
 """
 
 from migen import Cat, If, Memory, Mux, Signal
+from migen.genlib.fsm import FSM, NextState, NextValue
 from litex.gen import LiteXModule
 from litex.soc.integration.soc import SoCRegion
 from litex.soc.interconnect import wishbone
 from litedram import modules
 from litedram.phy import GENSDRPHY
-from migen.genlib.fsm import FSM, NextState, NextValue
 
 from . import regmap as rm
 from .board import BoardError
@@ -121,7 +121,6 @@ def add(soc, pads):
     """LiteDRAM behind `pads` as the SoC's `main_ram`. The window is 8 MiB on every card: a smaller SDRAM is seen in it twice."""
     chips = module(soc.board)
     soc.sdrphy = GENSDRPHY(pads, soc.board.sys_clk_hz)
-    # No cycle of the softcore asks for more than one line at a time.
     soc.add_sdram("sdram", phy=soc.sdrphy, module=chips, with_soc_interconnect=False)
     soc.sdram_door = Door(soc.sdram.crossbar.get_port())
     origin, size = rm.SDRAM_RAM

@@ -7,7 +7,6 @@ firmware image: the ROM is one public array (`manifest.json` names it) which the
 import json
 import re
 from pathlib import Path
-
 from types import SimpleNamespace
 
 from migen import Cat, ClockDomain, ClockSignal, Instance, Module, Mux, Signal
@@ -22,6 +21,7 @@ from . import banks, regmap as rm, rgmii, sdram, soc as ferro
 from .board import blob
 
 CHIP = Path(__file__).resolve().parents[2] / "sim" / "verilator" / "sdram.sv"
+
 PORTS = (
     ("sys_clk", 1), ("sys_rst", 1), ("eth_clk", 1),
     ("gmii_rx_data", 8), ("gmii_rx_dv", 1), ("gmii_tx_data", 8), ("gmii_tx_en", 1),

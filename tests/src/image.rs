@@ -83,6 +83,12 @@ pub struct Deepest {
     pub way: Vec<(String, u32)>,
 }
 
+/// What the jobs program calls back: it has a stack of its own, in SDRAM (`firmware::jobs::abi`).
+const ON_ANOTHER_STACK: [&str; 2] = [
+    "ferrocnc_firmware::app::datagram",
+    "ferrocnc_firmware::app::send",
+];
+
 impl Code {
     /// Reads the image.
     pub fn read(elf: &Path) -> Self {
@@ -241,6 +247,10 @@ impl Code {
                 !HANDLERS
                     .iter()
                     .any(|name| self.names.get(*name) == Some(at))
+            })
+            .filter(|at| {
+                let name = self.functions.get(at).map_or("", |(name, _)| name);
+                !ON_ANOTHER_STACK.contains(&name)
             })
             .collect()
     }
