@@ -34,6 +34,7 @@ pub mod exchange;
 pub mod faults;
 pub mod firmware;
 pub mod gmii;
+pub mod jobs;
 pub mod loader;
 pub mod model;
 pub mod nor;

@@ -28,6 +28,7 @@ use crate::error::Error;
 use crate::exchange::{Meter, StatusHead, is_request, sequence, wants_reply};
 use crate::faults::{Act, Cargo, Direction, Line, Plan, Script};
 use crate::gmii;
+use crate::jobs;
 use crate::loader;
 use crate::model::{self, board::pages};
 use crate::nor::spi::Shared;
@@ -436,6 +437,8 @@ struct Visitor {
     out: Paper,
     said_goodbye: bool,
     gone: bool,
+    /// Not at the console but at the desk of jobs.
+    jobs: bool,
 }
 
 /// A datagram on its way to the board.
@@ -499,6 +502,9 @@ pub struct Twin {
     frames: FrameCounts,
     frozen: bool,
     chores_at: u64,
+    /// What executes jobs, and when it is called next.
+    jobs: Option<jobs::Program>,
+    jobs_at: u64,
     busy: Duration,
     busy_clocks: u64,
 }
@@ -518,6 +524,11 @@ fn ident(card: &Card, abi: u32) -> Ident {
     }
 }
 
+fn jobs_program(machine: &mut Machine<Desk>, card: &Card) -> Option<jobs::Program> {
+    let has = card.jobs > 0;
+    has.then(|| jobs::Program::start(machine, card.clock_hz))?
+}
+
 impl Twin {
     /// Switches a twin of this board on; its flash is new.
     pub fn start(card: Card, plant: Plant) -> Self {
@@ -529,10 +540,13 @@ impl Twin {
         let card = setup.card.clone();
         let (mut desk, ident) = Desk::power_up(setup);
         let boot = desk.boot();
-        let machine = Machine::start(desk, ident, abi::ABI, boot);
+        let mut machine = Machine::start(desk, ident, abi::ABI, boot);
+        let jobs = jobs_program(&mut machine, &card);
         let clockwork = Clockwork::new(card.clock_hz.into());
         Twin {
             chores_at: machine.board.clock(),
+            jobs_at: machine.board.clock(),
+            jobs,
             machine,
             card,
             clockwork,
@@ -673,6 +687,7 @@ impl Twin {
         self.begin();
         self.starting = before + STARTING;
         self.chores_at = self.starting;
+        self.jobs_at = self.starting;
     }
 
     /// The firmware starts on the board as it stands.
@@ -688,6 +703,7 @@ impl Twin {
         let spare = Desk::new(spare, trailer);
         let desk = std::mem::replace(&mut self.machine.board, spare);
         self.machine = Machine::start(desk, ident(&self.card, gateware), abi::ABI, boot);
+        self.jobs = jobs_program(&mut self.machine, &self.card);
     }
 
     fn chores(&mut self) {
@@ -744,6 +760,24 @@ impl Twin {
             self.chores();
         }
         self.requests.push_front(request);
+    }
+
+    /// The program of jobs has a turn. True if it said something.
+    fn do_jobs(&mut self) -> bool {
+        let now = self.machine.board.clock();
+        let Some(program) = self.jobs.as_mut().filter(|_| !self.frozen) else {
+            self.jobs_at = u64::MAX;
+            return false;
+        };
+        let (said, due) = program.turn(&mut self.machine);
+        self.jobs_at = now + due;
+        let Some(said) = said else {
+            return false;
+        };
+        let visitor = &mut self.visitors[said.visitor];
+        visitor.out.0.extend(said.bytes);
+        visitor.said_goodbye |= said.close;
+        true
     }
 
     fn answer(&mut self, request: Request) -> bool {
@@ -838,13 +872,16 @@ impl Device for Twin {
             let cable = self.to_board.next().min(self.from_board.next());
             let trouble = self.script.next(self.clock()).min(cable);
             let board = &mut self.machine.board;
-            let stop = until.min(next).min(chores).min(trouble);
+            let stop = until.min(next).min(chores).min(trouble).min(self.jobs_at);
             board.pass(stop.max(board.clock() + 1));
             if self.clock() >= trouble {
                 self.suffer();
                 self.heard_of(self.clock());
                 told |= !self.replies.is_empty();
                 continue;
+            }
+            if self.clock() >= self.jobs_at {
+                told |= self.do_jobs();
             }
             if self.clock() >= chores {
                 if self.machine.due(IDLE) {
@@ -899,7 +936,18 @@ impl Device for Twin {
             self.machine.greet();
             visitor.out.0.extend(console::PROMPT.bytes());
         } else {
-            visitor.said_goodbye = true;
+            visitor.jobs = true;
+            let number = self.visitors.len();
+            let program = self.jobs.as_mut();
+            match program.map(|program| program.open(number, &mut self.machine)) {
+                Some(None) => self.jobs_at = self.jobs_at.min(self.clock() + ACCESS),
+                Some(Some(busy)) => {
+                    visitor.out.0.extend(busy);
+                    visitor.said_goodbye = true;
+                }
+                // Nobody listens there.
+                None => visitor.said_goodbye = true,
+            }
         }
         self.visitors.push(visitor);
         self.visitors.len() - 1
@@ -908,6 +956,11 @@ impl Device for Twin {
     fn type_in(&mut self, console: usize, bytes: &[u8]) -> usize {
         if self.frozen || !self.script.link() || self.clock() < self.starting {
             return 0;
+        }
+        if self.visitors[console].jobs {
+            let program = self.jobs.as_mut();
+            self.jobs_at = self.jobs_at.min(self.machine.board.clock() + ACCESS);
+            return program.map_or(bytes.len(), |program| program.type_in(console, bytes));
         }
         let visitor = &mut self.visitors[console];
         for byte in bytes {
@@ -932,12 +985,16 @@ impl Device for Twin {
         std::mem::take(&mut self.visitors[console].out.0)
     }
 
-    fn untold(&mut self, _: usize) -> usize {
-        0
+    fn untold(&mut self, console: usize) -> usize {
+        let program = self.jobs.as_ref();
+        program.map_or(0, |program| program.untold(console))
     }
 
     fn hang_up(&mut self, console: usize) {
         self.visitors[console].gone = true;
+        if let Some(program) = &mut self.jobs {
+            program.close(console);
+        }
     }
 
     fn hung_up(&mut self, console: usize) -> bool {
@@ -963,6 +1020,7 @@ impl Device for Twin {
 
     fn freeze_cpu(&mut self, frozen: bool) {
         self.frozen = frozen;
+        self.jobs_at = self.jobs_at.min(self.clock());
         if frozen {
             self.requests.clear();
         }

@@ -13,6 +13,7 @@ pub mod hal;
 pub mod image;
 pub mod lan;
 pub mod mill;
+pub mod plotter;
 
 use sim::edges;
 use sim::firmware::Image;

@@ -4,11 +4,16 @@
 //! pictures are left in `FERROCNC_REPORTS`, else in `target/reports`.
 
 use ferrocnc_tests::drawing::{self, TOLERANCE, Watch};
+use ferrocnc_tests::plotter::{Plotter, Scissors};
 use host::job::pins::{self, Prediction};
+use host::job::program::{Dialect, Program};
 use sim::model::board::pages;
 use sim::soc::{Cores, CoresPins};
 use std::collections::VecDeque;
+use std::fmt::Write;
 use std::path::PathBuf;
+use wire::crc::crc32;
+use wire::jobs::{End, State};
 
 fn picture(name: &str) -> PathBuf {
     let folder = std::env::var_os("FERROCNC_REPORTS").map(PathBuf::from);
@@ -103,4 +108,114 @@ fn a_drawing_on_the_verilated_cores_is_on_its_curves_and_every_edge_in_its_clock
         &verdict.figures("Verilated cores, planned on the PC"),
     );
     verdict.assert_good(&told);
+}
+
+#[test]
+fn a_drawing_sent_to_the_twin_and_started_is_on_its_curves_and_every_edge_in_its_clock() {
+    let (machine, program) = (drawing::machine(), drawing::program(TOLERANCE));
+    let told = pins::predict(&program, &machine).unwrap_or_else(|error| panic!("{error}"));
+    let plotter = Plotter::twin();
+    let mut board = plotter.board();
+    board.put_machine(&machine.to_board()).expect("a machine");
+    let entry = board.send("drawing", &program.to_job(), |_, _| ());
+    assert!(entry.expect("the job is taken").ready);
+    board.start("drawing", None).expect("it begins");
+    let report = plotter.finish(&mut board);
+    assert_eq!(
+        (report.end, report.progress),
+        (End::Done, 100),
+        "{report:?}"
+    );
+    assert_eq!(report.steps.map(i64::from), told.steps);
+    drop(board);
+    let emitted = plotter.events();
+    let verdict = drawing::judge(&told, &machine, &emitted, &picture("drawing.png"));
+    println!("{}", verdict.text());
+    verdict.assert_good(&told);
+}
+
+/// As CAM programs go: a face in many passes, each a run of lines a third of a millimetre long over a wavy surface, arcs at its ends, the
+/// tool lifted between layers. `lines` lines of G-code.
+fn cam(lines: usize) -> String {
+    let mut text =
+        String::from("%\n(made by the tests)\nN10 G21 G90 G17\nN20 G0 X10 Y10 Z2\nN30 M3\n");
+    let (mut written, mut row) = (5, 0u32);
+    while written + 4 < lines {
+        let (y, forth) = (10.0 + f64::from(row % 200) * 0.4, row.is_multiple_of(2));
+        for n in 0..200u32 {
+            let along = if forth { n } else { 199 - n };
+            let x = 10.0 + f64::from(along) / 3.0;
+            let z = (x / 7.0).sin() * (y / 5.0).cos() * 0.3;
+            // Modal, as they are: the feed once, what does not change not at all.
+            let feed = if n == 0 { " F18000" } else { "" };
+            let _ = writeln!(text, "G1 X{x:.3} Y{y:.3} Z{z:.3}{feed}");
+            written += 1;
+            if written + 4 >= lines {
+                break;
+            }
+        }
+        let (side, code) = if forth { (0.2, 3) } else { (0.2, 2) };
+        let _ = writeln!(text, "G{code} Y{:.3} J{side} (turn)", y + 0.4);
+        written += 1;
+        row += 1;
+    }
+    text.push_str("G0 Z2\nM5\nG0 X0 Y0 Z0\nM30\n");
+    text
+}
+
+#[test]
+fn a_program_of_100_000_lines_goes_to_the_twin_over_a_line_that_is_cut_and_not_a_step_is_lost() {
+    let lines = ferrocnc_tests::from_environment("FERROCNC_LINES", 100_000) as usize;
+    let text = cam(lines);
+    assert!(text.lines().count().abs_diff(lines) < 3);
+    let mut program = Program::from_gcode(text.as_bytes(), Dialect::default().dwell)
+        .unwrap_or_else(|error| panic!("{error}"));
+    program.name = "cam".to_owned();
+    let (machine, job) = (drawing::machine(), program.to_job());
+    let told = pins::predict(&program, &machine).unwrap_or_else(|error| panic!("{error}"));
+    let plotter = Plotter::twin();
+
+    // Anywhere in a frame, and in the middle of a Hello.
+    let scissors = Scissors::new(
+        plotter.jobs,
+        &[job.len() / 9, job.len() / 3, 24, job.len() / 4 + 1],
+    );
+    let mut board = scissors.board();
+    board.put_machine(&machine.to_board()).expect("a machine");
+    let mut offsets = Vec::new();
+    let entry = board.send("cam", &job, |there, _| offsets.push(there));
+    let entry = entry.expect("the job is taken");
+    assert_eq!(
+        scissors.cuts(),
+        4,
+        "the line was not cut as often as it should have been"
+    );
+    assert!(entry.ready);
+    // The board counts the CRC of what it has, all of it.
+    assert_eq!((entry.crc, entry.total as usize), (crc32(&job), job.len()));
+    assert!(offsets.is_sorted(), "an upload that went back");
+    drop(board);
+
+    let mut board = plotter.board();
+    board.start("cam", None).expect("it begins");
+    let report = plotter.finish(&mut board);
+    assert_eq!(report.end, End::Done, "{report:?}");
+    assert_eq!(report.state, State::Stopped);
+    assert_eq!(report.steps.map(i64::from), told.steps);
+    assert_eq!(report.segments as usize, told.segments.len());
+    drop(board);
+    let difference = told.compare(&plotter.events());
+    println!(
+        "{} lines, {} bytes, {} segments, {} edges, {} differ",
+        text.lines().count(),
+        job.len(),
+        told.segments.len(),
+        difference.edges,
+        difference.wrong
+    );
+    assert_eq!(
+        (difference.wrong, difference.late),
+        (0, Some(0)),
+        "{difference:?}"
+    );
 }

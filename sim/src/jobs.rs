@@ -1,0 +1,142 @@
+//! The program that executes jobs, beside the firmware of a twin: [`firmware::jobs`] with a piece of this machine's memory for SDRAM.
+//!
+//! Its TCP is the machine's own: a visitor's bytes go to its desk as they come. On a board the loop calls it; here it is called when
+//! something has come and every [`TURN`] while it has work.
+
+use firmware::cores::Board as _;
+use firmware::ip::Text;
+use firmware::jobs::{Jobs, Outside};
+use firmware::machine::Machine;
+use firmware::net::Us;
+use litex_pac::abi;
+use wire::MAX_WORDS;
+use wire::jobs::{self, FRAME, Op, Status};
+
+use crate::twin::Desk;
+
+/// Clocks of a turn of the loop in which it does a piece of work: a segment planned, a block of a job read. A round figure.
+pub const TURN: u64 = 12_000;
+/// Clocks between two looks while there is nothing to do: what the ROM's loop takes for that.
+const IDLE_MS: u64 = 1;
+/// 8 MiB of SDRAM, less what the program itself takes at their beginning.
+const ROOM: usize = 8 * 1024 * 1024 - 512 * 1024;
+/// What a client may send ahead: four requests.
+const AHEAD: usize = 4096;
+/// What it is known by; on a board the program's own CRC.
+const PROGRAM: u32 = 0x7477_696e;
+
+struct Outer<'a>(&'a mut Machine<Desk>);
+
+impl Outside for Outer<'_> {
+    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
+        self.0.inside(request, reply).map_or(0, <[u32]>::len)
+    }
+    fn send_frame(&mut self, _: &[u8]) {}
+    fn read_segments(&mut self, word: usize) -> u32 {
+        self.0.board.csr_read((abi::CSR_SEGMENTS + 4 * word) as u32)
+    }
+    fn write_segments(&mut self, word: usize, value: u32) {
+        self.0
+            .board
+            .csr_write((abi::CSR_SEGMENTS + 4 * word) as u32, value);
+    }
+    fn now(&mut self) -> u64 {
+        self.0.board.now()
+    }
+    fn us(&mut self) -> Us {
+        self.0.us
+    }
+}
+
+/// The program.
+#[derive(Debug)]
+pub struct Program {
+    jobs: Jobs<'static>,
+    /// Who is at the desk.
+    visitor: Option<usize>,
+    /// What he said and it has not read yet.
+    ahead: Vec<u8>,
+    per_ms: u64,
+}
+
+/// What the desk has to say.
+#[derive(Clone, Debug, Default)]
+pub struct Said {
+    /// To whom.
+    pub visitor: usize,
+    /// What.
+    pub bytes: Vec<u8>,
+    /// And hangs up.
+    pub close: bool,
+}
+
+impl Program {
+    /// On this board; `None` if it has no segments.
+    pub fn start(machine: &mut Machine<Desk>, clock_hz: u32) -> Option<Self> {
+        // Never given back: boards are few, and live as long as their simulator.
+        let memory = vec![0; ROOM].leak();
+        Some(Program {
+            jobs: Jobs::new(memory, PROGRAM, &mut Outer(machine))?,
+            visitor: None,
+            ahead: Vec::new(),
+            per_ms: u64::from(clock_hz / 1000),
+        })
+    }
+
+    /// Somebody comes. What he is told at once if somebody else is there.
+    pub fn open(&mut self, visitor: usize, machine: &mut Machine<Desk>) -> Option<Vec<u8>> {
+        if self.visitor.is_some() {
+            let mut frame = [0; FRAME];
+            let length = jobs::answer(Op::Hello.code(), Status::Busy, 0, &mut frame, |_| {});
+            return Some(frame[..length].to_vec());
+        }
+        self.visitor = Some(visitor);
+        self.ahead.clear();
+        self.jobs.visit(&mut Outer(machine));
+        None
+    }
+
+    /// He says something; how many bytes were taken.
+    pub fn type_in(&mut self, visitor: usize, bytes: &[u8]) -> usize {
+        if self.visitor != Some(visitor) {
+            return bytes.len();
+        }
+        let taken = bytes.len().min(AHEAD.saturating_sub(self.ahead.len()));
+        self.ahead.extend(&bytes[..taken]);
+        taken
+    }
+
+    /// Bytes that have not been read yet.
+    pub fn untold(&self, visitor: usize) -> usize {
+        match self.visitor == Some(visitor) {
+            true => self.ahead.len(),
+            false => 0,
+        }
+    }
+
+    /// He is gone.
+    pub fn close(&mut self, visitor: usize) {
+        if self.visitor == Some(visitor) {
+            self.visitor = None;
+            self.ahead.clear();
+        }
+    }
+
+    /// A turn: what there is to say, and in how many clocks the next one is due.
+    pub fn turn(&mut self, machine: &mut Machine<Desk>) -> (Option<Said>, u64) {
+        let mut outer = Outer(machine);
+        let said = self.visitor.and_then(|visitor| {
+            let mut text = Text::new();
+            let taken = self.jobs.said(&self.ahead, &mut text, &mut outer);
+            self.ahead.drain(..taken);
+            let said = Said {
+                visitor,
+                bytes: text.bytes().to_vec(),
+                close: text.close,
+            };
+            (said.close || !said.bytes.is_empty()).then_some(said)
+        });
+        let works = self.jobs.poll(&mut outer) || self.visitor.is_some();
+        (said, if works { TURN } else { IDLE_MS * self.per_ms })
+    }
+}

@@ -1,0 +1,186 @@
+//! A board that draws by itself, served over real sockets, and a line to it that can be cut.
+
+use host::job::client::Board;
+use host::job::pins::{Event, Pin};
+use host::keys::Keys;
+use motion::segment::AXES;
+use sim::Twin;
+use sim::card::Card;
+use sim::plant::Plant;
+use sim::server::{Mode, Options, Server};
+use sim::twin::Setup;
+use sim::world::Output;
+use std::io::{Read, Write};
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, SocketAddrV4, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use wire::describe::Channels;
+use wire::jobs::{Report, State};
+
+/// As long as a test may take, whatever else this machine does.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// The board of the tests: three axes and one that is none of a job's, a pen at output 0.
+const CHANNELS: Channels = Channels {
+    stepgens: 4,
+    encoders: 0,
+    pwms: 0,
+    inputs: 4,
+    outputs: 4,
+};
+const CLOCK: u32 = 60_000_000;
+
+/// A twin behind sockets of this machine, running as fast as it goes.
+pub struct Plotter {
+    /// Where its jobs are.
+    pub jobs: SocketAddrV4,
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<Twin>,
+}
+
+impl Plotter {
+    /// Switched on; its steps and its pen are being watched.
+    pub fn twin() -> Self {
+        let mut card = Card::plain(CHANNELS, CLOCK);
+        card.jobs = AXES as u8;
+        let mut twin = Twin::power_up(Setup::new(card, Plant::default()));
+        twin.world().edges.keep_steps();
+        twin.world().watch.gpio = 1;
+        let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+        let options = Options {
+            udp: any,
+            discovery: None,
+            interface: None,
+            console: None,
+            jobs: Some(any),
+            control: None,
+            stdin: false,
+            mode: Mode::Free { pace: None },
+            silence: PATIENCE,
+            orphan_clocks: 0,
+            report: None,
+        };
+        let stop = Arc::<AtomicBool>::default();
+        let server = Server::bind(twin, options, stop.clone()).expect("sockets of this machine");
+        let ready = server.ready_line();
+        let jobs = ready.split(' ').find_map(|word| word.strip_prefix("jobs="));
+        let jobs = jobs
+            .and_then(|at| at.parse().ok())
+            .expect("it says where its jobs are");
+        Plotter {
+            jobs,
+            stop,
+            thread: std::thread::spawn(move || server.run()),
+        }
+    }
+
+    /// A client.
+    pub fn board(&self) -> Board {
+        let board = Board::with_patience(self.jobs, Keys::default(), PATIENCE);
+        board.unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// Waits until nothing is going on.
+    pub fn finish(&self, board: &mut Board) -> Report {
+        loop {
+            let report = board.report().unwrap_or_else(|error| panic!("{error}"));
+            if report.state == State::Stopped {
+                return report;
+            }
+            board.hang_up();
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Switched off: everything its pins did.
+    pub fn events(self) -> Vec<Event> {
+        self.stop.store(true, Ordering::Relaxed);
+        let mut twin = self.thread.join().expect("the twin's thread");
+        let world = twin.world();
+        assert_eq!(world.edges.violations(), [], "timing at the pins");
+        let steps = world.edges.take_steps().into_iter().map(|step| {
+            let axis = usize::from(step.channel);
+            let forward = step.forward;
+            (step.clock, Pin::Step { axis, forward })
+        });
+        let mut events: Vec<Event> = steps.collect();
+        let tools = world.take_events().into_iter().filter_map(|event| {
+            let pen = event.output == Output::Gpio(0);
+            pen.then_some((event.clock, Pin::Tool(event.level)))
+        });
+        events.extend(tools);
+        events.sort_by_key(|(clock, _)| *clock);
+        events
+    }
+}
+
+/// A line to a board that is cut after so many bytes of what the host says, several times.
+pub struct Scissors {
+    at: SocketAddrV4,
+    cuts: Arc<AtomicUsize>,
+}
+
+impl Scissors {
+    /// In front of the board at `to`; the first connection lasts for the first of `lengths`, and so on; those after them last.
+    pub fn new(to: SocketAddrV4, lengths: &[usize]) -> Self {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
+        let SocketAddr::V4(at) = listener.local_addr().expect("its number") else {
+            unreachable!("bound to an IPv4 address");
+        };
+        let cuts = Arc::<AtomicUsize>::default();
+        let (lengths, told) = (lengths.to_vec(), cuts.clone());
+        std::thread::spawn(move || {
+            let lengths = Mutex::new(lengths.into_iter());
+            for host in listener.incoming().flatten() {
+                let length = lengths.lock().expect("one thread").next();
+                let Ok(board) = TcpStream::connect(to) else {
+                    continue;
+                };
+                serve(host, board, length, &told);
+            }
+        });
+        Scissors { at, cuts }
+    }
+
+    /// A client at the near end.
+    pub fn board(&self) -> Board {
+        let board = Board::with_patience(self.at, Keys::default(), PATIENCE);
+        board.unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// How often it was cut.
+    pub fn cuts(&self) -> usize {
+        self.cuts.load(Ordering::Relaxed)
+    }
+}
+
+/// Both ways, until either end hangs up or the length is used up.
+fn serve(mut host: TcpStream, mut board: TcpStream, length: Option<usize>, cuts: &AtomicUsize) {
+    let (Ok(mut back), Ok(mut from)) = (host.try_clone(), board.try_clone()) else {
+        return;
+    };
+    let answers = std::thread::spawn(move || {
+        let _ = std::io::copy(&mut from, &mut back);
+        let _ = back.shutdown(Shutdown::Both);
+    });
+    let mut left = length.unwrap_or(usize::MAX);
+    let mut buffer = [0; 4096];
+    loop {
+        let room = left.min(buffer.len());
+        let count = host.read(&mut buffer[..room]).unwrap_or(0);
+        if count == 0 || board.write_all(&buffer[..count]).is_err() {
+            break;
+        }
+        left -= count;
+        if left == 0 {
+            cuts.fetch_add(1, Ordering::Relaxed);
+            break;
+        }
+    }
+    // Either end sees it go at once, as with a router that forgets.
+    let _ = host.shutdown(Shutdown::Both);
+    let _ = board.shutdown(Shutdown::Both);
+    let _ = answers.join();
+}
