@@ -115,7 +115,8 @@ struct Arguments {
     /// Loopback address that stands for the board's console, TCP port 23.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:2323")]
     console: SocketAddr,
-    /// Loopback address that stands for the board's port of jobs, TCP port 724: for `ferrocnc job`, on boards that execute jobs.
+    /// Loopback address that stands for the board's port of jobs, TCP port 724: for `ferrocnc job`, on boards that execute
+    /// jobs; one of --channels does if this is given.
     #[arg(long, value_name = "ADDR:PORT")]
     jobs: Option<SocketAddr>,
     /// Take control commands, one per line, on this TCP address (`help` lists them).
@@ -274,7 +275,13 @@ impl Arguments {
     /// The twin, switched on.
     fn twin(&self) -> anyhow::Result<Twin> {
         let card = match (&self.channels, &self.soc) {
-            (Some(channels), _) => Card::plain(*channels, self.clock),
+            (Some(channels), _) => {
+                let jobs = self.jobs.map_or(0, |_| motion::segment::AXES as u8);
+                Card {
+                    jobs,
+                    ..Card::plain(*channels, self.clock)
+                }
+            }
             (None, Some(folder)) => Card::read(folder)?,
             (None, None) => Card::named(&self.board)?,
         };

@@ -219,3 +219,80 @@ fn a_program_of_100_000_lines_goes_to_the_twin_over_a_line_that_is_cut_and_not_a
         "{difference:?}"
     );
 }
+
+/// `ferrocnc job ...`: whether it succeeded, and what it said: on stdout, on stderr.
+fn tool(arguments: &[&str]) -> (bool, String, String) {
+    let mut tool = std::process::Command::new(ferrocnc_tests::program("ferrocnc"));
+    let output = tool.arg("job").args(arguments).output();
+    let output = output.expect("the tool runs; `cargo xtask test jobs` builds it");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (
+        output.status.success(),
+        text(&output.stdout),
+        text(&output.stderr),
+    )
+}
+
+#[test]
+fn the_tool_sends_a_job_watches_it_to_its_end_and_says_what_is_wrong_with_the_remedy() {
+    let folder = std::env::temp_dir().join(format!("ferrocnc-jobs-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let file = folder.join("square.job").display().to_string();
+    let square = "G0 X5 Y5\nM3\nG1 X9 F6000\nG1 Y9\nG1 X5\nG1 Y5\nM5\nG0 X0 Y0\nM2\n";
+    let mut program = Program::from_gcode(square.as_bytes(), Dialect::default().dwell)
+        .unwrap_or_else(|error| panic!("{error}"));
+    program.name = "square".to_owned();
+    std::fs::write(&file, program.to_job()).expect("the job");
+    let machine = drawing::folder().join("machine.toml").display().to_string();
+    let plotter = Plotter::twin();
+    let at = plotter.jobs.to_string();
+
+    let (ok, _, said) = tool(&["start", &at, "square"]);
+    assert!(
+        !ok && said.contains("ferrocnc job list shows those it has"),
+        "{said}"
+    );
+    let (ok, said, wrong) = tool(&["send", &at, &file]);
+    assert!(
+        ok && said.starts_with("square is on the board: "),
+        "{said}{wrong}"
+    );
+    let (ok, _, said) = tool(&["start", &at, "square"]);
+    assert!(
+        !ok && said.contains("--machine MACHINE.toml sends one"),
+        "{said}"
+    );
+    let (ok, said, wrong) = tool(&["list", &at, "--json"]);
+    let list: serde_json::Value = serde_json::from_str(&said).unwrap_or_default();
+    assert!(
+        ok && list["jobs"][0]["name"] == "square" && list["jobs"][0]["ready"] == true,
+        "{said}{wrong}"
+    );
+    let (ok, said, wrong) = tool(&["start", &at, "square", "--machine", &machine, "--json"]);
+    assert!(ok, "{said}{wrong}");
+    let last: serde_json::Value =
+        serde_json::from_str(said.lines().last().unwrap_or_default()).unwrap_or_default();
+    assert_eq!(
+        (&last["end"], &last["progress"], &last["state"]),
+        (&"done".into(), &100.into(), &"stopped".into()),
+        "{said}"
+    );
+    let (ok, said, _) = tool(&["status", &at]);
+    assert!(ok && said.contains("ended last: done"), "{said}");
+    let (ok, _, said) = tool(&["pause", &at]);
+    assert!(!ok && said.contains("not now"), "{said}");
+    let (ok, said, _) = tool(&["delete", &at, "square"]);
+    assert!(ok && said.starts_with("square is deleted"), "{said}");
+    let (ok, _, said) = tool(&["delete", &at, "square"]);
+    assert!(!ok && said.contains("the board has no such job"), "{said}");
+    let emitted = plotter.events();
+    let drawn = pins::drawn(&program, &drawing::machine(), &emitted)
+        .unwrap_or_else(|error| panic!("{error}"));
+    assert!(
+        drawn.deviation < 0.0225 && drawn.missing < 0.0225,
+        "{} {}",
+        drawn.deviation,
+        drawn.missing
+    );
+    let _ = std::fs::remove_dir_all(&folder);
+}

@@ -88,7 +88,8 @@ fn jobs() -> Result<()> {
     std::fs::create_dir_all(target("reports"))?;
     let mut bench = Command::new("cargo");
     bench.args(["test", "--release", "--package", "ferrocnc-tests"]);
-    bench.args(["--features", "board", "--test", "jobs", "--", "--nocapture"]);
+    bench.args(["--features", "board", "--test", "jobs", "a_drawing"]);
+    bench.args(["--", "--nocapture"]);
     bench.env("FERROCNC_REPORTS", target("reports"));
     let printed = step::run_quietly("bench-jobs", "a drawing, edge by edge", "3 min", &mut bench)?;
     for line in printed.lines().filter(|line| line.contains(" segments, ")) {

@@ -100,7 +100,7 @@ pub fn run(options: &Options) -> Result<()> {
     if levels.contains(&Level::Jobs) {
         build::simulated_cores(build::CORES_BOARD)?;
     }
-    if levels.contains(&Level::Provision) {
+    if levels.contains(&Level::Provision) || levels.contains(&Level::Jobs) {
         build::host()?;
     }
     let needs_driver = |level: &Level| matches!(level, Level::Twin | Level::Linuxcnc);
