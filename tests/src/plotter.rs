@@ -125,12 +125,27 @@ pub struct Scissors {
 impl Scissors {
     /// In front of the board at `to`; the first connection lasts for the first of `lengths`, and so on; those after them last.
     pub fn new(to: SocketAddrV4, lengths: &[usize]) -> Self {
+        Scissors::cutting(
+            to,
+            lengths.iter().map(|length| (*length, usize::MAX)).collect(),
+        )
+    }
+
+    /// The same, counting what the board answers; what it answers beyond that is lost.
+    pub fn deaf(to: SocketAddrV4, lengths: &[usize]) -> Self {
+        Scissors::cutting(
+            to,
+            lengths.iter().map(|length| (usize::MAX, *length)).collect(),
+        )
+    }
+
+    fn cutting(to: SocketAddrV4, lengths: Vec<(usize, usize)>) -> Self {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
         let SocketAddr::V4(at) = listener.local_addr().expect("its number") else {
             unreachable!("bound to an IPv4 address");
         };
         let cuts = Arc::<AtomicUsize>::default();
-        let (lengths, told) = (lengths.to_vec(), cuts.clone());
+        let told = cuts.clone();
         std::thread::spawn(move || {
             let lengths = Mutex::new(lengths.into_iter());
             for host in listener.incoming().flatten() {
@@ -138,7 +153,12 @@ impl Scissors {
                 let Ok(board) = TcpStream::connect(to) else {
                     continue;
                 };
-                serve(host, board, length, &told);
+                serve(
+                    host,
+                    board,
+                    length.unwrap_or((usize::MAX, usize::MAX)),
+                    &told,
+                );
             }
         });
         Scissors { at, cuts }
@@ -157,15 +177,26 @@ impl Scissors {
 }
 
 /// Both ways, until either end hangs up or the length is used up.
-fn serve(mut host: TcpStream, mut board: TcpStream, length: Option<usize>, cuts: &AtomicUsize) {
+fn serve(
+    mut host: TcpStream,
+    mut board: TcpStream,
+    (mut left, answered): (usize, usize),
+    cuts: &Arc<AtomicUsize>,
+) {
     let (Ok(mut back), Ok(mut from)) = (host.try_clone(), board.try_clone()) else {
         return;
     };
+    let told = cuts.clone();
     let answers = std::thread::spawn(move || {
-        let _ = std::io::copy(&mut from, &mut back);
+        let _ = std::io::copy(&mut (&mut from).take(answered as u64), &mut back);
+        if answered != usize::MAX {
+            // The next one is made, and does not arrive.
+            let _ = from.read(&mut [0]);
+            told.fetch_add(1, Ordering::Relaxed);
+        }
         let _ = back.shutdown(Shutdown::Both);
+        let _ = from.shutdown(Shutdown::Both);
     });
-    let mut left = length.unwrap_or(usize::MAX);
     let mut buffer = [0; 4096];
     loop {
         let room = left.min(buffer.len());

@@ -178,7 +178,7 @@ fn a_program_of_100_000_lines_goes_to_the_twin_over_a_line_that_is_cut_and_not_a
     // Anywhere in a frame, and in the middle of a Hello.
     let scissors = Scissors::new(
         plotter.jobs,
-        &[job.len() / 9, job.len() / 3, 24, job.len() / 4 + 1],
+        &[job.len() / 9, job.len() / 3, 10, job.len() / 4 + 1],
     );
     let mut board = scissors.board();
     board.put_machine(&machine.to_board()).expect("a machine");
@@ -295,4 +295,36 @@ fn the_tool_sends_a_job_watches_it_to_its_end_and_says_what_is_wrong_with_the_re
         drawn.missing
     );
     let _ = std::fs::remove_dir_all(&folder);
+}
+
+#[test]
+fn a_start_whose_answer_is_lost_is_asked_again_and_acted_on_once() {
+    let machine = drawing::machine();
+    let program = Program::from_gcode(b"G1 X3 F6000\nG1 Y2\nM2\n", Dialect::default().dwell)
+        .unwrap_or_else(|error| panic!("{error}"));
+    let plotter = Plotter::twin();
+    let mut board = plotter.board();
+    board.put_machine(&machine.to_board()).expect("a machine");
+    board
+        .send("line", &program.to_job(), |_, _| ())
+        .expect("the job is taken");
+    drop(board);
+    // The answer to the Hello comes, the one to the Start does not.
+    let welcome = wire::jobs::OVERHEAD + 24;
+    let scissors = Scissors::deaf(plotter.jobs, &[welcome]);
+    let mut board = scissors.board();
+    let report = board
+        .start("line", None)
+        .expect("it is begun once, and said twice");
+    assert_eq!(scissors.cuts(), 1);
+    assert_ne!(report.state, State::Stopped, "{report:?}");
+    let report = plotter.finish(&mut board);
+    assert_eq!((report.end, report.refused), (End::Done, 0), "{report:?}");
+    drop(board);
+    let drawn = plotter.events();
+    assert_eq!(
+        drawn.len(),
+        5 * 80,
+        "one line of 3 mm and one of 2, and no more"
+    );
 }
