@@ -165,7 +165,7 @@ fn cam(lines: usize) -> String {
 
 #[test]
 fn a_long_program_goes_to_the_twin_over_a_line_that_is_cut_and_not_a_step_is_lost() {
-    let lines = ferrocnc_tests::from_environment("FERROCNC_LINES", 40_000) as usize;
+    let lines = ferrocnc_tests::from_environment("FERROCNC_LINES", 100_000) as usize;
     let text = cam(lines);
     assert!(text.lines().count().abs_diff(lines) < 3);
     let mut program = Program::from_gcode(text.as_bytes(), Dialect::default().dwell)

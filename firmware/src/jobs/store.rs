@@ -388,7 +388,7 @@ impl<'m> Store<'m> {
         let Some((_, job)) = self.uploading() else {
             return;
         };
-        let (end, first) = (job.end.offset, job.first);
+        let (end, total, first) = (job.end.offset, job.total, job.first);
         let (next, all, reading) = (&*self.next, &*self.pieces, &mut self.reading);
         if reading.at.offset == 0 {
             reading.at.piece = first;
@@ -401,8 +401,8 @@ impl<'m> Store<'m> {
         reading.crc.update(place);
         reading.loaded += wanted;
         reading.block();
-        // Nothing more comes behind the last blocks, which may be short.
-        while reading.at.offset == end && reading.loaded > 0 {
+        // Nothing more comes behind the last blocks, which may be short. (Where the upload has come to, more does.)
+        while reading.at.offset == total && reading.loaded > 0 {
             reading.block();
         }
     }
@@ -488,3 +488,6 @@ impl Tape {
         self.id
     }
 }
+
+#[cfg(test)]
+mod tests;
