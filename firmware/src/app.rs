@@ -160,8 +160,10 @@ impl App {
 
     /// Something else ran: makes up an exchange that walks the fast lane and does nothing, so that the
     /// next one finds its instructions in the cache. Cold it takes some 1500 clocks longer. Returns the frame's length, which is
-    /// nobody's if there is nothing to rehearse.
+    /// nobody's if there is nothing to rehearse. It has its place beside the lane: elsewhere its own lines may push those out that
+    /// only a performance needs.
     #[inline(never)]
+    #[unsafe(link_section = ".trap.hot.rehearsal")]
     fn rehearsal(&mut self) -> usize {
         self.cold = false;
         let Some(lane) = &self.lane else {
