@@ -203,7 +203,7 @@ def _self_contained(top):
 
 def elaborate_cores(board, out):
     """Writes cores.v, the cores and their banks with the CSR bus as ports, and the map as cores.map: for `tests/cores.cpp`. The
-    guests at the MAC's door are not among them."""
+    guests at the MAC's door and the SDRAM's controller are not among them."""
     out = Path(out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     cores = banks.Cores(board.channels, board.sys_clk_hz, len(blob(board)) // 4, estop_mask=board.estop_mask, estop_level=board.estop_level,
@@ -222,5 +222,5 @@ def elaborate_cores(board, out):
     top = verilog.convert(cores, set(ports.values()), name="cores")
     (out / "cores.v").write_text(_self_contained(top))
     names = [f"{bank.name}.{reg.name} 0x{bank.page * rm.CSR_PAGE // 4 + i:x} {reg.access} 0x{rm.mask(reg):x}"
-             for bank in rm.BANKS if bank is not rm.GUEST for i, reg in enumerate(bank.regs)]
+             for bank in rm.BANKS if bank not in (rm.GUEST, rm.SDRAM) for i, reg in enumerate(bank.regs)]
     (out / "cores.map").write_text("\n".join(names) + "\n")
