@@ -216,9 +216,9 @@ struct Link {
         const uint64_t end = ps + nanoseconds * 1000;
         while (ps < end) step();
     }
-    // Until everything that was to come has come.
+    // Until everything that was to come has come. 8 ms beyond what is still to be put on the wire, which alone can take that long.
     void drain(const char *what) {
-        const uint64_t end = ps + 8000 * 1000000ull;
+        const uint64_t end = ps + cycles.size() * period() + 8000 * 1000000ull;
         while (!cycles.empty() || !sending.empty() || !on_wire.empty() || !wire.empty()) {
             step();
             CHECK(b, ps < end, "%s: nothing moves any more (%zu cycles, %zu to send, %zu on their way)", what, cycles.size(), sending.size(), on_wire.size());
