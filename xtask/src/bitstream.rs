@@ -129,8 +129,10 @@ fn images(boards: &[PathBuf], more: &[String]) -> Result<String> {
         names.push(name.to_string_lossy().into_owned());
     }
     let image = build::firmware()?;
+    let router = build::router()?;
     std::fs::create_dir_all(target("reports"))?;
     let mut build = build::gateware("bitstream");
+    build.env("FERROCNC_ROUTER", router);
     build.arg("--board").args(boards);
     build.arg("--out").arg(target("bitstream"));
     build.arg("--firmware").arg(image);

@@ -121,6 +121,14 @@ pub fn host() -> Result<()> {
     )
 }
 
+/// The router crowded boards need (decision 11). Returns where it is.
+pub fn router() -> Result<PathBuf> {
+    let mut build = Command::new("cargo");
+    build.args(["build", "--release", "--package", "ferrocnc-router"]);
+    step::run("router", "build the router (Rust)", "30 s", &mut build)?;
+    Ok(target("release/ferrocnc-router"))
+}
+
 /// Makes `loadrt ferrocnc` find the driver just built.
 pub fn install_driver() -> Result<()> {
     let built = target("release/libferrocnc.so");
