@@ -21,7 +21,7 @@ from functools import reduce
 from operator import or_
 from types import SimpleNamespace
 
-from migen import Array, Cat, ClockSignal, Constant, If, Instance, Mux, Replicate, Signal
+from migen import Array, Case, Cat, ClockSignal, Constant, If, Instance, Memory, Mux, Replicate, Signal
 from litex.gen import LiteXModule
 from litex.soc.interconnect import csr_bus
 
@@ -449,7 +449,7 @@ class Cores(LiteXModule):
             self.comb += self.all_stopped.eq(1)
             return
         (enables, _), (_, index_arms), (_, probe_arms) = (arms[name] for name in ("enables", "arms", "probe_arms"))
-        visit, pending, deltas, captures, stopped, waiting = Signal(channels), Signal(channels), [], [], [], []
+        visit, pending, deltas, captures, stopped, words, waiting = Signal(channels), Signal(channels), [], [], [], [], []
         for n in range(channels):
             b = rm.STEPGEN[n]
             # -2^31 has no positive twin; taking it as -(2^31-1) keeps |velocity| representable for everyone downstream.
@@ -471,8 +471,7 @@ class Cores(LiteXModule):
                 o_step=self.pads.step[n], o_dir=self.pads.dir[n])
             self.sync += waited.eq(waits | (waited & ~self.sample))
             self.comb += limited[n].eq(waited)
-            self._sampled(fabric, f"stepgen{n}_position_lo", fraction)
-            self._sampled(fabric, f"stepgen{n}_velocity", velocity_now)
+            words.append(Cat(fraction, velocity_now))
             # The index pin is asynchronous; its polarity is applied behind the two flip-flops that make it a level.
             meta, index = Signal(reset_less=True), Signal(reset_less=True)
             meta.attr.add("keep"), index.attr.add("keep")
@@ -489,23 +488,47 @@ class Cores(LiteXModule):
         self.comb += self.all_stopped.eq(reduce(lambda a, b: a & b, stopped))
 
         word = fabric.word
-        at, high, latches = Signal(4), Signal(), Signal()
+        at, latches, hits = Signal(4), Signal(), [Signal(), Signal(), Signal()]
         latch = rm.STATUS.offset("stepgen0_latch") // 4
-        first = rm.STATUS.offset("stepgen0_position_hi") // 4
+        first = rm.STATUS.offset("stepgen0_position_lo") // 4  # then position_hi, velocity
         self.comb += [
-            high.eq(reduce(or_, [word == first + 3 * n for n in range(channels)])),
             latches.eq((word >= latch) & (word < latch + channels)),
             at.eq(word[:4] ^ latch & 15),
-            *(If(word == first + 3 * n, at.eq(n)) for n in range(channels)),
+            Case(word, {first + 3 * n + k: [at.eq(n), hit.eq(1)] for n in range(channels) for k, hit in enumerate(hits)}),
         ]
         assert latch % 8 == 0  # so that the exclusive or is a subtraction
         sampled, latched = Signal(32), Signal(32)
         self.specials += Instance("tally",
             p_CHANNELS=channels, i_clk=self.clk, i_delta=Cat(*deltas), i_sample=self.sample, i_capture=Cat(*captures),
             i_clear=Constant(0, channels), i_addr=at, o_visit=visit, o_pending=pending, o_sampled=sampled, o_latched=latched)
+        low, high, velocity = hits
+        fraction, velocity_now = self._handed_on(words, at)
         status = fabric.page_hit(rm.STATUS.page)
-        fabric.reads(status & high, sampled)
-        fabric.reads(status & latches, latched)
+        for hit, value in ((low, fraction), (high, sampled), (velocity, velocity_now), (latches, latched)):
+            fabric.reads(status & hit, value)
+
+    def _handed_on(self, words, at):
+        """Fraction and velocity of the step generator `at` at the last sample. All of them are caught by the strobe, and then handed
+        on from each channel to the one before and from the first to LUT RAM, one a clock: their neighbours' wires instead of
+        64 from every channel to the CPU (decision 11).
+
+            clk       0   1   2   3   4
+            sample    _/‾‾‾\\________________
+            caught0   --X c0X c1X c2X c3X     written to channel 0, 1, 2 ..: all are there 18 clocks after the strobe
+        """
+        nth, busy = Signal(4), Signal()
+        caught = [Signal(64, reset_less=True, name=f"caught_stepgen{n}") for n in range(len(words))]
+        for here, behind, word in zip(caught, [*caught[1:], caught[-1]], words):
+            self.sync += here.eq(Mux(self.sample, word, behind))
+        self.sync += If(self.sample, nth.eq(0), busy.eq(1)).Else(nth.eq(nth + 1), If(nth == 15, busy.eq(0)))
+        out = []
+        for half in (caught[0][:32], caught[0][32:]):
+            memory = Memory(32, 16, init=[0] * 16)
+            write, read = memory.get_port(write_capable=True), memory.get_port(async_read=True)
+            self.specials += memory, write, read
+            self.comb += write.adr.eq(nth), write.dat_w.eq(half), write.we.eq(busy), read.adr.eq(at)
+            out.append(read.dat_r)
+        return out
 
     def _encoders(self, fabric, channels, arms):
         self.encoder_flags = index_flags, probe_flags, illegals = [[Signal() for _ in range(channels)] for _ in range(3)]

@@ -208,6 +208,38 @@ int main(int argc, char **argv) {
             CHECK(b, v != INT32_MIN, "stepgen %u runs at -2^31", n);
         }
     }
+    // Velocities held, another for each channel: every channel's words are its own and of the strobe's clock, from 18 clocks after it on,
+    // whichever is read first.
+    unsigned moved = 0;
+    for (unsigned round = 0; round < 60; round++) {
+        uint64_t position[2][16], when[2];
+        std::vector<int32_t> velocity(steps);
+        for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), velocity[n] = int32_t(r.next()) >> 8);
+        k.write("timebase.strobe", 1);
+        k.run(50 + r.below(50));
+        for (unsigned s = 0; s < 2; s++) {
+            c.adr = k.at("timebase.strobe"), c.dat_w = 2, c.we = 1;
+            k.clock();
+            c.we = 0;
+            k.run(18);
+            for (unsigned begin = r.below(steps), i = 0; i < steps; i++) {
+                const unsigned n = (begin + i) % steps;
+                position[s][n] = k.read(nth("status.stepgen", n, "_position_lo"));
+                k.expect(nth("status.stepgen", n, "_velocity"), velocity[n]);
+                position[s][n] |= uint64_t(k.read(nth("status.stepgen", n, "_position_hi"))) << 32;
+            }
+            when[s] = k.read64("status.sample");
+            k.run(r.below(3000));
+        }
+        const uint32_t limited = k.read("status.flags0") >> 16;
+        for (unsigned n = 0; n < steps; n++) {
+            if (limited >> n & 1) continue;  // a reversal: it had to wait for its direction
+            const int64_t way = position[1][n] - position[0][n], expected = velocity[n] * int64_t(when[1] - when[0]);
+            CHECK(b, way == expected, "stepgen %u: moves %lld in %lld clocks at %d", n, (long long)way, (long long)(when[1] - when[0]), velocity[n]);
+            moved++;
+        }
+    }
+    CHECK(b, moved > 30 * steps, "only %u of %u ways checked", moved, 60 * steps);
     // Asked for more than the timing allows: one channel says so, until it has obeyed for a whole sample.
     for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), n ? 0 : 0x7fffffff);
     k.write("stepgen0.steplen", 50);

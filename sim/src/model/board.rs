@@ -159,8 +159,11 @@ struct StepLane {
     meta: bool,
     index: bool,
     waited: bool,
-    fraction: u32,
-    velocity: u32,
+    /// Fraction and velocity as the strobe has caught them; as read; and the clock in which the one becomes the other: the
+    /// channels hand them on to LUT RAM, one a clock.
+    caught: [u32; 2],
+    sampled: [u32; 2],
+    handed_on: Option<u64>,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -295,9 +298,13 @@ impl StepLane {
         let visit = self.at % ROTATION == n as u64;
         let count = self.core.pulses() as u32;
         self.tally.clock(visit, s.sample, capture, count);
+        if self.handed_on == Some(self.at) {
+            self.sampled = self.caught;
+            self.handed_on = None;
+        }
         if s.sample {
-            self.fraction = self.core.fraction();
-            self.velocity = self.core.velocity() as u32;
+            self.caught = [self.core.fraction(), self.core.velocity() as u32];
+            self.handed_on = Some(self.at + 1 + n as u64);
         }
         self.waited = self.core.waits(&input) || (self.waited && !s.sample);
         self.core.clock(&input);
@@ -313,6 +320,7 @@ impl StepLane {
         let rest = self.meta == self.pin
             && self.index == index
             && self.tally.quiet()
+            && self.handed_on.is_none()
             && self
                 .latch
                 .quiet(&regs.stepgen_latch(n, index, false, common));
@@ -696,6 +704,7 @@ impl Board {
         for (n, lane) in self.steps.iter_mut().enumerate() {
             lane.clock(n, regs, common, &strobes);
             lane.waited &= !bus.rst;
+            lane.handed_on = lane.handed_on.filter(|_| !bus.rst);
         }
         for (n, lane) in self.encoders.iter_mut().enumerate() {
             lane.clock(n, regs, common, &strobes);
@@ -999,9 +1008,9 @@ impl Board {
                 .steps
                 .get((word - 8) / 3)
                 .map_or(0, |lane| match (word - 8) % 3 {
-                    0 => lane.fraction,
+                    0 => lane.sampled[0],
                     1 => lane.tally.sampled(),
-                    _ => lane.velocity,
+                    _ => lane.sampled[1],
                 }),
             56..88 => self.encoders.get((word - 56) / 2).map_or(0, |lane| {
                 if word & 1 == 0 {
