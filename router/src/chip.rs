@@ -5,7 +5,7 @@
 
 use crate::netlist::Bel;
 use anyhow::{Context, Result, bail, ensure};
-use std::collections::{HashMap, HashSet, VecDeque};
+use std::collections::{HashMap, VecDeque};
 
 /// No wire, no switch.
 pub const NONE: u32 = u32::MAX;
@@ -186,12 +186,11 @@ impl Tiles {
 
 impl Chip {
     /// Reads the database. `slices` says what is in each slice, `globals` which pins are on clock networks: wires that nextpnr will
-    /// need for those are left out, and so are those nextpnr has routed already, `fixed`.
+    /// need for those are left out.
     pub fn read(
         bytes: Vec<u8>,
         slices: &[(Bel, Permutation)],
         globals: &[(Bel, String)],
-        fixed: &HashSet<&str>,
     ) -> Result<Self> {
         let (data, ports) = (Data(bytes), Ports::new());
         let info = data.pointer(0)?;
@@ -283,7 +282,7 @@ impl Chip {
                 .or_insert(*permutation);
             *known = (*known).min(*permutation);
         }
-        chip.connect(&inside, globals, fixed)?;
+        chip.connect(&inside, globals)?;
         Ok(chip)
     }
 
@@ -292,7 +291,6 @@ impl Chip {
         &mut self,
         slices: &HashMap<(usize, usize), Permutation>,
         globals: &[(Bel, String)],
-        fixed: &HashSet<&str>,
     ) -> Result<()> {
         let mut all = Vec::new();
         for tile in 0..self.tiles.kind.len() {
@@ -313,12 +311,7 @@ impl Chip {
         (self.up_first, self.up) = sorted(self.wires.len(), &all, |(from, pip, _)| {
             (pip.to, (*from, pip.class))
         });
-        let mut taken = self.clock_networks(globals)?;
-        if !fixed.is_empty() {
-            for wire in 0..self.wires.len() as u32 {
-                taken[wire as usize] |= fixed.contains(self.wire_name(wire).as_str());
-            }
-        }
+        let taken = self.clock_networks(globals)?;
         all.retain(|(from, pip, _)| !taken[*from as usize] && !taken[pip.to as usize]);
         (self.up_first, self.up) = sorted(self.wires.len(), &all, |(from, pip, _)| {
             (pip.to, (*from, pip.class))

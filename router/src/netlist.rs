@@ -153,19 +153,6 @@ impl Netlist {
             .collect())
     }
 
-    /// Wires that are routed already: of nets on clock networks, if nextpnr was asked for them before.
-    fn fixed(&self) -> HashSet<&str> {
-        let nets = self.module()["netnames"]
-            .as_object()
-            .into_iter()
-            .flat_map(|nets| nets.values());
-        let routes = nets.filter_map(|net| net["attributes"]["ROUTING"].as_str());
-        routes
-            .flat_map(|route| route.trim().split(';').step_by(3))
-            .filter(|wire| !wire.is_empty())
-            .collect()
-    }
-
     /// Nets on clock networks, by name.
     pub fn clocks(&self) -> Result<Vec<String>> {
         let mut clocks: Vec<String> = self
@@ -206,7 +193,7 @@ impl Netlist {
                 }
             }
         }
-        let chip = Chip::read(database, &slices, &globals, &self.fixed())?;
+        let chip = Chip::read(database, &slices, &globals)?;
         let delays = chip.cell_delays()?;
         let (mut nets, mut index) = (Vec::new(), HashMap::new());
         for cell in &cells {
