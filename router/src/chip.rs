@@ -11,23 +11,17 @@ use std::collections::{HashMap, VecDeque};
 pub const NONE: u32 = u32::MAX;
 
 /// What the numbers of ports and cells in the database mean.
-pub struct Ports(HashMap<&'static str, i32>);
+struct Ports(HashMap<&'static str, i32>);
 
 impl Ports {
     /// The names of the nextpnr this was written against.
-    pub fn new() -> Self {
+    fn new() -> Self {
         let names = include_str!("ports.txt").lines().skip(1);
         Self((1..).zip(names).map(|(n, name)| (name, n)).collect())
     }
 
     fn of(&self, name: &str) -> i32 {
         self.0.get(name).copied().unwrap_or(0)
-    }
-}
-
-impl Default for Ports {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

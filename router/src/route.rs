@@ -30,10 +30,12 @@ const MARGIN: i32 = 3;
 const LARGE: usize = 24;
 /// How much of what a critical pin pays is delay.
 const CRITICAL: f32 = 0.96;
+/// A pin as critical as that, on a detour, has its net routed again even if nothing is shared.
+const SLOW: f32 = 0.85;
 
 /// A hash that is the same everywhere.
 #[derive(Default, Clone, Copy)]
-pub struct Plain(u64);
+struct Plain(u64);
 
 impl Hasher for Plain {
     fn finish(&self) -> u64 {
@@ -57,6 +59,15 @@ struct Step {
     from: u32,
     pip: u32,
     delay: f32,
+}
+
+impl Step {
+    /// What a net begins with.
+    const SOURCE: Step = Step {
+        from: NONE,
+        pip: NONE,
+        delay: 0.0,
+    };
 }
 
 type Tree = HashMap<u32, Step, BuildHasherDefault<Plain>>;
@@ -232,6 +243,7 @@ fn price(chip: &Chip, class: u16) -> f32 {
 }
 
 /// A net on its way.
+#[derive(Default)]
 struct Way {
     tree: Tree,
     /// Pins, and how critical they are; in the order they are routed in.
@@ -433,12 +445,10 @@ impl<'a> Router<'a> {
         }
         let mut slow = Vec::new();
         if round > 1 {
-            for &(pin, critical) in way.pins.iter().filter(|p| p.1 > SLOW * CRITICAL) {
+            for &(pin, _) in way.pins.iter().filter(|p| p.1 > SLOW * CRITICAL) {
                 let wire = net.sinks[pin].wire;
-                if self.delays[n][pin]
-                    > 1.15 * straight(nodes, &self.ahead, net.source, wire) + 100.0
-                    && critical > 0.0
-                {
+                let straight = straight(nodes, &self.ahead, net.source, wire);
+                if self.delays[n][pin] > 1.15 * straight + 100.0 {
                     slow.push(wire);
                 }
             }
@@ -449,14 +459,7 @@ impl<'a> Router<'a> {
         }
         let mut keep = Tree::default();
         if net.sinks.len() > LARGE && round > 1 {
-            keep.insert(
-                net.source,
-                Step {
-                    from: NONE,
-                    pip: NONE,
-                    delay: 0.0,
-                },
-            );
+            keep.insert(net.source, Step::SOURCE);
             let mut path = Vec::new();
             for wire in net
                 .sinks
@@ -492,24 +495,9 @@ impl<'a> Router<'a> {
     /// Routes all pins of a net that are not.
     fn route(&mut self, n: usize) -> Result<()> {
         let net = &self.nets[n];
-        let mut way = std::mem::replace(
-            &mut self.ways[n],
-            Way {
-                tree: Tree::default(),
-                pins: Vec::new(),
-                around: [0; 4],
-                rounds: 0,
-            },
-        );
+        let mut way = std::mem::take(&mut self.ways[n]);
         if way.tree.is_empty() {
-            way.tree.insert(
-                net.source,
-                Step {
-                    from: NONE,
-                    pip: NONE,
-                    delay: 0.0,
-                },
-            );
+            way.tree.insert(net.source, Step::SOURCE);
             self.nodes[net.source as usize].users += 1;
         }
         let margin = MARGIN + way.rounds as i32 / 4;
@@ -714,9 +702,6 @@ impl<'a> Router<'a> {
         (names, blocks)
     }
 }
-
-/// A pin as critical as that, on a detour, has its net routed again even if nothing is shared.
-const SLOW: f32 = 0.85;
 
 fn place(nodes: &[Node], wire: u32) -> (i32, i32) {
     (nodes[wire as usize].x.into(), nodes[wire as usize].y.into())
