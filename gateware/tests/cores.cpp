@@ -218,10 +218,8 @@ int main(int argc, char **argv) {
         k.write("timebase.strobe", 1);
         k.run(50 + r.below(50));
         for (unsigned s = 0; s < 2; s++) {
-            c.adr = k.at("timebase.strobe"), c.dat_w = 2, c.we = 1;
-            k.clock();
-            c.we = 0;
-            k.run(18);
+            k.write("timebase.strobe", 2);  // and one clock more
+            k.run(17);
             for (unsigned begin = r.below(steps), i = 0; i < steps; i++) {
                 const unsigned n = (begin + i) % steps;
                 position[s][n] = k.read(nth("status.stepgen", n, "_position_lo"));
