@@ -19,7 +19,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from . import ecp5, image, netlist, regmap as rm, soc as ferro, tools
+from . import ecp5, image, netlist, regmap as rm, rgmii, soc as ferro, tools
 from .board import BoardError, pins_missing, read_board
 
 TOP = "top"
@@ -93,7 +93,7 @@ def _route_ourselves(board, folder, start, end, name, cancelled):
     tools.run("nextpnr-ecp5", [*start, "--no-route", "--write", placed, *_device(board), "--timing-allow-fail"], folder, f"placing{name}.log",
               cancelled=cancelled, packaged=True)
     tools.route(["--chip", str(tools.chip_database(_device(board)[0][2:])), "--placed", placed, "--routed", routed, "--constraints", clocks,
-                 "--clock", "eth=125", "--clock", f"={board.sys_clk_hz / 1e6:g}"], folder, f"routing{name}.log", cancelled=cancelled)
+                 "--clock", f"eth={rgmii.PHY.rx_clk_freq / 1e6:g}", "--clock", f"={board.sys_clk_hz / 1e6:g}"], folder, f"routing{name}.log", cancelled=cancelled)
     tools.run("nextpnr-ecp5", ["--json", routed, "--lpf", clocks, "--no-pack", "--no-place", "--router", "router1", *end], folder, f"nextpnr{name}.log",
               cancelled=cancelled, packaged=True)
     for file in (placed, routed):  # 100 MB

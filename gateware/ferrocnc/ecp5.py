@@ -104,7 +104,7 @@ class _Platform(LatticeECP5Platform):
     def do_finalize(self, fragment):
         LatticeECP5Platform.do_finalize(self, fragment)
         self.add_period_constraint(self.lookup_request("clk", loose=True), self.default_clk_period)
-        self.add_period_constraint(self.lookup_request("eth_clocks:rx", 0, loose=True), 1e9 / 125e6)
+        self.add_period_constraint(self.lookup_request("eth_clocks:rx", 0, loose=True), 1e9 / rgmii.PHY.rx_clk_freq)
 
 
 class _CRG(LiteXModule):
