@@ -191,6 +191,11 @@ pub const KEYS: &[Key] = &[
         Kind::Integer { min: 0, max: 7 },
         "how many step generators, from the first on, jobs move without a PC; 0 (if nothing is said): there are no jobs",
     ),
+    may(
+        "sdram",
+        Kind::Flag,
+        "true (if nothing is said) or false: without the SDRAM a PC streams the jobs",
+    ),
     must(
         "network",
         Kind::Table(NETWORK),
@@ -422,6 +427,8 @@ pub struct Board {
     pub factory: Option<Line>,
     /// Axes of a job: step generators 0 and up; 0: there are no jobs.
     pub jobs: usize,
+    /// Jobs live in the card's SDRAM. Without it a PC streams them.
+    pub sdram: bool,
     /// `None`: made of the flash's serial number.
     pub mac: Option<[u8; 6]>,
     /// Until another is set.
@@ -514,12 +521,22 @@ impl Board {
                 "write a smaller number, or another [[stepgen]]",
             ));
         }
-        if jobs > 0 && platform.sdram.is_none() {
+        let said = at.flag("sdram");
+        if let Some(said) = said.filter(|_| jobs == 0) {
+            return Err(at.error(
+                "sdram",
+                &said.to_string(),
+                "is said of a board without jobs, and nothing else uses the SDRAM",
+                "leave the key out, or say which axes jobs move (jobs = 3)",
+            ));
+        }
+        let sdram = jobs > 0 && said.unwrap_or(true);
+        if sdram && platform.sdram.is_none() {
             return Err(at.error(
                 "jobs",
                 &jobs.to_string(),
                 format!("needs an SDRAM, and {} has none", platform.name),
-                "leave the key out, or say in the platform file where the SDRAM is ([sdram])",
+                "write sdram = false to have a PC stream the jobs, or say in the platform file where the SDRAM is ([sdram])",
             ));
         }
         let modified = wiring.modified;
@@ -533,6 +550,7 @@ impl Board {
             ext_reset,
             factory,
             jobs,
+            sdram,
             mac: mac(network)?,
             ipv4: ipv4(network)?,
             udp_port: network.integer("udp_port").unwrap_or_default() as u16,

@@ -27,6 +27,7 @@ pub fn export(board: &Board) -> Result<Value, Error> {
             "active_low": board.factory.as_ref().is_none_or(|line| line.active == Level::Low),
         },
         "jobs": board.jobs,
+        "sdram": board.sdram,
         "safe_mask": board.safe_mask(),
         "invert_mask": board.invert_mask(),
         "missing_pins": board.missing_pins(),

@@ -59,6 +59,39 @@ fn every_committed_board_reads_describes_itself_and_comes_back_from_our_own_toml
 }
 
 #[test]
+fn a_board_whose_jobs_a_pc_streams_uses_no_sdram_and_needs_none() {
+    let plotter = std::fs::read_to_string(boards().join("plotter.toml")).unwrap();
+    let read = |text: &str, platforms: &Folder| {
+        Board::read("boards/plotter.toml", "plotter", text, platforms)
+    };
+    let known = Folder::beside(&boards().join("plotter.toml"));
+    assert!(read(&plotter, &known).unwrap().sdram);
+    let without = plotter.replace("jobs = 3\n", "jobs = 3\nsdram = false\n");
+    let board = read(&without, &known).unwrap();
+    assert_eq!((board.jobs, board.sdram), (3, false));
+    assert_eq!(export::export(&board).unwrap()["sdram"], false);
+    let again = read(&write::to_toml(&board, &[]), &known).unwrap();
+    assert_eq!((again.jobs, again.sdram), (3, false));
+
+    // A card nobody has told us the SDRAM of.
+    let folder = std::env::temp_dir().join(format!("ferrocnc-no-sdram-{}", std::process::id()));
+    std::fs::create_dir_all(folder.join("platforms")).unwrap();
+    let (_, card) = BUILT_IN
+        .iter()
+        .find(|(known, _)| *known == "5a-75b-8.0")
+        .unwrap();
+    let (card, _) = card.split_once("[sdram]").unwrap();
+    std::fs::write(folder.join("platforms/5a-75b-8.0.toml"), card).unwrap();
+    let bare = Folder::beside(&folder.join("plotter.toml"));
+    let error = read(&plotter, &bare).unwrap_err().to_string();
+    for part in ["jobs: 3 needs an SDRAM", "sdram = false", "[sdram]"] {
+        assert!(error.contains(part), "{part:?} is not in {error:?}");
+    }
+    assert!(!read(&without, &bare).unwrap().sdram);
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
 fn the_blob_says_every_name_and_pin_as_the_driver_reads_it() {
     use wire::board::{Blob, Kind};
     for file in files(&boards(), ".toml") {

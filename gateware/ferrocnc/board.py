@@ -81,6 +81,7 @@ class Board:
     missing: list = field(default_factory=list)
     blob: bytes = b""
     jobs: int = 0         # axes of a job, step generators 0 and up; 0: the board executes none
+    sdram: bool = False   # jobs live in the card's SDRAM; without it a PC streams them
 
     @property
     def estop_mask(self):
@@ -135,7 +136,7 @@ def _board(said):
         stepgen=said["stepgen"], encoder=said["encoder"], pwm=said["pwm"], gpio_in=said["gpio_in"], gpio_out=said["gpio_out"],
         ext_reset_pin=said["ext_reset"]["pin"], ext_reset_active_low=said["ext_reset"]["active_low"],
         factory_pin=said["factory"]["pin"], factory_active_low=said["factory"]["active_low"],
-        safe_mask=said["safe_mask"], invert_mask=said["invert_mask"], missing=said["missing_pins"], jobs=said["jobs"], blob=bytes.fromhex(said["blob"]))
+        safe_mask=said["safe_mask"], invert_mask=said["invert_mask"], missing=said["missing_pins"], jobs=said["jobs"], sdram=said["sdram"], blob=bytes.fromhex(said["blob"]))
 
 
 def pins_missing(board):

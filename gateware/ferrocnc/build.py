@@ -319,14 +319,14 @@ class Design:
         return image.pack(self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder, self._program())
 
     def _program(self):
-        """The jobs program that was built with this firmware, if the board has jobs."""
-        if not self.board.jobs:
+        """The jobs program that was built with this firmware, if the board executes jobs by itself."""
+        if not self.board.sdram:
             return b""
         path = Path(self.options.firmware).with_name("ferrocnc-jobs.bin")
         try:
             return path.read_bytes()
         except OSError as e:
-            raise BuildError(f"{self.name}: has jobs, but {path.name} cannot be read ({e.strerror}); firmware/build.sh makes it beside the firmware") from e
+            raise BuildError(f"{self.name}: executes jobs, but {path.name} cannot be read ({e.strerror}); firmware/build.sh makes it beside the firmware") from e
 
     def _report(self, seed):
         found = self.record["seeds"][str(seed)]

@@ -85,7 +85,7 @@ class _Platform(LatticeECP5Platform):
         if flash := getattr(p, "flash", None):
             io += [(f"flash_{k}", 0, Pins(flash[k]), _LVCMOS, Misc("SLEWRATE=SLOW")) for k in ("cs", "mosi")]
             io.append(("flash_miso", 0, Pins(flash["miso"]), _LVCMOS, Misc("PULLMODE=UP")))
-        if board.jobs:
+        if board.sdram:
             chips = p.sdram
             io.append(("sdram_clk", 0, Pins(chips["clk"]), _LVCMOS))
             io.append(("sdram", 0, *(Subsignal(name, Pins(chips[key])) for name, key in (
@@ -129,12 +129,12 @@ class BoardSoC(ferro.FerroSoC):
         if all_pins and missing:
             raise BoardError(board.file, missing[0], f"has no pin ({len(missing)} are missing); a configuration without pins can only be simulated")
         platform = _Platform(board, all_pins)
-        crg = _CRG(platform, board.platform.clock_hz, board.sys_clk_hz, board.jobs)
+        crg = _CRG(platform, board.platform.clock_hz, board.sys_clk_hz, board.sdram)
 
         def phy(_):
             return rgmii.board_phy(platform.request("eth_clocks", 0), platform.request("eth", 0))
 
-        ferro.FerroSoC.__init__(self, platform, board, crg, phy, sdram_pads=platform.request("sdram") if board.jobs else None)
+        ferro.FerroSoC.__init__(self, platform, board, crg, phy, sdram_pads=platform.request("sdram") if board.sdram else None)
         self._pins(platform, board, all_pins)
 
     def _pins(self, platform, board, all_pins):

@@ -120,7 +120,7 @@ def _phy(platform):
 class SimSoC(ferro.FerroSoC):
     def __init__(self, board):
         platform = _Platform()
-        pads = _sdram(self, platform, board) if board.jobs else None
+        pads = _sdram(self, platform, board) if board.sdram else None
         ferro.FerroSoC.__init__(self, platform, board, _CRG(platform), lambda soc: _phy(platform), sdram_pads=pads)
         self._freeze(platform.request("cpu_freeze"))
         pads, channels = self.cores.pads, board.channels

@@ -72,12 +72,12 @@ class FerroSoC(SoCCore):
             nrxslots=rm.ETHMAC_RX_SLOTS, ntxslots=rm.ETHMAC_TX_SLOTS)
         self.cpu.endianness = order
         self._add_board_rom()
-        if self._jobs():
+        if sdram_pads:
             sdram.add(self, sdram_pads)
         self._add_cores()
 
     def _jobs(self):
-        """Axes of a job; without any there is no SDRAM."""
+        """Axes of a job."""
         return getattr(self.board, "jobs", 0)
 
     def _add_board_rom(self):
@@ -202,7 +202,7 @@ def check_map(soc):
     assert soc.bus.regions["csr"].origin == rm.CSR_BASE
     for name, page in rm.LITEX_PAGES.items():
         assert soc.csr.regions[name].origin == rm.CSR_BASE + page * rm.CSR_PAGE, f"{name}: not on page {page}"
-    if getattr(soc.board, "jobs", 0):
+    if "main_ram" in soc.bus.regions:
         region, built = soc.bus.regions["main_ram"], soc.csr.regions[rm.SDRAM.name]
         assert (region.origin, region.size) == rm.SDRAM_RAM, f"main_ram: built at {region.origin:#x}, {region.size:#x} bytes"
         assert built.origin == rm.SDRAM.base, f"{rm.SDRAM.name}: not on page {rm.SDRAM.page}"

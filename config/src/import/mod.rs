@@ -69,6 +69,7 @@ impl<'p> Draft<'p> {
                 active: Level::High,
             },
             jobs: 0,
+            sdram: false,
             // The button has no other use in anybody's configuration, unless it has one: then `finish` takes this away.
             factory: Some(Line {
                 pin: Some("key".to_owned()),
