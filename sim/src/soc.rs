@@ -12,7 +12,7 @@ use serde::Deserialize;
 use crate::error::Error;
 
 /// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
-const SHIM_ABI: u32 = 5;
+const SHIM_ABI: u32 = 6;
 
 /// Bit of the sys clock in [`Silicon::rise`].
 pub const SYS: u32 = 1;
@@ -199,6 +199,7 @@ impl Manifest {
 type RiseFn = unsafe extern "C" fn(*mut c_void, *mut Pins, u32, u64);
 type RomWriteFn = unsafe extern "C" fn(*mut c_void, u32, u32);
 type WordsFn = unsafe extern "C" fn(*mut c_void) -> u32;
+type SegmentsFn = unsafe extern "C" fn(*mut c_void) -> u64;
 type RamReadFn = unsafe extern "C" fn(*mut c_void, u32) -> u32;
 type TraceOpenFn = unsafe extern "C" fn(*mut c_void, *const c_char) -> c_int;
 type HandleFn = unsafe extern "C" fn(*mut c_void);
@@ -225,6 +226,7 @@ pub struct Soc {
     rom_words: WordsFn,
     ram_words: WordsFn,
     pc: WordsFn,
+    segments: SegmentsFn,
     ram_read: RamReadFn,
     trace_open: TraceOpenFn,
     trace_close: HandleFn,
@@ -287,6 +289,7 @@ impl Soc {
                 rom_words: *library.get(b"fc_rom_words").map_err(err)?,
                 ram_words: *library.get(b"fc_ram_words").map_err(err)?,
                 pc: *library.get(b"fc_pc").map_err(err)?,
+                segments: *library.get(b"fc_segments").map_err(err)?,
                 ram_read: *library.get(b"fc_ram_read").map_err(err)?,
                 trace_open: *library.get(b"fc_trace_open").map_err(err)?,
                 trace_close: *library.get(b"fc_trace_close").map_err(err)?,
@@ -332,6 +335,13 @@ impl Soc {
         // SAFETY: see `rom_words`.
         let pc = unsafe { (self.pc)(self.handle) };
         (pc != u32::MAX).then_some(pc)
+    }
+
+    /// Segments of jobs begun since power-up, and those that wait; `None` on a board without jobs.
+    pub fn segments(&mut self) -> Option<(u32, u8)> {
+        // SAFETY: see `rom_words`.
+        let both = unsafe { (self.segments)(self.handle) };
+        (both != u64::MAX).then_some(((both >> 8) as u32, both as u8))
     }
 
     /// The on-chip RAM as it stands; empty when the manifest does not name it. A write-back in the CPU's data cache may be

@@ -117,10 +117,15 @@ module_of() { # hierarchical path -> the variable in the top module (deeper path
 {
     echo '`verilator_config'
     echo "public_flat_rw -module \"$top\" -var \"$(module_of "$rom_path")\""
-    # Where the CPU is: for profiles. No other signal is asked for.
+    # Where the CPU is: for profiles.
     if grep -q 'lastStagePc' "${verilog[@]}"; then
         echo 'public_flat_rd -module "VexRiscv" -var "lastStagePc"'
         echo 'public_flat_rd -module "VexRiscv" -var "lastStageIsValid"'
+    fi
+    # What a job has left to play: for the rate at which it is planned.
+    if grep -q '^module segments ' "${verilog[@]}"; then
+        echo 'public_flat_rd -module "segments" -var "begun"'
+        echo 'public_flat_rd -module "segments" -var "level"'
     fi
     if [ -n "$ram_path" ]; then echo "public_flat_rw -module \"$top\" -var \"$(module_of "$ram_path")\""; fi
 } > "$obj/public.vlt"
@@ -168,6 +173,7 @@ for n in $rom_name $ram_name; do
 done
 
 pc=$(grep -ohE '\w+VexRiscv__DOT__lastStagePc\b' "$obj/Vsoc___024root.h" | head -1 || true)
+begun=$(grep -ohE '\w+segments\w*__DOT__begun\b' "$obj/Vsoc___024root.h" | head -1 || true)
 # -Os: the code of one clock is a straight line longer than the instruction cache; small beats clever by a tenth.
 make -C "$obj" -f Vsoc.mk -j "$jobs" ${pch:+CFG_CXXFLAGS_PCH_I=-include} \
     OPT_FAST=-Os OPT_SLOW=-O1 OPT_GLOBAL=-O3 Vsoc__ALL.a verilated.o verilated_threads.o \
@@ -180,7 +186,8 @@ objects=$(ls "$obj"/verilated*.o)
 # shellcheck disable=SC2086
 g++ -O3 -std=gnu++17 $cflags -fvisibility=default -shared -I"$include" -I"$include/vltstd" -I"$obj" \
     -DFC_MODEL=Vsoc -DFC_HEADER='"Vsoc.h"' -DFC_ROOT_HEADER='"Vsoc___024root.h"' -DFC_ROM="$rom_name" \
-    ${ram_name:+-DFC_RAM=$ram_name} ${pc:+-DFC_PC=$pc -DFC_PC_VALID=${pc%Pc}IsValid} $prev $tracedef "$here/shim.cpp" "$obj/Vsoc__ALL.a" $objects \
+    ${ram_name:+-DFC_RAM=$ram_name} ${pc:+-DFC_PC=$pc -DFC_PC_VALID=${pc%Pc}IsValid} \
+    ${begun:+-DFC_BEGUN=$begun -DFC_LEVEL=${begun%begun}level} $prev $tracedef "$here/shim.cpp" "$obj/Vsoc__ALL.a" $objects \
     -o "$out/$name.new" -pthread -latomic $( [ "$trace" = fst ] && echo -lz -llz4 ) >> "$log" 2>&1 \
     || { tail -40 "$log" >&2; die "linking failed, see $log"; }
 mv "$out/$name.new" "$out/$name"

@@ -4,7 +4,7 @@
 // live in Rust (sim/src), which loads the library made from this file at run time, so that building the Rust side needs no
 // FPGA tool. `Pins` is mirrored by `sim/src/soc.rs`; change both, and ABI_VERSION with them.
 //
-// build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM (array in the root), FC_RAM (likewise, optional), FC_PC and FC_PC_VALID (optional),
+// build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM (array in the root), FC_RAM (likewise, optional), FC_PC and FC_PC_VALID (optional), FC_BEGUN and FC_LEVEL (optional),
 // FC_CLOCKS with a generated fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or FC_TRACE_VCD.
 
 #include <cstddef>
@@ -35,7 +35,7 @@ bool Vsoc___024root___eval_phase__nba(Vsoc___024root*);
 #endif
 
 namespace {
-constexpr uint32_t ABI_VERSION = 5;
+constexpr uint32_t ABI_VERSION = 6;
 constexpr uint32_t SYS = 1, ETH = 2;
 
 struct Pins {
@@ -256,6 +256,17 @@ uint32_t fc_pc(void* handle) {
 #else
     (void)handle;
     return ~0u;
+#endif
+}
+
+// Segments begun since power-up, above 8 bits of those that wait; all ones on a board without jobs.
+uint64_t fc_segments(void* handle) {
+#if defined(FC_BEGUN)
+    auto* root = static_cast<Soc*>(handle)->model->rootp;
+    return static_cast<uint64_t>(root->FC_BEGUN) << 8 | root->FC_LEVEL;
+#else
+    (void)handle;
+    return ~0ull;
 #endif
 }
 

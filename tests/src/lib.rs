@@ -14,6 +14,7 @@ pub mod image;
 pub mod lan;
 pub mod mill;
 pub mod plotter;
+pub mod wired;
 
 use sim::edges;
 use sim::firmware::Image;

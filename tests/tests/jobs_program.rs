@@ -1,14 +1,9 @@
 //! The jobs program on the Verilated board: the release image finds it behind the bitstream in the flash, puts it into the SDRAM
 //! and lets it answer on the port of jobs; and without it, or with a damaged one, everything else works as ever.
 
-use ferrocnc_tests::flash::{self, FIRST};
-use ferrocnc_tests::{Machine, parts};
-use sim::nor::spi::Shared;
-use sim::nor::{Nor, Part};
-use sim::rig::Setup;
-use std::path::PathBuf;
+use ferrocnc_tests::Machine;
+use ferrocnc_tests::wired::{program, setup};
 use wire::describe::{FEATURE_JOBS, JobsState};
-use wire::images::{Role, Trailer};
 use wire::jobs::{Frame, Op, Request, Status, Welcome};
 use wire::map;
 
@@ -16,41 +11,9 @@ use wire::map;
 const INTERFACE_AT: usize = 4;
 const ABI_AT: usize = 8;
 
-/// What the build left.
-fn program() -> Vec<u8> {
-    let (_, firmware) = parts();
-    let path = firmware.with_file_name("ferrocnc-jobs.bin");
-    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
-}
-
 /// A board with jobs, switched on with this behind the bitstream in its flash; its image runs from slot A.
 fn board(behind: &[u8]) -> Machine {
     Machine::boot(setup(behind))
-}
-
-fn setup(behind: &[u8]) -> Setup {
-    let (mill, firmware) = parts();
-    let soc: PathBuf = mill.with_file_name("plotter");
-    let mut nor = flash::factory(Part::W25Q32JV, 7);
-    put(&mut nor, behind);
-    let mut setup = Setup::new(&soc, &firmware);
-    setup.flash = Some(Shared::new(nor));
-    setup.trailer = Trailer {
-        build_id: FIRST,
-        role: Role::Image,
-    };
-    // Reading the program takes its time: 4 clocks a bit, and as much again.
-    setup.boot_clocks = 20_000_000;
-    setup
-}
-
-/// Slot A: an image that ends with these bytes.
-fn put(nor: &mut Nor, behind: &[u8]) {
-    let image = flash::with_program(&flash::image(FIRST, 3), behind);
-    let area = flash::layout(nor).slot_a;
-    nor.preload(area.start as usize, &image);
-    let meta = flash::meta(&image, FIRST);
-    nor.preload(area.meta() as usize, &meta.to_page());
 }
 
 fn state(machine: &mut Machine) -> JobsState {

@@ -1,0 +1,299 @@
+//! A Verilated board that draws by itself, at the end of a wire of this machine: the tool's own client sends it jobs and starts them.
+//!
+//! ```text
+//! host::job::client::Board --- loopback ---> Wired --- frames of the virtual Ethernet ---> the board's TCP
+//! ```
+//!
+//! Time passes for the board while the client does something, and when a test says so; between the two it stands.
+
+use crate::{Machine, flash, parts};
+use host::job::client::Board;
+use host::job::pins::{Event, Pin};
+use host::keys::Keys;
+use motion::segment::AXES;
+use sim::edges::Timing;
+use sim::nor::spi::Shared;
+use sim::nor::{Nor, Part};
+use sim::rig::Setup;
+use sim::segment::Connection;
+use sim::world::Output;
+use std::collections::BTreeMap;
+use std::io::{ErrorKind, Read, Write};
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, SocketAddrV4, TcpListener, TcpStream};
+use std::time::Duration;
+use wire::images::{Role, Trailer};
+
+/// As long as the client waits, whatever else this machine does.
+const PATIENCE: Duration = Duration::from_secs(120);
+/// Clocks between two looks at the sockets: a sixtieth of a millisecond.
+const TURN: u64 = 1000;
+/// Clocks between two looks at the program counter. A prime, so that no loop is always seen at the same place.
+const SAMPLE: u64 = 61;
+/// Where the jobs program lies.
+const PROGRAM: u32 = 0x4000_0000;
+
+/// What the build left for the SDRAM.
+pub fn program() -> Vec<u8> {
+    let (_, firmware) = parts();
+    let path = firmware.with_file_name("ferrocnc-jobs.bin");
+    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// A board with jobs, with this behind the bitstream in its flash; its image runs from slot A.
+pub fn setup(behind: &[u8]) -> Setup {
+    let (mill, firmware) = parts();
+    let soc = mill.with_file_name("plotter");
+    let mut nor = flash::factory(Part::W25Q32JV, 7);
+    put(&mut nor, behind);
+    let mut setup = Setup::new(&soc, &firmware);
+    setup.flash = Some(Shared::new(nor));
+    setup.trailer = Trailer {
+        build_id: flash::FIRST,
+        role: Role::Image,
+    };
+    // Reading the program takes its time: 4 clocks a bit, and as much again.
+    setup.boot_clocks = 20_000_000;
+    setup
+}
+
+/// Slot A: an image that ends with these bytes.
+fn put(nor: &mut Nor, behind: &[u8]) {
+    let image = flash::with_program(&flash::image(flash::FIRST, 3), behind);
+    let area = flash::layout(nor).slot_a;
+    nor.preload(area.start as usize, &image);
+    let meta = flash::meta(&image, flash::FIRST);
+    nor.preload(area.meta() as usize, &meta.to_page());
+}
+
+/// One connection, and what was said at this end and the board has not taken.
+struct Line {
+    stream: TcpStream,
+    line: Connection,
+    ahead: Vec<u8>,
+    /// The client has said all he will.
+    over: bool,
+}
+
+/// Where the processor was, and for how many looks.
+#[derive(Clone, Debug, Default)]
+pub struct Profile {
+    /// By address of the instruction that left the pipeline next.
+    pub counts: BTreeMap<u32, u64>,
+    /// Clocks in which it was looked at without the ROM being seen in between, at most.
+    pub longest: u64,
+    since: Option<u64>,
+}
+
+/// The board and its wire.
+pub struct Wired {
+    /// The board. What passes here does not pass at the sockets.
+    pub machine: Machine,
+    at: SocketAddrV4,
+    listener: TcpListener,
+    lines: Vec<Line>,
+    /// After the lines: it hangs up without anybody at the other end.
+    client: Option<Board>,
+    profile: Option<Profile>,
+}
+
+impl Wired {
+    /// Switched on, with the jobs program; its steps and its pen are being watched.
+    pub fn boot() -> Self {
+        Self::around(Machine::boot(setup(&program())))
+    }
+
+    /// This board.
+    pub fn around(mut machine: Machine) -> Self {
+        machine.rig().board.edges.keep_steps();
+        machine.rig().board.watch.gpio = 1;
+        let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+        let listener = TcpListener::bind(any).expect("a port of this machine");
+        listener.set_nonblocking(true).expect("asked now and then");
+        let SocketAddr::V4(at) = listener.local_addr().expect("its number") else {
+            unreachable!("bound to an IPv4 address");
+        };
+        Wired {
+            machine,
+            at,
+            listener,
+            lines: Vec::new(),
+            client: None,
+            profile: None,
+        }
+    }
+
+    /// The tool's client does this, and the board's time passes until it has.
+    pub fn with<T: Send>(&mut self, act: impl FnOnce(&mut Board) -> T + Send) -> T {
+        let (at, client) = (self.at, self.client.take());
+        let connect = move || Board::with_patience(at, Keys::default(), PATIENCE);
+        let (client, told) = std::thread::scope(|scope| {
+            let host = scope.spawn(move || {
+                let client = client.map_or_else(connect, Ok);
+                let mut client = client.unwrap_or_else(|error| panic!("{error}"));
+                let told = act(&mut client);
+                (client, told)
+            });
+            while !host.is_finished() {
+                self.turn(TURN);
+            }
+            host.join()
+                .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        });
+        self.client = Some(client);
+        told
+    }
+
+    /// Lets time pass.
+    pub fn run(&mut self, clocks: u64) {
+        let until = self.machine.clock() + clocks;
+        while self.machine.clock() < until {
+            self.turn(TURN.min(until - self.machine.clock()));
+        }
+    }
+
+    fn turn(&mut self, clocks: u64) {
+        while let Ok((stream, _)) = self.listener.accept() {
+            stream.set_nodelay(true).expect("small frames at once");
+            stream.set_nonblocking(true).expect("asked now and then");
+            let line = self.machine.rig().segment.connect(wire::jobs::PORT);
+            self.lines.push(Line {
+                stream,
+                line,
+                ahead: Vec::new(),
+                over: false,
+            });
+        }
+        let rig = self.machine.rig();
+        self.lines.retain_mut(|line| line.serve(&mut rig.segment));
+        match self.profile.take() {
+            None => self.machine.rig().run(clocks),
+            Some(mut profile) => {
+                self.sample(clocks, &mut profile);
+                self.profile = Some(profile);
+            }
+        }
+    }
+
+    /// Lets time pass and looks where the processor is.
+    fn sample(&mut self, clocks: u64, profile: &mut Profile) {
+        let until = self.machine.clock() + clocks;
+        while self.machine.clock() < until {
+            self.machine.rig().run(SAMPLE);
+            // In a stall what waits is what leaves the pipeline next.
+            let mut pc = self.machine.rig().board.silicon().pc();
+            while pc.is_none() {
+                self.machine.rig().run(1);
+                pc = self.machine.rig().board.silicon().pc();
+            }
+            let now = self.machine.clock();
+            let pc = pc.unwrap_or(0);
+            *profile.counts.entry(pc).or_default() += 1;
+            if pc >= PROGRAM {
+                let since = *profile.since.get_or_insert(now);
+                profile.longest = profile.longest.max(now - since);
+            } else {
+                profile.since = None;
+            }
+        }
+    }
+
+    /// From now on the program counter is looked at.
+    pub fn profile(&mut self) {
+        self.profile = Some(Profile::default());
+    }
+
+    /// What it was, if it was.
+    pub fn take_profile(&mut self) -> Option<Profile> {
+        self.profile.take()
+    }
+
+    /// Segments begun since power-up, and those that wait.
+    pub fn segments(&mut self) -> (u32, u8) {
+        let segments = self.machine.rig().board.silicon().segments();
+        segments.expect("a board with jobs, verilated by this build")
+    }
+
+    /// Tells the judge at the pins what this machine's drives need.
+    pub fn judge(&mut self, machine: &host::job::machine::Machine) {
+        let axes = machine.to_board().axes;
+        for (axis, told) in axes.iter().enumerate() {
+            let [steplen, stepspace, dirsetup, dirhold] =
+                told.timings(machine.clock).map(u64::from);
+            let timing = Timing {
+                steplen,
+                stepspace,
+                dirsetup,
+                dirhold,
+            };
+            self.machine.rig().board.edges.set_timing(axis, timing);
+        }
+    }
+
+    /// Everything the pins did since this was asked last.
+    pub fn events(&mut self) -> Vec<Event> {
+        let board = &mut self.machine.rig().board;
+        assert_eq!(board.edges.violations(), [], "timing at the pins");
+        let steps = board.edges.take_steps().into_iter();
+        let mut events: Vec<Event> = steps
+            .map(|step| {
+                let (axis, forward) = (usize::from(step.channel), step.forward);
+                (step.clock, Pin::Step { axis, forward })
+            })
+            .collect();
+        events.extend(board.take_events().into_iter().filter_map(|event| {
+            let pen = event.output == Output::Gpio(0);
+            pen.then_some((event.clock, Pin::Tool(event.level)))
+        }));
+        events.sort_by_key(|(clock, _)| *clock);
+        events
+    }
+
+    /// Where its pulses add up to.
+    pub fn steps(&self) -> [i64; AXES] {
+        std::array::from_fn(|axis| self.machine.pulses(axis))
+    }
+}
+
+impl Line {
+    /// What either end has said goes to the other; false when both have hung up.
+    fn serve(&mut self, segment: &mut sim::segment::Segment) -> bool {
+        let mut buffer = [0; 2048];
+        while !self.over && self.ahead.is_empty() {
+            match self.stream.read(&mut buffer) {
+                Ok(0) => self.over = true,
+                Ok(length) => self.ahead.extend(&buffer[..length]),
+                Err(error) if error.kind() == ErrorKind::WouldBlock => break,
+                Err(_) => self.over = true,
+            }
+        }
+        if segment.established(self.line) {
+            let taken = segment.send(self.line, &self.ahead);
+            self.ahead.drain(..taken);
+            if self.over && self.ahead.is_empty() {
+                segment.close(self.line);
+            }
+        }
+        let heard = segment.recv(self.line);
+        // The client has room for more than a frame; one that is gone hears nothing.
+        let _ = self.stream.write_all(&heard);
+        let closed = segment.closed(self.line);
+        if segment.hung_up(self.line) || closed {
+            let _ = self.stream.shutdown(Shutdown::Write);
+            segment.close(self.line);
+        }
+        if closed {
+            segment.drop_connection(self.line);
+        }
+        !closed
+    }
+}
+
+impl Profile {
+    /// A line for each address: in hexadecimal, and how often.
+    pub fn text(&self) -> String {
+        let lines = self.counts.iter();
+        lines
+            .map(|(pc, count)| format!("{pc:08x} {count}\n"))
+            .collect()
+    }
+}
