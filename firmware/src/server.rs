@@ -21,7 +21,7 @@ use crate::safety::{Effects, Event, Safety};
 use crate::session::{Peer, Session};
 use crate::{config, describe, log, service};
 use wire::auth::Purpose;
-use wire::describe::{FEATURE_KEY, OBSTACLE_FLASH};
+use wire::describe::{FEATURE_KEY, JobsState, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
 use wire::map::BoardConfig;
@@ -139,8 +139,8 @@ impl Server {
     }
 
     /// Says in the description what became of the jobs program.
-    pub fn jobs(&mut self, state: wire::describe::JobsState) {
-        self.ident.features |= state.code() << wire::describe::JobsState::AT;
+    pub fn jobs(&mut self, state: JobsState) {
+        self.ident.features |= state.code() << JobsState::AT;
     }
 
     /// This board's block lengths.
@@ -513,6 +513,7 @@ impl Server {
             peer,
             now,
             flash_busy: self.flash.busy(),
+            counted: false,
         };
         for record in packet.records() {
             if let (map::SESSION_RESPONSE, Ok(answer)) =
@@ -554,6 +555,7 @@ impl Server {
                     }
                 }
                 map::SESSION_REBOOT => self.restart = true,
+                map::SESSION_SEGMENTS => self.session.count_segments(),
                 map::FLASH..FLASH_END => {
                     self.flash.write_word(board.spi(), address, value);
                     self.safety.hold(self.flash.busy());
@@ -598,6 +600,7 @@ impl Server {
                 .owner()
                 .map_or(0, |owner| u32::from(owner.port)),
             map::SESSION_LAST_SEQ => self.session.last_sequence(),
+            map::SESSION_SEGMENTS => self.session.segments(),
             map::SESSION_CHALLENGE..map::SESSION_RESPONSE => {
                 // None for strangers while somebody owns the session: it would be of no use to them, and hashing for
                 // them would keep the owner waiting.
@@ -713,6 +716,8 @@ struct Judge<'s> {
     peer: Peer,
     now: u64,
     flash_busy: bool,
+    /// What is written to the segments behind this is in its order.
+    counted: bool,
 }
 
 impl Judge<'_> {
@@ -741,6 +746,16 @@ impl Judge<'_> {
                 self.at_rest()?;
                 self.flash_idle()
             }
+            map::SESSION_SEGMENTS if JobsState::streamed(self.ident.features) => {
+                self.owner()?;
+                self.session.count_segments();
+                self.counted = value == self.session.segments();
+                if self.counted {
+                    Ok(())
+                } else {
+                    Err(Refusal::Stale)
+                }
+            }
             map::FLASH..FLASH_END => {
                 Flash::check_write(address, value)?;
                 self.owner_or_nobody()?;
@@ -759,6 +774,8 @@ impl Judge<'_> {
                 }
                 config::check(setting, value, self.ident.channels, self.ident.clock_hz)
             }
+            // The owner's, and in its order: the gateware is what judges the values.
+            map::SEGMENTS..SEGMENTS_END if self.counted => Ok(()),
             map::SERVICE.. => {
                 service::check_write(address, value, self.ident.channels, self.ident.clock_hz)?;
                 self.owner()?;
@@ -808,6 +825,7 @@ impl Judge<'_> {
 const CONFIG_END: u32 = map::CONFIG + map::CONFIG_LEN;
 const DESCRIBE_END: u32 = map::DESCRIBE + map::DESCRIBE_LEN;
 const FLASH_END: u32 = map::FLASH + map::FLASH_LEN;
+const SEGMENTS_END: u32 = map::SEGMENTS + 4 * map::SEGMENTS_WRITABLE;
 const SESSION_END: u32 = map::SESSION + map::SESSION_LEN;
 
 /// Is this an aligned address of a window? Inside a window, what is not there reads 0.

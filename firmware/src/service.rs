@@ -1,7 +1,8 @@
 //! Raw registers for people and for LiteX's own tools: everything can be read, little be written.
 //!
 //! No CSR of this SoC changes by being read. Written may be what configures and cannot move
-//! anything: never the gate, never the network, never the command page.
+//! anything: never the gate, never the network, never the command page. The segments are the exception, on boards
+//! whose jobs a PC streams: who may do that is the server's to judge.
 
 use crate::config;
 use crate::cores::Setting;
@@ -22,6 +23,7 @@ const PAGE_PWM: u32 = 48;
 const PAGE_FLASH: u32 = 64;
 /// Page of the guests at the MAC's door.
 pub const PAGE_GUEST: u32 = 65;
+const PAGE_SEGMENTS: u32 = (map::SEGMENTS - map::SERVICE) / PAGE;
 /// Pages 0, 1, 3 and 4 are LiteX's, 8 and up ours; nobody reads the flash past the firmware.
 const PAGES: u64 = 0b1_1011 | !0 << 8;
 
@@ -37,7 +39,7 @@ enum Target {
 pub const fn readable(address: u32) -> bool {
     let offset = address.wrapping_sub(map::SERVICE);
     let page = offset / PAGE;
-    page < PAGE_FLASH && PAGES >> page & 1 != 0 || page == PAGE_GUEST
+    page < PAGE_FLASH && PAGES >> page & 1 != 0 || matches!(page, PAGE_GUEST | PAGE_SEGMENTS)
 }
 
 /// May this be written at all, and with this value? The caller has checked ownership and rest.
@@ -106,11 +108,11 @@ mod tests {
     #[test]
     fn the_identifier_and_every_core_can_be_read() {
         for page in [
-            0, 1, 3, 4, 8, 9, 10, 11, 12, 13, 14, 15, 16, 31, 32, 48, 63, 65,
+            0, 1, 3, 4, 8, 9, 10, 11, 12, 13, 14, 15, 16, 31, 32, 48, 63, 65, 66,
         ] {
             assert!(readable(map::SERVICE + page * PAGE), "page {page}");
         }
-        for page in [2, 5, 6, 7, 64, 66, 1000] {
+        for page in [2, 5, 6, 7, 64, 67, 1000] {
             assert!(!readable(map::SERVICE + page * PAGE), "page {page}");
         }
         assert!(!readable(0x8000_0000) && !readable(0));
@@ -118,7 +120,7 @@ mod tests {
 
     #[test]
     fn nothing_that_opens_the_gate_moves_an_axis_or_cuts_the_network_can_be_written() {
-        for page in [1, 3, 4, 8, 9, 10, 14, 15, 65] {
+        for page in [1, 3, 4, 8, 9, 10, 14, 15, 65, 66] {
             for word in 0..64 {
                 assert_eq!(
                     write(page, word, 0),

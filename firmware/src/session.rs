@@ -32,6 +32,8 @@ impl Peer {
 pub struct Session {
     owner: Option<Owner>,
     last_sequence: u32,
+    /// The last number in front of writes to the segments.
+    segments: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +49,7 @@ impl Session {
         Session {
             owner: None,
             last_sequence: 0,
+            segments: 0,
         }
     }
 
@@ -66,6 +69,8 @@ impl Session {
             heard: now,
         });
         self.last_sequence = 0;
+        // What was on its way in an earlier session has another number.
+        self.segments = now as u32;
         Ok(())
     }
 
@@ -129,6 +134,16 @@ impl Session {
     #[inline]
     pub fn accept(&mut self, sequence: u32) {
         self.last_sequence = sequence;
+    }
+
+    /// The last number in front of writes to the segments.
+    pub fn segments(&self) -> u32 {
+        self.segments
+    }
+
+    /// Takes the next of these numbers.
+    pub fn count_segments(&mut self) {
+        self.segments = self.segments.wrapping_add(1);
     }
 
     /// The owner said something.

@@ -26,6 +26,8 @@ pub struct Card {
     pub estop_level: u32,
     /// Axes of its jobs; 0 without any.
     pub jobs: u8,
+    /// It has no SDRAM: a PC streams them.
+    pub streamed: bool,
 }
 
 const BUILT_IN: [(&str, &[u8], &[u8]); 3] = [
@@ -117,6 +119,7 @@ impl Card {
             estop_mask: 0,
             estop_level: 0,
             jobs: 0,
+            streamed: false,
         }
     }
 
@@ -160,6 +163,7 @@ impl Card {
             estop_mask,
             estop_level,
             jobs: 0,
+            streamed: false,
             blob,
         })
     }

@@ -119,6 +119,9 @@ struct Arguments {
     /// jobs; one of --channels does if this is given.
     #[arg(long, value_name = "ADDR:PORT")]
     jobs: Option<SocketAddr>,
+    /// Model: a board of --channels that has segments and no SDRAM: for `ferrocnc job serve`.
+    #[arg(long, requires = "channels", conflicts_with = "jobs")]
+    no_sdram: bool,
     /// Take control commands, one per line, on this TCP address (`help` lists them).
     #[arg(long, value_name = "ADDR:PORT")]
     control: Option<SocketAddr>,
@@ -276,9 +279,10 @@ impl Arguments {
     fn twin(&self) -> anyhow::Result<Twin> {
         let card = match (&self.channels, &self.soc) {
             (Some(channels), _) => {
-                let jobs = self.jobs.map_or(0, |_| motion::segment::AXES as u8);
+                let has = self.no_sdram || self.jobs.is_some();
                 Card {
-                    jobs,
+                    jobs: u8::from(has) * motion::segment::AXES as u8,
+                    streamed: self.no_sdram,
                     ..Card::plain(*channels, self.clock)
                 }
             }

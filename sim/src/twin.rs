@@ -525,7 +525,10 @@ fn ident(card: &Card, abi: u32) -> Ident {
 }
 
 fn jobs_program(machine: &mut Machine<Desk>, card: &Card) -> Option<jobs::Program> {
-    let has = card.jobs > 0;
+    if card.jobs > 0 && card.streamed {
+        machine.server.jobs(wire::describe::JobsState::Streamed);
+    }
+    let has = card.jobs > 0 && !card.streamed;
     has.then(|| jobs::Program::start(machine, card.clock_hz))?
 }
 

@@ -51,12 +51,19 @@ codes! {
         Damaged = 4, "the program is damaged";
         /// The program was built for another register map or another ROM.
         Foreign = 5, "the program is of another build";
+        /// The board has no SDRAM and executes no job by itself; its owner may write the segments' registers.
+        Streamed = 6, "a PC streams them (ferrocnc job serve)";
     }
 }
 
 impl JobsState {
     /// Lowest of its bits in the features.
     pub const AT: u32 = 16;
+
+    /// May the owner write [`crate::map::SEGMENTS`]?
+    pub const fn streamed(features: u32) -> bool {
+        features >> Self::AT & 7 == Self::Streamed as u32
+    }
 
     /// Out of the features; what is none of these counts as damaged.
     pub fn of(features: u32) -> Self {

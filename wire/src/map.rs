@@ -10,6 +10,7 @@
 //! 0x0006_0000  panic      read    what the firmware last died of
 //! 0x0007_0000  flash      rw      the SPI flash: images, settings         see `flash`
 //! 0xf000_0000  service    rw      raw CSRs: reads always, writes only disarmed and by the owner
+//! 0xf002_1000    segments rw      among them; where a PC streams jobs the owner writes these at any time
 //! ```
 
 /// What the board is. Words as [`crate::describe::Describe`], then the board blob.
@@ -36,6 +37,9 @@ pub const SESSION_RELEASE: u32 = SESSION + 0x10;
 pub const SESSION_LAST_SEQ: u32 = SESSION + 0x14;
 /// Write [`REBOOT_KEY`] to restart the firmware; only disarmed, only the owner or, without a key, if nobody owns.
 pub const SESSION_REBOOT: u32 = SESSION + 0x18;
+/// Write the number behind the last one in front of what you write to [`SEGMENTS`] in the same datagram: so one that comes twice, or
+/// late, is refused (`stale`). Reads as the last one; a session begins with any.
+pub const SESSION_SEGMENTS: u32 = SESSION + 0x1c;
 /// 4 words, read in order: what the reader has to answer to acquire ([`crate::auth`]). Zeros if there is no key, and for everybody but
 /// the owner while there is one.
 pub const SESSION_CHALLENGE: u32 = SESSION + 0x20;
@@ -292,3 +296,10 @@ pub const FLASH_LEN: u32 = 0x300;
 
 /// Raw CSRs at the address they have on the board's own bus.
 pub const SERVICE: u32 = 0xf000_0000;
+
+/// The registers of the segments core, at their place among the raw ones (docs/cores/segments.md). On a board whose jobs a PC
+/// streams ([`crate::describe::JobsState::Streamed`]) its owner may write the first [`SEGMENTS_WRITABLE`] at any time, behind
+/// [`SESSION_SEGMENTS`].
+pub const SEGMENTS: u32 = SERVICE + 66 * 0x800;
+/// The words of a segment, push, control, pace, slew, beam, mask.
+pub const SEGMENTS_WRITABLE: u32 = 22;

@@ -10,6 +10,8 @@ use litex_pac::{Sdram, abi as map};
 use wire::describe::JobsState;
 use wire::images::program_length;
 
+const _: () = assert!(map::CSR_SEGMENTS as u32 == wire::map::SEGMENTS);
+
 /// CS with RAS, CAS and WE: precharge, refresh, mode register.
 const PRECHARGE: u32 = 0b1011;
 const REFRESH: u32 = 0b1101;
@@ -43,7 +45,9 @@ pub fn load(machine: &mut Machine<Soc>) -> Result<abi::Entry, JobsState> {
     if machine.server.ident().features & wire::describe::FEATURE_JOBS == 0 {
         return Err(JobsState::None);
     }
-    wake(&mut machine.board);
+    if !wake(&mut machine.board) {
+        return Err(JobsState::Streamed);
+    }
     let spi = machine.board.spi();
     let Some((start, length)) = machine.server.flash().image(spi) else {
         return Err(JobsState::Missing);
@@ -71,9 +75,9 @@ pub fn load(machine: &mut Machine<Soc>) -> Result<abi::Entry, JobsState> {
     }
 }
 
-/// The SDRAM's start, as its data sheets have it.
+/// The SDRAM's start, as its data sheets have it. False: there is no controller, its page reads 0.
 #[inline(never)]
-fn wake(board: &mut Soc) {
+fn wake(board: &mut Soc) -> bool {
     // SAFETY: nobody else touches these registers; every value below is one of a command's.
     let regs = unsafe { Sdram::steal() };
     regs.dfii_control().write(|w| unsafe { w.bits(BY_HAND) });
@@ -96,4 +100,5 @@ fn wake(board: &mut Soc) {
     }
     regs.dfii_control()
         .write(|w| unsafe { w.bits(BY_HARDWARE) });
+    regs.dfii_control().read().bits() == BY_HARDWARE
 }
