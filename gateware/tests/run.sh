@@ -52,6 +52,10 @@ for bench in "$here"/*.cpp; do
         top=$dir/rgmii.v more=$here/ecp5_models.v lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP -Wno-UNOPTFLAT"
         "$root/target/venv/bin/python" "$here/rgmii_top.py" "$dir"
     fi
+    if [ "$core" = door ]; then  # the bus' door to the SDRAM
+        top=$dir/door.v lint="-Wno-lint -Wno-style -Wno-COMBDLY"
+        "$root/target/venv/bin/python" "$here/door_top.py" "$dir"
+    fi
     stamp=$(cat "$bench" "$here/bench.h" "$top" $more "$rtl"/*.sv | cksum)
     if [ ! -x "$dir/V$core" ] || [ "$(cat "$dir/stamp" 2>/dev/null)" != "$stamp" ]; then
         # PROCASSINIT: the cores rely on power-up values, which the ECP5 has; nothing else is waived.
