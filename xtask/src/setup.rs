@@ -31,8 +31,8 @@ const PACKAGES: &[(&str, &str)] = &[
     ),
 ];
 
-/// Packages that stand in for `rustup target add riscv32im-unknown-none-elf` where rustup's server
-/// is out of reach: Debian's own rustc builds `core` from Debian's sources.
+/// Packages that stand in for `rustup component add rust-src` where rustup's server is out of reach:
+/// Debian's own rustc builds `core` from Debian's sources.
 const RISCV_PACKAGES: &[(&str, &str)] = &[
     ("rustc-web", "a rustc whose library sources Debian ships"),
     ("cargo-web", "its cargo"),
@@ -44,9 +44,6 @@ const RISCV_PACKAGES: &[(&str, &str)] = &[
     ("lld", "links it where that ld is missing"),
 ];
 
-/// The softcore's instruction set as rustc names it.
-pub const RISCV_TARGET: &str = "riscv32im-unknown-none-elf";
-
 /// How much of the set-up a command needs.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Need {
@@ -56,15 +53,6 @@ pub enum Need {
     Gateware,
     /// Only what compiles libFuzzer.
     Fuzz,
-}
-
-/// How the firmware gets its `core`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RiscvCore {
-    /// `rustup target add` did it.
-    Rustup,
-    /// Debian's rustc with `-Zbuild-std`.
-    Debian,
 }
 
 /// Installs and finds; says what it found.
@@ -133,39 +121,41 @@ fn debian_packages(wanted: &[(&str, &str)]) -> Result<()> {
     )
 }
 
-/// Finds the RISC-V `core`: rustup's target first, then Debian's rustc.
-pub fn riscv_core() -> Result<RiscvCore> {
-    if rustup_has_target() {
-        step::note(&format!("RISC-V core: rustup target {RISCV_TARGET}"));
-        return Ok(RiscvCore::Rustup);
+/// Finds the sources of `core`, which the firmware's is built from: rustup's first, then Debian's with its rustc. firmware/build.sh
+/// says why the one that is built already will not do.
+pub fn riscv_core() -> Result<()> {
+    if rustup_has_sources() {
+        step::note("RISC-V core: built from rustup's rust-src");
+        return Ok(());
     }
     let debian = Path::new("/usr/lib/rustlib/src/rust/library/core/src/lib.rs").exists()
         || Path::new("/usr/src/rustc-web").exists();
     if !(debian && RISCV_PACKAGES.iter().all(|(name, _)| installed(name))) {
         // Ten seconds tell whether rustup's server can be reached at all.
         let mut add = Command::new("timeout");
-        add.args(["60", "rustup", "target", "add", RISCV_TARGET])
+        add.args(["60", "rustup", "component", "add", "rust-src"])
             .stdout(Stdio::null())
             .stderr(Stdio::null());
-        if add.status().is_ok_and(|s| s.success()) && rustup_has_target() {
-            step::note(&format!(
-                "RISC-V core: rustup target {RISCV_TARGET} (just added)"
-            ));
-            return Ok(RiscvCore::Rustup);
+        if add.status().is_ok_and(|s| s.success()) && rustup_has_sources() {
+            step::note("RISC-V core: built from rustup's rust-src (just added)");
+            return Ok(());
         }
         step::note(
             "RISC-V core: rustup's server is out of reach, using Debian's rustc and its sources",
         );
         debian_packages(RISCV_PACKAGES)?;
     }
-    step::note("RISC-V core: Debian rustc-web with -Zbuild-std=core");
-    Ok(RiscvCore::Debian)
+    step::note("RISC-V core: built from Debian's rust-web-src with its rustc-web");
+    Ok(())
 }
 
-fn rustup_has_target() -> bool {
-    let mut list = Command::new("rustup");
-    output(list.args(["target", "list", "--installed"]))
-        .is_some_and(|text| text.contains(RISCV_TARGET))
+fn rustup_has_sources() -> bool {
+    let mut sysroot = Command::new("rustc");
+    output(sysroot.args(["--print", "sysroot"])).is_some_and(|path| {
+        Path::new(path.trim())
+            .join("lib/rustlib/src/rust/library/core")
+            .is_dir()
+    })
 }
 
 /// A venv below `target`, exactly what the requirement files pin.
