@@ -8,6 +8,7 @@ use firmware::ip::{Ip, Taker, Text};
 use firmware::jobs::abi;
 use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
 use firmware::net::{self, Class, Datagram, Frame as _, Lane, Us};
+use firmware::session::Peer;
 use firmware::text::Sink as _;
 use wire::describe::JobsState;
 use wire::{CONSOLE_PORT, MAX_WORDS, Refusal};
@@ -454,14 +455,38 @@ impl App {
 
     /// ARP, ping and the console: a frame of so many bytes in `input`, and what there is to say beyond an answer.
     #[inline(never)]
-    fn talk(&mut self, length: Option<usize>) {
+    fn talk(&mut self, mut length: Option<usize>) {
         self.cold = true;
+        while self.converse(length) {
+            self.ask_jobs();
+            length = None;
+        }
+        self.restart_if();
+    }
+
+    /// The jobs program answers the console's line. Its text lies where frames are made, so no frame is made meanwhile.
+    fn ask_jobs(&mut self) {
+        let line = self.line.job();
+        let trusted = usize::from(self.machine.trusted()) * abi::TRUSTED;
+        let length = line.len() | abi::LINE | trusted;
+        let count = self.jobs(line.as_ptr(), length) >> abi::TEXT;
+        let text = self.mac.output.bytes().get(..count as usize);
+        self.ip.say(text.unwrap_or(&[]));
+        self.ip.say(console::PROMPT.as_bytes());
+    }
+
+    /// See [`App::talk`]. True if the console's line is the jobs program's to answer.
+    #[inline(always)]
+    fn converse(&mut self, length: Option<usize>) -> bool {
+        let mut asked = false;
         let now = soc::milliseconds(&mut self.machine.board);
         let us = self.machine.us;
         let Mac { input, output, .. } = &mut self.mac;
         let mut visitor = Visitor {
             machine: &mut self.machine,
             line: &mut self.line,
+            jobs: self.jobs.is_some(),
+            asked: &mut asked,
         };
         let frame = length.and_then(|length| input.bytes().get(..length));
         let mut sent = 0;
@@ -476,7 +501,7 @@ impl App {
         self.talking = self.ip.busy();
         let counters = self.machine.server.counters_mut();
         counters.frames_tx = counters.frames_tx.wrapping_add(sent);
-        self.restart_if();
+        asked
     }
 }
 
@@ -515,6 +540,10 @@ extern "C" fn send(context: *mut c_void, length: usize) {
 struct Visitor<'a> {
     machine: &'a mut Machine<Soc>,
     line: &'a mut console::Line,
+    /// There is a program that answers what is asked about jobs.
+    jobs: bool,
+    /// It has to: nothing more is taken before.
+    asked: &'a mut bool,
 }
 
 impl Taker for Visitor<'_> {
@@ -525,15 +554,25 @@ impl Taker for Visitor<'_> {
     }
 
     fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize {
+        if *self.asked {
+            return 0;
+        }
         let mut used = 0;
         for byte in bytes {
             used += 1;
             if let Some(ask) = self.line.push(*byte) {
-                let short = matches!(ask, Ask::Nothing | Ask::Quit | Ask::Unknown);
-                if !short && !self.machine.server.safety().at_rest() {
+                let server = &self.machine.server;
+                let short = matches!(ask, Ask::Nothing | Ask::Quit | Ask::Unknown)
+                    // While a job moves something nobody else waits.
+                    || ask == Ask::Job && server.session().is_owner(Peer::INSIDE);
+                if !short && !server.safety().at_rest() {
                     // An answer takes up to a servo period to write, and the owner would wait for it.
                     out.put(b"? not while armed\r\n");
                     out.put(console::PROMPT.as_bytes());
+                    break;
+                }
+                if ask == Ask::Job && self.jobs {
+                    *self.asked = true;
                     break;
                 }
                 let vitals = Vitals {

@@ -1,7 +1,8 @@
 //! A window for a human with `telnet` or `nc`: look at everything, touch next to nothing.
 //!
 //! Lines come in, text goes out. What changes something (`restart`) needs a machine at rest that nobody drives and, if
-//! the board has a key, a `login` ([`crate::auth`]); no command can stop a machine. A line too long, control bytes
+//! the board has a key, a `login` ([`crate::auth`]); no command can stop a machine that a host drives. Lines that begin with `job` are
+//! for the jobs program, which has its own rules ([`crate::jobs`]). A line too long, control bytes
 //! and telnet's option negotiation are swallowed without a word of damage.
 
 use crate::auth::{Words, by_port};
@@ -31,7 +32,10 @@ pub const WELCOME: &str = "welcome";
 /// Longest answer, in bytes: sixteen encoders.
 pub const ANSWER_MAX: usize = 1100;
 
-const HELP: [&str; 16] = [
+/// What `job` says on a board that has no program for them.
+pub const NO_JOBS: &str = "no jobs here; `ferrocnc describe` says why";
+
+const HELP: [&str; 17] = [
     "help          this",
     "status        what the machine is doing, and why it stopped",
     "net           frames and refusals by reason",
@@ -45,6 +49,7 @@ const HELP: [&str; 16] = [
     "link          speed, and what got lost",
     "flash         the chip, what runs, what loads next",
     "settings      who this board is, and where it has that from",
+    "job           what jobs do; try job help",
     "login         with the key; `ferrocnc console` does it",
     "restart       start the firmware anew",
     "quit          good bye",
@@ -81,6 +86,8 @@ pub enum Ask {
     Settings,
     /// A challenge, or the answer to one.
     Login(Option<Words>),
+    /// Something for the jobs program: [`Line::job`].
+    Job,
     /// Restart the firmware.
     Restart,
     /// Hang up.
@@ -98,6 +105,9 @@ impl Ask {
         let Some(command) = words.next() else {
             return Ask::Nothing;
         };
+        if command == "job" {
+            return Ask::Job;
+        }
         let argument = words.next();
         if words.next().is_some() {
             return Ask::Unknown;
@@ -160,14 +170,21 @@ pub struct Line {
     text: heapless::String<LINE_MAX>,
     too_long: bool,
     telnet: u8,
+    /// It is complete, and kept for the jobs program.
+    job: bool,
 }
 
 impl Line {
     /// Takes one byte; says what the line means when it is complete.
+    // In two places it costs half a KiB.
+    #[inline(never)]
     pub fn push(&mut self, byte: u8) -> Option<Ask> {
         const IAC: u8 = 255;
         const WILL: u8 = 251;
         const DONT: u8 = 254;
+        if self.job {
+            *self = Line::default();
+        }
         if self.telnet > 0 {
             // IAC WILL/WONT/DO/DONT option; any other IAC command is two bytes.
             self.telnet = u8::from(self.telnet == 1 && (WILL..=DONT).contains(&byte)) * 2;
@@ -181,7 +198,11 @@ impl Line {
                 } else {
                     Ask::parse(&self.text)
                 };
-                *self = Line::default();
+                if ask == Ask::Job {
+                    self.job = true;
+                } else {
+                    *self = Line::default();
+                }
                 return Some(ask);
             }
             8 | 127 => {
@@ -191,6 +212,11 @@ impl Line {
             _ => {}
         }
         None
+    }
+
+    /// The line that was [`Ask::Job`], until the next byte comes.
+    pub fn job(&self) -> &str {
+        &self.text
     }
 }
 
@@ -239,6 +265,7 @@ pub fn answer<B: Board>(
         Ask::Link => link(server, vitals, &mut out),
         Ask::Flash => flash(server, &mut out),
         Ask::Settings => settings(server, us, &mut out),
+        Ask::Job => out.text(NO_JOBS).end(),
         Ask::Quit => out.text("bye").end(),
         Ask::Nothing | Ask::Login(_) | Ask::Restart => {}
         Ask::Unknown => out.text("? try help").end(),
@@ -684,6 +711,26 @@ mod tests {
     }
 
     #[test]
+    fn what_begins_with_job_is_kept_for_the_program_until_the_next_byte() {
+        let mut line = Line::default();
+        for byte in *b"  job start my part 2\r" {
+            assert_eq!(line.push(byte), None);
+        }
+        assert_eq!(line.push(b'\n'), Some(Ask::Job));
+        assert_eq!(line.job(), "  job start my part 2");
+        assert_eq!(line.push(b'x'), None);
+        assert_eq!(line.push(b'\n'), Some(Ask::Unknown));
+        assert_eq!(ask(b"job\njob list\nnet\n"), [Ask::Job, Ask::Job, Ask::Net]);
+    }
+
+    #[test]
+    fn a_board_without_a_program_for_jobs_says_so() {
+        let refused = "no jobs here; `ferrocnc describe` says why\r\n";
+        assert_eq!(said("job"), refused);
+        assert_eq!(said("job start x"), refused);
+    }
+
+    #[test]
     fn garbage_is_not_understood_and_the_next_line_is() {
         for garbage in [
             &b"reboot"[..],
@@ -691,6 +738,7 @@ mod tests {
             b"stepgen -1",
             b"status 1",
             b"stepgen 1 2",
+            b"jobs",
             b"set x",
             b"\xc3\xa9\x00\x01 1",
             &[b'x'; 5000],
@@ -734,6 +782,7 @@ mod tests {
             "gpio",
             "watchdog",
             "log",
+            "job stop",
             "quit",
         ] {
             let mut rig = Rig::new();

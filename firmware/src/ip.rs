@@ -211,6 +211,11 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         self.ahead.clear();
     }
 
+    /// Says something behind what was said.
+    pub fn say(&mut self, text: &[u8]) {
+        crate::text::Sink::put(&mut self.text, text);
+    }
+
     /// Gives on what came, line by line, as far as the answers fit.
     fn feed(&mut self, taker: &mut impl Taker) {
         let mut taken = 0;

@@ -27,6 +27,7 @@ pub mod inside;
 pub mod store;
 
 mod check;
+mod console;
 mod homing;
 mod marks;
 mod program;
@@ -143,6 +144,28 @@ impl<'m> Jobs<'m> {
             budget: 1,
         };
         counter.take(bytes, answer)
+    }
+
+    /// Answers a line of the debug console into `room`; how many bytes that takes. `trusted`: whoever says it has the board's key, or there is
+    /// none.
+    pub fn line(
+        &mut self,
+        line: &[u8],
+        trusted: bool,
+        room: &mut [u8],
+        out: &mut impl Outside,
+    ) -> usize {
+        let line = ::core::str::from_utf8(line).unwrap_or("");
+        let mut paper = console::Paper::new(room);
+        let now = out.now();
+        let mut visit = console::Visit {
+            store: &mut self.store,
+            executor: &mut self.executor,
+            now,
+            trusted,
+        };
+        visit.answer(line, &mut paper, out);
+        paper.used()
     }
 
     /// Does a piece of work: a segment, a frame, a block of a job. True while there is more to do than to wait.

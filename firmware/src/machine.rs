@@ -408,6 +408,11 @@ impl<B: Board> Machine<B> {
         self.server.auth.greet();
     }
 
+    /// May whoever is at the console do more than look?
+    pub fn trusted(&self) -> bool {
+        self.server.auth.trusted()
+    }
+
     /// Answers a line of the console. Afterwards the server may want a restart.
     #[inline]
     pub fn answer(&mut self, ask: Ask, vitals: &Vitals, out: &mut dyn Sink) {

@@ -5,6 +5,7 @@
 
 use firmware::cores::Board as _;
 use firmware::ip::Text;
+use firmware::jobs::abi::TEXT_MAX;
 use firmware::jobs::{Jobs, Outside};
 use firmware::machine::Machine;
 use firmware::net::Us;
@@ -120,6 +121,17 @@ impl Program {
             self.visitor = None;
             self.ahead.clear();
         }
+    }
+
+    /// Somebody says something about jobs at the debug console.
+    pub fn line(&mut self, line: &str, machine: &mut Machine<Desk>) -> Vec<u8> {
+        let mut room = [0; TEXT_MAX];
+        let trusted = machine.trusted();
+        let mut outer = Outer(machine);
+        let count = self
+            .jobs
+            .line(line.as_bytes(), trusted, &mut room, &mut outer);
+        room[..count].to_vec()
     }
 
     /// A turn: what there is to say, and in how many clocks the next one is due.

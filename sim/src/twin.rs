@@ -970,8 +970,16 @@ impl Device for Twin {
             let Some(ask) = visitor.line.push(*byte) else {
                 continue;
             };
-            self.machine
-                .answer(ask, &Vitals::default(), &mut visitor.out);
+            match self.jobs.as_mut().filter(|_| ask == Ask::Job) {
+                Some(program) => {
+                    let text = program.line(visitor.line.job(), &mut self.machine);
+                    visitor.out.0.extend(text);
+                    self.jobs_at = self.machine.board.clock() + ACCESS;
+                }
+                None => self
+                    .machine
+                    .answer(ask, &Vitals::default(), &mut visitor.out),
+            }
             if ask == Ask::Quit {
                 visitor.said_goodbye = true;
                 break;

@@ -36,6 +36,8 @@ const CLOCK: u32 = 60_000_000;
 pub struct Plotter {
     /// Where its jobs are.
     pub jobs: SocketAddrV4,
+    /// Where its console is.
+    pub console: SocketAddrV4,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Twin>,
 }
@@ -53,7 +55,7 @@ impl Plotter {
             udp: any,
             discovery: None,
             interface: None,
-            console: None,
+            console: Some(any),
             jobs: Some(any),
             control: None,
             stdin: false,
@@ -65,12 +67,14 @@ impl Plotter {
         let stop = Arc::<AtomicBool>::default();
         let server = Server::bind(twin, options, stop.clone()).expect("sockets of this machine");
         let ready = server.ready_line();
-        let jobs = ready.split(' ').find_map(|word| word.strip_prefix("jobs="));
-        let jobs = jobs
-            .and_then(|at| at.parse().ok())
-            .expect("it says where its jobs are");
+        let place = |key: &str| {
+            let at = ready.split(' ').find_map(|word| word.strip_prefix(key));
+            at.and_then(|at| at.parse().ok())
+                .expect("it says where its jobs and its console are")
+        };
         Plotter {
-            jobs,
+            jobs: place("jobs="),
+            console: place("console="),
             stop,
             thread: std::thread::spawn(move || server.run()),
         }

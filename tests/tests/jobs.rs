@@ -298,6 +298,38 @@ fn the_tool_sends_a_job_watches_it_to_its_end_and_says_what_is_wrong_with_the_re
 }
 
 #[test]
+fn a_job_that_was_sent_is_started_and_looked_at_from_the_console() {
+    let machine = drawing::machine();
+    let program = Program::from_gcode(b"G1 X3 F6000\nG1 Y2\nM2\n", Dialect::default().dwell)
+        .unwrap_or_else(|error| panic!("{error}"));
+    let plotter = Plotter::twin();
+    let mut board = plotter.board();
+    board.put_machine(&machine.to_board()).expect("a machine");
+    let sent = board.send("a line", &program.to_job(), |_, _| ());
+    sent.expect("the job is taken");
+    let at = plotter.console.to_string();
+    let say = |line: &str| {
+        let mut tool = std::process::Command::new(ferrocnc_tests::program("ferrocnc"));
+        let output = tool.args(["console", &at, "-c", line]).output();
+        String::from_utf8_lossy(&output.expect("the tool runs").stdout).into_owned()
+    };
+    let said = say("job list");
+    assert!(said.contains("a line: "), "{said}");
+    let said = say("job start a line");
+    assert!(said.contains("checking: a line, 0 %"), "{said}");
+    let report = plotter.finish(&mut board);
+    assert_eq!((report.end, report.attended), (End::Done, false));
+    let said = say("job");
+    assert!(said.contains("ended last: done"), "{said}");
+    let said = say("job pause");
+    assert!(said.contains("refused: not now: the state"), "{said}");
+    drop(board);
+    let told = pins::predict(&program, &machine).unwrap_or_else(|error| panic!("{error}"));
+    let difference = told.compare(&plotter.events());
+    assert_eq!((difference.wrong, difference.late), (0, Some(0)));
+}
+
+#[test]
 fn a_start_whose_answer_is_lost_is_asked_again_and_acted_on_once() {
     let machine = drawing::machine();
     let program = Program::from_gcode(b"G1 X3 F6000\nG1 Y2\nM2\n", Dialect::default().dwell)

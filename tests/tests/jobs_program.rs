@@ -81,6 +81,15 @@ fn the_program_is_found_in_the_flash_and_answers_on_its_port() {
         "8 MiB less the program: {}",
         welcome.room
     );
+    let said = machine.console("job list\njob\nnet\n");
+    let room = welcome.room;
+    for line in [
+        &format!("{room} of {room} bytes are free\r\n"),
+        "stopped\r\nat steps 0, 0, 0, position not trusted, no machine description\r\n",
+        "; refused 0\r\n",
+    ] {
+        assert!(said.contains(line), "{line:?} is not in {said}");
+    }
     works_otherwise(&mut machine);
 }
 
@@ -119,6 +128,8 @@ fn without_a_whole_program_of_this_build_there_are_no_jobs_and_everything_else_w
             machine.rig().tcp_connect(wire::jobs::PORT).is_err(),
             "{what}: nobody answers there"
         );
+        let said = machine.console("job stop\n");
+        assert!(said.contains("no jobs here"), "{what}: {said}");
         works_otherwise(&mut machine);
     }
 }

@@ -5,7 +5,9 @@
 use core::arch::global_asm;
 use core::mem::MaybeUninit;
 use core::slice;
-use firmware::jobs::abi::{FAILED, Header, INTERFACE, RESTLESS, ROOM, Rom, START, TAKEN};
+use firmware::jobs::abi::{
+    FAILED, Header, INTERFACE, LINE, RESTLESS, ROOM, Rom, START, TAKEN, TEXT, TEXT_MAX, TRUSTED,
+};
 use firmware::jobs::{Jobs, Outside};
 use firmware::net::Us;
 use litex_pac::abi;
@@ -65,6 +67,19 @@ extern "C" fn jobs_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
     }
     // SAFETY: the ROM calls nothing before START, and nothing behind one that FAILED.
     let jobs = unsafe { place.assume_init_mut() };
+    if length & LINE != 0 {
+        // SAFETY: the ROM says how long its line is, and does not touch it while it waits. Nothing is sent meanwhile, so nobody else
+        // writes where the answer goes.
+        let (line, room) = unsafe {
+            (
+                slice::from_raw_parts(frame, length % LINE),
+                &mut *rom.0.output,
+            )
+        };
+        let (room, _) = room.split_at_mut(TEXT_MAX);
+        let written = jobs.line(line, length & TRUSTED != 0, room, &mut rom);
+        return (written as u32) << TEXT | RESTLESS;
+    }
     let mut answer = 0;
     if !frame.is_null() {
         // SAFETY: the ROM says how long its frame is. It is not where an answer is written to.

@@ -14,6 +14,7 @@
 //! without one. The program switches to a stack of its own. It calls back through [`Rom`], and that is all there is between them:
 //! what it wants of the board it asks for with the datagrams a host would send, as the peer [`crate::session::Peer::INSIDE`].
 
+use crate::console::{ANSWER_MAX, PROMPT};
 use crate::net::Us;
 use core::ffi::c_void;
 use wire::MAX_WORDS;
@@ -22,7 +23,7 @@ use wire::describe::JobsState;
 use wire::images::PROGRAM_MAX;
 
 /// Version of this module. Unequal ones do not start.
-pub const INTERFACE: u32 = 1;
+pub const INTERFACE: u32 = 2;
 /// Bytes at the beginning of the SDRAM for the program: code, data and stack. What is behind them is the jobs'.
 pub const ROOM: usize = PROGRAM_MAX;
 
@@ -41,13 +42,18 @@ pub struct Header {
 }
 
 /// What the ROM calls: something may have come (`frame` and so many bytes), or it is just time (null, [`POLL`]). First of all, once,
-/// null and [`START`]. What comes back are [`RESTLESS`] and [`TAKEN`].
+/// null and [`START`]. What comes back are [`RESTLESS`] and [`TAKEN`]. Somebody at the debug console said something about jobs: his line
+/// in the frame's place, [`LINE`] beside its length; [`TEXT`] has how long the answer is.
 pub type Entry = extern "C" fn(rom: &Rom, frame: *const u8, length: usize) -> u32;
 
 /// Length without a frame: it is time.
 pub const POLL: usize = 0;
 /// Length without a frame: it begins.
 pub const START: usize = 1;
+/// Beside a length: these are not a frame's bytes but a line of the debug console, ASCII, its first word `job`.
+pub const LINE: usize = 1 << 16;
+/// Beside [`LINE`]: whoever says it has the board's key, or there is none.
+pub const TRUSTED: usize = 1 << 17;
 /// Answer: call again in the next turn of the loop. Otherwise 10 ms will do.
 pub const RESTLESS: u32 = 1;
 /// Answer: the frame was mine.
@@ -55,6 +61,11 @@ pub const TAKEN: u32 = 2;
 
 /// Answer to [`START`]: the SDRAM is not what it should be, and the program is not to be called again.
 pub const FAILED: u32 = 4;
+
+/// Answer to a [`LINE`]: from this bit on, how many bytes of [`Rom::output`] are text for whoever said it.
+pub const TEXT: u32 = 8;
+/// Bytes of that text, at most: the console's longest answer, less the prompt behind it.
+pub const TEXT_MAX: usize = ANSWER_MAX - PROMPT.len();
 
 /// What the program may use, valid for one call.
 #[derive(Clone, Copy, Debug)]
@@ -80,6 +91,8 @@ pub struct Rom {
 
 /// Longest frame, without its FCS.
 pub const FRAME_MAX: usize = 1514;
+
+const _: () = assert!(FRAME_MAX < LINE && TEXT_MAX <= FRAME_MAX);
 
 /// Is this a program for this ROM? `words` is what lies in the SDRAM, as long as its last words said it is.
 pub fn check(words: &[u32], abi: u32) -> JobsState {

@@ -2,6 +2,7 @@
 
 mod rig;
 
+mod console;
 mod ends;
 mod homing;
 mod peers;

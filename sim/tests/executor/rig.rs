@@ -337,6 +337,19 @@ impl Rig {
         Welcome::parse(&payload).unwrap()
     }
 
+    /// A line of the debug console, `job` in front; what is answered.
+    pub fn say(&mut self, line: &str, trusted: bool) -> String {
+        let mut room = [0; firmware::jobs::abi::TEXT_MAX];
+        let mut outer = Outer {
+            machine: &mut self.machine,
+            sent: &mut self.sent,
+        };
+        let count = self
+            .jobs
+            .line(line.as_bytes(), trusted, &mut room, &mut outer);
+        String::from_utf8(room[..count].to_vec()).unwrap()
+    }
+
     /// Bytes as they are; what is answered.
     pub fn bytes(&mut self, bytes: &[u8]) -> Vec<u8> {
         self.text.clear();

@@ -1,0 +1,275 @@
+//! What the debug console's `job` says and does: for whoever has no PC with the tool at hand.
+//!
+//! It asks the store and the executor as [`super::desk`] does, and refuses what that refuses, in the same words. What differs: a human
+//! at a console cannot promise to go on asking, so what is started here goes on unattended.
+
+use super::Outside;
+use super::executor::Executor;
+use super::store::Store;
+use crate::text::{Out, Sink};
+use motion::segment::AXES;
+use wire::Name;
+use wire::jobs::{Command, End, Entry, NAME, Report, Status, UNATTENDED};
+
+const HELP: &str = "job status        how it goes\r\n\
+    job list          what is in the store\r\n\
+    job start NAME    execute it, whoever watches\r\n\
+    job pause         stand still on the path\r\n\
+    job continue      go on\r\n\
+    job stop          end it, softly\r\n\
+    job home [AXES]   find the switches (of x, z, xy, ...)\r\n\
+    job feed PERCENT  of what the job says\r\n\
+    job delete NAME   take it out of the store\r\n";
+
+/// Bytes of an entry's line, at most.
+const ENTRY: usize = 100;
+
+/// Nobody of the desk has this number: he who started it is not waited for.
+const CLIENT: u32 = 0;
+
+/// What a line asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Ask {
+    Help,
+    Status,
+    List,
+    Delete(Name),
+    Feed(u16),
+    /// With flags, and a name if it is a start.
+    Do(Command, u8, Name),
+}
+
+impl Ask {
+    /// Reads a line, `job` in front; `None`: it is not understood.
+    fn parse(line: &str) -> Option<Result<Ask, Status>> {
+        let (_, line) = word(line);
+        let (verb, rest) = word(line);
+        let named = |ask: fn(Name) -> Ask| match Name::new(rest) {
+            Ok(name) if (1..=NAME).contains(&rest.len()) => Ok(ask(name)),
+            Ok(_) | Err(_) => Err(Status::Name),
+        };
+        let plain = |command| Ok(Ask::Do(command, 0, Name::EMPTY));
+        let alone = rest.is_empty();
+        Some(match verb {
+            "start" => named(|name| Ask::Do(Command::Start, UNATTENDED, name)),
+            "delete" => named(Ask::Delete),
+            "feed" => Ok(Ask::Feed(rest.parse().ok()?)),
+            "home" => {
+                let flags = UNATTENDED | axes(rest)?;
+                Ok(Ask::Do(Command::Calibrate, flags, Name::EMPTY))
+            }
+            _ if !alone => return None,
+            "" | "status" => Ok(Ask::Status),
+            "list" => Ok(Ask::List),
+            "help" => Ok(Ask::Help),
+            "pause" => plain(Command::Pause),
+            "continue" => plain(Command::Continue),
+            "stop" => plain(Command::Stop),
+            _ => return None,
+        })
+    }
+
+    /// Only looks, or stops: that is everybody's, key or not.
+    fn harmless(self) -> bool {
+        match self {
+            Ask::Help | Ask::Status | Ask::List => true,
+            Ask::Delete(_) | Ask::Feed(_) => false,
+            Ask::Do(command, _, _) => matches!(command, Command::Stop | Command::Pause),
+        }
+    }
+}
+
+/// The first word, and what is behind it.
+fn word(text: &str) -> (&str, &str) {
+    let text = text.trim();
+    let (word, rest) = text.split_once(' ').unwrap_or((text, ""));
+    (word, rest.trim_start())
+}
+
+/// One bit per axis.
+fn axes(text: &str) -> Option<u8> {
+    text.bytes().try_fold(0, |axes, letter| {
+        let axis = b"xyz".iter().position(|axis| *axis == letter)?;
+        Some(axes | 1 << axis)
+    })
+}
+
+/// Where the answer goes; what does not fit is lost.
+#[derive(Debug)]
+pub struct Paper<'a> {
+    bytes: &'a mut [u8],
+    used: usize,
+}
+
+impl<'a> Paper<'a> {
+    /// Nothing on it.
+    pub fn new(bytes: &'a mut [u8]) -> Self {
+        Paper { bytes, used: 0 }
+    }
+
+    /// Bytes on it.
+    pub fn used(&self) -> usize {
+        self.used
+    }
+
+    fn room(&self) -> usize {
+        self.bytes.len() - self.used
+    }
+}
+
+impl Sink for Paper<'_> {
+    fn put(&mut self, text: &[u8]) {
+        if let Some(place) = self.bytes.get_mut(self.used..self.used + text.len()) {
+            place.copy_from_slice(text);
+            self.used += text.len();
+        }
+    }
+}
+
+/// Somebody at the console.
+pub struct Visit<'a, 'm> {
+    /// The store.
+    pub store: &'a mut Store<'m>,
+    /// The executor.
+    pub executor: &'a mut Executor,
+    /// What time it is.
+    pub now: u64,
+    /// He has the key, or there is none.
+    pub trusted: bool,
+}
+
+impl Visit<'_, '_> {
+    /// Does what the line says, and answers.
+    pub fn answer(&mut self, line: &str, paper: &mut Paper, out: &mut impl Outside) {
+        let ask = match Ask::parse(line) {
+            None => return Out(paper).text("? try job help").end(),
+            Some(Ok(ask)) if !self.trusted && !ask.harmless() => {
+                let refused = "refused: the board has a key; use `ferrocnc console`";
+                return Out(paper).text(refused).end();
+            }
+            Some(ask) => ask,
+        };
+        if let Err(status) = ask.and_then(|ask| self.obey(ask, paper, out)) {
+            Out(paper).text("refused: ").text(status.text()).end();
+        }
+    }
+
+    fn obey(&mut self, ask: Ask, paper: &mut Paper, out: &mut impl Outside) -> Result<(), Status> {
+        match ask {
+            Ask::Help => {
+                paper.put(HELP.as_bytes());
+                return Ok(());
+            }
+            Ask::List => {
+                self.list(paper);
+                return Ok(());
+            }
+            Ask::Delete(name) => {
+                if self.executor.executes(self.store, &name) {
+                    return Err(Status::NotNow);
+                }
+                self.store.delete(&name)?;
+                let mut out = Out(paper);
+                out.text(name.text()).text(" is deleted, ");
+                out.number(self.store.free()).text(" bytes are free").end();
+                return Ok(());
+            }
+            Ask::Status => {}
+            Ask::Feed(percent) => self.executor.feed(percent)?,
+            Ask::Do(command, flags, name) => {
+                let code = (command.code(), flags, 0);
+                self.executor
+                    .command(code, &name, CLIENT, self.store, self.now, out)?;
+            }
+        }
+        status(&self.executor.report(out), &mut Out(paper));
+        Ok(())
+    }
+
+    fn list(&self, paper: &mut Paper) {
+        let mut count = 0;
+        while let Some(entry) = self.store.entry(count) {
+            // This one, those that are left, and what is free.
+            if paper.room() < 3 * ENTRY {
+                let left = entry.count - count;
+                let mut out = Out(paper);
+                out.text("... and ").number(left.into());
+                out.text(" more: ferrocnc job list").end();
+                break;
+            }
+            list_entry(&entry, &mut Out(paper));
+            count += 1;
+        }
+        let mut out = Out(paper);
+        out.number(self.store.free()).text(" of ");
+        out.number(self.store.room()).text(" bytes are free").end();
+    }
+}
+
+fn list_entry(entry: &Entry, out: &mut Out) {
+    out.text(entry.name.text()).text(": ");
+    out.number(entry.total).text(" bytes, ");
+    if entry.ready {
+        out.number(entry.instructions).text(" instructions").end();
+    } else {
+        out.number(entry.have);
+        out.text(" of them are there: send it again").end();
+    }
+}
+
+fn status(report: &Report, out: &mut Out) {
+    out.text(report.state.text());
+    if !report.name.is_empty() {
+        out.text(": ").text(report.name.text());
+        out.text(", ").number(report.progress.into());
+        out.text(" %, line ").number(report.line).text(", ");
+        duration(report.elapsed, out);
+        out.text(" passed, ");
+        duration(report.remaining, out);
+        out.text(" to go");
+    }
+    out.end();
+    if report.end != End::None {
+        out.text("ended last: ").text(report.end.text());
+        if let Some(axis) = ["x", "y", "z"].get(usize::from(report.axis)) {
+            out.text(" (").text(axis).text(")");
+        }
+        out.end();
+    }
+    const _: () = assert!(AXES == 3);
+    let [x, y, z] = report.steps;
+    out.text("at steps ").signed(x).text(", ");
+    out.signed(y).text(", ").signed(z);
+    out.either(report.known, "", ", position not trusted");
+    out.either(report.machine, "", ", no machine description");
+    out.either(report.stands, "", ", moving").end();
+    if report.percent != 100 {
+        out.text("feed ").number(report.percent.into());
+        out.text(" %").end();
+    }
+}
+
+/// As far as it matters: 3.4 s, 5 min 06 s, 2 h 15 min.
+fn duration(millis: u32, out: &mut Out) {
+    let seconds = millis / 1000;
+    let (minutes, hours) = (seconds / 60 % 60, seconds / 3600);
+    let two = |number: u32, out: &mut Out| {
+        out.either(number < 10, "0", "").number(number);
+    };
+    match (hours, minutes) {
+        (0, 0) => {
+            out.number(seconds).text(".");
+            out.number(millis / 100 % 10).text(" s");
+        }
+        (0, _) => {
+            out.number(minutes).text(" min ");
+            two(seconds % 60, out);
+            out.text(" s");
+        }
+        (_, _) => {
+            out.number(hours).text(" h ");
+            two(minutes, out);
+            out.text(" min");
+        }
+    }
+}
