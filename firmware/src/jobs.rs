@@ -108,10 +108,17 @@ impl<'m> Jobs<'m> {
         let (us, now) = (out.us(), out.now());
         let now_ms = (now / u64::from(self.per_ms)) as u32;
         let mut answer = [0; FRAME];
-        let length = if self.ip.busy() && !self.ip.is_peer(frame) {
+        // Who was told that somebody is there says goodbye to whom he was told by, though nobody is there any more.
+        let told = self.door.busy() && self.door.is_peer(frame);
+        let length = if told || self.ip.busy() && !self.ip.is_peer(frame) {
+            if !told {
+                // Who was told before may have vanished; he has waited long enough.
+                self.door.reset();
+            }
             self.door
                 .frame(frame, &us, now_ms, &mut desk::Door, &mut answer)
         } else {
+            let nobody = !self.ip.busy();
             let mut counter = Counter {
                 desk: &mut self.desk,
                 store: &mut self.store,
@@ -120,7 +127,12 @@ impl<'m> Jobs<'m> {
                 now,
                 budget: 1,
             };
-            self.ip.frame(frame, &us, now_ms, &mut counter, &mut answer)
+            let length = self.ip.frame(frame, &us, now_ms, &mut counter, &mut answer);
+            if nobody && self.ip.busy() {
+                // He has the time of silence from his first frame on, not from his predecessor's last.
+                self.desk.visit(now);
+            }
+            length
         };
         if let Some(frame) = length.and_then(|length| answer.get(..length)) {
             out.send_frame(frame);

@@ -466,6 +466,18 @@ impl Segment {
         self.tcp(connection).close();
     }
 
+    /// Break the connection: a reset goes out with the next poll.
+    pub fn abort(&mut self, connection: Connection) {
+        self.tcp(connection).abort();
+    }
+
+    /// Our port of it; 0 once it is over.
+    pub fn local_port(&mut self, connection: Connection) -> u16 {
+        self.tcp(connection)
+            .local_endpoint()
+            .map_or(0, |end| end.port)
+    }
+
     /// Forget the connection.
     pub fn drop_connection(&mut self, connection: Connection) {
         self.sockets.remove(connection.0);

@@ -8,5 +8,6 @@ mod homing;
 mod peers;
 mod programs;
 mod sessions;
+mod tcp;
 mod uploads;
 mod words;
