@@ -16,6 +16,7 @@ use firmware::postmortem::Record;
 use firmware::session::Peer;
 use firmware::{dhcp, log, text};
 use litex_pac::abi;
+use wire::describe::JobsState;
 use wire::flash::Layout;
 use wire::images::{Meta, Role, Trailer};
 use wire::map::{BoardConfig, StepType, StepgenConfig};
@@ -525,11 +526,19 @@ fn ident(card: &Card, abi: u32) -> Ident {
 }
 
 fn jobs_program(machine: &mut Machine<Desk>, card: &Card) -> Option<jobs::Program> {
-    if card.jobs > 0 && card.streamed {
-        machine.server.jobs(wire::describe::JobsState::Streamed);
+    if card.jobs == 0 {
+        return None;
     }
-    let has = card.jobs > 0 && !card.streamed;
-    has.then(|| jobs::Program::start(machine, card.clock_hz))?
+    let program = match card.streamed {
+        true => None,
+        false => jobs::Program::start(machine, card.clock_hz),
+    };
+    machine.server.jobs(match program {
+        Some(_) => JobsState::Alive,
+        None if card.streamed => JobsState::Streamed,
+        None => JobsState::Missing,
+    });
+    program
 }
 
 impl Twin {

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use std::io::Write;
 use std::net::Ipv4Addr;
 use wire::board::Kind;
-use wire::describe::{OBSTACLE_ABI, OBSTACLE_FLASH};
+use wire::describe::{FEATURE_JOBS, JobsState, OBSTACLE_ABI, OBSTACLE_FLASH};
 use wire::settings::mac_of_uid;
 
 pub(crate) fn run(client: &mut Client, as_json: bool) -> Result<()> {
@@ -86,6 +86,21 @@ fn network(identity: &Identity) -> (Option<String>, Option<String>, Option<u16>)
     });
     let port = value(Kind::Port).and_then(|bytes| bytes.try_into().ok().map(u16::from_be_bytes));
     (mac, ip, port)
+}
+
+/// What becomes of jobs; `None`: the gateware plays no segments, and nobody expects any.
+fn jobs(features: u32) -> Option<(JobsState, String)> {
+    let state = JobsState::of(features);
+    let remedy = match state {
+        _ if features & FEATURE_JOBS == 0 => return None,
+        JobsState::Alive => "`ferrocnc job` sends and starts them",
+        JobsState::Streamed => "the board keeps none",
+        JobsState::None => "the firmware has not looked for their program",
+        JobsState::Sdram => "bad solder joints or a bad chip; everything but jobs works",
+        JobsState::Missing => "`ferrocnc update` with this board's .bit; what JTAG loads has none",
+        JobsState::Damaged | JobsState::Foreign => "`ferrocnc update` with this board's .bit",
+    };
+    Some((state, format!("{}: {remedy}", state.text())))
 }
 
 fn has_uid(overview: &Overview) -> bool {
@@ -187,6 +202,7 @@ fn to_json(identity: &Identity, overview: &Overview) -> Value {
         "external_reset": describe.state.external_reset,
         "estop": describe.state.estop,
         "obstacles": describe.obstacles,
+        "jobs": jobs(describe.features).map(|(state, _)| state.text()),
         "last_reset_reason": describe.reset_reason.text(),
         "last_gate_close": describe.gate_close.text(),
         "default_mac": mac,
@@ -290,6 +306,9 @@ fn to_text(identity: &Identity, overview: &Overview) -> String {
             describe.reset_reason, describe.gate_close
         ),
     );
+    if let Some((_, text)) = jobs(describe.features) {
+        line("jobs", text);
+    }
     if let (Some(mac), Some(ip), Some(port)) = network(identity) {
         line("default", format!("{ip}:{port}, MAC {mac}"));
     }
@@ -310,4 +329,29 @@ fn to_text(identity: &Identity, overview: &Overview) -> String {
         }
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_state_of_jobs_is_told_in_words_of_its_own() {
+        let mut seen = std::collections::BTreeSet::new();
+        for state in JobsState::ALL {
+            let features = FEATURE_JOBS | state.code() << JobsState::AT;
+            let (told, text) = jobs(features).expect("the gateware has segments");
+            assert_eq!(told, *state);
+            assert!(seen.insert(text.clone()), "{text}");
+        }
+        assert_eq!(seen.len(), 7);
+        let (_, text) = jobs(FEATURE_JOBS | 2 << JobsState::AT).expect("segments");
+        assert!(text.starts_with("the SDRAM failed its test: "), "{text}");
+    }
+
+    #[test]
+    fn a_board_without_segments_says_nothing_of_jobs() {
+        assert!(jobs(0).is_none());
+        assert!(jobs(wire::describe::FEATURE_KEY).is_none());
+    }
 }
