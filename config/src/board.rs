@@ -6,6 +6,7 @@ use crate::platform::{Level, Platform, Role, own_name, split};
 use crate::tree::{At, Key, Kind, may, must, nearest, parse_toml};
 use std::collections::BTreeMap;
 use std::fmt::Write;
+use wire::jobs::AXES as JOB_AXES;
 
 /// Channels of each kind the register map has room for (`regmap.py`, and `pac::abi`).
 pub const MAX_STEPGEN: usize = 16;
@@ -188,8 +189,11 @@ pub const KEYS: &[Key] = &[
     ),
     may(
         "jobs",
-        Kind::Integer { min: 0, max: 7 },
-        "how many step generators, from the first on, jobs move without a PC; 0 (if nothing is said): there are no jobs",
+        Kind::Integer {
+            min: 0,
+            max: JOB_AXES as i64,
+        },
+        "3: jobs move the first three step generators without a PC; 0 (if nothing is said): there are no jobs",
     ),
     may(
         "sdram",
@@ -513,12 +517,20 @@ impl Board {
         let factory = line("factory", &mut wiring, Some(&ext_reset))?;
         let jobs = at.integer("jobs").unwrap_or(0) as usize;
         let stepgens = channels[Class::Stepgen as usize].len();
+        if jobs != 0 && jobs != JOB_AXES {
+            return Err(at.error(
+                "jobs",
+                &jobs.to_string(),
+                format!("is not the number of axes a job has, which is {JOB_AXES}"),
+                "write 3, or leave the key out; an axis that a machine has not got needs no drive, but a [[stepgen]]",
+            ));
+        }
         if jobs > stepgens {
             return Err(at.error(
                 "jobs",
                 &jobs.to_string(),
                 format!("is more axes than the {stepgens} step generators there are"),
-                "write a smaller number, or another [[stepgen]]",
+                "leave the key out, or write another [[stepgen]]",
             ));
         }
         let said = at.flag("sdram");

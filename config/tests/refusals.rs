@@ -461,6 +461,48 @@ fn an_output_without_a_safe_level_is_refused() {
 }
 
 #[test]
+fn jobs_have_as_many_axes_as_the_program_that_executes_them() {
+    let with = |jobs: &str| GOOD.replacen("[modified]", &format!("jobs = {jobs}\n[modified]"), 1);
+    for jobs in ["3", "0"] {
+        assert!(read(&with(jobs)).is_ok(), "{jobs}");
+    }
+    for (jobs, said) in [
+        (
+            "1",
+            "is not the number of axes a job has, which is 3; write 3",
+        ),
+        (
+            "2",
+            "is not the number of axes a job has, which is 3; write 3",
+        ),
+        ("4", "is outside 0 to 3; write 3: jobs move"),
+        ("-1", "is outside 0 to 3; write 3: jobs move"),
+    ] {
+        let error = read(&with(jobs)).unwrap_err();
+        assert_eq!(error.key, "jobs");
+        let text = error.to_string();
+        assert!(text.contains(said) && text.contains(jobs), "{text}");
+    }
+    // One for each axis of a job.
+    let head = &GOOD[..GOOD.find("[[stepgen]]").unwrap()];
+    let head = head.replacen("[modified]", "jobs = 3\n[modified]", 1);
+    let stepgens = |count: usize| {
+        (0..count)
+            .map(|n| format!("[[stepgen]]\nname = \"n{n}\"\n"))
+            .collect::<String>()
+    };
+    assert!(read(&format!("{head}{}", stepgens(3))).is_ok());
+    let error = read(&format!("{head}{}", stepgens(2))).unwrap_err();
+    assert_eq!(error.key, "jobs");
+    assert!(
+        error
+            .to_string()
+            .contains("more axes than the 2 step generators there are; leave the key out"),
+        "{error}"
+    );
+}
+
+#[test]
 fn too_many_channels_are_refused_with_the_limit() {
     for (class, most, line) in [
         ("stepgen", 16, ""),
