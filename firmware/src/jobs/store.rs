@@ -193,33 +193,32 @@ impl<'m> Store<'m> {
 
     /// Begins an upload, or goes on with it: from where.
     pub fn put(&mut self, name: Name, total: u32, crc: u32) -> Result<u32, Status> {
-        if let Some(index) = self.find(&name) {
-            if let Some(Some(job)) = self.jobs.get(index)
-                && (job.total, job.crc) == (total, crc)
-            {
-                let (have, ready) = (job.end.offset, job.ready);
-                if !ready && self.upload != Some(index as u8) {
-                    self.begin(index as u8);
-                }
-                return Ok(have);
+        let known = self.find(&name);
+        if let Some(index) = known
+            && let Some(Some(job)) = self.jobs.get(index)
+            && (job.total, job.crc) == (total, crc)
+        {
+            let (have, ready) = (job.end.offset, job.ready);
+            if !ready && self.upload != Some(index as u8) {
+                self.begin(index as u8);
             }
-            self.remove(index);
+            return Ok(have);
         }
-        // Parts of jobs that were cut are room that was promised.
-        let promised: u32 = self
-            .jobs
-            .iter()
-            .flatten()
-            .map(|job| pieces(job.total) - pieces(job.end.offset))
-            .sum();
-        if pieces(total) > u32::from(self.free_count).saturating_sub(promised) {
+        // Parts of jobs that were cut are room that was promised; the job that this one is instead of makes room.
+        let (mut free, mut promised) = (u32::from(self.free_count), 0);
+        for (index, job) in self.jobs.iter().enumerate() {
+            match job {
+                Some(job) if known == Some(index) => free += pieces(job.end.offset),
+                Some(job) => promised += pieces(job.total) - pieces(job.end.offset),
+                None => {}
+            }
+        }
+        if pieces(total) > free.saturating_sub(promised) {
             return Err(Status::Full);
         }
-        let index = self
-            .jobs
-            .iter()
-            .position(Option::is_none)
-            .ok_or(Status::Full)?;
+        let vacant = || self.jobs.iter().position(Option::is_none);
+        let index = known.or_else(vacant).ok_or(Status::Full)?;
+        self.remove(index);
         let start = Place {
             offset: 0,
             piece: LAST,

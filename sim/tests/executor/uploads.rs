@@ -156,6 +156,28 @@ fn a_store_that_is_full_says_what_is_free_and_keeps_what_it_has() {
 }
 
 #[test]
+fn a_job_that_would_not_fit_leaves_the_one_of_its_name_and_one_that_does_takes_its_room() {
+    let mut rig = Rig::with_room(sim::plant::Plant::direct(0), 100_000);
+    let small = many_lines(1000, 3);
+    rig.send("x", &small);
+    let Welcome { room, free, .. } = rig.connect();
+    assert!(free < room);
+    let big = |total| Request::Put {
+        total,
+        crc: 0,
+        name: name("x"),
+    };
+    assert_eq!(rig.status(&big(room + 1)), Status::Full);
+    let [entry] = list(&mut rig)[..] else {
+        panic!("it is gone")
+    };
+    assert!(entry.ready && entry.crc == crc32(&small), "{entry:?}");
+    assert_eq!(rig.connect().free, free);
+    assert_eq!(jobs::word(&rig.ok(&big(room))), Some(0));
+    assert_eq!(rig.connect().free, room);
+}
+
+#[test]
 fn what_arrived_garbled_and_what_is_no_job_are_told_apart() {
     let mut rig = Rig::plotter();
     let good = many_lines(500, 3);
