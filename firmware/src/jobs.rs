@@ -24,6 +24,7 @@ pub mod core;
 pub mod desk;
 pub mod executor;
 pub mod inside;
+pub mod memory;
 pub mod store;
 
 mod check;

@@ -8,6 +8,7 @@ use core::slice;
 use firmware::jobs::abi::{
     FAILED, Header, INTERFACE, LINE, RESTLESS, ROOM, Rom, START, TAKEN, TEXT, TEXT_MAX, TRUSTED,
 };
+use firmware::jobs::memory::{self, Cells};
 use firmware::jobs::{Jobs, Outside};
 use firmware::net::Us;
 use litex_pac::abi;
@@ -101,7 +102,8 @@ fn start(rom: &mut Calls) -> Option<Jobs<'static>> {
     clear();
     // SAFETY: the first word is the image's CRC, which was right. The test below takes its place.
     let program = unsafe { (abi::SDRAM_BASE as *const u32).read_volatile() };
-    let memory = test()?.checked_sub(ROOM)?;
+    let used = (&raw const __jobs_bss_end) as usize - abi::SDRAM_BASE;
+    let memory = memory::size(&mut Sdram, used, abi::SDRAM_SIZE)?.checked_sub(ROOM)?;
     // SAFETY: behind the program, to the SDRAM's end: nobody else's.
     let memory = unsafe { slice::from_raw_parts_mut((abi::SDRAM_BASE + ROOM) as *mut u8, memory) };
     Jobs::new(memory, program, rom)
@@ -119,35 +121,18 @@ fn clear() {
     }
 }
 
-/// Writes a word for each address line beyond the program, other bits to each, and reads them all back; the lines before are as good
-/// as the program's CRC, which was right. How many bytes of SDRAM there are, if they hold what they are given.
-fn test() -> Option<usize> {
-    const CACHE: usize = 0x1000;
-    let word = |at: usize| (abi::SDRAM_BASE + at) as *mut u32;
-    let pattern = |at: usize| 0x9e37_79b9u32.wrapping_mul(at as u32 | 1);
-    let used = (&raw const __jobs_bss_end) as usize - abi::SDRAM_BASE;
-    let lines = (2..abi::SDRAM_SIZE.ilog2())
-        .map(|line| 1usize << line)
-        .filter(|at| *at > used);
-    // SAFETY: aligned, inside the SDRAM's window, and behind everything that is used but the first word, which nobody needs any
-    // more: on a card with half as much it is the same as the one half-way up the window.
-    unsafe {
-        for at in lines.clone() {
-            word(at).write_volatile(pattern(at));
-        }
-        word(0).write_volatile(pattern(0));
-        let half = abi::SDRAM_SIZE / 2;
-        // Each of these lies at a multiple of the data cache's size, and so is read from the SDRAM.
-        word(CACHE).read_volatile();
-        let size = if word(half).read_volatile() == pattern(0) {
-            half
-        } else {
-            abi::SDRAM_SIZE
-        };
-        let good = lines
-            .filter(|at| *at < size)
-            .all(|at| word(at).read_volatile() == pattern(at));
-        good.then_some(size)
+/// The SDRAM behind the program: it is nobody's yet.
+struct Sdram;
+
+impl Cells for Sdram {
+    fn write(&mut self, at: usize, value: u32) {
+        // SAFETY: aligned, inside the SDRAM's window, and behind everything that is used but the first word, which nobody needs any more.
+        unsafe { ((abi::SDRAM_BASE + at) as *mut u32).write_volatile(value) }
+    }
+
+    fn read(&mut self, at: usize) -> u32 {
+        // SAFETY: aligned, and inside the SDRAM's window.
+        unsafe { ((abi::SDRAM_BASE + at) as *const u32).read_volatile() }
     }
 }
 
