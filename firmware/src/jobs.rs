@@ -77,6 +77,16 @@ pub struct Jobs<'m> {
     executor: Executor,
     turn: u32,
     per_ms: u32,
+    /// For a frame to be sent.
+    answer: [u8; FRAME],
+}
+
+/// What is too short for Ethernet ends in zeros; everything else of a frame is written.
+fn clean(answer: &mut [u8; FRAME]) -> &mut [u8; FRAME] {
+    if let Some(shortest) = answer.first_chunk_mut::<60>() {
+        *shortest = [0; 60];
+    }
+    answer
 }
 
 impl<'m> Jobs<'m> {
@@ -93,6 +103,7 @@ impl<'m> Jobs<'m> {
             executor,
             turn: 0,
             per_ms: (board.clock_hz / 1000).max(1),
+            answer: [0; FRAME],
         };
         jobs.ip.listen(wire::jobs::PORT, wire::jobs::FRAME);
         jobs.door.listen(wire::jobs::PORT, wire::jobs::FRAME);
@@ -108,7 +119,7 @@ impl<'m> Jobs<'m> {
     pub fn frame(&mut self, frame: &[u8], out: &mut impl Outside) {
         let (us, now) = (out.us(), out.now());
         let now_ms = (now / u64::from(self.per_ms)) as u32;
-        let mut answer = [0; FRAME];
+        let answer = clean(&mut self.answer);
         // Who was told that somebody is there says goodbye to whom he was told by, though nobody is there any more.
         let told = self.door.busy() && self.door.is_peer(frame);
         let length = if told || self.ip.busy() && !self.ip.is_peer(frame) {
@@ -116,8 +127,7 @@ impl<'m> Jobs<'m> {
                 // Who was told before may have vanished; he has waited long enough.
                 self.door.reset();
             }
-            self.door
-                .frame(frame, &us, now_ms, &mut desk::Door, &mut answer)
+            self.door.frame(frame, &us, now_ms, &mut desk::Door, answer)
         } else {
             let nobody = !self.ip.busy();
             let mut counter = Counter {
@@ -128,7 +138,7 @@ impl<'m> Jobs<'m> {
                 now,
                 budget: 1,
             };
-            let length = self.ip.frame(frame, &us, now_ms, &mut counter, &mut answer);
+            let length = self.ip.frame(frame, &us, now_ms, &mut counter, answer);
             if nobody && self.ip.busy() {
                 // He has the time of silence from his first frame on, not from his predecessor's last.
                 self.desk.visit(now);
@@ -200,7 +210,7 @@ impl<'m> Jobs<'m> {
         }
         let us = out.us();
         let now_ms = (now / u64::from(self.per_ms)) as u32;
-        let mut answer = [0; FRAME];
+        let answer = clean(&mut self.answer);
         if self.ip.busy() && self.desk.silent(now) {
             self.ip.reset();
         }
@@ -212,9 +222,9 @@ impl<'m> Jobs<'m> {
             now,
             budget: 1,
         };
-        let mut length = self.ip.poll(&us, now_ms, &mut counter, &mut answer);
+        let mut length = self.ip.poll(&us, now_ms, &mut counter, answer);
         if length.is_none() {
-            length = self.door.poll(&us, now_ms, &mut desk::Door, &mut answer);
+            length = self.door.poll(&us, now_ms, &mut desk::Door, answer);
         }
         match length.and_then(|length| answer.get(..length)) {
             Some(frame) => out.send_frame(frame),

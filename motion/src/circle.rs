@@ -5,6 +5,7 @@
 //! centre, none from the one before. The planner cuts the corners between chords by less than the chords cut the arc.
 
 use crate::instruction::{Arc, Place};
+use crate::wide::{product, scaled, wide};
 
 /// A turn is 2^56 of these.
 type Angle = i64;
@@ -65,6 +66,12 @@ const ARCTAN: [i64; 48] = [
 /// What 48 rounds of CORDIC shrink a vector to that begins as 1: 2^60 times 0.607.
 const SHRUNK: i64 = 700_114_967_507_363_238;
 
+/// After so many rounds what is left to turn is below 2^-24.
+const ROUNDS: usize = 26;
+
+/// `2 pi * 2^40`.
+const TWO_PI_40: i64 = 6_908_559_991_273;
+
 /// `2 pi * 2^16`, rounded up: an arc has rather a chord too many.
 const TWO_PI_16: u128 = 411_775;
 
@@ -103,13 +110,16 @@ fn unit(angle: Angle) -> [i64; 2] {
         angle
     };
     let (mut x, mut y) = (SHRUNK, 0i64);
-    for (i, arctan) in ARCTAN.iter().enumerate() {
+    for (i, arctan) in ARCTAN.iter().enumerate().take(ROUNDS) {
         if left >= 0 {
             (x, y, left) = (x - (y >> i), y + (x >> i), left - arctan);
         } else {
             (x, y, left) = (x + (y >> i), y - (x >> i), left + arctan);
         }
     }
+    // What is left is so small that its sine is itself, and half of its square nothing.
+    let left = scaled(left, TWO_PI_40, 36);
+    (x, y) = (x - scaled(y, left, 60), y + scaled(x, left, 60));
     if half { [-x, -y] } else { [x, y] }
 }
 
@@ -179,11 +189,14 @@ impl Chords {
     }
 
     fn end(&self, index: u32) -> Place {
-        let part =
-            |whole: i64| (i128::from(whole) * i128::from(index) / i128::from(self.count)) as i64;
+        let part = |whole: i64| {
+            let all = product(whole.unsigned_abs(), index.into());
+            let size = wide(all, self.count.into()) as i64;
+            if whole < 0 { -size } else { size }
+        };
         let radius = self.radii[0] + part(self.radii[1] - self.radii[0]);
-        let [x, y] = unit(self.begin + part(self.sweep))
-            .map(|unit| ((i128::from(radius) * i128::from(unit) + (1 << 59)) >> 60) as i64);
+        let [x, y] =
+            unit(self.begin + part(self.sweep)).map(|unit| (scaled(radius, unit, 59) + 1) >> 1);
         let z = self.from[2] + part(self.arc.to[2] - self.from[2]);
         [self.arc.center[0] + x, self.arc.center[1] + y, z]
     }

@@ -15,6 +15,7 @@ pub mod job;
 pub mod plan;
 pub mod ramp;
 pub mod segment;
+pub mod wide;
 pub mod words;
 pub mod xypen;
 

@@ -25,6 +25,7 @@
 use crate::circle::Chords;
 use crate::instruction::{CENTER_FARTHEST, FARTHEST, Feed, Instruction, Place};
 use crate::segment::{AXES, Axis, COMMIT_CLOCKS, MAX_CLOCKS, MIN_CLOCKS, Machine, Segment};
+use crate::wide::{Inverse, product, quotient, quotient_up, ratio, scaled, wide};
 use core::fmt;
 use wire::units::Position;
 
@@ -129,11 +130,11 @@ const STRAIGHT: u64 = 1 << 3;
 struct Machinery {
     setup: Setup,
     /// 2^64 / clock.
-    per_clock: i128,
+    per_clock: i64,
     /// Steps per nm, 2^64 times.
-    scale: [i128; AXES],
-    /// nm per step, 2^32 times.
-    pitch: [i128; AXES],
+    scale: [i64; AXES],
+    /// nm per step, 2^23 times, rounded up.
+    pitch: [u64; AXES],
     /// nm/s. A 4096th and two units of rate below the limit, room for what corrections add.
     speed: [u64; AXES],
     /// nm/s^2. A 64th below the limit, likewise.
@@ -153,7 +154,7 @@ impl Machinery {
         let clock = i128::from(setup.clock_hz);
         let mut machinery = Machinery {
             setup: *setup,
-            per_clock: (1 << 64) / clock,
+            per_clock: ((1 << 64) / clock) as i64,
             scale: [0; AXES],
             pitch: [0; AXES],
             speed: [0; AXES],
@@ -175,8 +176,8 @@ impl Machinery {
             if axis.max_accel > 1_000_000_000_000 || !(1 << 12..1 << 31).contains(&limit) {
                 return Err(SetupError::Accel(index));
             }
-            machinery.scale[index] = scale;
-            machinery.pitch[index] = (1_000_000_000_000 << 32) / i128::from(axis.steps_per_km);
+            machinery.scale[index] = scale as i64;
+            machinery.pitch[index] = (1_000_000_000_000u64 << 23).div_ceil(axis.steps_per_km);
             // A unit of rate is 2^-32 steps per clock.
             let unit = u64::try_from((clock << 32) / scale).unwrap_or(u64::MAX);
             let speed =
@@ -193,18 +194,18 @@ impl Machinery {
 
     /// An integrator's position for a place.
     fn position(&self, axis: usize, nm: i64) -> i64 {
-        ((i128::from(nm) * self.scale[axis]) >> 32) as i64 + Position::ZERO.0
+        scaled(nm, self.scale[axis], 32) + Position::ZERO.0
     }
 
     /// Clocks (with 16 fraction bits) for `distance` nm (with 16 fraction bits) at `speed` nm/s.
     fn clocks(&self, distance: i64, speed: u64) -> i64 {
-        (i128::from(distance) * i128::from(self.setup.clock_hz) / i128::from(speed.max(1))) as i64
+        let all = product(distance.unsigned_abs(), self.setup.clock_hz.into());
+        wide(all, speed.max(1)).min(FASTEST / 2) as i64
     }
 
     /// An integrator's velocity for a speed along a path with so many steps per nm (2^64 times).
     fn velocity(&self, speed: u64, slope: i64) -> i64 {
-        let steps = (i128::from(speed) * i128::from(slope)) >> 32;
-        ((steps * self.per_clock) >> 40) as i64
+        scaled(scaled(speed as i64, slope, 32), self.per_clock, 40)
     }
 }
 
@@ -226,7 +227,10 @@ struct Line {
     /// The speed that takes [`LONGEST`] for it, nm/s; at most `top`.
     slowest: u64,
     /// What is asked for, nm/s, at 100 %.
-    feed: u64,
+    feed: u32,
+    /// What it is to be drawn with, nm/s, and its square.
+    held: u64,
+    fastest: u64,
     /// How far the blend at its beginning reaches into it, nm.
     cut: u64,
     /// Square of the largest speed through that blend.
@@ -247,6 +251,8 @@ impl Line {
         top: 0,
         slowest: 0,
         feed: 0,
+        held: 0,
+        fastest: 0,
         cut: 0,
         corner: 0,
         entry: 0,
@@ -255,21 +261,35 @@ impl Line {
 
     /// Where the integrators are when `left` nm (with 16 fraction bits) are left to the corner.
     fn position(&self, axis: usize, left: i64) -> i64 {
-        let left = (i128::from(self.slope[axis]) * i128::from(left)) >> 48;
-        self.end[axis] - left as i64
+        self.end[axis] - scaled(self.slope[axis], left, 48)
     }
 
-    /// Square of the speed it is to be drawn with.
-    fn fastest(&self, percent: u32) -> u64 {
-        let feed = u128::from(self.feed) * u128::from(percent) / 100;
-        let speed = feed.clamp(u128::from(self.slowest), u128::from(self.top));
-        square(speed as u64)
+    /// The speed it is to be drawn with, nm/s.
+    fn at(&self, percent: u32) -> u64 {
+        let feed = match percent {
+            100 => self.feed.into(),
+            _ => quotient(u64::from(self.feed) * u64::from(percent), 100),
+        };
+        feed.clamp(self.slowest, self.top)
+    }
+
+    /// Asks for another.
+    fn set_override(&mut self, percent: u32) {
+        self.held = self.at(percent);
+        self.fastest = square(self.held);
     }
 
     /// `w + 2 a l`: the square of the speed after `length` nm of acceleration.
     fn gained(&self, square: u64, length: u64) -> u64 {
-        let more = 2 * u128::from(self.accel) * u128::from(length);
-        u64::try_from(u128::from(square) + more).map_or(FASTEST, |w| w.min(FASTEST))
+        square.saturating_add(gain(self.accel, length)).min(FASTEST)
+    }
+}
+
+/// `2 a l`.
+fn gain(accel: u64, length: u64) -> u64 {
+    match product(accel, length) {
+        [half, 0] => half.saturating_mul(2).min(FASTEST),
+        _ => FASTEST,
     }
 }
 
@@ -460,7 +480,8 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         }
         let nm = |axis: usize| {
             let steps = positions[axis].wrapping_sub(Position::ZERO.0);
-            ((i128::from(steps) * self.machinery.pitch[axis]) >> 64) as i64
+            let size = nm_of(steps.unsigned_abs(), self.machinery.pitch[axis]) as i64;
+            if steps < 0 { -size } else { size }
         };
         self.at = core::array::from_fn(nm);
         self.end = (self.at, positions);
@@ -478,6 +499,10 @@ impl<const DEPTH: usize> Planner<DEPTH> {
     /// Percent of the feed, for what is not planned to the end yet; rapids too. The path stays the same.
     pub fn set_override(&mut self, percent: u32) {
         self.percent = percent.clamp(1, 200);
+        for index in 0..self.count {
+            let percent = self.percent;
+            self.get_mut(index).set_override(percent);
+        }
         self.plan(true);
     }
 
@@ -488,7 +513,9 @@ impl<const DEPTH: usize> Planner<DEPTH> {
 
     /// Of the line being drawn.
     pub fn tag(&self) -> u32 {
-        self.running.map_or(self.tag, |running| running.line.tag)
+        self.running
+            .as_ref()
+            .map_or(self.tag, |running| running.line.tag)
     }
 
     /// Where the reference's last instruction ends.
@@ -557,37 +584,38 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         self.end = (pending.to, goal);
         // Lengths are rounded up, each axis' and the whole: so a short line is no faster than its axes may be.
         let nm: [i64; AXES] = core::array::from_fn(|axis| {
-            let (steps, pitch) = (steps[axis], machinery.pitch[axis]);
-            let nm = (i128::from(steps.unsigned_abs()) * pitch)
-                .unsigned_abs()
-                .div_ceil(1u128 << 64);
-            nm as i64 * steps.signum()
+            let size = nm_of(steps[axis].unsigned_abs(), machinery.pitch[axis]) as i64;
+            if steps[axis] < 0 { -size } else { size }
         });
         let length = length(&nm);
         if length == 0 {
             return;
         }
-        let direction =
-            nm.map(|nm| ((i128::from(nm) * i128::from(ONE)) / i128::from(length)) as i64);
+        let by = Inverse::new(length);
+        let direction = nm.map(|nm| by.of(nm, ONE.ilog2()));
         let top = smallest(&machinery.speed, &direction).min(u64::from(u32::MAX));
-        let slowest = u128::from(length) * u128::from(machinery.setup.clock_hz);
+        let [low, high] = product(length, machinery.setup.clock_hz.into());
+        let slowest = (low >> LONGEST.ilog2() | high << (64 - LONGEST.ilog2())) + 1;
         let mut line = Line {
             length,
             direction,
-            slope: steps.map(|steps| ((i128::from(steps) << 32) / i128::from(length)) as i64),
+            slope: steps.map(|steps| by.of(steps, 32)),
             end: goal,
             accel: smallest(&machinery.accel, &direction),
             top,
-            slowest: (slowest.div_ceil(u128::from(LONGEST)) as u64).min(top),
+            slowest: slowest.min(top),
             feed: match pending.feed {
-                Feed::Rapid => u64::from(u32::MAX),
-                Feed::Rate(rate) => u64::from(rate),
+                Feed::Rapid => u32::MAX,
+                Feed::Rate(rate) => rate,
             },
+            held: 0,
+            fastest: 0,
             cut: 0,
             corner: 0,
             entry: 0,
             tag: pending.tag,
         };
+        line.set_override(self.percent);
         if self.count > 0 {
             (line.cut, line.corner) = self.corner(self.get(self.count - 1), &line);
         }
@@ -606,22 +634,17 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         }
         // u^2 change / 2d is the blend's acceleration.
         let accel = smallest(&self.machinery.accel, &change);
-        let wanted = before
-            .fastest(100)
-            .min(after.fastest(100))
-            .div_ceil(2)
-            .div_ceil(accel);
-        let deviation = u128::from(self.machinery.setup.junction_deviation) * 4 * ONE as u128;
-        let allowed = u64::try_from(deviation / u128::from(size)).unwrap_or(u64::MAX);
+        let fastest = square(before.at(100).min(after.at(100)));
+        let wanted = quotient_up(fastest.div_ceil(2), accel);
+        let deviation = product(
+            self.machinery.setup.junction_deviation.into(),
+            4 * ONE.unsigned_abs(),
+        );
         let cut = wanted
-            .min(allowed)
+            .min(wide(deviation, size))
             .min(most_of(before.length))
             .min(most_of(after.length));
-        let square = 2 * u128::from(cut) * u128::from(accel);
-        (
-            cut,
-            u64::try_from(square).map_or(FASTEST, |w| w.min(FASTEST)),
-        )
+        (cut, gain(accel, cut))
     }
 
     /// The largest speeds from which everything known can be brought to rest. The speed the first line begins with
@@ -644,8 +667,8 @@ impl<const DEPTH: usize> Planner<DEPTH> {
             let entry = line
                 .gained(exit, free)
                 .min(line.corner)
-                .min(line.fastest(self.percent))
-                .min(before.fastest(self.percent));
+                .min(line.fastest)
+                .min(before.fastest);
             let settled = entry == line.entry && index + 2 < self.count;
             if settled && !all {
                 return;
@@ -725,24 +748,28 @@ impl<const DEPTH: usize> Planner<DEPTH> {
     /// Speed up, hold, slow down, and round the corner.
     fn profile(&self, line: &Line, length: u64, end: u64, cut: u64) -> [Stretch; 4] {
         let machinery = &self.machinery;
-        let clock = u64::from(machinery.setup.clock_hz);
         let begin = self.speed;
-        let (w, more) = (
-            u128::from(square(begin)) + u128::from(square(end)),
-            2 * u128::from(line.accel) * u128::from(length),
-        );
-        let peak = ((w + more) / 2).min(u128::from(FASTEST)).isqrt() as u64;
-        let held = line.fastest(self.percent).isqrt();
-        let top = peak.min(held).max(begin.min(end));
+        let half = square(begin) / 2 + square(end) / 2;
+        let peak = half
+            .saturating_add(gain(line.accel, length) / 2)
+            .min(FASTEST)
+            .isqrt();
+        let top = peak.min(line.held).max(begin.min(end));
         let time = |from: u64, to: u64| {
-            let (clocks, rest) = (
-                from.abs_diff(to) * clock / line.accel,
-                from.abs_diff(to) * clock % line.accel,
-            );
-            ((clocks << 16) + (rest << 16) / line.accel) as i64
+            if from == to {
+                return 0;
+            }
+            let clocks = product(from.abs_diff(to) << 16, machinery.setup.clock_hz.into());
+            wide(clocks, line.accel).min(FASTEST / 2) as i64
         };
-        let way = |from: u64, to: u64, time: i64| {
-            (i128::from(from + to) * i128::from(time) / i128::from(2 * clock)) as i64
+        // Half of the sum of the speeds, per clock.
+        let way = |from: u64, to: u64, time: i64| match time {
+            0 => 0,
+            _ => scaled(
+                scaled((from + to) as i64, machinery.per_clock, 16),
+                time,
+                49,
+            ),
         };
         let all = (length << 16) as i64;
         let (first, last) = (time(begin, top), time(top, end));
@@ -795,14 +822,18 @@ impl<const DEPTH: usize> Planner<DEPTH> {
             velocity: [0; AXES],
             accel: [0; AXES],
         };
+        let holds = stretch.from == stretch.to && !stretch.blend;
+        let by = match holds {
+            true => Inverse::new(1),
+            false => Inverse::new(stretch.duration.unsigned_abs()),
+        };
         for (axis, &after) in after.iter().enumerate() {
             let begin = self.machinery.velocity(stretch.from, line.slope[axis]);
-            let end = self.machinery.velocity(stretch.to, after);
             leg.position[axis] = line.position(axis, stretch.left);
             leg.velocity[axis] = begin;
-            if begin != end {
-                let accel = (i128::from(end - begin) << 32) / i128::from(stretch.duration);
-                leg.accel[axis] = accel as i64;
+            if !holds {
+                let end = self.machinery.velocity(stretch.to, after);
+                leg.accel[axis] = by.of(end - begin, 32);
             }
         }
         self.follower.leg = Some(leg);
@@ -916,12 +947,12 @@ impl Follower {
     pub(crate) fn come_to_rest(&mut self, tag: u16) -> Segment {
         let mut clocks = MIN_CLOCKS;
         for (axis, limit) in self.machine.axes.iter().zip(self.limit) {
-            let moves = axis.velocity.unsigned_abs().div_ceil(u64::from(limit));
+            let moves = quotient_up(axis.velocity.unsigned_abs(), limit.into());
             clocks = clocks.max(moves as u32 + COMMIT_CLOCKS);
         }
         let accel = self.machine.axes.map(|axis| {
             let moves = u64::from(clocks - COMMIT_CLOCKS);
-            axis.velocity.unsigned_abs().div_ceil(moves).max(1) as u32
+            quotient_up(axis.velocity.unsigned_abs(), moves).max(1) as u32
         });
         let segment = Segment {
             clocks,
@@ -939,18 +970,17 @@ impl Leg {
     /// Evenly to these velocities.
     pub(crate) fn steer(&mut self, end: &[i64; AXES]) {
         for (axis, end) in end.iter().enumerate() {
-            let change = i128::from(end - self.velocity[axis]);
-            self.accel[axis] = ((change << 32) / i128::from(self.duration.max(1))) as i64;
+            let by = self.duration.max(1).unsigned_abs();
+            self.accel[axis] = ratio(end - self.velocity[axis], 32, by);
         }
     }
 
     /// Where the reference is, and how fast.
     fn reference(&self, axis: usize) -> (i64, i64) {
-        let time = i128::from(self.at);
         let begin = self.velocity[axis];
-        let velocity = begin + ((i128::from(self.accel[axis]) * time) >> 32) as i64;
-        let way = ((i128::from(begin) + i128::from(velocity)) * time) >> 41;
-        (self.position[axis] + way as i64, velocity)
+        let velocity = begin + scaled(self.accel[axis], self.at, 32);
+        let way = scaled(begin + velocity, self.at, 41);
+        (self.position[axis] + way, velocity)
     }
 }
 
@@ -959,14 +989,11 @@ impl Axis {
     /// them to its position: slow enough to be stable for segments of any length up to 2^20.
     fn aim(&self, clocks: u32, position: i64, velocity: i64, limit: u32) -> (i32, u32) {
         let moves = i64::from(clocks - COMMIT_CLOCKS);
-        let sum = i128::from(self.velocity) + i128::from(velocity);
+        let sum = self.velocity + velocity;
         // The last of the moves is too late to count: v0 v0 v1 .. vm.
-        let late = i128::from(self.velocity) - i128::from(velocity);
-        let mean = (sum * i128::from(clocks) + late) >> 25;
-        let off = self
-            .position
-            .wrapping_add(mean as i64)
-            .wrapping_sub(position);
+        let late = self.velocity - velocity;
+        let mean = scaled(sum, clocks.into(), 25) + (late >> 25);
+        let off = self.position.wrapping_add(mean).wrapping_sub(position);
         // At most half a step in 2^21 clocks, 14 steps/s at 60 MHz: more is never missing.
         let correction = off.clamp(-(1 << 31), 1 << 31) << 3;
         let most = i64::from(limit) * moves;
@@ -976,23 +1003,40 @@ impl Axis {
         let [least, greatest] = [self.velocity - most, self.velocity + most];
         let rate = nearest.clamp(-(-least >> 24), greatest >> 24);
         let change = (rate << 24).abs_diff(self.velocity);
-        (rate as i32, change.div_ceil(moves as u64).max(1) as u32)
+        let accel = quotient_up(change, moves as u64).max(1);
+        (rate as i32, accel as u32)
     }
 }
 
-/// How much of a line its corners may take at either end.
+/// How much of a line its corners may take at either end: two fifths.
 fn most_of(length: u64) -> u64 {
-    length * 2 / 5
+    // Lengths are below 2^40.
+    (length * 102) >> 8
+}
+
+/// The nm of so many steps (32 fraction bits), rounded up.
+fn nm_of(steps: u64, pitch: u64) -> u64 {
+    let [low, high] = product(steps, pitch);
+    let down = high << 9 | low >> 55;
+    down + u64::from(low << 9 != 0)
 }
 
 /// Along a vector (30 fraction bits): the most that exceeds no axis' limit.
 fn smallest(limits: &[u64; AXES], vector: &[i64; AXES]) -> u64 {
-    let along = |(limit, part): (&u64, &i64)| (limit << 24) / ((part.unsigned_abs() >> 6) + 1);
-    limits
-        .iter()
-        .zip(vector)
-        .map(along)
-        .fold(u64::MAX, u64::min)
+    // limit / part, the parts being below 2^26: whose is the smallest is a matter of products.
+    let part = |part: &i64| (part.unsigned_abs() >> 6) + 1;
+    let mut least = (u64::MAX >> 24, 1);
+    for (&limit, vector) in limits.iter().zip(vector) {
+        let part = part(vector);
+        if less(product(limit, least.1), product(least.0, part)) {
+            least = (limit, part);
+        }
+    }
+    quotient(least.0 << 24, least.1)
+}
+
+fn less(a: [u64; 2], b: [u64; 2]) -> bool {
+    (a[1], a[0]) < (b[1], b[0])
 }
 
 /// Rounded up.

@@ -13,6 +13,7 @@
 //! strobe is also the one that samples position and velocity. So a status block plus the command it
 //! answers determine the future: [`Ramp::predict`].
 
+use crate::wide::{product, quotient_up, short};
 use wire::units::{Accel, Clocks, Position, StepRate};
 
 /// Fraction bits of the velocity below the last bit of the position.
@@ -87,16 +88,16 @@ impl Ramp {
     pub fn advance(&mut self, clocks: u64) {
         let moving = self.clocks_to_target().min(clocks);
         self.advance_moving(moving);
-        let steady = i128::from(clocks - moving) * i128::from(self.velocity >> VELOCITY_FRACTION);
-        self.position = self.position.wrapping_add(steady as i64);
+        let steady = ((clocks - moving) as i64).wrapping_mul(self.velocity >> VELOCITY_FRACTION);
+        self.position = self.position.wrapping_add(steady);
     }
 
     /// Clocks until the velocity has reached its target.
-    pub const fn clocks_to_target(&self) -> u64 {
+    pub fn clocks_to_target(&self) -> u64 {
         let away = self.goal().abs_diff(self.velocity);
         match self.accel.0 {
-            0 => (away != 0) as u64,
-            accel => away.div_ceil(accel as u64),
+            0 => u64::from(away != 0),
+            accel => quotient_up(away, accel.into()),
         }
     }
 
@@ -123,48 +124,49 @@ impl Ramp {
         let away = self.goal() - self.velocity;
         let per_clock = away.signum() * i64::from(self.accel.0);
         let travelled = sum_of_floors(clocks, self.velocity, per_clock);
-        self.position = self.position.wrapping_add(travelled as i64);
+        self.position = self.position.wrapping_add(travelled);
         self.velocity += per_clock * (clocks - 1) as i64;
         self.velocity = self.next_velocity();
     }
 }
 
-/// `sum of floor((start + i * step) / 2^24) for i in 0..terms`, exactly.
+/// `sum of floor((start + i * step) / 2^24) for i in 0..terms`, its lowest 64 bits.
 ///
 /// The quotients of `start` and `step` come out of the floor at once; what remains counts lattice
 /// points under a line and shrinks like Euclid's algorithm. With 24 bits that ends after at most
 /// some 35 rounds. Good for `terms` below 2^40 (five hours of clocks).
-pub fn sum_of_floors(terms: u64, start: i64, step: i64) -> i128 {
-    let whole = |x: i64| i128::from(x >> VELOCITY_FRACTION);
-    let rest = |x: i64| (x & ((1 << VELOCITY_FRACTION) - 1)) as u64;
-    let wide = i128::from(terms);
-    let sum = (wide - 1) * wide / 2 * whole(step) + wide * whole(start);
+pub fn sum_of_floors(terms: u64, start: i64, step: i64) -> i64 {
+    let rest = |x: i64| (x & ((1 << VELOCITY_FRACTION) - 1)) as u32;
+    let [low, high] = product(terms, terms.wrapping_sub(1));
+    let pairs = (low >> 1 | high << 63) as i64;
+    let sum = pairs.wrapping_mul(step >> VELOCITY_FRACTION);
+    let sum = sum.wrapping_add((terms as i64).wrapping_mul(start >> VELOCITY_FRACTION));
     let (start, step) = (rest(start), rest(step));
     if step == 0 {
         return sum;
     }
-    // 64 bits do as long as neither `step * terms` nor the sum leaves them: a softcore has to do this.
-    if terms < 1 << 31 {
-        sum + i128::from(lattice_points(terms, start, step))
-    } else {
-        sum + wide_lattice_points(terms, start, step)
-    }
+    // A softcore has to do this for every segment, and no segment that accelerates is longer.
+    sum.wrapping_add(match u32::try_from(terms) {
+        Ok(terms) if terms >> 31 == 0 => lattice_points(terms, start, step) as i64,
+        _ => wide_lattice_points(terms, start.into(), step.into()) as i64,
+    })
 }
 
 /// `sum of floor((start + i * step) / 2^24)` of fractions: `start` and `step` below 2^24.
-fn lattice_points(mut terms: u64, mut start: u64, mut step: u64) -> u64 {
-    let mut modulus = 1u64 << VELOCITY_FRACTION;
-    let mut sum = 0;
+fn lattice_points(mut terms: u32, mut start: u32, mut step: u32) -> u64 {
+    let mut modulus = 1u32 << VELOCITY_FRACTION;
+    let mut sum = 0u64;
     loop {
-        let top = step * terms + start;
-        if top < modulus {
+        let top = u64::from(step) * u64::from(terms) + u64::from(start);
+        if top < modulus.into() {
             return sum;
         }
-        terms = top / modulus;
-        start = top % modulus;
+        // `step` is less than `modulus`: there are no more of them than of terms.
+        (terms, start) = short(top, modulus);
         (modulus, step) = (step, modulus);
         // Now the line is steeper than 1: the whole part comes out.
-        sum += (terms - 1) * terms / 2 * (step / modulus) + terms * (start / modulus);
+        let pairs = u64::from(terms) * u64::from(terms.wrapping_sub(1)) / 2;
+        sum += pairs * u64::from(step / modulus) + u64::from(terms) * u64::from(start / modulus);
         step %= modulus;
         start %= modulus;
     }
@@ -274,12 +276,12 @@ mod tests {
     proptest! {
         #[test]
         fn sums_of_floors_are_the_sums_of_the_floors(terms in 0..2000u64, start in -1i64 << 55..1 << 55, step in -1i64 << 32..1 << 32) {
-            prop_assert_eq!(sum_of_floors(terms, start, step), floors_one_by_one(terms, start, step));
+            prop_assert_eq!(sum_of_floors(terms, start, step), floors_one_by_one(terms, start, step) as i64);
         }
 
         #[test]
-        fn the_way_in_64_bits_is_the_wide_way(terms in 1..1u64 << 31, start in 0..1u64 << VELOCITY_FRACTION, step in 1..1u64 << VELOCITY_FRACTION) {
-            prop_assert_eq!(i128::from(lattice_points(terms, start, step)), wide_lattice_points(terms, start, step));
+        fn the_way_in_64_bits_is_the_wide_way(terms in 1..1u32 << 31, start in 0..1u32 << VELOCITY_FRACTION, step in 1..1u32 << VELOCITY_FRACTION) {
+            prop_assert_eq!(i128::from(lattice_points(terms, start, step)), wide_lattice_points(terms.into(), start.into(), step.into()));
         }
     }
 
