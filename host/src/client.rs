@@ -9,6 +9,7 @@ use crate::address::Address;
 use crate::keys::{Key, KeyError, Keys};
 use std::io;
 use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
+use std::ops::RangeInclusive;
 use std::time::{Duration, Instant};
 use wire::board::{Blob, BlobError};
 use wire::describe::{self, Describe, DescribeError};
@@ -197,6 +198,8 @@ pub struct Client {
     socket: UdpSocket,
     tag: u32,
     patience: Duration,
+    /// How long one try waits.
+    every: Duration,
     keys: Keys,
     key: Option<Key>,
 }
@@ -215,6 +218,7 @@ impl Client {
             tag: nonce(),
             socket,
             patience: PATIENCE,
+            every: TRY,
             keys: Keys::default(),
             key: None,
         })
@@ -224,6 +228,13 @@ impl Client {
     #[must_use]
     pub fn with_patience(mut self, patience: Duration) -> Self {
         self.patience = patience;
+        self
+    }
+
+    /// The same, and asks again this often: for who cannot wait until a lost packet is felt.
+    #[must_use]
+    pub fn hurried(mut self, every: Duration, patience: Duration) -> Self {
+        (self.every, self.patience) = (every, patience);
         self
     }
 
@@ -381,7 +392,7 @@ impl Client {
             (map::SESSION_ACQUIRE, &[nonce]),
         ];
         // Once: an answer to a challenge that was used up is none.
-        let patience = core::mem::replace(&mut self.patience, TRY);
+        let patience = core::mem::replace(&mut self.patience, self.every);
         let asked = self.transact(&writes, &SESSION_WORDS);
         self.patience = patience;
         asked
@@ -426,12 +437,13 @@ impl Client {
                 Err(error) => hint = Some(error),
                 Ok(_) => {}
             }
-            match self.answer(reads.len(), Instant::now() + TRY) {
-                Ok(Some(words)) => return Ok(words),
+            let deadline = Instant::now() + self.every;
+            match self.answer(self.tag..=self.tag, reads.len(), deadline) {
+                Ok(Some((_, words))) => return Ok(words),
                 Ok(None) => {}
                 Err(error) => {
                     hint = Some(error);
-                    std::thread::sleep(TRY);
+                    std::thread::sleep(self.every);
                 }
             }
         }
@@ -442,7 +454,31 @@ impl Client {
         })
     }
 
-    fn answer(&self, count: usize, deadline: Instant) -> io::Result<Option<Vec<u32>>> {
+    /// A tag no earlier request had.
+    pub(crate) fn next_tag(&mut self) -> u32 {
+        self.tag = self.tag.wrapping_add(1);
+        self.tag
+    }
+
+    /// One try of a whole request: the answer's tag, one of these, and its words. For requests that must not be executed twice.
+    pub(crate) fn once(
+        &self,
+        request: &[u32],
+        tags: RangeInclusive<u32>,
+        count: usize,
+    ) -> io::Result<Option<(u32, Vec<u32>)>> {
+        let mut bytes = [0; MAX_PAYLOAD];
+        let length = wire::words_to_bytes(request, &mut bytes);
+        self.socket.send(&bytes[..length])?;
+        self.answer(tags, count, Instant::now() + self.every)
+    }
+
+    fn answer(
+        &self,
+        tags: RangeInclusive<u32>,
+        count: usize,
+        deadline: Instant,
+    ) -> io::Result<Option<(u32, Vec<u32>)>> {
         let mut bytes = [0; MAX_PAYLOAD];
         let mut words = [0; MAX_WORDS];
         loop {
@@ -468,10 +504,10 @@ impl Client {
             if let Some(answer) = wire::words_from_bytes(&bytes[..length], &mut words)
                 .ok()
                 .and_then(|words| single_record(words))
-                && answer.0 == self.tag
+                && tags.contains(&answer.0)
                 && answer.1.len() == count
             {
-                return Ok(Some(answer.1.to_vec()));
+                return Ok(Some((answer.0, answer.1.to_vec())));
             }
         }
     }

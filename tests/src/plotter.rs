@@ -1,13 +1,15 @@
 //! A board that draws by itself, served over real sockets, and a line to it that can be cut.
 
+use host::address::Address;
 use host::job::client::Board;
 use host::job::pins::{Event, Pin};
+use host::job::stream::Streamer;
 use host::keys::Keys;
 use motion::segment::AXES;
 use sim::Twin;
 use sim::card::Card;
 use sim::plant::Plant;
-use sim::server::{Mode, Options, Server};
+use sim::server::{self, Mode, Options, Server};
 use sim::twin::Setup;
 use sim::world::Output;
 use std::io::{Read, Write};
@@ -38,8 +40,11 @@ pub struct Plotter {
     pub jobs: SocketAddrV4,
     /// Where its console is.
     pub console: SocketAddrV4,
+    /// Where the board itself is.
+    pub udp: SocketAddrV4,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Twin>,
+    streamer: Option<(Arc<AtomicBool>, JoinHandle<()>)>,
 }
 
 impl Plotter {
@@ -47,7 +52,43 @@ impl Plotter {
     pub fn twin() -> Self {
         let mut card = Card::plain(CHANNELS, CLOCK);
         card.jobs = AXES as u8;
+        Plotter::switched_on(card, None, "")
+    }
+
+    /// The same without SDRAM, so many times slower than real time, lest a busy machine lets it wait. Nobody executes its jobs yet.
+    pub fn without_sdram(slower: u32) -> Self {
+        let mut card = Card::plain(CHANNELS, CLOCK);
+        (card.jobs, card.streamed) = (AXES as u8, true);
+        Plotter::switched_on(card, Some(f64::from(CLOCK) / f64::from(slower)), "")
+    }
+
+    /// The same, with this trouble on the wire, and somebody here who executes them.
+    pub fn streamed(slower: u32, trouble: &str) -> Self {
+        let mut card = Card::plain(CHANNELS, CLOCK);
+        (card.jobs, card.streamed) = (AXES as u8, true);
+        let pace = f64::from(CLOCK) / f64::from(slower);
+        let mut plotter = Plotter::switched_on(card, Some(pace), trouble);
+        let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+        let streamer = Streamer::open(&plotter.address(), Keys::default(), any);
+        let mut streamer = streamer.unwrap_or_else(|error| panic!("{error}"));
+        let SocketAddr::V4(at) = streamer.at() else {
+            unreachable!("bound to an IPv4 address");
+        };
+        plotter.jobs = at;
+        let stop = Arc::<AtomicBool>::default();
+        let told = stop.clone();
+        let thread = std::thread::spawn(move || streamer.run(&told));
+        plotter.streamer = Some((stop, thread));
+        plotter
+    }
+
+    fn switched_on(card: Card, pace: Option<f64>, trouble: &str) -> Self {
+        let streamed = card.streamed;
         let mut twin = Twin::power_up(Setup::new(card, Plant::default()));
+        if !trouble.is_empty() {
+            let plan = trouble.parse().expect("words for trouble");
+            server::Device::trouble(&mut twin, &plan).expect("a twin can be troubled");
+        }
         twin.world().edges.keep_steps();
         twin.world().watch.gpio = 1;
         let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
@@ -56,10 +97,10 @@ impl Plotter {
             discovery: None,
             interface: None,
             console: Some(any),
-            jobs: Some(any),
+            jobs: (!streamed).then_some(any),
             control: None,
             stdin: false,
-            mode: Mode::Free { pace: None },
+            mode: Mode::Free { pace },
             silence: PATIENCE,
             orphan_clocks: 0,
             report: None,
@@ -67,16 +108,31 @@ impl Plotter {
         let stop = Arc::<AtomicBool>::default();
         let server = Server::bind(twin, options, stop.clone()).expect("sockets of this machine");
         let ready = server.ready_line();
-        let place = |key: &str| {
-            let at = ready.split(' ').find_map(|word| word.strip_prefix(key));
-            at.and_then(|at| at.parse().ok())
-                .expect("it says where its jobs and its console are")
+        let place = |key: &str| -> Option<SocketAddrV4> {
+            let mut words = ready.split(' ');
+            words.find_map(|word| word.strip_prefix(key))?.parse().ok()
+        };
+        let udp = place("udp=").expect("it says where it is");
+        let jobs = match streamed {
+            // Until somebody executes them.
+            true => udp,
+            false => place("jobs=").expect("it says where its jobs are"),
         };
         Plotter {
-            jobs: place("jobs="),
-            console: place("console="),
+            jobs,
+            udp,
+            console: place("console=").expect("it says where its console is"),
             stop,
             thread: std::thread::spawn(move || server.run()),
+            streamer: None,
+        }
+    }
+
+    /// The board's.
+    pub fn address(&self) -> Address {
+        Address {
+            text: self.udp.to_string(),
+            socket: self.udp,
         }
     }
 
@@ -100,6 +156,10 @@ impl Plotter {
 
     /// Switched off: everything its pins did.
     pub fn events(self) -> Vec<Event> {
+        if let Some((stop, thread)) = self.streamer {
+            stop.store(true, Ordering::Relaxed);
+            thread.join().expect("the streamer's thread");
+        }
         self.stop.store(true, Ordering::Relaxed);
         let mut twin = self.thread.join().expect("the twin's thread");
         let world = twin.world();

@@ -5,15 +5,25 @@
 
 use ferrocnc_tests::drawing::{self, TOLERANCE, Watch};
 use ferrocnc_tests::plotter::{Plotter, Scissors};
-use host::job::pins::{self, Prediction};
+use host::client::Client;
+use host::job::client::Board;
+use host::job::pins::{self, Pin, Prediction};
 use host::job::program::{Dialect, Program};
+use host::job::stream::Streamer;
+use host::keys::Keys;
 use sim::model::board::pages;
 use sim::soc::{Cores, CoresPins};
 use std::collections::VecDeque;
 use std::fmt::Write;
+use std::io::{BufRead as _, BufReader};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
 use wire::crc::crc32;
+use wire::exchange::{STATUS_HEAD, STATUS_STEPGEN, StateWord};
 use wire::jobs::{End, State};
+use wire::{FaultReason, Refusal, map};
 
 fn picture(name: &str) -> PathBuf {
     let folder = std::env::var_os("FERROCNC_REPORTS").map(PathBuf::from);
@@ -130,6 +140,34 @@ fn a_drawing_sent_to_the_twin_and_started_is_on_its_curves_and_every_edge_in_its
     drop(board);
     let emitted = plotter.events();
     let verdict = drawing::judge(&told, &machine, &emitted, &picture("drawing.png"));
+    println!("{}", verdict.text());
+    verdict.assert_good(&told);
+}
+
+/// So many times slower than real time: then a machine at work, too, is never late for the 64 segments a board has in hand.
+const SLOWER: u32 = 10;
+
+#[test]
+fn a_drawing_streamed_to_a_board_without_sdram_is_on_its_curves_and_every_edge_in_its_clock() {
+    let (machine, program) = (drawing::machine(), drawing::program(TOLERANCE));
+    let told = pins::predict(&program, &machine).unwrap_or_else(|error| panic!("{error}"));
+    let plotter = Plotter::streamed(SLOWER, "");
+    let mut board = plotter.board();
+    board.put_machine(&machine.to_board()).expect("a machine");
+    let entry = board.send("drawing", &program.to_job(), |_, _| ());
+    assert!(entry.expect("the job is taken").ready);
+    board.start("drawing", None).expect("it begins");
+    let report = plotter.finish(&mut board);
+    assert_eq!(
+        (report.end, report.progress),
+        (End::Done, 100),
+        "{report:?}"
+    );
+    assert_eq!(report.steps.map(i64::from), told.steps);
+    assert_eq!(report.segments as usize, told.segments.len());
+    drop(board);
+    let emitted = plotter.events();
+    let verdict = drawing::judge(&told, &machine, &emitted, &picture("drawing-streamed.png"));
     println!("{}", verdict.text());
     verdict.assert_good(&told);
 }
@@ -359,4 +397,251 @@ fn a_start_whose_answer_is_lost_is_asked_again_and_acted_on_once() {
         5 * 80,
         "one line of 3 mm and one of 2, and no more"
     );
+}
+
+/// `ferrocnc job serve`, as a program of its own.
+struct Serving {
+    child: Child,
+    at: SocketAddrV4,
+}
+
+impl Serving {
+    fn begin(plotter: &Plotter) -> Self {
+        let mut tool = Command::new(ferrocnc_tests::program("ferrocnc"));
+        let board = plotter.udp.to_string();
+        tool.args(["--json", "job", "serve", &board, "--at", "127.0.0.1:0"]);
+        let mut child = tool.stdout(Stdio::piped()).spawn().expect("the tool runs");
+        let mut line = String::new();
+        let mut out = BufReader::new(child.stdout.take().expect("its output"));
+        out.read_line(&mut line).expect("what it says");
+        let said: serde_json::Value = serde_json::from_str(&line).unwrap_or_default();
+        let at = said["jobs"].as_str().and_then(|at| at.parse().ok());
+        let at = at.unwrap_or_else(|| panic!("it does not say where the jobs are: {line:?}"));
+        Serving { child, at }
+    }
+
+    fn board(&self) -> Board {
+        let patience = Duration::from_secs(120);
+        let board = Board::with_patience(self.at, Keys::default(), patience);
+        board.unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// Sends this, and starts it unattended.
+    fn start(&self, program: &Program) -> Board {
+        let mut board = self.board();
+        let machine = drawing::machine().to_board();
+        board.put_machine(&machine).expect("a machine");
+        let sent = board.send("job", &program.to_job(), |_, _| ());
+        assert!(sent.expect("the job is taken").ready);
+        board.start("job", None).expect("it begins");
+        board
+    }
+
+    /// Lets the drawing come so far that all three axes and the pen have been at work, and 64 segments wait.
+    fn draw_a_little(&self) {
+        let mut board = self.start(&drawing::program(TOLERANCE));
+        loop {
+            let report = board.report().unwrap_or_else(|error| panic!("{error}"));
+            assert_eq!(report.end, End::None, "{report:?}");
+            if report.segments > 150 {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// What the board says of itself once nothing moves, to somebody who owns nothing; its axes' steps, and when that was.
+fn at_rest(plotter: &Plotter) -> (StateWord, [i64; 3], u64) {
+    let mut client = Client::open(&plotter.address()).expect("a socket");
+    loop {
+        let words = client.read(&[map::STATUS, map::SESSION_OWNER_PORT]);
+        let words = words.unwrap_or_else(|error| panic!("{error}"));
+        let state = StateWord::from_word(words[0]).expect("a state");
+        if !state.enabled && words[1] == 0 {
+            // An idle board samples a hundred times a second of its own.
+            std::thread::sleep(Duration::from_millis(20 * u64::from(SLOWER)));
+            let place = |axis: usize| STATUS_HEAD + axis * STATUS_STEPGEN + 1;
+            let addresses = [4, 5, place(0), place(1), place(2)];
+            let addresses = addresses.map(|word| map::STATUS + 4 * word as u32);
+            let words = client.read(&addresses).expect("the counters");
+            let clock = u64::from(words[1]) << 32 | u64::from(words[0]);
+            let steps = [2, 3, 4].map(|word| i64::from(words[word] as i32));
+            return (state, steps, clock);
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn steps_of(events: &[pins::Event]) -> [i64; 3] {
+    let mut steps = [0; 3];
+    for (_, pin) in events {
+        if let Pin::Step { axis, forward } = *pin {
+            steps[axis] += if forward { 1 } else { -1 };
+        }
+    }
+    steps
+}
+
+/// The clocks of its steps, from the first on.
+fn steps_at(events: &[pins::Event]) -> Vec<u64> {
+    let steps = events
+        .iter()
+        .filter(|(_, pin)| matches!(pin, Pin::Step { .. }));
+    let clocks: Vec<u64> = steps.map(|(clock, _)| *clock).collect();
+    clocks.iter().map(|clock| clock - clocks[0]).collect()
+}
+
+/// How many edges were as predicted before the first that was not, and the clock of the last that was, from the first step on.
+fn as_told(told: &Prediction, emitted: &[pins::Event]) -> (usize, u64) {
+    let (mut told, emitted) = (steps_at(&told.events), steps_at(emitted));
+    told.sort_unstable();
+    let same = told
+        .iter()
+        .zip(&emitted)
+        .take_while(|(a, b)| a == b)
+        .count();
+    (same, told[same.saturating_sub(1)])
+}
+
+const BACK: &[u8] = b"M5\nG0 X5 Y5\nG0 X0 Y0 Z0\nM2\n";
+
+/// Executes something short from where the axes are to home, with another PC.
+fn goes_home(plotter: Plotter) -> Vec<pins::Event> {
+    let serving = Serving::begin(&plotter);
+    let back = Program::from_gcode(BACK, Dialect::default().dwell);
+    let mut board = serving.start(&back.unwrap_or_else(|error| panic!("{error}")));
+    let report = plotter.finish(&mut board);
+    assert_eq!(
+        (report.end, report.steps),
+        (End::Done, [0; 3]),
+        "{report:?}"
+    );
+    drop(board);
+    drop(serving);
+    plotter.events()
+}
+
+#[test]
+fn a_pc_that_vanishes_while_it_streams_is_a_soft_stop_on_known_positions_and_another_goes_on() {
+    let machine = drawing::machine();
+    let told = pins::predict(&drawing::program(TOLERANCE), &machine);
+    let told = told.unwrap_or_else(|error| panic!("{error}"));
+    let plotter = Plotter::without_sdram(SLOWER);
+    let mut serving = Serving::begin(&plotter);
+    serving.draw_a_little();
+    serving.child.kill().expect("it can be killed");
+    let (state, steps, clock) = at_rest(&plotter);
+    assert_eq!(
+        (state.reason, state.position_trusted),
+        (FaultReason::Watchdog, true),
+        "{state:?}"
+    );
+    assert_ne!(steps, [0; 3], "it stopped on its way");
+    drop(serving);
+    let emitted = goes_home(plotter);
+    // The counters said what the pins did, and another PC counted from there.
+    let there = emitted.partition_point(|(at, _)| *at <= clock);
+    assert_eq!(steps_of(&emitted[..there]), steps);
+    assert_eq!(steps_of(&emitted), [0; 3]);
+    let (same, brakes) = as_told(&told, &emitted[..there]);
+    let edges: Vec<u64> = steps_at(&emitted[..there]);
+    let ms = |clocks: u64| clocks as f64 * 1e3 / f64::from(machine.clock);
+    let (last, before) = (edges[edges.len() - 1], edges[edges.len() - 2]);
+    println!(
+        "{same} edges as predicted, then {} in {:.1} ms, the last {:.2} ms behind the one before",
+        edges.len() - same,
+        ms(last - brakes),
+        ms(last - before)
+    );
+    assert!(same > 1000, "{same} edges as predicted");
+    assert!(
+        ms(last - brakes) < 250.0,
+        "longer than the watchdog's grace"
+    );
+}
+
+#[test]
+fn ctrl_c_stops_what_is_streamed_on_its_path_and_gives_the_board_back() {
+    let plotter = Plotter::without_sdram(SLOWER);
+    let mut serving = Serving::begin(&plotter);
+    serving.draw_a_little();
+    let id = serving.child.id().to_string();
+    let asked = Command::new("kill").args(["-INT", &id]).status();
+    assert!(asked.expect("kill").success());
+    assert!(serving.child.wait().expect("its end").success());
+    let (state, steps, _) = at_rest(&plotter);
+    assert!(state.position_trusted, "{state:?}");
+    assert_ne!(state.reason, FaultReason::Watchdog, "{state:?}");
+    assert_ne!(steps, [0; 3], "it stopped on its way");
+    drop(serving);
+    assert_eq!(steps_of(&goes_home(plotter)), [0; 3]);
+}
+
+#[test]
+fn a_wire_that_loses_doubles_and_reorders_datagrams_changes_no_edge_of_what_is_streamed() {
+    let program = Program::from_gcode(cam(600).as_bytes(), Dialect::default().dwell)
+        .unwrap_or_else(|error| panic!("{error}"));
+    let machine = drawing::machine();
+    let told = pins::predict(&program, &machine).unwrap_or_else(|error| panic!("{error}"));
+    let plotter = Plotter::streamed(SLOWER, "loss=1% dup=1% reorder=1% seed=6");
+    let mut board = plotter.board();
+    board.put_machine(&machine.to_board()).expect("a machine");
+    let entry = board.send("cam", &program.to_job(), |_, _| ());
+    assert!(entry.expect("the job is taken").ready);
+    board.start("cam", None).expect("it begins");
+    let report = plotter.finish(&mut board);
+    assert_eq!(report.end, End::Done, "{report:?}");
+    assert_eq!(report.steps.map(i64::from), told.steps);
+    drop(board);
+    let mut client = Client::open(&plotter.address()).expect("a socket");
+    let stale = map::COUNTERS_REFUSED + 4 * Refusal::Stale.index() as u32;
+    let words = client.read(&[map::COUNTERS, stale]).expect("the counters");
+    let difference = told.compare(&plotter.events());
+    println!(
+        "{} datagrams, {} of them too late or twice; {} edges, {} differ",
+        words[0], words[1], difference.edges, difference.wrong
+    );
+    assert!(words[1] > 0, "the board refused none: no trouble at all");
+    assert_eq!(
+        (difference.wrong, difference.late),
+        (0, Some(0)),
+        "{difference:?}"
+    );
+}
+
+#[test]
+fn a_board_that_executes_jobs_by_itself_refuses_the_window() {
+    let plotter = Plotter::twin();
+    let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+    let error = Streamer::open(&plotter.address(), Keys::default(), any);
+    let error = error.expect_err("it needs nobody").to_string();
+    assert!(error.contains("executes jobs by itself (ready)"), "{error}");
+
+    let patience = Duration::from_millis(300);
+    let mut client = Client::open(&plotter.address()).expect("a socket");
+    client.acquire().expect("its session");
+    let mut client = client.with_patience(patience);
+    let refused = map::COUNTERS_REFUSED + 4 * Refusal::ReadOnly.index() as u32;
+    let count = |client: &mut Client| client.read(&[refused]).expect("the counter")[0];
+    let before = count(&mut client);
+    for base in [map::SEGMENTS, map::SESSION_SEGMENTS] {
+        let answer = client.write_then_read(base, &[6000], &[map::DESCRIBE]);
+        assert!(answer.is_err(), "{answer:?}");
+    }
+    assert!(count(&mut client) >= before + 2);
+    let status = client.read(&[map::SEGMENTS + 4 * STATUS]);
+    assert_eq!(
+        status.expect("everybody may read it")[0] & 0xff,
+        0,
+        "nothing waits"
+    );
+    assert_eq!(plotter.events().len(), 0);
 }

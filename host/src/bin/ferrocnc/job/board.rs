@@ -9,8 +9,13 @@ use ferrocnc::job::client::{self, Board, JobError};
 use ferrocnc::job::machine::Machine;
 use ferrocnc::job::preview::duration;
 use ferrocnc::job::program::{Program, ending};
+use ferrocnc::job::stream::Streamer;
 use serde_json::{Value, json};
+use std::io::Write;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use wire::jobs::{Command as Code, End, Entry, KEEPALIVE_MS, Report, State, Status};
 
@@ -96,6 +101,15 @@ pub(crate) enum Command {
         #[arg(value_name = "NAME")]
         name: String,
     },
+    /// Execute the jobs of a board without SDRAM, here; `ferrocnc job send|start|...` then speak to this program's address.
+    Serve {
+        /// IP[:port] of the board.
+        #[arg(value_name = "ADDR")]
+        address: String,
+        /// Where the jobs are. Whoever reaches it may move the machine, unless the board has a key.
+        #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:7240")]
+        at: SocketAddr,
+    },
     /// How fast a job is executed, in percent of what it says.
     Feed {
         #[command(flatten)]
@@ -165,8 +179,32 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
                 false => super::say(&format!("{name} is deleted, {free} bytes are free\n")),
             }
         }
+        Command::Serve { address, at } => serve(address, *at, as_json),
         Command::Feed { board, percent } => show(&board.open()?.feed(*percent)?, as_json),
     }
+}
+
+/// Until Ctrl-C, which stops the axes first.
+fn serve(address: &str, at: SocketAddr, as_json: bool) -> Result<()> {
+    let address = crate::parse(address, wire::DEFAULT_PORT)?;
+    let mut streamer = Streamer::open(&address, crate::keys(), at)?;
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, stop.clone()).context("cannot take signals")?;
+    }
+    let at = streamer.at();
+    match as_json {
+        true => super::say(&format!(
+            "{}\n",
+            json!({ "board": address.text, "jobs": at.to_string() })
+        ))?,
+        false => super::say(&format!(
+            "the jobs of {address} are at {at}: ferrocnc job send {at} FILE.job; Ctrl-C ends it, and stops what moves\n"
+        ))?,
+    }
+    std::io::stdout().flush()?;
+    streamer.run(&stop);
+    Ok(())
 }
 
 /// A refusal that a look into docs/jobs.md would explain is explained here.

@@ -1,0 +1,543 @@
+//! Jobs of a board without SDRAM: the program that executes them runs here, and streams their segments.
+//!
+//! ```text
+//!   ferrocnc job send|start|.. --TCP--> Streamer: firmware::jobs --> Far --UDP--> the board's server, and its segments core
+//! ```
+//!
+//! It is the program other boards have in their SDRAM, to the last line; what it asks of its board goes over the wire here. The
+//! gateware's 64 segments are the board's room: their level is the flow control, none in time is an underrun, which is a soft stop,
+//! and a PC that falls silent is what it is under LinuxCNC, a watchdog that bites.
+//!
+//! A datagram may be lost, late, or come twice. What is written to the segments carries a number the board takes once, an
+//! exchange its sequence; everything else can be repeated. What could not be written leaves a hole in the path, so nothing is written
+//! behind it and the watchdog is not fed any more: the executor then ends the job as it does when the board takes its outputs away.
+
+use crate::address::Address;
+use crate::client::{Client, ClientError};
+use crate::keys::Keys;
+use firmware::ip::Text;
+use firmware::jobs::{Jobs, Outside};
+use firmware::net::Us;
+use std::io::{self, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use wire::describe::{FEATURE_JOBS, JobsState};
+use wire::exchange::status_words;
+use wire::jobs::{Command, FRAME, Op, Request, SILENCE_SECONDS, State, Status};
+use wire::{MAX_WORDS, Name, Packet, ReplyWriter, etherbone, map};
+
+/// 10 ms: a board answers within one, and its watchdog waits for 100.
+const TRY: Duration = Duration::from_millis(10);
+/// Who has not been answered for as long has no armed board any more: its watchdog bit long ago.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// 64 MiB for jobs; a board with SDRAM has 7.5.
+const ROOM: usize = 64 << 20;
+/// What the program is known by; on a board its own CRC.
+const PROGRAM: u32 = 0x686f_7374;
+/// 1 ms: as old as what the segments said may be. A FIFO lasts for some 10 of these at the least.
+const FRESH: Duration = Duration::from_millis(1);
+/// Segments in a datagram.
+const BATCH: usize = 8;
+/// Turns of the program between two looks at the network.
+const TURNS: usize = 64;
+/// Between two looks while there is nothing to be planned.
+const NAP: Duration = Duration::from_micros(250);
+/// The same while nobody is there and nothing is executed.
+const SLEEP: Duration = Duration::from_millis(2);
+/// What a client may send ahead: four requests, as on a board.
+const AHEAD: usize = 4096;
+/// As long as the axes may take to come to rest when this program is told to end.
+const FAREWELL: Duration = Duration::from_secs(10);
+
+/// Registers of the segments core, by their word.
+const PUSH: usize = 16;
+const STATUS: usize = 22;
+const BEGUN: usize = 23;
+const LEFT: usize = 24;
+const CURRENT: usize = 25;
+const SHAPE: usize = 27;
+/// What is read at once. What is left belongs to a segment: the count is asked in front of it and behind it.
+const READS: [usize; 6] = [BEGUN, LEFT, BEGUN, STATUS, CURRENT, SHAPE];
+
+/// Why it does not begin.
+#[derive(Debug)]
+pub enum StreamError {
+    /// The board.
+    Client(ClientError),
+    /// It has no segments.
+    None(Address),
+    /// It needs nobody to do this.
+    Executes(Address, JobsState),
+    /// The place where the jobs were to be.
+    Door(SocketAddr, io::Error),
+}
+
+impl core::fmt::Display for StreamError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            StreamError::Client(error) => error.fmt(f),
+            StreamError::None(address) => write!(
+                f,
+                "{address} cannot play segments; write jobs = 3 and sdram = false into its board file, and build and flash that"
+            ),
+            StreamError::Executes(address, state) => write!(
+                f,
+                "{address} executes jobs by itself ({state}): ferrocnc job send {}; only one with sdram = false in its board file is streamed to",
+                address.socket.ip()
+            ),
+            StreamError::Door(at, error) => {
+                write!(
+                    f,
+                    "cannot listen at {at} ({error}); --at names another place"
+                )
+            }
+        }
+    }
+}
+
+impl std::error::Error for StreamError {}
+
+impl From<ClientError> for StreamError {
+    fn from(error: ClientError) -> Self {
+        StreamError::Client(error)
+    }
+}
+
+/// Executes jobs for a board, and answers whoever asks for them.
+#[derive(Debug)]
+pub struct Streamer {
+    jobs: Jobs<'static>,
+    far: Far,
+    door: TcpListener,
+    at: SocketAddr,
+    guest: Option<Guest>,
+}
+
+impl Streamer {
+    /// For this board, at this place.
+    pub fn open(board: &Address, keys: Keys, at: SocketAddr) -> Result<Self, StreamError> {
+        let mut client = Client::open(board)?.with_keys(keys);
+        let identity = client.identify()?;
+        client.check(&identity)?;
+        let features = identity.describe.features;
+        match JobsState::of(features) {
+            _ if features & FEATURE_JOBS == 0 => return Err(StreamError::None(board.clone())),
+            JobsState::Streamed => {}
+            state => return Err(StreamError::Executes(board.clone(), state)),
+        }
+        let door = || {
+            let door = TcpListener::bind(at)?;
+            door.set_nonblocking(true)?;
+            let at = door.local_addr()?;
+            Ok((door, at))
+        };
+        let (door, at) = door().map_err(|error| StreamError::Door(at, error))?;
+        let mut far = Far {
+            client: client.hurried(TRY, PATIENCE),
+            status_words: status_words(identity.describe.channels),
+            clock_hz: identity.describe.clock_hz,
+            started: Instant::now(),
+            owns: false,
+            sequence: 0,
+            number: None,
+            waiting: Vec::new(),
+            pushes: 0,
+            known: [0; SHAPE + 1],
+            known_at: None,
+            hole: false,
+            wrote: false,
+        };
+        // Given back never: one program, one board.
+        let jobs = Jobs::new(vec![0; ROOM].leak(), PROGRAM, &mut far);
+        Ok(Streamer {
+            jobs: jobs.ok_or_else(|| StreamError::None(board.clone()))?,
+            far,
+            door,
+            at,
+            guest: None,
+        })
+    }
+
+    /// Where the jobs are.
+    pub fn at(&self) -> SocketAddr {
+        self.at
+    }
+
+    /// Until told to stop; what moves then comes to rest first.
+    pub fn run(&mut self, stop: &AtomicBool) {
+        while !stop.load(Ordering::Relaxed) {
+            self.look_for_guests();
+            self.go_on();
+        }
+        self.guest = None;
+        self.stop();
+        let end = Instant::now() + FAREWELL;
+        while self.jobs.executor().busy() && Instant::now() < end {
+            self.go_on();
+        }
+    }
+
+    /// Some turns of the program, and a rest if it had nothing to do.
+    fn go_on(&mut self) {
+        let mut lively = false;
+        for _ in 0..TURNS {
+            if let Some(guest) = &mut self.guest {
+                lively |= guest.serve(&mut self.jobs, &mut self.far);
+            }
+            self.jobs.poll(&mut self.far);
+        }
+        let executor = self.jobs.executor();
+        lively |= core::mem::take(&mut self.far.wrote) || executor.state() == State::Checking;
+        if !lively {
+            let idle = self.guest.is_none() && !executor.busy();
+            std::thread::sleep(if idle { SLEEP } else { NAP });
+        }
+    }
+
+    /// Ends what is executed as an operator would: along the path.
+    fn stop(&mut self) {
+        let mut frame = [0; FRAME];
+        let requests = [
+            Request::Hello { client: PROGRAM },
+            Request::Command {
+                code: Command::Stop.code(),
+                flags: 0,
+                keepalive: 0,
+                name: Name::EMPTY,
+            },
+        ];
+        self.jobs.visit(&mut self.far);
+        for (id, request) in (1..).zip(requests) {
+            let length = request.emit(id, &mut frame);
+            let mut rest = &frame[..length];
+            while !rest.is_empty() {
+                let taken = self.jobs.said(rest, &mut Text::new(), &mut self.far);
+                rest = &rest[taken..];
+            }
+        }
+    }
+
+    /// Lets somebody in; one at a time.
+    fn look_for_guests(&mut self) {
+        if let Some(guest) = &mut self.guest
+            && !guest.hear()
+        {
+            self.guest = None;
+        }
+        let Ok((mut stream, _)) = self.door.accept() else {
+            return;
+        };
+        if self.guest.is_some() {
+            let mut frame = [0; FRAME];
+            let length = wire::jobs::answer(Op::Hello.code(), Status::Busy, 0, &mut frame, |_| {});
+            // If he is gone he needs no answer.
+            let _ = stream.write_all(&frame[..length]);
+        } else if stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok() {
+            self.jobs.visit(&mut self.far);
+            self.guest = Some(Guest {
+                stream,
+                ahead: Vec::new(),
+                answers: Vec::new(),
+                heard: Instant::now(),
+                leaves: false,
+            });
+        }
+    }
+}
+
+/// Who is at the desk.
+#[derive(Debug)]
+struct Guest {
+    stream: TcpStream,
+    /// What he said and nobody has read yet.
+    ahead: Vec<u8>,
+    /// What he has not been told yet.
+    answers: Vec<u8>,
+    heard: Instant,
+    leaves: bool,
+}
+
+impl Guest {
+    /// Both ways over the network, as far as it takes it. False: he is gone.
+    fn hear(&mut self) -> bool {
+        while !self.answers.is_empty() {
+            match self.stream.write(&self.answers) {
+                Ok(0) => return false,
+                Ok(count) => drop(self.answers.drain(..count)),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
+                Err(_) => return false,
+            }
+        }
+        if self.leaves && self.answers.is_empty() {
+            return false;
+        }
+        let mut buffer = [0; AHEAD];
+        let room = AHEAD - self.ahead.len();
+        match self.stream.read(&mut buffer[..room]) {
+            Ok(0) => room == 0,
+            Ok(count) => {
+                self.ahead.extend_from_slice(&buffer[..count]);
+                self.heard = Instant::now();
+                true
+            }
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                self.heard.elapsed() < Duration::from_secs(SILENCE_SECONDS.into())
+            }
+            Err(_) => false,
+        }
+    }
+
+    /// A request, if there is a whole one. Whether there was anything.
+    fn serve(&mut self, jobs: &mut Jobs<'static>, far: &mut Far) -> bool {
+        let mut text = Text::new();
+        let taken = jobs.said(&self.ahead, &mut text, far);
+        self.ahead.drain(..taken);
+        self.answers.extend_from_slice(text.bytes());
+        self.leaves |= text.close;
+        if !text.bytes().is_empty() {
+            // He waits for it, and so does what he says next.
+            let _alive = self.hear();
+        }
+        taken > 0 || !text.bytes().is_empty()
+    }
+}
+
+/// The board, at the other end of a cable.
+#[derive(Debug)]
+struct Far {
+    client: Client,
+    status_words: usize,
+    clock_hz: u32,
+    started: Instant,
+    /// The session is ours, as far as we know.
+    owns: bool,
+    /// Of the last exchange.
+    sequence: u32,
+    /// The last in front of words for the segments; `None` until asked.
+    number: Option<u32>,
+    /// Words for the segments that have not been sent.
+    waiting: Vec<(usize, u32)>,
+    pushes: usize,
+    /// What the segments said last.
+    known: [u32; SHAPE + 1],
+    known_at: Option<Instant>,
+    /// Something was not written.
+    hole: bool,
+    wrote: bool,
+}
+
+impl Outside for Far {
+    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
+        let Some((base, words)) = self.ask(request) else {
+            return 0;
+        };
+        let mut writer = ReplyWriter::new(reply, etherbone::HEADER);
+        writer.write_record(base, words.len() as u8);
+        writer.extend(&words);
+        writer.words().len()
+    }
+
+    /// There are no frames: TCP is this machine's.
+    fn send_frame(&mut self, _: &[u8]) {}
+
+    fn read_segments(&mut self, word: usize) -> u32 {
+        let fresh = self.known_at.is_some_and(|at| at.elapsed() < FRESH);
+        if !fresh && self.settle().is_none() {
+            self.failed();
+        }
+        self.known.get(word).copied().unwrap_or(0)
+    }
+
+    fn write_segments(&mut self, word: usize, value: u32) {
+        self.wrote = true;
+        // Behind a hole orders are taken, segments are not. And nobody moves what is not his.
+        if !self.owns || self.hole && word <= PUSH {
+            return;
+        }
+        self.waiting.push((word, value));
+        if word > PUSH {
+            self.known_at = None;
+        } else if word == PUSH {
+            self.pushes += 1;
+            self.known[STATUS] += 1;
+            if self.pushes >= BATCH && self.settle().is_none() {
+                self.failed();
+            }
+        }
+    }
+
+    fn now(&mut self) -> u64 {
+        let passed = self.started.elapsed().as_nanos() * u128::from(self.clock_hz);
+        (passed / 1_000_000_000) as u64
+    }
+
+    fn us(&mut self) -> Us {
+        Us {
+            mac: [0; 6],
+            ip: 0,
+            port: 0,
+        }
+    }
+}
+
+impl Far {
+    /// The board does not answer, or takes nothing from us any more.
+    fn failed(&mut self) {
+        self.hole |= self.owns;
+        self.known = [0; SHAPE + 1];
+        self.known_at = Some(Instant::now());
+    }
+
+    /// A datagram of the executor's; the answer's base and words.
+    fn ask(&mut self, request: &[u32]) -> Option<(u32, Vec<u32>)> {
+        let packet = Packet::new_checked(request).ok()?;
+        let (mut writes, mut reads) = (Vec::new(), Vec::new());
+        for record in packet.records() {
+            if !record.writes.is_empty() {
+                writes.push((record.write_base, record.writes));
+            }
+            reads.extend_from_slice(record.reads);
+        }
+        match writes.first() {
+            Some((map::COMMAND, block)) => self.exchange(block),
+            Some((map::SESSION_ACQUIRE, _)) => Some((0, vec![self.acquire()])),
+            Some((map::SESSION_RELEASE, token)) => {
+                self.release(token);
+                None
+            }
+            None => Some((0, self.client.read(&reads).ok()?)),
+            Some(_) => {
+                if reads.is_empty() {
+                    // A receipt.
+                    reads.push(map::DESCRIBE);
+                }
+                Some((0, self.client.transact(&writes, &reads).ok()?))
+            }
+        }
+    }
+
+    /// The token, 0 without.
+    fn acquire(&mut self) -> u32 {
+        let session = self.client.acquire().ok();
+        self.waiting.clear();
+        (self.number, self.known_at) = (None, None);
+        (self.hole, self.pushes) = (false, 0);
+        self.owns = session.is_some();
+        self.sequence = session.map_or(0, |session| session.last_sequence);
+        session.map_or(0, |session| session.token)
+    }
+
+    /// One that is lost ends by itself, 3 s later.
+    fn release(&mut self, token: &[u32]) {
+        if !self.waiting.is_empty() {
+            let _given = self.settle();
+        }
+        self.owns = false;
+        let mut words = [0; 8];
+        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+        request.write_record(map::SESSION_RELEASE, token.len() as u8);
+        request.extend(token);
+        let tag = self.client.next_tag();
+        request.read_record(tag, &[map::SESSION_OWNER_PORT]);
+        let _gone = self.client.once(request.words(), tag..=tag, 1);
+    }
+
+    /// Each try has a sequence number of its own: one that was executed is not executed again, and feeds nothing.
+    fn exchange(&mut self, block: &[u32]) -> Option<(u32, Vec<u32>)> {
+        if !self.waiting.is_empty() && self.settle().is_none() {
+            self.failed();
+        }
+        if self.hole {
+            return None;
+        }
+        let end = Instant::now() + PATIENCE;
+        let first = self.sequence.wrapping_add(1);
+        let mut words = [0; MAX_WORDS];
+        while Instant::now() < end {
+            self.sequence = self.sequence.wrapping_add(1);
+            let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+            let [token, _, rest @ ..] = block else {
+                return None;
+            };
+            request.write_record(map::COMMAND, block.len() as u8);
+            request.extend(&[*token, self.sequence]);
+            request.extend(rest);
+            let tags = first..=self.sequence;
+            match self.client.once(request.words(), tags, self.status_words) {
+                Ok(Some(answer)) => return Some(answer),
+                Ok(None) => {}
+                Err(_) => std::thread::sleep(TRY),
+            }
+        }
+        None
+    }
+
+    /// Sends what waits for the segments, and asks them how they are.
+    fn settle(&mut self) -> Option<()> {
+        let waiting = core::mem::take(&mut self.waiting);
+        self.pushes = 0;
+        let addresses = READS.map(address);
+        let mut said = if waiting.is_empty() {
+            self.client.read(&addresses).ok()?
+        } else {
+            self.write(&waiting, &addresses)?
+        };
+        loop {
+            let words: &[u32; READS.len()] = said.first_chunk()?;
+            for (word, said) in READS.iter().zip(words) {
+                self.known[*word] = *said;
+            }
+            self.known_at = Some(Instant::now());
+            let [before, _, behind, ..] = words;
+            if before == behind {
+                return Some(());
+            }
+            said = self.client.read(&addresses).ok()?;
+        }
+    }
+
+    /// Writes these once.
+    fn write(&mut self, waiting: &[(usize, u32)], reads: &[u32]) -> Option<Vec<u32>> {
+        let last = match self.number {
+            Some(number) => number,
+            None => *self.client.read(&[map::SESSION_SEGMENTS]).ok()?.first()?,
+        };
+        let number = last.wrapping_add(1);
+        let mut words = [0; MAX_WORDS];
+        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+        request.write_record(map::SESSION_SEGMENTS, 1);
+        request.push(number);
+        for run in waiting.chunk_by(|(one, _), (next, _)| one + 1 == *next) {
+            request.write_record(address(run[0].0), run.len() as u8);
+            for (_, value) in run {
+                request.push(*value);
+            }
+        }
+        let tag = self.client.next_tag();
+        if !request.read_record(tag, reads) {
+            return None;
+        }
+        let end = Instant::now() + PATIENCE;
+        while Instant::now() < end {
+            if let Ok(Some((_, said))) = self.client.once(request.words(), tag..=tag, reads.len()) {
+                self.number = Some(number);
+                return Some(said);
+            }
+            // Lost on its way, or on the way back?
+            match self.client.read(&[map::SESSION_SEGMENTS]).ok()?.first() {
+                Some(there) if *there == number => {
+                    self.number = Some(number);
+                    return self.client.read(reads).ok();
+                }
+                Some(there) if *there == last => {}
+                Some(_) | None => return None,
+            }
+        }
+        None
+    }
+}
+
+fn address(word: usize) -> u32 {
+    map::SEGMENTS + 4 * word as u32
+}
