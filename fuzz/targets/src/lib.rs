@@ -12,6 +12,7 @@
 //! | [`describe`] | `describe` |
 //! | [`files`] | `board_toml`, `lcnc_ini`, `litexcnc_json`, `image` |
 //! | [`job`] | `gcode`, `job`, `xypen` |
+//! | [`mod@jobs`] | `jobs` |
 //!
 //! A new target is a function here, a line in [`TARGETS`], a file in `fuzz/fuzz_targets` with its `[[bin]]`, and a few inputs in
 //! `fuzz/corpus`; the tests say which of these is missing.
@@ -20,6 +21,7 @@ pub mod describe;
 pub mod files;
 pub mod frames;
 pub mod job;
+pub mod jobs;
 pub mod protocol;
 pub mod seeds;
 pub mod server;
@@ -46,6 +48,7 @@ pub const TARGETS: &[Target] = &[
     ("frames", frames::frames),
     ("gcode", job::gcode),
     ("job", job::job),
+    ("jobs", jobs::jobs),
     ("xypen", job::xypen),
     ("image", files::image),
     ("lcnc_ini", files::lcnc_ini),

@@ -33,6 +33,7 @@ pub fn all() -> Vec<Seed> {
         frames_seeds(),
         gcode_seeds(),
         job_seeds(),
+        jobs_seeds(),
         xypen_seeds(),
     ] {
         seeds.extend(each);
@@ -834,6 +835,110 @@ fn job_seeds() -> Vec<Seed> {
 }
 
 /// The name of the same job as a file.
+/// Real conversations with the port of jobs, as scripts of [`crate::jobs`].
+fn jobs_seeds() -> Vec<Seed> {
+    let script = |steps: &[&[u8]]| steps.concat();
+    let hello: &[u8] = &[0, 6];
+    // A job of three lines, an arc and a dwell, called `a`, in blocks of 60 bytes.
+    let upload: &[u8] = &[
+        1, 5, 16, 20, 10, 16, 0, 20, 24, 5, 5, 10, 30, 0, 16, 0, 0, 0, 0,
+    ];
+    let (free, switched): (&[u8], &[u8]) = (&[2, 0], &[2, 1]);
+    // Keepalive 100 ms.
+    let command = |code: u8, flags: u8| [3, code, flags, 5, 0];
+    let (start, attended) = (command(2, 128), command(2, 0));
+    let (pause, go_on, stop, home) = (
+        command(10, 0),
+        command(1, 0),
+        command(0, 0),
+        command(11, 128),
+    );
+    let (some, long): (&[u8], &[u8]) = (&[4, 7], &[4, 10]);
+    let (report, again, list): (&[u8], &[u8], &[u8]) = (&[14, 0], &[11], &[14, 1]);
+    let talk: Vec<u8> = (0..11).flat_map(|verb| [10, verb << 1 | 1, 0]).collect();
+    vec![
+        (
+            "jobs",
+            "sent_started_and_drawn",
+            script(&[
+                hello, free, upload, list, &start, again, some, report, long, long, long, long,
+                report,
+            ]),
+        ),
+        (
+            "jobs",
+            "paused_gone_on_and_stopped",
+            script(&[
+                hello, free, upload, &start, some, &pause, some, report, &go_on, some, &stop,
+                again, long, long, long, long, report,
+            ]),
+        ),
+        (
+            "jobs",
+            "switches_are_looked_for",
+            script(&[
+                hello, switched, upload, &start, some, &home, some, report, long, report,
+            ]),
+        ),
+        (
+            "jobs",
+            "an_estop_in_mid_job",
+            script(&[hello, free, upload, &start, long, &[8, 8], some, report]),
+        ),
+        (
+            "jobs",
+            "its_starter_hangs_up",
+            script(&[
+                hello,
+                free,
+                upload,
+                &attended,
+                some,
+                &[9],
+                long,
+                long,
+                long,
+                long,
+                hello,
+                report,
+            ]),
+        ),
+        (
+            "jobs",
+            "the_console_says_it_all",
+            script(&[hello, free, upload, &talk, long, &talk]),
+        ),
+        (
+            "jobs",
+            "fpga_gs_words",
+            script(&[
+                hello,
+                free,
+                &[12, 3, 0, 28],
+                &[1; 28],
+                &[12, 1, 0, 0],
+                &[12, 2, 0, 0],
+                long,
+                report,
+            ]),
+        ),
+        (
+            "jobs",
+            "garbled_in_pieces_and_unknown",
+            script(&[
+                &[14, 0],
+                hello,
+                &[15, 9],
+                &[5, 99, 0, 2, 1, 2],
+                &[7, 40, 128],
+                &[6, 0, 4, 1, 2, 3, 4],
+                hello,
+                report,
+            ]),
+        ),
+    ]
+}
+
 fn whole(name: &str) -> &'static str {
     match name {
         "a_square" => "a_file_with_a_square",

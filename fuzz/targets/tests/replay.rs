@@ -147,6 +147,20 @@ fn scripts_for_the_server_do_what_they_are_called() {
 }
 
 #[test]
+fn conversations_about_jobs_end_as_they_are_called() {
+    for (name, end) in [
+        ("sent_started_and_drawn", "ended last: done"),
+        ("paused_gone_on_and_stopped", "ended last: stopped"),
+        ("switches_are_looked_for", "calibrating"),
+        ("an_estop_in_mid_job", "ended last: e-stop"),
+        ("its_starter_hangs_up", "ended last: host lost"),
+    ] {
+        let status = targets::jobs::script(&seed("jobs", name));
+        assert!(status.contains(end), "{name}: {status}");
+    }
+}
+
+#[test]
 fn scripts_of_frames_do_what_they_are_called() {
     let script = |name| targets::frames::script(&seed("frames", name));
     for name in [

@@ -1,0 +1,566 @@
+//! The port of jobs, from its bytes to the pins: what clients say, in any order and any pieces, to the desk with the store and the executor
+//! behind it, on the firmware's library and the models of the cores.
+//!
+//! The input is a script of steps, one byte that says what, and as many as it needs behind it. What must hold:
+//!
+//! * every answer is a frame, answers the request that was asked, and its payload is what belongs there;
+//! * nothing but a Hello is done on a connection that has not begun with one;
+//! * what is refused has changed nothing (a Commit of what arrived garbled begins anew, and says so);
+//! * a request that comes again has the same answer, to the byte, and is not acted on again;
+//! * the console's answers fit their place and upset no terminal;
+//! * the machine is armed only while the executor is busy, and no pulse leaves while it is not.
+
+use crate::tape::Tape;
+use firmware::cores::Board as _;
+use firmware::ip::Text;
+use firmware::jobs::abi::TEXT_MAX;
+use firmware::jobs::{Jobs, Outside};
+use firmware::machine::{IDLE, Machine};
+use firmware::net::Us;
+use litex_pac::abi;
+use motion::instruction::{Arc, Feed, Instruction};
+use motion::job::Writer;
+use motion::segment::AXES;
+use sim::card::Card;
+use sim::nor::spi::Shared;
+use sim::nor::{Nor, Part, Times};
+use sim::plant::{Plant, Switch};
+use sim::twin::{Desk, Setup};
+use std::cell::RefCell;
+use std::sync::atomic::Ordering::Relaxed;
+use wire::crc::crc32;
+use wire::describe::Channels;
+use wire::jobs::{
+    self, Axis, DATA, Entry, FRAME, Frame, Home, Op, Report, Request, Status, Welcome,
+};
+use wire::{MAX_WORDS, Name, State};
+
+/// Longer scripts say nothing new.
+const STEPS: usize = 120;
+/// Slower than any board: the models go clock by clock while axes move.
+const CLOCK: u32 = 4_000_000;
+/// Half a simulated second: time is what costs here.
+const CLOCKS: u64 = 2_000_000;
+/// Clocks of a turn of the firmware's loop.
+const TURN: u64 = 400;
+/// For jobs: a few, so that it is full soon.
+const ROOM: usize = 40 * 1024;
+/// What stops everything, high.
+const ESTOP_INPUT: u32 = 1 << 3;
+
+thread_local! {
+    static FLASH: RefCell<Option<Shared>> = const { RefCell::new(None) };
+}
+
+struct Outer<'a>(&'a mut Machine<Desk>);
+
+impl Outside for Outer<'_> {
+    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
+        self.0.inside(request, reply).map_or(0, <[u32]>::len)
+    }
+    fn send_frame(&mut self, _: &[u8]) {}
+    fn read_segments(&mut self, word: usize) -> u32 {
+        self.0.board.csr_read((abi::CSR_SEGMENTS + 4 * word) as u32)
+    }
+    fn write_segments(&mut self, word: usize, value: u32) {
+        let address = (abi::CSR_SEGMENTS + 4 * word) as u32;
+        self.0.board.csr_write(address, value);
+    }
+    fn now(&mut self) -> u64 {
+        self.0.board.now()
+    }
+    fn us(&mut self) -> Us {
+        self.0.us
+    }
+}
+
+/// What a client can ask about, and a refusal must not change.
+#[derive(Debug, PartialEq)]
+struct Shot {
+    list: String,
+    status: String,
+    machine: Option<jobs::Machine>,
+}
+
+struct Bench<'m> {
+    machine: Machine<Desk>,
+    jobs: Jobs<'m>,
+    /// Said, and not read yet; read, and not answered yet.
+    ahead: Vec<u8>,
+    reading: Vec<u8>,
+    /// This connection has begun with a Hello.
+    known: bool,
+    id: u16,
+    /// The last request and its answer, if asking again must have the same.
+    last: Option<(Vec<u8>, Vec<u8>)>,
+    story: Vec<String>,
+}
+
+/// Runs a script.
+pub fn jobs(data: &[u8]) {
+    script(data);
+}
+
+/// Runs a script; how things stand in the end, as the console says it.
+pub fn script(data: &[u8]) -> String {
+    let mut memory = vec![0xa5; ROOM];
+    let mut machine = board();
+    let program = Jobs::new(&mut memory, 7, &mut Outer(&mut machine));
+    let mut bench = Bench {
+        jobs: program.expect("a board with jobs"),
+        machine,
+        ahead: Vec::new(),
+        reading: Vec::new(),
+        known: false,
+        id: 0,
+        last: None,
+        story: Vec::new(),
+    };
+    bench.visit();
+    let mut tape = Tape(data);
+    let end = bench.machine.board.clock() + CLOCKS;
+    for _ in 0..STEPS {
+        if tape.is_over() || bench.machine.board.clock() > end {
+            break;
+        }
+        bench.step(&mut tape);
+    }
+    bench.line("job status", true)
+}
+
+/// With switches at -500 steps of X and Y, and at 800 of Z.
+fn board() -> Machine<Desk> {
+    let flash = FLASH.take().unwrap_or_else(|| {
+        let part = Part::W25Q16JV.with(Times::QUICK);
+        Shared::new(Nor::new(part, 0xd162_0c8a_1b2c_3d4e))
+    });
+    FLASH.set(Some(flash.clone()));
+    let channels = Channels {
+        stepgens: 3,
+        encoders: 0,
+        pwms: 0,
+        inputs: 4,
+        outputs: 4,
+    };
+    let mut card = Card::plain(channels, CLOCK);
+    card.jobs = AXES as u8;
+    (card.estop_mask, card.estop_level) = (ESTOP_INPUT, ESTOP_INPUT);
+    let mut plant = Plant::direct(0);
+    for (stepgen, at, above) in [(0, -500, false), (1, -500, false), (2, 800, true)] {
+        plant.add_switch(Switch {
+            stepgen,
+            at,
+            above,
+            input: stepgen,
+            inverted: above,
+        });
+    }
+    let mut setup = Setup::new(card, plant);
+    setup.flash = flash;
+    let (mut desk, ident) = Desk::power_up(setup);
+    let boot = desk.boot();
+    Machine::start(desk, ident, abi::ABI, boot)
+}
+
+/// 80 steps/mm, 200 mm/s, 4000 mm/s^2; with or without those switches.
+pub(crate) fn machine(switches: bool) -> jobs::Machine {
+    let axis = |input: u8| Axis {
+        steps_per_km: 80_000_000,
+        max_speed: 200_000_000,
+        max_accel: 4_000_000_000,
+        lowest: -10_000_000,
+        highest: 30_000_000,
+        steplen: 2000,
+        stepspace: 2000,
+        dirsetup: 1000,
+        dirhold: 1000,
+        step_invert: false,
+        dir_invert: false,
+        home: switches.then_some(Home {
+            plus: input == 2,
+            low: input == 2,
+            input,
+            order: if input == 2 { 0 } else { 1 },
+            fast: 50_000_000,
+            slow: 2_000_000,
+            backoff: 500_000,
+            travel: 50_000_000,
+            timeout: 5000,
+            debounce: 10,
+        }),
+    };
+    jobs::Machine {
+        chord_tolerance: 10_000,
+        junction_deviation: 20_000,
+        tool_delay: 1000,
+        outputs: 1,
+        beam: 0,
+        invert: 0,
+        safe: 0,
+        axes: [axis(0), axis(1), axis(2)],
+    }
+}
+
+/// A job file of what the tape says.
+fn file(tape: &mut Tape) -> Vec<u8> {
+    let mut writer = Writer::new("fuzz");
+    let mut bytes = writer.header().to_vec();
+    for line in 0..u32::from(tape.byte() % 24) {
+        let [kind, x, y] = tape.array();
+        let place = |n: u8| i64::from(n as i8) * 100_000;
+        let to = [place(x), place(y), 0];
+        let feed = match kind & 16 {
+            0 => Feed::Rapid,
+            _ => Feed::Rate(100_000_000),
+        };
+        let instruction = match kind & 15 {
+            0..=7 => Instruction::Line { to, feed },
+            8 | 9 => Instruction::Arc(Arc {
+                to,
+                center: [place(y), place(x)],
+                clockwise: kind & 32 != 0,
+                feed,
+            }),
+            10 => Instruction::Dwell {
+                micros: u64::from(x) * 100,
+            },
+            11 => Instruction::Aux {
+                bits: u16::from(x & 1),
+            },
+            12 => Instruction::Pause,
+            13 => Instruction::Home {
+                axes: [x & 1 != 0, x & 2 != 0, x & 4 != 0],
+            },
+            14 => Instruction::End,
+            _ => Instruction::Line {
+                to: [to[0], to[1], place(kind)],
+                feed,
+            },
+        };
+        writer.add(&instruction, line, |block| bytes.extend(block));
+    }
+    writer.finish(|block| bytes.extend(block));
+    bytes
+}
+
+fn name(tape: &mut Tape) -> Name {
+    match tape.byte() {
+        n @ 0..=63 => {
+            Name::cut(["a", "b", "c", "a longer name, of 31 characters"][usize::from(n % 4)])
+        }
+        _ => Name::cut(&String::from_utf8_lossy(tape.some())),
+    }
+}
+
+impl Bench<'_> {
+    fn step(&mut self, tape: &mut Tape) {
+        let idle = (!self.jobs.executor().busy()).then(|| self.pulses());
+        let mut asked = true;
+        match tape.byte() & 15 {
+            0 => self.ask(&Request::Hello {
+                client: u32::from(tape.byte()) + 1,
+            }),
+            1 => {
+                let bytes = file(tape);
+                self.upload(&bytes, tape);
+            }
+            2 => {
+                let wanted = machine(tape.byte() & 1 != 0);
+                self.ask(&Request::PutMachine(wanted));
+            }
+            3 => {
+                let [code, flags, keepalive] = tape.array();
+                let name = name(tape);
+                self.ask(&Request::Command {
+                    code: if code < 128 { code % 13 } else { code },
+                    flags,
+                    keepalive: u16::from(keepalive) * 20,
+                    name,
+                });
+            }
+            4 => {
+                asked = false;
+                self.pass(1 << (tape.byte() % 11));
+            }
+            // Any op, any payload, the CRC right.
+            5 => {
+                let (op, payload) = (tape.byte(), tape.many());
+                self.frame(op, |writer| {
+                    writer.bytes(payload);
+                });
+            }
+            6 => self.say(tape.many()),
+            // A machine with a byte turned over.
+            7 => {
+                let (at, bits) = (tape.byte(), tape.byte());
+                let request = Request::PutMachine(machine(bits & 1 != 0));
+                let mut out = [0; FRAME];
+                let length = request.emit(0, &mut out);
+                let mut payload = out[8..length - 4].to_vec();
+                let at = usize::from(at) % payload.len();
+                payload[at] ^= bits;
+                self.frame(Op::PutMachine.code(), |writer| {
+                    writer.bytes(&payload);
+                });
+            }
+            8 => {
+                asked = false;
+                let inputs = u32::from(tape.byte() & 15);
+                let world = self.machine.board.world();
+                world.gpio_in(inputs);
+                world.settle();
+                self.pass(4);
+            }
+            9 => self.visit(),
+            10 => self.console(tape),
+            11 => self.again(),
+            12 => {
+                let (command, form, words) = (tape.byte() % 8, tape.byte() % 3, tape.some());
+                self.ask(&Request::Segment {
+                    command,
+                    form,
+                    words: jobs::Words::new(words.as_chunks().0),
+                });
+            }
+            13 => self.ask(&Request::Feed {
+                percent: tape.byte().into(),
+            }),
+            14 => {
+                let which = tape.byte();
+                let request = match which % 5 {
+                    0 => Request::Report,
+                    1 => Request::List { index: which / 5 },
+                    2 => Request::GetMachine,
+                    3 => Request::Commit,
+                    _ => Request::Delete { name: name(tape) },
+                };
+                self.ask(&request);
+            }
+            // A request in two pieces, time in between.
+            _ => {
+                let mut out = [0; FRAME];
+                let length = Request::Report.emit(self.id, &mut out);
+                let (head, rest) = out[..length].split_at(usize::from(tape.byte()) % length);
+                self.say(head);
+                self.pass(2);
+                self.say(rest);
+            }
+        }
+        self.holds();
+        if let Some(pulses) = idle.filter(|_| !asked && !self.jobs.executor().busy()) {
+            assert_eq!(self.pulses(), pulses, "nothing goes on\n{:#?}", self.story);
+        }
+    }
+
+    fn tell(&mut self, what: impl FnOnce() -> String) {
+        if crate::EXPLAIN.load(Relaxed) {
+            self.story.push(what());
+        }
+    }
+
+    fn pulses(&mut self) -> u64 {
+        self.machine.board.world().edges.pulses()
+    }
+
+    fn holds(&self) {
+        let armed = self.machine.server.safety().state() == State::Armed;
+        let busy = self.jobs.executor().busy();
+        assert!(!armed || busy, "armed, and nobody is\n{:#?}", self.story);
+    }
+
+    fn visit(&mut self) {
+        self.jobs.visit(&mut Outer(&mut self.machine));
+        self.ahead.clear();
+        self.reading.clear();
+        (self.known, self.last) = (false, None);
+        self.tell(|| "a new connection".to_owned());
+    }
+
+    /// So many turns of the loop.
+    fn pass(&mut self, turns: u32) {
+        for _ in 0..turns {
+            self.serve();
+            self.jobs.poll(&mut Outer(&mut self.machine));
+            if self.machine.due(IDLE) {
+                self.machine.chores();
+            }
+            let until = self.machine.board.clock() + TURN;
+            self.machine.board.pass(until);
+            self.holds();
+        }
+        self.tell(|| format!("{turns} turns"));
+    }
+
+    fn ask(&mut self, request: &Request) {
+        self.id = self.id.wrapping_add(1);
+        let mut out = [0; FRAME];
+        let length = request.emit(self.id, &mut out);
+        self.say(&out[..length]);
+    }
+
+    fn frame(&mut self, op: u8, fill: impl FnOnce(&mut jobs::Writer)) {
+        self.id = self.id.wrapping_add(1);
+        let mut out = [0; FRAME];
+        // An answer's op less its bit, and a status of 0: a request.
+        let length = jobs::answer(op, Status::Normal, self.id, &mut out, fill);
+        out[0] = op;
+        let crc = crc32(&out[..length - 4]).to_le_bytes();
+        out[length - 4..length].copy_from_slice(&crc);
+        self.say(&out[..length]);
+    }
+
+    fn say(&mut self, bytes: &[u8]) {
+        self.ahead.extend(bytes);
+        while self.serve() {}
+    }
+
+    /// The desk takes what it takes; whether that was anything, or it answered.
+    fn serve(&mut self) -> bool {
+        if self.ahead.is_empty() && self.reading.is_empty() {
+            return false;
+        }
+        let before = self.shot();
+        let mut text = Text::new();
+        let mut outer = Outer(&mut self.machine);
+        let taken = self.jobs.said(&self.ahead, &mut text, &mut outer);
+        assert!(taken <= self.ahead.len());
+        self.reading.extend(self.ahead.drain(..taken));
+        let answer = text.bytes().to_vec();
+        if !answer.is_empty() {
+            let request = std::mem::take(&mut self.reading);
+            self.judge(&request, &answer, &before, text.close);
+        }
+        taken > 0 || !answer.is_empty()
+    }
+
+    fn judge(&mut self, request: &[u8], answer: &[u8], before: &Shot, closed: bool) {
+        let (frame, length) = Frame::parse(answer)
+            .ok()
+            .flatten()
+            .expect("an answer is a frame");
+        assert_eq!(length, answer.len(), "one answer");
+        let status = Status::from_code(frame.status).expect("a status");
+        self.tell(|| format!("{request:02x?}: {status:?}, {:02x?}", frame.payload));
+        let story = &self.story;
+        let asked = match Frame::parse(request) {
+            Ok(Some((asked, length))) => {
+                assert_eq!(length, request.len(), "{story:#?}");
+                asked
+            }
+            Ok(None) => panic!("half a request was answered\n{story:#?}"),
+            Err(_) => {
+                assert!(closed && status == Status::Garbled, "{story:#?}");
+                assert_eq!(self.shot(), *before, "garbled, and done");
+                return self.visit();
+            }
+        };
+        assert!(!closed && status != Status::Garbled, "{story:#?}");
+        assert_eq!(
+            (frame.op, frame.id),
+            (asked.op | 0x80, asked.id),
+            "{story:#?}"
+        );
+        let op = Op::from_code(asked.op);
+        if status == Status::Normal {
+            let op = op.expect("an op nobody knows was done");
+            assert!(self.known || op == Op::Hello, "without a Hello\n{story:#?}");
+            self.known = true;
+            assert!(payload(op, frame.payload), "{op:?} {:?}", frame.payload);
+        } else {
+            let anew = op == Some(Op::Commit) && matches!(status, Status::Crc | Status::NoJob);
+            let after = self.shot();
+            let story = &self.story;
+            assert!(
+                anew || after == *before,
+                "refused: {before:#?} {after:#?}\n{story:#?}"
+            );
+        }
+        let greets = matches!(op, Some(Op::Hello | Op::Challenge | Op::Respond));
+        let repeats = self.known && !greets;
+        self.last = repeats.then(|| (request.to_vec(), answer.to_vec()));
+    }
+
+    /// The last request once more.
+    fn again(&mut self) {
+        let Some((request, answer)) = self.last.clone() else {
+            return;
+        };
+        if !self.ahead.is_empty() || !self.reading.is_empty() {
+            return;
+        }
+        let before = self.shot();
+        let mut text = Text::new();
+        let mut outer = Outer(&mut self.machine);
+        let taken = self.jobs.said(&request, &mut text, &mut outer);
+        assert_eq!((taken, text.bytes()), (request.len(), &answer[..]));
+        assert_eq!(self.shot(), before, "acted on twice\n{:#?}", self.story);
+    }
+
+    fn upload(&mut self, bytes: &[u8], tape: &mut Tape) {
+        let (name, total, wrong) = (name(tape), bytes.len() as u32, tape.byte());
+        if name.is_empty() {
+            return;
+        }
+        let crc = crc32(bytes) ^ u32::from(wrong == 255);
+        self.ask(&Request::Put { total, crc, name });
+        for (n, bytes) in bytes.chunks(DATA.min(60 + usize::from(wrong))).enumerate() {
+            let offset = (n * DATA.min(60 + usize::from(wrong))) as u32;
+            self.ask(&Request::Data { offset, bytes });
+        }
+        self.ask(&Request::Commit);
+        self.pass(8);
+    }
+
+    fn console(&mut self, tape: &mut Tape) {
+        let (how, text) = (tape.byte(), tape.some());
+        let verbs = [
+            "status", "list", "start a", "pause", "continue", "stop", "home", "feed 50",
+            "delete a", "help", "home xy",
+        ];
+        let said = String::from_utf8_lossy(text);
+        let line = match verbs.get(usize::from(how >> 1)) {
+            Some(verb) => format!("job {verb}"),
+            None => format!("job {said}"),
+        };
+        // Without the key nothing begins.
+        let busy = self.jobs.executor().busy();
+        self.line(&line, how & 1 != 0);
+        let begun = !busy && self.jobs.executor().busy();
+        assert!(how & 1 != 0 || !begun, "{line:?}\n{:#?}", self.story);
+        self.tell(|| line);
+    }
+
+    fn line(&mut self, line: &str, trusted: bool) -> String {
+        let mut room = [0; TEXT_MAX];
+        let mut outer = Outer(&mut self.machine);
+        let count = self
+            .jobs
+            .line(line.as_bytes(), trusted, &mut room, &mut outer);
+        let text = String::from_utf8(room[..count].to_vec()).expect("text");
+        assert!(text.ends_with("\r\n"), "{line:?}: {text:?}");
+        let upsets = |c: char| c.is_control() && c != '\r' && c != '\n';
+        assert!(!text.contains(upsets), "{line:?}: {text:?}");
+        text
+    }
+
+    fn shot(&mut self) -> Shot {
+        Shot {
+            list: self.line("job list", true),
+            status: self.line("job status", true),
+            machine: self.jobs.executor().machine().copied(),
+        }
+    }
+}
+
+/// Is this what belongs to the answer of that op?
+fn payload(op: Op, bytes: &[u8]) -> bool {
+    match op {
+        Op::Hello => Welcome::parse(bytes).is_some(),
+        Op::Put | Op::Data | Op::Delete | Op::Segment => jobs::word(bytes).is_some(),
+        Op::Commit | Op::List => Entry::parse(bytes).is_some(),
+        Op::GetMachine => jobs::Machine::parse(bytes).is_ok(),
+        Op::Command | Op::Report | Op::Feed => Report::parse(bytes).is_some(),
+        Op::Challenge => bytes.len() == 16,
+        Op::PutMachine | Op::Respond => bytes.is_empty(),
+    }
+}
