@@ -24,11 +24,17 @@ use std::time::Duration;
 use wire::images::{Role, Trailer};
 
 /// As long as the client waits, whatever else this machine does.
-const PATIENCE: Duration = Duration::from_secs(120);
+const PATIENCE: Duration = Duration::from_secs(480);
 /// Clocks between two looks at the sockets: a sixtieth of a millisecond.
 const TURN: u64 = 1000;
 /// Clocks between two looks at the program counter. A prime, so that no loop is always seen at the same place.
 const SAMPLE: u64 = 61;
+/// 2 ms from what the board says to what the client answers, and of that one frame after the other. The board has two places for
+/// frames and the program takes up to 2 ms for each: an acknowledgement and the two of a long request at once are one too many. What is lost
+/// comes again after most of a second, which is minutes here.
+const THINKS: u64 = 120_000;
+/// Bytes of one frame to a board that did not say how many it takes.
+const PIECE: usize = 536;
 /// Where the jobs program lies.
 const PROGRAM: u32 = 0x4000_0000;
 
@@ -70,6 +76,8 @@ struct Line {
     stream: TcpStream,
     line: Connection,
     ahead: Vec<u8>,
+    /// When the board spoke last.
+    heard: u64,
     /// The client has said all he will.
     over: bool,
 }
@@ -160,11 +168,14 @@ impl Wired {
                 stream,
                 line,
                 ahead: Vec::new(),
+                heard: 0,
                 over: false,
             });
         }
+        let now = self.machine.clock();
         let rig = self.machine.rig();
-        self.lines.retain_mut(|line| line.serve(&mut rig.segment));
+        self.lines
+            .retain_mut(|line| line.serve(&mut rig.segment, now));
         match self.profile.take() {
             None => self.machine.rig().run(clocks),
             Some(mut profile) => {
@@ -256,7 +267,7 @@ impl Wired {
 
 impl Line {
     /// What either end has said goes to the other; false when both have hung up.
-    fn serve(&mut self, segment: &mut sim::segment::Segment) -> bool {
+    fn serve(&mut self, segment: &mut sim::segment::Segment, now: u64) -> bool {
         let mut buffer = [0; 2048];
         while !self.over && self.ahead.is_empty() {
             match self.stream.read(&mut buffer) {
@@ -266,14 +277,19 @@ impl Line {
                 Err(_) => self.over = true,
             }
         }
-        if segment.established(self.line) {
-            let taken = segment.send(self.line, &self.ahead);
+        let quiet = segment.unsent(self.line) == 0 && now >= self.heard + THINKS;
+        if segment.established(self.line) && quiet {
+            let piece = self.ahead.len().min(PIECE);
+            let taken = segment.send(self.line, &self.ahead[..piece]);
             self.ahead.drain(..taken);
             if self.over && self.ahead.is_empty() {
                 segment.close(self.line);
             }
         }
         let heard = segment.recv(self.line);
+        if !heard.is_empty() {
+            self.heard = now;
+        }
         // The client has room for more than a frame; one that is gone hears nothing.
         let _ = self.stream.write_all(&heard);
         let closed = segment.closed(self.line);

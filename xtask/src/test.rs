@@ -27,7 +27,8 @@ enum Level {
     Core,
     /// Every core against its bit-exact model, clock by clock.
     Lockstep,
-    /// A drawing as a job: the path rebuilt from the pins' edges, over the drawing.
+    /// A drawing as a job, on the cores and on the whole Verilated board: the path rebuilt from the pins' edges, over the drawing; and
+    /// every way a job can end there.
     Jobs,
     /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
     Soc,
@@ -90,7 +91,7 @@ pub fn run(options: &Options) -> Result<()> {
     if levels.iter().any(needs_board) {
         build::everything()?;
     }
-    if levels.contains(&Level::Soc) {
+    if levels.contains(&Level::Soc) || levels.contains(&Level::Jobs) {
         build::simulated_board(build::JOBS_BOARD)?;
     }
     if levels.contains(&Level::Lockstep) {
@@ -98,6 +99,7 @@ pub fn run(options: &Options) -> Result<()> {
         build::simulated_cores(build::CORES_BOARD)?;
     }
     if levels.contains(&Level::Jobs) {
+        build::firmware()?;
         build::simulated_cores(build::CORES_BOARD)?;
     }
     if levels.contains(&Level::Provision) || levels.contains(&Level::Jobs) {
@@ -152,7 +154,7 @@ impl Level {
             Level::Formal => "formal: pulse, count and watchdog promises, proven",
             Level::Core => "core: RTL at its pins under random stimulus",
             Level::Lockstep => "lockstep: RTL and model, clock by clock",
-            Level::Jobs => "jobs: a drawing, from SVG to edges and back",
+            Level::Jobs => "jobs: a drawing, from SVG to edges and back; jobs' ends",
             Level::Soc => "soc: Verilated board, release image, frames and faults",
             Level::Faults => "faults: every row of the fault table, at the pins",
             Level::Peers => "peers: defects of others, on the RTL board",
@@ -193,7 +195,10 @@ impl Level {
                 // Two runs with a seed each, side by side.
                 Ok(board_tests("lockstep", "3 min", "2")? + jobs()?)
             }
-            Level::Jobs => board_tests("jobs", "3 min", "2"),
+            // A board with a job needs a core, and most of them are one and the same board.
+            Level::Jobs => {
+                Ok(board_tests("jobs", "3 min", "2")? + board_tests("jobs_rtl", "8 min", "1")?)
+            }
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
                 + board_tests("jobs_program", "1 min", "2")?
                 + board_tests("path_stop", "1 min", "2")?

@@ -19,8 +19,8 @@ use wire::{DEFAULT_PORT, Name};
 
 /// A board answers in milliseconds, a simulated one in seconds.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How long to wait for an answer before asking again.
-const TRY: Duration = Duration::from_secs(5);
+/// So many times is asked before patience is over.
+const TRIES: u32 = 4;
 /// Between two tries of a connection that is refused, or that somebody else has.
 const AGAIN: Duration = Duration::from_millis(50);
 /// A healthy board hangs up within a round trip.
@@ -235,7 +235,7 @@ impl Board {
     }
 
     fn try_connect(&mut self) -> Result<(), Broken> {
-        let stream = TcpStream::connect_timeout(&SocketAddr::V4(self.at), TRY);
+        let stream = TcpStream::connect_timeout(&SocketAddr::V4(self.at), self.patience / TRIES);
         let stream = stream.map_err(Broken::Io)?;
         // Requests are small and waited for.
         stream.set_nodelay(true).map_err(Broken::Io)?;
@@ -301,7 +301,7 @@ impl Board {
         line.stream
             .write_all(&frame[..length])
             .map_err(Broken::Io)?;
-        let until = Instant::now() + TRY.min(self.patience);
+        let until = Instant::now() + self.patience / TRIES;
         loop {
             let answer = line.frame(until)?;
             let (frame, _) = Frame::parse(&answer)
