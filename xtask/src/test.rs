@@ -27,8 +27,7 @@ enum Level {
     Core,
     /// Every core against its bit-exact model, clock by clock.
     Lockstep,
-    /// A drawing as a job, on the cores and on the whole Verilated board: the path rebuilt from the pins' edges, over the drawing; and
-    /// every way a job can end there.
+    /// A drawing as a job: the path rebuilt from the pins' edges, over the drawing. Jobs on the whole Verilated board, and how they end.
     Jobs,
     /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
     Soc,
@@ -195,7 +194,7 @@ impl Level {
                 // Two runs with a seed each, side by side.
                 Ok(board_tests("lockstep", "3 min", "2")? + jobs()?)
             }
-            // A board with a job needs a core, and most of them are one and the same board.
+            // The second's tests share one board.
             Level::Jobs => {
                 Ok(board_tests("jobs", "3 min", "2")? + board_tests("jobs_rtl", "8 min", "1")?)
             }
