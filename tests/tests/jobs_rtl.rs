@@ -8,12 +8,13 @@ use ferrocnc_tests::drawing;
 use ferrocnc_tests::wired::Wired;
 use host::job::client::JobError;
 use host::job::machine::{Direction, Home, Level, Machine};
-use host::job::pins::{self, Prediction};
+use host::job::pins::{self, Event, Pin, Prediction};
 use host::job::program::{Dialect, Program};
+use rand::Rng;
 use sim::plant::Switch;
 use std::sync::{LazyLock, Mutex, MutexGuard};
 use std::time::Duration;
-use wire::jobs::{End, Report, State};
+use wire::jobs::{Command, End, Report, State};
 
 const MS: u64 = 60_000;
 /// Segments the core holds.
@@ -216,6 +217,11 @@ fn under_way(wired: &mut Wired, text: &str, machine: &Machine, keepalive: Option
     panic!("it does not begin: {:?}", report(wired));
 }
 
+fn command(wired: &mut Wired, code: Command) {
+    let answer = wired.with(|board| board.command(code));
+    answer.unwrap_or_else(|error| panic!("{error}"));
+}
+
 /// Looks until it is so.
 fn until(wired: &mut Wired, so: impl Fn(&Report) -> bool) -> Report {
     for _ in 0..500 {
@@ -265,6 +271,59 @@ fn goes_on(wired: &mut Wired) {
         "{report:?}"
     );
     wired.events();
+}
+
+/// What a pause must not change: the pulses of each axis in their order, and where the axes are when the pen switches.
+#[derive(Default, PartialEq)]
+struct Path {
+    pulses: [Vec<bool>; 3],
+    switches: Vec<([i64; 3], bool)>,
+}
+
+fn path(events: &[Event]) -> Path {
+    let (mut path, mut at) = (Path::default(), [0; 3]);
+    for (_, pin) in events {
+        match *pin {
+            Pin::Step { axis, forward } => {
+                path.pulses[axis].push(forward);
+                at[axis] += if forward { 1 } else { -1 };
+            }
+            Pin::Tool(down) => path.switches.push((at, down)),
+        }
+    }
+    path
+}
+
+#[test]
+fn pauses_at_any_moment_change_no_step() {
+    let seed = ferrocnc_tests::seed();
+    let mut random = rand_pcg::Pcg32::new(seed, 1);
+    let text = "M3\nG1 X12 Y5 F12000\nG2 X12 Y15 J5\nG3 X22 Y25 I10\nG1 X0 Y20 Z0.1\nM5\nG0 X0 Y0 Z0\nM2\n";
+    let (program, machine) = (gcode("pauses", text), brisk());
+    let told = predict(&program, &machine);
+    let mut wired = board();
+    put(&mut wired, &program, &machine);
+    let started = wired.with(|board| board.start("pauses", None));
+    started.unwrap_or_else(|error| panic!("{error}"));
+    for _ in 0..2 {
+        let before = until(&mut wired, |report| report.state == State::Running);
+        assert_eq!(before.end, End::None);
+        wired.run(random.random_range(1..told.clocks / 4));
+        command(&mut wired, Command::Pause);
+        let stood = until(&mut wired, |report| report.stands);
+        assert_eq!(stood.state, State::Paused, "seed {seed}: {stood:?}");
+        let steps = wired.steps();
+        wired.run(5 * MS);
+        assert_eq!(wired.steps(), steps, "seed {seed}: moves in a pause");
+        command(&mut wired, Command::Continue);
+    }
+    let report = until(&mut wired, |report| report.state == State::Stopped);
+    assert_eq!(report.end, End::Done, "seed {seed}: {report:?}");
+    assert_eq!(report.steps.map(i64::from), told.steps, "seed {seed}");
+    assert!(
+        path(&wired.events()) == path(&told.events),
+        "seed {seed}: another path"
+    );
 }
 
 #[test]
