@@ -327,6 +327,19 @@ fn pauses_at_any_moment_change_no_step() {
 }
 
 #[test]
+fn stop_comes_to_rest_on_the_path_and_the_next_job_goes_on_from_there() {
+    let mut wired = board();
+    let began = began(&mut wired);
+    under_way(&mut wired, LONG, &brisk(), None);
+    command(&mut wired, Command::Stop);
+    let report = ended(&mut wired, End::Stopped, &began);
+    assert!(report.known, "{report:?}");
+    let [x, y, _] = report.steps;
+    assert!(x > 400 && (x - 2 * y).abs() <= 2, "{x} {y} is off the line");
+    goes_on(&mut wired);
+}
+
+#[test]
 fn an_e_stop_ends_the_pulses_in_its_clock_and_the_switch_has_to_be_found_again() {
     let mut machine = brisk();
     machine.x.home = Some(Home {
