@@ -35,6 +35,11 @@ const PAYLOAD_AT: usize = TCP_AT + TCP_HEADER;
 
 const FIN: u8 = 1;
 const SYN: u8 = 2;
+
+/// The longest segment whoever keeps that much may send: a frame full.
+const MSS: u16 = 1460;
+/// Bytes of the option that says so.
+const MSS_OPTION: usize = 4;
 const RST: u8 = 4;
 const PSH: u8 = 8;
 const ACK: u8 = 16;
@@ -482,6 +487,17 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         let text = self.text.bytes.get(at..at + count)?;
         out.get_mut(PAYLOAD_AT..PAYLOAD_AT + count)?
             .copy_from_slice(text);
+        // Whoever hears nothing of it sends 536 bytes at a time: two frames for what fits into one.
+        let says = AHEAD >= usize::from(MSS) && flags & SYN != 0;
+        let (count, offset) = match says {
+            true => (count + MSS_OPTION, 0x60),
+            false => (count, 0x50),
+        };
+        if says {
+            let [m0, m1] = MSS.to_be_bytes();
+            let option = out.get_mut(PAYLOAD_AT..PAYLOAD_AT + MSS_OPTION)?;
+            option.copy_from_slice(&[2, 4, m0, m1]);
+        }
         let tcp = out.get_mut(TCP_AT..PAYLOAD_AT + count)?;
         let (head, _) = tcp.split_first_chunk_mut::<TCP_HEADER>()?;
         let [p0, p1] = self.port.to_be_bytes();
@@ -490,7 +506,7 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         let [e0, e1, e2, e3] = self.expected.to_be_bytes();
         let [w0, w1] = window.to_be_bytes();
         *head = [
-            p0, p1, q0, q1, s0, s1, s2, s3, e0, e1, e2, e3, 0x50, flags, w0, w1, 0, 0, 0, 0,
+            p0, p1, q0, q1, s0, s1, s2, s3, e0, e1, e2, e3, offset, flags, w0, w1, 0, 0, 0, 0,
         ];
         let pseudo = sum(
             &self.peer.ip,

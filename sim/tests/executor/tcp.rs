@@ -33,6 +33,8 @@ struct Lan {
     loss: u32,
     dice: u32,
     id: u16,
+    /// Frames that reached the board and were more than an acknowledgement.
+    frames: u32,
 }
 
 impl Lan {
@@ -45,6 +47,7 @@ impl Lan {
             loss: 0,
             dice: 1,
             id: 0,
+            frames: 0,
         }
     }
 
@@ -77,6 +80,7 @@ impl Lan {
                 sent: &mut self.rig.sent,
             };
             self.rig.jobs.frame(&frame, &mut outer);
+            self.frames += u32::from(frame.len() > 54);
         }
         self.rig.turn();
         for frame in std::mem::take(&mut self.rig.sent) {
@@ -189,6 +193,29 @@ impl Lan {
 }
 
 const SILENCE_MS: u64 = SILENCE_SECONDS as u64 * 1000;
+
+#[test]
+fn the_longest_request_comes_in_one_frame() {
+    // The board has two places for frames; who sent it in two would lose one of them as soon as he acknowledged something.
+    let mut lan = Lan::of(Rig::plotter());
+    let client = lan.dial();
+    assert_eq!(lan.hello(client, 9), Status::Normal);
+    let bytes = [7; jobs::DATA];
+    let put = Request::Put {
+        total: 2 * jobs::DATA as u32,
+        crc: 1,
+        name: Name::new("long").unwrap(),
+    };
+    assert_eq!(lan.ask(client, &put).0, Status::Normal);
+    lan.run(100 * MS);
+    let before = lan.frames;
+    let data = Request::Data {
+        offset: 0,
+        bytes: &bytes,
+    };
+    assert_eq!(lan.ask(client, &data).0, Status::Normal);
+    assert_eq!(lan.frames - before, 1);
+}
 
 #[test]
 fn who_comes_after_a_long_silence_is_let_in_at_once() {
