@@ -479,9 +479,10 @@ impl<const DEPTH: usize> Planner<DEPTH> {
             return false;
         }
         let nm = |axis: usize| {
-            let steps = positions[axis].wrapping_sub(Position::ZERO.0);
-            let size = nm_of(steps.unsigned_abs(), self.machinery.pitch[axis]) as i64;
-            if steps < 0 { -size } else { size }
+            // To the nearest, whatever the last bits are: a program that goes there has arrived.
+            let steps = i128::from(positions[axis].wrapping_sub(Position::ZERO.0));
+            let per_km = i128::from(self.machinery.setup.axes[axis].steps_per_km);
+            ((steps * 1_000_000_000_000 / per_km + (1 << 31)) >> 32) as i64
         };
         self.at = core::array::from_fn(nm);
         self.end = (self.at, positions);

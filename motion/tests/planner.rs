@@ -539,6 +539,21 @@ fn every_edge_of_a_program_is_predicted() {
 }
 
 #[test]
+fn a_machine_that_rests_a_hair_beside_its_step_stands_where_the_program_thinks_it_does() {
+    // Where another program has left it: on the step, but for the last bits.
+    for off in [-5i64, -1, 1, 5] {
+        let mut planner = Planner::<16>::new(&mill()).expect("a good machine");
+        let at = |step: i64| (step << 32) + 0x8000_0000 + off;
+        assert!(planner.begin_at([at(1600), at(0), at(-400)]));
+        let feed = Feed::Rapid;
+        let to = [4_000_000, 0, -250_000];
+        assert!(planner.push(&Instruction::Line { to, feed }, 1));
+        assert!(planner.push(&Instruction::End, 2));
+        assert_eq!(planner.poll(), Some(Output::End), "{off}");
+    }
+}
+
+#[test]
 fn a_program_of_100_000_lines_streams_through_fixed_memory_and_ends_exactly() {
     let mut reader = Reader::default();
     let setup = mill();
