@@ -411,7 +411,10 @@ impl App {
             if self.talking {
                 self.talk(None);
             }
-            self.jobs(core::ptr::null(), abi::POLL);
+            // Asked here: the call alone may push lines of the fast lane out, and nobody rehearses behind it where there is no program.
+            if self.jobs.is_some() {
+                self.jobs(core::ptr::null(), abi::POLL);
+            }
         }
     }
 
