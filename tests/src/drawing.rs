@@ -120,13 +120,13 @@ impl Verdict {
         assert_eq!(drawn.steps, told.steps, "the axes end elsewhere");
     }
 
-    /// For other programs. Nobody planned on the board's own processor, so how fast that is is not among them.
-    pub fn figures(&self, player: &str) -> serde_json::Value {
+    /// For other programs. `rate`: segments that the board's own processor plans in a second, if it was that.
+    pub fn figures(&self, player: &str, rate: Option<f64>) -> serde_json::Value {
         serde_json::json!({
             "played_by": player, "segments": self.segments, "edges": self.difference.edges, "edge_differences": self.difference.wrong,
             "pen_switches": self.difference.switches, "pen_late_clocks_max": self.difference.late,
             "deviation_max_mm": self.drawn.deviation, "missing_max_mm": self.drawn.missing, "deviation_allowed_mm": self.allowed,
-            "end_steps": self.drawn.steps, "segments_per_second": null,
+            "end_steps": self.drawn.steps, "segments_per_second": rate.map(f64::round),
         })
     }
 

@@ -96,6 +96,12 @@ pub fn from_environment(name: &str, otherwise: u64) -> u64 {
         .unwrap_or_else(|error| panic!("{name}={text}: {error}"))
 }
 
+/// Where pictures are left: in the folder `FERROCNC_REPORTS` says, else in `target/reports`.
+pub fn reports() -> PathBuf {
+    let folder = std::env::var_os("FERROCNC_REPORTS").map(PathBuf::from);
+    folder.unwrap_or_else(|| root().join("target/reports"))
+}
+
 /// Leaves figures for whoever asked for them: `NAME.json` in the folder `FERROCNC_REPORTS` says, if it says one.
 pub fn report(name: &str, figures: &serde_json::Value) {
     if let Some(folder) = std::env::var_os("FERROCNC_REPORTS") {

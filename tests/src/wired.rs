@@ -30,11 +30,10 @@ const TURN: u64 = 1000;
 /// Clocks between two looks at the program counter. A prime, so that no loop is always seen at the same place.
 const SAMPLE: u64 = 61;
 /// 2 ms from what the board says to what the client answers, and of that one frame after the other. The board has two places for
-/// frames and the program takes up to 2 ms for each: an acknowledgement and the two of a long request at once are one too many. What is lost
-/// comes again after most of a second, which is minutes here.
+/// frames and the program takes up to 2 ms for each; what is lost comes again after most of a second, which is minutes here.
 const THINKS: u64 = 120_000;
-/// Bytes of one frame to a board that did not say how many it takes.
-const PIECE: usize = 536;
+/// Bytes of one frame, as the board says in its handshake.
+const PIECE: usize = 1460;
 /// Where the jobs program lies.
 const PROGRAM: u32 = 0x4000_0000;
 

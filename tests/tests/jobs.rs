@@ -25,12 +25,6 @@ use wire::exchange::{STATUS_HEAD, STATUS_STEPGEN, StateWord};
 use wire::jobs::{End, State};
 use wire::{FaultReason, Refusal, map};
 
-fn picture(name: &str) -> PathBuf {
-    let folder = std::env::var_os("FERROCNC_REPORTS").map(PathBuf::from);
-    let folder = folder.unwrap_or_else(|| ferrocnc_tests::root().join("target/reports"));
-    folder.join(name)
-}
-
 const ARM: u32 = 0x4152_4d31;
 const CLEAR: u32 = 0x434c_5231;
 const PUSH: u32 = 16;
@@ -107,15 +101,20 @@ fn a_drawing_on_the_verilated_cores_is_on_its_curves_and_every_edge_in_its_clock
         .unwrap_or_else(|error| panic!("{error}"));
     let timing = machine.to_board().axes[0].timings(machine.clock);
     let emitted = play(&told, timing);
-    let verdict = drawing::judge(&told, &machine, &emitted, &picture("drawing-cores.png"));
+    let verdict = drawing::judge(
+        &told,
+        &machine,
+        &emitted,
+        &ferrocnc_tests::reports().join("drawing-cores.png"),
+    );
     println!(
         "{}; {:.2} s of the board's time",
         verdict.text(),
         verdict.clocks as f64 / f64::from(machine.clock)
     );
     ferrocnc_tests::report(
-        "jobs",
-        &verdict.figures("Verilated cores, planned on the PC"),
+        "jobs-cores",
+        &verdict.figures("Verilated cores, planned on the PC", None),
     );
     verdict.assert_good(&told);
 }
@@ -139,7 +138,12 @@ fn a_drawing_sent_to_the_twin_and_started_is_on_its_curves_and_every_edge_in_its
     assert_eq!(report.steps.map(i64::from), told.steps);
     drop(board);
     let emitted = plotter.events();
-    let verdict = drawing::judge(&told, &machine, &emitted, &picture("drawing.png"));
+    let verdict = drawing::judge(
+        &told,
+        &machine,
+        &emitted,
+        &ferrocnc_tests::reports().join("drawing.png"),
+    );
     println!("{}", verdict.text());
     verdict.assert_good(&told);
 }
@@ -167,7 +171,12 @@ fn a_drawing_streamed_to_a_board_without_sdram_is_on_its_curves_and_every_edge_i
     assert_eq!(report.segments as usize, told.segments.len());
     drop(board);
     let emitted = plotter.events();
-    let verdict = drawing::judge(&told, &machine, &emitted, &picture("drawing-streamed.png"));
+    let verdict = drawing::judge(
+        &told,
+        &machine,
+        &emitted,
+        &ferrocnc_tests::reports().join("drawing-streamed.png"),
+    );
     println!("{}", verdict.text());
     verdict.assert_good(&told);
 }

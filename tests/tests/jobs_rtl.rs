@@ -4,7 +4,7 @@
 //! `cargo xtask test jobs` builds what this needs. `FERROCNC_PROFILE=FILE` makes the dense arc write where the processor was while it
 //! planned: a line for each address, in hexadecimal, and how many looks found it there.
 
-use ferrocnc_tests::drawing;
+use ferrocnc_tests::drawing::{self, TOLERANCE};
 use ferrocnc_tests::wired::Wired;
 use host::job::client::JobError;
 use host::job::machine::{Direction, Home, Level, Machine};
@@ -107,7 +107,7 @@ impl Planning {
     }
 }
 
-/// The board of these tests, for one of them after the other: to switch it on takes longer than many a job. Its axes are at home.
+/// The board of the tests in mid-job, for one of them after the other: to switch it on takes longer than such a job. Its axes are at home.
 fn board() -> MutexGuard<'static, Wired> {
     static BOARD: LazyLock<Mutex<Wired>> = LazyLock::new(|| Mutex::new(Wired::boot()));
     let mut board = BOARD.lock().unwrap_or_else(|failed| {
@@ -139,6 +139,34 @@ fn play(wired: &mut Wired, name: &str) -> (Report, Planning) {
 }
 
 #[test]
+fn a_drawing_sent_to_the_board_and_started_is_on_its_curves_and_every_edge_in_its_clock() {
+    let (machine, program) = (drawing::machine(), drawing::program(TOLERANCE));
+    let told = predict(&program, &machine);
+    let mut wired = Wired::boot();
+    put(&mut wired, &program, &machine);
+    let begun = wired.machine.clock();
+    let (report, planning) = play(&mut wired, &program.name);
+    assert_eq!(
+        (report.end, report.progress),
+        (End::Done, 100),
+        "{report:?}"
+    );
+    assert_eq!(report.steps.map(i64::from), told.steps);
+    assert_eq!(report.segments as usize, told.segments.len());
+    let picture = ferrocnc_tests::reports().join("job.png");
+    let verdict = drawing::judge(&told, &machine, &wired.events(), &picture);
+    println!(
+        "{}; {:.2} s of the board's time, planned at {:.0} segments/s",
+        verdict.text(),
+        (wired.machine.clock() - begun) as f64 / f64::from(machine.clock),
+        planning.rate(),
+    );
+    let player = "the Verilated board with its firmware, started over TCP";
+    ferrocnc_tests::report("jobs", &verdict.figures(player, Some(planning.rate())));
+    verdict.assert_good(&told);
+}
+
+#[test]
 fn a_dense_arc_is_planned_at_a_thousand_segments_a_second_and_every_edge_is_in_its_clock() {
     let (program, machine) = dense();
     let told = predict(&program, &machine);
@@ -148,7 +176,7 @@ fn a_dense_arc_is_planned_at_a_thousand_segments_a_second_and_every_edge_is_in_i
         told.clocks as f64 / f64::from(machine.clock),
         asked(&told, machine.clock)
     );
-    let mut wired = board();
+    let mut wired = Wired::boot();
     println!("started after {} clocks", wired.machine.clock());
     put(&mut wired, &program, &machine);
     println!("sent after {} clocks", wired.machine.clock());
@@ -170,6 +198,13 @@ fn a_dense_arc_is_planned_at_a_thousand_segments_a_second_and_every_edge_is_in_i
         report.end,
         wired.machine.clock() - begun,
         report.segments
+    );
+    ferrocnc_tests::report(
+        "jobs-dense",
+        &serde_json::json!({
+            "segments": report.segments, "asked_per_second": asked(&told, machine.clock).round(),
+            "planned_per_second": planning.rate().round(), "clocks_per_segment": clocks / u64::from(segments.max(1)),
+        }),
     );
     assert_eq!(report.end, End::Done, "{report:?}");
     assert!(planning.rate() >= 1000.0, "{} segments/s", planning.rate());

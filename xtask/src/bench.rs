@@ -14,8 +14,8 @@ pub enum What {
     Gateware,
     /// What loss on the cable costs a program: real driver, twin, a million exchanges (--exchanges).
     Loss,
-    /// A drawing as a job, edge by edge at the pins: how many are not where they are predicted, how far the path is from the
-    /// drawing; a picture of both.
+    /// A drawing as a job on the Verilated board, edge by edge at the pins: how many are not where they are predicted, how far the path
+    /// is from the drawing; how fast the board plans; writes docs/img/job.png.
     Jobs,
     /// A day of the board's time on the twin: counters that drift, or do not come round as they should (--hours).
     Soak,
@@ -80,27 +80,35 @@ pub fn exchange(parts: &build::Parts) -> Result<()> {
     Ok(())
 }
 
-/// The drawing on the Verilated cores: figures and picture.
+/// The drawing, sent to the Verilated board and started there: figures, and the picture in the README. On the cores and the twin, too.
 fn jobs() -> Result<()> {
     setup::run(setup::Need::Everything)?;
+    build::firmware()?;
+    build::host()?;
+    build::simulated_board(build::JOBS_BOARD)?;
     build::simulated_cores(build::CORES_BOARD)?;
     step::heading("bench: jobs");
     std::fs::create_dir_all(target("reports"))?;
     let mut bench = Command::new("cargo");
     bench.args(["test", "--release", "--package", "ferrocnc-tests"]);
-    bench.args(["--features", "board", "--test", "jobs", "a_drawing"]);
-    bench.args(["--", "--nocapture"]);
+    bench.args(["--features", "board", "--test", "jobs"]);
+    bench.args(["--test", "jobs_rtl", "--"]);
+    bench.args(["a_drawing", "a_dense_arc", "--nocapture"]);
+    bench.env("FERROCNC_SOC", build::soc(build::BOARD));
+    bench.env("FERROCNC_FIRMWARE", build::image());
     bench.env("FERROCNC_REPORTS", target("reports"));
-    let printed = step::run_quietly("bench-jobs", "a drawing, edge by edge", "3 min", &mut bench)?;
+    let printed = step::run_quietly("bench-jobs", "a drawing, edge by edge", "8 min", &mut bench)?;
     for line in printed.lines().filter(|line| line.contains(" segments, ")) {
         println!("{line}");
     }
-    let picture = target("reports/drawing-cores.png");
+    for name in ["jobs.json", "jobs-dense.json"] {
+        let report = target("reports").join(name);
+        std::fs::metadata(&report).with_context(|| format!("no report at {}", report.display()))?;
+    }
+    let picture = root().join("docs/img/job.png");
+    std::fs::copy(target("reports/job.png"), &picture).context("no picture of the drawing")?;
     println!("picture: {}", picture.display());
-    let report = target("reports/jobs.json");
-    std::fs::metadata(&report)
-        .with_context(|| format!("no report at {}", report.display()))
-        .map(drop)
+    Ok(())
 }
 
 fn gateware() -> Result<()> {

@@ -194,9 +194,9 @@ impl Level {
                 // Two runs with a seed each, side by side.
                 Ok(board_tests("lockstep", "3 min", "2")? + jobs()?)
             }
-            // The second's tests share one board.
+            // The drawing and the dense arc have a board of their own, the rest of the second's tests share one.
             Level::Jobs => {
-                Ok(board_tests("jobs", "3 min", "2")? + board_tests("jobs_rtl", "8 min", "1")?)
+                Ok(board_tests("jobs", "3 min", "2")? + board_tests("jobs_rtl", "7 min", "2")?)
             }
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
                 + board_tests("jobs_program", "1 min", "2")?
