@@ -479,10 +479,11 @@ impl<const DEPTH: usize> Planner<DEPTH> {
             return false;
         }
         let nm = |axis: usize| {
-            // To the nearest, whatever the last bits are: a program that goes there has arrived.
-            let steps = i128::from(positions[axis].wrapping_sub(Position::ZERO.0));
+            // To the 256th of a step: after a stop it is whole but for a ten thousandth, and a program that goes there has arrived.
+            let steps = positions[axis].wrapping_sub(Position::ZERO.0);
+            let steps = (i128::from(steps) + (1 << 23)) >> 24;
             let per_km = i128::from(self.machinery.setup.axes[axis].steps_per_km);
-            ((steps * 1_000_000_000_000 / per_km + (1 << 31)) >> 32) as i64
+            ((steps * 2_000_000_000_000 / per_km + (1 << 8)) >> 9) as i64
         };
         self.at = core::array::from_fn(nm);
         self.end = (self.at, positions);

@@ -540,8 +540,8 @@ fn every_edge_of_a_program_is_predicted() {
 
 #[test]
 fn a_machine_that_rests_a_hair_beside_its_step_stands_where_the_program_thinks_it_does() {
-    // Where another program has left it: on the step, but for the last bits.
-    for off in [-5i64, -1, 1, 5] {
+    // Where another program has left it: on the step, but for a ten thousandth.
+    for off in [-500_000i64, -5, -1, 1, 5, 500_000] {
         let mut planner = Planner::<16>::new(&mill()).expect("a good machine");
         let at = |step: i64| (step << 32) + 0x8000_0000 + off;
         assert!(planner.begin_at([at(1600), at(0), at(-400)]));
