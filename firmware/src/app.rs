@@ -565,7 +565,7 @@ impl Taker for Visitor<'_> {
             used += 1;
             if let Some(ask) = self.line.push(*byte) {
                 let server = &self.machine.server;
-                let short = matches!(ask, Ask::Nothing | Ask::Quit | Ask::Unknown)
+                let short = matches!(ask, Ask::Nothing | Ask::Quit)
                     // While a job moves something nobody else waits.
                     || ask == Ask::Job && server.session().is_owner(Peer::INSIDE);
                 if !short && !server.safety().at_rest() {
