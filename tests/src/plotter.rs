@@ -57,17 +57,19 @@ impl Plotter {
 
     /// The same without SDRAM, so many times slower than real time, lest a busy machine lets it wait. Nobody executes its jobs yet.
     pub fn without_sdram(slower: u32) -> Self {
+        Plotter::bare(slower, "")
+    }
+
+    fn bare(slower: u32, trouble: &str) -> Self {
         let mut card = Card::plain(CHANNELS, CLOCK);
         (card.jobs, card.streamed) = (AXES as u8, true);
-        Plotter::switched_on(card, Some(f64::from(CLOCK) / f64::from(slower)), "")
+        let pace = f64::from(CLOCK) / f64::from(slower);
+        Plotter::switched_on(card, Some(pace), trouble)
     }
 
     /// The same, with this trouble on the wire, and somebody here who executes them.
     pub fn streamed(slower: u32, trouble: &str) -> Self {
-        let mut card = Card::plain(CHANNELS, CLOCK);
-        (card.jobs, card.streamed) = (AXES as u8, true);
-        let pace = f64::from(CLOCK) / f64::from(slower);
-        let mut plotter = Plotter::switched_on(card, Some(pace), trouble);
+        let mut plotter = Plotter::bare(slower, trouble);
         let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
         let streamer = Streamer::open(&plotter.address(), Keys::default(), any);
         let mut streamer = streamer.unwrap_or_else(|error| panic!("{error}"));

@@ -119,48 +119,21 @@ fn a_drawing_on_the_verilated_cores_is_on_its_curves_and_every_edge_in_its_clock
     verdict.assert_good(&told);
 }
 
-#[test]
-fn a_drawing_sent_to_the_twin_and_started_is_on_its_curves_and_every_edge_in_its_clock() {
-    let (machine, program) = (drawing::machine(), drawing::program(TOLERANCE));
-    let told = pins::predict(&program, &machine).unwrap_or_else(|error| panic!("{error}"));
-    let plotter = Plotter::twin();
-    let mut board = plotter.board();
-    board.put_machine(&machine.to_board()).expect("a machine");
-    let entry = board.send("drawing", &program.to_job(), |_, _| ());
+/// Sends this with the drawing's machine, and starts it unattended.
+fn begin(board: &mut Board, name: &str, program: &Program) {
+    let machine = drawing::machine().to_board();
+    board.put_machine(&machine).expect("a machine");
+    let entry = board.send(name, &program.to_job(), |_, _| ());
     assert!(entry.expect("the job is taken").ready);
-    board.start("drawing", None).expect("it begins");
-    let report = plotter.finish(&mut board);
-    assert_eq!(
-        (report.end, report.progress),
-        (End::Done, 100),
-        "{report:?}"
-    );
-    assert_eq!(report.steps.map(i64::from), told.steps);
-    drop(board);
-    let emitted = plotter.events();
-    let verdict = drawing::judge(
-        &told,
-        &machine,
-        &emitted,
-        &ferrocnc_tests::reports().join("drawing.png"),
-    );
-    println!("{}", verdict.text());
-    verdict.assert_good(&told);
+    board.start(name, None).expect("it begins");
 }
 
-/// So many times slower than real time: then a machine at work, too, is never late for the 64 segments a board has in hand.
-const SLOWER: u32 = 10;
-
-#[test]
-fn a_drawing_streamed_to_a_board_without_sdram_is_on_its_curves_and_every_edge_in_its_clock() {
+/// The drawing, sent and started: it is on its curves, every edge in its clock.
+fn draws(plotter: Plotter, picture: &str) {
     let (machine, program) = (drawing::machine(), drawing::program(TOLERANCE));
     let told = pins::predict(&program, &machine).unwrap_or_else(|error| panic!("{error}"));
-    let plotter = Plotter::streamed(SLOWER, "");
     let mut board = plotter.board();
-    board.put_machine(&machine.to_board()).expect("a machine");
-    let entry = board.send("drawing", &program.to_job(), |_, _| ());
-    assert!(entry.expect("the job is taken").ready);
-    board.start("drawing", None).expect("it begins");
+    begin(&mut board, "drawing", &program);
     let report = plotter.finish(&mut board);
     assert_eq!(
         (report.end, report.progress),
@@ -171,14 +144,23 @@ fn a_drawing_streamed_to_a_board_without_sdram_is_on_its_curves_and_every_edge_i
     assert_eq!(report.segments as usize, told.segments.len());
     drop(board);
     let emitted = plotter.events();
-    let verdict = drawing::judge(
-        &told,
-        &machine,
-        &emitted,
-        &ferrocnc_tests::reports().join("drawing-streamed.png"),
-    );
+    let picture = ferrocnc_tests::reports().join(picture);
+    let verdict = drawing::judge(&told, &machine, &emitted, &picture);
     println!("{}", verdict.text());
     verdict.assert_good(&told);
+}
+
+#[test]
+fn a_drawing_sent_to_the_twin_and_started_is_on_its_curves_and_every_edge_in_its_clock() {
+    draws(Plotter::twin(), "drawing.png");
+}
+
+/// So many times slower than real time: then a machine at work, too, is never late for the 64 segments a board has in hand.
+const SLOWER: u32 = 10;
+
+#[test]
+fn a_drawing_streamed_to_a_board_without_sdram_is_on_its_curves_and_every_edge_in_its_clock() {
+    draws(Plotter::streamed(SLOWER, ""), "drawing-streamed.png");
 }
 
 /// As CAM programs go: a face in many passes, each a run of lines a third of a millimetre long over a wavy surface, arcs at its ends, the
@@ -438,11 +420,7 @@ impl Serving {
     /// Sends this, and starts it unattended.
     fn start(&self, program: &Program) -> Board {
         let mut board = self.board();
-        let machine = drawing::machine().to_board();
-        board.put_machine(&machine).expect("a machine");
-        let sent = board.send("job", &program.to_job(), |_, _| ());
-        assert!(sent.expect("the job is taken").ready);
-        board.start("job", None).expect("it begins");
+        begin(&mut board, "job", program);
         board
     }
 
@@ -602,10 +580,7 @@ fn a_wire_that_loses_doubles_and_reorders_datagrams_changes_no_edge_of_what_is_s
     let told = pins::predict(&program, &machine).unwrap_or_else(|error| panic!("{error}"));
     let plotter = Plotter::streamed(SLOWER, "loss=1% dup=1% reorder=1% seed=6");
     let mut board = plotter.board();
-    board.put_machine(&machine.to_board()).expect("a machine");
-    let entry = board.send("cam", &program.to_job(), |_, _| ());
-    assert!(entry.expect("the job is taken").ready);
-    board.start("cam", None).expect("it begins");
+    begin(&mut board, "cam", &program);
     let report = plotter.finish(&mut board);
     assert_eq!(report.end, End::Done, "{report:?}");
     assert_eq!(report.steps.map(i64::from), told.steps);
