@@ -60,7 +60,7 @@ pub trait Outside {
 }
 
 /// Bytes a client may send ahead: four requests.
-const AHEAD: usize = 4096;
+pub const AHEAD: usize = 4096;
 /// Somebody for whom there is no time may say a Hello.
 const AHEAD_OF_DOOR: usize = 64;
 /// Bytes of the longest frame.

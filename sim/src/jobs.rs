@@ -6,7 +6,7 @@
 use firmware::cores::Board as _;
 use firmware::ip::Text;
 use firmware::jobs::abi::TEXT_MAX;
-use firmware::jobs::{Jobs, Outside};
+use firmware::jobs::{AHEAD, Jobs, Outside};
 use firmware::machine::Machine;
 use firmware::net::Us;
 use litex_pac::abi;
@@ -21,12 +21,12 @@ pub const TURN: u64 = 12_000;
 const IDLE_MS: u64 = 1;
 /// 8 MiB of SDRAM, less what the program itself takes at their beginning.
 const ROOM: usize = 8 * 1024 * 1024 - 512 * 1024;
-/// What a client may send ahead: four requests.
-const AHEAD: usize = 4096;
 /// What it is known by; on a board the program's own CRC.
 const PROGRAM: u32 = 0x7477_696e;
 
-struct Outer<'a>(&'a mut Machine<Desk>);
+/// The board as the program sees it from inside.
+#[derive(Debug)]
+pub struct Outer<'a>(pub &'a mut Machine<Desk>);
 
 impl Outside for Outer<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {

@@ -3,17 +3,23 @@
 use super::Outside;
 use motion::segment::{AXES, Segment};
 
-const PUSH: usize = 16;
+/// Register, by its word: the words before it are a segment, whole.
+pub const PUSH: usize = 16;
 const CONTROL: usize = 17;
 const PACE: usize = 18;
 const SLEW: usize = 19;
 const BEAM: usize = 20;
 const MASK: usize = 21;
-const STATUS: usize = 22;
-const BEGUN: usize = 23;
-const LEFT: usize = 24;
-const CURRENT: usize = 25;
-const SHAPE: usize = 27;
+/// Register: [`State`].
+pub const STATUS: usize = 22;
+/// Register: segments begun since power-up.
+pub const BEGUN: usize = 23;
+/// Register: clocks left of the present one, less 1.
+pub const LEFT: usize = 24;
+/// Register: outputs as they are.
+pub const CURRENT: usize = 25;
+/// Register: how many axes, and room for how many segments.
+pub const SHAPE: usize = 27;
 
 const START: u32 = 1;
 const QUIT: u32 = 2;

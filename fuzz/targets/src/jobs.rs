@@ -11,17 +11,16 @@
 //! * the machine is armed only while the executor is busy, and no pulse leaves while it is not.
 
 use crate::tape::Tape;
-use firmware::cores::Board as _;
 use firmware::ip::Text;
+use firmware::jobs::Jobs;
 use firmware::jobs::abi::TEXT_MAX;
-use firmware::jobs::{Jobs, Outside};
 use firmware::machine::{IDLE, Machine};
-use firmware::net::Us;
 use litex_pac::abi;
 use motion::instruction::{Arc, Feed, Instruction};
 use motion::job::Writer;
 use motion::segment::AXES;
 use sim::card::Card;
+use sim::jobs::Outer;
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
 use sim::plant::{Plant, Switch};
@@ -33,7 +32,7 @@ use wire::describe::Channels;
 use wire::jobs::{
     self, Axis, DATA, Entry, FRAME, Frame, Home, Op, Report, Request, Status, Welcome,
 };
-use wire::{MAX_WORDS, Name, State};
+use wire::{Name, State};
 
 /// Longer scripts say nothing new.
 const STEPS: usize = 120;
@@ -50,28 +49,6 @@ const ESTOP_INPUT: u32 = 1 << 3;
 
 thread_local! {
     static FLASH: RefCell<Option<Shared>> = const { RefCell::new(None) };
-}
-
-struct Outer<'a>(&'a mut Machine<Desk>);
-
-impl Outside for Outer<'_> {
-    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
-        self.0.inside(request, reply).map_or(0, <[u32]>::len)
-    }
-    fn send_frame(&mut self, _: &[u8]) {}
-    fn read_segments(&mut self, word: usize) -> u32 {
-        self.0.board.csr_read((abi::CSR_SEGMENTS + 4 * word) as u32)
-    }
-    fn write_segments(&mut self, word: usize, value: u32) {
-        let address = (abi::CSR_SEGMENTS + 4 * word) as u32;
-        self.0.board.csr_write(address, value);
-    }
-    fn now(&mut self) -> u64 {
-        self.0.board.now()
-    }
-    fn us(&mut self) -> Us {
-        self.0.us
-    }
 }
 
 /// What a client can ask about, and a refusal must not change.

@@ -16,7 +16,8 @@ use crate::address::Address;
 use crate::client::{Client, ClientError};
 use crate::keys::Keys;
 use firmware::ip::Text;
-use firmware::jobs::{Jobs, Outside};
+use firmware::jobs::core::{BEGUN, CURRENT, LEFT, PUSH, SHAPE, STATUS};
+use firmware::jobs::{AHEAD, Jobs, Outside};
 use firmware::net::Us;
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -45,18 +46,9 @@ const TURNS: usize = 64;
 const NAP: Duration = Duration::from_micros(250);
 /// The same while nobody is there and nothing is executed.
 const SLEEP: Duration = Duration::from_millis(2);
-/// What a client may send ahead: four requests, as on a board.
-const AHEAD: usize = 4096;
 /// As long as the axes may take to come to rest when this program is told to end.
 const FAREWELL: Duration = Duration::from_secs(10);
 
-/// Registers of the segments core, by their word.
-const PUSH: usize = 16;
-const STATUS: usize = 22;
-const BEGUN: usize = 23;
-const LEFT: usize = 24;
-const CURRENT: usize = 25;
-const SHAPE: usize = 27;
 /// What is read at once. What is left belongs to a segment: the count is asked in front of it and behind it.
 const READS: [usize; 6] = [BEGUN, LEFT, BEGUN, STATUS, CURRENT, SHAPE];
 
