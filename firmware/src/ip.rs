@@ -35,14 +35,14 @@ const PAYLOAD_AT: usize = TCP_AT + TCP_HEADER;
 
 const FIN: u8 = 1;
 const SYN: u8 = 2;
+const RST: u8 = 4;
+const PSH: u8 = 8;
+const ACK: u8 = 16;
 
 /// The longest segment whoever keeps that much may send: a frame full.
 const MSS: u16 = 1460;
 /// Bytes of the option that says so.
 const MSS_OPTION: usize = 4;
-const RST: u8 = 4;
-const PSH: u8 = 8;
-const ACK: u8 = 16;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {

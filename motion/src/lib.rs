@@ -15,7 +15,7 @@ pub mod job;
 pub mod plan;
 pub mod ramp;
 pub mod segment;
-pub mod wide;
+mod wide;
 pub mod words;
 pub mod xypen;
 

@@ -825,15 +825,12 @@ impl<const DEPTH: usize> Planner<DEPTH> {
             accel: [0; AXES],
         };
         let holds = stretch.from == stretch.to && !stretch.blend;
-        let by = match holds {
-            true => Inverse::new(1),
-            false => Inverse::new(stretch.duration.unsigned_abs()),
-        };
+        let by = (!holds).then(|| Inverse::new(stretch.duration.unsigned_abs()));
         for (axis, &after) in after.iter().enumerate() {
             let begin = self.machinery.velocity(stretch.from, line.slope[axis]);
             leg.position[axis] = line.position(axis, stretch.left);
             leg.velocity[axis] = begin;
-            if !holds {
+            if let Some(by) = by {
                 let end = self.machinery.velocity(stretch.to, after);
                 leg.accel[axis] = by.of(end - begin, 32);
             }

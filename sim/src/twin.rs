@@ -529,13 +529,13 @@ fn jobs_program(machine: &mut Machine<Desk>, card: &Card) -> Option<jobs::Progra
     if card.jobs == 0 {
         return None;
     }
-    let program = match card.streamed {
-        true => None,
-        false => jobs::Program::start(machine, card.clock_hz),
-    };
+    if card.streamed {
+        machine.server.jobs(JobsState::Streamed);
+        return None;
+    }
+    let program = jobs::Program::start(machine, card.clock_hz);
     machine.server.jobs(match program {
         Some(_) => JobsState::Alive,
-        None if card.streamed => JobsState::Streamed,
         None => JobsState::Missing,
     });
     program
