@@ -98,7 +98,10 @@ fn jobs() -> Result<()> {
     bench.env("FERROCNC_FIRMWARE", build::image());
     bench.env("FERROCNC_REPORTS", target("reports"));
     let printed = step::run_quietly("bench-jobs", "a drawing, edge by edge", "8 min", &mut bench)?;
-    for line in printed.lines().filter(|line| line.contains(" segments, ")) {
+    for line in printed
+        .lines()
+        .filter(|line| line.contains(" segments ") || line.contains(" segments, "))
+    {
         println!("{line}");
     }
     for name in ["jobs.json", "jobs-dense.json"] {
