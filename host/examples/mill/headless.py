@@ -93,6 +93,12 @@ class Machine:
             tuple(stat.homed[:3]),
         )
 
+    def where(self):
+        """What LinuxCNC believes it is doing, for whoever has to find out why it does not go on."""
+        stat = self.stat
+        names = ("interp_state", "exec_state", "inpos", "queue", "motion_line", "read_line", "echo_serial_number", "paused")
+        return ", ".join(f"{name} {getattr(stat, name)}" for name in names)
+
     def wait(self, condition, what, keep_on=True, again=None):
         """Until the condition holds. Gives up when the board's time stands still for PATIENCE, or when it passes without
         anything happening. `again` repeats a request that may have been overheard."""
@@ -113,7 +119,10 @@ class Machine:
             if time.time() - since > PATIENCE:
                 raise GiveUp(3, f"the board's time stood still for {PATIENCE:.0f} s while waiting until {what}")
             if periods() - change > MOST_PERIODS and time.time() - change_at > 30:
-                raise GiveUp(3, f"nothing happened for {MOST_PERIODS} servo periods while waiting until {what}")
+                raise GiveUp(
+                    3,
+                    f"nothing happened for {MOST_PERIODS} servo periods while waiting until {what}; {self.where()}",
+                )
             if again and time.time() - asked > 15:
                 again()
                 asked = time.time()
