@@ -425,6 +425,36 @@ fn an_e_stop_ends_the_pulses_in_its_clock_and_the_switch_has_to_be_found_again()
 }
 
 #[test]
+fn the_cable_pulled_in_mid_job_stops_an_attended_job_and_an_unattended_one_is_drawn_to_its_end() {
+    let mut wired = board();
+    let attended = began(&mut wired);
+    let text = "M3\nG1 X40 Y20 F4000\nG1 X0 Y0\nM5\nM2\n";
+    under_way(&mut wired, text, &brisk(), Some(Duration::from_millis(150)));
+    wired.machine.trouble("pull");
+    wired.run(250 * MS);
+    let stood = wired.steps();
+    wired.run(10 * MS);
+    assert_eq!(wired.steps(), stood, "moves without its starter");
+    wired.machine.trouble("plug");
+    let report = ended(&mut wired, End::HostLost, &attended);
+    let [x, y, _] = report.steps;
+    assert!(report.known && x > 400, "{report:?}");
+    assert!((x - 2 * y).abs() <= 2, "{x} {y} is off the line");
+    goes_on(&mut wired);
+
+    let text = "M3\nG1 X10 Y5 F12000\nG1 X0 Y0\nM5\nM2\n";
+    let told = predict(&gcode("under way", text), &brisk());
+    let unattended = began(&mut wired);
+    under_way(&mut wired, text, &brisk(), None);
+    wired.machine.trouble("pull");
+    wired.run(told.clocks + 100 * MS);
+    assert!(path(&wired.events()) == path(&told.events), "another path");
+    wired.machine.trouble("plug");
+    let report = ended(&mut wired, End::Done, &unattended);
+    assert_eq!(report.steps.map(i64::from), told.steps);
+}
+
+#[test]
 fn when_the_board_restarts_in_the_middle_of_a_job_it_says_so_and_knows_neither_job_nor_place() {
     let mut wired = board();
     under_way(&mut wired, LONG, &brisk(), None);
