@@ -35,7 +35,7 @@ use crate::report::{Counters, Report, Seen};
 use crate::segment::{
     BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, Segment,
 };
-use crate::soc::{LINK_1000, Manifest, Pins, Silicon, Soc};
+use crate::soc::{LINK_1000, Manifest, Pins, SdramLines, Silicon, Soc};
 
 /// Source port of [`Rig::exchange`] and the register helpers.
 pub const RIG_PORT: u16 = 39_999;
@@ -57,6 +57,8 @@ pub struct Setup {
     pub factory: bool,
     /// What packing would have written at the end of the ROM.
     pub trailer: Trailer,
+    /// Lines of the SDRAM that are shorted to ground; needs a board with one.
+    pub shorted: SdramLines,
     /// Waveforms of a window of time.
     pub trace: Option<TraceWindow>,
     /// Longest wait for the first answer, sys clocks. 3 000 000 are 50 ms of board time: start-up is a few.
@@ -74,6 +76,7 @@ impl Setup {
             flash: None,
             factory: false,
             trailer: Trailer::NONE,
+            shorted: SdramLines::default(),
             trace: None,
             boot_clocks: 3_000_000,
         }
@@ -210,7 +213,14 @@ impl Rig<Soc> {
         if let Some(window) = setup.trace {
             board.trace(window);
         }
-        board.reset(|soc| soc.load_rom(&image.words));
+        board.reset(|soc| {
+            soc.load_rom(&image.words);
+            let done = soc.short_sdram(setup.shorted);
+            assert!(
+                done || setup.shorted == SdramLines::default(),
+                "there is no SDRAM"
+            );
+        });
         Ok(Self::around(board, setup.board_ip))
     }
 }

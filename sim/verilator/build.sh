@@ -127,6 +127,11 @@ module_of() { # hierarchical path -> the variable in the top module (deeper path
         echo 'public_flat_rd -module "segments" -var "begun"'
         echo 'public_flat_rd -module "segments" -var "level"'
     fi
+    # Solder bridges at the SDRAM.
+    if grep -q '^module sdram_chip ' "${verilog[@]}"; then
+        echo 'public_flat_rw -module "sdram_chip" -var "data_low"'
+        echo 'public_flat_rw -module "sdram_chip" -var "row_low"'
+    fi
     if [ -n "$ram_path" ]; then echo "public_flat_rw -module \"$top\" -var \"$(module_of "$ram_path")\""; fi
 } > "$obj/public.vlt"
 
@@ -174,6 +179,7 @@ done
 
 pc=$(grep -ohE '\w+VexRiscv__DOT__lastStagePc\b' "$obj/Vsoc___024root.h" | head -1 || true)
 begun=$(grep -ohE '\w+segments\w*__DOT__begun\b' "$obj/Vsoc___024root.h" | head -1 || true)
+data_low=$(grep -ohE '\w+__DOT__data_low\b' "$obj/Vsoc___024root.h" | head -1 || true)
 # -Os: the code of one clock is a straight line longer than the instruction cache; small beats clever by a tenth.
 make -C "$obj" -f Vsoc.mk -j "$jobs" ${pch:+CFG_CXXFLAGS_PCH_I=-include} \
     OPT_FAST=-Os OPT_SLOW=-O1 OPT_GLOBAL=-O3 Vsoc__ALL.a verilated.o verilated_threads.o \
@@ -187,7 +193,8 @@ objects=$(ls "$obj"/verilated*.o)
 g++ -O3 -std=gnu++17 $cflags -fvisibility=default -shared -I"$include" -I"$include/vltstd" -I"$obj" \
     -DFC_MODEL=Vsoc -DFC_HEADER='"Vsoc.h"' -DFC_ROOT_HEADER='"Vsoc___024root.h"' -DFC_ROM="$rom_name" \
     ${ram_name:+-DFC_RAM=$ram_name} ${pc:+-DFC_PC=$pc -DFC_PC_VALID=${pc%Pc}IsValid} \
-    ${begun:+-DFC_BEGUN=$begun -DFC_LEVEL=${begun%begun}level} $prev $tracedef "$here/shim.cpp" "$obj/Vsoc__ALL.a" $objects \
+    ${begun:+-DFC_BEGUN=$begun -DFC_LEVEL=${begun%begun}level} \
+    ${data_low:+-DFC_DATA_LOW=$data_low -DFC_ROW_LOW=${data_low%data_low}row_low} $prev $tracedef "$here/shim.cpp" "$obj/Vsoc__ALL.a" $objects \
     -o "$out/$name.new" -pthread -latomic $( [ "$trace" = fst ] && echo -lz -llz4 ) >> "$log" 2>&1 \
     || { tail -40 "$log" >&2; die "linking failed, see $log"; }
 mv "$out/$name.new" "$out/$name"

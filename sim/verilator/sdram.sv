@@ -5,7 +5,8 @@
 //   q        ------------------Q    so that the pad's register catches it `cl` + 1 edges after the command left its own
 //
 // Whoever does not (a mode register that is not set, a row that is not open, a time that is too short, a row that waited too long for
-// its refresh) gets rubbish, and what he writes is lost. On the card the chip's clock is a fraction of a period late; here all
+// its refresh) gets rubbish, and what he writes is lost. `data_low` and `row_low` are for whoever runs the model: lines of the board that are
+// shorted to ground. On the card the chip's clock is a fraction of a period late; here all
 // share one edge, and the outputs' way back is that fraction shorter.
 module sdram_chip #(
     parameter int BANK_BITS = 2, ROW_BITS = 11, COL_BITS = 8,
@@ -34,6 +35,8 @@ module sdram_chip #(
     logic [2:0]          cl = 0;
     logic [31:0]         later;
     logic                kept;                    // it has been refreshed in time
+    logic [31:0]         data_low = 0;            // lines that are low whatever anybody says
+    logic [15:0]         row_low = 0;             // likewise those of a row's number; the highest: a chip of half the size
 
     initial begin
         for (int n = 0; n < BANKS; n++) begin open[n] = 0; row[n] = 0; since[n] = 255; end
@@ -78,7 +81,7 @@ module sdram_chip #(
             3'b011: begin // activate
                 if (open[ba] | (since[ba] + 1 < T_RP) | (idle + 1 < T_RFC)) ready <= 0;
                 open[ba] <= 1;
-                row[ba] <= a;
+                row[ba] <= a & ~row_low[ROW_BITS-1:0];
                 since[ba] <= 0;
             end
             3'b100: begin // write, the row closed behind it if a[10]
@@ -92,6 +95,7 @@ module sdram_chip #(
             end
             default: ;
         endcase
+        out &= ~data_low;
         later <= out;
         q <= cl == 2 ? out : cl == 3 ? later : RUBBISH;
     end

@@ -5,6 +5,7 @@
 // FPGA tool. `Pins` is mirrored by `sim/src/soc.rs`; change both, and ABI_VERSION with them.
 //
 // build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM (array in the root), FC_RAM (likewise, optional), FC_PC and FC_PC_VALID (optional), FC_BEGUN and FC_LEVEL (optional),
+// FC_DATA_LOW and FC_ROW_LOW (optional),
 // FC_CLOCKS with a generated fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or FC_TRACE_VCD.
 
 #include <cstddef>
@@ -35,7 +36,7 @@ bool Vsoc___024root___eval_phase__nba(Vsoc___024root*);
 #endif
 
 namespace {
-constexpr uint32_t ABI_VERSION = 6;
+constexpr uint32_t ABI_VERSION = 7;
 constexpr uint32_t SYS = 1, ETH = 2;
 
 struct Pins {
@@ -267,6 +268,19 @@ uint64_t fc_segments(void* handle) {
 #else
     (void)handle;
     return ~0ull;
+#endif
+}
+
+// Lines of the SDRAM that are low from now on, whatever anybody says: of the data, and of a row's number. 1: there is no SDRAM.
+int fc_sdram_low(void* handle, uint32_t data, uint32_t row) {
+#if defined(FC_DATA_LOW)
+    auto* root = static_cast<Soc*>(handle)->model->rootp;
+    root->FC_DATA_LOW = data;
+    root->FC_ROW_LOW = static_cast<uint16_t>(row);
+    return 0;
+#else
+    (void)handle, (void)data, (void)row;
+    return 1;
 #endif
 }
 

@@ -12,8 +12,8 @@ use host::job::pins::{Event, Pin};
 use host::keys::Keys;
 use motion::segment::AXES;
 use sim::edges::Timing;
+use sim::nor::Part;
 use sim::nor::spi::Shared;
-use sim::nor::{Nor, Part};
 use sim::rig::Setup;
 use sim::segment::Connection;
 use sim::world::Output;
@@ -21,6 +21,7 @@ use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, SocketAddrV4, TcpListener, TcpStream};
 use std::time::Duration;
+use wire::flash::{Area, Layout};
 use wire::images::{Role, Trailer};
 
 /// As long as the client waits, whatever else this machine does.
@@ -46,28 +47,37 @@ pub fn program() -> Vec<u8> {
 
 /// A board with jobs, with this behind the bitstream in its flash; its image runs from slot A.
 pub fn setup(behind: &[u8]) -> Setup {
-    let (mill, firmware) = parts();
-    let soc = mill.with_file_name("plotter");
-    let mut nor = flash::factory(Part::W25Q32JV, 7);
-    put(&mut nor, behind);
-    let mut setup = Setup::new(&soc, &firmware);
-    setup.flash = Some(Shared::new(nor));
-    setup.trailer = Trailer {
+    let trailer = Trailer {
         build_id: flash::FIRST,
         role: Role::Image,
     };
+    on_flash(trailer, |layout| layout.slot_a, behind)
+}
+
+/// The same, but it is the golden image that runs and has this behind it.
+pub fn golden(behind: &[u8]) -> Setup {
+    let trailer = Trailer {
+        build_id: flash::GOLDEN,
+        role: Role::Golden,
+    };
+    on_flash(trailer, |layout| layout.golden, behind)
+}
+
+fn on_flash(trailer: Trailer, area: impl Fn(&Layout) -> Area, behind: &[u8]) -> Setup {
+    let (mill, firmware) = parts();
+    let soc = mill.with_file_name("plotter");
+    let mut nor = flash::factory(Part::W25Q32JV, 7);
+    let image = flash::with_program(&flash::image(trailer.build_id, 3), behind);
+    let area = area(&flash::layout(&nor));
+    nor.preload(area.start as usize, &image);
+    let meta = flash::meta(&image, trailer.build_id);
+    nor.preload(area.meta() as usize, &meta.to_page());
+    let mut setup = Setup::new(&soc, &firmware);
+    setup.flash = Some(Shared::new(nor));
+    setup.trailer = trailer;
     // Reading the program takes its time: 4 clocks a bit, and as much again.
     setup.boot_clocks = 20_000_000;
     setup
-}
-
-/// Slot A: an image that ends with these bytes.
-fn put(nor: &mut Nor, behind: &[u8]) {
-    let image = flash::with_program(&flash::image(flash::FIRST, 3), behind);
-    let area = flash::layout(nor).slot_a;
-    nor.preload(area.start as usize, &image);
-    let meta = flash::meta(&image, flash::FIRST);
-    nor.preload(area.meta() as usize, &meta.to_page());
 }
 
 /// One connection, and what was said at this end and the board has not taken.

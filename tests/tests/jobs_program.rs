@@ -2,7 +2,8 @@
 //! and lets it answer on the port of jobs; and without it, or with a damaged one, everything else works as ever.
 
 use ferrocnc_tests::Machine;
-use ferrocnc_tests::wired::{program, setup};
+use ferrocnc_tests::wired::{golden, program, setup};
+use sim::soc::SdramLines;
 use wire::describe::{FEATURE_JOBS, JobsState};
 use wire::jobs::{Frame, Op, Request, Status, Welcome};
 use wire::map;
@@ -156,4 +157,46 @@ fn an_exchange_is_answered_within_a_thousand_clocks_while_the_program_waits() {
     let spread = machine.turnaround_spread(EXCHANGES);
     println!("turnaround {spread:?}");
     assert!(spread.max < 1000, "{spread:?}");
+}
+
+#[test]
+fn the_golden_image_has_its_program_too() {
+    let mut machine = Machine::boot(golden(&program()));
+    assert_eq!(state(&mut machine), JobsState::Alive);
+    assert!(hello(&mut machine).is_some(), "a welcome");
+    works_otherwise(&mut machine);
+}
+
+#[test]
+fn a_card_with_half_the_sdram_has_half_the_room() {
+    let mut setup = setup(&program());
+    setup.shorted.row = 1 << 10;
+    let mut machine = Machine::boot(setup);
+    assert_eq!(state(&mut machine), JobsState::Alive);
+    let room = hello(&mut machine).expect("a welcome").room;
+    assert!((3 << 20..4 << 20).contains(&room), "{room} of 4 MiB");
+    works_otherwise(&mut machine);
+}
+
+#[test]
+fn an_sdram_with_a_line_shorted_to_ground_has_no_jobs_and_everything_else_works() {
+    for (what, data, row, told) in [
+        ("a line of the data", 1 << 19, 0, JobsState::Damaged),
+        (
+            "a row's line beyond the program",
+            0,
+            1 << 8,
+            JobsState::Sdram,
+        ),
+    ] {
+        let mut setup = setup(&program());
+        setup.shorted = SdramLines { data, row };
+        let mut machine = Machine::boot(setup);
+        assert_eq!(state(&mut machine), told, "{what}");
+        assert!(
+            machine.rig().tcp_connect(wire::jobs::PORT).is_err(),
+            "{what}: nobody answers there"
+        );
+        works_otherwise(&mut machine);
+    }
 }
