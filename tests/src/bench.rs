@@ -331,7 +331,11 @@ impl Bench {
 
     /// The whole of an update, in the order of `ferrocnc update`; ends where it is not done. `None` when it was.
     pub fn update(&mut self, build: u32, frames: u16) -> Option<Went> {
-        let image = flash::image(build, frames);
+        self.bring(build, &flash::image(build, frames))
+    }
+
+    /// The same with this image.
+    pub fn bring(&mut self, build: u32, image: &[u8]) -> Option<Went> {
         let slot = match self.selected() {
             Some(slot) => slot.other(),
             None => Slot::A,
@@ -346,7 +350,7 @@ impl Bench {
             }
             steps.push((Op::Crc, at, block.len() as u32, vec![]));
         }
-        let page = flash::meta(&image, build).to_page();
+        let page = flash::meta(image, build).to_page();
         steps.push((Op::Program, area.meta(), PAGE, packed(&page)));
         steps.push((Op::Select, slot.code(), 0, vec![]));
         for (op, address, length, buffer) in steps {

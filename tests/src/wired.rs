@@ -12,8 +12,8 @@ use host::job::pins::{Event, Pin};
 use host::keys::Keys;
 use motion::segment::AXES;
 use sim::edges::Timing;
-use sim::nor::Part;
 use sim::nor::spi::Shared;
+use sim::nor::{Nor, Part};
 use sim::rig::Setup;
 use sim::segment::Connection;
 use sim::world::Output;
@@ -51,7 +51,7 @@ pub fn setup(behind: &[u8]) -> Setup {
         build_id: flash::FIRST,
         role: Role::Image,
     };
-    on_flash(trailer, |layout| layout.slot_a, behind)
+    preloaded(trailer, |layout| layout.slot_a, behind)
 }
 
 /// The same, but it is the golden image that runs and has this behind it.
@@ -60,18 +60,23 @@ pub fn golden(behind: &[u8]) -> Setup {
         build_id: flash::GOLDEN,
         role: Role::Golden,
     };
-    on_flash(trailer, |layout| layout.golden, behind)
+    preloaded(trailer, |layout| layout.golden, behind)
 }
 
-fn on_flash(trailer: Trailer, area: impl Fn(&Layout) -> Area, behind: &[u8]) -> Setup {
-    let (mill, firmware) = parts();
-    let soc = mill.with_file_name("plotter");
+fn preloaded(trailer: Trailer, area: impl Fn(&Layout) -> Area, behind: &[u8]) -> Setup {
     let mut nor = flash::factory(Part::W25Q32JV, 7);
     let image = flash::with_program(&flash::image(trailer.build_id, 3), behind);
     let area = area(&flash::layout(&nor));
     nor.preload(area.start as usize, &image);
     let meta = flash::meta(&image, trailer.build_id);
     nor.preload(area.meta() as usize, &meta.to_page());
+    on_flash(trailer, nor)
+}
+
+/// A board with jobs that runs what lies in this flash.
+pub fn on_flash(trailer: Trailer, nor: Nor) -> Setup {
+    let (mill, firmware) = parts();
+    let soc = mill.with_file_name("plotter");
     let mut setup = Setup::new(&soc, &firmware);
     setup.flash = Some(Shared::new(nor));
     setup.trailer = trailer;

@@ -2,9 +2,14 @@
 //! and lets it answer on the port of jobs; and without it, or with a damaged one, everything else works as ever.
 
 use ferrocnc_tests::Machine;
-use ferrocnc_tests::wired::{golden, program, setup};
+use ferrocnc_tests::bench::Bench;
+use ferrocnc_tests::flash::{self, Boots};
+use ferrocnc_tests::wired::{golden, on_flash, program, setup};
+use sim::nor::{Part, Times};
 use sim::soc::SdramLines;
 use wire::describe::{FEATURE_JOBS, JobsState};
+use wire::flash::{Running, Slot};
+use wire::images::{Role, Trailer};
 use wire::jobs::{Frame, Op, Request, Status, Welcome};
 use wire::map;
 
@@ -164,6 +169,26 @@ fn the_golden_image_has_its_program_too() {
     let mut machine = Machine::boot(golden(&program()));
     assert_eq!(state(&mut machine), JobsState::Alive);
     assert!(hello(&mut machine).is_some(), "a welcome");
+    works_otherwise(&mut machine);
+}
+
+#[test]
+fn an_update_brings_the_jobs_program_of_its_image_along() {
+    const NEXT: u32 = 0xbbbb_0002;
+    let image = flash::with_program(&flash::image(NEXT, 3), &program());
+    let mut bench = Bench::new(flash::factory(Part::W25Q32JV.with(Times::QUICK), 7));
+    assert_eq!(bench.bring(NEXT, &image), None);
+    let nor = bench.nor().copy();
+    assert_eq!(flash::boots(&nor), Boots::Slot(Slot::B, NEXT));
+    let trailer = Trailer {
+        build_id: NEXT,
+        role: Role::Image,
+    };
+    let mut machine = Machine::boot(on_flash(trailer, nor));
+    assert_eq!(machine.read(map::FLASH_RUNNING), Running::B.code());
+    assert_eq!(state(&mut machine), JobsState::Alive);
+    let welcome = hello(&mut machine).expect("a welcome");
+    assert_eq!(welcome.program.to_le_bytes(), program()[..4]);
     works_otherwise(&mut machine);
 }
 
