@@ -5,7 +5,7 @@
 //! centre, none from the one before. The planner cuts the corners between chords by less than the chords cut the arc.
 
 use crate::instruction::{Arc, Place};
-use crate::wide::{product, scaled, wide};
+use crate::wide::{product, quotient, quotient_up, root, scaled, wide};
 
 /// A turn is 2^56 of these.
 type Angle = i64;
@@ -73,10 +73,10 @@ const ROUNDS: usize = 26;
 const TWO_PI_40: i64 = 6_908_559_991_273;
 
 /// `2 pi * 2^16`, rounded up: an arc has rather a chord too many.
-const TWO_PI_16: u128 = 411_775;
+const TWO_PI_16: u64 = 411_775;
 
 /// No chord turns by more than a twelfth of a circle, whatever the tolerance: a plotter's smallest arc is round.
-const LEAST_PER_TURN: u128 = 12;
+const LEAST_PER_TURN: u64 = 12;
 
 /// Direction of a vector: 0 is +X, a quarter turn +Y. 0 for the null vector.
 fn direction(x: i64, y: i64) -> Angle {
@@ -123,11 +123,14 @@ fn unit(angle: Angle) -> [i64; 2] {
     if half { [-x, -y] } else { [x, y] }
 }
 
-/// `sqrt(x^2 + y^2)` to the nearest.
+/// `sqrt(x^2 + y^2)` to the nearest, of numbers below 2^61.
 pub(crate) fn hypot(x: i64, y: i64) -> i64 {
-    let square = u128::from(x.unsigned_abs()).pow(2) + u128::from(y.unsigned_abs()).pow(2);
+    let square = |part: i64| product(part.unsigned_abs(), part.unsigned_abs());
+    let ([x0, x1], [y0, y1]) = (square(x), square(y));
+    let (low, carry) = x0.overflowing_add(y0);
+    let high = x1.wrapping_add(y1).wrapping_add(carry.into());
     // Twice the root, rounded: the last bit decides.
-    ((4 * square).isqrt().div_ceil(2)) as i64
+    root([low << 2, high << 2 | low >> 62]).div_ceil(2) as i64
 }
 
 /// The ends of the chords of an arc, the arc's own end last.
@@ -176,11 +179,11 @@ impl Chords {
 
     /// How long the arc is, in nm; of a helix, what is seen from above.
     pub fn length(&self) -> u64 {
-        let radius = u128::from(self.radii[0].max(self.radii[1]).unsigned_abs());
-        let turns = u128::from(self.sweep.unsigned_abs());
+        let radius = self.radius().unsigned_abs();
+        let [low, high] = product(radius, self.sweep.unsigned_abs());
         // 2 pi with 16 fraction bits.
-        let length = (((radius * turns) >> 32) * TWO_PI_16) >> 40;
-        u64::try_from(length).unwrap_or(u64::MAX)
+        let [low, high] = product(high << 32 | low >> 32, TWO_PI_16);
+        high << 24 | low >> 40
     }
 
     /// The largest distance from the centre.
@@ -220,13 +223,18 @@ impl Iterator for Chords {
 
 /// Chords for an arc of this radius, at least one.
 fn count(sweep: Angle, radius: i64, tolerance: u32) -> u32 {
-    let sweep = sweep.unsigned_abs() as u128;
+    let sweep = sweep.unsigned_abs();
     // sqrt(r / 8 tolerance), 2^20 times, rounded up.
-    let root = ((u128::from(radius.unsigned_abs()) << 40) / (8 * u128::from(tolerance.max(1))))
-        .isqrt()
-        + 1;
-    let fine = (sweep * TWO_PI_16 * root).div_ceil(1 << (56 + 16 + 20));
-    let coarse = (sweep * LEAST_PER_TURN).div_ceil(TURN as u128);
+    let (radius, by) = (radius.unsigned_abs(), 8 * u64::from(tolerance.max(1)));
+    let high = quotient(radius >> 24, by);
+    let low = wide([radius << 40, (radius >> 24).wrapping_sub(high * by)], by);
+    let fineness = root([low, high]) + 1;
+    // A turn of it, and what part of a turn there is to go: 2^92 for each chord, rounded up.
+    let [first, second] = product(sweep, TWO_PI_16);
+    let [low, middle] = product(first, fineness);
+    let high = middle + second * fineness;
+    let fine = (high >> 28) + u64::from(high << 36 != 0 || low != 0);
+    let coarse = quotient_up(sweep * LEAST_PER_TURN, TURN as u64);
     fine.max(coarse).clamp(1, u32::MAX.into()) as u32
 }
 
@@ -253,6 +261,23 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn lengths_and_counts_are_those_of_wider_numbers(
+            x in -1i64 << 36..1 << 36, y in -1i64 << 36..1 << 36, sweep in 0..=TURN, tolerance: u32, less in 0u32..32,
+        ) {
+            let (x, y, tolerance) = (x >> less, y >> less, tolerance >> less);
+            let square = u128::from(x.unsigned_abs()).pow(2) + u128::from(y.unsigned_abs()).pow(2);
+            let radius = hypot(x, y);
+            prop_assert_eq!(radius as u128, (4 * square).isqrt().div_ceil(2));
+            let (turns, two_pi) = (sweep as u128, u128::from(TWO_PI_16));
+            let root = (((radius as u128) << 40) / (8 * u128::from(tolerance.max(1)))).isqrt() + 1;
+            let fine = (turns * two_pi * root).div_ceil(1 << (56 + 16 + 20));
+            let coarse = (turns * u128::from(LEAST_PER_TURN)).div_ceil(TURN as u128);
+            prop_assert_eq!(u128::from(count(sweep, radius, tolerance)), fine.max(coarse).clamp(1, u32::MAX.into()));
+            let chords = Chords { sweep: -sweep, radii: [radius; 2], ..Chords::new([0; 3], arc([1, 0, 0], [0, 0], true), 1) };
+            prop_assert_eq!(u128::from(chords.length()), ((((radius as u128) * turns) >> 32) * two_pi) >> 40);
+        }
+
         #[test]
         fn directions_and_units_agree_with_the_library(x in -1i64 << 34..1 << 34, y in -1i64 << 34..1 << 34) {
             prop_assume!((x, y) != (0, 0));

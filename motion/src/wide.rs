@@ -67,6 +67,15 @@ pub fn wide([low, high]: [u64; 2], d: u64) -> u64 {
     }
 }
 
+/// `floor(sqrt(n))` of 128 bits, the low half first.
+pub fn root([low, high]: [u64; 2]) -> u64 {
+    if PC {
+        (u128::from(high) << 64 | u128::from(low)).isqrt() as u64
+    } else {
+        root_by_digits([low, high])
+    }
+}
+
 /// `floor(n * 2^shift / d)` towards 0, with the sign of `n`, for `shift` from 1 to 63; what does not fit is the largest there is.
 pub fn ratio(n: i64, shift: u32, d: u64) -> i64 {
     let size = n.unsigned_abs();
@@ -191,6 +200,35 @@ fn digit_by_two(high: u64, low: u32, d: u64) -> (u32, u64) {
     (q, rest)
 }
 
+/// The root of the upper half is the root's upper digit. What it leaves, by twice the digit, is the lower one, or one more than it.
+fn root_by_digits([low, high]: [u64; 2]) -> u64 {
+    if (low, high) == (0, 0) {
+        return 0;
+    }
+    let zeros = match high {
+        0 => 64 + low.leading_zeros(),
+        _ => high.leading_zeros(),
+    };
+    // Up by a power of four, until one of the two highest bits is set.
+    let up = zeros & !1;
+    let (low, high) = match up {
+        0 => (low, high),
+        1..64 => (low << up, high << up | low >> (64 - up)),
+        _ => (0, low << (up - 64)),
+    };
+    let [n0, n1] = digits(low);
+    let upper = high.isqrt();
+    // At most twice the digit: with half of the next one behind it, it still has 64 bits.
+    let half = (high - upper * upper) << 31 | u64::from(n1 >> 1);
+    let lower = quotient_by_digits(half, upper);
+    let left = (half - lower * upper) << 1 | u64::from(n1 & 1);
+    // The guess ignores its own square.
+    let square = lower.checked_mul(lower);
+    let large = left >> 32 == 0 && square.is_none_or(|square| both(n0, left as u32) < square);
+    let root = (upper << 32).wrapping_add(lower);
+    root.wrapping_sub(large.into()) >> (up / 2)
+}
+
 /// Divides many by one, each with a product: [`Inverse::of`] is at most 2 too small, and never too large.
 #[derive(Clone, Copy, Debug)]
 pub struct Inverse {
@@ -284,9 +322,26 @@ mod tests {
         }
     }
 
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(100_000))]
+
+        #[test]
+        fn a_root_by_digits_is_that_of_the_pc(low in any_word(), high in any_word(), root in any_word(), off in -2i64..=2) {
+            // Anything, and what is a square or beside one.
+            let square = (u128::from(root) * u128::from(root)).wrapping_add_signed(off.into());
+            for [low, high] in [[low, high], [low, 0], [square as u64, (square >> 64) as u64]] {
+                let exact = (u128::from(high) << 64 | u128::from(low)).isqrt() as u64;
+                prop_assert_eq!(root_by_digits([low, high]), exact, "{}, {}", low, high);
+                prop_assert_eq!(super::root([low, high]), exact);
+            }
+        }
+    }
+
     #[test]
     fn nothing_by_zero_is_nothing_that_panics() {
         assert_eq!(quotient(5, 0), u64::MAX);
         assert_eq!(wide([5, 0], 0), u64::MAX);
+        assert_eq!(root_by_digits([0, 0]), 0);
+        assert_eq!(root_by_digits([u64::MAX, u64::MAX]), u64::MAX);
     }
 }
