@@ -112,6 +112,17 @@ pub enum Output {
     End,
 }
 
+/// What came of a little work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Work {
+    /// This is to be done next.
+    Output(Output),
+    /// Nothing so far: there is more to work on.
+    More,
+    /// It needs another instruction to know.
+    Starved,
+}
+
 /// The largest square of a speed, in (nm/s)^2.
 const FASTEST: u64 = 1 << 63;
 
@@ -447,22 +458,47 @@ impl<const DEPTH: usize> Planner<DEPTH> {
     /// What is to be done next. `None`: it needs another instruction to know.
     pub fn poll(&mut self) -> Option<Output> {
         loop {
-            if let Some(segment) = self.follower.piece(self.tag() as u16) {
-                return Some(Output::Segment(segment));
+            match self.work(usize::MAX) {
+                Work::Output(output) => return Some(output),
+                Work::More => {}
+                Work::Starved => return None,
             }
-            if self.next_stretch() || self.next_chord() || self.last_line() || self.begin_line() {
+        }
+    }
+
+    /// The same for whoever has other things to do as well: at most this many chords of an arc are looked at in a call. All calls together
+    /// say what [`Planner::poll`] says.
+    pub fn work(&mut self, chords: usize) -> Work {
+        let mut seen = 0;
+        loop {
+            if let Some(segment) = self.follower.piece(self.tag() as u16) {
+                return Work::Output(Output::Segment(segment));
+            }
+            if self.next_stretch() {
                 continue;
             }
-            self.then?;
+            if seen == chords {
+                return Work::More;
+            }
+            if self.next_chord() {
+                seen += 1;
+                continue;
+            }
+            if self.last_line() || self.begin_line() {
+                continue;
+            }
+            if self.then.is_none() {
+                return Work::Starved;
+            }
             if self.count > 0 || self.pending.is_some() {
                 continue;
             }
             if !self.follower.machine.rests() {
                 let segment = self.follower.come_to_rest(self.tag() as u16);
-                return Some(Output::Segment(segment));
+                return Work::Output(Output::Segment(segment));
             }
             self.follower.ahead = 0;
-            return Some(self.at_rest());
+            return Work::Output(self.at_rest());
         }
     }
 

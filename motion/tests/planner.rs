@@ -2,7 +2,7 @@
 
 use ferrocnc_motion::gcode::Reader;
 use ferrocnc_motion::instruction::{Arc, Feed, Instruction, Place};
-use ferrocnc_motion::plan::{AxisSetup, Output, Planner, Setup, SetupError};
+use ferrocnc_motion::plan::{AxisSetup, Output, Planner, Setup, SetupError, Work};
 use ferrocnc_motion::segment::{Machine, Segment};
 use proptest::prelude::*;
 
@@ -363,6 +363,32 @@ proptest! {
         // All round, not the chord from the beginning to the end.
         prop_assert!(farthest > radius as f64 * 1.9e-6, "only {farthest} mm away");
         prop_assert_eq!(run.states.last().unwrap().steps(), steps_of(&setup, [radius, 0, 0]));
+    }
+
+    #[test]
+    fn a_little_work_at_a_time_makes_the_same_segments(setup in any_setup(), lines in any_lines(), radius in 200_000..10_000_000i64, chords in 1..6usize) {
+        let circle = |at: Place, feed: Feed| Arc { to: at, center: [at[0] + radius, at[1]], clockwise: radius % 2 == 0, feed };
+        let program: Vec<Instruction> = lines.iter().flat_map(|(to, feed)| {
+            [Instruction::Line { to: *to, feed: *feed }, Instruction::Arc(circle(*to, *feed))]
+        }).chain([Instruction::End]).collect();
+        let play = |mut next: Box<dyn FnMut(&mut Planner<16>) -> Option<Output>>| {
+            let mut planner = Planner::<16>::new(&setup).unwrap();
+            let (mut instructions, mut outputs) = (program.iter(), Vec::new());
+            while outputs.last() != Some(&Output::End) {
+                if planner.accepts() && let Some(instruction) = instructions.next() {
+                    assert!(planner.push(instruction, 0));
+                    continue;
+                }
+                outputs.extend(next(&mut planner));
+            }
+            outputs
+        };
+        let whole = play(Box::new(|planner| planner.poll()));
+        let bit_by_bit = play(Box::new(move |planner| match planner.work(chords) {
+            Work::Output(output) => Some(output),
+            Work::More | Work::Starved => None,
+        }));
+        prop_assert!(whole == bit_by_bit);
     }
 }
 

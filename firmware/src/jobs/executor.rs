@@ -34,7 +34,7 @@ use super::store::{Id, Store};
 use super::words::Words;
 use motion::fpgag;
 use motion::instruction::{Instruction, Place};
-use motion::plan::{AxisSetup, Output, Planner, Setup, SetupError};
+use motion::plan::{AxisSetup, Output, Planner, Setup, SetupError, Work};
 use motion::segment::{AXES, MIN_CLOCKS, Segment};
 use wire::describe::{Channels, Describe};
 use wire::exchange::StateWord;
@@ -43,6 +43,9 @@ use wire::jobs::{
 };
 use wire::units::Position;
 use wire::{FaultReason, Name, ResetReason};
+
+/// Chords planned in a call: the first of an arc fill the look-ahead, and all in one call that is 11 ms in which nobody else is served.
+const CHORDS: usize = 4;
 
 /// Lines the planner looks ahead: as the host does when it predicts a job.
 pub const LOOK_AHEAD: usize = 32;
@@ -880,10 +883,10 @@ impl Executor {
             }
             return;
         }
-        match planner.poll() {
-            Some(Output::Segment(segment)) => self.segment = Some(segment),
-            Some(output) => self.waiting = Some(output),
-            None => {}
+        match planner.work(CHORDS) {
+            Work::Output(Output::Segment(segment)) => self.segment = Some(segment),
+            Work::Output(output) => self.waiting = Some(output),
+            Work::More | Work::Starved => {}
         }
     }
 
