@@ -143,8 +143,8 @@ fn pulses(report: &Path) -> Vec<i64> {
         .collect()
 }
 
-/// The mill with a HAL file in another driver's names, on the twin; how many steps each axis stands off its command.
-fn mill_with(peer: &str) -> Vec<i64> {
+/// The mill with a HAL file in another driver's names, on the twin: what its display found, what its pins did, and all that was said.
+fn mill_once(peer: &str) -> (Value, Value, String) {
     let folder = out(peer);
     let report = folder.join("sim.json");
     let mut twin = Simulator::twin(&[
@@ -170,25 +170,49 @@ fn mill_with(peer: &str) -> Vec<i64> {
     let said = std::fs::read_to_string(folder.join("run.log")).unwrap_or_default();
     let result = std::fs::read_to_string(folder.join("result.json"))
         .unwrap_or_else(|_| panic!("LinuxCNC did not run the program:\n{said}"));
-    let result: Value = serde_json::from_str(&result).expect("JSON");
+    let travelled = std::fs::read_to_string(&report).expect("the report");
+    let json = |text: &str| serde_json::from_str(text).expect("JSON");
+    (json(&result), json(&travelled), said)
+}
+
+fn off_at_rest(result: &Value) -> Vec<i64> {
+    let axes = result["axes"].as_array().expect("axes");
+    axes.iter()
+        .map(|axis| axis["deviation_at_rest_steps"].as_i64().expect("steps"))
+        .collect()
+}
+
+/// LinuxCNC waits for a move of its own that never comes, the machine is on, and every axis stands where it was sent.
+///
+/// Debian 12's 2.9.0~pre1 is from before its task and its motion were kept from using one command buffer at the same time (LinuxCNC
+/// #2386, mended by #2479 in May 2023): a command that motion reads half-written is done wrong or not at all. Seen once in a gate,
+/// and not in 300 runs made to see it again. A program that does not end twice is our business.
+fn waits_for_itself(result: &Value) -> bool {
+    let text = result["text"].as_str().unwrap_or_default();
+    let still = text.starts_with("nothing happened") && text.contains("the program ends");
+    still && off_at_rest(result).iter().all(|off| off.abs() <= 1)
+}
+
+/// Runs the mill; how many steps each axis stands off its command.
+fn mill_with(peer: &str) -> Vec<i64> {
+    let (mut result, mut travelled, mut said) = mill_once(peer);
+    if waits_for_itself(&result) {
+        println!("{}: once more", result["text"]);
+        (result, travelled, said) = mill_once(peer);
+    }
     // 5 is "beside its step", which is for the caller to judge.
     assert!(
         [0, 5].contains(&result["exit"].as_i64().expect("an exit code")),
-        "{}",
+        "{}\n{said}",
         result["text"]
     );
     assert_eq!(result["messages"].as_array().map(Vec::len), Some(0));
-    let axes = result["axes"].as_array().expect("axes");
-    let travelled = std::fs::read_to_string(&report).expect("the report");
-    let travelled: Value = serde_json::from_str(&travelled).expect("JSON");
     for axis in 0..2 {
         // There and back over a millimetre of 400 steps.
         let pulses = travelled["axes"][axis]["pulses_total"].as_i64();
         assert!(pulses >= Some(780), "axis {axis} made {pulses:?} pulses");
     }
-    axes.iter()
-        .map(|axis| axis["deviation_at_rest_steps"].as_i64().expect("steps"))
-        .collect()
+    off_at_rest(&result)
 }
 
 #[test]
