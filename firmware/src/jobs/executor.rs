@@ -787,17 +787,20 @@ impl Executor {
             return true;
         }
         if let Some(segment) = &self.segment {
-            if self.core.has_room(state) {
-                self.core.push(segment, out);
-                let number = self.planner.as_ref().map_or(0, Planner::tag);
-                self.marks.segment(number, segment.clocks);
-                self.segment = None;
+            if !self.core.has_room(state) {
+                if state.idle() {
+                    self.core.start(out);
+                }
+                return false;
+            }
+            self.core.push(segment, out);
+            let number = self.planner.as_ref().map_or(0, Planner::tag);
+            self.marks.segment(number, segment.clocks);
+            self.segment = None;
+            if self.streams {
                 return true;
             }
-            if state.idle() {
-                self.core.start(out);
-            }
-            return false;
+            // The next one in the same call: a turn of the ROM's loop in between takes as long as half of the planning.
         }
         if let Some(output) = self.waiting {
             if !state.idle() {
@@ -846,6 +849,13 @@ impl Executor {
         let (Some(planner), Some(machine)) = (&mut self.planner, &self.machine) else {
             return self.broken();
         };
+        if self.instruction.is_none() && planner.accepts() {
+            match self.program.next(store) {
+                Ok(Some(next)) => self.instruction = Some(next),
+                Ok(None) => return,
+                Err(_) => return self.broken(),
+            }
+        }
         if let Some((instruction, line)) = self.instruction
             && planner.accepts()
         {
@@ -874,13 +884,6 @@ impl Executor {
                 | Instruction::End => self.from,
             };
             self.instruction = None;
-            return;
-        }
-        if self.instruction.is_none() && planner.accepts() {
-            match self.program.next(store) {
-                Ok(next) => self.instruction = next,
-                Err(_) => self.broken(),
-            }
             return;
         }
         match planner.work(CHORDS) {
