@@ -199,9 +199,9 @@ impl Level {
                 Ok(board_tests("jobs", "3 min", "2")? + board_tests("jobs_rtl", "7 min", "2")?)
             }
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
-                + board_tests("jobs_program", "1 min", "2")?
+                + board_tests("jobs_program", "4 min", "2")?
                 + board_tests("path_stop", "1 min", "2")?
-                + board_tests("soc", "10 min", "1")?
+                + board_tests("soc", "3 min", "2")?
                 + board_tests("flood", "5 min", "2")?
                 + board_tests("frames", "5 min", "2")?
                 + board_tests("flash", "2 min", "2")?
@@ -321,7 +321,7 @@ fn jobs() -> Result<usize> {
         "1",
     ];
     cargo_tests(
-        "test-jobs",
+        "test-segments",
         "segments: RTL and model, clock by clock; edges emitted and predicted; jobs on the models",
         "5 min",
         &arguments,
