@@ -125,7 +125,13 @@ fn build() -> Result<PathBuf> {
         .context("rustc does not say what it runs on")?;
     let mut cargo = Command::new("cargo");
     cargo
-        .args(["build", "--release", "--bins", "--manifest-path"])
+        .args([
+            "build",
+            "--locked",
+            "--release",
+            "--bins",
+            "--manifest-path",
+        ])
         .args([
             root().join("fuzz/Cargo.toml"),
             "--target".into(),
@@ -140,6 +146,9 @@ fn build() -> Result<PathBuf> {
         "build the fuzz targets, instrumented",
         "4 min the first time",
         &mut cargo,
+    )
+    .context(
+        "when its lock file is behind: cargo update --workspace --manifest-path fuzz/Cargo.toml",
     )?;
     Ok(target("fuzz").join(host).join("release"))
 }
