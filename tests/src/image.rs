@@ -111,7 +111,14 @@ impl Code {
                 (_, SectionKind::Text) => {
                     code.words.extend((base..).step_by(4).zip(words));
                 }
-                (_, SectionKind::ReadOnlyData | SectionKind::Data) => code.data.extend(words),
+                // The linker calls it strings when every part of it could be merged.
+                (
+                    _,
+                    SectionKind::ReadOnlyData
+                    | SectionKind::ReadOnlyDataWithRel
+                    | SectionKind::ReadOnlyString
+                    | SectionKind::Data,
+                ) => code.data.extend(words),
                 _ => {}
             }
         }
@@ -304,10 +311,15 @@ impl Code {
                 0x67 if target.is_none() && matches!(rs1, RA | T0) => {
                     left = Some(left.map_or(depth, |left| left.max(depth)));
                 }
-                // A switch: its table lies in the ROM's data.
+                // A switch, whose table lies in the ROM's data, or a last call through a table.
                 0x67 if target.is_none() => {
                     let cases = self.data.iter().filter(|at| inside(at) && *at % 4 == 0);
-                    todo.extend(cases.map(|case| (*case, depth)));
+                    let switch: Vec<_> = cases.map(|case| (*case, depth)).collect();
+                    if switch.is_empty() {
+                        call(&mut frame, Callee::Any);
+                        left = Some(left.map_or(depth, |left| left.max(depth)));
+                    }
+                    todo.extend(switch);
                 }
                 0x6f | 0x67 => {
                     let target = target.unwrap_or_default();
@@ -341,6 +353,19 @@ impl Code {
                 }
                 _ => todo.push((at + 4, depth)),
             }
+        }
+        // A compiler leaves a few instructions that nothing leads to. Those that take stack or go elsewhere were overlooked.
+        let matters = |at: u32, word: u32| match word & 0x7f {
+            0x67 => true,
+            0x6f => word >> 7 & 31 != 0 || !inside(&at.wrapping_add(jal_offset(word))),
+            0x13 | 0x33 | 0x37 | 0x17 | 0x03 => word >> 7 & 31 == SP,
+            _ => false,
+        };
+        let mut all = self.words.range(start..*end);
+        if let Some((at, _)) =
+            all.find(|(at, word)| !seen.contains_key(at) && matters(**at, **word))
+        {
+            return Err(format!("{name}: no way to {at:#x} was found"));
         }
         frame.left = left.unwrap_or(0);
         Ok(frame)
@@ -497,6 +522,56 @@ mod tests {
             code(functions, &[0x1010]).deepest("main").unwrap().bytes,
             112
         );
+    }
+
+    #[test]
+    fn a_switch_goes_wherever_its_table_in_the_data_says() {
+        let switch = 0x0007_0067; // jr a4
+        let functions: &[(&str, &[u32])] = &[
+            ("main", &[take(-32), switch, jal(RA, 12), take(32), RET]),
+            ("leaf", &[take(-16), take(16), RET]),
+        ];
+        assert_eq!(
+            code(functions, &[0x1008]).deepest("main").unwrap().bytes,
+            32 + 16
+        );
+        let why = code(functions, &[]).deepest("main").unwrap_err();
+        assert!(why.contains("no way to 0x1008"), "{why}");
+    }
+
+    #[test]
+    fn the_last_call_of_a_function_may_be_one_through_a_table() {
+        let indirect = 0x0007_0067; // jr a4
+        let functions: &[(&str, &[u32])] = &[
+            ("main", &[take(-32), take(32), indirect]),
+            ("listed", &[take(-80), take(80), RET]),
+        ];
+        assert_eq!(
+            code(functions, &[0x100c]).deepest("main").unwrap().bytes,
+            80
+        );
+    }
+
+    #[test]
+    fn code_that_no_way_leads_to_is_refused_when_it_takes_stack_or_goes_elsewhere() {
+        for (dead, matters) in [
+            (take(-800), true),
+            (jal(RA, -4), true),
+            (jal(0, -8), true),
+            (RET, true),
+            (jal(0, -4), false),
+            (UNIMP, false),
+            (0x0080_0513, false), // li a0, 8
+        ] {
+            let functions: &[(&str, &[u32])] = &[("other", &[RET]), ("main", &[RET, dead])];
+            match code(functions, &[]).deepest("main") {
+                Ok(_) => assert!(!matters, "{dead:#010x} was overlooked"),
+                Err(why) => assert!(
+                    matters && why.contains("no way to 0x1008"),
+                    "{dead:#010x}: {why}"
+                ),
+            }
+        }
     }
 
     #[test]

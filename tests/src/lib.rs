@@ -581,6 +581,24 @@ impl Machine {
             .tcp_console(text)
             .unwrap_or_else(|error| panic!("{error}"))
     }
+
+    /// Bytes of stack the board has ever used, as its console tells it.
+    ///
+    /// # Panics
+    ///
+    /// When the console does not tell.
+    pub fn stack_used(&mut self) -> u32 {
+        let heard = self.console("status\r\n");
+        let mut lines = heard.lines().map(str::trim_start);
+        let line = lines.find(|line| line.starts_with("stack"));
+        let digits = line.and_then(|line| {
+            line.split(|c: char| !c.is_ascii_digit())
+                .find(|part| !part.is_empty())
+        });
+        digits
+            .and_then(|digits| digits.parse().ok())
+            .unwrap_or_else(|| panic!("no stack in {heard}"))
+    }
 }
 
 /// Address range of the first function whose name contains `part`.

@@ -1,7 +1,7 @@
 //! What the release image cannot do: panic behind its parser, or run out of stack. Read from its machine code.
 
 use ferrocnc_tests::image::Code;
-use ferrocnc_tests::parts;
+use ferrocnc_tests::{Machine, parts};
 
 /// Every place that may panic, by the function it is in, and why it may.
 const JUSTIFIED: &[(&str, &str)] = &[(
@@ -49,5 +49,27 @@ fn the_stack_holds_the_longest_way_through_the_image_and_a_trap_at_its_end() {
         most + MARGIN <= code.stack,
         "the stack may take {most} bytes, there are {}",
         code.stack
+    );
+}
+
+#[test]
+fn a_board_at_work_has_used_no_more_stack_than_the_longest_way_and_most_of_it() {
+    let code = Code::read(&parts().1);
+    let longest = code
+        .deepest("_abs_start")
+        .unwrap_or_else(|why| panic!("{why}"));
+    let mut machine = Machine::armed();
+    let mut command = machine.enabled_command();
+    for _ in 0..20 {
+        machine.exchange_and_wait(&mut command);
+    }
+    // The console is shut while the machine is armed.
+    machine.run_millis(100);
+    let used = machine.stack_used();
+    println!("{used} of {} bytes", longest.bytes);
+    assert!(
+        (longest.bytes * 9 / 10..=longest.bytes).contains(&used),
+        "{used} bytes were used; the longest way is said to take {}",
+        longest.bytes
     );
 }

@@ -57,7 +57,7 @@ fn main() -> Result<()> {
     }
     // The console is shut while the machine is armed: silence until the watchdog has disarmed it.
     machine.run_millis(100);
-    let stack = stack_used(&mut machine);
+    let stack = machine.stack_used();
     let image = image_sizes(&options.firmware)?;
 
     println!(
@@ -75,11 +75,8 @@ fn main() -> Result<()> {
         );
     }
     println!(
-        "image: text {} data {} bss {} stack {} bytes",
-        image.text,
-        image.data,
-        image.bss,
-        stack.map_or("?".into(), |s| s.to_string())
+        "image: text {} data {} bss {} stack {stack} bytes",
+        image.text, image.data, image.bss
     );
 
     let cases: Vec<_> = cases
@@ -95,16 +92,6 @@ fn main() -> Result<()> {
     });
     std::fs::write(&options.report, serde_json::to_string_pretty(&report)?)
         .with_context(|| format!("cannot write {}", options.report.display()))
-}
-
-/// The deepest the stack has been, as the console tells it.
-fn stack_used(machine: &mut Machine) -> Option<u64> {
-    let heard = machine.console("status\r\n");
-    let line = heard
-        .lines()
-        .find(|line| line.trim_start().starts_with("stack"))?;
-    line.split(|c: char| !c.is_ascii_digit())
-        .find_map(|digits| digits.parse().ok())
 }
 
 struct Sizes {
