@@ -48,8 +48,9 @@ else
     exit 1
 fi
 
-elf=$out/ferrocnc-firmware.elf
-built=$out/$target/firmware-image/ferrocnc-firmware
-cmp -s "$built" "$elf" || cp "$built" "$elf"
-"$root/firmware/size.py" "$elf"
-"$root/firmware/program.py" "$out/$target/firmware-image/ferrocnc-jobs" "$out/ferrocnc-jobs.bin"
+for name in ferrocnc-firmware ferrocnc-jobs; do
+    built=$out/$target/firmware-image/$name
+    cmp -s "$built" "$out/$name.elf" || cp "$built" "$out/$name.elf"
+done
+"$root/firmware/size.py" "$out/ferrocnc-firmware.elf"
+"$root/firmware/program.py" "$out/ferrocnc-jobs.elf" "$out/ferrocnc-jobs.bin"

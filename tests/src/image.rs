@@ -84,10 +84,12 @@ pub struct Deepest {
 }
 
 /// What the jobs program calls back: it has a stack of its own, in SDRAM (`firmware::jobs::abi`).
-const ON_ANOTHER_STACK: [&str; 2] = [
+pub const CALLED_BACK: [&str; 2] = [
     "ferrocnc_firmware::app::datagram",
     "ferrocnc_firmware::app::send",
 ];
+/// The jobs program's way in, in its header: the ROM's, and nobody else's.
+const WAY_IN: &str = "jobs_entry";
 
 impl Code {
     /// Reads the image.
@@ -121,6 +123,14 @@ impl Code {
                 ) => code.data.extend(words),
                 _ => {}
             }
+        }
+        let place = |name| {
+            let mut symbols = file.symbols();
+            let symbol = symbols.find(|symbol| symbol.name() == Ok(name));
+            symbol.map(|symbol| symbol.address() as u32)
+        };
+        if let (Some(top), Some(end)) = (place("__jobs_stack"), place("__jobs_bss_end")) {
+            code.stack = top - end;
         }
         for symbol in file.symbols() {
             let at = symbol.address() as u32;
@@ -257,7 +267,7 @@ impl Code {
             })
             .filter(|at| {
                 let name = self.functions.get(at).map_or("", |(name, _)| name);
-                !ON_ANOTHER_STACK.contains(&name)
+                name != WAY_IN && !CALLED_BACK.contains(&name)
             })
             .collect()
     }
@@ -341,6 +351,15 @@ impl Code {
                 }
                 0x13 if rd == SP && rs1 == SP && word >> 12 & 7 == 0 => {
                     todo.push((at + 4, depth - i64::from(i_immediate(word) as i32)));
+                }
+                // More than an immediate holds.
+                0x33 if rd == SP && rs1 == SP && word >> 12 & 7 == 0 => {
+                    let by = self.constant(at, word >> 20 & 31).ok_or_else(|| {
+                        format!("{name} moves the stack at {at:#x} by something not understood")
+                    })?;
+                    let by = i64::from(by as i32);
+                    let taken = if word >> 25 == 0 { -by } else { by };
+                    todo.push((at + 4, depth + taken));
                 }
                 // Start-up puts it at the top.
                 0x13 if rd == SP && word >> 12 & 7 == 7 && name == "_abs_start" => {
@@ -603,6 +622,21 @@ mod tests {
         let odd = 0x4000_0133 | SP << 15 | 10 << 20; // sub sp, sp, a0
         let why = code(&[("main", &[odd, RET])], &[]).deepest("main");
         assert!(why.unwrap_err().contains("not understood"));
+    }
+
+    #[test]
+    fn a_frame_larger_than_an_immediate_is_counted_whole() {
+        let lui = 0x0000_f6b7; // lui a3, 0xf
+        let addi = 0x5c06_8693; // addi a3, a3, 1472
+        let (sub, add) = (0x40d1_0133, 0x00d1_0133); // sub sp, sp, a3; add sp, sp, a3
+        let code = code(
+            &[
+                ("main", &[lui, addi, sub, jal(RA, 20), lui, addi, add, RET]),
+                ("leaf", &[take(-16), take(16), RET]),
+            ],
+            &[],
+        );
+        assert_eq!(code.deepest("main").unwrap().bytes, 0xf5c0 + 16);
     }
 
     #[test]

@@ -290,7 +290,8 @@ fn emit(
         used: 0,
     };
     fill(&mut writer);
-    let length = writer.used;
+    // The writer sees to that; said once more, so that what follows needs no check.
+    let length = writer.used.min(PAYLOAD);
     let ([id0, id1], [len0, len1]) = (id.to_le_bytes(), (length as u16).to_le_bytes());
     head.copy_from_slice(&[op, status, id0, id1, len0, len1, 0, 0]);
     let (content, crc) = out.split_at_mut(HEAD + length);
