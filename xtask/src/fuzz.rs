@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 const INSTRUMENT: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-compares";
-/// Seconds for one input: the slowest there are take a tenth of one.
+/// Seconds for one input: the slowest there are take 0.7 of a core.
 const PATIENCE: u32 = 20;
 /// Seconds for making a finding smaller.
 const MINIMISE: u32 = 20;
