@@ -319,7 +319,7 @@ impl Code {
                     }
                 }
                 0x67 if target.is_none() && matches!(rs1, RA | T0) => {
-                    left = Some(left.map_or(depth, |left| left.max(depth)));
+                    left = left.max(Some(depth));
                 }
                 // A switch, whose table lies in the ROM's data, or a last call through a table.
                 0x67 if target.is_none() => {
@@ -327,7 +327,7 @@ impl Code {
                     let switch: Vec<_> = cases.map(|case| (*case, depth)).collect();
                     if switch.is_empty() {
                         call(&mut frame, Callee::Any);
-                        left = Some(left.map_or(depth, |left| left.max(depth)));
+                        left = left.max(Some(depth));
                     }
                     todo.extend(switch);
                 }
@@ -337,8 +337,7 @@ impl Code {
                         todo.push((target, depth));
                     } else {
                         call(&mut frame, Callee::At(target));
-                        let after = depth + walk.left(target)?;
-                        left = Some(left.map_or(after, |left| left.max(after)));
+                        left = left.max(Some(depth + walk.left(target)?));
                     }
                 }
                 0x63 => {

@@ -591,12 +591,11 @@ impl Machine {
         let heard = self.console("status\r\n");
         let mut lines = heard.lines().map(str::trim_start);
         let line = lines.find(|line| line.starts_with("stack"));
-        let digits = line.and_then(|line| {
-            line.split(|c: char| !c.is_ascii_digit())
-                .find(|part| !part.is_empty())
-        });
-        digits
-            .and_then(|digits| digits.parse().ok())
+        let mut numbers = line
+            .into_iter()
+            .flat_map(|line| line.split(|c: char| !c.is_ascii_digit()));
+        numbers
+            .find_map(|digits| digits.parse().ok())
             .unwrap_or_else(|| panic!("no stack in {heard}"))
     }
 }
