@@ -1,32 +1,35 @@
 #!/bin/bash
-# Builds the firmware image, target/firmware/ferrocnc-firmware.elf, and the jobs program of boards with SDRAM,
-# target/firmware/ferrocnc-jobs.bin, and says how big they are.
+# Builds the firmware image, target/firmware/ferrocnc-firmware.elf, and the jobs program of boards
+# with SDRAM, target/firmware/ferrocnc-jobs.bin, and prints their sizes.
 #
 #   firmware/build.sh [cargo arguments]
 #
-# With rustup's compiler if it has the library's sources (rustup component add rust-src); otherwise with Debian's rustc-web and
-# its (apt install rustc-web cargo-web rust-web-src lld). `core` is built from them, for size: the one that `rustup target
-# add riscv32im-unknown-none-elf` brings is built for speed, and the image is 5.2 KiB too large for its ROM with it.
+# It uses rustup's compiler if the library's sources are installed (rustup component add rust-src);
+# otherwise Debian's rustc-web (apt install rustc-web cargo-web rust-web-src lld). `core` is built
+# from its sources, for size: the `core` of `rustup target add riscv32im-unknown-none-elf` is built
+# for speed, and with it the image is 5.2 KiB too large for its ROM.
 set -euo pipefail
 root=$(cd "$(dirname "$0")/.." && pwd)
 target=riscv32im-unknown-none-elf
 out=$root/target/firmware
-# `relax` lets the linker shorten calls, 2.5 KiB. The outliner shares equal runs of instructions between functions,
-# 1.7 KiB; it leaves alone what has a section of its own, which is everything on the way of an exchange. The passes
-# throw away arguments nobody reads once all is inlined: the messages of panics, 5 KiB with what formats them (see
-# src/soc/postmortem.rs). Names of this machine's folders are no use in panic messages, and cost ROM.
-flags="-Ctarget-feature=+relax -Cllvm-args=-enable-machine-outliner"
+# `relax` lets the linker shorten calls, 2.5 KiB. The outliner shares equal runs of instructions
+# between functions, 1.7 KiB; it skips functions with a section of their own, which is all code of
+# an exchange. The passes remove arguments that are not read after inlining: the messages of panics,
+# 5 KiB with the code that formats them (see src/soc/postmortem.rs). With `save-restore` functions
+# share the instructions that save registers (src/saves.s), 2.9 KiB. The remapping keeps this
+# machine's folder names out of panic messages, where they cost ROM.
+flags="-Ctarget-feature=+relax,+save-restore -Cllvm-args=-enable-machine-outliner"
 flags+=" -Cpasses=deadargelim,function(dse,adce),deadargelim,globaldce"
 flags+=" --remap-path-prefix=$root/="
 for folder in "${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/; do flags+=" --remap-path-prefix=$folder="; done
 common=(build --manifest-path "$root/Cargo.toml" --package ferrocnc-firmware --features soc
     --profile firmware-image --target "$target" --target-dir "$out")
 
-# defmt keeps only errors unless told; transitions are `info`, and nothing is logged per period.
+# defmt logs only errors by default; transitions are `info`, and nothing is logged per period.
 export DEFMT_LOG=${DEFMT_LOG:-info}
 
 common+=(-Zbuild-std=core -Zbuild-std-features=optimize_for_size)
-# These options are not promised to stay: a released compiler wants to be told that we know.
+# These options are unstable: a released compiler needs this variable to accept them.
 export RUSTC_BOOTSTRAP=1
 
 library=$(rustc --print sysroot 2>/dev/null || true)/lib/rustlib/src/rust/library

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Makes the jobs program out of its ELF file: the bytes from the SDRAM's first on, length and magic behind them, the CRC in front.
-The layout is `firmware::jobs::abi`'s."""
+"""Makes the jobs program from its ELF file: the bytes from the SDRAM's first on, length and magic
+after them, the CRC in front. The layout is defined in `firmware::jobs::abi`."""
 
 import struct
 import sys
@@ -11,7 +11,7 @@ MAGIC, ORIGIN, ROOM = 0x424F4A46, 0x4000_0000, 512 * 1024
 
 
 def image(elf):
-    """What is to lie at ORIGIN."""
+    """The bytes at ORIGIN."""
     assert elf[:5] == b"\x7fELF\x01", "not a 32-bit ELF"
     table, = struct.unpack_from("<I", elf, 28)
     size, count = struct.unpack_from("<HH", elf, 42)
@@ -20,14 +20,15 @@ def image(elf):
         kind, at, _, address, length, *_ = struct.unpack_from("<8I", elf, table + size * n)
         if kind == 1 and length:
             end = address - ORIGIN + length
-            assert ORIGIN <= address and end <= ROOM, f"a segment at {address:#x} is outside of the program's room"
+            assert address >= ORIGIN and end <= ROOM, f"a segment at {address:#x} is outside of the program's room"
             out.extend(bytes(max(0, end - len(out))))
             out[address - ORIGIN:end] = elf[at:at + length]
     return bytes(out)
 
 
 def complete(data):
-    """The words by which it is found from behind, and the CRC of all words but the first, each highest byte first."""
+    """Adds the last words, which locate the program, and the CRC of all words but the first, each
+    highest byte first."""
     data = bytearray(data + bytes(-len(data) % 4))
     data += struct.pack("<2I", len(data) + 8, MAGIC)
     words = struct.unpack(f"<{len(data) // 4 - 1}I", data[4:])
@@ -40,7 +41,7 @@ def main():
     data = complete(image(elf.read_bytes()))
     if not out.exists() or out.read_bytes() != data:
         out.write_bytes(data)
-    print(f"jobs program {len(data)} bytes of {ROOM}, with .bss and stack behind them")
+    print(f"jobs program {len(data)} bytes of {ROOM}, with .bss and stack after them")
 
 
 if __name__ == "__main__":

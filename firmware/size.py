@@ -1,15 +1,17 @@
 #!/usr/bin/env python3
-"""Prints what an image takes of ROM and RAM, as text or, with --json, for `xtask bench`. Reads the ELF itself: no binutils."""
+"""Prints an image's use of ROM and RAM, as text or, with --json, for `xtask bench`. It reads the
+ELF without binutils."""
 
 import json
 import struct
 import sys
 
-ROM, RAM = 0x11FF0, 0x3800  # as memory.x; the linker enforces them, this only says how much is left
+ROM, RAM = 0x11FF0, 0x3800  # as memory.x; the linker enforces them, this script only prints the rest
 
 
 def sections(path):
-    data = open(path, "rb").read()
+    with open(path, "rb") as file:
+        data = file.read()
     assert data[:5] == b"\x7fELF\x01", f"{path}: not a 32-bit ELF"
     offset, = struct.unpack_from("<I", data, 32)
     size, count, names = struct.unpack_from("<HHH", data, 46)

@@ -1,4 +1,5 @@
-//! The board info blob: what the board says about itself. Its layout's specification is `wire::board`.
+//! The board info blob: what the board says about itself. Its layout's specification is
+//! `wire::board`.
 
 use crate::board::{Board, Channel, Class};
 use crate::error::{Error, Report};
@@ -64,7 +65,7 @@ fn list(body: &mut Vec<u8>, class: Class, channels: &[Channel]) {
 }
 
 fn entry(body: &mut Vec<u8>, kind: u8, channel: u8, value: &[u8]) {
-    // A title may be any text, and nobody misses what stands behind its 255th byte.
+    // A title may be any text. Its first 255 bytes are enough to recognise a board.
     let value = &value[..value.len().min(255)];
     body.extend([kind, channel, value.len() as u8, 0]);
     body.extend_from_slice(value);

@@ -1,4 +1,4 @@
-//! A configuration: which pin of a platform is what on one machine.
+//! A configuration: the use of each pin of a platform on one machine.
 
 use crate::error::Error;
 use crate::hal::{self, HalClass};
@@ -66,12 +66,12 @@ const MODIFIED: &[Key] = &[
     may(
         "bus_switch",
         Kind::Texts,
-        "headers whose buffers were replaced by bus switches, as in [\"j5\", \"j6:shared\"]: both directions",
+        "headers with bus switches in place of their buffers, as in [\"j5\", \"j6:shared\"]: both directions",
     ),
     may(
         "inputs",
         Kind::Texts,
-        "headers whose buffers were turned round, as in [\"j5\"]: inputs only",
+        "headers with their buffers turned round, as in [\"j5\"]: inputs only",
     ),
 ];
 /// The step generators' types, hostmot2's 0, 1 and 2.
@@ -128,6 +128,9 @@ const PWM: &[Key] = &[
     may("pin", PIN, "the output pin, as in \"j3:0\""),
     may("dir", PIN, "an output pin for the sign"),
 ];
+/// Numbers of LiteX-CNC's row of inputs and outputs.
+const ROW: Kind = Kind::Integer { min: 0, max: 63 };
+
 const GPIO_IN: &[Key] = &[
     name(hal::INPUT),
     may("pin", PIN, "the input pin, as in \"j8:2\""),
@@ -135,6 +138,11 @@ const GPIO_IN: &[Key] = &[
         "estop",
         LEVELS,
         "the level that stops the machine, in the gateware; a normally closed contact to ground stops on \"high\"",
+    ),
+    may(
+        "litexcnc",
+        ROW,
+        "the number it had in LiteX-CNC's one row of inputs and outputs, for names=litexcnc",
     ),
 ];
 const GPIO_OUT: &[Key] = &[
@@ -149,6 +157,11 @@ const GPIO_OUT: &[Key] = &[
         "invert",
         Kind::Flag,
         "true or false: whether the pin is low when HAL says true, from power-up on",
+    ),
+    may(
+        "litexcnc",
+        ROW,
+        "the number it had in LiteX-CNC's one row of inputs and outputs, for names=litexcnc",
     ),
 ];
 
@@ -208,7 +221,7 @@ pub const KEYS: &[Key] = &[
     may(
         "modified",
         Kind::Table(MODIFIED),
-        "a table saying which headers' buffers you have replaced",
+        "a table of the headers with replaced buffers",
     ),
     may(
         "stepgen",
@@ -346,6 +359,8 @@ pub struct Channel {
     pub safe: Option<Level>,
     /// Outputs: the pin is the other way round.
     pub invert: bool,
+    /// Inputs and outputs: the number in LiteX-CNC's row of both.
+    pub litexcnc: Option<u8>,
 }
 
 impl Channel {
@@ -359,6 +374,7 @@ impl Channel {
             estop: None,
             safe: (class == Class::Output).then_some(Level::Low),
             invert: false,
+            litexcnc: None,
         }
     }
 
@@ -370,8 +386,8 @@ impl Channel {
             .map(|(_, pin)| pin.as_str())
     }
 
-    /// The pins and what else the host should know, as the blob tells it: `step=j1:0 dir=j1:1 type=up_down`.
-    /// A type that would be meant anyway is not written.
+    /// The pins and what else the host should know, as the blob tells it: `step=j1:0 dir=j1:1
+    /// type=up_down`. A type that would be meant anyway is not written.
     pub fn text(&self, class: Class) -> String {
         let mut text = String::new();
         for (key, pin) in &self.pins {
@@ -388,6 +404,9 @@ impl Channel {
         }
         if self.invert {
             text += "invert=true ";
+        }
+        if let Some(number) = self.litexcnc {
+            let _ = write!(text, "gpio={number} ");
         }
         text.truncate(text.trim_end().len());
         text
@@ -488,10 +507,22 @@ impl Board {
             wiring.modify(&modified)?;
         }
         let mut channels: [Vec<Channel>; 5] = Default::default();
+        let mut row = BTreeMap::new();
         for (class, channels) in Class::ALL.into_iter().zip(&mut channels) {
             let mut names = BTreeMap::new();
             for (n, table) in at.tables(class.key())?.into_iter().enumerate() {
-                channels.push(channel(&table, class, n, &mut names, &mut wiring)?);
+                let one = channel(&table, class, n, &mut names, &mut wiring)?;
+                if let Some(number) = one.litexcnc
+                    && let Some(other) = row.insert(number, format!("{}[{n}]", class.key()))
+                {
+                    return Err(table.error(
+                        "litexcnc",
+                        &number.to_string(),
+                        format!("is already {other}'s"),
+                        "LiteX-CNC counts inputs and outputs in one row, so each number is there once",
+                    ));
+                }
+                channels.push(one);
             }
         }
         let line = |key: &str,
@@ -522,7 +553,7 @@ impl Board {
                 "jobs",
                 &jobs.to_string(),
                 format!("is not the number of axes a job has, which is {JOB_AXES}"),
-                "write 3, or leave the key out; an axis that a machine has not got needs no drive, but a [[stepgen]]",
+                "write 3, or leave the key out; an axis that the machine does not have needs a [[stepgen]], but no drive",
             ));
         }
         if jobs > stepgens {
@@ -538,7 +569,7 @@ impl Board {
             return Err(at.error(
                 "sdram",
                 &said.to_string(),
-                "is said of a board without jobs, and nothing else uses the SDRAM",
+                "is set for a board without jobs; only jobs use the SDRAM",
                 "leave the key out, or say which axes jobs move (jobs = 3)",
             ));
         }
@@ -756,6 +787,9 @@ fn channel(
         estop: Level::of(at.text_if("estop")),
         safe: Level::of(at.text_if("safe")),
         invert: at.flag_if("invert").unwrap_or(false),
+        litexcnc: at
+            .integer_if("litexcnc")
+            .and_then(|number| u8::try_from(number).ok()),
     };
     for (key, _, drives) in class.pins() {
         if let Some(pin) = wiring.pin(at, key, *drives)? {
@@ -810,7 +844,8 @@ fn channel(
 struct Wiring<'p> {
     platform: &'p Platform,
     modified: Modified,
-    /// What is used, a shared line by its place among the shared: the name it has there and the key that has it.
+    /// What is used, a shared line by its place among the shared: the name it has there and the key
+    /// that has it.
     used: BTreeMap<String, (String, String)>,
     /// `j5` and `j5:shared` -> whether it can drive.
     ways: BTreeMap<String, bool>,

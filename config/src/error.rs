@@ -26,7 +26,8 @@ impl Place {
     }
 }
 
-/// `boards/x.toml:12:8: stepgen[1].step: "j1:0" is already stepgen[0].step; every pin has one use, choose a free one`
+/// `boards/x.toml:12:8: stepgen[1].step: "j1:0" is already stepgen[0].step; every pin has one use,
+/// choose a free one`
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error(Box<Report>);
 

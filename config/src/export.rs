@@ -1,4 +1,5 @@
-//! A configuration as JSON: what `gateware/ferrocnc/board.py` loads. Everything is resolved and checked; balls, not pins.
+//! A configuration as JSON: what `gateware/ferrocnc/board.py` loads. Everything is resolved and
+//! checked; balls, not pins.
 
 use crate::blob::blob;
 use crate::board::{Board, Class};

@@ -1,4 +1,4 @@
-//! What a channel's name becomes in LinuxCNC, as far as a name can be too long for it.
+//! The HAL names of a channel, and the limits of their length.
 
 /// The longest name the driver gives anything (`ferrocnc::hal::NAME_MAX`; HAL itself stops at 47).
 pub const NAME_MAX: usize = 41;

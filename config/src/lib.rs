@@ -1,8 +1,10 @@
-//! Board files: which pin is what. The only reader of `boards/*.toml` and `boards/platforms/*.toml`.
+//! Board files: which pin is what. The only reader of `boards/*.toml` and
+//! `boards/platforms/*.toml`.
 //!
-//! A file that cannot be built is refused with its place, the key, the value, what is wrong with it and what to do; nothing
-//! is guessed and nothing that matters for safety has a default. The gateware loads what [`export`](export::export) writes;
-//! the driver asks the board, which carries the [`blob`](blob::blob).
+//! A file that cannot be built is refused. The error names the place, the key, the value, the
+//! problem and the remedy. Nothing is guessed, and nothing that matters for safety has a default.
+//! The gateware loads what [`export`](export::export) writes; the driver asks the board, which
+//! carries the [`blob`](blob::blob).
 
 pub mod blob;
 pub mod board;

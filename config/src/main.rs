@@ -1,4 +1,4 @@
-//! `ferrocnc-config`: what the build needs of the reader. People use `ferrocnc config`.
+//! `ferrocnc-config`: the commands of the reader that the build needs. Users run `ferrocnc config`.
 
 use ferrocnc_config::source::{Folder, read_text};
 use ferrocnc_config::{Board, Error};
@@ -31,12 +31,13 @@ fn main() -> ExitCode {
 fn export(path: &Path, network: &[&str]) -> Result<(), String> {
     let board = read(path, network).map_err(|error| error.to_string())?;
     let json = ferrocnc_config::export::export(&board).map_err(|error| error.to_string())?;
-    // Whoever reads from us may have seen enough.
+    // The reader of our output may have closed the pipe.
     let _ = writeln!(std::io::stdout(), "{json:#}");
     Ok(())
 }
 
-/// As the file says, but for these. They go through the file's text, so that they are judged as if they stood there.
+/// As the file says, but for these. They go through the file's text, so that they are judged as if
+/// they stood there.
 fn read(path: &Path, network: &[&str]) -> Result<Board, Box<dyn std::error::Error>> {
     let mut text = read_text(path)?;
     for pair in network.chunks(2) {

@@ -1,4 +1,4 @@
-//! A configuration to begin with: so many of each, on the first pins there are.
+//! A first configuration: so many channels of each kind, on the first free pins.
 
 use crate::board::{Board, Channel, Class, Line, Modified};
 use crate::platform::{FIRST_SHARED, HEADER, Platform};
@@ -8,7 +8,7 @@ use crate::platform::{FIRST_SHARED, HEADER, Platform};
 pub struct Wanted {
     /// How many of each, in the order of [`Class::ALL`].
     pub counts: [usize; 5],
-    /// Headers whose buffers were replaced: where inputs go.
+    /// Headers with replaced buffers: inputs go there.
     pub modified: Vec<String>,
 }
 
@@ -24,7 +24,8 @@ impl core::fmt::Display for NoRoom {
 
 impl std::error::Error for NoRoom {}
 
-/// Lays it out: what drives on headers as they are sold, what reads on modified ones. The shared lines come last, as outputs.
+/// Lays it out: what drives on headers as they are sold, what reads on modified ones. The shared
+/// lines come last, as outputs.
 pub fn layout(name: &str, platform: Platform, wanted: &Wanted) -> Result<Board, NoRoom> {
     let unknown = wanted
         .modified

@@ -1,10 +1,12 @@
-//! A platform: which ball of the FPGA is what on a PCB. Facts only; what a machine makes of them is the board file's.
+//! A platform: the use of each ball of the FPGA on a PCB. It holds facts of the PCB only; the board
+//! file says how a machine uses them.
 
 use crate::error::{Error, Place};
 use crate::tree::{At, Key, Kind, may, must, nearest, parse_toml};
 use std::collections::BTreeMap;
 
-/// What a HUB75 header's sixteen pins are, counted from 0 as Lcnc and LiteX-CNC count them. The silk screen counts from 1.
+/// What a HUB75 header's sixteen pins are, counted from 0 as Lcnc and LiteX-CNC count them. The
+/// silk screen counts from 1.
 pub const HEADER: [&str; 16] = [
     "R0", "G0", "B0", "GND", "R1", "G1", "B1", "E", "A", "B", "C", "D", "CLK", "LAT", "OE", "GND",
 ];
@@ -182,7 +184,8 @@ impl Level {
     }
 }
 
-/// The balls of the SDRAM: 32 bits wide. Its clock enable, chip select and data masks are wired on the board.
+/// The balls of the SDRAM: 32 bits wide. Its clock enable, chip select and data masks are wired on
+/// the board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sdram {
     /// What is printed on it, as in `M12L64322A` or `2x M12L16161A`.
@@ -475,7 +478,7 @@ impl Platform {
     }
 }
 
-/// `j7:3` in its parts. A number in another dress (`j7:03`) is none.
+/// Splits `j7:3` into its parts. Another form of the number (`j7:03`) is refused.
 pub fn split(name: &str) -> Option<(&str, usize)> {
     let (header, digits) = name.split_once(':')?;
     let index: usize = digits.parse().ok()?;

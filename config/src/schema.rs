@@ -1,4 +1,5 @@
-//! The JSON schemas of both kinds of file, for editors: the keys the reader checks, in an editor's words.
+//! The JSON schemas of both kinds of file, for editors: the keys the reader checks, in an editor's
+//! words.
 
 use crate::board;
 use crate::platform;

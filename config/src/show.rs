@@ -1,4 +1,5 @@
-//! A configuration as a table: every channel with its HAL name, its pins, and where on the header they are.
+//! A configuration as a table: every channel with its HAL name, its pins, and where on the header
+//! they are.
 
 use crate::board::{Board, Class, Line};
 use crate::platform::{HEADER, Platform, Role, split};
@@ -71,6 +72,11 @@ pub fn show(board: &Board) -> String {
             );
             said.extend(channel.safe.map(|level| format!("safe {}", level.word())));
             said.extend(channel.invert.then(|| "inverted".to_owned()));
+            said.extend(
+                channel
+                    .litexcnc
+                    .map(|number| format!("gpio.{number:02} of LiteX-CNC")),
+            );
             let _ = writeln!(out, "{}", said.join("  ").trim_end());
         }
     }

@@ -1,4 +1,4 @@
-//! Where files come from: a folder of them, or the ones we carry.
+//! The source of the files: a folder, or the built-in copies.
 
 use crate::board::{Board, Platforms};
 use crate::error::{Error, Report};

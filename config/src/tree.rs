@@ -1,7 +1,7 @@
-//! A file as a tree of values that know where they stand, and the walker that compares it with what may stand there.
+//! A file as a tree of values with their places, and the check of the tree against the known keys.
 //!
-//! What may stand there is a list of [`Key`]s. From the same list come the check, the remedy in its errors and the JSON
-//! schema, so the three cannot differ.
+//! The known keys are a list of [`Key`]s. The check, the remedies in its errors and the JSON schema
+//! are made from the same list, so they cannot differ.
 
 use crate::error::{Error, Place, Report};
 
@@ -55,7 +55,7 @@ pub struct Key {
 #[derive(Debug)]
 pub enum Kind {
     Text,
-    /// A text whose shape an editor can check; the reader checks it with better words.
+    /// A text with a pattern that an editor can check; the reader checks it with a better message.
     Shaped {
         pattern: &'static str,
         most: usize,
@@ -68,13 +68,13 @@ pub enum Kind {
     Flag,
     /// Whole or not.
     Number,
-    /// Looked at by whoever asks for it.
+    /// The caller checks it.
     Any,
     Texts,
     Table(&'static [Key]),
     /// An array of tables, and how many there may be.
     Tables(&'static [Key], usize),
-    /// A table whose keys are names and whose values are lists of texts.
+    /// A table of names with a list of texts for each.
     Lists,
 }
 
@@ -98,7 +98,8 @@ pub const fn may(name: &'static str, kind: Kind, about: &'static str) -> Key {
     }
 }
 
-/// A table of a file that has been compared with its keys: what is asked of it is there, of its kind and in range.
+/// A table of a file that has been compared with its keys: what is asked of it is there, of its
+/// kind and in range.
 #[derive(Clone, Copy)]
 pub struct Table<'n> {
     file: &'n str,
@@ -149,7 +150,7 @@ impl<'n> At<'n> {
                     *place,
                     name,
                     "",
-                    "is a key nobody knows here".to_owned() + &hint,
+                    "is not a known key".to_owned() + &hint,
                     format!("the keys are {}", list(keys)),
                 ));
             }
@@ -278,6 +279,15 @@ impl<'n> At<'n> {
         }
     }
 
+    /// As [`At::integer`], for a key this kind of table may not know.
+    pub fn integer_if(&self, name: &str) -> Option<i64> {
+        self.table
+            .keys
+            .iter()
+            .find(|key| key.name == name)
+            .and_then(|key| self.integer(key.name))
+    }
+
     /// The flag of a key, if it is there.
     pub fn flag(&self, name: &str) -> Option<bool> {
         match self.node(name)?.value {
@@ -300,7 +310,7 @@ impl<'n> At<'n> {
             .and_then(|key| self.shown(key.name))
     }
 
-    /// The value of a key, whatever it is.
+    /// The value of a key, of any kind.
     pub fn any(&self, name: &str) -> Option<&'n Node> {
         self.node(name)
     }
@@ -310,7 +320,8 @@ impl<'n> At<'n> {
         self.node(name).map_or(Vec::new(), texts_of)
     }
 
-    /// The lists of a table of lists: name, its place, its texts. A single text counts as a list of one.
+    /// The lists of a table of lists: name, its place, its texts. A single text counts as a list of
+    /// one.
     pub fn lists(&self, name: &str) -> Result<Vec<Listed<'n>>, Error> {
         let Some(Node {
             value: Value::Table(entries),
@@ -455,7 +466,7 @@ fn list(keys: &[Key]) -> String {
     names.join(", ")
 }
 
-/// What somebody may have meant: at most two letters away, and at most half of the word.
+/// The known word that was probably meant: at most two letters away, and at most half of the word.
 pub fn nearest<'w>(word: &str, known: impl Iterator<Item = &'w str>) -> Option<&'w str> {
     let near = known.map(|name| (distance(word, name), name)).min()?;
     (near.0 <= 2 && near.0 * 2 <= near.1.len()).then_some(near.1)

@@ -1,4 +1,4 @@
-//! A configuration as the TOML a person would have written.
+//! A configuration as TOML, in the form of a file written by hand.
 
 use crate::board::{Board, Channel, Class, Line};
 use crate::platform::Level;
@@ -89,6 +89,9 @@ fn channel(out: &mut String, class: Class, channel: &Channel) {
     }
     if channel.invert {
         *out += "invert = true\n";
+    }
+    if let Some(number) = channel.litexcnc {
+        let _ = writeln!(out, "litexcnc = {number}");
     }
 }
 

@@ -1,4 +1,4 @@
-//! The committed boards and platforms, and what machines wired for Lcnc expect of them.
+//! The committed boards and platforms, and their compatibility with machines wired for Lcnc.
 
 use ferrocnc_config::board::Class;
 use ferrocnc_config::pinout::{Pinout, Use, svg, terminal};
@@ -59,7 +59,7 @@ fn every_committed_board_reads_describes_itself_and_comes_back_from_our_own_toml
 }
 
 #[test]
-fn a_board_whose_jobs_a_pc_streams_uses_no_sdram_and_needs_none() {
+fn a_board_with_streamed_jobs_uses_no_sdram_and_needs_none() {
     let plotter = std::fs::read_to_string(boards().join("plotter.toml")).unwrap();
     let read = |text: &str, platforms: &Folder| {
         Board::read("boards/plotter.toml", "plotter", text, platforms)
@@ -73,7 +73,7 @@ fn a_board_whose_jobs_a_pc_streams_uses_no_sdram_and_needs_none() {
     let again = read(&write::to_toml(&board, &[]), &known).unwrap();
     assert_eq!((again.jobs, again.sdram), (3, false));
 
-    // A card nobody has told us the SDRAM of.
+    // A card without a description of its SDRAM.
     let folder = std::env::temp_dir().join(format!("ferrocnc-no-sdram-{}", std::process::id()));
     std::fs::create_dir_all(folder.join("platforms")).unwrap();
     let (_, card) = BUILT_IN
@@ -234,7 +234,7 @@ fn every_platform_has_its_headers_two_phys_and_no_ball_twice() {
         assert_eq!(balls.len(), platform.headers.len() * 6 + 8 + 1, "{name}");
         assert!(
             platform.phy_reset.is_some(),
-            "{name}: the reset is written down, so that nobody takes it for a free ball"
+            "{name}: the reset is listed, so that it is not taken for a free ball"
         );
         assert_eq!(
             platform.flash_bytes,

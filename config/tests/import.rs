@@ -1,4 +1,4 @@
-//! Other projects' configurations: what comes in, what comes out, and that nothing is lost on the way.
+//! Imports of other projects' configurations: the results, and that nothing is lost.
 
 use ferrocnc_config::board::Class;
 use ferrocnc_config::import::{Imported, lcnc, litexcnc};
@@ -242,6 +242,48 @@ fn the_newer_litexcnc_keeps_types_estops_and_the_index() {
 }
 
 #[test]
+fn the_row_of_inputs_and_outputs_keeps_its_numbers_and_the_watchdogs_pins_have_none() {
+    for (name, text) in [("lathe", LATHE), ("plasma", PLASMA)] {
+        let board = json(text).unwrap().board;
+        let theirs: serde_json::Value = serde_json::from_str(text).unwrap();
+        let modules = theirs["modules"].as_array().unwrap().iter();
+        let row = modules
+            .filter(|module| module["module_type"] == "gpio")
+            .flat_map(|module| module["instances"].as_array().unwrap());
+        let mut numbered = 0;
+        for (number, instance) in row.enumerate() {
+            let class = match instance["direction"].as_str() {
+                Some("in") => Class::Input,
+                _ => Class::Output,
+            };
+            let pin = instance["pin"].as_str().unwrap();
+            let pin = if pin.starts_with("user_btn") {
+                "key"
+            } else {
+                pin
+            };
+            let mut channels = board.of(class).iter();
+            let one = channels.find(|one| one.pin("pin") == Some(pin)).unwrap();
+            assert_eq!(one.litexcnc, Some(number as u8), "{name}: {pin}");
+            assert!(
+                one.text(class).contains(&format!("gpio={number}")),
+                "{name}: {pin}"
+            );
+            numbered += 1;
+        }
+        let all = [Class::Input, Class::Output]
+            .into_iter()
+            .flat_map(|class| board.of(class));
+        assert_eq!(
+            all.filter(|one| one.litexcnc.is_some()).count(),
+            numbered,
+            "{name}"
+        );
+        assert!(numbered > 0, "{name}");
+    }
+}
+
+#[test]
 fn a_bad_ini_is_refused_by_its_own_words() {
     // What is wrong, what to replace by what, what the message holds, its line.
     let cases: [(&str, &str, &[&str], usize); 20] = [
@@ -433,7 +475,7 @@ fn a_bad_json_is_refused_by_its_own_words() {
 }
 
 #[test]
-fn a_tower_of_brackets_is_refused_and_not_climbed() {
+fn deeply_nested_brackets_are_refused_without_recursion() {
     for text in [
         "[".repeat(100_000),
         "{\"a\":".repeat(100_000),

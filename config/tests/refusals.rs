@@ -1,5 +1,5 @@
-//! Broken files: each is refused at its place, with its key, its value, and what to do. And mangled ones: no panic, and
-//! nothing accepted silently.
+//! Each broken file is refused with its place, key, value and a remedy. A mangled file never causes
+//! a panic and is never accepted silently.
 
 use ferrocnc_config::board::Platforms;
 use ferrocnc_config::import::{lcnc, litexcnc};
@@ -70,7 +70,7 @@ const CASES: &[Case] = &[
         &["\"j1:0\"", "turned round"],
     ),
     (
-        "a header nobody has",
+        "a header that does not exist",
         "\"j8:shared\"]",
         "\"j9\"]",
         "modified.bus_switch[3]",
@@ -133,18 +133,18 @@ const CASES: &[Case] = &[
         &["\"key\"", "already gpio_in[0].pin"],
     ),
     (
-        "a key nobody knows",
+        "an unknown key",
         "name = \"x\"\nstep",
         "nmae = \"x\"\nname = \"x\"\nstep",
         "stepgen[0].nmae",
-        &["nobody knows", "did you mean name?", "step_n"],
+        &["not a known key", "did you mean name?", "step_n"],
     ),
     (
-        "a table nobody knows",
+        "an unknown table",
         "[network]",
         "[netwrok]",
         "netwrok",
-        &["nobody knows", "did you mean network?"],
+        &["not a known key", "did you mean network?"],
     ),
     (
         "a missing key",
@@ -189,7 +189,7 @@ const CASES: &[Case] = &[
         &["192.168.2.500"],
     ),
     (
-        "everybody's address",
+        "the broadcast address",
         "\"192.168.2.50\"",
         "\"255.255.255.255\"",
         "network.ipv4",
@@ -217,14 +217,14 @@ const CASES: &[Case] = &[
         &["lower case"],
     ),
     (
-        "a clock nobody reaches",
+        "a clock out of reach",
         "60_000_000",
         "600_000_000",
         "sys_clk_hz",
         &["600000000", "100000000"],
     ),
     (
-        "a PHY nobody has",
+        "a PHY that does not exist",
         "sys_clk_hz",
         "phy = 2\nsys_clk_hz",
         "phy",
@@ -284,7 +284,14 @@ const CASES: &[Case] = &[
         &["already stepgen[0]'s"],
     ),
     (
-        "a platform nobody has",
+        "a number of LiteX-CNC's row twice",
+        "[[gpio_in]]\nname = \"limit-x\"\npin = \"j8:2\"\n\n[[gpio_in]]\nname = \"limit-y\"\n",
+        "[[gpio_in]]\nname = \"limit-x\"\npin = \"j8:2\"\nlitexcnc = 7\n[[gpio_in]]\nname = \"limit-y\"\nlitexcnc = 7\n",
+        "gpio_in[1].litexcnc",
+        &["7", "already gpio_in[0]'s", "one row"],
+    ),
+    (
+        "an unknown platform",
         "\"5a-75b-8.0\"",
         "\"5a-75b-8.1\"",
         "platform",
@@ -305,14 +312,14 @@ const CASES: &[Case] = &[
         &["\"mill7\"", "\"mill6\"", "equal"],
     ),
     (
-        "a polarity that is none",
+        "an invalid polarity",
         "ext_reset = { pin = \"key\", active = \"low\" }",
         "ext_reset = { pin = \"key\", active = \"maybe\" }",
         "ext_reset.active",
         &["\"maybe\"", "\"low\", \"high\""],
     ),
     (
-        "an e-stop level that is none",
+        "an invalid e-stop level",
         "estop = \"high\"",
         "estop = \"yes\"",
         "gpio_in[11].estop",
@@ -323,24 +330,24 @@ const CASES: &[Case] = &[
         "pin = \"j5:6\"",
         "pin = \"j5:6\"\nestop = \"high\"",
         "gpio_out[11].estop",
-        &["nobody knows", "safe"],
+        &["not a known key", "safe"],
     ),
     (
-        "a safe level that is none",
+        "an invalid safe level",
         "pin = \"j5:6\"\nsafe = \"low\"",
         "pin = \"j5:6\"\nsafe = 0",
         "gpio_out[11].safe",
         &["0", "not armed"],
     ),
     (
-        "an inversion that is none",
+        "an invalid inversion",
         "pin = \"j5:6\"",
         "pin = \"j5:6\"\ninvert = \"yes\"",
         "gpio_out[11].invert",
         &["neither true nor false"],
     ),
     (
-        "a step type nobody makes",
+        "an unknown step type",
         "name = \"x\"\nstep",
         "name = \"x\"\ntype = \"sinus\"\nstep",
         "stepgen[0].type",
@@ -600,7 +607,8 @@ fn broken_platforms_are_refused_too() {
     }
 }
 
-// Mangled files ------------------------------------------------------------------------------------------------------
+// Mangled files
+// ------------------------------------------------------------------------------------------------------
 
 #[derive(Clone, Debug)]
 enum Mangle {
@@ -697,7 +705,7 @@ fn ini_lines(text: &str) -> Vec<String> {
     .collect()
 }
 
-/// The same lines in their sections, whatever the order of those.
+/// The same lines in their sections, in any order of the sections.
 fn ini_sections(text: &str) -> BTreeSet<(String, Vec<String>)> {
     let mut sections = vec![(String::new(), Vec::new())];
     for line in ini_lines(text) {
@@ -750,8 +758,9 @@ fn same_but_for_writing(a: &str, b: &str) -> bool {
     clock(a) == clock(b)
 }
 
-/// Every value of a JSON file counts: changed or gone, the import changes, says so, or refuses. Every value of every
-/// sample, both ways: a draw of a few hundred would find the odd one only now and then.
+/// Every value of a JSON file counts: if it is changed or removed, the import changes, gives a
+/// note, or refuses the file. The test tries every value of every sample, changed and removed,
+/// because a random draw of a few hundred would miss most single values.
 #[test]
 fn no_value_of_a_json_file_is_dropped_silently() {
     let samples = [
@@ -783,7 +792,7 @@ fn no_value_of_a_json_file_is_dropped_silently() {
     assert!(silent.is_empty(), "no effect: {silent:#?}");
 }
 
-/// What says what would be meant anyway, and what a waveform that is not made looks like.
+/// Values that repeat a default, and the shape of a waveform that is not generated.
 fn says_nothing(tree: &serde_json::Value, path: &str, gone: bool) -> bool {
     let meant_anyway = [
         "/connection_type",

@@ -13,37 +13,39 @@ use firmware::text::Sink as _;
 use wire::describe::JobsState;
 use wire::{CONSOLE_PORT, MAX_WORDS, Refusal};
 
-/// Looks at the MAC between two looks at the clock: some 20 us.
+/// The loop looks at the MAC this many times between two looks at the clock: about 20 us.
 const POLLS: u32 = 128;
-/// Longest ping or console segment while the machine is not at rest: summing, copying and answering one is 20 clocks a byte. A
-/// console's visitor never sends more, our window is shorter.
+/// Longest ping or console segment that is answered while the machine is not at rest: to sum, copy
+/// and answer one takes 20 clocks a byte. A console client never sends more, because our window is
+/// smaller.
 const GUEST_FRAME: usize = 256;
 /// 10 ms between two looks at TCP's timers.
 const CHORES_PER_IP: u8 = 10;
 
-/// What is too large for the stack; one of it, in `.bss`.
+/// The data that is too large for the stack. There is one of it, in `.bss`.
 pub struct Memory {
     ip: Ip,
 }
 
 impl Memory {
-    /// Before anybody uses it.
+    /// The initial state.
     pub const fn new() -> Self {
         Memory { ip: Ip::new() }
     }
 }
 
-/// Everything that runs.
+/// Everything that runs on the board.
 pub struct App {
     machine: Machine<Soc>,
     mac: Mac,
     lane: Option<Lane>,
-    /// Something that is not the fast lane ran.
+    /// Code outside the fast lane ran and may have pushed the lane out of the instruction cache.
     cold: bool,
     ip: &'static mut Ip,
     line: console::Line,
     ip_in: u8,
-    /// A copy of [`Ip::busy`]: looking there itself costs the next exchange a line of the data cache.
+    /// A copy of [`Ip::busy`]: a look into `Ip` itself costs the next exchange a line of the data
+    /// cache.
     talking: bool,
     /// The jobs program.
     jobs: Option<abi::Entry>,
@@ -52,7 +54,7 @@ pub struct App {
 }
 
 impl App {
-    /// Puts it together and ends start-up.
+    /// Builds the application and ends start-up.
     pub fn new(parts: Parts) -> Self {
         let Parts {
             soc,
@@ -92,10 +94,11 @@ impl App {
     #[unsafe(link_section = ".trap.hot.run")]
     pub fn run(mut self) -> ! {
         loop {
-            // Asked in a tight loop: whatever else stands in it is added to somebody's turnaround.
+            // A tight loop: every other instruction in it adds to the turnaround of a frame.
             let pending = (0..POLLS).any(|_| self.mac.pending());
             if pending || self.cold {
-                // One call of `exchange`, so that a rehearsal runs the very instructions of a performance.
+                // There is one call of `exchange`, so that a warm-up runs the same instructions as
+                // a real exchange.
                 let (frame, length, slot) = if pending {
                     let (frame, length) = self.mac.frame();
                     (frame, length, self.mac.lane_slot())
@@ -105,19 +108,23 @@ impl App {
                     (frame, length, slot)
                 };
                 let done = self.exchange(frame, length, slot);
-                // A rehearsal that does not come off is no frame: there is none, or one that nobody has looked at yet.
+                // A failed warm-up is not a received frame. Either there is no frame, or it has not
+                // been looked at.
                 if !done && frame.genuine() {
                     self.frame();
                 }
                 if self.machine.server.owes_path() {
-                    self.hold_path();
+                    hold_path(&mut self.machine);
+                    // It may have pushed a line of the fast lane out of the cache.
+                    self.cold = true;
                 }
                 self.chores_if(BEHIND_A_FRAME);
             } else {
-                // Somebody who exchanges gets his chores behind the answer; wait for that a while.
+                // While a host exchanges, housekeeping runs right after an answer; wait for that
+                // for some periods.
                 self.chores_if(IDLE);
             }
-            // Nobody exchanges whom it could keep waiting.
+            // The jobs program runs here only while there is no exchange that it could delay.
             if self.restless && self.lane.is_none() {
                 self.jobs(core::ptr::null(), abi::POLL);
             }
@@ -134,7 +141,8 @@ impl App {
             return false;
         };
         if !self.mac.lane_idle() {
-            // The last answer has not left yet: nobody waits for this one.
+            // The last answer has not left yet, so the host does not wait for an answer to this
+            // frame.
             return false;
         }
         let mut reply = SlotReply::resume(&mut slot);
@@ -147,7 +155,8 @@ impl App {
         match served {
             Ok(()) => {
                 self.mac.send_lane();
-                // Read again: kept in a register it would push another out.
+                // Read again: a copy held in a register would push another value out of its
+                // register.
                 let flags = frame.word(FRAME_FLAGS);
                 self.machine.server.exchanged(flags);
                 self.machine.server.counters_mut().frames_tx += 1;
@@ -159,10 +168,11 @@ impl App {
         true
     }
 
-    /// Something else ran: makes up an exchange that walks the fast lane and does nothing, so that the
-    /// next one finds its instructions in the cache. Cold it takes some 1500 clocks longer. Returns the frame's length, which is
-    /// nobody's if there is nothing to rehearse. It has its place beside the lane: elsewhere its own lines may push those out that
-    /// only a performance needs.
+    /// After other code ran: builds an exchange that runs through the fast lane and has no effect,
+    /// so that the next exchange finds its instructions in the cache. From a cold cache an exchange
+    /// takes about 1500 clocks longer. Returns the frame's length; 0 if there is nothing to warm
+    /// up. The linker places this function beside the lane. Elsewhere its own cache lines could
+    /// push out lines that only a real exchange uses.
     #[inline(never)]
     #[unsafe(link_section = ".trap.hot.rehearsal")]
     fn rehearsal(&mut self) -> usize {
@@ -241,7 +251,7 @@ impl App {
     }
 
     fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
-        // A DHCP server's options are as many bytes as they are.
+        // The length of a DHCP server's options need not be a multiple of 4.
         let count = net::payload_words(datagram.length.next_multiple_of(4))?;
         let (frame, _) = self.mac.frame();
         for (index, word) in self.mac.input.words().iter_mut().take(count).enumerate() {
@@ -280,13 +290,13 @@ impl App {
     fn restart_if(&self) {
         if self.machine.server.wants_restart() {
             defmt::warn!("restart on request");
-            // The last answer shall be out, if the wire takes it.
+            // The last answer should leave first, if the wire takes it.
             let _ = self.mac.wait_lane();
             soc::restart();
         }
     }
 
-    /// Somebody looks for boards, or tells one who to be.
+    /// A host looks for boards, or gives a board its settings.
     fn discover(&mut self, count: usize, port: u16) {
         let Mac { input, output, .. } = &mut self.mac;
         let words = input.words().get(..count).unwrap_or(&[]);
@@ -300,7 +310,7 @@ impl App {
         }
     }
 
-    /// Sends what has to be told to everybody.
+    /// Broadcasts what is waiting to be broadcast.
     #[cold]
     #[inline(never)]
     fn shout(&mut self) {
@@ -316,7 +326,7 @@ impl App {
         self.restart_if();
         if self.machine.moved() {
             defmt::info!("address {=u32:x}", self.machine.us.ip);
-            // Nobody owns the session, or it would have waited.
+            // The session has no owner, or the change of address would have waited.
             self.close_lane();
             self.ip.reset();
         }
@@ -355,7 +365,7 @@ impl App {
         self.lane = Some(lane);
     }
 
-    /// Nobody owns the session: everybody may come.
+    /// The session has no owner: the MAC admits every sender again.
     #[cold]
     #[inline(never)]
     fn close_lane(&mut self) {
@@ -363,17 +373,7 @@ impl App {
         self.mac.open();
     }
 
-    /// The answer is on its way: time to see to the axes' decelerations.
-    #[inline(never)]
-    #[unsafe(link_section = ".trap.hot.path")]
-    fn hold_path(&mut self) {
-        let Machine { board, server, .. } = &mut self.machine;
-        server.hold_path(board);
-        // It may have pushed a line of the fast lane out of the cache.
-        self.cold = true;
-    }
-
-    /// Does the chores if `periods` of theirs have passed.
+    /// Runs the housekeeping if `periods` of its periods have passed.
     #[inline(always)]
     fn chores_if(&mut self, periods: u32) {
         if self.machine.due(periods) {
@@ -392,8 +392,10 @@ impl App {
             self.shout();
         }
         soc::check_stack();
-        // A guest is work for so long at most; the owner's next frame is on its way, but a period off. Not while there is a frame: it
-        // may be a guest's, and with a second one in the other slot the owner would find none.
+        // Admits one frame of a guest, a sender that does not own the session. The owner's next
+        // frame is most of a servo period away, and serving one guest takes less. Not while a frame
+        // is pending: that may be a guest's, and with a second one in the other slot there would be
+        // no slot for the owner's frame.
         if !self.mac.pending() {
             self.mac.admit();
         }
@@ -404,21 +406,22 @@ impl App {
         {
             self.close_lane();
         }
-        // A hundredth of a second is fine enough for TCP's timers.
+        // 10 ms are precise enough for TCP's timers.
         self.ip_in = self.ip_in.wrapping_sub(1);
         if self.ip_in == 0 {
             self.ip_in = CHORES_PER_IP;
             if self.talking {
                 self.talk(None);
             }
-            // Asked here: the call alone may push lines of the fast lane out, and nobody rehearses behind it where there is no program.
+            // The check is here because the call alone may push lines of the fast lane out of the
+            // cache. Without a jobs program no warm-up follows it.
             if self.jobs.is_some() {
                 self.jobs(core::ptr::null(), abi::POLL);
             }
         }
     }
 
-    /// Looks for a jobs program, and says what came of it.
+    /// Looks for a jobs program, starts it and records the result.
     #[inline(never)]
     fn begin_jobs(&mut self) {
         let state = match soc::load(&mut self.machine) {
@@ -436,7 +439,7 @@ impl App {
         self.machine.server.jobs(state);
     }
 
-    /// Calls the jobs program, if there is one. What it answers is 0 without.
+    /// Calls the jobs program. Without one the answer is 0.
     #[cold]
     #[inline(never)]
     fn jobs(&mut self, frame: *const u8, length: usize) -> u32 {
@@ -456,7 +459,8 @@ impl App {
         answer
     }
 
-    /// ARP, ping and the console: a frame of so many bytes in `input`, and what there is to say beyond an answer.
+    /// ARP, ping and the console: takes a frame of `length` bytes from `input`, and sends all that
+    /// is due.
     #[inline(never)]
     fn talk(&mut self, mut length: Option<usize>) {
         self.cold = true;
@@ -467,7 +471,8 @@ impl App {
         self.restart_if();
     }
 
-    /// The jobs program answers the console's line. Its text lies where frames are made, so no frame is made meanwhile.
+    /// The jobs program answers the console's line. Its text lies in the buffer where frames are
+    /// built, so no frame is built meanwhile.
     fn ask_jobs(&mut self) {
         let line = self.line.job();
         let trusted = usize::from(self.machine.trusted()) * abi::TRUSTED;
@@ -478,7 +483,7 @@ impl App {
         self.ip.say(console::PROMPT.as_bytes());
     }
 
-    /// See [`App::talk`]. True if the console's line is the jobs program's to answer.
+    /// Part of [`App::talk`]. True if the jobs program has to answer the console's line.
     #[inline(always)]
     fn converse(&mut self, length: Option<usize>) -> bool {
         let mut asked = false;
@@ -508,6 +513,13 @@ impl App {
     }
 }
 
+/// The answer is on its way: now there is time to adapt the axes' decelerations.
+#[inline(never)]
+#[unsafe(link_section = ".trap.hot.path")]
+fn hold_path(machine: &mut Machine<Soc>) {
+    machine.hold_path();
+}
+
 /// [`abi::Rom::datagram`].
 extern "C" fn datagram(
     context: *mut c_void,
@@ -515,21 +527,18 @@ extern "C" fn datagram(
     words: usize,
     reply: &mut [u32; MAX_WORDS],
 ) -> isize {
-    // SAFETY: `context` is the app that waits in `App::jobs` and touches nothing meanwhile; the program says how long its request is.
+    // SAFETY: `context` is the app that waits in `App::jobs` and touches nothing meanwhile; the
+    // program says how long its request is.
     let (app, request) = unsafe {
         (
             &mut *context.cast::<App>(),
             core::slice::from_raw_parts(request, words),
         )
     };
-    let answer = match app.machine.inside(request, reply) {
+    match app.machine.inside(request, reply, hold_path) {
         Ok(reply) => reply.len() as isize,
         Err(why) => -1 - why as isize,
-    };
-    if app.machine.server.owes_path() {
-        app.hold_path();
     }
-    answer
 }
 
 /// [`abi::Rom::send`].
@@ -539,13 +548,13 @@ extern "C" fn send(context: *mut c_void, length: usize) {
     app.mac.output.send(length);
 }
 
-/// Somebody at the console.
+/// A client of the console.
 struct Visitor<'a> {
     machine: &'a mut Machine<Soc>,
     line: &'a mut console::Line,
-    /// There is a program that answers what is asked about jobs.
+    /// There is a jobs program, which answers the lines about jobs.
     jobs: bool,
-    /// It has to: nothing more is taken before.
+    /// The jobs program has to answer a line; no more bytes are taken before that.
     asked: &'a mut bool,
 }
 
@@ -566,10 +575,11 @@ impl Taker for Visitor<'_> {
             if let Some(ask) = self.line.push(*byte) {
                 let server = &self.machine.server;
                 let short = matches!(ask, Ask::Nothing | Ask::Quit)
-                    // While a job moves something nobody else waits.
+                    // While a job moves the machine, no host waits for an answer.
                     || ask == Ask::Job && server.session().is_owner(Peer::INSIDE);
                 if !short && !server.safety().at_rest() {
-                    // An answer takes up to a servo period to write, and the owner would wait for it.
+                    // To write an answer takes up to a servo period, and the owner would wait for
+                    // it.
                     out.put(b"? not while armed\r\n");
                     out.put(console::PROMPT.as_bytes());
                     break;

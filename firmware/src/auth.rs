@@ -1,18 +1,22 @@
-//! The pre-shared key on the board: makes challenges, judges answers ([`wire::auth`] says what is signed).
+//! The pre-shared key on the board: creates challenges and checks answers ([`wire::auth`] says what
+//! is signed).
 //!
-//! There is no source of random numbers here, and none is needed: a challenge is the tag, under the key, of words that
-//! never come twice. Nobody without the key can tell the next one, as nobody can tell any tag, and nobody has seen it
-//! before. What never comes twice is, in this order of strength:
+//! The board has no source of random numbers and needs none. A challenge is the tag, under the key,
+//! of words that never repeat. Without the key no client can predict the next challenge, because it
+//! cannot compute any tag; and no challenge was ever sent before. The words never repeat because
+//! they contain, in this order of strength:
 //!
 //! * a counter, while the firmware runs;
-//! * the boot id, over its restarts (it lies in RAM that survives them);
-//! * over power-ups the clock of 16 ns at which frames arrived: each frame's, and this one's, mixed into a pool.
+//! * the boot id, across restarts (it is kept in RAM that survives them);
+//! * across power-ups, the clock (16 ns) at which each frame arrived, this one included, mixed into
+//!   a pool.
 //!
-//! Its limit: who can switch the power off and on at will, and is the only one on the wire, may with patience have all
-//! arrivals fall on the same clocks as once before. He can hold the factory pin as well, which is easier.
+//! The limit: an attacker that can switch the power at will, and is alone on the wire, may with
+//! patience reproduce all arrival clocks of an earlier power-up. Such an attacker can also hold the
+//! factory pin, which is easier.
 //!
-//! It refuses to hash for strangers while somebody owns the session ([`crate::server`] does not ask then): a tag takes
-//! long, and the exchange comes first.
+//! While a client owns the session, the board does not compute tags for other clients
+//! ([`crate::server`] does not ask then): a tag takes long, and the exchange comes first.
 
 use crate::session::Peer;
 use sha2::compress256;
@@ -24,27 +28,29 @@ use wire::auth::{LIFE_SECONDS, NONE, Purpose, WORDS};
 /// A key, a challenge, a tag.
 pub type Words = [u32; WORDS];
 
-/// Whom a challenge is for that is not Etherbone's: discovery answers to a port, and there is one console.
+/// The recipient of a challenge outside of Etherbone: discovery answers to a port, and there is one
+/// console.
 pub const fn by_port(port: u16) -> Peer {
     Peer { ip: 0, port }
 }
 
-/// The key and what was made of it.
+/// The key and the state of its challenges.
 #[derive(Clone, Debug)]
 pub struct Auth {
     key: Words,
     boot_id: u32,
-    /// Of all arrivals.
+    /// A hash of the arrival clocks of all frames.
     pool: u64,
-    /// What the challenges in force are made of, each for its sender: a number, and the pool when the first was asked for.
+    /// The source of the challenges in force, one for each sender: a number, and the pool at the
+    /// first request.
     seed: (u32, u64),
-    /// Seconds they have left; 0 for none in force.
+    /// Seconds these challenges remain valid; 0 if none is in force.
     left: u8,
-    /// The challenge made last.
+    /// The challenge that was computed last.
     shown: Words,
-    /// Of the last right answer; nobody but its sender has seen it.
+    /// From the last right answer; only its sender has seen it.
     secret: u32,
-    /// Whoever is at the console has the key.
+    /// The client of the console has proved that it has the key.
     friend: bool,
 }
 
@@ -63,7 +69,7 @@ impl Auth {
         }
     }
 
-    /// Puts a key in force; zeros are none.
+    /// Puts a key in force; zeros mean no key.
     pub fn lock(&mut self, key: Words) {
         self.key = key;
     }
@@ -84,7 +90,8 @@ impl Auth {
         self.left = self.left.saturating_sub(1);
     }
 
-    /// The challenge for this sender, a new one if the last was answered or is too old; zeros without a key.
+    /// The challenge for this sender. It is a new one if the last was answered or is too old; zeros
+    /// without a key.
     #[inline(never)]
     pub fn challenge(&mut self, peer: Peer) -> &Words {
         if !self.locked() {
@@ -99,7 +106,7 @@ impl Auth {
         &self.shown
     }
 
-    /// A word of the challenge for this sender, who reads the first one first.
+    /// A word of the challenge for this sender. A sender has to read the first word first.
     pub fn read(&mut self, peer: Peer, word: u32) -> u32 {
         if word == 0 {
             self.challenge(peer);
@@ -107,7 +114,8 @@ impl Auth {
         self.shown.get(word as usize).copied().unwrap_or(0)
     }
 
-    /// Is this the answer to the sender's challenge? A right one is used up. Without a key everybody has it.
+    /// Is this the answer to the sender's challenge? A right answer is used up. Without a key every
+    /// answer is right.
     #[inline(never)]
     pub fn prove(
         &mut self,
@@ -134,17 +142,17 @@ impl Auth {
         }
     }
 
-    /// Something for a session's token that only its owner and the board know; 0 without a key.
+    /// A number for a session's token that only its owner and the board know; 0 without a key.
     pub fn secret(&self) -> u32 {
         self.secret
     }
 
-    /// Somebody new is at the console.
+    /// A new client is at the console.
     pub fn greet(&mut self) {
         self.friend = false;
     }
 
-    /// Judges what whoever is at the console answers to the challenge for [`by_port`] of the console.
+    /// Checks the console client's answer to the challenge for [`by_port`] of the console.
     pub fn login(&mut self, answer: &Words) -> Result<(), Refusal> {
         self.friend = false;
         let console = by_port(wire::CONSOLE_PORT);
@@ -153,12 +161,12 @@ impl Auth {
         Ok(())
     }
 
-    /// May whoever is at the console do more than look?
+    /// May the client of the console do more than look?
     pub fn trusted(&self) -> bool {
         self.friend || !self.locked()
     }
 
-    /// Makes the challenge in force for this sender.
+    /// Computes the challenge in force for this sender.
     fn make(&mut self, peer: Peer) {
         let (number, pool) = self.seed;
         let head =
@@ -167,8 +175,8 @@ impl Auth {
     }
 }
 
-/// The first 128 bits of HMAC-SHA256. The construction around the compression is our own, because the key has one length
-/// and messages are words: 1.2 KiB less than the `hmac` crate, which it is tested against.
+/// The first 128 bits of HMAC-SHA256. HMAC is implemented here because the key has one length and
+/// messages are words: 1.2 KiB less than the `hmac` crate, which it is tested against.
 #[inline(never)]
 pub fn tag(key: &Words, head: &[u32], rest: &[u32]) -> Words {
     let inner = digest(key, 0x3636_3636, head, rest);
@@ -178,16 +186,16 @@ pub fn tag(key: &Words, head: &[u32], rest: &[u32]) -> Words {
 
 /// Words of a block.
 const BLOCK: usize = 16;
-/// Blocks of the longest message, a Proven, behind the padded key.
+/// Blocks of the longest message, a Proven, after the padded key.
 const BLOCKS: usize = 4;
 
 const _: () = {
     let longest = 1 + WORDS + wire::discovery::WORDS_MAX - WORDS;
-    // A bit behind the message, and the length in the last two words.
+    // One bit after the message, and the length in the last two words.
     assert!(BLOCK + longest + 3 <= BLOCK * BLOCKS);
 };
 
-/// SHA-256 of the padded key and the message behind it.
+/// SHA-256 of the padded key and the message after it.
 #[inline(never)]
 fn digest(key: &Words, pad: u32, head: &[u32], rest: &[u32]) -> [u32; 8] {
     // FIPS 180-4, 5.3.3.

@@ -1,7 +1,7 @@
-//! Which settings exist, what they may be, and which may change under a running machine.
+//! The settings: which exist, their ranges, and which may change while the machine runs.
 //!
-//! A combination of mode bits that means nothing is refused, not ignored: a machine configured by
-//! accident moves by accident.
+//! A combination of mode bits without a meaning is refused, not ignored: a machine with accidental
+//! settings makes accidental moves.
 
 use crate::cores::Setting;
 use wire::Refusal;
@@ -9,7 +9,7 @@ use wire::describe::Channels;
 use wire::exchange::PWM_PERIOD_MAX;
 use wire::map::{
     self, BoardConfig, CountMode, DEBOUNCE_MAX, DIR_CLOCKS_MAX, ENCODER_FILTER_MAX, PROBE_ENABLE,
-    PROBE_INPUT_MASK, PROBE_INVERT, STEP_CLOCKS_MAX, StepType, StepgenConfig,
+    PROBE_INPUT_MASK, PROBE_INVERT, STEP_CLOCKS_MAX, StepType, StepgenConfig, WATCHDOG_SECONDS_MAX,
 };
 
 /// Step and direction inversion, step type, index inversion.
@@ -20,20 +20,19 @@ const STEPGEN_MODE_BITS: u32 = map::STEPGEN_STEP_INVERT
 /// Inversion, type, dither, swapped pins.
 const PWM_MODE_BITS: u32 =
     map::PWM_INVERT | 3 << map::PWM_TYPE_SHIFT | map::PWM_DITHER | map::PWM_SWAP;
-/// Counting mode; index and mask polarity, mask, clear on index.
+/// Counting mode, index and mask polarity, mask, clear on index.
 const ENCODER_MODE_BITS: u32 = 7
     | map::ENCODER_INDEX_INVERT
     | map::ENCODER_MASK_ENABLE
     | map::ENCODER_MASK_INVERT
     | map::ENCODER_CLEAR_ON_INDEX;
-/// Which input, whether at all, and its polarity.
+/// The input's number, whether it is used, and its polarity.
 const PROBE_BITS: u32 = PROBE_INPUT_MASK | PROBE_ENABLE | PROBE_INVERT;
 /// A type field of two bits with three meanings.
 const NO_TYPE: u32 = 3;
-/// 0.1 ms: a tenth of the shortest servo period anybody runs. Shorter only ever bites by accident.
+/// 0.1 ms: a tenth of the shortest servo period in use. A shorter timeout could only bite by
+/// accident.
 const TIMEOUT_MIN_PER_SECOND: u32 = 10_000;
-/// 10 s: longer is no watchdog.
-const TIMEOUT_MAX_SECONDS: u64 = 10;
 
 const DEBOUNCE: u32 = map::CONFIG_DEBOUNCE - map::CONFIG;
 const DEBOUNCE_END: u32 = DEBOUNCE + 4 * 32;
@@ -100,7 +99,7 @@ pub const fn live_safe(setting: Setting) -> bool {
     }
 }
 
-/// Is `value` one this setting can have on this board?
+/// Is `value` in this setting's range on this board?
 #[inline(never)]
 pub fn check(
     setting: Setting,
@@ -135,11 +134,11 @@ pub fn check(
             return allow(value & !PROBE_BITS == 0 && (there || value & PROBE_ENABLE == 0));
         }
         Setting::Board(BoardConfig::WatchdogTimeout) => {
-            let most = clocks(TIMEOUT_MAX_SECONDS * u64::from(clock_hz));
+            let most = clocks(WATCHDOG_SECONDS_MAX * u64::from(clock_hz));
             clock_hz / TIMEOUT_MIN_PER_SECOND..=*most.end()
         }
         Setting::Board(BoardConfig::WatchdogGrace) => {
-            clocks(TIMEOUT_MAX_SECONDS * u64::from(clock_hz))
+            clocks(WATCHDOG_SECONDS_MAX * u64::from(clock_hz))
         }
         Setting::Board(BoardConfig::GpioSafe | BoardConfig::GpioInvert) => {
             0..=mask(channels.outputs)
@@ -188,8 +187,10 @@ mod tests {
             }
         }
         assert_eq!(found.len(), 6 * 6 + 6 * 2 + 6 * 2 + 5 + 12);
-        assert_eq!(setting_at(map::CONFIG + map::CONFIG_LEN, SIX), None);
-        assert_eq!(setting_at(0, SIX), None);
+        let behind = map::CONFIG + map::CONFIG_LEN;
+        for address in (behind..map::COMMAND).step_by(4).chain([0]) {
+            assert_eq!(setting_at(address, SIX), None, "{address:#x}");
+        }
     }
 
     #[test]
@@ -242,7 +243,7 @@ mod tests {
     fn the_probe_is_an_input_the_board_has_or_none() {
         let probe = Setting::Board(BoardConfig::Probe);
         for input in 0..32 {
-            assert!(ok(probe, input), "disabled, whatever it names");
+            assert!(ok(probe, input), "disabled, with any input");
             assert_eq!(ok(probe, input | PROBE_ENABLE), input < 12, "{input}");
             assert_eq!(ok(probe, input | PROBE_ENABLE | PROBE_INVERT), input < 12);
         }
@@ -266,6 +267,12 @@ mod tests {
         let timeout = Setting::Board(BoardConfig::WatchdogTimeout);
         assert!(!ok(timeout, 0) && !ok(timeout, 5_999) && ok(timeout, 6_000));
         assert!(ok(timeout, 600_000_000) && !ok(timeout, 600_000_001));
+    }
+
+    #[test]
+    fn a_grace_may_be_none_and_no_longer_than_a_timeout() {
+        let grace = Setting::Board(BoardConfig::WatchdogGrace);
+        assert!(ok(grace, 0) && ok(grace, 600_000_000) && !ok(grace, 600_000_001));
     }
 
     #[test]

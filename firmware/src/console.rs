@@ -1,9 +1,10 @@
-//! A window for a human with `telnet` or `nc`: look at everything, touch next to nothing.
+//! A text console for `telnet` or `nc`: it shows everything and changes almost nothing.
 //!
-//! Lines come in, text goes out. What changes something (`restart`) needs a machine at rest that nobody drives and, if
-//! the board has a key, a `login` ([`crate::auth`]); no command can stop a machine that a host drives. Lines that begin with `job` are
-//! for the jobs program, which has its own rules ([`crate::jobs`]). A line too long, control bytes
-//! and telnet's option negotiation are swallowed without a word of damage.
+//! Lines come in, text goes out. A command that changes something (`restart`) needs a machine at
+//! rest, a session without an owner and, if the board has a key, a `login` ([`crate::auth`]). No
+//! command can stop a machine that a host drives. Lines that begin with `job` are for the jobs
+//! program, which has its own rules ([`crate::jobs`]). The console ignores lines that are too long,
+//! control bytes and telnet's option negotiation.
 
 use crate::auth::{Words, by_port};
 use crate::cores::{
@@ -20,19 +21,19 @@ use wire::map::{self, BoardConfig, StepgenConfig};
 /// Longest line. The longest command with its argument is a quarter of this.
 pub const LINE_MAX: usize = 64;
 
-/// Greets whoever connects, and asks for the next line.
+/// Greets a new client, and asks for the next line.
 pub const PROMPT: &str = "ferrocnc> ";
 
 /// `login` answers this, the challenge in 32 hex digits, and the board's unique id in 16.
 pub const CHALLENGE: &str = "challenge ";
 
-/// `login ANSWER` answers this if it is right.
+/// `login ANSWER` answers this if the answer is right.
 pub const WELCOME: &str = "welcome";
 
 /// Longest answer, in bytes: sixteen encoders.
 pub const ANSWER_MAX: usize = 1100;
 
-/// What `job` says on a board that has no program for them.
+/// The answer to `job` on a board without a jobs program.
 pub const NO_JOBS: &str = "no jobs here; `ferrocnc describe` says why";
 
 const HELP: [&str; 17] = [
@@ -47,8 +48,8 @@ const HELP: [&str; 17] = [
     "watchdog      timeout, time left, what closed the gate",
     "log           where the log stands, and the last obituary",
     "link          speed, and what got lost",
-    "flash         the chip, what runs, what loads next",
-    "settings      who this board is, and where it has that from",
+    "flash         the chip, running and next image",
+    "settings      name and addresses, and their source",
     "job           what jobs do; try job help",
     "login         with the key; `ferrocnc console` does it",
     "restart       start the firmware anew",
@@ -99,7 +100,7 @@ pub enum Ask {
 }
 
 impl Ask {
-    /// Reads a line; never fails, only does not understand.
+    /// Reads a line. It never fails; a line may be [`Ask::Unknown`].
     pub fn parse(line: &str) -> Ask {
         let mut words = line.split_ascii_whitespace();
         let Some(command) = words.next() else {
@@ -170,13 +171,13 @@ pub struct Line {
     text: heapless::String<LINE_MAX>,
     too_long: bool,
     telnet: u8,
-    /// It is complete, and kept for the jobs program.
+    /// The line is complete, and kept for the jobs program.
     job: bool,
 }
 
 impl Line {
-    /// Takes one byte; says what the line means when it is complete.
-    // In two places it costs half a KiB.
+    /// Takes one byte; returns the line's meaning when the line is complete.
+    // Inlined in two places it would cost half a KiB.
     #[inline(never)]
     pub fn push(&mut self, byte: u8) -> Option<Ask> {
         const IAC: u8 = 255;
@@ -220,12 +221,12 @@ impl Line {
     }
 }
 
-/// What only the transport and the linker know.
+/// Facts that only the transport and the linker know.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Vitals {
-    /// Bytes of stack ever used, of how many.
+    /// Bytes of stack ever used, and its size.
     pub stack: (u32, u32),
-    /// Frames the MAC dropped for want of a slot, a wrong preamble or a wrong CRC.
+    /// Frames the MAC dropped: no free slot, a wrong preamble, a wrong CRC.
     pub mac_errors: [u32; 3],
 }
 
@@ -243,7 +244,7 @@ pub fn answer<B: Board>(
         return restart(server, &mut out);
     }
     if let Ask::Login(answer) = ask {
-        // A frame brought the line, not long ago.
+        // A frame brought the line a short time ago.
         server.auth.stir(board.now_lo());
         return login(answer.as_ref(), server, &mut out);
     }
@@ -429,7 +430,7 @@ fn settings(server: &Server, us: &Us, out: &mut Out) {
 
 fn regs<B: Board>(page: Option<u8>, board: &mut B, out: &mut Out) {
     const PAGE: u32 = 0x800;
-    // 8 words say who a page is, 32 fit a screen.
+    // 8 words identify a page, 32 fit a screen.
     let (pages, words) = match page {
         Some(page) => (u32::from(page)..u32::from(page) + 1, 32),
         None => (8..16, 8),
@@ -465,7 +466,7 @@ fn stepgen<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut
         // The upper word of a position counts pulses.
         let pulses = board.latched(at + 1) as i32;
         let rate = board.latched(at + 2) as i32;
-        // Steps/s by integers: a softcore has no use for f64.
+        // Steps/s in integers: a softcore has no `f64`.
         let hz = (i64::from(rate) * i64::from(server.ident().clock_hz)) >> 32;
         out.number(n.into())
             .text(": ")
@@ -618,7 +619,7 @@ mod tests {
     }
 
     #[test]
-    fn the_board_says_who_it_is_what_runs_and_how_fast_it_is_linked() {
+    fn the_board_states_its_name_its_image_and_its_link_speed() {
         let text = said("flash");
         assert!(
             text.contains("volatile") && text.contains("golden"),
@@ -643,7 +644,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restart_is_for_a_machine_at_rest_that_nobody_drives() {
+    fn a_restart_needs_a_machine_at_rest_without_an_owner() {
         let mut rig = Rig::armed();
         assert_eq!(
             say(&mut rig, "restart"),

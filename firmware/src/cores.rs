@@ -1,8 +1,8 @@
-//! The board as the firmware's judgement sees it: a few verbs per gateware core.
+//! The board as the firmware's logic sees it: a few operations per gateware core.
 //!
 //! `src/soc` implements [`Board`] with registers, the tests with a notebook, the simulator with
-//! models. Word numbers of the `command` and `status` pages are the gateware's (`docs/registers.md`);
-//! `src/soc` asserts at compile time that they are the generated ones.
+//! models. Word numbers of the `command` and `status` pages are the gateware's
+//! (`docs/registers.md`); `src/soc` asserts at compile time that they are the generated ones.
 
 use wire::describe::Channels;
 
@@ -43,7 +43,7 @@ pub const STROBE_SAMPLE: u32 = 1 << 1;
 /// Strobe: commit when the clock reaches `commit_at`; a time in the past is now.
 pub const STROBE_COMMIT_AT: u32 = 1 << 2;
 
-/// What the gateware says of itself.
+/// The gateware's identity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ident {
     /// Hash of the register map the gateware was built from.
@@ -54,10 +54,17 @@ pub struct Ident {
     pub clock_hz: u32,
     /// How many channels of each kind.
     pub channels: Channels,
-    /// Reserved, 0.
+    /// What is there besides the channels: [`wire::describe::FEATURE_JOBS`].
     pub features: u32,
     /// Words in the board information ROM.
     pub blob_words: u32,
+}
+
+impl Ident {
+    /// There is a segments core.
+    pub const fn plays_segments(&self) -> bool {
+        self.features & wire::describe::FEATURE_JOBS != 0
+    }
 }
 
 /// The watchdog's `status` register.
@@ -116,7 +123,7 @@ impl Gate {
     pub const fn pinned_now(self) -> bool {
         self.0 & (Self::RESET_PIN | Self::ESTOP_PIN) != 0
     }
-    /// Something is latched that only [`Control::Clear`] forgets.
+    /// A latched condition that only [`Control::Clear`] resets.
     pub const fn latched(self) -> bool {
         self.0 & (Self::BITTEN | Self::RESET | Self::ESTOP) != 0
     }
@@ -132,11 +139,12 @@ pub enum Control {
     SoftStop,
     /// Close now.
     Close,
-    /// Forget a latched bite, reset or e-stop; the gateware only obeys with the gate closed and no pin active.
+    /// Reset a latched bite, reset or e-stop; the gateware obeys only with the gate closed and no
+    /// pin active.
     Clear,
 }
 
-/// The status LED, told apart by blinking.
+/// The status LED's patterns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Led {
@@ -144,15 +152,15 @@ pub enum Led {
     Off = 0,
     /// Armed.
     On = 1,
-    /// Idle: nobody owns the motion.
+    /// Idle: the session has no owner.
     Slow = 2,
     /// Faulted.
     Fast = 3,
-    /// A host owns the motion, not armed.
+    /// A host owns the session, not armed.
     Double = 4,
     /// External reset or e-stop, active or not yet cleared.
     Triple = 5,
-    /// Alive, but nothing comes over the cable: link down, as far as known.
+    /// Alive, but no frames arrive: the link is down, as far as known.
     Heartbeat = 6,
     /// A soft stop is running.
     Flicker = 7,
@@ -177,7 +185,7 @@ pub enum Setting {
     Board(wire::map::BoardConfig),
 }
 
-/// What the PHY says in band, and what the MAC threw away.
+/// What the PHY reports in band, and how many frames the MAC dropped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Link {
     /// RGMII's in-band status: bit 0 up, bits 2:1 speed (10, 100, 1000 Mbit/s), bit 3 full duplex.
@@ -186,7 +194,7 @@ pub struct Link {
     pub errors: u32,
 }
 
-/// The board. Every method but those of the flash is a few register accesses and cannot fail.
+/// The board. Every method except those of the flash is a few register accesses and cannot fail.
 pub trait Board {
     /// The flash's SPI.
     type Spi: embedded_hal::spi::SpiDevice;
@@ -197,14 +205,14 @@ pub trait Board {
     fn trailer(&mut self) -> [u32; 4];
     /// Is the factory pin active now?
     fn factory_pin(&mut self) -> bool;
-    /// The link, now.
+    /// The link's state now.
     fn link(&mut self) -> Link;
 
     /// The wall clock.
     fn now(&mut self) -> u64;
     /// Its low word.
     fn now_lo(&mut self) -> u32;
-    /// The wall clock when the last frame had arrived, low word.
+    /// The wall clock at the end of the last received frame, low word.
     fn arrival_lo(&mut self) -> u32;
     /// Its high word.
     fn arrival_hi(&mut self) -> u32;
@@ -246,6 +254,45 @@ pub trait Board {
     fn log(&mut self, read: crate::log::Read) -> u32;
     /// Reads the panic window, by byte offset.
     fn panic(&mut self, offset: u32) -> u32;
-    /// Gives this start another boot id, made of this, and says which.
+    /// Derives another boot id for this start from `seed`, and returns it.
     fn rename_boot(&mut self, seed: u32) -> u32;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_pages_are_as_long_as_the_gateware_s_with_every_channel() {
+        // Four words, 16 stepgens of two, 16 PWMs; the latches of 16 encoders and 16 stepgens.
+        assert_eq!((STAGE_PWM, STAGE_WORDS), (4 + 2 * 16, 52));
+        assert_eq!((LATCH_LATCH, LATCH_WORDS), (88, 88 + 2 * 16));
+        let strobes = [STROBE_COMMIT, STROBE_SAMPLE, STROBE_COMMIT_AT];
+        assert_eq!(strobes, [1, 2, 4]);
+    }
+
+    #[test]
+    fn every_bit_of_the_gate_says_what_the_watchdog_s_register_says() {
+        assert_eq!(Gate::LIVE.0, 0b0010_0001);
+        for bits in 0..256 {
+            let gate = Gate(bits);
+            let one = |bit: u32| bits >> bit & 1 == 1;
+            let seen = [
+                gate.open(),
+                gate.stopping(),
+                gate.bitten(),
+                gate.reset(),
+                gate.reset_pin(),
+                gate.awake(),
+                gate.estop(),
+                gate.estop_pin(),
+            ];
+            assert_eq!(seen, [0, 1, 2, 3, 4, 5, 6, 7].map(one), "{bits:08b}");
+            let pins = one(3) || one(4) || one(6) || one(7);
+            assert_eq!(gate.pinned(), pins, "{bits:08b}");
+            assert_eq!(gate.pinned_now(), one(4) || one(7), "{bits:08b}");
+            let latched = one(2) || one(3) || one(6);
+            assert_eq!(gate.latched(), latched, "{bits:08b}");
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! How the board says what it is: everything in `wire::describe`, put together from the parts.
+//! The board's description of itself: everything in `wire::describe`, collected from the parts.
 
 use crate::cores::Ident;
 use crate::postmortem::Boot;
@@ -33,7 +33,7 @@ pub fn describe(
     }
 }
 
-/// Why this board will not arm at all.
+/// The reasons this board will not arm at all.
 pub const fn obstacles(ident: &Ident, abi: u32) -> u32 {
     if ident.abi == abi { 0 } else { OBSTACLE_ABI }
 }

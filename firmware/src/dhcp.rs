@@ -1,4 +1,4 @@
-//! An address from a DHCP server (RFC 2131), as small as it goes: one server, one lease, everything broadcast.
+//! A minimal DHCP client (RFC 2131): one server, one lease, every message broadcast.
 //!
 //! ```text
 //!   Selecting --offer--> Requesting --ack--> Bound --half the lease--> Renewing --ack--> Bound
@@ -6,9 +6,9 @@
 //!       |________________ nak, or the lease is over _______________________|
 //! ```
 //!
-//! It knows seconds and words, no sockets and no clocks. Renewals are broadcast, too, which servers take as rebinding:
-//! so nothing has to be resolved. After [`FALLBACK_SECONDS`] without a lease the board uses its static address and keeps
-//! asking.
+//! It knows seconds and words, but no sockets and no clocks. Renewals are broadcast, too, which
+//! servers treat as rebinding: so no address has to be resolved. After [`FALLBACK_SECONDS`] without
+//! a lease the board uses its static address and keeps asking.
 
 use wire::settings::unicast;
 
@@ -16,9 +16,10 @@ use wire::settings::unicast;
 pub const PORT: u16 = 68;
 /// UDP port of servers.
 pub const SERVER_PORT: u16 = 67;
-/// 10 s: three tries. A board on a bench without a server shall be usable while somebody still looks at it.
+/// 10 s: three tries. A board on a bench without a server should be usable before its user gives
+/// up.
 pub const FALLBACK_SECONDS: u32 = 10;
-/// Words of what is sent: BOOTP's minimum of 300 bytes.
+/// Words of a message: BOOTP's minimum of 300 bytes.
 pub const WORDS: usize = 75;
 
 /// Longest wait between two tries.
@@ -28,7 +29,7 @@ const COOKIE_AT: usize = 59;
 /// A request by a client on Ethernet; the server's answer has 2 in the first byte.
 const REQUEST: u32 = 0x0101_0600;
 const REPLY: u32 = 0x0201_0600;
-/// The server shall broadcast: we may not have the address yet.
+/// The server has to broadcast: we may not have the address yet.
 const BROADCAST: u32 = 0x8000;
 
 const DISCOVER: u8 = 1;
@@ -37,7 +38,7 @@ const REQUEST_TYPE: u8 = 3;
 const ACK: u8 = 5;
 const NAK: u8 = 6;
 
-/// What a server gives.
+/// A server's offer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Lease {
     /// Our address.
@@ -64,7 +65,7 @@ enum State {
 pub struct Client {
     state: State,
     xid: u32,
-    /// Second of the start, of the last try, of the lease.
+    /// Second of the start, of the last try, and of the lease.
     began: u32,
     tried: u32,
     bound: u32,
@@ -73,7 +74,7 @@ pub struct Client {
 }
 
 impl Client {
-    /// One that does nothing.
+    /// A client that is switched off.
     pub const fn off() -> Self {
         Client {
             state: State::Off,
@@ -92,7 +93,7 @@ impl Client {
         }
     }
 
-    /// One that asks; `seed` differs from board to board and from start to start.
+    /// A client that asks; `seed` differs from board to board and from start to start.
     pub const fn on(seed: u32) -> Self {
         Client {
             state: State::Selecting,
@@ -101,7 +102,7 @@ impl Client {
         }
     }
 
-    /// Is there anything to do at all?
+    /// Is the client switched on?
     pub fn enabled(&self) -> bool {
         self.state != State::Off
     }
@@ -114,12 +115,12 @@ impl Client {
         }
     }
 
-    /// Has it asked for so long that the static address is better than none?
+    /// Has it asked for so long that the static address is used?
     pub fn gave_up(&self, second: u32) -> bool {
         second.wrapping_sub(self.began) >= FALLBACK_SECONDS
     }
 
-    /// To be called once a second; true if something is to be sent ([`Client::emit`]).
+    /// Call it once a second. True if a message is to be sent ([`Client::emit`]).
     pub fn tick(&mut self, second: u32) -> bool {
         let held = second.wrapping_sub(self.bound);
         match self.state {
@@ -148,7 +149,7 @@ impl Client {
         self.tries = 0;
     }
 
-    /// Writes what is to be sent.
+    /// Writes the message to be sent.
     pub fn emit(&self, mac: [u8; 6], name: &str, words: &mut [u32; WORDS]) {
         let [a, b, c, d, e, f] = mac;
         *words = [0; WORDS];
@@ -168,7 +169,7 @@ impl Client {
             *place = word;
         }
         let mut options: heapless::Vec<u8, { (WORDS - COOKIE_AT - 1) * 4 }> = heapless::Vec::new();
-        // Room for all of them is counted: 3 + 5 + 6 + 6 + 2 + 32 + 1 bytes of 60.
+        // There is room for all options: 3 + 5 + 6 + 6 + 2 + 32 + 1 bytes of 60.
         let mut put = |bytes: &[u8]| {
             let _ = options.extend_from_slice(bytes);
         };
@@ -199,7 +200,7 @@ impl Client {
         }
     }
 
-    /// Takes a server's answer of so many bytes. True if something is to be sent at once.
+    /// Takes a server's answer of this many bytes. True if a message is to be sent at once.
     pub fn take(&mut self, mac: [u8; 6], words: &[u32], length: usize, second: u32) -> bool {
         let [a, b, c, d, e, f] = mac;
         let word = |n: usize| words.get(n).copied().unwrap_or(0);

@@ -1,7 +1,7 @@
-//! Being found, and told who to be, whatever the address ([`wire::discovery`]).
+//! Lets hosts find the board and set its settings, whatever its address ([`wire::discovery`]).
 //!
-//! It judges; frames are the transport's. A Set is answered when the settings lie in flash, which is later: the answer
-//! then waits ([`Waiting`]).
+//! This module judges requests; frames belong to the transport. A Set is answered once the settings
+//! are in flash, which is later: the answer then waits ([`Waiting`]).
 
 use crate::server::Server;
 use wire::Name;
@@ -10,27 +10,27 @@ use wire::discovery::{Body, Here, Message};
 use wire::flash::OpResult;
 use wire::settings::Settings;
 
-/// What is to be done about a request.
+/// The reaction to a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Act {
     /// Not for us.
     Nothing,
-    /// Say this to whoever asked.
+    /// Send this answer to the host that asked.
     Answer(Body),
-    /// Save these, if the key was proved; the answer comes later.
+    /// Save these settings, if the key was proved; the answer comes later.
     Save(Settings),
 }
 
-/// Who waits for an answer.
+/// The request that still has to be answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Waiting {
-    /// The nonce of the question.
+    /// The nonce of the request.
     pub nonce: u32,
     /// The UDP port it came from.
     pub port: u16,
 }
 
-/// What a board is called.
+/// The names a board reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Names {
     /// The configuration.
@@ -39,7 +39,7 @@ pub struct Names {
     pub platform: Name,
 }
 
-/// What a board says of itself.
+/// The board's answer to a host that looks for boards.
 pub fn here(server: &Server, us: &crate::net::Us, dhcp: bool, names: &Names) -> Here {
     let flash = server.flash();
     Here {
@@ -79,7 +79,7 @@ pub fn judge(
         } else if !server.flash().busy() {
             Act::Save(settings)
         } else if waiting.is_some_and(|waiting| waiting.nonce == message.nonce) {
-            Act::Nothing // asked again; the answer is on its way
+            Act::Nothing // repeated; the answer comes later
         } else {
             Act::Answer(Body::Done(OpResult::Busy))
         }
@@ -88,7 +88,7 @@ pub fn judge(
         Body::Who if any || message.uid == uid => Act::Answer(Body::Here(here())),
         Body::Set(settings) => set(settings),
         Body::Who | Body::Here(_) | Body::Done(_) | Body::Prove(_) | Body::Proven(..) => {
-            Act::Nothing // answers, or told apart already
+            Act::Nothing // answers, or handled above
         }
     }
 }

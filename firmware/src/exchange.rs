@@ -1,16 +1,17 @@
-//! The servo-period datagram: judged, staged, committed, sampled and answered, each word moved once.
+//! Executes the servo-period datagram: judges, stages, commits, samples and answers it. Each word
+//! is moved once.
 //!
 //! ```text
-//!   parse    net::Lane or the server        whose frame, whole, one record, our block's length
+//!   parse    net::Lane or the server        the lane's peer, whole, one record, our block's length
 //!   judge    session, sequence, gate        a refusal here has touched nothing
 //!   stage    command page, word by word     nothing takes effect before the commit
 //!   commit   one strobe: every channel on one clock; the same strobe samples every channel
 //!   copy     status page into the answer
 //! ```
 //!
-//! Five stages over contiguous windows: any of them can become a piece of gateware without the
-//! others noticing. The request is read through [`Request`] and answered through [`Reply`], so the same
-//! code runs on MAC slots and on slices.
+//! The five stages work on contiguous windows, so each of them can move into gateware without a
+//! change to the others. The request is read through [`Request`] and answered through [`Reply`]; so
+//! the same code runs on MAC slots and on slices.
 
 use crate::cores::{
     Board, Control, LATCH_ENCODER, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_SAMPLE,
@@ -22,19 +23,21 @@ use crate::server::Server;
 use crate::session::Peer;
 use wire::describe::Channels;
 use wire::exchange::{
-    COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE, FLAG_ENABLE_REQUEST,
-    REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, command_words, judge_sequence, status_words,
+    COMMAND_HEAD, COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE,
+    FLAG_ENABLE_REQUEST, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, command_words,
+    judge_sequence, status_words,
 };
 use wire::{Refusal, State, etherbone};
 
 const FLAGS_KNOWN: u32 =
     FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME | u32::MAX << FLAG_ALONE_SHIFT;
-/// The last word before the channels: 16 probe arms, then 5 bits of [`wire::exchange::Latch::code`].
+/// The last word before the channels: 16 probe arms, then 5 bits of
+/// [`wire::exchange::Latch::code`].
 const SELECT_SHIFT: u32 = 16;
 const SELECT_BITS: u32 = 5;
 
-/// The command block's words, each once, in order. They are taken and put by the handful: on the
-/// softcore a word loaded and used at once costs two clocks more than one loaded earlier.
+/// The command block's words, each once, in order. Several words are loaded before the first is
+/// used: on the softcore a word that is used right after its load costs two more clocks.
 pub trait Request {
     /// The next word.
     fn take1(&mut self) -> [u32; 1];
@@ -44,8 +47,11 @@ pub trait Request {
     fn take4(&mut self) -> [u32; 4];
     /// The next nine words.
     fn take9(&mut self) -> [u32; 9];
-    /// Asked after the last word, before anything takes effect: did all of it arrive as it was sent?
+    /// Did the whole command arrive as it was sent? Asked after the last word, before anything
+    /// takes effect.
     fn intact(&mut self) -> bool;
+    /// The same question with the last `rest` words not yet taken.
+    fn sound(&self, rest: usize) -> bool;
 }
 
 /// Takes the status block's words in order.
@@ -53,14 +59,15 @@ pub trait Reply {
     /// The next word.
     fn put(&mut self, word: u32);
 
-    /// The next word, which is the same in every answer until the next start: whoever has it already leaves it.
+    /// The next word, which does not change until the next start. A reply that already holds it
+    /// skips it.
     #[inline(always)]
     fn keep(&mut self, word: u32) {
         self.put(word);
     }
 }
 
-/// How long this board's blocks are, worked out once.
+/// The lengths of this board's blocks, computed once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
     /// Words of the command block.
@@ -73,7 +80,7 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// This board's.
+    /// The lengths for a board with these channels.
     pub const fn new(channels: Channels) -> Self {
         Shape {
             command: command_words(channels),
@@ -94,20 +101,21 @@ pub const fn reply_head(shape: &Shape) -> [u32; 3] {
     ]
 }
 
-/// Which word of the command block the flags are.
+/// Number of the flags' word in the command block.
 pub const FLAGS_WORD: usize = 2;
 
-/// Where a frame in the lane has them.
+/// Number of the flags' word in a frame of the lane.
 pub const FRAME_FLAGS: usize = crate::net::PAYLOAD_WORD + REQUEST_OVERHEAD + FLAGS_WORD;
 
 /// Words of an answer before its status block.
 pub const REPLY_OVERHEAD: usize = 4;
-/// Where an answer's frame goes on behind its headers and [`reply_head`].
+/// Number of the first word of an answer's frame after its headers and [`reply_head`].
 const RESUME: usize = crate::net::PAYLOAD_WORD + REPLY_OVERHEAD - 1;
-/// Where the boot id stands in it: behind sequence, state, sequence, two times, what the watchdog has left, refusals.
+/// Number of the boot id's word in an answer's frame: it follows sequence, state, sequence, two
+/// times, the watchdog's time left, and the refusals.
 const KEPT: usize = RESUME + 9;
 
-/// Loads words of the status page into names, then puts them: see [`Request`] for why.
+/// Loads words of the status page into names, then puts them: [`Request`] says why.
 macro_rules! copy {
     ($board:ident, $reply:ident, $at:expr, $($name:ident $word:literal)+) => {
         $(let $name = $board.latched($at + $word);)+
@@ -116,8 +124,9 @@ macro_rules! copy {
 }
 
 impl Server {
-    /// Executes one exchange. `request` delivers the command block; into `reply` go the sequence
-    /// number and the status block. On a refusal nothing took effect, whatever was put already.
+    /// Executes one exchange. `request` delivers the command block; the sequence number and the
+    /// status block go into `reply`. A refused exchange has no effect, even if words were already
+    /// put into `reply`.
     #[inline(always)]
     pub fn exchange<B: Board>(
         &mut self,
@@ -151,14 +160,20 @@ impl Server {
         let left = board.watchdog_left();
 
         // Stage.
-        if self.commit_pending {
-            self.forget_timed(board);
-        }
         let shape = self.shape;
+        if self.commit_pending {
+            // A timed commit must not fire while half a block is staged, and a damaged block must
+            // not replace it. From here on the new command counts.
+            if !request.sound(shape.command - COMMAND_HEAD) {
+                return Err(Refusal::Checksum);
+            }
+            board.commit_at(u64::MAX);
+            self.commit_pending = false;
+        }
         board.stage(STAGE_ENABLES, enables);
         board.stage(STAGE_OUTPUTS, outputs);
         board.stage(STAGE_ARMS, arms);
-        // The register has no bits for the selection above the arms.
+        // The register ignores the selection in the bits above the arms.
         board.stage(STAGE_PROBE_ARMS, probe_arms);
         let mut at = STAGE_STEPGEN;
         for _ in 0..shape.stepgens / 2 {
@@ -193,8 +208,8 @@ impl Server {
             let [a] = request.take1();
             board.stage(at, a);
         }
-        // Commit and sample. A damaged command goes on to the answer, which nobody sends, and does nothing
-        // else: so a rehearsal walks the same path.
+        // Commit and sample. A damaged command continues to the answer, which is not sent, and has
+        // no other effect: so a warm-up runs through the same code.
         let whole = request.intact();
         if whole {
             let enable = flags & FLAG_ENABLE != 0;
@@ -213,7 +228,8 @@ impl Server {
             self.select = select;
         }
 
-        // Answer. `session_yours` and `accepted` are true, or we were not here.
+        // Answer. `session_yours` and `accepted` are true here, because anything else was refused
+        // above.
         let [arrival_lo, arrival_hi] = [board.arrival_lo(), board.arrival_hi()];
         let [sample_lo, sample_hi] = [board.latched(LATCH_SAMPLE), board.latched(LATCH_SAMPLE + 1)];
         let [estop, inputs] = [board.latched(LATCH_ESTOP), board.latched(LATCH_INPUTS)];
@@ -233,7 +249,7 @@ impl Server {
         let latch = board.latched(LATCH_LATCH + select as usize);
         copy!(board, reply, LATCH_INPUTS, a 1 b 2 c 3);
         reply.put(latch);
-        // Read again: held in registers they would push others out.
+        // Read again: values held in registers would push others out of theirs.
         copy_stepgens(board, reply, self.shape.stepgens);
         copy_encoders(board, reply, self.shape.encoders);
         if whole {
@@ -243,7 +259,8 @@ impl Server {
         }
     }
 
-    /// What an executed exchange with these flags leaves to do once its answer is on its way.
+    /// Records what is left to do after the answer to an executed exchange with these flags is
+    /// sent.
     #[inline]
     pub fn exchanged(&mut self, flags: u32) {
         self.spoke = true;
@@ -253,28 +270,22 @@ impl Server {
         self.counters.exchanges = self.counters.exchanges.wrapping_add(1);
     }
 
-    /// Makes the step generators' decelerations fit the last command ([`crate::path_stop`]); to be called behind every
-    /// answer if [`Server::owes_path`]. A few hundred clocks.
+    /// Makes the step generators' decelerations fit the last command ([`crate::path_stop`]). Call
+    /// it after every answer if [`Server::owes_path`]. It takes a few hundred clocks.
     #[inline(always)]
     pub fn hold_path<B: Board>(&mut self, board: &mut B) {
-        self.path_stop.hold(board, self.shape.stepgens);
+        let segments = self.ident.plays_segments();
+        self.path_stop.hold(board, self.shape.stepgens, segments);
     }
 
-    /// Has a command been executed that [`Server::hold_path`] has not seen to?
+    /// Has a command been executed for which [`Server::hold_path`] has not run yet?
     #[inline(always)]
     pub fn owes_path(&self) -> bool {
         self.path_stop.owed()
     }
 
-    /// A timed commit must not fire into half a block: from here on the new command counts.
-    #[cold]
-    #[inline(never)]
-    fn forget_timed<B: Board>(&mut self, board: &mut B) {
-        board.commit_at(u64::MAX);
-        self.commit_pending = false;
-    }
-
-    /// The servo periods in which something changes: arming, stopping, faults, timed commits.
+    /// Handles the servo periods in which something changes: arming, stopping, faults, timed
+    /// commits.
     #[cold]
     #[inline(never)]
     fn decide<B: Board>(
@@ -292,14 +303,15 @@ impl Server {
         };
         let effects = self.step(event, board.now());
         if effects.end_session {
-            // The bite came before this command: it is nobody's now.
+            // The watchdog bit before this command came: the session has no owner any more.
             self.obey(board, effects);
             return Err(Refusal::NotOwner);
         }
         let arming = effects.order == Some(Control::Arm);
         if arming {
             // Outputs without motion take the command while the gate is still closed, so that they
-            // open with it; stepgens only listen with the gate open, so it is committed again.
+            // open with it. Step generators take commands only with the gate open, so the command
+            // is committed again.
             board.strobe(STROBE_COMMIT);
         }
         self.obey(board, effects);
@@ -316,7 +328,8 @@ impl Server {
     }
 }
 
-/// Copies the three words of each of `count` stepgens into the answer, up to four stepgens at a time.
+/// Copies the three words of each of `count` stepgens into the answer, up to four stepgens at a
+/// time.
 #[inline(always)]
 fn copy_stepgens(board: &mut impl Board, reply: &mut impl Reply, count: usize) {
     let mut at = LATCH_STEPGEN;
@@ -352,7 +365,8 @@ fn copy_encoders(board: &mut impl Board, reply: &mut impl Reply, count: usize) {
 
 const _: () = assert!(STATUS_STEPGEN == 3 && STATUS_ENCODER == 2);
 
-/// Which of the two wrong ways a sequence number is; out of the way of the right one.
+/// Tells which of two reasons a sequence number is refused for. A function of its own keeps it out
+/// of the fast path.
 #[cold]
 #[inline(never)]
 fn not_ahead(sequence: u32, last: u32) -> Refusal {
@@ -362,10 +376,10 @@ fn not_ahead(sequence: u32, last: u32) -> Refusal {
     }
 }
 
-/// Bits of a state word that only an answer to an accepted command carries.
+/// Bits of a state word that are set only in the answer to an accepted command.
 pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;
 
-/// A command block in memory, already known to be whole.
+/// A command block in memory, already checked to be whole.
 #[derive(Debug)]
 pub struct SliceRequest<'w>(pub &'w [u32]);
 
@@ -376,7 +390,7 @@ impl SliceRequest<'_> {
                 self.0 = rest;
                 *words
             }
-            None => [0; N], // the block has this board's length, so this does not happen
+            None => [0; N], // unreachable: the block has this board's length
         }
     }
 }
@@ -401,16 +415,20 @@ impl Request for SliceRequest<'_> {
     fn intact(&mut self) -> bool {
         true
     }
+
+    fn sound(&self, _: usize) -> bool {
+        true
+    }
 }
 
 impl Reply for etherbone::ReplyWriter<'_> {
     fn put(&mut self, word: u32) {
-        // The caller gave a buffer for the longest answer there is.
+        // The caller provides a buffer for the longest answer.
         let _ = self.push(word);
     }
 }
 
-/// An answer going straight into a transmit slot, behind the headers and [`reply_head`].
+/// An answer that is written directly into a transmit slot, after the headers and [`reply_head`].
 #[derive(Debug)]
 pub struct SlotReply<'s, S> {
     slot: &'s mut S,
@@ -418,14 +436,14 @@ pub struct SlotReply<'s, S> {
 }
 
 impl<'s, S: crate::net::Slot> SlotReply<'s, S> {
-    /// Writes everything of the frame that is the same in every answer of this lane.
+    /// Writes all words of the frame that are the same in every answer of this lane.
     pub fn prepare(slot: &mut S, lane_headers: impl FnOnce(&mut S), server: &Server) {
         lane_headers(slot);
         crate::net::emit_payload(slot, &reply_head(&server.shape));
         slot.put(KEPT, server.boot.id);
     }
 
-    /// Goes on behind what [`SlotReply::prepare`] wrote.
+    /// Continues after what [`SlotReply::prepare`] wrote.
     #[inline(always)]
     pub fn resume(slot: &'s mut S) -> Self {
         SlotReply {
@@ -447,7 +465,7 @@ impl<S: crate::net::Slot> Reply for SlotReply<'_, S> {
         self.index += 1;
     }
 
-    /// Only the boot id is kept, and it is in the slot.
+    /// Only the boot id is kept, and it is already in the slot.
     #[inline(always)]
     fn keep(&mut self, _word: u32) {
         self.index += 1;

@@ -1,4 +1,4 @@
-//! A board in a notebook: remembers what was written, answers what the test prepared.
+//! A board in memory for tests: it records what was written, and answers what the test prepared.
 
 use crate::cores::*;
 use crate::postmortem::Boot;
@@ -7,7 +7,7 @@ use crate::session::Peer;
 use crate::{log, postmortem};
 use std::collections::HashMap;
 use std::vec::Vec;
-use wire::describe::Channels;
+use wire::describe::{Channels, FEATURE_JOBS};
 use wire::exchange::{Command, REQUEST_OVERHEAD, STATUS_MAX, Status};
 use wire::{MAX_WORDS, Refusal, ResetReason, map};
 
@@ -33,7 +33,7 @@ pub const BOOT: Boot = Boot {
     reset: ResetReason::Requested,
 };
 
-/// Everything that could have been done to the machine.
+/// Every change a machine could see.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Change {
     Strobe(u32),
@@ -49,6 +49,10 @@ pub struct Notebook {
     pub staged: [u32; STAGE_WORDS],
     pub live: [u32; STAGE_WORDS],
     pub latched: [u32; LATCH_WORDS],
+    /// The status of the segments core.
+    pub segments: u32,
+    /// Registers that were read raw.
+    pub asked: Vec<u32>,
     pub commit_at: u64,
     pub gate: u32,
     pub pin: bool,
@@ -72,6 +76,8 @@ impl Notebook {
             staged: [0; STAGE_WORDS],
             live: [0; STAGE_WORDS],
             latched: core::array::from_fn(|word| 0x1000 + word as u32),
+            segments: 0,
+            asked: Vec::new(),
             commit_at: 0,
             gate: 0,
             pin: false,
@@ -92,7 +98,7 @@ impl Notebook {
         }
     }
 
-    /// How often anything took effect; samples and staged words do not count.
+    /// Number of changes that took effect; samples and staged words do not count.
     pub fn changes(&self) -> usize {
         self.done
             .iter()
@@ -200,7 +206,11 @@ impl Board for Notebook {
         self.set(Setting::Stepgen(stepgen as u8, field), value);
     }
     fn csr_read(&mut self, address: u32) -> u32 {
-        address ^ 0x5555_0000
+        self.asked.push(address);
+        let status = wire::map::SEGMENTS + 4 * crate::jobs::core::STATUS as u32;
+        // The segments core reads idle by default.
+        let state = if address == status { self.segments } else { 0 };
+        address ^ 0x5555_0000 | state
     }
     fn csr_write(&mut self, address: u32, value: u32) {
         self.done.push(Change::Csr(address, value));
@@ -222,8 +232,8 @@ impl Board for Notebook {
     }
 }
 
-/// A flash chip, no better than a test of our own commands needs: it does at once what it is told, stays busy for
-/// a few looks, ANDs what is programmed, protects the upper quarter if told so.
+/// A flash chip, as detailed as a test of our own commands needs: it executes a command at once,
+/// stays busy for a few polls, ANDs programmed bytes, and protects the upper quarter if commanded.
 #[derive(Clone)]
 pub struct Chip {
     pub cells: Vec<u8>,
@@ -231,7 +241,7 @@ pub struct Chip {
     pub uid: [u8; 8],
     pub status: u8,
     pub looks: u32,
-    /// Does not do what it is told.
+    /// Ignores commands.
     pub stuck: bool,
     enabled: bool,
     pub writes: Vec<(u8, u32)>,
@@ -318,7 +328,7 @@ impl embedded_hal::spi::SpiDevice for Chip {
                         read += 1;
                     }
                 }
-                _ => panic!("nobody here does that"),
+                _ => panic!("an operation the firmware does not use"),
             }
         }
         match *sent {
@@ -335,7 +345,7 @@ impl embedded_hal::spi::SpiDevice for Chip {
     }
 }
 
-/// A server on a notebook, and a host that talks to it.
+/// A server on this board, and a host that talks to it.
 #[derive(Clone, Debug)]
 pub struct Rig {
     pub server: Server,
@@ -349,12 +359,26 @@ impl Rig {
     }
 
     pub fn with_abi(gateware: u32) -> Self {
+        Rig::of(gateware, SIX, 0)
+    }
+
+    /// A board that can play segments.
+    pub fn with_segments() -> Self {
+        Rig::of(ABI, SIX, FEATURE_JOBS)
+    }
+
+    /// A board of this build with these channels.
+    pub fn with_channels(channels: Channels) -> Self {
+        Rig::of(ABI, channels, 0)
+    }
+
+    fn of(gateware: u32, channels: Channels, features: u32) -> Self {
         let ident = Ident {
             abi: gateware,
             version: 0x00_01_00,
             clock_hz: CLOCK,
-            channels: SIX,
-            features: 0,
+            channels,
+            features,
             blob_words: 3,
         };
         let mut rig = Rig {
@@ -418,10 +442,11 @@ impl Rig {
 
     pub fn exchange_as(&mut self, peer: Peer, command: &Command) -> Result<Status, Refusal> {
         let mut buffer = [0; REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX];
-        let request = command.emit_request(SIX, &mut buffer).unwrap();
+        let channels = self.server.ident().channels;
+        let request = command.emit_request(channels, &mut buffer).unwrap();
         let reply = self.send_as(peer, request)?;
         assert!(reply.len() <= 4 + STATUS_MAX);
-        Ok(Status::parse_reply(&reply, SIX).unwrap())
+        Ok(Status::parse_reply(&reply, channels).unwrap())
     }
 
     pub fn exchange(&mut self, enable: bool, request: bool) -> Result<Status, Refusal> {

@@ -1,11 +1,13 @@
-//! The SPI flash: what is in it, and one operation at a time that never waits.
+//! The SPI flash: its contents, and one operation at a time that never blocks.
 //!
-//! [`Flash::start`] is asked when a host writes the flash window's operation word, [`Flash::poll`] does a slice of it
-//! whenever there is time, and [`Flash::word`] is what the host reads until it is done. A slice is one command to the chip
-//! or [`SLICE`] bytes read: frames wait for it.
+//! A write of the flash window's operation word calls [`Flash::start_op`]. [`Flash::poll`] does a
+//! slice of the operation whenever there is time, and [`Flash::word`] is what the host reads until
+//! it is done. A slice is one command to the chip, or [`SLICE`] bytes read, because frames wait for
+//! it.
 //!
-//! It refuses to erase or program anything but the slot that is not selected ([`Layout::writable`]); settings, stubs and
-//! the chip's own protection change by operations of their own, which know what they are doing.
+//! Erase and program operations are refused outside of the slot that is not selected
+//! ([`Layout::writable`]). Settings, stubs and the chip's own protection change by operations of
+//! their own, which check what they write.
 
 use crate::images::{self, Step};
 use crate::settings::{self, Copies};
@@ -16,13 +18,14 @@ use wire::images::{META_BYTES, Meta, Trailer};
 use wire::settings::{Settings, WORDS};
 use wire::{map, settings as layout_of};
 
-/// Bytes read in one slice: some 0.2 ms on the softcore, a fifth of a servo period.
+/// Bytes read in one slice: about 0.2 ms on the softcore, a fifth of a servo period.
 pub const SLICE: u32 = 256;
 
-/// 4 s. The slowest thing a chip does is a block's erase: 2 s (W25Q32JV, GD25Q16C data sheets, maximum).
+/// 4 s. The slowest operation of a chip is the erase of a block: 2 s (W25Q32JV, GD25Q16C data
+/// sheets, maximum).
 const PATIENCE_SECONDS: u64 = 4;
-/// A selection is some forty steps at the most: a sector to clear, to erase and a stub to write. More means that the
-/// chip does not do what it is told.
+/// A selection takes about forty steps at most: clear a sector, erase it, write a stub. More steps
+/// mean that the chip does not obey.
 const STEPS_MAX: u8 = 60;
 
 /// Commands of every 25-series chip.
@@ -41,12 +44,12 @@ const BUSY: u8 = 1;
 /// Status register: everything that protects: BP bits 4:2, TB, SEC (or BP3, BP4).
 const PROTECTION: u8 = 0x7c;
 
-/// A chip behind its device.
+/// The flash chip on an SPI device.
 #[derive(Debug)]
 pub struct Nor<'s, S>(pub &'s mut S);
 
 impl<S: SpiDevice> Nor<'_, S> {
-    /// One command: what is sent, what goes with it, what comes back.
+    /// One command: the bytes sent, the data sent after them, the answer.
     fn command(&mut self, head: &[u8], data: &[u8], answer: &mut [u8]) -> Result<(), OpResult> {
         let mut operations = [
             Operation::Write(head),
@@ -86,7 +89,7 @@ impl<S: SpiDevice> Nor<'_, S> {
         self.at(READ, address, &[], bytes)
     }
 
-    /// Are these bytes erased?
+    /// Are all these bytes erased?
     pub fn blank(&mut self, address: u32, length: u32) -> Result<bool, OpResult> {
         let mut blank = true;
         self.each(address, length, |bytes| {
@@ -95,7 +98,7 @@ impl<S: SpiDevice> Nor<'_, S> {
         Ok(blank)
     }
 
-    /// Reads bytes a handful at a time.
+    /// Reads bytes, a few at a time.
     fn each(
         &mut self,
         address: u32,
@@ -115,20 +118,20 @@ impl<S: SpiDevice> Nor<'_, S> {
     }
 }
 
-/// What an operation is at.
+/// The state of an operation.
 #[derive(Clone, Copy, Debug)]
 enum Job {
-    /// Nothing left but to wait for the chip.
+    /// Only wait for the chip.
     Finish,
-    /// Erased: is it?
+    /// Erased: check that it is.
     Erased(u32),
-    /// Programmed: is it?
+    /// Programmed: check the bytes.
     Programmed,
-    /// Protected: is it?
+    /// Protected: check the status register.
     Protected,
-    /// Summing up.
+    /// Computing a CRC.
     Crc { at: u32, left: u32, crc: Crc32 },
-    /// Summing up the image to be selected.
+    /// Computing the CRC of the image to be selected.
     Image {
         slot: Slot,
         at: u32,
@@ -136,11 +139,11 @@ enum Job {
         crc: Crc32,
         wanted: u32,
     },
-    /// On the way to selecting it.
+    /// The selection is under way.
     Choose { slot: Slot, steps: u8 },
-    /// Settings to be saved: into an erased sector, or erased already.
+    /// Settings to be saved into a sector, which is erased first if necessary.
     Save { settings: Settings, copy: u32 },
-    /// Saved: are they?
+    /// Saved: check the settings.
     Saved { settings: Settings, copy: u32 },
     /// Copies to be erased, the older one first.
     Forget { copy: u32, left: u8 },
@@ -158,8 +161,8 @@ pub struct Flash {
     selected: Option<Slot>,
     running: Running,
     settings: Settings,
-    /// The settings as everybody may read them. Made once: their sum alone takes longer than an exchange may wait for a
-    /// stranger.
+    /// The settings without the key, for any client. They are computed once: their CRC alone takes
+    /// longer than an exchange may wait for another client.
     shown: [u32; WORDS],
     origin: Origin,
     word: OpWord,
@@ -168,7 +171,7 @@ pub struct Flash {
     crc: u32,
     buffer: [u8; PAGE as usize],
     job: Job,
-    /// When the chip was told to erase or program; it is looked at until it is ready.
+    /// When an erase or program command was sent; the chip is polled until it is ready.
     waiting: Option<u64>,
 }
 
@@ -203,8 +206,9 @@ impl Flash {
         }
     }
 
-    /// Finds out what is there and which settings are in force: the newest saved ones, or `built_in` when there are
-    /// none or the factory pin is active. An operation the last start left running is waited for.
+    /// Identifies the chip, and finds the settings in force: the newest saved ones, or `built_in`
+    /// if there are none or the factory pin is active. Waits for an operation that the last start
+    /// left running.
     pub fn start<S: SpiDevice>(
         &mut self,
         spi: &mut S,
@@ -240,14 +244,15 @@ impl Flash {
         self.show();
     }
 
-    /// Outside of [`Flash::start`], which would leave the words' place on the stack for as long as the board runs.
+    /// Not inside [`Flash::start`], which would hold stack for these words as long as the board
+    /// runs.
     #[inline(never)]
     fn show(&mut self) {
         self.shown = self.settings.blanked().to_words();
     }
 
     fn identify<S: SpiDevice>(&mut self, nor: &mut Nor<S>) -> Result<(), OpResult> {
-        // All ones is nobody; a chip that is busy would not tell its name either.
+        // All ones: no chip answers. A chip that is busy does not tell its name either.
         let mut looks = 0u32;
         while nor.status()? & BUSY != 0 && looks < LOOKS_MAX {
             if nor.status()? == 0xff {
@@ -277,10 +282,10 @@ impl Flash {
         Ok(())
     }
 
-    /// Which slot is selected, and so, which image runs.
+    /// Finds the selected slot, and with it the image that runs.
     fn look<S: SpiDevice>(&mut self, nor: &mut Nor<S>, layout: &Layout) -> Result<(), OpResult> {
         self.selected = images::selected(nor, layout)?;
-        // What runs does not change by selecting; this is asked once, at start.
+        // A selection does not change the running image; so this is found out once, at start.
         let selected = match self.selected {
             Some(slot) => meta(nor, layout.slot(slot))?.map(|meta| (slot, meta.build_id)),
             None => None,
@@ -289,7 +294,7 @@ impl Flash {
         Ok(())
     }
 
-    /// Where the image that runs begins, and how long it is; `None` if it was loaded by JTAG.
+    /// Where the running image begins, and its length; `None` if it was loaded by JTAG.
     pub fn image<S: SpiDevice>(&self, spi: &mut S) -> Option<(u32, u32)> {
         let layout = self.layout?;
         let area = match self.running {
@@ -312,7 +317,7 @@ impl Flash {
         self.uid
     }
 
-    /// What lies where, if that is known.
+    /// The flash's layout, if it is known.
     pub fn layout(&self) -> Option<&Layout> {
         self.layout.as_ref()
     }
@@ -322,7 +327,7 @@ impl Flash {
         self.protected
     }
 
-    /// Build id of what runs.
+    /// Build id of the running image.
     pub fn build_id(&self) -> u32 {
         self.trailer.build_id
     }
@@ -342,7 +347,7 @@ impl Flash {
         &self.settings
     }
 
-    /// Where they are from.
+    /// Where the settings come from.
     pub fn origin(&self) -> Origin {
         self.origin
     }
@@ -352,19 +357,20 @@ impl Flash {
         self.word
     }
 
-    /// Does an operation run?
+    /// Is an operation running?
     #[inline]
     pub fn busy(&self) -> bool {
         self.word.busy
     }
 
-    /// Lies any of these bytes among the settings? The key is there, which nobody is shown.
+    /// Is any of these bytes among the settings? They contain the key, which is not readable.
     fn settings_touched(layout: &Layout, address: u32, length: u32) -> bool {
         let end = layout.settings + 2 * SECTOR;
         address < end && address.saturating_add(length) > layout.settings
     }
 
-    /// A word of the flash window, by byte address; the link and the address in force are not known here.
+    /// A word of the flash window, by byte address. This module does not know the link and the
+    /// address in force.
     pub fn read_word(&self, address: u32) -> u32 {
         let [uid_hi, uid_lo] = self.uid;
         match address {
@@ -394,7 +400,8 @@ impl Flash {
         }
     }
 
-    /// May this word be written at all, and with this value? Nothing is said about who asks, or when.
+    /// May this word be written at all, and with this value? The check does not depend on the
+    /// sender or the time.
     pub fn check_write(address: u32, value: u32) -> Result<(), wire::Refusal> {
         match address {
             map::FLASH_OP if Op::from_code(value).is_none() => Err(wire::Refusal::Value),
@@ -404,7 +411,7 @@ impl Flash {
         }
     }
 
-    /// Writes a word of the window; [`Flash::check_write`] said yes and no operation runs.
+    /// Writes a word of the window. [`Flash::check_write`] has allowed it, and no operation runs.
     pub fn write_word<S: SpiDevice>(&mut self, spi: &mut S, address: u32, value: u32) {
         match address {
             map::FLASH_ADDRESS => self.address = value,
@@ -429,7 +436,7 @@ impl Flash {
         self.begun(op, begun);
     }
 
-    /// Starts saving these settings, for somebody who has them not in the buffer.
+    /// Starts to save these settings; for a caller that does not have them in the buffer.
     pub fn start_save<S: SpiDevice>(&mut self, spi: &mut S, settings: Settings) {
         let begun = self.save(&mut Nor(spi), settings);
         self.begun(Op::SaveSettings, begun);
@@ -448,7 +455,7 @@ impl Flash {
         };
     }
 
-    /// Does the next slice of the operation that runs. True if that was the last.
+    /// Does the next slice of the running operation. True if that was its last.
     #[inline(never)]
     pub fn poll<S: SpiDevice>(&mut self, spi: &mut S, now: u64, clock_hz: u32) -> bool {
         if !self.word.busy {
@@ -465,7 +472,7 @@ impl Flash {
         true
     }
 
-    /// Checks what is asked and does the first step; is there more to do?
+    /// Checks an operation and does its first step; is there more to do?
     fn begin<S: SpiDevice>(&mut self, nor: &mut Nor<S>, op: Op) -> Result<bool, OpResult> {
         let (address, length) = (self.address, self.length);
         let layout = self.known()?;
@@ -544,7 +551,7 @@ impl Flash {
                 for (word, bytes) in words.iter_mut().zip(self.buffer.as_chunks().0) {
                     *word = u32::from_be_bytes(*bytes);
                 }
-                // A key may be in there, and everybody may read the buffer.
+                // The buffer may contain a key, and any client may read the buffer.
                 self.buffer.fill(0xff);
                 let settings = Settings::parse(&words).map_err(|_| OpResult::Value)?;
                 self.save(nor, settings)
@@ -572,7 +579,8 @@ impl Flash {
         })
     }
 
-    /// Settings go to the copy that is not the newest; those that are saved already are not written again.
+    /// Settings go to the copy that is not the newest; settings that are already saved are not
+    /// written again.
     fn save<S: SpiDevice>(
         &mut self,
         nor: &mut Nor<S>,
@@ -623,7 +631,7 @@ impl Flash {
     }
 
     fn wait(&mut self) {
-        // The next slice notes when it began.
+        // The next slice records the time.
         self.waiting = Some(u64::MAX);
     }
 
@@ -649,7 +657,7 @@ impl Flash {
         let layout = self.known()?;
         match self.job {
             Job::Finish => Ok(false),
-            // A chip that protects a sector says nothing; its first bytes do.
+            // A chip that protects a sector does not report it, but its first bytes show it.
             Job::Erased(address) => done(nor.blank(address, 64)?),
             Job::Programmed => {
                 let mut same = true;
@@ -746,7 +754,7 @@ impl Flash {
     }
 }
 
-/// How often a chip that was busy at start is looked at: 300 clocks a look, some 4 s.
+/// How often a chip that is busy at start is polled: 300 clocks each, about 4 s.
 const LOOKS_MAX: u32 = 800_000;
 
 fn done(well: bool) -> Result<bool, OpResult> {
@@ -757,7 +765,7 @@ fn done(well: bool) -> Result<bool, OpResult> {
     }
 }
 
-/// Sums up a slice.
+/// Adds a slice to a CRC.
 fn sum<S: SpiDevice>(
     nor: &mut Nor<S>,
     at: &mut u32,
@@ -781,7 +789,7 @@ fn meta<S: SpiDevice>(nor: &mut Nor<S>, area: Area) -> Result<Option<Meta>, OpRe
     Ok(Meta::from_page(&page, area))
 }
 
-/// Where there is no flash: nothing ever answers.
+/// For a board without flash: it never answers.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoFlash;
 

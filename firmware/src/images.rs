@@ -1,8 +1,10 @@
-//! Which image runs, which one loads next, and how that is changed one byte at a time.
+//! The images in flash: which one runs, which one loads next, and how that changes one byte at a
+//! time.
 //!
-//! The FPGA takes the first page of the two stub sectors that has a preamble ([`wire::images::Stub`]). Selecting
-//! another slot is a walk of small steps, each found by looking at the pages as they are ([`next`]), so that a walk
-//! cut short by the power goes on where it stopped, and every state on the way has the old slot first or the new.
+//! The FPGA takes the first page of the two stub sectors that has a preamble
+//! ([`wire::images::Stub`]). The selection of another slot takes small steps. Each step is derived
+//! from the pages as they are ([`next`]). So a selection that a power cut interrupted continues
+//! where it stopped, and in every state on the way either the old slot or the new one comes first.
 //!
 //! ```text
 //!   a live stub behind the first         break it, unless it is the new one
@@ -13,7 +15,8 @@
 //!   none left there either               clear every preamble in it, then erase it
 //! ```
 //!
-//! It refuses to look at anything but the stub sectors; that a slot holds a whole image is [`crate::flash`]'s to know.
+//! This module accesses only the stub sectors; [`crate::flash`] checks that a slot holds a whole
+//! image.
 
 use crate::flash::Nor;
 use embedded_hal::spi::SpiDevice;
@@ -31,15 +34,15 @@ const BODY_AT: usize = Stub::SWITCH_AT + 2;
 enum Page {
     /// Its first bytes are erased.
     Blank,
-    /// A stub but for its preamble's last two bytes.
+    /// A stub without its preamble's last two bytes.
     Bare(Slot),
-    /// A stub but for its switch.
+    /// A stub without its switch.
     Ready(Slot),
     /// A stub.
     Live(Slot),
-    /// Has a preamble, but leads nowhere we know.
+    /// Has a preamble, but points to no known image.
     Foreign,
-    /// Has none, and not even a partial erase could give it one.
+    /// Has no preamble, and not even a partial erase could create one.
     Cleared,
     /// Anything else.
     Dead,
@@ -71,7 +74,7 @@ impl Page {
         }
     }
 
-    /// Would the FPGA stop here?
+    /// Would the FPGA take this page?
     fn live(self) -> bool {
         matches!(self, Page::Live(_) | Page::Foreign)
     }
@@ -80,7 +83,7 @@ impl Page {
 /// The next step towards a selection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// It is selected, and nothing else is live.
+    /// The slot is selected, and no other stub is live.
     Done,
     /// Program these bytes.
     Program(u32, &'static [u8]),
@@ -109,7 +112,7 @@ pub fn selected<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout) -> Result<Optio
     })
 }
 
-/// What is to be done next so that `slot` becomes the one that loads.
+/// The next step that is needed to make `slot` the one that loads.
 pub fn next<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout, slot: Slot) -> Result<Step, OpResult> {
     let pages = scan(nor, layout)?;
     let at = |n: usize, offset: usize| layout.stub(n as u32) + offset as u32;
@@ -126,7 +129,7 @@ pub fn next<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout, slot: Slot) -> Resu
         (Some(_), Some((n, _))) => return Ok(broken(n)),
         (Some(_), None) | (None, _) => {}
     }
-    // At most one is live, and not ours.
+    // At most one is live, and it is not the new one.
     let sector = |n: usize| n / PER_SECTOR;
     let (here, other) = match first {
         Some((n, _)) => (n + 1..(sector(n) + 1) * PER_SECTOR, 1 - sector(n).min(1)),
@@ -147,7 +150,8 @@ pub fn next<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout, slot: Slot) -> Resu
             _ => {}
         }
     }
-    // A sector full of used pages. While it is erased its bits rise one by one: none may pass through a preamble.
+    // A sector full of used pages. During an erase its bits rise one by one: no page may pass
+    // through a state with a preamble.
     for n in there {
         if pages.get(n) != Some(&Page::Cleared) {
             let mut switch = [0xff; 2];
@@ -160,7 +164,7 @@ pub fn next<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout, slot: Slot) -> Resu
     Ok(Step::Erase(at(other * PER_SECTOR, 0)))
 }
 
-/// The bytes of a stub behind its preamble.
+/// The bytes of a stub after its preamble.
 pub fn body(layout: &Layout, slot: Slot) -> [u8; Stub::BYTES - BODY_AT] {
     let target = layout.slot(slot).start;
     let page = Stub { target }.to_page();

@@ -1,29 +1,45 @@
-//! ARP, ping and one TCP connection: what is left of an IP stack when UDP has its own way.
+//! Answers ARP and ping and holds one TCP connection: a minimal IP stack, since UDP is handled
+//! elsewhere.
 //!
-//! Frames are bytes here and go in and out one at a time: a frame that came in gives at most one that goes out
-//! ([`Ip::frame`]), and what TCP has to say beyond that is asked for until there is nothing ([`Ip::poll`]).
+//! Frames are bytes here, one at a time: a received frame gives at most one frame to send
+//! ([`Ip::frame`]). The caller then asks for further TCP segments until there are none
+//! ([`Ip::poll`]).
 //!
-//! It starts nothing: it resolves no addresses, because answers go back to the MAC address they were asked from, and it
-//! opens no connections. Fragments are not put together, IP options only stepped over. TCP takes what comes in order,
-//! as much as a few lines, and lets the peer send the rest again.
+//! The stack starts no conversation: it resolves no addresses, because an answer goes to the MAC
+//! address the question came from, and it opens no connections. It does not reassemble fragments,
+//! and it skips IP options. TCP takes segments in order, a few lines at a time; the peer has to
+//! send the rest again.
 //!
 //! ```text
 //!   Listen --SYN--> Opening --ACK--> Open --all sent, FIN--> Closing --ACK--> Waiting --their FIN, or patience--> Listen
 //! ```
+//!
+//! A handshake that is not finished within 250 ms yields to the next SYN. After a minute of silence
+//! the peer is asked for half a minute whether it is still there; then the connection is dropped. A
+//! segment that cannot be right (outside of the window, or with an acknowledgement of bytes that
+//! were never sent) changes nothing (RFC 9293, 3.10.7.4). The answer to it states the right
+//! numbers, as keepalives and probes of a closed window require. That happens at most four times a
+//! second, so that two stacks that disagree do not talk for ever.
 
 use crate::net::Us;
 use crate::thrift::move_down;
 
 /// Room for what the other side has not acknowledged yet.
 pub const TEXT: usize = 1536;
-/// Bytes the peer may send ahead: two of the console's longest lines. An [`Ip`] for others says its own.
+/// Bytes the peer may send ahead: two of the console's longest lines. Other users of [`Ip`] choose
+/// their own.
 pub const AHEAD: usize = 128;
 /// Longest payload of ours: fits every tunnel.
 const SEGMENT: usize = 512;
-/// Milliseconds until something is sent again the first time, then twice that, and so on.
+/// Milliseconds until the first retransmission; the time doubles with each further one.
 const RESEND_MS: u32 = 250;
-/// After 0.25, 0.5, 1, 2, 4, 8 and 16 s nobody is there any more.
+/// After 0.25, 0.5, 1, 2, 4, 8 and 16 s without an answer the peer is given up.
 const RESENDS: u8 = 6;
+/// After a minute of silence the peer is asked whether it is still there.
+const IDLE_MS: u32 = 60_000;
+
+/// No acknowledgement is older than the largest window without scaling.
+const LATE: u32 = 0xffff;
 
 const ETHERNET: usize = 14;
 const IP_HEADER: usize = 20;
@@ -39,9 +55,9 @@ const RST: u8 = 4;
 const PSH: u8 = 8;
 const ACK: u8 = 16;
 
-/// The longest segment whoever keeps that much may send: a frame full.
+/// The longest segment that a stack with that much room may receive: a full frame.
 const MSS: u16 = 1460;
-/// Bytes of the option that says so.
+/// Bytes of the option that states it.
 const MSS_OPTION: usize = 4;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,20 +77,21 @@ struct Peer {
     port: [u8; 2],
 }
 
-/// Who takes what the connection brings.
+/// Takes the bytes that the connection brings.
 pub trait Taker {
-    /// Somebody is there.
+    /// A client has connected.
     fn greet(&mut self, out: &mut Text);
-    /// Takes at most one line of these bytes; says how many. 0: none now, ask again later.
+    /// Takes at most one line of these bytes; returns how many bytes it took. 0: none now, ask
+    /// again later.
     fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize;
 }
 
-/// Text on its way out: acknowledged bytes leave at the front.
+/// Text to be sent: acknowledged bytes are removed at the front.
 #[derive(Clone, Debug)]
 pub struct Text {
     bytes: [u8; TEXT],
     used: usize,
-    /// Hang up behind it.
+    /// Close the connection after this text.
     pub close: bool,
 }
 
@@ -111,7 +128,7 @@ impl Text {
     }
 
     fn drop_front(&mut self, count: usize) {
-        // Sliced first: so it is plain that nothing here can be out of range.
+        // Sliced first: so the compiler sees that no index is out of range.
         let text = self.bytes.get_mut(..self.used).unwrap_or(&mut []);
         let count = count.min(text.len());
         move_down(text, count);
@@ -138,29 +155,32 @@ impl<const AHEAD: usize> Default for Ip<AHEAD> {
 #[derive(Clone, Debug)]
 pub struct Ip<const AHEAD: usize = { crate::ip::AHEAD }> {
     port: u16,
-    /// The least room for text that lets the peer send another byte.
+    /// While there is less room for text than this, the peer may not send another byte.
     reserve: usize,
     state: State,
     peer: Peer,
-    /// First byte not acknowledged, next byte to send, the byte after the last ever sent, next byte expected.
+    /// First byte not acknowledged, next byte to send, the byte after the last one ever sent, next
+    /// byte expected.
     una: u32,
     next: u32,
     top: u32,
     expected: u32,
     their_window: u32,
-    /// They hung up.
+    /// The peer has closed its half.
     theirs_done: bool,
-    /// Something came that is to be acknowledged, or the window opened.
+    /// An acknowledgement is due: data came, or the window opened.
     owe_ack: bool,
     window_shut: bool,
     sent_at: u32,
     resends: u8,
+    /// When the last answer to an impossible segment was sent.
+    objected_at: u32,
     ahead: heapless::Vec<u8, AHEAD>,
     text: Text,
 }
 
 impl<const AHEAD: usize> Ip<AHEAD> {
-    /// A stack that listens nowhere. All zeros, so that a static one costs no ROM.
+    /// A stack that listens on no port. It is all zeros, so that a static one costs no ROM.
     pub const fn new() -> Self {
         Ip {
             port: 0,
@@ -181,18 +201,19 @@ impl<const AHEAD: usize> Ip<AHEAD> {
             window_shut: false,
             sent_at: 0,
             resends: 0,
+            objected_at: 0,
             ahead: heapless::Vec::new(),
             text: Text::new(),
         }
     }
 
-    /// Listens at this TCP port, and lets a visitor speak while so many bytes of answer fit.
+    /// Listens on this TCP port. A client may send while this many bytes of answer fit.
     pub fn listen(&mut self, port: u16, reserve: usize) {
         self.port = port;
         self.reserve = reserve;
     }
 
-    /// Is this frame, which is TCP, from whom the connection is with?
+    /// Is this TCP frame from the peer of the connection?
     pub fn is_peer(&self, frame: &[u8]) -> bool {
         let source = |ip: &[u8]| {
             let tcp = usize::from(ip.first()? & 15) * 4;
@@ -204,24 +225,29 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         frame.get(ETHERNET..).and_then(source) == Some((true, true))
     }
 
-    /// Is there a connection, so that time matters?
+    /// Is there a connection, so that the timers have to be polled?
     pub fn busy(&self) -> bool {
         self.state != State::Listen
     }
 
-    /// Hangs up without a word: the address changed.
+    /// Is the connection in use? A handshake that waits to send its answer again does not count.
+    pub fn taken(&self) -> bool {
+        self.busy() && (self.state != State::Opening || self.resends == 0)
+    }
+
+    /// Drops the connection without telling the peer: the address changed.
     pub fn reset(&mut self) {
         self.state = State::Listen;
         self.text.clear();
         self.ahead.clear();
     }
 
-    /// Says something behind what was said.
+    /// Appends text to what is to be sent.
     pub fn say(&mut self, text: &[u8]) {
         crate::text::Sink::put(&mut self.text, text);
     }
 
-    /// Gives on what came, line by line, as far as the answers fit.
+    /// Passes received bytes on, line by line, as long as the answers fit.
     fn feed(&mut self, taker: &mut impl Taker) {
         let mut taken = 0;
         while !self.text.close && self.text.room() >= self.reserve {
@@ -235,14 +261,14 @@ impl<const AHEAD: usize> Ip<AHEAD> {
             }
         }
         if self.text.close {
-            taken = self.ahead.len(); // nobody listens any more
+            taken = self.ahead.len(); // the connection is closing
         }
         let taken = taken.min(self.ahead.len());
         move_down(&mut self.ahead, taken);
         self.ahead.truncate(self.ahead.len() - taken);
     }
 
-    /// Takes a frame. The answer, if there is one, is in `out`; its length comes back.
+    /// Takes a frame. If there is an answer, it is in `out`, and its length is returned.
     pub fn frame(
         &mut self,
         frame: &[u8],
@@ -285,7 +311,7 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         }
     }
 
-    /// What TCP has to send now, one segment; to be asked until there is none.
+    /// The next TCP segment to send now; call it until there is none.
     pub fn poll(
         &mut self,
         us: &Us,
@@ -298,11 +324,17 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         }
         self.feed(taker);
         let waited = now_ms.wrapping_sub(self.sent_at);
-        // Something is not acknowledged, does not fit their window, or their half stays open behind ours.
+        // Bytes are not acknowledged, or do not fit the peer's window, or the peer's half stays
+        // open after ours closed.
         let waiting = self.next != self.una
             || self.text.used > 0 && self.their_window == 0
             || self.state == State::Waiting;
-        if waiting && waited >= RESEND_MS << self.resends {
+        let window = (AHEAD - self.ahead.len()) as u16;
+        let patience = match waiting || self.resends > 0 {
+            true => RESEND_MS << self.resends,
+            false => IDLE_MS,
+        };
+        if waited >= patience {
             if self.resends >= RESENDS {
                 self.reset();
                 return None;
@@ -310,8 +342,11 @@ impl<const AHEAD: usize> Ip<AHEAD> {
             self.resends += 1;
             self.sent_at = now_ms;
             self.next = self.una;
+            if !waiting {
+                // The peer has acknowledged this already, and will say so.
+                return self.emit(us, ACK, self.una.wrapping_sub(1), window, 0, 0, out);
+            }
         }
-        let window = (AHEAD - self.ahead.len()) as u16;
         if self.state == State::Opening {
             if self.next != self.una {
                 return None;
@@ -321,7 +356,7 @@ impl<const AHEAD: usize> Ip<AHEAD> {
             return self.emit(us, SYN | ACK, self.una, window, 0, 0, out);
         }
         let sent = self.next.wrapping_sub(self.una) as usize;
-        // One byte into a shut window, when it is time to ask again.
+        // One byte into a closed window, when it is time to probe.
         let their_window = self.their_window.max(u32::from(self.resends > 0)) as usize;
         let end = self.text.used.min(their_window);
         let count = end.saturating_sub(sent).min(SEGMENT);
@@ -370,7 +405,11 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         let (sequence, ack) = (word(tcp, 4)?, word(tcp, 8)?);
         let flags = *tcp.get(13)?;
         let opens = flags & (SYN | ACK | RST | FIN) == SYN;
-        if self.state == State::Listen && opens {
+        let theirs = (peer.ip, peer.port) == (self.peer.ip, self.peer.port);
+        let opening = self.state == State::Opening;
+        // Our answer to the peer's SYN was lost. Any other SYN replaces a late handshake.
+        let again = opening && theirs && sequence.wrapping_add(1) == self.expected;
+        if opens && !self.taken() && !again {
             self.peer = peer;
             self.una = now_ms.wrapping_mul(250_000) ^ sequence.rotate_left(13);
             self.next = self.una;
@@ -381,17 +420,24 @@ impl<const AHEAD: usize> Ip<AHEAD> {
             self.owe_ack = false;
             self.resends = 0;
             self.sent_at = now_ms;
+            self.objected_at = now_ms.wrapping_sub(RESEND_MS);
             self.reset();
             self.state = State::Opening;
             return self.poll(us, now_ms, taker, out);
         }
-        let known =
-            self.state != State::Listen && (peer.ip, peer.port) == (self.peer.ip, self.peer.port);
+        let fresh = ack.wrapping_sub(self.una);
+        let never_sent = fresh > self.top.wrapping_sub(self.una);
+        let confirms = flags & (RST | ACK) != ACK || fresh == 1;
+        let known = self.busy() && theirs && (!opening || confirms);
+        if opens && opening && !theirs {
+            // The handshake may still finish soon; the client will ask again.
+            return None;
+        }
         if !known {
             if flags & RST != 0 {
                 return None;
             }
-            // Nobody is here for you.
+            // There is no connection for this segment: answer with a reset.
             let expected = self.expected;
             let other = core::mem::replace(&mut self.peer, peer);
             let length = data.len() as u32 + u32::from(flags & (SYN | FIN) != 0);
@@ -401,23 +447,30 @@ impl<const AHEAD: usize> Ip<AHEAD> {
             (self.peer, self.expected) = (other, expected);
             return sent;
         }
-        if flags & RST != 0 {
-            if sequence == self.expected {
+        let room = AHEAD - self.ahead.len();
+        let ahead = sequence.wrapping_sub(self.expected) as usize;
+        if flags & RST != 0 && (ahead == 0 || ahead >= room) {
+            if ahead == 0 {
                 self.reset();
             }
             return None;
         }
-        if opens {
-            // Our answer to their SYN was lost; or they forgot us, and will say so when they are answered.
-            if self.state == State::Opening {
-                self.next = self.una;
-            }
-            self.owe_ack = true;
+        if opens && opening {
+            self.next = self.una;
             return self.poll(us, now_ms, taker, out);
         }
-        // Something they acknowledge, that we sent.
-        let fresh = ack.wrapping_sub(self.una);
-        if flags & ACK != 0 && fresh <= self.top.wrapping_sub(self.una) {
+        // An old acknowledgement may come late. One of bytes that were never sent is a guess.
+        let guess = never_sent && self.una.wrapping_sub(ack) > LATE;
+        if flags & (SYN | RST) != 0 || flags & ACK != 0 && guess {
+            // Either the peer lost the connection, and will say so in reply, or the sender is not
+            // the peer.
+            self.object(now_ms);
+            return self.poll(us, now_ms, taker, out);
+        }
+        if flags & ACK == 0 {
+            return None;
+        }
+        if !never_sent {
             self.their_window = u32::from(half(tcp, 14)?);
             if fresh > 0 {
                 self.una = ack;
@@ -431,7 +484,7 @@ impl<const AHEAD: usize> Ip<AHEAD> {
                     taker.greet(&mut self.text);
                 } else {
                     if fresh as usize > self.text.used {
-                        // Our FIN, too. Both may have hung up, and both know.
+                        // The peer has acknowledged our FIN, too. Both sides may have closed.
                         self.state = State::Waiting;
                         if self.theirs_done {
                             self.reset();
@@ -440,18 +493,22 @@ impl<const AHEAD: usize> Ip<AHEAD> {
                     }
                     self.text.drop_front(fresh as usize);
                 }
+            } else if self.state != State::Waiting
+                && (self.next == self.una || self.their_window == 0)
+            {
+                // The peer answers, and has no bytes to acknowledge.
+                self.resends = 0;
+                self.sent_at = now_ms;
             }
-        }
-        if self.state == State::Opening {
-            return None;
         }
         let again = self.expected.wrapping_sub(sequence);
         let news = data.get(again as usize..);
         if !data.is_empty() || flags & FIN != 0 {
             self.owe_ack = true;
+        } else if again != 0 {
+            self.object(now_ms);
         }
         if let Some(news) = news.filter(|_| !self.theirs_done) {
-            let room = AHEAD - self.ahead.len();
             let head = news.get(..room.min(news.len())).unwrap_or(&[]);
             let _ = self.ahead.extend_from_slice(head);
             self.expected = self.expected.wrapping_add(head.len() as u32);
@@ -466,6 +523,14 @@ impl<const AHEAD: usize> Ip<AHEAD> {
             }
         }
         self.poll(us, now_ms, taker, out)
+    }
+
+    /// Answers with the right numbers, unless that was done a moment ago.
+    fn object(&mut self, now_ms: u32) {
+        if now_ms.wrapping_sub(self.objected_at) >= RESEND_MS {
+            self.objected_at = now_ms;
+            self.owe_ack = true;
+        }
     }
 
     /// A segment to the peer, with `count` bytes of text from `at`.
@@ -487,7 +552,8 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         let text = self.text.bytes.get(at..at + count)?;
         out.get_mut(PAYLOAD_AT..PAYLOAD_AT + count)?
             .copy_from_slice(text);
-        // Whoever hears nothing of it sends 536 bytes at a time: two frames for what fits into one.
+        // A stack that does not get this option sends 536 bytes at a time: two frames instead of
+        // one.
         let says = AHEAD >= usize::from(MSS) && flags & SYN != 0;
         let (count, offset) = match says {
             true => (count + MSS_OPTION, 0x60),
@@ -518,7 +584,7 @@ impl<const AHEAD: usize> Ip<AHEAD> {
     }
 }
 
-/// Ethernet and IP around so many bytes; says how long the frame is.
+/// Writes the Ethernet and IP headers around this many bytes; returns the frame's length.
 fn envelope(peer: &Peer, us: &Us, protocol: u8, length: usize, out: &mut [u8]) -> Option<usize> {
     let (ethernet, rest) = out.split_first_chunk_mut::<ETHERNET>()?;
     let (ip, _) = rest.split_first_chunk_mut::<IP_HEADER>()?;
@@ -537,7 +603,7 @@ fn envelope(peer: &Peer, us: &Us, protocol: u8, length: usize, out: &mut [u8]) -
     Some(TCP_AT + length)
 }
 
-/// Answers who asks for our address.
+/// Answers an ARP request for our address.
 fn arp(frame: &[u8], us: &Us, out: &mut [u8]) -> Option<usize> {
     const LENGTH: usize = 28;
     let asked = frame.get(ETHERNET..ETHERNET + LENGTH)?;
@@ -560,7 +626,7 @@ fn arp(frame: &[u8], us: &Us, out: &mut [u8]) -> Option<usize> {
     Some(ETHERNET + LENGTH)
 }
 
-/// Answers a ping. A symbol of its own: a test breaks it to see a trap.
+/// Answers a ping. It is a function of its own because a test breaks it to see a trap.
 #[inline(never)]
 fn ping(asked: &[u8], peer: &Peer, us: &Us, out: &mut [u8]) -> Option<usize> {
     let whole = asked.starts_with(&[8, 0]) && asked.len() >= ECHO_HEADER;

@@ -1,4 +1,5 @@
-//! Jobs: what the board does without a PC. A program of its own, in SDRAM; the ROM has no room for it.
+//! Jobs: what the board does without a PC. This is a separate program in SDRAM, because the ROM has
+//! no room for it.
 //!
 //! ```text
 //!   frames --> ip --> desk ----> store      jobs, in the SDRAM
@@ -12,12 +13,13 @@
 //!                                 inside --> datagram   the board's own server
 //! ```
 //!
-//! [`Jobs`] is all of it, for whoever has an [`Outside`]: the program on the board, the simulator, the tests. The executor is a client of its own
-//! board: it takes the session, configures, arms and exchanges with the datagrams a host would send. So what a session, an e-stop, the
-//! watchdog and a fault are is decided where it is for LinuxCNC, and a job and LinuxCNC exclude each other. The watchdog is fed by
-//! its exchanges, and it makes none unless the job goes on, or stands because it shall.
+//! [`Jobs`] combines all of it over an [`Outside`]: the program on the board, the simulator, the
+//! tests. The executor is a client of its own board: it takes the session, configures, arms and
+//! exchanges with the same datagrams as a host. So the rules for sessions, e-stops, the watchdog
+//! and faults are the same as for LinuxCNC, and a job and LinuxCNC exclude each other. The job's
+//! exchanges feed the watchdog, and it makes none unless the job goes on, or is meant to stand.
 //!
-//! Everything is bounded: a call does one thing, and memory is what it was given.
+//! Everything is bounded: a call does one piece of work, and the memory has a fixed size.
 
 pub mod abi;
 pub mod core;
@@ -35,17 +37,20 @@ mod program;
 mod words;
 
 use self::core::Core;
-use self::desk::{Counter, Desk};
+use self::desk::{Caller, Counter, Desk, Door};
 use self::executor::Executor;
 use self::inside::Inside;
 use self::store::Store;
 use crate::ip::{Ip, Taker as _, Text};
 use crate::net::Us;
+use ::core::num::NonZeroU64;
 use wire::MAX_WORDS;
+use wire::jobs::SILENCE_SECONDS;
 
-/// What is outside of the program.
+/// The program's interface to the rest of the board.
 pub trait Outside {
-    /// Gives a datagram to the board's own server; words of the answer, 0 if there is none.
+    /// Gives a datagram to the board's own server; returns the answer's words, 0 if there is no
+    /// answer.
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize;
     /// Sends an Ethernet frame.
     fn send_frame(&mut self, frame: &[u8]);
@@ -61,27 +66,40 @@ pub trait Outside {
 
 /// Bytes a client may send ahead: four requests.
 pub const AHEAD: usize = 4096;
-/// Somebody for whom there is no time may say a Hello.
-const AHEAD_OF_DOOR: usize = 64;
+/// Bytes that a client of a [`desk::Door`] may send ahead: a Hello and a command.
+const AHEAD_OF_DOOR: usize = 128;
+/// Clients at the door at a time, and one place for the next. When a client takes that place, the
+/// one that has been at the door longest is dropped.
+const DOORS: usize = 5;
 /// Bytes of the longest frame.
 const FRAME: usize = 1514;
+
+/// The connection of a client that came while another one was connected.
+#[derive(Debug)]
+struct Entrance {
+    ip: Ip<AHEAD_OF_DOOR>,
+    door: Door,
+    since: u64,
+}
 
 /// The program.
 #[derive(Debug)]
 pub struct Jobs<'m> {
     ip: Ip<AHEAD>,
-    /// Says to others that somebody is there.
-    door: Ip<AHEAD_OF_DOOR>,
+    /// For clients that come while another one is connected: they may say stop. One entrance is
+    /// always free.
+    doors: [Entrance; DOORS],
     desk: Desk,
     store: Store<'m>,
     executor: Executor,
     turn: u32,
-    per_ms: u32,
-    /// For a frame to be sent.
+    /// Clocks.
+    per_ms: NonZeroU64,
+    /// A frame to be sent.
     answer: [u8; FRAME],
 }
 
-/// What is too short for Ethernet ends in zeros; everything else of a frame is written.
+/// Frames too short for Ethernet end in zeros; all other bytes of a frame are written.
 fn clean(answer: &mut [u8; FRAME]) -> &mut [u8; FRAME] {
     if let Some(shortest) = answer.first_chunk_mut::<60>() {
         *shortest = [0; 60];
@@ -90,27 +108,37 @@ fn clean(answer: &mut [u8; FRAME]) -> &mut [u8; FRAME] {
 }
 
 impl<'m> Jobs<'m> {
-    /// A program that keeps its jobs in `memory`. `program` is the CRC-32 it is known by. It asks the board who it is; one that does not
-    /// answer, or has no segments core, gets no program.
+    /// A program that keeps its jobs in `memory`. `program` is the CRC-32 that identifies it. It
+    /// asks the board for its description. There is no program for a board that does not answer or
+    /// has no segments core.
     pub fn new(memory: &'m mut [u8], program: u32, out: &mut impl Outside) -> Option<Self> {
         let (inside, board) = Inside::new(out)?;
-        let executor = Executor::new(inside, &board, Core::new(out)?);
+        let cuts = inside.cuts(out).unwrap_or(0);
+        let executor = Executor::new(inside, &board, Core::new(out)?, cuts);
         let mut jobs = Jobs {
             ip: Ip::new(),
-            door: Ip::new(),
+            doors: [const {
+                Entrance {
+                    ip: Ip::new(),
+                    door: Door::new(),
+                    since: 0,
+                }
+            }; DOORS],
             desk: Desk::new(&board, program),
             store: Store::new(memory),
             executor,
             turn: 0,
-            per_ms: (board.clock_hz / 1000).max(1),
+            per_ms: NonZeroU64::new(u64::from(board.clock_hz / 1000)).unwrap_or(NonZeroU64::MIN),
             answer: [0; FRAME],
         };
         jobs.ip.listen(wire::jobs::PORT, wire::jobs::FRAME);
-        jobs.door.listen(wire::jobs::PORT, wire::jobs::FRAME);
+        for entrance in &mut jobs.doors {
+            entrance.ip.listen(wire::jobs::PORT, wire::jobs::FRAME);
+        }
         Some(jobs)
     }
 
-    /// What is executed.
+    /// The executor.
     pub fn executor(&self) -> &Executor {
         &self.executor
     }
@@ -118,18 +146,38 @@ impl<'m> Jobs<'m> {
     /// Takes a TCP frame for [`wire::jobs::PORT`].
     pub fn frame(&mut self, frame: &[u8], out: &mut impl Outside) {
         let (us, now) = (out.us(), out.now());
-        let now_ms = (now / u64::from(self.per_ms)) as u32;
+        let now_ms = (now / self.per_ms) as u32;
         let answer = clean(&mut self.answer);
-        // Who was told that somebody is there says goodbye to whom he was told by, though nobody is there any more.
-        let told = self.door.busy() && self.door.is_peer(frame);
-        let length = if told || self.ip.busy() && !self.ip.is_peer(frame) {
-            if !told {
-                // Who was told before may have vanished; he has waited long enough.
-                self.door.reset();
+        // A client at the door stays at the door, even if the desk becomes free.
+        let told = |entrance: &&mut Entrance| entrance.ip.busy() && entrance.ip.is_peer(frame);
+        let mut entrance = self.doors.iter_mut().find(told);
+        // The next client replaces a handshake that is not finished.
+        if entrance.is_none() && self.ip.taken() && !self.ip.is_peer(frame) {
+            entrance = self.doors.iter_mut().find(|entrance| !entrance.ip.busy());
+        }
+        let length = if let Some(Entrance { ip, door, since }) = entrance {
+            let before = ip.busy();
+            let mut caller = Caller {
+                door,
+                desk: &self.desk,
+                store: &self.store,
+                executor: &mut self.executor,
+                out,
+                now,
+            };
+            let length = ip.frame(frame, &us, now_ms, &mut caller, answer);
+            if !before && ip.busy() {
+                *since = now;
+                make_room(&mut self.doors, now);
             }
-            self.door.frame(frame, &us, now_ms, &mut desk::Door, answer)
+            length
         } else {
-            let nobody = !self.ip.busy();
+            if !self.ip.taken() {
+                // A client has the time of silence from its first frame on, not from its
+                // predecessor's last. Not behind the frame: that may end a late handshake, and have
+                // the first request in it.
+                self.desk.visit(now);
+            }
             let mut counter = Counter {
                 desk: &mut self.desk,
                 store: &mut self.store,
@@ -138,24 +186,21 @@ impl<'m> Jobs<'m> {
                 now,
                 budget: 1,
             };
-            let length = self.ip.frame(frame, &us, now_ms, &mut counter, answer);
-            if nobody && self.ip.busy() {
-                // He has the time of silence from his first frame on, not from his predecessor's last.
-                self.desk.visit(now);
-            }
-            length
+            self.ip.frame(frame, &us, now_ms, &mut counter, answer)
         };
         if let Some(frame) = length.and_then(|length| answer.get(..length)) {
             out.send_frame(frame);
         }
     }
 
-    /// Somebody is there, over a connection that is not this program's: the simulator has sockets of its own.
+    /// A client is there, over a connection that is not this program's: the simulator has its own
+    /// sockets.
     pub fn visit(&mut self, out: &mut impl Outside) {
         self.desk.visit(out.now());
     }
 
-    /// Takes bytes of that connection, at most one request; how many. What is to be answered is behind what is in `answer` already.
+    /// Takes bytes of that connection, at most one request; returns how many. The answer is
+    /// appended to `answer`.
     pub fn said(&mut self, bytes: &[u8], answer: &mut Text, out: &mut impl Outside) -> usize {
         let now = out.now();
         let mut counter = Counter {
@@ -169,8 +214,8 @@ impl<'m> Jobs<'m> {
         counter.take(bytes, answer)
     }
 
-    /// Answers a line of the debug console into `room`; how many bytes that takes. `trusted`: whoever says it has the board's key, or there is
-    /// none.
+    /// Answers a line of the debug console into `room`; returns the answer's length in bytes.
+    /// `trusted`: the console's client has proved the board's key, or there is no key.
     pub fn line(
         &mut self,
         line: &[u8],
@@ -191,25 +236,59 @@ impl<'m> Jobs<'m> {
         paper.used()
     }
 
-    /// Does a piece of work: a segment, a frame, a block of a job. True while there is more to do than to wait.
+    /// Takes bytes of another connection while there is one; returns how many. Its client was told
+    /// [`wire::jobs::Status::Busy`] before.
+    pub fn knock(
+        &mut self,
+        door: &mut Door,
+        bytes: &[u8],
+        answer: &mut Text,
+        out: &mut impl Outside,
+    ) -> usize {
+        let now = out.now();
+        let mut caller = Caller {
+            door,
+            desk: &self.desk,
+            store: &self.store,
+            executor: &mut self.executor,
+            out,
+            now,
+        };
+        caller.take(bytes, answer)
+    }
+
+    fn anybody_at_door(&self) -> bool {
+        self.doors.iter().any(|entrance| entrance.ip.busy())
+    }
+
+    /// Does a piece of work: a segment, a frame, a block of a job. True while there is more work.
     pub fn poll(&mut self, out: &mut impl Outside) -> bool {
         let now = out.now();
         self.turn = self.turn.wrapping_add(1);
-        // Three of four turns are the executor's while it has something to do.
+        // The executor gets three of four turns while it has work.
         let busy = !self.turn.is_multiple_of(4) && self.executor.poll(&mut self.store, now, out);
-        if !busy && !self.speak(now, out) {
+        // Clients that keep asking must not stop the check of an upload.
+        if !busy && (!self.speak(now, out) || self.turn.is_multiple_of(8)) {
             self.store.poll();
         }
-        self.executor.busy() || self.ip.busy() || self.door.busy() || self.store.reads()
+        self.executor.busy() || self.ip.busy() || self.anybody_at_door() || self.store.reads()
     }
 
-    /// What TCP has to say now. Whether it was anything.
+    /// Sends the next TCP segment. True if there was one.
     fn speak(&mut self, now: u64, out: &mut impl Outside) -> bool {
-        if !self.ip.busy() && !self.door.busy() {
+        if !self.ip.busy() && !self.anybody_at_door() {
             return false;
         }
+        // The desk and the doors alternate, so neither can delay the other for long.
+        match self.turn.is_multiple_of(8) {
+            true => self.speak_at_door(now, out) || self.speak_at_desk(now, out),
+            false => self.speak_at_desk(now, out) || self.speak_at_door(now, out),
+        }
+    }
+
+    fn speak_at_desk(&mut self, now: u64, out: &mut impl Outside) -> bool {
         let us = out.us();
-        let now_ms = (now / u64::from(self.per_ms)) as u32;
+        let now_ms = (now / self.per_ms) as u32;
         let answer = clean(&mut self.answer);
         if self.ip.busy() && self.desk.silent(now) {
             self.ip.reset();
@@ -222,14 +301,47 @@ impl<'m> Jobs<'m> {
             now,
             budget: 1,
         };
-        let mut length = self.ip.poll(&us, now_ms, &mut counter, answer);
-        if length.is_none() {
-            length = self.door.poll(&us, now_ms, &mut desk::Door, answer);
-        }
-        match length.and_then(|length| answer.get(..length)) {
-            Some(frame) => out.send_frame(frame),
-            None => return false,
-        }
+        let length = self.ip.poll(&us, now_ms, &mut counter, answer);
+        let Some(frame) = length.and_then(|length| answer.get(..length)) else {
+            return false;
+        };
+        out.send_frame(frame);
         true
+    }
+
+    fn speak_at_door(&mut self, now: u64, out: &mut impl Outside) -> bool {
+        let us = out.us();
+        let now_ms = (now / self.per_ms) as u32;
+        let patience = u64::from(SILENCE_SECONDS) * self.per_ms.get() * 1000;
+        for Entrance { ip, door, since } in &mut self.doors {
+            if ip.busy() && now.wrapping_sub(*since) >= patience {
+                ip.reset();
+            }
+            let answer = clean(&mut self.answer);
+            let mut caller = Caller {
+                door,
+                desk: &self.desk,
+                store: &self.store,
+                executor: &mut self.executor,
+                out,
+                now,
+            };
+            let length = ip.poll(&us, now_ms, &mut caller, answer);
+            if let Some(frame) = length.and_then(|length| answer.get(..length)) {
+                out.send_frame(frame);
+                return true;
+            }
+        }
+        false
+    }
+}
+
+/// Keeps one entrance free: drops the client that has been at the door longest.
+fn make_room(doors: &mut [Entrance; DOORS], now: u64) {
+    if doors.iter().all(|entrance| entrance.ip.busy()) {
+        let oldest = |entrance: &&mut Entrance| now.wrapping_sub(entrance.since);
+        if let Some(entrance) = doors.iter_mut().max_by_key(oldest) {
+            entrance.ip.reset();
+        }
     }
 }

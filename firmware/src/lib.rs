@@ -1,9 +1,8 @@
-//! The firmware's judgement, without its hands.
+//! The firmware's logic, without access to the hardware.
 //!
-//! Everything here decides and moves words; nothing here knows an address of the chip, waits, or
-//! asks what time it is. The board is behind [`cores::Board`], time is an argument, frames are
-//! words. So it runs on a PC, where the tests are, and on the softcore, where `src/soc` gives it
-//! registers.
+//! The code here decides and moves words. It knows no addresses of the chip, never waits, and never
+//! reads a clock. The board is behind [`cores::Board`], time is an argument, frames are words. So
+//! it runs on a PC, where the tests are, and on the softcore, where `src/soc` gives it registers.
 //!
 //! ```text
 //!   bytes --> machine --+
@@ -17,31 +16,31 @@
 //!
 //! | module | what it does and refuses |
 //! |---|---|
-//! | [`machine`] | everything below tied together, for whoever has a board: the image, the simulator |
+//! | [`machine`] | combines the modules below, for the image and the simulator |
 //! | [`cores`] | the board as the lib sees it: a trait |
 //! | [`net`] | recognises plain UDP to us and checks it; leaves everything else to the IP stack |
 //! | [`server`] | Etherbone: checks a whole datagram, then executes all of it or nothing |
 //! | [`exchange`] | the servo-period datagram: judge, stage, commit, sample, answer |
-//! | [`session`] | who owns the motion |
+//! | [`session`] | which host owns the motion |
 //! | [`auth`] | the pre-shared key: challenges, and judging the answers |
 //! | [`safety`] | the state machine: when outputs may be live |
 //! | [`config`] | which settings exist, their ranges, and which may change while armed |
 //! | [`describe`] | how the board says what it is |
 //! | [`service`] | which raw registers may be touched |
-//! | [`flash`] | the SPI flash: one operation at a time, never waiting; golden and the slot in use are out of reach |
+//! | [`flash`] | the SPI flash: one operation at a time, never blocking; golden and the slot in use cannot be written |
 //! | [`images`] | which slot loads, and how that changes one byte at a time |
 //! | [`settings`] | the two copies of what a board keeps over a power cycle |
-//! | [`discovery`] | being found, and told who to be, whatever the address |
+//! | [`discovery`] | lets hosts find the board and set its settings, whatever its address |
 //! | [`dhcp`] | an address from a server, or the static one after 10 s |
 //! | [`ip`] | ARP, ping and the console's TCP connection |
 //! | [`jobs`] | what the board does without a PC, in a program of its own |
-//! | [`link`] | up, how fast, and what got lost |
-//! | `path_stop` | decelerations that keep the axes on their line when nobody commands them any more |
+//! | [`link`] | up or down, speed, errors |
+//! | `path_stop` | decelerations that keep the axes on their line when no commands come any more |
 //! | [`log`] | the ring `ferrocnc log` reads |
 //! | [`postmortem`] | what survives a panic |
 //! | [`text`] | text in pieces, without `core::fmt` |
-//! | [`thrift`] | what the compiler's library does at the price of a kilobyte |
-//! | [`console`] | a window for a human with `telnet`: to look, and with the key to restart |
+//! | [`thrift`] | small replacements for a kilobyte of the compiler's library |
+//! | [`console`] | a text console for `telnet`: to look, and with the key to restart |
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
@@ -77,7 +76,7 @@ mod fake;
 /// Major << 16 | minor << 8 | patch of this crate.
 pub const VERSION: u32 = version(env!("CARGO_PKG_VERSION"));
 
-/// "1.2.3" as a word. A version that is not three small numbers does not compile.
+/// "1.2.3" as a word. A version that does not consist of three small numbers does not compile.
 const fn version(text: &str) -> u32 {
     let bytes = text.as_bytes();
     let (mut word, mut part, mut at) = (0u32, 0u32, 0);

@@ -1,8 +1,9 @@
-//! The Ethernet link: up, how fast, and what got lost.
+//! The Ethernet link: up or down, speed, errors.
 //!
-//! It is down once it was seen down in three looks in a row, a millisecond apart: a PHY that renegotiates says so for
-//! longer, a wrong sample of its in-band status does not. A PHY that never said "up" is not believed to be down:
-//! not every one speaks in band, and whoever asks got here over the link.
+//! The link is down after three looks in a row, a millisecond apart, saw it down: a PHY that
+//! renegotiates reports it for longer, and a wrong sample of its in-band status is shorter. A PHY
+//! that never reported "up" is not believed to be down: some do not report in band, and a client
+//! that asks came over the link.
 
 use crate::cores;
 use wire::LinkSpeed;
@@ -14,7 +15,7 @@ const LOOKS: u8 = 3;
 /// What is known of the link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Link {
-    /// What the last look saw, if nothing is to be counted.
+    /// The last status, if no error has to be counted.
     settled: Option<cores::Link>,
     word: LinkWord,
     /// It was up once.
@@ -44,14 +45,14 @@ impl Link {
         }
     }
 
-    /// Is this what it was, with nothing left to count?
+    /// Is this the same status, with no error to count?
     #[inline(always)]
     pub fn same(&self, now: cores::Link) -> bool {
         self.settled
             .is_some_and(|last| last.status == now.status && last.errors == now.errors)
     }
 
-    /// Takes a look; true when that makes it go down.
+    /// Takes a status; true if the link goes down with it.
     pub fn look(&mut self, now: cores::Link) -> bool {
         self.word.errors = now.errors & 0xff_ffff;
         self.settled = Some(now);
@@ -79,12 +80,12 @@ impl Link {
         true
     }
 
-    /// Is it up, or not known to be down?
+    /// Is the link up, or not known to be down?
     pub const fn up(&self) -> bool {
         self.downs < LOOKS
     }
 
-    /// As the flash window tells it.
+    /// The link's word in the flash window.
     pub const fn word(&self) -> LinkWord {
         self.word
     }

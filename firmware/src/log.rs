@@ -1,7 +1,8 @@
 //! The log ring: the newest bytes of the defmt stream, readable while it is written.
 //!
-//! A reader fetches the head, then ring words, then the head again: whatever lies more than the
-//! ring's size behind the second head was overwritten while it looked. Nobody ever waits for it.
+//! A reader fetches the head, then ring words, then the head again. Bytes that are more than the
+//! ring's size before the second head were overwritten during the read. The writer never waits for
+//! a reader.
 
 /// A word of the log window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

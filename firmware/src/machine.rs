@@ -1,23 +1,23 @@
-//! The firmware less its IP stack: start-up, datagrams, chores, console.
+//! The firmware without its IP stack: start-up, datagrams, housekeeping, console.
 //!
-//! The image wraps this in frames and a TCP socket; the simulated board calls it from its own UDP and TCP
-//! sockets, with models behind [`Board`]. Both in this order:
+//! The image wraps this in frames and a TCP socket. The simulated board calls it from its own UDP
+//! and TCP sockets, with models behind [`Board`]. Both call it in this order:
 //!
 //! ```text
 //!   Machine::start           gate closed, settings, addresses, state machine out of Boot
 //!   forever
 //!     a datagram             Machine::datagram (words) or Machine::payload (bytes), then, if
-//!                            Machine::due(BEHIND_A_FRAME), Machine::chores; Server::hold_path once it is sent
+//!                            Machine::due(BEHIND_A_FRAME), Machine::chores; Machine::hold_path once it is sent
 //!     none, and due(IDLE)    Machine::chores
-//!     a byte of the console  console::Line::push, and what it says into Machine::answer
+//!     a byte of the console  console::Line::push, and its result into Machine::answer
 //!     a discovery datagram   Machine::discover; a DHCP server's: Machine::offered
 //!     has_to_shout           Machine::shout, and broadcast it
 //!     moved                  the address changed: tell the IP stack
 //!     server.wants_restart   leave ResetReason::Requested in the postmortem record, start anew
 //! ```
 //!
-//! The log is the board's: defmt's ring on the softcore, whatever a model keeps elsewhere
-//! ([`crate::log::Ring`]). What is worth a line in it comes back from [`Machine::chores`].
+//! The log belongs to the board: defmt's ring on the softcore, other storage in a model
+//! ([`crate::log::Ring`]). [`Machine::chores`] returns the events that are worth a log line.
 
 use crate::auth::{Words, by_port};
 use crate::console::{self, Ask, Vitals};
@@ -38,22 +38,23 @@ use wire::map::{BoardConfig, StepgenConfig};
 use wire::settings::Settings;
 use wire::{DISCOVERY_PORT, FaultReason, MAX_WORDS, Name, Refusal, State};
 
-/// Chores are due behind an answer once a period of theirs has passed: the next request is a whole servo
-/// period away.
+/// Housekeeping is due after an answer once one of its periods has passed: the next request is a
+/// whole servo period away.
 pub const BEHIND_A_FRAME: u32 = 1;
-/// Without a frame they wait longer, lest they stand between a request and its answer.
+/// Without a frame it waits longer, so that it does not run between a request and its answer.
 pub const IDLE: u32 = 3;
-/// Bytes of the board information ROM that are looked at.
+/// Bytes of the board information ROM that are read.
 pub const BLOB_MAX: usize = 2048;
 
-/// A thousand chores a second: TCP timers and the LED are in no hurry, a bite should be told soon.
+/// Housekeeping runs a thousand times a second: TCP timers and the LED could wait, but a bite
+/// should be reported soon.
 const CHORES_PER_SECOND: u32 = 1000;
-/// Locally administered; for a board whose ROM names none and whose flash has no unique id.
+/// Locally administered; for a board without a MAC in its ROM and without a unique id in its flash.
 const FALLBACK_MAC: [u8; 6] = [0x12, 0xe2, 0xd5, 0, 0, 1];
 /// 5 ms, hostmot2's default: five missed periods of a 1 kHz servo thread.
 const WATCHDOG_PER_SECOND: u32 = 200;
 
-/// Something to be sent to everybody (255.255.255.255), from this board.
+/// A datagram to be broadcast (255.255.255.255) by this board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shout {
     /// Source address.
@@ -66,7 +67,7 @@ pub struct Shout {
     pub words: usize,
 }
 
-/// A board and the judgement over it.
+/// A board and the server that judges its datagrams.
 #[derive(Debug)]
 pub struct Machine<B> {
     /// The board.
@@ -80,7 +81,7 @@ pub struct Machine<B> {
     names: Names,
     client: Client,
     waiting: Option<Waiting>,
-    /// The answer to a Set is there, or the DHCP client wants something.
+    /// The result of a Set that has to be answered, if there is one.
     done: Option<OpResult>,
     ask: bool,
     /// The address changed and the transport has not been told.
@@ -93,7 +94,7 @@ pub struct Machine<B> {
 }
 
 impl<B: Board> Machine<B> {
-    /// Brings the board into a safe state, finds out where it is, and ends start-up. `abi` is the
+    /// Brings the board into a safe state, finds its addresses, and ends start-up. `abi` is the
     /// firmware's; `boot` comes from the postmortem record.
     pub fn start(board: B, ident: Ident, abi: u32, boot: Boot) -> Self {
         let mut machine = Machine::asleep(board, ident, abi, boot);
@@ -101,8 +102,8 @@ impl<B: Board> Machine<B> {
         machine
     }
 
-    /// As it is before anything was done: [`Machine::wake`] comes next. The image makes it and wakes it where it stays; moved
-    /// about on the way, it would be on the stack twice.
+    /// The machine before start-up; [`Machine::wake`] comes next. The image builds it and wakes it
+    /// in its final place: a move would put it on the stack twice.
     #[inline(never)]
     pub fn asleep(board: B, ident: Ident, abi: u32, boot: Boot) -> Self {
         Machine {
@@ -128,7 +129,8 @@ impl<B: Board> Machine<B> {
         }
     }
 
-    /// Closes the gate, gives every setting its default, finds out who and where the board is, and ends start-up.
+    /// Closes the gate, gives every setting its default, reads the board's identity and addresses,
+    /// and ends start-up.
     #[inline(never)]
     pub fn wake(&mut self) {
         let (ident, boot) = (self.server.ident, self.server.boot);
@@ -143,7 +145,7 @@ impl<B: Board> Machine<B> {
         self.ask = self.client.tick(0);
     }
 
-    /// Reads what was built in and what was saved: who and where the board is.
+    /// Reads the built-in and the saved settings: the board's identity and addresses.
     #[inline(never)]
     fn find_itself(&mut self, ident: &Ident, boot: Boot) {
         let mut built = Built::new();
@@ -163,7 +165,7 @@ impl<B: Board> Machine<B> {
         self.us.port = settings.port;
         self.net = (settings.prefix, settings.gateway);
         if settings.dhcp {
-            // While a server is asked there is no address.
+            // The board has no address while it asks a DHCP server.
             self.client = Client::on(boot.id ^ uid_hi ^ uid_lo.rotate_left(16));
         } else {
             self.us.ip = settings.ip;
@@ -171,7 +173,7 @@ impl<B: Board> Machine<B> {
         self.server.ip = self.us.ip;
     }
 
-    /// Judges a datagram and executes it; what is to be sent back, if anything, is in `reply`.
+    /// Judges a datagram and executes it; an answer, if there is one, is in `reply`.
     pub fn datagram<'r>(
         &mut self,
         words: &[u32],
@@ -179,23 +181,39 @@ impl<B: Board> Machine<B> {
         reply: &'r mut [u32; MAX_WORDS],
     ) -> Result<&'r [u32], Refusal> {
         if peer.ip == Peer::INSIDE.ip {
-            // No such sender is on any wire.
+            // No frame on the wire can have this sender.
             return Err(Refusal::NotOwner);
         }
         self.server.datagram(&mut self.board, words, peer, reply)
     }
 
-    /// The same for a datagram of the jobs program, which lives on this board and needs no key.
+    /// The same for a datagram of the jobs program, which runs on this board and needs no key. It
+    /// gets its answer at once, so `hold` runs right after it: [`Machine::hold_path`], or a
+    /// function that calls it.
     pub fn inside<'r>(
         &mut self,
         words: &[u32],
         reply: &'r mut [u32; MAX_WORDS],
+        hold: impl FnOnce(&mut Self),
     ) -> Result<&'r [u32], Refusal> {
-        self.server
-            .datagram(&mut self.board, words, Peer::INSIDE, reply)
+        let answer = self
+            .server
+            .datagram(&mut self.board, words, Peer::INSIDE, reply);
+        if self.server.owes_path() {
+            hold(self);
+        }
+        answer
     }
 
-    /// The same for a UDP payload as bytes, for transports whose frames are not words. Counts the frames.
+    /// Makes the decelerations fit the command that was executed last. Call it after every answer
+    /// if [`Server::owes_path`].
+    #[inline(always)]
+    pub fn hold_path(&mut self) {
+        self.server.hold_path(&mut self.board);
+    }
+
+    /// The same for a UDP payload as bytes, for transports with other frames than words. Counts the
+    /// frames.
     pub fn payload<'r>(
         &mut self,
         bytes: &[u8],
@@ -217,7 +235,8 @@ impl<B: Board> Machine<B> {
         Ok(reply)
     }
 
-    /// Have so many periods passed since the last chores? Then they are due, and counted as done.
+    /// Have this many periods passed since the last housekeeping? Then it is due, and counted as
+    /// done.
     #[inline(always)]
     pub fn due(&mut self, periods: u32) -> bool {
         let now = self.board.now_lo();
@@ -228,7 +247,7 @@ impl<B: Board> Machine<B> {
         due
     }
 
-    /// Looks after what happens without a datagram. A change of state comes back, to be logged.
+    /// Does what is due without a datagram. Returns a change of state, to be logged.
     #[inline]
     pub fn chores(&mut self) -> Option<(State, FaultReason)> {
         if self.server.flash.busy() {
@@ -246,7 +265,8 @@ impl<B: Board> Machine<B> {
         changed.then(|| (state, self.server.safety().reason()))
     }
 
-    /// A slice of the flash's operation; while one runs, chores follow each other without a pause.
+    /// One slice of the flash operation. While an operation runs, housekeeping runs without a
+    /// pause.
     #[cold]
     #[inline(never)]
     fn slice(&mut self) {
@@ -272,7 +292,7 @@ impl<B: Board> Machine<B> {
         }
     }
 
-    /// Uses the address there is; nothing changes under a host that owns the session.
+    /// Puts the current address into force. It does not change while a host owns the session.
     fn settle(&mut self) {
         let settings = self.server.flash.settings();
         let (ip, net) = match self.client.lease() {
@@ -296,8 +316,8 @@ impl<B: Board> Machine<B> {
         core::mem::take(&mut self.moved)
     }
 
-    /// Judges a datagram that came to [`DISCOVERY_PORT`], as words. What is to be broadcast to `port`, where it came
-    /// from, is in `reply`; nothing if that is empty.
+    /// Judges a datagram, as words, that came to [`DISCOVERY_PORT`]. `reply` is to be broadcast to
+    /// `port`, the port the datagram came from; if it is empty, there is no answer.
     pub fn discover<'r>(
         &mut self,
         words: &[u32],
@@ -338,7 +358,8 @@ impl<B: Board> Machine<B> {
         emit(&Message { nonce, uid, body }, reply)
     }
 
-    /// Has whoever sent this from there the key? If not, here is something to prove it with.
+    /// Has the sender proved that it has the key? If not, the error is a challenge to prove it
+    /// with.
     fn prove(&mut self, words: &[u32], port: u16) -> Result<(), Words> {
         let (signed, answer) = proof(words).unzip();
         let from = by_port(port);
@@ -348,14 +369,14 @@ impl<B: Board> Machine<B> {
             return Ok(());
         };
         let challenge = *auth.challenge(from);
-        // Who has not been asked yet has done nothing wrong.
+        // A sender that was not asked for a proof yet has done nothing wrong.
         if answer.is_some() {
             self.server.refuse(why);
         }
         Err(challenge)
     }
 
-    /// Takes a datagram of so many bytes that came to [`dhcp::PORT`].
+    /// Takes a datagram of this many bytes that came to [`dhcp::PORT`].
     pub fn offered(&mut self, words: &[u32], length: usize) {
         let client = &mut self.client;
         self.ask |= client.take(self.us.mac, words, length, self.second);
@@ -364,14 +385,15 @@ impl<B: Board> Machine<B> {
         }
     }
 
-    /// Is there something to be sent ([`Machine::shout`])? To be asked behind the chores and a datagram.
+    /// Is there something to broadcast ([`Machine::shout`])? Ask after housekeeping and after a
+    /// datagram.
     #[inline(always)]
     pub fn has_to_shout(&self) -> bool {
         self.ask || self.moved || self.done.is_some()
     }
 
-    /// What is to be broadcast, into `words`. The answer to a Set that was saved is the last there is: the machine
-    /// wants a restart behind it.
+    /// Writes what is to be broadcast into `words`. The answer to a Set that was saved is the last
+    /// one: the machine wants a restart after it.
     pub fn shout(&mut self, words: &mut [u32; MAX_WORDS]) -> Option<Shout> {
         if let (Some(result), Some(waiting)) = (self.done.take(), self.waiting.take()) {
             if result == OpResult::Ok {
@@ -403,12 +425,12 @@ impl<B: Board> Machine<B> {
         })
     }
 
-    /// Somebody new is at the console.
+    /// A new client is at the console.
     pub fn greet(&mut self) {
         self.server.auth.greet();
     }
 
-    /// May whoever is at the console do more than look?
+    /// May the client of the console do more than look?
     pub fn trusted(&self) -> bool {
         self.server.auth.trusted()
     }
@@ -427,17 +449,20 @@ impl<B: Board> Machine<B> {
     }
 }
 
-/// What a board is before a host configures it: slow enough for any drive, watchful.
+/// The board's settings before a host configures it: slow enough for any drive, with the watchdog
+/// on.
 fn defaults(board: &mut impl Board, ident: &Ident) {
     let per_us = ident.clock_hz / 1_000_000;
     for n in 0..ident.channels.stepgens {
-        // 5 us pulses, 20 us around a change of direction: slower than the slowest driver chip's data sheet.
+        // 5 us pulses, 20 us around a change of direction: slower than the slowest driver chip's
+        // data sheet.
         for (field, us) in [
             (StepgenConfig::Steplen, 5),
             (StepgenConfig::Stepspace, 5),
             (StepgenConfig::Dirsetup, 20),
             (StepgenConfig::Dirhold, 20),
-            // What the gateware powers up with: a restart forgets what was made to fit a path.
+            // The gateware's power-up value: a restart forgets decelerations that were adapted to a
+            // path.
             (StepgenConfig::StopAccel, 0),
         ] {
             board.set(Setting::Stepgen(n, field), us * per_us);
@@ -458,7 +483,7 @@ fn emit<'r>(message: &Message, words: &'r mut [u32; MAX_WORDS]) -> &'r [u32] {
     }
 }
 
-/// What the board information ROM says of where and who the board is.
+/// What the board information ROM says about the board's identity and addresses.
 struct Built {
     settings: Settings,
     names: Names,
@@ -583,7 +608,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_on_the_wire_is_taken_for_the_jobs_program() {
+    fn no_sender_on_the_wire_is_taken_for_the_jobs_program() {
         let mut machine = machine(Notebook::new());
         let mut reply = [0; MAX_WORDS];
         for port in [0, 724] {
@@ -595,7 +620,9 @@ mod tests {
             assert_eq!(refused, Err(Refusal::NotOwner));
         }
         let request = [0x4e6f_1044u32, 0, 0x000f_0001, 0x77, 0];
-        let answer = machine.inside(&request, &mut reply).unwrap();
+        let answer = machine
+            .inside(&request, &mut reply, Machine::hold_path)
+            .unwrap();
         assert_eq!(answer[4], wire::describe::MAGIC);
     }
 
@@ -652,7 +679,7 @@ mod tests {
 
     const UID: [u32; 2] = [0x0102_0304, 0x0506_0708];
 
-    /// Chores, and what is shouted, until nothing is left to do.
+    /// Runs housekeeping and broadcasts until nothing is left to do.
     fn shouts(machine: &mut Machine<Notebook>) -> Vec<(Shout, Vec<u32>)> {
         let mut all = Vec::new();
         for _ in 0..100 {
@@ -668,7 +695,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_is_found_whoever_asks_and_by_its_own_id() {
+    fn a_board_is_found_by_any_host_and_by_its_own_id() {
         let mut machine = machine(Notebook::new());
         for (uid, found) in [([0, 0], true), (UID, true), ([1, 2], false)] {
             let answer = ask(&mut machine, &message(uid, Body::Who));
@@ -688,7 +715,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_that_is_told_who_to_be_saves_it_says_so_and_starts_anew() {
+    fn a_board_saves_the_settings_it_gets_confirms_them_and_restarts() {
         let mut machine = machine(Notebook::new());
         let settings = Settings {
             ip: 0x0a00_0002,
@@ -696,9 +723,13 @@ mod tests {
             ..Settings::default()
         };
         let set = message(UID, Body::Set(settings));
-        assert_eq!(ask(&mut machine, &message([0; 2], set.body)), None, "whom?");
+        assert_eq!(
+            ask(&mut machine, &message([0; 2], set.body)),
+            None,
+            "for another board"
+        );
         assert_eq!(ask(&mut machine, &set), None, "not yet");
-        assert_eq!(ask(&mut machine, &set), None, "asked again, still not yet");
+        assert_eq!(ask(&mut machine, &set), None, "repeated, still not saved");
         assert!(!machine.server.wants_restart());
         let told = shouts(&mut machine);
         let [(shout, words)] = &told[..] else {

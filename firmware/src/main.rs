@@ -1,23 +1,27 @@
-//! The image on the softcore: start-up, the frame loop, and nothing that decides.
+//! The image on the softcore: start-up and the frame loop. All decisions are in the library.
 //!
 //! ```text
 //!   forever
-//!     a frame?   in the lane    answer it, then do the chores if they are due
+//!     a frame?   in the lane    answer it, then the housekeeping that is due
 //!                plain UDP      Etherbone server
-//!                discovery      found, told who to be; an address from DHCP
+//!                discovery      found, gets settings; an address from DHCP
 //!                anything else  ARP, ping, console
-//!     none, and the chores are overdue: do them
+//!     none, and housekeeping is overdue: do it
 //! ```
 //!
-//! Chores (look at the gate, LED, TCP timers) run right behind an answer, when the next request is a
-//! whole servo period away; they never stand between a request and its answer while somebody exchanges.
+//! Housekeeping (looks at the gate, LED, TCP timers) runs right after an answer, when the next
+//! request is a whole servo period away. While a host exchanges, it never runs between a request
+//! and its answer.
 #![no_std]
 #![no_main]
 
 mod app;
 mod soc;
 
+use core::arch::global_asm;
 use riscv_rt::entry;
+
+global_asm!(include_str!("saves.s"));
 
 #[entry]
 fn main() -> ! {

@@ -1,9 +1,10 @@
-//! Recognises the frames the Etherbone server wants without an IP stack, and checks them whole.
+//! Recognises the frames for the Etherbone server without an IP stack, and checks them completely.
 //!
-//! UDP to our address and port in one IPv4 packet, with IP options or without: that is every frame
-//! Etherbone comes in. ARP, ping and TCP are [`Class::Other`] and go to [`crate::ip`]; what that would not answer is nothing, and
-//! found out from the words in the slot. Only discovery and DHCP are taken whatever IP address they are sent to. A frame that
-//! is ours but damaged is refused here with its reason.
+//! An Etherbone frame is UDP to our address and port in one IPv4 packet, with or without IP
+//! options. ARP, ping and TCP are [`Class::Other`] and go to [`crate::ip`]; a frame that `ip` would
+//! not answer is [`Class::Nothing`], and the words in the slot suffice to tell. Only discovery and
+//! DHCP are accepted for any destination IP address. A damaged frame for us is refused here with
+//! its reason.
 //!
 //! Frames are read as big-endian words as the MAC's slots deliver them, two bytes in, so that all
 //! but the Ethernet header lies on words:
@@ -23,13 +24,13 @@ pub const FRAME_MIN: usize = 60;
 /// Word the payload begins at.
 pub const PAYLOAD_WORD: usize = 11;
 
-/// Words of a rehearsal's frame: the longest command there is.
+/// Words of a warm-up frame: the longest command there is.
 pub const REHEARSAL_WORDS: usize =
     PAYLOAD_WORD + wire::exchange::REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX;
 
 const ETHERTYPE_IPV4: u32 = 0x0800;
 const ETHERTYPE_ARP: u32 = 0x0806;
-/// Word of the address an ARP request is about.
+/// Word that holds the address an ARP request asks for.
 const ARP_TARGET: usize = 10;
 /// Version 4, five words of header, no type of service; the total length goes below.
 const IPV4_IHL5: u32 = 0x4500 << 16;
@@ -47,7 +48,8 @@ pub trait Frame {
     /// Bytes `4 * index - 2 ..` of the frame.
     fn word(&self, index: usize) -> u32;
 
-    /// Did it come over the wire? A frame made up for a rehearsal says no, and is never whole.
+    /// Did the frame come over the wire? A frame made up for a warm-up is not genuine, and its
+    /// checksum is never right.
     #[inline(always)]
     fn genuine(&self) -> bool {
         true
@@ -81,29 +83,29 @@ pub enum Class {
     Discovery(Datagram),
     /// For [`crate::dhcp`], whatever its IP address.
     Dhcp(Datagram),
-    /// Meant for one of these, but damaged.
+    /// Addressed to one of these services, but damaged.
     Refused(Refusal),
-    /// For [`crate::ip`]: ARP about our address, and what else comes to it.
+    /// For [`crate::ip`]: ARP about our address, and other packets to it.
     Other,
-    /// Somebody else's business.
+    /// Not for this board.
     Nothing,
 }
 
 /// A checked datagram: its headers are right and its payload lies inside the frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Datagram {
-    /// Who sent it.
+    /// The sender.
     pub peer: Peer,
     /// MAC address to answer to: upper 16, lower 32 bits.
     pub mac: (u16, u32),
     /// Payload length in bytes.
     pub length: usize,
-    /// Words of IP options: the payload lies that much further behind.
+    /// Words of IP options: the payload begins that many words later.
     pub options: usize,
 }
 
 impl Datagram {
-    /// A datagram from nobody: what is sent to it goes to everybody, at this port.
+    /// A datagram without a sender: an answer to it is broadcast to this port.
     pub const fn everybody(port: u16) -> Self {
         Datagram {
             peer: Peer { ip: u32::MAX, port },
@@ -144,7 +146,8 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
     let lengths = frame.word(10 + options);
     let class: fn(Datagram) -> Class = match ports as u16 {
         port if port == us.port && destination == us.ip && !broadcast => Class::Ours,
-        // Who looks for boards does not know their addresses; who waits for one has none.
+        // A host that looks for boards does not know their addresses, and a board that waits for an
+        // address has none.
         wire::DISCOVERY_PORT => Class::Discovery,
         crate::dhcp::PORT => Class::Dhcp,
         _ => return Class::Nothing,
@@ -157,7 +160,8 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
     let consistent = udp_length >= UDP_HEADER
         && ip_length == udp_length + IP_HEADER + 4 * options
         && length >= ip_length + ETHERNET_HEADER
-        // Padding is for short frames; anything else that is longer than it says is not from a stack.
+        // Padding is for short frames; an IP stack does not send any other frame that is longer
+        // than its header says.
         && (length == ip_length + ETHERNET_HEADER || length <= FRAME_MIN);
     if !consistent {
         return Class::Refused(Refusal::Truncated);
@@ -183,7 +187,7 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
     })
 }
 
-/// Words of a payload of so many bytes; refused when there is no datagram of that length.
+/// Words of a payload of this many bytes; refused if no datagram may have that length.
 pub fn payload_words(bytes: usize) -> Result<usize, Refusal> {
     if bytes > wire::MAX_PAYLOAD {
         return Err(Refusal::Oversized);
@@ -199,8 +203,8 @@ pub fn payload_word(frame: &impl Frame, options: usize, index: usize) -> u32 {
     frame.word(PAYLOAD_WORD + options + index)
 }
 
-/// Writes everything in front of the payload: `to` is answered. UDP checksum 0, which IPv4 allows: the
-/// MAC's CRC covers the same bytes and nobody routes a servo period.
+/// Writes everything in front of the payload, as an answer to `to`. The UDP checksum is 0, which
+/// IPv4 allows: the MAC's CRC covers the same bytes, and servo traffic does not pass routers.
 pub fn emit_headers(slot: &mut impl Slot, us: &Us, to: &Datagram, payload_bytes: usize) {
     let udp_length = (UDP_HEADER + payload_bytes) as u32;
     let (ours_high, ours_low) = mac_halves(us.mac);
@@ -229,7 +233,7 @@ pub fn emit_headers(slot: &mut impl Slot, us: &Us, to: &Datagram, payload_bytes:
     }
 }
 
-/// Copies a payload behind the headers; returns the frame's length in bytes.
+/// Copies a payload after the headers; returns the frame's length in bytes.
 pub fn emit_payload(slot: &mut impl Slot, payload: &[u32]) -> usize {
     for (index, word) in payload.iter().enumerate() {
         slot.put(PAYLOAD_WORD + index, *word);
@@ -237,11 +241,11 @@ pub fn emit_payload(slot: &mut impl Slot, payload: &[u32]) -> usize {
     HEADERS + payload.len() * 4
 }
 
-/// The fast lane: the headers of the exchange that ran last, so that the next one from the same host
-/// is recognised by comparing words, and its answer's headers are already in the slot.
+/// The fast lane: the headers of the last exchange. The next exchange of the same host is
+/// recognised by comparing words, and its answer's headers are already in the slot.
 #[derive(Clone, Copy, Debug)]
 pub struct Lane {
-    /// Frame length, words 0..=4 and 7..=10 as they must be, where they must.
+    /// Frame length, and the values that words 0..=4 and 7..=10 must have, as far as they matter.
     length: usize,
     macs: [u32; 4],
     version: u32,
@@ -253,7 +257,7 @@ pub struct Lane {
     udp_sum: u32,
     /// The third Etherbone word.
     record: u32,
-    /// Whose lane it is.
+    /// The datagram the lane was opened for.
     pub datagram: Datagram,
 }
 
@@ -287,16 +291,16 @@ impl Lane {
         }
     }
 
-    /// What tells the owner's frames to us from everybody else's: words of a frame, by number.
+    /// Words of a frame, by number, that tell the owner's frames to us from all others.
     pub fn marks(&self) -> [(usize, u32); 4] {
         let [_, _, m2, m3] = self.macs;
         let [source, _, ports] = self.peers;
         [(2, m2), (3, m3), (7, source), (9, ports)]
     }
 
-    /// Makes up a frame that runs down this lane to the end without being executed: the owner's next
-    /// command, all zeros, for a [`Frame`] that is not genuine. A rehearsal with it brings the whole
-    /// path back into the instruction cache after something else was there.
+    /// Makes up a frame that runs through this lane to its end without being executed: the owner's
+    /// next command, all zeros, for a [`Frame`] that is not genuine. A warm-up with it brings the
+    /// whole path back into the instruction cache after other code ran.
     pub fn rehearse(&self, token: u32, sequence: u32, frame: &mut [u32; REHEARSAL_WORDS]) -> usize {
         let [m0, m1, m2, m3] = self.macs;
         let [source, destination, ports] = self.peers;
@@ -327,9 +331,9 @@ impl Lane {
         self.length
     }
 
-    /// Is this frame an exchange in this lane? If so, the command block behind its headers, whose
-    /// UDP checksum is known to be right or wrong once it has been read to its end. A `None` says
-    /// nothing against the frame: the long way round finds out what it is.
+    /// Returns the command block of the frame if the frame is an exchange in this lane. The UDP
+    /// checksum is known to be right or wrong once the block has been read to its end. `None` does
+    /// not refuse the frame: [`classify`] then finds out what it is.
     #[inline(always)]
     pub fn open<'f, F: Frame>(&self, frame: &'f F, length: usize) -> Option<Command<'f, F>> {
         let (w0, w1, w2, w3) = (frame.word(0), frame.word(1), frame.word(2), frame.word(3));
@@ -338,7 +342,7 @@ impl Lane {
         let [m0, m1, m2, m3] = self.macs;
         let [source, destination, ports] = self.peers;
         let macs = w0 & 0xffff ^ m0 | w1 ^ m1 | w2 ^ m2 | w3 ^ m3;
-        // Not the service class, and of the flags only those that make a fragment.
+        // The service class may differ, and of the flags only those that make a fragment count.
         let shape =
             w4 & !0x00ff_0000 ^ self.version | w5 & FRAGMENT | w6 >> 16 & 0xff ^ PROTOCOL_UDP;
         let peers = w7 ^ source | w8 ^ destination | w9 ^ ports | w10 >> 16 ^ self.udp_length;
@@ -365,9 +369,9 @@ impl Lane {
     }
 }
 
-/// The command block of a frame in the lane, read word by word, each word once. It sums the UDP
-/// checksum on the way, 32 bits at a time: 2^16 is 1 in ones' complement arithmetic, so the halves
-/// may be folded at the end, and so may the carries.
+/// The command block of a frame in the lane, read word by word, each word once. Reading sums the
+/// UDP checksum, 32 bits at a time: 2^16 is 1 in ones' complement arithmetic, so the halves and the
+/// carries can be folded at the end.
 #[derive(Debug)]
 pub struct Command<'f, F> {
     frame: &'f F,
@@ -428,6 +432,40 @@ impl<F: Frame> crate::exchange::Request for Command<'_, F> {
         let fits = || fold(add(add(self.sum, self.carries), self.checksum)) == 0xffff;
         self.frame.genuine() && (self.checksum == 0 || fits())
     }
+
+    #[inline(always)]
+    fn sound(&self, rest: usize) -> bool {
+        let at = self.index;
+        sums_up(
+            self.frame,
+            at,
+            at + rest,
+            self.sum,
+            self.carries,
+            self.checksum,
+        )
+    }
+}
+
+/// Will the sum be right at this end? No part of [`Command`] is passed by reference: that would
+/// keep the whole struct in memory.
+#[cold]
+#[inline(never)]
+fn sums_up(
+    frame: &impl Frame,
+    mut at: usize,
+    end: usize,
+    mut sum: u32,
+    carries: u32,
+    said: u32,
+) -> bool {
+    sum = add(add(sum, carries), said);
+    while at != end {
+        sum = add(sum, frame.word(at));
+        at += 1;
+    }
+    // [`fold`] turns these into 0xffff; a sum that includes a header is not 0.
+    said == 0 || sum.is_multiple_of(0xffff)
 }
 
 use crate::exchange::Request as _;
@@ -437,7 +475,8 @@ fn sum_words(frame: &impl Frame, start: usize, count: usize) -> u32 {
     (start..start + count).fold(0, |sum, index| add(sum, frame.word(index)))
 }
 
-/// Ones' complement addition of words; halves may be folded at the end because 2^16 = 1 mod 2^16 - 1.
+/// Ones' complement addition of words; halves may be folded at the end because 2^16 = 1 mod 2^16 -
+/// 1.
 #[inline(always)]
 const fn add(sum: u32, word: u32) -> u32 {
     let (sum, carry) = sum.overflowing_add(word);
@@ -451,13 +490,13 @@ const fn fold(sum: u32) -> u32 {
     (sum >> 16) + (sum & 0xffff)
 }
 
-/// A MAC address as the words a frame to it begins with.
+/// The first words of a frame to this MAC address.
 pub fn to_mac(mac: [u8; 6]) -> [u32; 2] {
     let (high, low) = mac_halves(mac);
     [u32::from(high), low]
 }
 
-/// A MAC address as its first 16 and its last 32 bits.
+/// A MAC address split into its first 16 and its last 32 bits.
 const fn mac_halves(mac: [u8; 6]) -> (u16, u32) {
     let [a, b, c, d, e, f] = mac;
     (u16::from_be_bytes([a, b]), u32::from_be_bytes([c, d, e, f]))

@@ -1,52 +1,67 @@
-//! Holds the axes on their path when they have to stop without the host: all of them reach rest together.
+//! Keeps the axes on their path when they have to stop without the host: all of them reach rest at
+//! the same time.
 //!
-//! In the core every step generator brakes at its own `stop_accel`, alone and without a CPU. Left at what the host
-//! configured, an axis that moves slowly would stand long before a fast one, and the tool would leave the line it was
-//! on. So behind the answer of every command that is executed the decelerations are made to fit each other: with
-//! `v` the rates as they will be when the watchdog bites and `a` the configured decelerations,
+//! In gateware every step generator brakes alone, at its own `stop_accel` and without a CPU. With
+//! the values the host configured, a slow axis would stand long before a fast one, and the tool
+//! would leave its line. So after the answer to every executed command the firmware adapts the
+//! decelerations to each other: with `v` the largest rates between the command and the watchdog's
+//! bite and `a` the configured decelerations,
 //!
 //! ```text
 //!   T = max v[j] / a[j]        the axis that needs longest sets the time
-//!   stop_accel[i] = v[i] / T   everybody takes just as long; nobody brakes harder than configured
+//!   stop_accel[i] = v[i] / T   all take equally long; none brakes harder than configured
 //! ```
 //!
-//! What is written waits in the cores; whoever stops the machine softly, the gateware alone or the firmware, stops it
-//! so. At rest the cores hold what the host configured.
+//! The values wait in the cores. Every soft stop uses them, both a stop by the gateware alone and
+//! one by the firmware. At rest the cores hold the host's values.
 //!
-//! On the path is who is enabled, moves, and was not said to be alone (a spindle, a conveyor: velocity mode). Everybody
-//! else keeps what was configured; so does who was configured with 0, which stops at once.
+//! An axis is on the path if it is enabled, moves, and was not declared alone (a spindle, a
+//! conveyor: velocity mode). Every other axis keeps its configured value. So does an axis that is
+//! configured with 0, which stops at once.
+//!
+//! While the segments core is not idle, all axes keep their configured values. The command's rates
+//! are 0 then and do not describe the motion, and the motion will have changed when the watchdog
+//! bites. In a soft stop a job leaves its path, but keeps its acceleration limits.
 //!
 //! # How exact
 //!
-//! * An axis stops never later than the one that sets the time, and earlier by at most two parts in `stop_accel[i]`:
-//!   that is the rounding, upwards, and less than `T^2 / 20` steps off the line at 60 MHz, with `T` in seconds.
-//! * No axis brakes at less than 1/256 of what was configured ([`FLOOR_SHIFT`]). Where the line asks for less, an axis
-//!   deviates by less than a thousandth of the way it would take to stop from a `T` long run-up. This is for the some hundred clocks
-//!   between a commit and what is computed here: should the CPU die in them, an axis brakes at what was meant for
-//!   the command before, and must come to rest all the same.
-//! * The rate at the bite is known: the ramp goes on for the watchdog's timeout. A stop that somebody orders
-//!   while an axis still ramps, within the period of the command, finds it up to one period's ramp off.
+//! * An axis never stops later than the axis that sets the time. It stops earlier by at most two
+//!   parts in `stop_accel[i]`. That is the upward rounding, and less than `T^2 / 20` steps off the
+//!   line at 60 MHz, with `T` in seconds.
+//! * No axis brakes at less than 1/256 of its configured value ([`FLOOR_SHIFT`]). Where the line
+//!   asks for less, an axis deviates by less than a thousandth of the way it would take to stop
+//!   from a `T` long run-up. The floor is for the few hundred clocks between a commit and the end
+//!   of this computation: if the CPU dies in them, an axis brakes with the value for the command
+//!   before, and must still come to rest.
+//! * If the stop comes between the command and the bite, all axes stand within `T`: none is faster
+//!   than the rate its deceleration was computed for. On a straight line all rates change in
+//!   proportion, and the axes stay on it. In a corner an axis that slows down stands earlier, by
+//!   what its rate has changed since the command.
 
 use crate::cores::{Board, LATCH_STEPGEN, STAGE_ENABLES, STAGE_STEPGEN, Setting};
-use wire::exchange::{
-    COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, MAX_CHANNELS, STATUS_STEPGEN,
-};
-use wire::map::{BoardConfig, StepgenConfig};
+use crate::jobs::core::STATUS;
+use wire::exchange::{COMMAND_STEPGEN, FLAG_ALONE_SHIFT, MAX_CHANNELS, STATUS_STEPGEN};
+use wire::map::{self, BoardConfig, StepgenConfig};
 
-/// 1/256: from the ramp of one period at 1 kHz, the most an axis can be faster than was known, to rest in a quarter of a second.
+/// 1/256: from the ramp of one period at 1 kHz, the most an axis can be faster than was known, to
+/// rest in a quarter of a second.
 pub const FLOOR_SHIFT: u32 = 8;
-/// Fraction bits of a stepgen's velocity below its unit: by what an acceleration moves it each clock.
+/// Fraction bits of a stepgen's velocity below its unit: an acceleration is added there each clock.
 const FRACTION: u32 = 24;
 
-/// What the host configured, while the cores hold something else.
+/// The segments core's status, and what of it says that the core is not idle.
+const SEGMENTS_STATUS: u32 = map::SEGMENTS + 4 * STATUS as u32;
+const SEGMENTS_BUSY: u32 = 3 << 8;
+
+/// The host's configured values, while the cores hold others.
 #[derive(Clone, Debug)]
 pub(crate) struct PathStop {
-    /// The cores may hold ours.
+    /// The cores may hold our values.
     active: bool,
     axes: [Axis; MAX_CHANNELS],
-    /// The watchdog's, in clocks.
+    /// The watchdog's timeout, in clocks.
     timeout: u32,
-    /// Flags of the command that was executed and not yet looked at; 0 if there is none.
+    /// Flags of the command that was executed and not yet handled; 0 if there is none.
     flags: u32,
 }
 
@@ -55,7 +70,7 @@ pub(crate) struct PathStop {
 struct Axis {
     /// What the host configured.
     configured: u32,
-    /// How fast it will be on the path; 0 if it is not on it.
+    /// Its rate on the path; 0 if it is not on the path.
     speed: u32,
 }
 
@@ -73,7 +88,7 @@ impl PathStop {
         }
     }
 
-    /// The machine is about to be armed: what the cores hold is what the host configured.
+    /// The machine is about to be armed: the cores hold the host's values.
     pub(crate) fn begin(&mut self, board: &mut impl Board, stepgens: usize) {
         if !self.active {
             self.active = true;
@@ -84,7 +99,7 @@ impl PathStop {
         }
     }
 
-    /// The machine is at rest: gives the cores back what was configured.
+    /// The machine is at rest: restores the configured values in the cores.
     pub(crate) fn end(&mut self, board: &mut impl Board, stepgens: usize) {
         if self.active {
             self.active = false;
@@ -95,7 +110,7 @@ impl PathStop {
         }
     }
 
-    /// What the host configured, if the core may hold something else.
+    /// The configured value, if the core may hold another one.
     pub(crate) fn configured(&self, which: Setting) -> Option<u32> {
         match which {
             Setting::Stepgen(n, StepgenConfig::StopAccel) if self.active => {
@@ -105,25 +120,29 @@ impl PathStop {
         }
     }
 
-    /// A command with these flags, never 0, was executed; [`PathStop::hold`] shall see to it when there is time.
+    /// A command with these flags, never 0, was executed; [`PathStop::hold`] has to run for it
+    /// later.
     #[inline(always)]
     pub(crate) fn executed(&mut self, flags: u32) {
         self.flags = flags;
     }
 
-    /// Was a command executed since [`PathStop::hold`]?
+    /// Is there an executed command that [`PathStop::hold`] has not run for?
     #[inline(always)]
     pub(crate) fn owed(&self) -> bool {
         self.flags != 0
     }
 
-    /// Makes the decelerations fit the command that was executed last.
+    /// Makes the decelerations fit the command that was executed last. `segments`: the board can
+    /// play them.
     #[inline(always)]
-    pub(crate) fn hold(&mut self, board: &mut impl Board, stepgens: usize) {
+    pub(crate) fn hold(&mut self, board: &mut impl Board, stepgens: usize, segments: bool) {
         let flags = core::mem::take(&mut self.flags);
-        let timed = flags & FLAG_APPLY_TIME != 0;
-        // Still staged: what was executed is what was staged last.
+        // The command is still staged: the one that was staged last was executed.
         let mut members = board.staged(STAGE_ENABLES) & !(flags >> FLAG_ALONE_SHIFT);
+        if segments && board.csr_read(SEGMENTS_STATUS) & SEGMENTS_BUSY != 0 {
+            members = 0;
+        }
         let axes = self.axes.get_mut(..stepgens).unwrap_or(&mut []);
         let mut slowest = Slowest::NOBODY;
         for (n, axis) in axes.iter_mut().enumerate() {
@@ -132,11 +151,9 @@ impl PathStop {
                 let at = STAGE_STEPGEN + n * COMMAND_STEPGEN;
                 let (target, limit) = (board.staged(at) as i32, board.staged(at + 1));
                 let now = board.latched(LATCH_STEPGEN + n * STATUS_STEPGEN + 2) as i32;
-                axis.speed = speed_after(now, target, limit, self.timeout);
-                if timed {
-                    // Until its time comes the command before is in force.
-                    axis.speed = axis.speed.max(now.unsigned_abs());
-                }
+                let then = speed_after(now, target, limit, self.timeout);
+                // The stop may come at once, or before the time of a timed command.
+                axis.speed = then.max(now.unsigned_abs());
                 slowest.meet(axis);
             }
             members >>= 1;
@@ -152,7 +169,8 @@ const fn stop_accel(n: u8) -> Setting {
     Setting::Stepgen(n, StepgenConfig::StopAccel)
 }
 
-/// How fast a stepgen will be `clocks` from `now`, either way, if it ramps towards `target` by at most `limit` a clock.
+/// A stepgen's speed `clocks` after `now`, in either direction, if it ramps towards `target` by at
+/// most `limit` a clock.
 #[inline(always)]
 fn speed_after(now: i32, target: i32, limit: u32, clocks: u32) -> u32 {
     let reach = (u64::from(limit) * u64::from(clocks)) >> FRACTION;
@@ -166,7 +184,7 @@ fn speed_after(now: i32, target: i32, limit: u32, clocks: u32) -> u32 {
     then.unsigned_abs()
 }
 
-/// The axis that takes longest to stop, of those met so far.
+/// The axis that takes longest to stop, among those seen so far.
 #[derive(Clone, Copy, Debug)]
 struct Slowest {
     speed: u32,
@@ -190,7 +208,7 @@ impl Slowest {
     fn pace(self) -> Pace {
         let (mut rest, mut divisor, mut shift) = (self.accel, self.speed, 0u32);
         if divisor != 0 {
-            // The top bit goes to bit 30, so that no remainder outgrows a word.
+            // Shifts the top bit to bit 30, so that no remainder exceeds a word.
             while rest >> 30 == 0 {
                 rest <<= 1;
                 shift += 1;
@@ -199,7 +217,7 @@ impl Slowest {
                 divisor <<= 1;
                 shift = shift.wrapping_sub(1);
             }
-            // Or from bit 31: rounded up, and a speed has it only in -2^31.
+            // Or from bit 31: rounded up, and only a speed of -2^31 has that bit.
             if rest >> 31 != 0 {
                 rest = (rest >> 1) + 1;
                 shift = shift.wrapping_sub(1);
@@ -222,7 +240,7 @@ impl Slowest {
     }
 }
 
-/// A deceleration for every speed, so that all take the same time.
+/// A deceleration per speed, so that all axes take the same time.
 #[derive(Clone, Copy, Debug)]
 struct Pace {
     ratio: u32,
@@ -236,7 +254,7 @@ impl Pace {
             return axis.configured;
         }
         let exact = (u64::from(axis.speed) * u64::from(self.ratio)) >> (self.shift & 63);
-        // One more for the fraction: rather a step early than a step late.
+        // One more for the fraction: better a step early than a step late.
         let share = (exact + 1).min(axis.configured.into()) as u32;
         share.max(axis.configured >> FLOOR_SHIFT)
     }

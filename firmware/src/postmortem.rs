@@ -1,6 +1,7 @@
-//! What survives a restart: how often the firmware started, and what it last died of.
+//! What survives a restart: the number of starts, and the reason of the last crash.
 //!
-//! The record lies in RAM nobody clears. A checksum tells a record from whatever power-up left there.
+//! The record is in RAM that start-up does not clear. A checksum tells a record from the content
+//! after power-up.
 
 use crate::text::{Out, Sink};
 use wire::ResetReason;
@@ -8,25 +9,26 @@ use wire::map::{PANIC, PANIC_TEXT, PANIC_TEXT_LEN};
 
 const TEXT_LEN: usize = PANIC_TEXT_LEN as usize;
 
-/// The record. Plain words, so that any bit pattern is one, though hardly ever a valid one.
+/// The record. It consists of plain words, so that every bit pattern is a record, though hardly
+/// ever a valid one.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Record {
     check: u32,
     boots: u32,
     deaths: u32,
-    /// Why the next start will be one, as a [`ResetReason`].
+    /// The reason of the next start, as a [`ResetReason`].
     parting: u32,
     length: u32,
     text: [u8; TEXT_LEN],
 }
 
-/// What the boot found.
+/// What the boot found out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Boot {
     /// Changes with every start.
     pub id: u32,
-    /// Why this start was one.
+    /// The reason of this start.
     pub reset: ResetReason,
 }
 
@@ -41,11 +43,11 @@ impl Record {
         text: [0; TEXT_LEN],
     };
 
-    /// Counts a start. A record that is none starts over; its first boot id comes from `seed`, so
-    /// that a board which lost power is not mistaken for the one before.
+    /// Counts a start. An invalid record starts over; its first boot id comes from `seed`, so that
+    /// a board which lost power has another id than before.
     pub fn boot(&mut self, seed: u32) -> Boot {
         if self.check != self.sum() {
-            *self = Record::EMPTY; // whose parting word is power-up
+            *self = Record::EMPTY; // its reason is power-up
             self.boots = seed << 16;
         }
         self.boots = self.boots.wrapping_add(1);
@@ -53,26 +55,26 @@ impl Record {
             id: self.boots,
             reset: ResetReason::from_code(self.parting as u8).unwrap_or(ResetReason::Unknown),
         };
-        // Whoever leaves without a word leaves this one.
+        // The reason of a restart that leaves no other.
         self.part(ResetReason::Unknown);
         boot
     }
 
-    /// Takes another first boot id: what power-up had to offer is the same every time, the clock in which somebody first
-    /// writes is not. Returns this start's.
+    /// Takes another first boot id. The state after power-up is the same every time, but the clock
+    /// of the first write is not. Returns this start's id.
     pub fn rename(&mut self, seed: u32) -> u32 {
         self.boots = seed << 16 | self.boots & 0xffff;
         self.check = self.sum();
         self.boots
     }
 
-    /// Leaves word why the next start will be one.
+    /// Records the reason of the next start.
     pub fn part(&mut self, why: ResetReason) {
         self.parting = why as u32;
         self.check = self.sum();
     }
 
-    /// Writes the obituary. What does not fit is cut off.
+    /// Writes the crash report. What does not fit is cut off.
     pub fn die(&mut self, why: ResetReason, cause: impl FnOnce(&mut Out)) {
         if self.check != self.sum() {
             *self = Record::EMPTY;
@@ -84,17 +86,17 @@ impl Record {
         self.part(why);
     }
 
-    /// How often it died since power-up.
+    /// Number of crashes since power-up.
     pub fn deaths(&self) -> u32 {
         self.deaths
     }
 
-    /// The last obituary, empty if there is none.
+    /// The last crash report, empty if there is none.
     pub fn text(&self) -> &[u8] {
         self.text.get(..self.length as usize).unwrap_or(&[])
     }
 
-    /// A word of the panic window, by byte offset; 0 where nothing is.
+    /// A word of the panic window, by byte offset; 0 after the end.
     pub fn word(&self, offset: u32) -> u32 {
         match offset {
             0 => self.deaths,
@@ -106,7 +108,7 @@ impl Record {
         }
     }
 
-    /// FNV-1a over everything but the sum, never 0: cleared memory is no record.
+    /// FNV-1a over all words but the sum itself, never 0: cleared memory is not a record.
     fn sum(&self) -> u32 {
         let words = [self.boots, self.deaths, self.parting, self.length];
         let bytes = words.iter().flat_map(|word| word.to_le_bytes());

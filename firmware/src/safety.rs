@@ -1,4 +1,5 @@
-//! When outputs may be live. Pure: an event and the time go in, a new state and orders come out.
+//! Decides when outputs may be live. A pure state machine: an event and the time go in, a new state
+//! and orders come out.
 //!
 //! ```text
 //!            booted            edge, then a fresh command
@@ -11,30 +12,34 @@
 //!     +-----------------------------------+-----------------+
 //! ```
 //!
-//! The gateware closes the gate by itself on a bite, an external reset, an e-stop input or silence; this
-//! machine only finds out. What it decides is when the gate may open again, and that it is never by accident: the
-//! ABI must fit, a session must exist, the host must say `enable`, raise `enable-request` after having
-//! been seen with it low, and send one more command after that.
+//! The gateware closes the gate by itself on a bite, an external reset, an e-stop input or silence;
+//! this state machine only learns of it. It decides when the gate may open again, and makes sure
+//! that this is never an accident: the ABI must fit, a session must exist, the host must say
+//! `enable`, raise `enable-request` after it was low in an earlier command, and send one more
+//! command after that.
 //!
-//! A fault is left by a rising edge, and only after a full resync: since the cause struck the session has been
-//! acquired anew (new token, sequence numbers from 0, an edge seen before counts no more), whether the fault ended
-//! the old one (a bite, a release) or not (a pin, the link). So nobody goes on after a stop with what he believed before it.
+//! Only a rising edge ends a fault, and only after a full resync: the session must have been
+//! acquired again since the cause struck (new token, sequence numbers from 0, earlier edges do not
+//! count). That holds if the fault ended the old session (a bite, a release) and if it did not (a
+//! pin, the link). So no host continues after a stop with its knowledge from before.
 //!
-//! It never touches a position, nor could it: no order changes one. `position_trusted` says whether pulses were cut off: by the
-//! external reset or an e-stop, by a grace period that may have ended before the motors did, by the firmware's own death.
-//! The gateware does not tell a soft stop that was done from one whose grace was over; so a stop is believed if
-//! less than the grace has passed since the machine was last seen undisturbed.
+//! The state machine never changes a position: no command can. `position_trusted` says whether
+//! pulses were cut off: by the external reset or an e-stop, by a grace period that may have ended
+//! before the motors did, or by the firmware's own crash. The gateware does not tell a completed
+//! soft stop from one that its grace cut. So a stop counts as completed if less than the grace has
+//! passed since the machine was last seen undisturbed.
 //!
-//! What must hold of every step is written down in `safety/invariants.rs`, checked over every state, event and gate, in random
-//! sequences, and in every debug build that steps this machine.
+//! `safety/invariants.rs` states what must hold in every step. It is checked over every state,
+//! event and gate, in random sequences, and in every debug build that steps this machine.
 //!
-//! After a restart the gateware still knows why the gate closed last, and that is where the machine
-//! goes on: a bite or an e-stop under a hung CPU is not forgotten by resetting the CPU.
+//! After a restart the gateware still knows why the gate closed last, and the state machine
+//! continues from there: a reset of a hung CPU does not erase a bite or an e-stop.
 
 use crate::cores::{Control, Gate};
 use wire::{FaultReason, GateClose, ResetReason, State};
 
-/// 1 s at 60 MHz. The gateware ends a soft stop with its grace; a gate still open so long after that is not obeying.
+/// 1 s at 60 MHz. The gateware ends a soft stop with its grace; a gate that is still open this long
+/// after that does not obey.
 pub const STOP_SLACK_CLOCKS: u32 = 60_000_000;
 
 #[cfg(any(test, debug_assertions))]
@@ -42,32 +47,32 @@ mod invariants;
 #[cfg(test)]
 mod tests;
 
-/// Something happened.
+/// An input of the state machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
     /// Start-up is over.
     Booted {
-        /// Gateware and firmware know the same registers.
+        /// Gateware and firmware have the same register map.
         abi_fits: bool,
-        /// Why the firmware started.
+        /// The reason of the firmware's start.
         reset: ResetReason,
-        /// Why the gate closed last, as the gateware remembers it.
+        /// Why the gate closed last, from the gateware.
         close: GateClose,
     },
-    /// A host acquired the session: what it knew before no longer counts.
+    /// A host acquired the session: what it saw before does not count any more.
     Acquired,
-    /// The session was given back or died.
+    /// The session was released or ended.
     Lost,
-    /// A command of the owner, fresh and whole.
+    /// A fresh and whole command of the owner.
     Command {
         /// The machine may move.
         enable: bool,
         /// Its rising edge asks to arm.
         request: bool,
-        /// The gate as read with it.
+        /// The gate's state, read with it.
         gate: Gate,
     },
-    /// The gate, looked at.
+    /// The gate's state.
     Gate(Gate),
     /// The Ethernet link went down.
     LinkDown,
@@ -75,7 +80,7 @@ pub enum Event {
     JobUnderrun,
 }
 
-/// What to do about it.
+/// What the caller has to do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[must_use]
 pub struct Effects {
@@ -102,10 +107,10 @@ impl Effects {
     }
 }
 
-/// How far the host has come on its way to arming.
+/// The host's progress towards arming.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Request {
-    /// Not seen low yet: a level is no edge.
+    /// Not seen low yet: a level is not an edge.
     Unknown,
     /// Seen low: the next high is an edge.
     Low,
@@ -122,9 +127,9 @@ pub struct Safety {
     reason: FaultReason,
     /// Where `Stopping` leads.
     after_stop: State,
-    /// When a soft stop began, or earlier. Low words are enough: nothing stops for a minute.
+    /// When a soft stop began, or earlier. Low words suffice: no stop lasts a minute.
     stop_since: u32,
-    /// When the gate was last seen as it should be while armed.
+    /// When the gate was last seen in its right state while armed.
     seen: u32,
     /// Longest soft stop the gateware allows, in clocks.
     grace: u32,
@@ -133,7 +138,7 @@ pub struct Safety {
     /// The session was acquired since the last fault.
     resynced: bool,
     abi_fits: bool,
-    /// Something runs that must not meet an armed machine.
+    /// An operation runs that must not meet an armed machine.
     held: bool,
     position_trusted: bool,
 }
@@ -163,18 +168,18 @@ impl Safety {
         }
     }
 
-    /// Keeps the machine from being armed, or no longer. An edge of `enable-request` meanwhile is used up.
+    /// Prevents arming, or allows it again. An edge of `enable-request` in between is used up.
     pub(crate) fn hold(&mut self, held: bool) {
         self.held = held;
     }
 
-    /// The gate opens now, and a soft stop may take so many clocks.
+    /// The gate opens now, and a soft stop may take `grace` clocks.
     pub(crate) fn opens(&mut self, grace: u32, now: u32) {
         self.grace = grace;
         self.seen = now;
     }
 
-    /// The gate was looked at and [`Safety::running`].
+    /// The gate was read, and the machine was [`Safety::running`].
     #[inline]
     pub(crate) fn seen(&mut self, now: u32) {
         self.seen = now;
@@ -185,7 +190,7 @@ impl Safety {
         self.state
     }
 
-    /// Why it stopped last; stays readable until it arms again.
+    /// The reason of the last stop; it stays readable until the machine arms again.
     pub const fn reason(&self) -> FaultReason {
         self.reason
     }
@@ -195,7 +200,7 @@ impl Safety {
         self.position_trusted
     }
 
-    /// Nothing can change under the outputs' feet: configuration may.
+    /// The machine is at rest, so the configuration may change.
     pub const fn at_rest(&self) -> bool {
         match self.state {
             State::Disarmed | State::Faulted => true,
@@ -203,14 +208,14 @@ impl Safety {
         }
     }
 
-    /// Armed, and the gate agrees: looking at it changes nothing.
+    /// Armed, and the gate agrees: an event with this gate would change nothing.
     #[inline]
     pub fn running(&self, gate: Gate) -> bool {
         matches!(self.state, State::Armed) && gate.0 == Gate::LIVE.0
     }
 
-    /// Would this command in this state only be executed, with nothing to decide? The exchange asks
-    /// this first; [`Safety::step`] would return the same machine and `execute`.
+    /// Would this command in this state only be executed, without a decision? The exchange asks
+    /// this first; [`Safety::step`] would return the same state and `execute`.
     #[inline]
     pub fn steady(&self, enable: bool, request: bool, gate: Gate) -> bool {
         matches!(self.state, State::Armed)
@@ -222,8 +227,8 @@ impl Safety {
             )
     }
 
-    /// Would this command change nothing and not be executed either: a host that looks and waits? Asked
-    /// like [`Safety::steady`], for the same reason.
+    /// Would this command neither change the state nor be executed, as from a host that looks and
+    /// waits? Asked for the same reason as [`Safety::steady`].
     #[inline]
     pub fn waiting(&self, request: bool, gate: Gate) -> bool {
         self.at_rest()
@@ -234,7 +239,7 @@ impl Safety {
             )
     }
 
-    /// The one function. Total: every event in every state.
+    /// The transition function. It is total: every event in every state.
     pub fn step(self, event: Event, now: u64) -> (Safety, Effects) {
         let (next, effects) = self.decide(event, now);
         #[cfg(any(test, debug_assertions))]
@@ -281,6 +286,12 @@ impl Safety {
         self.resynced = false;
         self.reason = match (reset, close) {
             (ResetReason::Panic | ResetReason::Trap, _) => FaultReason::FirmwareFault,
+            // Nobody asked for it, and the gate was opened before: a jump to where the firmware
+            // begins.
+            (
+                ResetReason::PowerUp | ResetReason::Unknown,
+                GateClose::Order | GateClose::SoftStop,
+            ) => FaultReason::FirmwareFault,
             (ResetReason::PowerUp | ResetReason::Requested | ResetReason::Unknown, close) => {
                 match close {
                     GateClose::Never | GateClose::Order | GateClose::SoftStop => FaultReason::None,
@@ -296,8 +307,11 @@ impl Safety {
         } else {
             State::Faulted
         };
-        // A bite stops softly; everything else cuts pulses off.
-        self.position_trusted = matches!(self.reason, FaultReason::None | FaultReason::Watchdog);
+        // A start closes the gate, whatever still moves; only one that was asked for comes at rest.
+        // A bite stops softly, everything else cuts pulses off.
+        let at_rest = reset == ResetReason::Requested || close == GateClose::Never;
+        self.position_trusted =
+            at_rest && matches!(self.reason, FaultReason::None | FaultReason::Watchdog);
         if !abi_fits {
             self.state = State::Faulted;
             self.reason = FaultReason::AbiMismatch;
@@ -307,7 +321,7 @@ impl Safety {
 
     fn acquired(mut self, now: u64) -> (Safety, Effects) {
         let (mut next, effects) = match self.state {
-            // Whoever resynchronises does not know what the machine is doing: stop it.
+            // A host that resynchronises does not know what the machine is doing: stop it.
             State::Armed => self.soft_stop(FaultReason::SessionLost, State::Faulted, now),
             State::Boot | State::Disarmed | State::Stopping | State::Faulted => {
                 self.request = Request::Unknown;
@@ -326,7 +340,7 @@ impl Safety {
     }
 
     fn command(self, enable: bool, request: bool, gate: Gate, now: u64) -> (Safety, Effects) {
-        // What the gate says comes first: a command must not outrun a bite.
+        // The gate's state comes first: a command must not overtake a bite.
         let rested = self.at_rest();
         let (mut next, mut effects) = self.gate(gate, now);
         if effects.end_session || !next.session {
@@ -335,7 +349,8 @@ impl Safety {
         let before = next.request;
         next.request = before.follow(request);
         if !rested && next.request == Request::Edge {
-            // Whoever asks a machine to arm that is running or stopping has to ask again, even if it rests just now.
+            // A host that asks to arm a running or stopping machine has to ask again, even if the
+            // machine comes to rest now.
             next.request = Request::High;
         }
         match next.state {
@@ -354,14 +369,14 @@ impl Safety {
                 next.request = Request::High;
             }
             State::Disarmed if next.request == Request::Edge => {
-                // A bite, reset or e-stop that came while disarmed is latched in gateware, too. An open gate is
-                // closed first.
+                // The gateware also latches a bite, reset or e-stop that came while disarmed. An
+                // open gate is closed first.
                 if gate.latched() && !gate.open() {
                     effects.order = Some(Control::Clear);
                 }
             }
             State::Faulted if next.request == Request::Edge => {
-                // The cause must be gone, and a wrong ABI is never gone.
+                // The cause must be gone, and a wrong ABI never goes away.
                 if next.resynced && next.abi_fits && !gate.open() && !gate.pinned_now() {
                     next.state = State::Disarmed;
                     effects.order = Some(Control::Clear);
@@ -383,7 +398,7 @@ impl Safety {
                 } else if gate.bitten() {
                     self.bitten(gate, now)
                 } else if !gate.open() {
-                    // Nobody we know closed it. Believe the gate.
+                    // The gate closed for an unknown reason. Believe the gate.
                     self.position_trusted = false;
                     self.enter_fault(FaultReason::Watchdog)
                 } else {
@@ -396,7 +411,7 @@ impl Safety {
                 }
                 let bitten_meanwhile = gate.bitten() && self.reason != FaultReason::Watchdog;
                 if bitten_meanwhile {
-                    // It was faster than our order, which came to nothing.
+                    // The gate closed before our order, which had no effect.
                     self.stop_since = self.seen;
                     self.reason = FaultReason::Watchdog;
                     self.after_stop = State::Faulted;
@@ -416,7 +431,7 @@ impl Safety {
                 }
                 (self, effects)
             }
-            // An open gate without an armed machine is nobody's wish.
+            // No command asked for an open gate without an armed machine.
             State::Disarmed | State::Faulted if gate.open() => {
                 (self, Effects::order(Control::Close))
             }
@@ -424,12 +439,12 @@ impl Safety {
         }
     }
 
-    /// The gateware's watchdog bit; it is already stopping everything.
+    /// The gateware's watchdog bit; the gateware already stops all axes.
     fn bitten(mut self, gate: Gate, now: u64) -> (Safety, Effects) {
         self.end_session();
         self.reason = FaultReason::Watchdog;
         self.after_stop = State::Faulted;
-        // It bit at some time since.
+        // The bite came at some time since then.
         self.stop_since = self.seen;
         self.state = if gate.open() {
             State::Stopping
@@ -444,7 +459,7 @@ impl Safety {
         (self, effects)
     }
 
-    /// A pin closed the gate in mid-step.
+    /// A pin closed the gate in the middle of a step.
     fn pinned(mut self, gate: Gate) -> (Safety, Effects) {
         self.position_trusted = false;
         self.enter_fault(if gate.reset() || gate.reset_pin() {
@@ -474,7 +489,8 @@ impl Safety {
                 (self, Effects::order(Control::SoftStop))
             }
             State::Stopping => {
-                // A fault on the way to rest outweighs the host's wish, the first fault any later one.
+                // A fault on the way to rest replaces the host's request; the first fault replaces
+                // a later one.
                 if self.after_stop == State::Disarmed && after == State::Faulted {
                     self.after_stop = after;
                     self.reason = reason;
@@ -497,7 +513,7 @@ impl Safety {
         (now as u32).wrapping_sub(self.stop_since)
     }
 
-    /// May the gateware's grace have been over before the motors stood?
+    /// May the gateware's grace have ended before the motors stood?
     fn may_be_cut(&self, now: u64) -> bool {
         self.stops_for(now) >= self.grace
     }

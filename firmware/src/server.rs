@@ -1,11 +1,11 @@
-//! Etherbone that cannot hurt: a datagram is checked whole, then executed whole or not at all.
+//! The Etherbone server: a datagram is checked completely, then executed completely or not at all.
 //!
-//! [`Server::datagram`] is the way for every datagram; the servo-period exchange has a fast lane into
-//! [`Server::exchange`] that ends in the same code. Checking runs against a copy of the session and
-//! the state machine, so that a datagram which acquires the session may configure in the same breath.
+//! [`Server::datagram`] takes every datagram. The servo-period exchange has a fast lane into
+//! [`Server::exchange`] that ends in the same code. Checks run against a copy of the session and
+//! the state machine, so that one datagram can acquire the session and configure the board.
 //!
-//! Answered are probes, reads and the exchange; a plain write is not. A refused datagram is counted by
-//! reason and nothing else.
+//! The server answers probes, reads and the exchange, but not a plain write. A refused datagram is
+//! counted by reason and has no other effect.
 
 use crate::auth::{Auth, Words};
 use crate::cores::{
@@ -27,19 +27,24 @@ use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
 use wire::map::BoardConfig;
 use wire::{GateClose, MAX_WORDS, Refusal, ResetReason, map};
 
-/// 10 ms: nobody watches an idle machine faster than this, and a sample costs nothing.
+/// 10 ms: clients do not poll an idle machine faster than this, and a sample is cheap.
 const IDLE_SAMPLE_PER_SECOND: u32 = 100;
-/// 3 s without a frame of any kind: the cable, more likely than a network without a broadcast.
+/// 3 s without any frame: a missing cable is more likely than a network without broadcasts.
 const QUIET_SECONDS: u32 = 3;
 
 const WINDOW: u32 = 0x1000;
+/// Behind the refusals: [`Counters::cuts`]. A board that does not count them reads 0 there.
+pub(crate) const COUNTERS_CUTS: u32 = map::COUNTERS_REFUSED + 4 * Refusal::COUNT as u32;
+const CUTS_WORD: u32 = (COUNTERS_CUTS - map::COUNTERS) / 4;
+/// Outputs that follow the segments core; boards without that core are not told.
+const SEGMENTS_MASK: u32 = map::SEGMENTS + 4 * crate::jobs::core::MASK as u32;
 const STATUS_WORDS_END: u32 = map::STATUS + 0x400;
 const COMMAND_END: u32 = map::COMMAND + WINDOW;
 const COUNTERS_END: u32 = map::COUNTERS + WINDOW;
 const LOG_END: u32 = map::LOG_RING + WINDOW;
 const PANIC_END: u32 = map::PANIC_TEXT + map::PANIC_TEXT_LEN;
 
-/// What the board counts about its mail.
+/// Counters of frames and datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Counters {
     /// Frames received, of any kind.
@@ -52,9 +57,12 @@ pub struct Counters {
     pub refused_total: u32,
     /// Datagrams refused, by reason.
     pub refused: [u32; Refusal::COUNT],
+    /// How often pulses may have been cut off since the start; whoever arms next makes
+    /// `position_trusted` true again.
+    pub cuts: u32,
 }
 
-/// The server's whole mind.
+/// The server's whole state.
 #[derive(Clone, Debug)]
 pub struct Server {
     pub(crate) ident: Ident,
@@ -67,24 +75,25 @@ pub struct Server {
     pub(crate) counters: Counters,
     pub(crate) flash: Flash,
     pub(crate) link: Link,
-    /// The state word but for the gate: what every answer begins with.
+    /// The state word without the gate; every answer begins with it.
     state_word: u32,
     pub(crate) path_stop: PathStop,
     /// A timed commit may still be waiting in gateware.
     pub(crate) commit_pending: bool,
-    /// Whose latch the last answer carried.
+    /// The latch that the last answer carried.
     pub(crate) select: u32,
-    /// The owner spoke since the last [`Server::poll`].
+    /// The owner sent something since the last [`Server::poll`].
     pub(crate) spoke: bool,
-    /// Something was committed since the machine was last put to rest.
+    /// A command was committed since the machine was last put to rest.
     committed: bool,
     sampled_at: u64,
-    /// Frames when last looked, and when that number was new.
+    /// The number of frames at the last look, and when it last changed.
     frames: (u32, u64),
     restart: bool,
-    /// After power-up, until the first datagram: the boot id is that of every power-up.
+    /// True from power-up until the first datagram: the boot id is still the same as after every
+    /// power-up.
     nameless: bool,
-    /// The address in force, for the flash window.
+    /// The address in force, shown in the flash window.
     pub(crate) ip: u32,
 }
 
@@ -105,6 +114,7 @@ impl Server {
                 exchanges: 0,
                 refused_total: 0,
                 refused: [0; Refusal::COUNT],
+                cuts: 0,
             },
             flash: Flash::new(),
             link: Link::new(),
@@ -138,12 +148,12 @@ impl Server {
         &self.ident
     }
 
-    /// Says in the description what became of the jobs program.
+    /// Records in the description what became of the jobs program.
     pub fn jobs(&mut self, state: JobsState) {
         self.ident.features |= state.code() << JobsState::AT;
     }
 
-    /// This board's block lengths.
+    /// The lengths of this board's blocks.
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
@@ -178,7 +188,7 @@ impl Server {
         &self.link
     }
 
-    /// This start: its number and its reason.
+    /// The number and the reason of this start.
     pub fn boot(&self) -> Boot {
         self.boot
     }
@@ -188,23 +198,23 @@ impl Server {
         self.abi
     }
 
-    /// May the fast lane be rehearsed? Staging a rehearsal's zeros must not meet a timed commit.
+    /// May the fast lane be warmed up? A timed commit must not find a warm-up's zeros staged.
     pub fn may_rehearse(&self) -> bool {
         !self.commit_pending
     }
 
-    /// Somebody entitled to asked for a restart.
+    /// A client that is allowed to has asked for a restart.
     pub fn wants_restart(&self) -> bool {
         self.restart
     }
 
-    /// Asks for one.
+    /// Asks for a restart.
     pub(crate) fn restart(&mut self) {
         self.restart = true;
     }
 
-    /// Looks at the link. It goes down for good, as far as the machine is concerned, once it was down for three
-    /// looks in a row.
+    /// Looks at the link. After three looks in a row that see it down, the machine treats it as
+    /// down for good.
     #[inline(always)]
     pub fn look_at_link<B: Board>(&mut self, board: &mut B) {
         let now = board.link();
@@ -216,14 +226,14 @@ impl Server {
     #[cold]
     #[inline(never)]
     fn link_changed<B: Board>(&mut self, board: &mut B, now: crate::cores::Link) {
-        // A job asks itself whether somebody is to be there: one that is not attended runs on.
+        // A job checks by itself whether its client is present: an unattended job runs on.
         if self.link.look(now) && !self.session.is_owner(Peer::INSIDE) {
             self.event(board, Event::LinkDown);
         }
         self.refresh();
     }
 
-    /// Does a slice of the flash's operation. True if that was its last.
+    /// Does a slice of the flash operation. True if that was its last.
     #[inline(never)]
     pub(crate) fn poll_flash<B: Board>(&mut self, board: &mut B) -> bool {
         let now = board.now();
@@ -232,7 +242,7 @@ impl Server {
         done
     }
 
-    /// Begins to save settings for somebody who was not refused.
+    /// Begins to save settings, for a sender that was not refused.
     pub(crate) fn save<B: Board>(&mut self, board: &mut B, settings: wire::settings::Settings) {
         self.flash.start_save(board.spi(), settings);
         self.safety.hold(self.flash.busy());
@@ -251,7 +261,7 @@ impl Server {
         }
     }
 
-    /// Judges a datagram and executes it. What is to be sent back, if anything, is in `reply`.
+    /// Judges a datagram and executes it. An answer, if there is one, is in `reply`.
     pub fn datagram<'r, B: Board>(
         &mut self,
         board: &mut B,
@@ -268,7 +278,8 @@ impl Server {
         }
     }
 
-    /// A machine that is not at rest has little time for guests.
+    /// While the machine is not at rest, it has little time for senders that do not own the
+    /// session.
     fn welcome(&self, words: usize, peer: Peer) -> Result<(), Refusal> {
         if words <= wire::GUEST_WORDS || self.safety.at_rest() || self.session.is_owner(peer) {
             Ok(())
@@ -277,8 +288,8 @@ impl Server {
         }
     }
 
-    /// Looks after what happens without a datagram: the gate's own decisions, silent owners, the LED,
-    /// rest. To be called a few hundred times a second; cheap.
+    /// Does what is due without a datagram: the gate's own decisions, silent owners, the LED, rest.
+    /// Call it a few hundred times a second; it is cheap.
     #[inline(always)]
     pub fn poll<B: Board>(&mut self, board: &mut B) {
         let gate = board.gate();
@@ -289,8 +300,8 @@ impl Server {
         }
     }
 
-    /// What [`Server::poll`] does unless the machine runs undisturbed. Apart, so that the periods in which
-    /// it does leave the exchange in the instruction cache.
+    /// What [`Server::poll`] does unless the machine runs undisturbed. A function of its own keeps
+    /// the exchange in the instruction cache while the machine runs.
     #[inline(never)]
     fn look_after<B: Board>(&mut self, board: &mut B, gate: Gate) {
         self.event(board, Event::Gate(gate));
@@ -318,7 +329,7 @@ impl Server {
         board.led(self.led(gate, now));
     }
 
-    /// What the machine is doing, to somebody who owns the session or does not.
+    /// The state of the machine, for the session's owner or for another client.
     fn state(&self, gate: Gate, session_yours: bool) -> StateWord {
         StateWord {
             state: self.safety.state(),
@@ -336,7 +347,8 @@ impl Server {
         }
     }
 
-    /// The state word without the bits that depend on who asks ([`crate::exchange::STATE_ANSWER`]).
+    /// The state word without the bits that depend on the reader
+    /// ([`crate::exchange::STATE_ANSWER`]).
     #[inline]
     pub fn state_word(&self, gate: Gate) -> u32 {
         let gate = if gate.0 == Gate::LIVE.0 {
@@ -350,21 +362,26 @@ impl Server {
         self.state_word | gate
     }
 
-    /// Steps the state machine and does what it says.
+    /// Steps the state machine and executes its effects.
     pub(crate) fn event<B: Board>(&mut self, board: &mut B, event: Event) {
         let effects = self.step(event, board.now());
         self.obey(board, effects);
     }
 
-    /// Steps the state machine; what it says is still to be done.
+    /// Steps the state machine; the effects are still to be executed.
     pub(crate) fn step(&mut self, event: Event, now: u64) -> Effects {
         let (next, effects) = self.safety.step(event, now);
-        self.safety = next;
+        let before = core::mem::replace(&mut self.safety, next);
+        // What a start finds is no cut of this start: counts begin anew with it.
+        let lost = before.position_trusted() && !next.position_trusted();
+        if lost && before.state() != wire::State::Boot {
+            self.counters.cuts = self.counters.cuts.wrapping_add(1);
+        }
         self.refresh();
         effects
     }
 
-    /// Does what the state machine says, except the commit.
+    /// Executes the effects of the state machine, except the commit.
     pub(crate) fn obey<B: Board>(&mut self, board: &mut B, effects: Effects) {
         if effects.end_session {
             self.session.kill();
@@ -382,8 +399,8 @@ impl Server {
         }
     }
 
-    /// Commits an all-zero command, so that nothing stale waits behind a closed gate, and gives the cores their
-    /// configured decelerations back.
+    /// Commits an all-zero command, so that no old command waits behind a closed gate. Gives the
+    /// cores their configured decelerations back, and the outputs of a job back to the commands.
     fn rest<B: Board>(&mut self, board: &mut B) {
         if self.commit_pending {
             board.commit_at(u64::MAX);
@@ -393,6 +410,10 @@ impl Server {
             board.stage(word, 0);
         }
         board.strobe(STROBE_COMMIT);
+        // Outputs that followed a job are the next session's.
+        if self.ident.plays_segments() {
+            board.csr_write(SEGMENTS_MASK, 0);
+        }
         self.path_stop.end(board, self.shape.stepgens);
         self.committed = false;
     }
@@ -465,7 +486,7 @@ impl Server {
         })
     }
 
-    /// The command block, if this packet is an exchange; a refusal if it nearly is one.
+    /// The command block, if this packet is an exchange; a refusal if it is a malformed one.
     fn find_exchange<'w>(&self, packet: &Packet<'w>) -> Result<Option<&'w [u32]>, Refusal> {
         let touches = |record: &Record| {
             let last = record
@@ -489,7 +510,7 @@ impl Server {
         Ok(Some(record.writes))
     }
 
-    /// Would every record do? Runs the writes against a copy of who owns and what state it is.
+    /// Would every record be accepted? Runs the writes against a copy of the session and the state.
     fn validate<B: Board>(
         &mut self,
         board: &mut B,
@@ -534,10 +555,11 @@ impl Server {
 
     fn execute<B: Board>(&mut self, board: &mut B, record: &Record, peer: Peer) {
         let Ok(writes) = writes_of(record) else {
-            return; // `validate` asked the same question
+            return; // `validate` made the same check
         };
         if !record.writes.is_empty() && self.committed && self.safety.at_rest() {
-            // What is written now is not to be undone by the next poll. Whoever only reads disturbs nothing.
+            // The next poll must not undo what is written now. A client that only reads changes
+            // nothing.
             self.rest(board);
         }
         for (address, value) in writes {
@@ -570,8 +592,9 @@ impl Server {
         }
     }
 
-    /// Reads a word that [`check_read`] allowed. Reading changes nothing but which challenge is in force. The describe block is put
-    /// together once for all words of a record: it takes as long as twenty words of anything else.
+    /// Reads a word that [`check_read`] allowed. A read changes nothing but the challenge in force.
+    /// The describe block is built once for all words of a record: that takes as long as twenty
+    /// other words.
     fn read<B: Board>(
         &mut self,
         board: &mut B,
@@ -602,8 +625,8 @@ impl Server {
             map::SESSION_LAST_SEQ => self.session.last_sequence(),
             map::SESSION_SEGMENTS => self.session.segments(),
             map::SESSION_CHALLENGE..map::SESSION_RESPONSE => {
-                // None for strangers while somebody owns the session: it would be of no use to them, and hashing for
-                // them would keep the owner waiting.
+                // While the session has an owner, other clients read zeros: a challenge would be of
+                // no use to them, and the hash would delay the owner.
                 if self.session.owner().is_some() && !self.session.is_owner(peer) {
                     return 0;
                 }
@@ -645,13 +668,13 @@ impl Server {
         describe.to_words()
     }
 
-    /// A setting as it was configured.
+    /// A setting as the host configured it.
     pub(crate) fn setting<B: Board>(&self, board: &mut B, which: Setting) -> u32 {
         let configured = self.path_stop.configured(which);
         configured.unwrap_or_else(|| board.setting(which))
     }
 
-    /// A word of the last status block, for onlookers.
+    /// A word of the last status block, for clients that do not own the session.
     fn status_word<B: Board>(&self, board: &mut B, word: usize, peer: Peer) -> u32 {
         let encoders_at = STATUS_HEAD + usize::from(self.ident.channels.stepgens) * STATUS_STEPGEN;
         let end = encoders_at + usize::from(self.ident.channels.encoders) * STATUS_ENCODER;
@@ -685,6 +708,7 @@ impl Server {
             0 => self.counters.frames_rx,
             1 => self.counters.frames_tx,
             2 => self.counters.exchanges,
+            CUTS_WORD => self.counters.cuts,
             _ => self
                 .counters
                 .refused
@@ -695,7 +719,7 @@ impl Server {
     }
 }
 
-/// Why the gate closed last; a gateware that says what nobody knows was built from another map.
+/// Why the gate closed last. A gateware that returns an unknown code was built from another map.
 pub(crate) fn last_close(board: &mut impl Board) -> GateClose {
     GateClose::from_code(board.last_close() as u8).unwrap_or(GateClose::SystemReset)
 }
@@ -704,7 +728,8 @@ const STATE_ENABLED: u32 = 1 << 17;
 const LOG_SIZE: u32 = map::LOG + 4;
 const LOG_BOOT: u32 = map::LOG + 8;
 
-/// Who would own and what state it would be, as a datagram's writes are gone through.
+/// The session and the state as they would be after the writes of a datagram that were checked so
+/// far.
 struct Judge<'s> {
     ident: &'s Ident,
     boot_id: u32,
@@ -716,7 +741,7 @@ struct Judge<'s> {
     peer: Peer,
     now: u64,
     flash_busy: bool,
-    /// What is written to the segments behind this is in its order.
+    /// A count with the right number precedes the writes to the segments.
     counted: bool,
 }
 
@@ -724,7 +749,8 @@ impl Judge<'_> {
     fn write(&mut self, address: u32, value: u32) -> Result<(), Refusal> {
         match address {
             map::SESSION_ACQUIRE => {
-                // First what is quickly said: nothing is hashed for a stranger while somebody drives.
+                // Cheap checks first: while the session has an owner, nothing is hashed for another
+                // client.
                 self.session.may_acquire(self.peer, value)?;
                 self.auth
                     .prove(self.peer, Purpose::Acquire, &[value], self.answer)?;
@@ -761,7 +787,7 @@ impl Judge<'_> {
                 self.owner_or_nobody()?;
                 self.at_rest()?;
                 self.flash_idle()?;
-                // What comes behind it in the same datagram comes while it runs.
+                // Writes after this one in the same datagram come while the operation runs.
                 self.flash_busy = address == map::FLASH_OP;
                 Ok(())
             }
@@ -774,7 +800,7 @@ impl Judge<'_> {
                 }
                 config::check(setting, value, self.ident.channels, self.ident.clock_hz)
             }
-            // The owner's, and in its order: the gateware is what judges the values.
+            // The owner's write, with the right number: the gateware itself judges the values.
             map::SEGMENTS..SEGMENTS_END if self.counted => Ok(()),
             map::SERVICE.. => {
                 service::check_write(address, value, self.ident.channels, self.ident.clock_hz)?;
@@ -796,7 +822,7 @@ impl Judge<'_> {
         }
     }
 
-    /// With a key, only the owner: he has shown that he has it.
+    /// With a key, only the owner: it has proved that it has the key.
     fn owner_or_nobody(&self) -> Result<(), Refusal> {
         match self.session.owner() {
             Some(_) => self.owner(),
@@ -828,7 +854,7 @@ const FLASH_END: u32 = map::FLASH + map::FLASH_LEN;
 const SEGMENTS_END: u32 = map::SEGMENTS + 4 * map::SEGMENTS_WRITABLE;
 const SESSION_END: u32 = map::SESSION + map::SESSION_LEN;
 
-/// Is this an aligned address of a window? Inside a window, what is not there reads 0.
+/// Is this an aligned address inside a window? Unused addresses of a window read 0.
 fn check_read(address: u32) -> Result<(), Refusal> {
     if !address.is_multiple_of(4) {
         return Err(Refusal::Alignment);
@@ -848,7 +874,8 @@ fn check_read(address: u32) -> Result<(), Refusal> {
     }
 }
 
-/// Every written word with its address; refused when the base is crooked or runs past the end.
+/// Every written word with its address; refused if the base is not aligned or the end is out of
+/// range.
 fn writes_of<'w>(
     record: &Record<'w>,
 ) -> Result<impl Iterator<Item = (u32, u32)> + use<'w>, Refusal> {

@@ -1,8 +1,8 @@
-//! Raw registers for people and for LiteX's own tools: everything can be read, little be written.
+//! Raw registers for developers and for LiteX's own tools: all can be read, few can be written.
 //!
-//! No CSR of this SoC changes by being read. Written may be what configures and cannot move
-//! anything: never the gate, never the network, never the command page. The segments are the exception, on boards
-//! whose jobs a PC streams: who may do that is the server's to judge.
+//! A read changes no CSR of this SoC. Writes are allowed for registers that configure and cannot
+//! move anything: never the gate, never the network, never the command page. The segments are the
+//! exception, on boards with jobs streamed by a PC: the server judges those writes.
 
 use crate::config;
 use crate::cores::Setting;
@@ -12,7 +12,7 @@ use wire::map::{self, BoardConfig};
 
 /// Bytes per CSR page.
 const PAGE: u32 = 0x800;
-/// LiteX's controller: word 1 is a scratch register, there to be written by tests.
+/// LiteX's controller: word 1 is a scratch register for tests.
 const SCRATCH: u32 = map::SERVICE + 4;
 const PAGE_GPIO: u32 = 11;
 const PAGE_LED: u32 = 12;
@@ -21,17 +21,18 @@ const PAGE_STEPGEN: u32 = 16;
 const PAGE_ENCODER: u32 = 32;
 const PAGE_PWM: u32 = 48;
 const PAGE_FLASH: u32 = 64;
-/// Page of the guests at the MAC's door.
+/// Page of the receive filter `guest`.
 pub const PAGE_GUEST: u32 = 65;
 const PAGE_SEGMENTS: u32 = (map::SEGMENTS - map::SERVICE) / PAGE;
+const PAGE_PADS: u32 = 67;
 /// Pages 0, 1, 3 and 4 are LiteX's, 8 and up ours; nobody reads the flash past the firmware.
 const PAGES: u64 = 0b1_1011 | !0 << 8;
 
-/// What a raw write means.
+/// The meaning of a raw write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Target {
     Setting(Setting),
-    /// Cannot hurt, whatever the value.
+    /// Without any danger, whatever the value.
     Harmless,
 }
 
@@ -39,7 +40,8 @@ enum Target {
 pub const fn readable(address: u32) -> bool {
     let offset = address.wrapping_sub(map::SERVICE);
     let page = offset / PAGE;
-    page < PAGE_FLASH && PAGES >> page & 1 != 0 || matches!(page, PAGE_GUEST | PAGE_SEGMENTS)
+    page < PAGE_FLASH && PAGES >> page & 1 != 0
+        || matches!(page, PAGE_GUEST | PAGE_SEGMENTS | PAGE_PADS)
 }
 
 /// May this be written at all, and with this value? The caller has checked ownership and rest.
@@ -55,7 +57,8 @@ pub fn check_write(
     }
 }
 
-/// A register that is a setting lies on its page as in its block of the config window.
+/// A register that is a setting has the same place on its page as in its block of the config
+/// window.
 #[inline(never)]
 fn target(address: u32, channels: Channels) -> Result<Target, Refusal> {
     if !readable(address) {
@@ -108,11 +111,11 @@ mod tests {
     #[test]
     fn the_identifier_and_every_core_can_be_read() {
         for page in [
-            0, 1, 3, 4, 8, 9, 10, 11, 12, 13, 14, 15, 16, 31, 32, 48, 63, 65, 66,
+            0, 1, 3, 4, 8, 9, 10, 11, 12, 13, 14, 15, 16, 31, 32, 48, 63, 65, 66, 67,
         ] {
             assert!(readable(map::SERVICE + page * PAGE), "page {page}");
         }
-        for page in [2, 5, 6, 7, 64, 67, 1000] {
+        for page in [2, 5, 6, 7, 64, 68, 1000] {
             assert!(!readable(map::SERVICE + page * PAGE), "page {page}");
         }
         assert!(!readable(0x8000_0000) && !readable(0));
@@ -120,7 +123,7 @@ mod tests {
 
     #[test]
     fn nothing_that_opens_the_gate_moves_an_axis_or_cuts_the_network_can_be_written() {
-        for page in [1, 3, 4, 8, 9, 10, 14, 15, 65, 66] {
+        for page in [1, 3, 4, 8, 9, 10, 14, 15, 65, 66, 67] {
             for word in 0..64 {
                 assert_eq!(
                     write(page, word, 0),

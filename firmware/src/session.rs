@@ -1,13 +1,14 @@
-//! Who owns the motion: one host at a time, everyone else may look.
+//! The session: one host at a time owns the motion; all others may read.
 //!
-//! A session is bound to the IP address and port that acquired it, and to a token only its owner
-//! can read. It dies when its owner gives it back, when the watchdog bites, or, while the machine
-//! never was armed in it, after [`SILENCE_SECONDS`] without a word. A stranger can take over only then:
-//! a second LinuxCNC on the network must not be able to steal a moving machine.
+//! A session is bound to the IP address and port that acquired it, and to a token that only its
+//! owner can read. It ends when its owner releases it, when the watchdog bites, or, if the machine
+//! was never armed in it, after [`SILENCE_SECONDS`] without a datagram. Only then can another host
+//! take over: a second LinuxCNC on the network must not be able to steal a moving machine.
 
 use wire::Refusal;
 
-/// 3 s: longer than a LinuxCNC start-up between two of its datagrams, short enough to wait for.
+/// 3 s: longer than the longest pause between datagrams in a LinuxCNC start-up, short enough to
+/// wait for.
 pub const SILENCE_SECONDS: u32 = 3;
 
 /// Where a datagram came from.
@@ -20,14 +21,14 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// The jobs program on the board itself. Nothing that came from the wire is ever taken for it.
+    /// The jobs program on the board itself. No datagram from the wire is ever taken for it.
     pub const INSIDE: Peer = Peer {
         ip: 0x7f00_0001,
         port: 0,
     };
 }
 
-/// The one session, or its absence.
+/// The session, if there is one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Session {
     owner: Option<Owner>,
@@ -44,7 +45,7 @@ struct Owner {
 }
 
 impl Session {
-    /// Nobody's.
+    /// No session.
     pub const fn new() -> Self {
         Session {
             owner: None,
@@ -53,8 +54,8 @@ impl Session {
         }
     }
 
-    /// Makes `peer` the owner. The owner may acquire again, which is how it resynchronises; a
-    /// stranger only when nobody owns. A fresh token and sequence 0 come with it.
+    /// Makes `peer` the owner. The owner may acquire again, which is how it resynchronises; another
+    /// host only when there is no owner. The new session has a new token and sequence 0.
     pub fn acquire(
         &mut self,
         peer: Peer,
@@ -69,12 +70,12 @@ impl Session {
             heard: now,
         });
         self.last_sequence = 0;
-        // What was on its way in an earlier session has another number.
+        // Writes on their way from an earlier session have another number.
         self.segments = now as u32;
         Ok(())
     }
 
-    /// Could `peer` acquire with this nonce, as far as the session goes?
+    /// Could `peer` acquire with this nonce, as far as the session is concerned?
     pub fn may_acquire(&self, peer: Peer, nonce: u32) -> Result<(), Refusal> {
         if nonce == 0 {
             return Err(Refusal::Value);
@@ -85,14 +86,14 @@ impl Session {
         Ok(())
     }
 
-    /// Gives the session back; only its owner can, with its token.
+    /// Releases the session; only its owner can, with its token.
     pub fn release(&mut self, peer: Peer, token: u32) -> Result<(), Refusal> {
         self.check(peer, token)?;
         self.owner = None;
         Ok(())
     }
 
-    /// Ends the session whatever its owner thinks.
+    /// Ends the session without asking its owner.
     pub fn kill(&mut self) {
         self.owner = None;
     }
@@ -116,7 +117,7 @@ impl Session {
         self.owner.map(|owner| owner.peer)
     }
 
-    /// The token as `peer` may see it: its own, or 0.
+    /// The token as `peer` may see it: the owner's own token, or 0.
     pub fn token_for(&self, peer: Peer) -> u32 {
         match self.owner {
             Some(owner) if owner.peer == peer => owner.token,
@@ -161,10 +162,10 @@ impl Session {
     }
 }
 
-/// A token that is never 0 and differs from session to session. It keeps accidents out, not
-/// attackers: those need the pre-shared key.
+/// A token that is never 0 and differs from session to session. It prevents accidents, not attacks:
+/// the pre-shared key is for those.
 fn token(peer: Peer, nonce: u32, boot_id: u32, now: u64) -> u32 {
-    let mut hash = 0x811c_9dc5u32; // FNV-1a's offset basis and prime, a word at a time
+    let mut hash = 0x811c_9dc5u32; // FNV-1a's offset basis and prime, one word at a time
     for word in [
         peer.ip,
         u32::from(peer.port),
@@ -234,12 +235,31 @@ mod tests {
     }
 
     #[test]
+    fn a_token_is_another_wherever_a_bit_of_what_makes_it_is() {
+        let mut tokens = std::collections::BTreeSet::from([token(ALICE, 7, 1, 100)]);
+        for bit in 0..64 {
+            tokens.insert(token(ALICE, 7, 1, 100 ^ 1 << bit));
+            let Some(flip) = 1u32.checked_shl(bit) else {
+                continue;
+            };
+            let ip = ALICE.ip ^ flip;
+            let port = ALICE.port ^ flip as u16;
+            tokens.insert(token(Peer { ip, ..ALICE }, 7, 1, 100));
+            tokens.insert(token(Peer { port, ..ALICE }, 7, 1, 100));
+            tokens.insert(token(ALICE, 7 ^ flip, 1, 100));
+            tokens.insert(token(ALICE, 7, 1 ^ flip, 100));
+        }
+        // A port has 16 bits; the 16 flips in the bits above give the first token again.
+        assert_eq!(tokens.len(), 1 + 64 + 3 * 32 + 16);
+    }
+
+    #[test]
     fn a_nonce_of_zero_is_refused() {
         assert_eq!(Session::new().acquire(ALICE, 0, 1, 0), Err(Refusal::Value));
     }
 
     #[test]
-    fn a_released_session_is_anybodys() {
+    fn any_client_can_acquire_a_released_session() {
         let (mut session, token) = owned();
         assert_eq!(session.release(BOB, token), Err(Refusal::NotOwner));
         assert_eq!(session.release(ALICE, token), Ok(()));

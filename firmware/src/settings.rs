@@ -1,7 +1,7 @@
-//! The two copies of the settings in flash, and which of them counts.
+//! The two copies of the settings in flash, and which of them is in force.
 //!
-//! The newest whole one does. Saving and forgetting begin with the other, so that whatever is cut short leaves
-//! one that is whole ([`crate::flash`] does the writing).
+//! The newest whole copy is in force. A save or an erase begins with the other one, so that an
+//! interrupted operation always leaves one whole copy ([`crate::flash`] writes).
 
 use crate::flash::Nor;
 use embedded_hal::spi::SpiDevice;
@@ -28,7 +28,7 @@ pub fn load<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout) -> Result<Copies, O
 }
 
 impl Copies {
-    /// The newest whole copy, and which one it is.
+    /// The newest whole copy, and its number.
     pub fn newest(self) -> Option<(Settings, u32)> {
         match self.0 {
             [Some(a), Some(b)] if b.newer_than(&a) => Some((b, 1)),

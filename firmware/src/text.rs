@@ -1,15 +1,15 @@
-//! Text in pieces, for the console and for obituaries.
+//! Text in pieces, for the console and for crash reports.
 //!
-//! `core::fmt` would cost this image some 8 KiB of its 64: a hundred bytes at every `write!`, and the
-//! formatting of numbers behind them. Two calls per piece cost eight.
+//! `core::fmt` would cost about 8 KiB of this image: a hundred bytes at every `write!`, and the
+//! formatting of numbers. Two calls per piece cost eight bytes.
 
-/// Where text goes. What does not fit is lost; there is nobody to tell.
+/// A destination for text. What does not fit is lost, without an error.
 pub trait Sink {
     /// Appends text.
     fn put(&mut self, text: &[u8]);
 }
 
-/// A sink one can write pieces to.
+/// Writes pieces of text to a sink.
 pub struct Out<'s>(pub &'s mut dyn Sink);
 
 impl Out<'_> {
@@ -69,7 +69,7 @@ impl Out<'_> {
         self
     }
 
-    /// Bytes as they are; anything that could upset a terminal as a dot.
+    /// Bytes as ASCII; every byte that could disturb a terminal becomes a dot.
     pub fn ascii(&mut self, bytes: &[u8]) -> &mut Self {
         for byte in bytes {
             let plain = (b' '..=b'~').contains(byte);
@@ -78,7 +78,7 @@ impl Out<'_> {
         self
     }
 
-    /// Ends a line as telnet wants it.
+    /// Ends a line as telnet requires.
     pub fn end(&mut self) {
         self.text("\r\n");
     }
@@ -104,7 +104,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn numbers_look_like_everybodys(number in prop_oneof![any::<u32>(), 0u32..12]) {
+        fn numbers_look_like_those_of_the_standard_library(number in prop_oneof![any::<u32>(), 0u32..12]) {
             prop_assert_eq!(said(|out| { out.number(number); }), number.to_string());
             prop_assert_eq!(said(|out| { out.hex(number); }), format!("{number:08x}"));
             let signed = number as i32;

@@ -1,14 +1,15 @@
-//! What the compiler's own library does in a kilobyte, slower and in a hundred bytes.
+//! Small and slow replacements for functions of the compiler's own library.
 //!
-//! The image has the last of 72 KiB of ROM ([decision 7](../../docs/decisions/0007-an-ip-stack-that-fits.md)). A `memmove` costs 960 bytes of it
-//! and a 64-bit division 724, for a console's text and a time stamp. Nothing here is on the way of an exchange.
+//! The image has 72 KiB of ROM ([decision 7](../../docs/decisions/0007-an-ip-stack-that-fits.md)).
+//! A `memmove` costs 960 bytes of it and a 64-bit division 724, for a console's text and a time
+//! stamp. No exchange uses these functions.
 
-/// Moves everything from `count` on to the front: `bytes.copy_within(count.., 0)`, but for what is left behind the end. A `count`
-/// beyond the end moves nothing.
+/// Moves all bytes from `count` on to the front: `bytes.copy_within(count.., 0)`, except that the
+/// bytes after the moved ones may change. A `count` beyond the end moves nothing.
 pub fn move_down(bytes: &mut [u8], count: usize) {
-    // Swapped: a loop that copies would be recognised and become the `memmove`.
+    // Swapped, not copied: the compiler would turn a loop that copies into the `memmove`.
     for at in count..bytes.len() {
-        // Of a slice that is there or not, so that it is plain that nothing is out of range.
+        // A pattern instead of two indices, so that the compiler sees no index out of range.
         if let Some([to, .., from]) = bytes.get_mut(at - count..=at) {
             core::mem::swap(to, from);
         }

@@ -13,10 +13,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def main(argv=None):
     parser = argparse.ArgumentParser(prog="ferrocnc", description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--verbose", action="store_true", help="show what LiteX says")
+    parser.add_argument("--verbose", action="store_true", help="show LiteX's messages")
     sub = parser.add_subparsers(dest="command", required=True)
 
-    p = sub.add_parser("elaborate", help="write the Verilog of a board and what belongs to it")
+    p = sub.add_parser("elaborate", help="write the Verilog of a board and its companion files")
     p.add_argument("--target", choices=("sim", "board", "cores"), required=True,
                    help="sim: the SoC with plain ports; board: the SoC on its FPGA; cores: cores and banks behind a bare CSR bus")
     p.add_argument("--board", required=True, help="boards/NAME.toml")
@@ -41,26 +41,31 @@ def main(argv=None):
     p.add_argument("--seeds", type=int, default=6, help="how many seeds to try")
     p.add_argument("--jobs", type=int, help="how many tools at once (default: one per core)")
     p.add_argument("--slack", type=float, default=5.0, help="per cent every clock must have to spare")
-    p.add_argument("--firmware-only", action="store_true", help="take the routed design as it is, whatever has changed in the gateware")
+    p.add_argument("--firmware-only", action="store_true", help="use the existing routed design, even if the gateware has changed")
     p.add_argument("--without-pins", action="store_true", help="build a board without pins, too, to measure it; it gets no images")
     p.add_argument("--json", help="write the report here")
     p.add_argument("--document", help="write the table as Markdown here")
-    p.add_argument("--prove", action="store_true", help="unpack what was built and compare it with the firmware; pack again and compare")
+    p.add_argument("--prove", action="store_true", help="unpack the built files and compare them with the firmware; pack again and compare")
     _network(p)
 
-    p = sub.add_parser("bench", help="synthesise the cores and the named boards and say how big they are")
+    p = sub.add_parser("gates", help="write what nextpnr made of a board as Verilog for the simulator")
+    p.add_argument("--board", required=True, help="boards/NAME.toml")
+    p.add_argument("--built", required=True, help="the board's folder, written by `bitstream`")
+    p.add_argument("--out", required=True)
+
+    p = sub.add_parser("bench", help="synthesise the cores and the named boards and print their sizes")
     p.add_argument("--out", required=True)
     p.add_argument("--json", help="write the report here")
     p.add_argument("--document", help="write the tables as Markdown here")
     p.add_argument("--seed", type=int, help="place and route the boards, too, with this seed")
 
-    sub.add_parser("tools", help="say which FPGA tools will run")
+    sub.add_parser("tools", help="print which FPGA tools will run")
 
     args = parser.parse_args(argv)
     # LiteX logs to the root logger at INFO, in colours, hundreds of lines.
     logging.disable(logging.NOTSET if args.verbose else logging.WARNING)
     try:
-        return {"elaborate": _elaborate, "export": _export, "pac": _pac, "bitstream": _bitstream, "bench": _bench, "tools": _tools}[args.command](args)
+        return {"elaborate": _elaborate, "export": _export, "pac": _pac, "bitstream": _bitstream, "gates": _gates, "bench": _bench, "tools": _tools}[args.command](args)
     except (BoardError, ToolError) as e:
         print(f"error: {e}", file=sys.stderr)
         return 1
@@ -95,6 +100,17 @@ def _elaborate(args):
         from . import build
         build.elaborate(board, args.out, all_pins=not args.without_pins)
         print(f"{args.out}/top.v: {board.name}, {board.sys_clk_hz / 1e6:g} MHz")
+    return 0
+
+
+def _gates(args):
+    import json
+
+    from . import gates
+    built = Path(args.built)
+    seed = json.loads((built / "report.json").read_text())["seed"]
+    found = gates.write(read_board(args.board), built / "work", f"routed{seed}.json", args.out)
+    print(f"{args.out}/gates.v: " + ", ".join(f"{count} {cell}" for cell, count in sorted(found.items())))
     return 0
 
 

@@ -1,19 +1,22 @@
-"""CSR banks around the cores: every register of `regmap.py` meets the signal it belongs to here, and nowhere else.
+"""CSR banks around the cores: the only place where a register of `regmap.py` is connected to its
+signal.
 
 The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on LiteX's CSR bus carries pages 8 and up:
 
     bus  --> write pipeline --> staging and settings registers, mirrors --> cores
          <-- gates <-- live words | what the sample caught | tallies | mirrors  <-- cores
 
-* Writes land one clock after the bus cycle, so that address decoding stays out of the cores' timing. The CPU cannot tell:
-  its next access is two clocks later.
-* Eight words are read through one register (their gate), which catches the OR of what is addressed of them: 0 if none is. All
-  gates are joined by OR. No gate has a reset: all flip-flops of a tile share one, and a reset of their own for so many words
-  left the placer without tiles (decision 8).
-* What every channel has and nobody reads twice in a clock lies in LUT RAM: totals, samples and latches (`tally`). Settings and
-  staged commands are read back from one block RAM (`mirror`). A register reads as many bits as it has.
-* What must be of one clock for all channels, and changes every clock (fraction and velocity of a step generator), is caught by
-  the sample strobe in flip-flops.
+* Writes take effect one clock after the bus cycle, so that address decoding is not in the cores'
+  timing paths. The CPU cannot notice: its next access is two clocks later.
+* Eight words are read through one register (their gate), which stores the OR of the addressed ones:
+  0 if none is addressed. All gates are joined by OR. No gate has a reset: all flip-flops of a tile
+  share one, and with a reset of their own for so many words the placer ran out of tiles (decision
+  8).
+* Words that every channel has, and of which one is read at a time, are in LUT RAM: totals, samples
+  and latches (`tally`). Settings and staged commands are read back from one block RAM (`mirror`). A
+  register reads as many bits as it has.
+* Words that change every clock and must belong to one clock for all channels (fraction and velocity
+  of a step generator) are stored in flip-flops by the sample strobe.
 * Registers of absent channels are never created: they read 0 and ignore writes.
 """
 
@@ -33,7 +36,8 @@ _GATE = 8  # words behind one gate: two to a LUT, and one LUT more to join four 
 
 
 class FabricBus(LiteXModule):
-    """Decodes pages 8 and up. `storage` and `pulse` create what is written, `live` and `reads` what is read, `mirror` both.
+    """Decodes pages 8 and up. `storage` and `pulse` create written signals, `live` and `reads` read
+    ones, `mirror` both.
 
     A read has one clock:
 
@@ -45,8 +49,9 @@ class FabricBus(LiteXModule):
 
     def __init__(self):
         self.bus = csr_bus.Interface(data_width=32, address_width=rm.CSR_ADDRESS_WIDTH)
-        # The word address as the bus master gives it, whether or not it means us: `bus.adr` is the same one behind the
-        # bridge's state, and half a clock later. Reading has no side effect, so a read that was not meant harms nobody.
+        # The word address from the bus master, whether or not it is for this slave: `bus.adr` is
+        # the same one after the bridge's state, and half a clock later. A read has no side effect,
+        # so an unintended one does no harm.
         self.adr = Signal(rm.CSR_ADDRESS_WIDTH)
         self.word = self.adr[:_WORD_BITS]
         self.page = self.adr[_WORD_BITS:]
@@ -70,7 +75,7 @@ class FabricBus(LiteXModule):
         ]
 
     def _is(self, kind, value, number):
-        """`value == number`, decoded once for everybody who asks."""
+        """`value == number`, decoded once for all users."""
         if (kind, number) not in self._decoded:
             hit = self._decoded[kind, number] = Signal(name=f"{kind}_{number}")
             self.comb += hit.eq(value == number)
@@ -85,7 +90,7 @@ class FabricBus(LiteXModule):
         return self._both("page", self.page, page) & self._both("word", self.word, word)
 
     def write_hit(self, page, word):
-        """High for one clock when this word is written; `data` is what was written."""
+        """High for one clock when this word is written; `data` is the written word."""
         return self.we & self._both("we_page", self.we_page, page) & self._both("we_word", self.we_word, word)
 
     def page_hit(self, page):
@@ -97,13 +102,14 @@ class FabricBus(LiteXModule):
         return self.we & self._both("we_page", self.we_page, page) & (self.we_word < words)
 
     def pulse(self, bank, name):
-        """High for one clock when the register is written; `self.data` is what was written."""
+        """High for one clock when the register is written; `self.data` is the written word."""
         strobe = Signal()
         self.comb += strobe.eq(self.write_hit(bank.page, bank.offset(name) // 4))
         return strobe
 
     def storage(self, bank, name, width=32, data=None, reset=0):
-        """What was last written, `reset` at power-up. Keeps its value through a reset of the CPU: firmware writes what it wants at boot."""
+        """The last written value, `reset` at power-up. Keeps its value through a reset of the CPU:
+        the firmware writes it at boot."""
         signal = Signal(width, reset=reset, reset_less=True, name=f"{bank.name}_{name}")
         self.sync += If(self.write_hit(bank.page, bank.offset(name) // 4), signal.eq(self.data if data is None else data))
         return signal
@@ -144,8 +150,8 @@ class FabricBus(LiteXModule):
         self._places += [(bank.page, first + n) for n in range(words)]
 
     def _mirror(self):
-        """One block RAM for all of them. It reads every clock; its word counts when a mirrored register was addressed, and of that
-        as many bits as the register has."""
+        """One block RAM for all of them. It reads every clock; its word is used if a mirrored
+        register was addressed, with as many bits as the register has."""
         def at(page, word):
             return Mux(page[4:6] != 0, Cat(word[:3], page[:6]), Cat(word[:6], page[0]))
 
@@ -177,6 +183,10 @@ class FabricBus(LiteXModule):
         self.comb += self.bus.dat_r.eq(reduce(or_, self._gates))
 
 
+# Signals of `Pads` that leave the chip and are read back.
+DRIVEN = ("step", "dir", "step_n", "dir_n", "pwm", "pwm_dir", "outputs")
+
+
 class Pads:
     """The signals of a board's pins, one bit per channel, after the platform's polarity has been dealt with."""
 
@@ -194,6 +204,9 @@ class Pads:
         self.pwm_dir = Signal(max(1, channels.pwm))
         self.inputs = Signal(max(1, channels.inputs))
         self.outputs = Signal(max(1, channels.outputs))
+        # What is at the pads of those that are driven.
+        for name in DRIVEN:
+            setattr(self, f"{name}_seen", Signal(len(getattr(self, name))))
         self.ext_reset = Signal()
         self.factory = Signal()  # 1 is active
         self.spi_cs_n = Signal()
@@ -215,6 +228,7 @@ class Cores(LiteXModule):
         self.frame_slot = Signal(1)
         self.frame_pending = Signal()    # MAC: presents the frame in `pending_slot`
         self.pending_slot = Signal(1)
+        self.eth_beat = Signal()         # PHY: a clock per 4 clocks of its receive clock
         self.fabric = fabric = FabricBus()
         self.bus = fabric.bus
         self._caught = {}
@@ -239,6 +253,7 @@ class Cores(LiteXModule):
             self._pwm(fabric, n)
         self._flags(fabric)
         self._mirrors(fabric, channels)
+        self._pads(fabric, channels)
 
     def _committed(self, fabric, name):
         """A word of single bits: (as staged, as committed)."""
@@ -268,9 +283,13 @@ class Cores(LiteXModule):
             i_commit_timed=strobe & fabric.data[2],
             i_commit_at=Cat(at_lo, at_hi),
             o_commit=self.commit, o_sample=self.sample, o_pending=pending)
-        self.sync += If(fabric.pulse(b, "snapshot"), caught.eq(now))
+        snapshot, beats = fabric.pulse(b, "snapshot"), Signal(32)
+        self.sync += If(snapshot, caught.eq(now))
+        self.specials += Instance("pace", i_clk=self.clk, i_changed=self.eth_beat, i_catch_it=snapshot, o_caught=beats)
+        fabric.live(b, "eth_beats", beats)
 
-        # Each slot remembers when its frame was complete, so that a frame which had to queue keeps its own time.
+        # Each slot stores the time when its frame was complete, so that a frame that had to queue
+        # keeps its own time.
         slot_time = Array([Signal(64, reset_less=True) for _ in range(rm.ETHMAC_RX_SLOTS)])
         arrival = Signal(64, reset_less=True)
         self.sync += [
@@ -323,7 +342,7 @@ class Cores(LiteXModule):
             ("channels0", channels.stepgen | channels.encoder << 8 | channels.pwm << 16),
             ("channels1", channels.inputs | channels.outputs << 8),
             ("board_rom_words", rom_words),
-            *((("features", 1),) if self.jobs else ()),
+            ("features", (1 if self.jobs else 0) | 2),
         ):
             fabric.live(rm.IDENT, name, value)
 
@@ -349,10 +368,11 @@ class Cores(LiteXModule):
         n_in, n_out = len(self.pads.inputs), len(self.pads.outputs)
         level, raw, latched, out = Signal(n_in), Signal(n_in), Signal(32), Signal(n_out)
         value = fabric.storage(rm.COMMAND, "gpio_out", n_out)
-        # What the outputs are before there is any firmware is the board file's.
+        # Before the firmware runs, the outputs have the board file's levels.
         safe = fabric.storage(rm.GPIO, "safe", n_out, reset=safe_mask)
         invert = fabric.storage(rm.GPIO, "invert_out", n_out, reset=invert_mask)
-        # The limits are written straight into the core's RAM: the low bits of the word's address are the pin.
+        # The limits are written directly into the core's RAM: the low bits of the word's address
+        # are the input's number.
         limit_we = fabric.write_page(rm.DEBOUNCE.page, max(1, channels.inputs))
         self.specials += Instance("gpio",
             p_INPUTS=n_in, p_OUTPUTS=n_out, p_ESTOP_MASK=Constant(estop_mask, 32), p_ESTOP_LEVEL=Constant(estop_level, 32),
@@ -377,7 +397,8 @@ class Cores(LiteXModule):
         self._probe(fabric, raw)
 
     def _probe(self, fabric, raw):
-        """One probe for all channels: an input as it is, one clock after `raw_now`. A filter would only make it late."""
+        """One probe for all channels: an input, one clock after `raw_now`. A filter would only
+        delay it."""
         select = fabric.storage(rm.GPIO, "probe", 10)
         self.probe = Signal()
         self.sync += self.probe.eq(select[8] & (Array(list(raw) + [0] * (32 - len(raw)))[select[:5]] ^ select[9]))
@@ -392,7 +413,8 @@ class Cores(LiteXModule):
         return capture
 
     def _segments(self, fabric, axes, channels):
-        """What plays segments into the first `axes` step generators; returns what those and the outputs have to know of it."""
+        """Plays segments into the first `axes` step generators; returns the signals that those and
+        the outputs need."""
         assert 1 <= axes <= min(rm.JOB_AXES_MAX, channels.stepgen), f"jobs of {axes} axes on a board with {channels.stepgen} step generators"
         b, n_out = rm.SEGMENTS, max(1, channels.outputs)
         job = SimpleNamespace(
@@ -418,12 +440,14 @@ class Cores(LiteXModule):
             ("begun", begun), ("left", left), ("current", Cat(job.aux, tag)), ("pace_now", pace_now), ("shape", axes | rm.JOB_SEGMENTS << 8),
         ):
             fabric.live(b, name, value)
-        # Who owns the step generators writes their staged commands: one choice for all of them.
+        # The segments core or the bus writes the staged commands: one choice for all step
+        # generators.
         self.comb += job.data.eq(Mux(job.busy, job.word, fabric.data))
         return job
 
     def _job_storage(self, fabric, n):
-        """The staged command of a job's step generator: the segments' while they are played, else the bus'. Nothing is left of a job."""
+        """The staged command of a job's step generator: from the segments while they play, else
+        from the bus. A job leaves nothing behind."""
         job, staged = self.job, []
         lowest = job.data == 0x8000_0000
         for name, at, data in (("velocity", 2 * n, job.data | lowest), ("accel", 2 * n + 1, job.data)):
@@ -436,7 +460,7 @@ class Cores(LiteXModule):
         return staged
 
     def _job_of(self, n, enable):
-        """Who tells step generator n what to do, and whether its time passes."""
+        """The inputs of step generator n that say what controls it, and whether its time passes."""
         if n >= self.jobs:
             return {"i_stop": self.stop, "i_advance": 1, "i_commit": self.commit, "i_enable": enable}
         job = self.job
@@ -452,7 +476,8 @@ class Cores(LiteXModule):
         visit, pending, deltas, captures, stopped, words, waiting = Signal(channels), Signal(channels), [], [], [], [], []
         for n in range(channels):
             b = rm.STEPGEN[n]
-            # -2^31 has no positive twin; taking it as -(2^31-1) keeps |velocity| representable for everyone downstream.
+            # -2^31 has no positive counterpart; reading it as -(2^31-1) keeps |velocity|
+            # representable in all later logic.
             lowest = fabric.data == 0x8000_0000
             if n < self.jobs:
                 velocity, accel = self._job_storage(fabric, n)
@@ -472,7 +497,8 @@ class Cores(LiteXModule):
             self.sync += waited.eq(waits | (waited & ~self.sample))
             self.comb += limited[n].eq(waited)
             words.append(Cat(fraction, velocity_now))
-            # The index pin is asynchronous; its polarity is applied behind the two flip-flops that make it a level.
+            # The index pin is asynchronous; its polarity is applied after the two synchronising
+            # flip-flops.
             meta, index = Signal(reset_less=True), Signal(reset_less=True)
             meta.attr.add("keep"), index.attr.add("keep")
             self.sync += [meta.eq(self.pads.step_index[n]), index.eq(meta ^ mode[4])]
@@ -508,9 +534,10 @@ class Cores(LiteXModule):
             fabric.reads(status & hit, value)
 
     def _handed_on(self, words, at):
-        """Fraction and velocity of the step generator `at` at the last sample. All of them are caught by the strobe, and then handed
-        on from each channel to the one before and from the first to LUT RAM, one a clock: their neighbours' wires instead of
-        64 from every channel to the CPU (decision 11).
+        """Fraction and velocity of the step generator `at` at the last sample. The strobe stores
+        all of them. Then each channel passes them on to the one before, and the first to LUT RAM,
+        one a clock: that takes wires between neighbours instead of 64 from every channel to the CPU
+        (decision 11).
 
             clk       0   1   2   3   4
             sample    _/‾‾‾\\________________
@@ -555,7 +582,8 @@ class Cores(LiteXModule):
             clears.append(mode[7] & index & ~index_was)
             deltas.append(delta), moves.append(moved), illegals_now.append(illegal)
 
-        # count and edge words alternate from an address whose half is 12 mod 16; the latches follow from 8 mod 16.
+        # count and edge words alternate from an address with a half of 12 mod 16; the latches
+        # follow from 8 mod 16.
         word = fabric.word
         at, counts, edges, latches = Signal(4), Signal(), Signal(), Signal()
         count, latch = (rm.STATUS.offset(f"encoder0_{name}") // 4 for name in ("count", "latch"))
@@ -579,8 +607,9 @@ class Cores(LiteXModule):
 
     def _pwm(self, fabric, n):
         b = rm.PWM[n]
-        # A width is 0 without the enable beside it as soon as it is written, once for all channels. The core would need a reset
-        # for each to forget it at the commit (decision 10); what is read back is the mirror's, as written.
+        # A width is stored as 0 if it is written without the enable bit, once for all channels. The
+        # core would need a reset for each channel to clear it at the commit (decision 10); the
+        # written value is read back from the mirror.
         data = fabric.data
         command = fabric.storage(rm.COMMAND, f"pwm{n}_width", data=Cat(data[:29] & Replicate(data[30], 29), data[29:]))
         mode = fabric.storage(b, "mode", 5)
@@ -589,6 +618,18 @@ class Cores(LiteXModule):
             i_enable=1, i_direction=command[31], i_width=command[:29], i_period=fabric.storage(b, "period", 21),
             i_invert=mode[0], i_kind=mode[1:3], i_dither=mode[3], i_swap=mode[4],
             o_out=self.pads.pwm[n], o_dir=self.pads.pwm_dir[n])
+
+    def _pads(self, fabric, channels):
+        """The pads' own levels. Nothing here leads to a driver, and nothing that drives waits for it."""
+        b = rm.PADS
+        for name, count, low, high in (("step", channels.stepgen, "step", "dir"), ("step_n", channels.stepgen, "step_n", "dir_n"),
+                                       ("pwm", channels.pwm, "pwm", "pwm_dir"), ("outputs", channels.outputs, "outputs", None)):
+            if not count:
+                continue
+            levels = [getattr(self.pads, f"{half}_seen") for half in (low, high) if half]
+            seen = [Signal(count) for _ in levels]
+            self.specials += Instance("pads", p_PINS=count * len(levels), i_clk=self.clk, i_levels=Cat(*levels), o_seen=Cat(*seen))
+            fabric.live(b, name, Cat(seen[0], Constant(0, 16 - count), seen[1]) if high and count < 16 else Cat(*seen))
 
     def _flags(self, fabric):
         def word(low, high):

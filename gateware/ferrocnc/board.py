@@ -1,5 +1,5 @@
-"""Loads what `ferrocnc-config export` says of a board file. The reader itself is the crate `config`: it alone knows what may
-stand in `boards/*.toml` and refuses what may not, and everybody else asks the board.
+"""Loads the output of `ferrocnc-config export` for a board file. The crate `config` is the only
+reader of `boards/*.toml`: it checks the files, and all other programs ask it for the board.
 """
 
 import json
@@ -85,7 +85,7 @@ class Board:
 
     @property
     def estop_mask(self):
-        """Inputs whose active level closes the gate, one bit per input."""
+        """Inputs that close the gate with their active level, one bit per input."""
         return sum(1 << n for n, c in enumerate(self.gpio_in) if c["estop"])
 
     @property

@@ -1,8 +1,9 @@
-"""Runs the tools in their order: elaborate, yosys, nextpnr with one seed after the other, pack. A clock that misses its constraint
-fails the build, and so does one with less slack than wanted.
+"""Runs the tools in their order: elaborate, yosys, nextpnr with one seed after the other, pack. A
+clock that misses its constraint fails the build, and so does one with too little slack.
 
-What a stage makes depends on its inputs alone, and is not made again while they are the same: other firmware, another address or
-another name of equal length in a board file goes into the routed design that is there, in seconds.
+The result of a stage depends only on its inputs, and a stage is skipped while they are the same:
+new firmware, another address or another name of equal length in a board file goes into the existing
+routed design, in seconds.
 """
 
 import contextlib
@@ -28,12 +29,12 @@ _READ = re.compile(r"^(read_verilog(?: -sv)?) (/\S+)$", re.M)
 
 
 class BuildError(Exception):
-    """A build that failed; the text is the sentence."""
+    """A build that failed; the text is the message."""
 
 
 def elaborate(board, out, all_pins=True):
-    """Writes everything the tools read: top.v, top.ys, top.lpf, ROM contents, sources; nothing in them tells the day or the
-    folder. Returns the SoC."""
+    """Writes all files for the tools: top.v, top.ys, top.lpf, ROM contents, sources. They do not
+    depend on the date or the folder. Returns the SoC."""
     out = Path(out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     soc = ecp5.BoardSoC(board, all_pins=all_pins)
@@ -52,8 +53,8 @@ def elaborate(board, out, all_pins=True):
 
 
 def _settle(out):
-    """Takes the date and LiteX's drawings, in no order, out of top.v and the machine out of top.ys: yosys names cells after the files
-    and lines they come from."""
+    """Removes the date and LiteX's drawings, which have no fixed order, from top.v, and the
+    machine's paths from top.ys: yosys names cells after the files and lines they come from."""
     top = (out / f"{TOP}.v").read_text(encoding="utf-8")
     top = re.sub(r"^/\*.*?^\*/$", "", top[top.index("`timescale"):], flags=re.M | re.S)
     code = [line for line in top.splitlines(keepends=True) if not line.startswith("//")]
@@ -74,7 +75,8 @@ def _settle(out):
 
 
 def place(board, folder, seed, cells, *more, name="", cancelled=None):
-    """Places and routes. A missed clock is judged by who reads the report: nextpnr alone would stop before saying what it reached."""
+    """Places and routes. The caller judges a missed clock from the report: nextpnr alone would stop
+    before it reports the clocks."""
     report = folder / f"nextpnr{name}.json"
     report.unlink(missing_ok=True)
     end = ["--textcfg", f"{TOP}{name}.config", "--report", report.name, *_device(board), "--timing-allow-fail"]
@@ -82,13 +84,14 @@ def place(board, folder, seed, cells, *more, name="", cancelled=None):
     if netlist.crowded(cells):
         _route_ourselves(board, folder, start, end, name, cancelled)
     else:
-        tools.run("nextpnr-ecp5", [*start, *end], folder, f"nextpnr{name}.log", cancelled=cancelled)
+        tools.run("nextpnr-ecp5", [*start, "--write", f"routed{name}.json", *end], folder, f"nextpnr{name}.log", cancelled=cancelled)
     return json.loads(report.read_text())
 
 
 def _route_ourselves(board, folder, start, end, name, cancelled):
-    """nextpnr's routers do not come to an end on a crowded board, ours does (decision 11): nextpnr places, ours routes, nextpnr looks over
-    every route, says what the clocks reach and writes the configuration."""
+    """nextpnr's routers do not finish on a crowded board, ours does (decision 11): nextpnr places,
+    our router routes, nextpnr checks every route, reports the clocks and writes the
+    configuration."""
     placed, routed, clocks = f"placed{name}.json", f"routed{name}.json", f"clocks{name}.lpf"
     tools.run("nextpnr-ecp5", [*start, "--no-route", "--write", placed, *_device(board), "--timing-allow-fail"], folder, f"placing{name}.log",
               cancelled=cancelled, packaged=True)
@@ -108,7 +111,8 @@ def _device(board):
 # One board --------------------------------------------------------------------------------------------------------
 
 class Design:
-    """A board on its way through the tools, in `folder`; `folder / "work"` keeps what every stage made and `record.json` from what."""
+    """The build of one board, in `folder`; `folder / "work"` keeps the result of every stage, and
+    `record.json` its inputs."""
 
     def __init__(self, path, root, options, watch, turn=0):
         self.path, self.options, self.watch, self.turn = Path(path), options, watch, turn
@@ -117,7 +121,7 @@ class Design:
         self.record = {}
 
     def build(self):
-        """Everything. Returns the report."""
+        """Runs all stages. Returns the report."""
         began = time.monotonic()
         for old in (self.folder / f"{self.name}{end}" for end in image.FILES):
             old.unlink(missing_ok=True)  # a failed build leaves no bitstream, not even an older one
@@ -147,11 +151,11 @@ class Design:
         return found
 
     def prove(self):
-        """Unpacks what was built and compares. Yields what was proven."""
+        """Unpacks the built files and compares them. Yields what was proven."""
         seed = json.loads((self.folder / "report.json").read_text())["seed"]
         yield from image.prove(self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder, self._program())
 
-    # What was made from what
+    # The inputs of the results
 
     def _load(self):
         try:
@@ -165,8 +169,8 @@ class Design:
         part.replace(self.work / "record.json")
 
     def _sources(self):
-        """Hash of all an elaboration reads: our Python and Verilog, the pinned packages, the board but for what only stands in its
-        description."""
+        """Hash of everything an elaboration reads: our Python and Verilog, the pinned packages, the
+        board without the values that are only in its description."""
         files = sorted([*_GATEWARE.glob("ferrocnc/*.py"), *_GATEWARE.glob("rtl/*.sv"), _GATEWARE / "requirements.txt"])
         sum_ = hashlib.sha256()
         for file in files:
@@ -183,7 +187,8 @@ class Design:
         return [tools.version("yosys"), tools.version("nextpnr-ecp5")]
 
     def _netlist(self):
-        """Hash of all yosys reads, and of what makes of it what nextpnr does."""
+        """Hash of everything yosys reads, and of the script that prepares its netlist for
+        nextpnr."""
         files = [self.work / f"{TOP}{end}" for end in (".v", ".ys", ".lpf")]
         files += sorted(self.work.glob("*.init")) + sorted((self.work / "src").iterdir()) + [Path(netlist.__file__)]
         sum_ = hashlib.sha256(repr((self._tools(), _device(self.board), self.pins)).encode())
@@ -192,7 +197,7 @@ class Design:
         return sum_.hexdigest()
 
     def _flags(self):
-        """What makes of the netlist what is routed, beside nextpnr itself."""
+        """The inputs of placing and routing besides the netlist and nextpnr."""
         if not netlist.crowded(self.record["cells"]):
             return ecp5.PLACER
         return ecp5.PLACER + hashlib.sha256(tools.router().read_bytes()).hexdigest()
@@ -249,8 +254,9 @@ class Design:
         self._save()
 
     def _search(self):
-        """The lowest seed that meets every clock with the wanted slack: which one that is does not depend on who is faster. Several
-        run side by side if there are cores for them; higher ones end as soon as they no longer matter."""
+        """The lowest seed that meets every clock with the required slack: the result does not
+        depend on which one finishes first. Several run in parallel if there are cores for them; a
+        higher one is stopped as soon as it does not matter any more."""
         seeds = range(self.options.first_seed, self.options.first_seed + self.options.seeds)
         lock, met = threading.Lock(), []
 
@@ -338,10 +344,11 @@ class Design:
         }
 
 
-# What is going on -------------------------------------------------------------------------------------------------
+# Progress ----------------------------------------------------------------------------------------
 
 class Cores:
-    """So many cores to give away, to whoever has the lowest (seed, board): no board tries a second seed before each has had its first."""
+    """Hands out a number of cores, always to the lowest (seed, board): no board tries a second seed
+    before each has had its first."""
 
     def __init__(self, count):
         self._free, self._waiting, self._changed = count, [], threading.Condition()
@@ -364,7 +371,7 @@ class Cores:
 
 
 class Watch:
-    """Says every few seconds what runs, for how long, and how long it took the last time."""
+    """Prints every few seconds what runs, for how long, and how long it took the last time."""
 
     SAY_EVERY = 5
 
@@ -409,18 +416,19 @@ class Watch:
 
 
 class Options:
-    """What a build is told."""
+    """The options of a build."""
 
     def __init__(self, firmware=None, first_seed=1, seeds=6, jobs=None, slack=5.0, network=None, firmware_only=False, without_pins=False, boards=1):
         self.firmware, self.first_seed, self.seeds, self.slack = firmware, first_seed, seeds, slack
         self.network, self.firmware_only, self.without_pins = network or {}, firmware_only, without_pins
         self.jobs = jobs or os.cpu_count() or 1
-        # Cores without a board of their own try the next seeds.
+        # Cores that are not needed for a board try the next seeds.
         self.side_by_side = max(1, self.jobs // min(boards, self.jobs))
 
 
 def bitstreams(boards, root, options, report=None, document=None, prove=False):
-    """Board files to images. Returns the process's exit code: not 0 if one of them is not as it should be."""
+    """Builds images from board files. Returns the process's exit code: not 0 if one of them
+    failed."""
     root = Path(root).resolve()
     root.mkdir(parents=True, exist_ok=True)
     watch, found, failed, proven = Watch(root, options.jobs), {}, {}, []
@@ -435,7 +443,8 @@ def bitstreams(boards, root, options, report=None, document=None, prove=False):
             print(f"{design.name}: failed", flush=True)
 
     with ThreadPoolExecutor(len(boards)) as pool:
-        # From the back: the largest comes last in a list for people, and should not be what all others wait for.
+        # In reverse: the largest board is listed last, and all others should not have to wait for
+        # it.
         waiting = [pool.submit(one, path, turn) for turn, path in enumerate(reversed(boards))]
         while not all(future.done() for future in waiting):
             time.sleep(0.2)
@@ -533,18 +542,19 @@ def read_image(path):
     return [int.from_bytes(data[i:i + 4], "little") for i in range(0, size, 4)]
 
 
-# Reports ----------------------------------------------------------------------------------------------------------
+# Reports -----------------------------------------------------------------------------------------
 
 def _clocks(board, data):
     clocks = {}
     for net, f in data["fmax"].items():
-        # nextpnr names a clock after whichever net of it came first, so the core clock is known by what it is required to do.
+        # nextpnr names a clock after the first net it found, so the core clock is recognised by its
+        # required frequency.
         name = "eth" if "eth" in net else "sys" if abs(f["constraint"] * 1e6 - board.sys_clk_hz) < 0.01 * board.sys_clk_hz else net
         clocks[name] = {"required_mhz": round(f["constraint"], 2), "achieved_mhz": round(f["achieved"], 2)}
     return clocks
 
 
-# How big it is ----------------------------------------------------------------------------------------------------
+# Size --------------------------------------------------------------------------------------------
 
 # The same machine on the same tools: 6 step generators, 6 encoders, 6 PWM, 12 inputs, 12 outputs, 5A-75B, 40 MHz, Etherbone in
 # gateware instead of a CPU. LiteX-CNC 1.3.4 was placed and routed with yosys 0.70 and nextpnr 0.11.1, one seed; Lcnc (f6c0d75) was
@@ -558,11 +568,12 @@ _COLUMNS = (("LUT4", "lut4"), ("CCU2C", "ccu2c"), ("FF", "ff"), ("EBR", "ebr"), 
 
 
 def bench(root, out, report=None, seed=None, document=None):
-    """Synthesises and packs every core alone and the named boards, and prints what they cost. With a seed it places and routes
-    the boards, too.
+    """Synthesises and packs every core alone and the named boards, and prints their sizes. With a
+    seed it places and routes the boards, too.
 
-    COMB is what nextpnr packs: LUTs, two per carry cell and the cells it adds to get in and out of a carry chain, LUT RAM. A core
-    alone is mapped for area, because nothing tells which of its paths matter; in a board the tools know.
+    COMB is nextpnr's count after packing: LUTs, two per carry cell and the cells it adds to get in
+    and out of a carry chain, LUT RAM. A core alone is mapped for area, because its critical paths
+    are unknown; in a board the tools know them.
     """
     out = Path(out).resolve()
     cores, boards = {}, {}
@@ -613,7 +624,7 @@ Etherbone in gateware and no CPU. LiteX-CNC was placed and routed once; Lcnc was
 
 
 def size_tables(cores, boards):
-    """The cores alone; the boards beside the peers'; the clocks, where they were routed."""
+    """The cores alone; the boards and the peers; the clocks of the routed ones."""
     def row(name, c):
         return f"| {name} | " + " | ".join(f"{c[key]:,}".replace(",", " ") for _, key in _COLUMNS) + " |"
 
@@ -646,13 +657,14 @@ def size_tables(cores, boards):
 
 
 def _packed(folder, args):
-    """TRELLIS_COMB after packing: what the placer has to find room for."""
+    """TRELLIS_COMB after packing: the number of places the placer needs."""
     tools.run("nextpnr-ecp5", ["--json", f"{TOP}.json", "--lpf-allow-unconstrained", "--pack-only", "--write", "packed.json", *args], folder, "pack.log")
     (module,) = json.loads((folder / "packed.json").read_text())["modules"].values()
     return {"trellis_comb": sum(cell["type"] == "TRELLIS_COMB" for cell in module["cells"].values())}
 
 
 def _bare_synthesis(board, all_pins, folder):
-    """A board synthesised, whether or not it has pins; pins without a ball go wherever the placer puts them."""
+    """A board synthesised, with or without pins; pins without a ball go wherever the placer puts
+    them."""
     elaborate(board, folder, all_pins)
     tools.run("yosys", ["-q", f"{TOP}.ys"], folder, "yosys.log")

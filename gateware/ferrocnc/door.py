@@ -1,4 +1,4 @@
-"""The bus' door to the SDRAM: lines as they come, stores that nobody waits for.
+"""The bridge from the bus to the SDRAM: it caches lines as they come, and queues stores.
 
     cyc stb  _/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\\_     a line that is not here: 8 commands in a row, its words are handed on
     cmd      ____/01234567\\______________        as they come
@@ -8,8 +8,9 @@
     cyc stb  _/‾‾‾‾‾‾‾‾‾‾\\_                       one that is here, because it follows the last one: a word a clock
     ack      ___/01234567\\_
 
-The cards tie the data masks to ground: a store of a byte would write its whole word. LiteX hides that behind an L2 cache, which is
-block RAM we do not have; the door puts the bytes into the word it knows, or reads its line first.
+The cards tie the data masks to ground: a store of a byte would write its whole word. LiteX solves
+that with an L2 cache, which is block RAM we do not have. This bridge merges the bytes into a word
+it knows, or reads the word's line first.
 """
 
 from migen import Cat, If, Memory, Mux, Signal
@@ -23,7 +24,8 @@ BURST = 0b010  # wishbone: the next word is the one behind this
 
 
 class Door(LiteXModule):
-    """A wishbone slave on a native port of LiteDRAM. It keeps two lines: the one asked for last, and what follows it or the one before."""
+    """A wishbone slave on a native port of LiteDRAM. It keeps two lines: the last one addressed,
+    and the one after it or before it."""
 
     def __init__(self, port):
         self.bus = bus = wishbone.Interface(data_width=32, address_width=32, addressing="word")
@@ -37,12 +39,12 @@ class Door(LiteXModule):
         put, get = lines.get_port(write_capable=True), lines.get_port(async_read=True)
         self.specials += put, get
 
-        # The line that comes: which of the two, words asked for, words here.
+        # The line that is being read: which of the two, words requested, words received.
         filling, filled, asked, came = Signal(), Signal(), Signal(4), Signal(4)
         asking = Signal()
         self.comb += asking.eq(filling & ~asked[3])
 
-        # Is what is asked for here, or coming? Its word?
+        # Is the addressed line here, or coming? Is its word here?
         here = [(tag == adr[3:]) & (known | (filling & (filled == n))) for n, (tag, known) in enumerate(zip(tags, whole))]
         hit, way, last, word = Signal(), Signal(), Signal(), Signal()
         self.comb += [
@@ -60,7 +62,7 @@ class Door(LiteXModule):
                 If(n, NextValue(tags[1], adr[3:]), NextValue(whole[1], 0)).Else(NextValue(tags[0], adr[3:]), NextValue(whole[0], 0)),
             ]
 
-        # Stores: the command at once, the word when the SDRAM wants it.
+        # Stores: the command at once, the word when the SDRAM needs it.
         self.queue = queue = stream.SyncFIFO([("data", 32)], STORES, buffered=False)
         stores, goes = Signal(), Signal()
         self.comb += [
@@ -68,7 +70,8 @@ class Door(LiteXModule):
             port.wdata.we.eq(0xF),
             queue.sink.data.eq(data),
             queue.sink.valid.eq(goes & port.cmd.ready),
-            # Not into a line that is still coming, and not while a word of another comes: there is one way into the lines.
+            # Not into a line that is still coming, and not while a word of another line comes: the
+            # lines have one write port.
             goes.eq(stores & queue.sink.ready & ~asking & (~hit | (Mux(way, whole[1], whole[0]) & ~port.rdata.valid))),
             port.cmd.valid.eq(asking | goes),
             port.cmd.we.eq(~asking),
@@ -81,7 +84,8 @@ class Door(LiteXModule):
             If(port.rdata.valid, put.adr.eq(Cat(came[:3], filled)), put.dat_w.eq(port.rdata.data), put.we.eq(1)),
         ]
 
-        # Whoever turns away in between (a reset of the CPU) gets no answer to a question it has not asked.
+        # A master that ends its cycle in between (a reset of the CPU) gets no answer to a question
+        # it has not asked.
         live, told, gives, takes = Signal(), Signal(), Signal(), Signal()
         self.comb += bus.ack.eq(bus.cyc & bus.stb & live & (gives & word | takes & ~told))
         self.fsm = fsm = FSM(reset_state="IDLE")
@@ -107,7 +111,8 @@ class Door(LiteXModule):
                 NextValue(adr, adr + 1),
                 If(adr[:3] == LINE - 1, NextState("AHEAD")).Elif(bus.cti != BURST, NextState("IDLE"))),
         )
-        # What follows a line is asked for next more often than not; the line itself is in a cache now.
+        # The line after this one is requested next more often than not; the line itself is in a
+        # cache now.
         fsm.act("AHEAD",
             If(~hit & ~filling, *fill(last)),
             NextState("IDLE"),

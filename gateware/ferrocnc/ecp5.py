@@ -1,4 +1,5 @@
-"""The real board: the same SoC on an ECP5, its pins and clock from the platform file, its PHY on RGMII."""
+"""The real board: the same SoC on an ECP5, with pins and clock from the platform file, and the PHY
+on RGMII."""
 
 from functools import reduce
 from operator import xor
@@ -13,7 +14,7 @@ from litex.soc.cores.clock import ECP5PLL
 from . import rgmii, soc as ferro
 from .board import BoardError, pins_missing
 
-# ABC9's default script without &mfs, with which yosys 0.70 does not come back, and with a fifth of the depth given away for area:
+# ABC9's default script without &mfs, with which yosys 0.70 does not finish, and with a fifth of the depth traded for area:
 ABC9 = 'scratchpad -set abc9.script "+&scorr;&sweep;&dc2;&dch,-f,-r;&ps;&if,-R,20,-W,300,-v"'
 ABC9_AREA = ABC9.replace("&if,", "&if,-a,")
 # Without these the 125 MHz Ethernet clock closes in one run of three; with them in every run.
@@ -21,7 +22,7 @@ PLACER = " --placer-heap-timingweight 30 --placer-heap-critexp 4 "
 
 _LVCMOS = IOStandard("LVCMOS33")
 # STEP and DIR drive long cables through slow buffers: no need for edges that ring.
-_OUT = (_LVCMOS, Misc("SLEWRATE=SLOW"), Misc("DRIVE=8"))
+_OUT = (_LVCMOS, Misc("SLEWRATE=SLOW"), Misc("DRIVE=8"), Misc("PULLMODE=NONE"))
 # A cut wire must read the same every time.
 _IN = (_LVCMOS, Misc("PULLMODE=UP"), Misc("HYSTERESIS=ON"))
 
@@ -33,19 +34,22 @@ _PADS = (
     ("pwm", "pin", "pwm", True), ("pwm", "dir", "pwm_dir", True),
     ("gpio_in", "pin", "inputs", False), ("gpio_out", "pin", "outputs", True),
 )
-# A board measured without pins must keep what the pins would have kept. Its inputs come from a shift register behind this pad,
-# its outputs leave as their parity through that one: one flip-flop for an input, a third of a LUT for an output.
+# A board that is measured without pins must keep its logic. Its inputs come from a shift register
+# behind this pad, and its outputs leave as their parity through that one: one flip-flop for an
+# input, a third of a LUT for an output.
 _FERRY = (("ferry_in", 0, Pins("X"), *_IN), ("ferry_out", 0, Pins("X"), *_OUT))
 
 
-# The SDRAM's clock behind the core's, in degrees. Commands and data leave registers in their pads and come back into such, so
-# a third of a period of 16.7 ns: 5.6 ns before the chip's edge (it wants 2), and 11.1 ns from it to ours, less the 6 ns of the
-# chip and some 3 of two pads. LiteX's boards run with 180, their data through registers in the fabric.
+# Phase of the SDRAM's clock after the core's, in degrees. Commands and data are registered in their
+# pads in both directions. A third of a period of 16.7 ns is 5.6 ns before the chip's edge (it needs
+# 2), and leaves 11.1 ns from there to our edge, less the 6 ns of the chip and about 3 of two pads.
+# LiteX's boards use 180, with data registers in the fabric.
 SDRAM_PHASE = 120
 
 
 class _PadRegisters(Module):
-    """A two-way pad with its three registers beside it: LiteX would leave that of the direction in the fabric."""
+    """A bidirectional pad with its three registers in the pad: LiteX would leave the one for the
+    direction in the fabric."""
 
     def __init__(self, io, o, oe, i, clk):
         data, off, came = Signal(), Signal(reset=1), Signal()
@@ -144,9 +148,14 @@ class BoardSoC(ferro.FerroSoC):
             signal = getattr(pads, name)
             for n in range(len(getattr(board, kind))):
                 pad = platform.request(f"{kind}_{pin}", n, loose=True)
-                if pad is not None:
-                    self.comb += pad.eq(signal[n]) if output else signal[n].eq(pad)
-                elif link is not None and output and not pin.endswith("_n"):
+                if output:
+                    seen = getattr(pads, f"{name}_seen")[n]
+                if pad is not None and output:
+                    self._driven(pad, signal[n], seen)
+                elif pad is not None:
+                    self.comb += signal[n].eq(pad)
+                elif output and link is not None and not pin.endswith("_n"):
+                    self.comb += seen.eq(signal[n])  # as the pad would
                     outputs.append(signal[n])
                 elif link is not None and not output:
                     self.sync += signal[n].eq(link)
@@ -154,17 +163,24 @@ class BoardSoC(ferro.FerroSoC):
         if outputs:
             self.sync += platform.request("ferry_out").eq(reduce(xor, outputs))
         if board.platform.phy_reset:
-            # Both PHYs hang on this line and one of them makes the FPGA's clock: pulled up, driven by nobody.
+            # Both PHYs share this line, and one of them generates the FPGA's clock: pulled up, and
+            # never driven.
             self.specials += Instance("BB", i_I=1, i_T=1, io_B=platform.request("phy_reset"), o_O=Signal())
         self.comb += platform.request("led").eq(pads.led ^ int(board.platform.led_active_low))
-        # Without a pin there is nothing to reset; the core turns the idle level over if the file says active low.
+        # Without a pin there is no external reset; the core inverts the idle level if the file says
+        # active low.
         reset = platform.request("ext_reset") if board.ext_reset_pin else int(board.ext_reset_active_low)
         self.comb += pads.ext_reset.eq(reset)
         pin, active_low = _factory(board)
         if pin:
-            # The external reset's own pin, or another.
+            # The external reset's own pin, or a shared one.
             self.comb += pads.factory.eq((reset if pin == board.ext_reset_pin else platform.request("factory")) ^ int(active_low))
         self._flash(platform, board, pads)
+
+    def _driven(self, pad, level, seen):
+        """A pad that is always driven, and its input buffer. It has no wire for its direction: nextpnr ties that to the driver's side, as
+        it does at a pad that is only an output. So a bit that is read back cannot let go of a pin."""
+        self.specials += Instance("TRELLIS_IO", p_DIR="BIDIR", io_B=pad, i_I=level, o_O=seen)
 
     def _flash(self, platform, board, pads):
         if not getattr(board.platform, "flash", None):
@@ -175,5 +191,5 @@ class BoardSoC(ferro.FerroSoC):
             platform.request("flash_mosi").eq(pads.spi_mosi),
             pads.spi_miso.eq(platform.request("flash_miso")),
         ]
-        # The flash's clock is the pin the FPGA configures itself through: no ball, but a primitive.
+        # The flash's clock is the FPGA's configuration pin: a primitive instead of a ball.
         self.specials += Instance("USRMCLK", i_USRMCLKI=pads.spi_clk, i_USRMCLKTS=0)

@@ -1,14 +1,15 @@
 """Packs a routed design: firmware and board information into its memories, then the files a board is flashed and updated with.
 
     NAME.bit         the image: `ferrocnc update`, `ferrocnc flash load`
-    NAME-golden.bit  the same, told by its trailer that it is the golden one
+    NAME-golden.bit  the same, marked as the golden one by its trailer
     NAME.svf         the image for other JTAG tools, until power-off
-    NAME.flash       all a board's flash holds on its first day: `ferrocnc flash write`
+    NAME.flash       the complete contents of a new board's flash: `ferrocnc flash write`
 
-Behind the bitstream of a board with jobs, in all but the SVF, lies the jobs program; the length and the CRC of an image are of both.
+The jobs program of a board with jobs follows the bitstream in all files but the SVF; the length and
+the CRC of an image include it.
 
-Nothing in them depends on the day, the folder or the machine. What the bytes mean is written in `wire::flash`, `wire::images` and
-`host::image`, which parse what is made here; the test level `bitstream` lets them.
+Nothing in them depends on the date, the folder or the machine. `wire::flash`, `wire::images` and
+`host::image` define the meaning of the bytes, and parse these files in the test level `bitstream`.
 """
 
 import hashlib
@@ -34,8 +35,8 @@ _ROLES = {rm.ROLE_IMAGE: "", rm.ROLE_GOLDEN: "-golden"}
 
 
 def pack(board, work, routed, firmware, out, program=b""):
-    """Writes the four files into `out` from the routed text configuration `work / routed`, the ROM's words and the jobs program.
-    Returns what the report says of them."""
+    """Writes the four files into `out` from the routed text configuration `work / routed`, the
+    ROM's words and the jobs program. Returns their part of the report."""
     missing = [name for name in ("cs", "mosi", "miso", "bytes") if name not in board.platform.flash]
     if missing or board.platform.flash["bytes"] not in _LAYOUTS:
         raise BoardError(board.platform.file, "flash", "needs cs, mosi, miso and bytes; images are made for flashes of 2 and 4 MiB")
@@ -55,7 +56,7 @@ def pack(board, work, routed, firmware, out, program=b""):
 
 
 def _write(path, data):
-    """All of it or nothing: a file that is there is whole."""
+    """Writes all of it or nothing: an existing file is complete."""
     part = path.with_name(path.name + ".part")
     part.write_bytes(data)
     part.replace(path)
@@ -68,19 +69,20 @@ def trailer(build, role):
 
 
 def rom(firmware, build, role):
-    """The ROM as it is packed: the firmware, then the trailer in its last words."""
+    """The ROM's contents: the firmware, then the trailer in its last words."""
     kept = len(firmware) - rm.ROM_TRAILER // 4
     return firmware[:kept] + trailer(build, role)
 
 
 def build_id(config):
-    """First 32 bits of the SHA-256 over the routed design with its firmware, and the jobs program: two builds that differ anywhere
-    differ here."""
+    """First 32 bits of the SHA-256 over the routed design with its firmware, and the jobs program:
+    two different builds have different ids."""
     return int.from_bytes(hashlib.sha256(config).digest()[:4], "big")
 
 
 def _memories(board, work, routed, firmware, build, role, name):
-    """Puts ROM and board ROM where the random words are. Returns the configuration, which is `work / name`."""
+    """Replaces the random words with ROM and board ROM. Returns the configuration, which is `work /
+    name`."""
     first, second = ferro.place_words()
     words = rom(firmware, build, role) + ferro.board_words(board.blob)
     for file, content in (("from.hex", first + second), ("to.hex", words)):
@@ -89,12 +91,13 @@ def _memories(board, work, routed, firmware, build, role, name):
     return (work / name).read_bytes()
 
 
-# A block RAM's 2048 bytes of eight bits, or 9 in the wider shapes, as ecpbram takes them apart: width of a port, bits of a
-# word of the text configuration, columns of 512 bits.
+# A block RAM's 2048 bytes of eight bits, or 9 in the wider shapes, as ecpbram splits them: width of
+# a port, bits of a word of the text configuration, columns of 512 bits.
 _SHAPES = ((1, 8, 32), (2, 8, 32), (4, 8, 32), (9, 9, 36), (18, 9, 36), (36, 9, 36))
 
 
-def _columns(words):
+def columns(words):
+    """A block RAM's contents as columns of 512 bits: ((width of a port, column), bits)."""
     for width, bits, columns in _SHAPES:
         for column in range(columns):
             at = [row * width + column % width + column // width * 512 * width for row in range(512)]
@@ -110,8 +113,9 @@ def _bram_words(config):
 
 
 def contents(routed, config):
-    """ROM and board ROM as a configuration holds them: (words, words). Where each column of 512 bits lies is told by the random
-    words in the routed one; `config` may come from anywhere, such as from unpacking a finished bitstream."""
+    """ROM and board ROM in a configuration: (words, words). The random words in the routed design
+    tell the place of each column of 512 bits; `config` may come from anywhere, for example from
+    unpacking a finished bitstream."""
     first, second = ferro.place_words()
     pattern = first + second
     where = {}
@@ -122,10 +126,10 @@ def contents(routed, config):
     words, seen = [0] * len(pattern), set()
     there = _bram_words(config)
     for bram, before in _bram_words(routed).items():
-        places = {place: where[column] for place, column in _columns(before) if column in where}
+        places = {place: where[column] for place, column in columns(before) if column in where}
         if not places:
             continue
-        for place, column in _columns(there[bram]):
+        for place, column in columns(there[bram]):
             if place in places and places[place] not in seen:
                 block, bit = places[place]
                 seen.add(places[place])
@@ -148,18 +152,19 @@ def body(file):
 
 
 def with_program(data, program):
-    """An image: a bitstream, and at its end, where the ROM looks for it from behind, the jobs program of a board that has jobs."""
+    """An image: a bitstream, and at its end, where the ROM looks for it, the jobs program of a
+    board with jobs."""
     return data + b"\xff" * (-len(data) % 4) + program if program else data
 
 
 def idcode(data):
-    """The FPGA's id as the bitstream asks for it."""
+    """The FPGA's id in the bitstream."""
     at = data.index(_VERIFY_ID) + len(_VERIFY_ID)
     return int.from_bytes(data[at:at + 4], "big")
 
 
 def header(board, part, build, data):
-    """The comment header: what the file is, and how it is known to be whole."""
+    """The comment header: what the file is, and how to check that it is complete."""
     lines = (
         "FerroCNC {}.{}.{}".format(*VERSION), f"Board: {board.name}", f"Platform: {board.platform.name}", f"Part: {part}",
         f"Build: {build:08x}", f"Length: {len(data)}", f"CRC-32: {zlib.crc32(data):08x}",
@@ -175,7 +180,7 @@ def _name(text):
 
 
 def meta_page(board, build, data):
-    """What an image's slot says of it."""
+    """The meta page of an image."""
     words = (_META_MAGIC, _META_VERSION, len(data), zlib.crc32(data), build, idcode(data))
     page = b"".join(word.to_bytes(4, "big") for word in words) + _name(board.name) + _name(board.platform.name)
     page += zlib.crc32(page).to_bytes(4, "big")
@@ -190,8 +195,8 @@ def jump_page(target):
 
 
 def flash(board, build, image, golden):
-    """The whole flash: a stub to slot A, slot A, the golden image, the page the FPGA reads when nothing at 0 loads. Slot B and the
-    settings are left erased."""
+    """The whole flash: a stub to slot A, slot A, the golden image, the page the FPGA reads if there
+    is no live stub at 0. Slot B and the settings are left erased."""
     size = board.platform.flash["bytes"]
     out = bytearray(b"\xff" * size)
     slot, last = _LAYOUTS[size]
@@ -209,8 +214,9 @@ def flash(board, build, image, golden):
 # Proof --------------------------------------------------------------------------------------------------------------
 
 def prove(board, work, routed, firmware, out, program=b""):
-    """Unpacks the finished files and compares: what is in the block RAMs is the firmware with its trailer and the board's own
-    description, and packing the routed design again gives the same bytes. Yields what was proven."""
+    """Unpacks the finished files and compares: the block RAMs contain the firmware with its trailer
+    and the board's own description, and packing the routed design again gives the same bytes.
+    Yields what was proven."""
     said = (work / routed).read_text()
     files = [f"{board.name}{end}" for end in FILES]
     before = {name: (out / name).read_bytes() for name in files}
@@ -243,7 +249,8 @@ def prove(board, work, routed, firmware, out, program=b""):
 
 
 def _same_jump(work):
-    """Against ecpmulti's own jump page. It wants three images, which it unpacks, and knows flashes by megabits."""
+    """Compares with ecpmulti's own jump page. It requires three images, which it unpacks, and knows
+    flashes by megabits."""
     golden, size = 0x20_0000, 0x40_0000
     tools.run("ecpmulti", ["--input", "unpack.bit", "--golden", "unpack.bit", "--goldenaddr", hex(golden), "--input", "unpack.bit",
                            "--address", "0x300000", "--flashsize", str(size >> 17), "multi.bin"], work, "ecpmulti.log")

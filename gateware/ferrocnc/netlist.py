@@ -1,12 +1,13 @@
-"""Takes out of a netlist what yosys leaves in it and nextpnr would pay for: around a carry chain, three things.
+"""Removes parts of a netlist that yosys leaves in it and that cost cells in nextpnr: around a carry
+chain, three things.
 
     one half of a CCU2C                         with the LUT4 F and, of A and B alone, the LUT2 G in it:
                                                 S = F ^ CIN, COUT = F ? CIN : G
 
-* A carry nobody reads. To nextpnr a net is a net: it adds a cell to lead it out of the chain.
+* A carry that is not read. nextpnr treats it like any net, and adds a cell to lead it out of the chain.
 * A first carry that is constant. nextpnr adds a cell to lead it in. But the first half can make its own: with F = 0 its COUT is
-  G, which is all that bit 0 hands on, whatever CIN is. Its sum becomes a LUT, if anybody reads it.
-* A LUT in front of a chain, where all that read it have room for what it reads: it goes into F, and into G if its pins are A and
+  G, which is all that bit 0 passes on, whatever CIN is. Its sum becomes a LUT, if it is read.
+* A LUT in front of a chain, if all its readers have room for its inputs: it goes into F, and into G if its pins are A and
   B; and into the LUTs.
 
 That is 4 % of the LUT places of the largest board (decision 10). Every half and every LUT is compared with what it was, for every level of
@@ -21,8 +22,8 @@ _PINS = "ABCD"
 _CONSTANT = ("0", "1")
 COUNTED = {"lut4": "LUT4", "ff": "TRELLIS_FF", "ebr": "DP16KD", "dsp": "MULT18X18D", "ccu2c": "CCU2C", "lutram": "TRELLIS_DPR16X4"}
 
-# LUTs and carries from which on a board is worth it: an LFE5U-25F has 24 288 places for them. Smaller boards route without, and
-# what this does to their clocks is not measured.
+# From this number of LUTs and carries on a board is trimmed: an LFE5U-25F has 24 288 places for
+# them. Smaller boards route without it, and the effect on their clocks is not measured.
 CROWDED = 18_000
 
 
@@ -76,7 +77,7 @@ def _trim(module):
 
 
 class _Half:
-    """What one half of a CCU2C makes of its inputs: F and G, of those of its pins that are not constant."""
+    """The functions F and G of one half of a CCU2C, of those of its pins that are not constant."""
 
     def __init__(self, cell, half):
         bits = [cell["connections"][pin + half][0] for pin in _PINS]
@@ -111,7 +112,7 @@ def _lut(init, pins, level):
 
 
 def _begin(cells, name, readers, outside):
-    """The first half makes its carry itself, if that takes no more than two inputs."""
+    """The first half generates its carry itself, if that takes no more than two inputs."""
     cell = cells[name]
     old, wires = _Half(cell, "0"), cell["connections"]
     first, inputs = int(wires["CIN"][0]), old.inputs()
@@ -147,7 +148,8 @@ def _begin(cells, name, readers, outside):
 
 
 def _swallow(cells, bit, readers, drivers):
-    """Takes the LUT that drives `bit` into all that read it, if they all have room. Says whether it has."""
+    """Moves the LUT that drives `bit` into all its readers, if they all have room. Returns whether
+    it did."""
     name = drivers.get(bit)
     lut = cells.get(name)
     if lut is None or lut["type"] != "LUT4" or not readers[bit]:
@@ -222,8 +224,8 @@ def _into_lut(cell, _, bit, behind, through):
 
 
 def _combined(old, inputs, pins, through):
-    """The INIT of a half with these pins that does what `old` does behind the LUT, or None: G has only pins A and B to look at,
-    and matters only where F is 0."""
+    """The INIT of a half with these pins that does what `old` does after the LUT, or None: G has
+    only pins A and B, and matters only where F is 0."""
     init, known = 0, {}
     for level in _levels(inputs):
         before, place = through(level), sum(level(bit) << n for n, bit in enumerate(pins))

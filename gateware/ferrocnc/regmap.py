@@ -9,9 +9,6 @@ A page is 0x800 bytes, a register one 32-bit word; within a page the order of th
 
 from dataclasses import dataclass, field as _f
 
-WIRE_LAYOUT = 3
-"""Version of the exchange's word layout (`wire::map`). Part of the ABI number: either changes, both refuse to arm."""
-
 # Memory -----------------------------------------------------------------------------------------------------------
 
 CSR_BASE = 0xF000_0000
@@ -19,7 +16,7 @@ CSR_PAGE = 0x800
 CSR_ADDRESS_WIDTH = 16
 
 ROM = (0x0000_0000, 0x12000)  # 72 KiB, 36 EBR: the image; smoltcp's TCP alone is 16 KiB without compressed instructions
-ROM_TRAILER = 0x10  # the ROM's last bytes, not the linker's: what the bitstream says about itself, see `TRAILER`
+ROM_TRAILER = 0x10  # the ROM's last bytes, which the linker does not use: the bitstream's trailer, see `TRAILER`
 RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: data, bss, 6 KiB of stack
 ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
 BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
@@ -46,7 +43,7 @@ LITEX_PAGES = {"ctrl": 0, "identifier_mem": 1, "ethmac": 3, "ethphy": 4}
 
 MAGIC = 0x4643_6E43  # "FCnC"
 
-# Keys of watchdog.control: words nobody writes by accident.
+# Keys of watchdog.control: words that are not written by accident.
 ARM = 0x4152_4D31  # "ARM1"
 SOFT = 0x534F_4654  # "SOFT"
 STOP = 0x5354_4F50  # "STOP"
@@ -106,11 +103,11 @@ def _bit(name, lsb, doc):
 
 # LiteDRAM's registers, on boards with jobs only; `soc` compares them with what was built.
 SDRAM = Bank("sdram", 5, "sdram", "LiteDRAM's controller: firmware starts the SDRAM by hand, command by command, and then leaves it to the hardware. Boards without jobs do not have it.", (
-    Reg("dfii_control", "rw", "Who drives the SDRAM.", (
+    Reg("dfii_control", "rw", "Selects what drives the SDRAM.", (
         _bit("sel", 0, "1: the controller; 0: the registers below."),
         _bit("cke", 1, "Clock enable; wired high on the cards."),
-        _bit("odt", 2, "Nothing on an SDRAM."),
-        _bit("reset_n", 3, "Nothing on an SDRAM."),
+        _bit("odt", 2, "Unused with an SDRAM."),
+        _bit("reset_n", 3, "Unused with an SDRAM."),
     )),
     Reg("dfii_pi0_command", "rw", "The next command, as levels: 1 is active.", (
         _bit("cs", 0, "Chip select."),
@@ -119,19 +116,19 @@ SDRAM = Bank("sdram", 5, "sdram", "LiteDRAM's controller: firmware starts the SD
         _bit("ras", 3, "Row address strobe."),
         _bit("wren", 4, "Drives `dfii_pi0_wrdata`."),
         _bit("rden", 5, "Catches `dfii_pi0_rddata`."),
-        _bit("cs_top", 6, "Nothing here."),
-        _bit("cs_bottom", 7, "Nothing here."),
+        _bit("cs_top", 6, "Unused."),
+        _bit("cs_bottom", 7, "Unused."),
     )),
-    Reg("dfii_pi0_command_issue", "rw", "Writing any value gives the command, for one clock; reads 0, no unit."),
+    Reg("dfii_pi0_command_issue", "rw", "Writing any value issues the command, for one clock; reads 0, no unit."),
     Reg("dfii_pi0_address", "rw", "Address lines of the command, or the mode register's value."),
     Reg("dfii_pi0_baddress", "rw", "Bank lines of the command."),
     Reg("dfii_pi0_wrdata", "rw", "Data of a command with `wren`."),
     Reg("dfii_pi0_rddata", "ro", "Data of the last command with `rden`."),
 ))
 
-IDENT = Bank("ident", 8, "ident", "Who the gateware is. Constant; read by firmware at boot before it trusts anything else.", (
+IDENT = Bank("ident", 8, "ident", "The gateware's identity. Constant; the firmware reads it at boot before anything else.", (
     Reg("magic", "ro", "Always 0x46436e43 (\"FCnC\"): this is FerroCNC gateware and this map applies."),
-    Reg("abi", "ro", "ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version. "
+    Reg("abi", "ro", "ABI number: first 32 bits of the SHA-256 of the normalised register map and of the exchange's layout. "
         "Firmware compares it with its own; unequal never arms."),
     Reg("gateware_version", "ro", "Gateware version: major in bits 31:16, minor in 15:8, patch in 7:0.", (
         Field("patch", 0, 8, "Patch version, a count."),
@@ -150,6 +147,7 @@ IDENT = Bank("ident", 8, "ident", "Who the gateware is. Constant; read by firmwa
     )),
     Reg("features", "ro", "Optional parts present, one bit each.", (
         _bit("jobs", 0, "1: the board executes jobs; `segments` is there."),
+        _bit("readback", 1, "1: `pads` and `timebase.eth_beats` are there. 0 in gateware from before them."),
     )),
     Reg("board_rom_words", "ro", "Length of the board info blob at 0x90000000 in 32-bit words."),
 ))
@@ -170,6 +168,8 @@ TIMEBASE = Bank("timebase", 9, "timebase", "The 64-bit wall clock and the two st
     Reg("status", "ro", "What the timebase is waiting for.", (
         _bit("pending", 0, "1: a timed commit is waiting for its clock."),
     )),
+    Reg("eth_beats", "ro", "The PHY's receive clock, in units of 4 of its clocks since power-up, a count, as caught by the last write to `snapshot`: "
+        "on the same clock as `now_lo`, so two looks give the ratio of both clocks."),
 ))
 
 WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no CPU.", (
@@ -257,17 +257,17 @@ FLASH = Bank("flash", 64, "flash", "The wires to the configuration flash, raw: S
     )),
 ))
 
-GUEST = Bank("guest", 65, "guest", "Who may occupy a receive slot: frames that are not the owner's wait for a ticket outside.", tuple(
-    Reg(f"header{n}", "wo", f"Word {n} of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.")
+GUEST = Bank("guest", 65, "guest", "Which frames may occupy a receive slot: a frame that is not the owner's needs a ticket.", tuple(
+    Reg(f"header{n}", "wo", f"Word {n} of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.")
     for n in range(10)) + (
-    Reg("mode", "rw", "Which words of a frame are compared; whoever differs in one is a guest, and so is a frame of less than 59 bytes without FCS.", (
+    Reg("mode", "rw", "Which words of a frame are compared. A frame that differs in one is a guest, and so is a frame of less than 59 bytes without FCS.", (
         Field("select", 0, 2, "Which words, a number.", (
             ("none", 0, "None: there are no guests."),
-            ("ours", 1, "0 and 1: whoever is not for this MAC address is a guest."),
-            ("owner", 3, "0 to 3, 7 and 9: whoever is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."),
+            ("ours", 1, "0 and 1: a frame to another MAC address is a guest."),
+            ("owner", 3, "0 to 3, 7 and 9: a frame that is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."),
         )),
     )),
-    Reg("admit", "wo", "Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."),
+    Reg("admit", "wo", "Writing any value issues a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."),
     Reg("refused", "ro", "Guests discarded because there was no ticket, a count since power-up."),
 ))
 
@@ -288,9 +288,9 @@ SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, a
     Reg("push", "wo", "Writing any value pushes the segment written, if it is complete and there is room; otherwise nothing changes and `status.refused` says why."),
     Reg("control", "wo", "Commands, a number; any other value is ignored.", (
         Field("command", 0, 2, "Which command, a number.", (
-            ("start", 1, "Play the segments: when all step generators of the job stand, the first begins. Refused unless one waits, the gate is open and no end is to be cleared."),
-            ("quit", 2, "Bring the step generators to rest, each at its stop_accel, and forget the segments."),
-            ("clear", 3, "Forget what was refused; and, while idle, why it ended and the segments that wait."),
+            ("start", 1, "Play the segments: when all step generators of the job stand, the first begins. Refused unless one waits, the gate is open and no end has to be cleared."),
+            ("quit", 2, "Bring the step generators to rest, each at its stop_accel, and discard the segments."),
+            ("clear", 3, "Clear `refused` and, while idle, `reason` and the waiting segments."),
         )),
     )),
     Reg("pace", "rw", "How fast the time of the path passes, in 1/65536; 65536 or more is 1, 0 pauses.", (Field("scale", 0, 17, "Clocks of the path per clock, in 1/65536."),)),
@@ -315,7 +315,7 @@ SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, a
         )),
         Field("refused", 16, 5, "What was refused since `clear`, one bit each: 0 a push without room, 1 one with a word missing, 2 one shorter than 64 clocks, "
               "3 one with the gate closed or an end to be cleared, 4 a start."),
-        _bit("stands", 24, "1: the pace is 0, the path's time does not pass."),
+        _bit("stands", 24, "1: the pace is 0, path time is stopped."),
         _bit("held", 25, "1: since the start a pulse has had to wait for its pins' times, and has held the time of the path."),
     )),
     Reg("begun", "ro", "Segments begun since power-up, a count: the job's sign of life, and its progress."),
@@ -324,12 +324,29 @@ SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, a
         Field("outputs", 0, 16, "Outputs as they are now, `beam` considered."),
         Field("tag", 16, 16, "Its tag."),
     )),
-    Reg("pace_now", "ro", "The pace on its way to what it was told, in 1/65536."),
+    Reg("pace_now", "ro", "The pace now, while it slews to `pace`, in 1/65536."),
     Reg("shape", "ro", "What was built.", (
         Field("axes", 0, 8, "Axes, a count: step generators 0 and up."),
         Field("segments", 8, 8, "Room for so many segments, a count."),
     )),
 ]))
+
+PADS = Bank("pads", 67, "pads", "Levels at the pads that the board drives, as their own input buffers see them two clocks ago: with the gate open or closed, shorted or not. "
+            "What is behind a pad is not seen: a buffer on the card, its supply, the header. A pin the board file does not have reads 0.", (
+    Reg("step", "ro", "Pads of the step generators, one bit per pin.", (
+        Field("step", 0, 16, "Bit n: the pad of STEP n."),
+        Field("dir", 16, 16, "Bit n: the pad of DIR n."),
+    )),
+    Reg("step_n", "ro", "Pads of the inverted copies for differential lines, one bit per pin.", (
+        Field("step", 0, 16, "Bit n: the pad of the inverted STEP n."),
+        Field("dir", 16, 16, "Bit n: the pad of the inverted DIR n."),
+    )),
+    Reg("pwm", "ro", "Pads of the PWM generators, one bit per pin.", (
+        Field("pwm", 0, 16, "Bit n: the first pad of PWM n."),
+        Field("dir", 16, 16, "Bit n: the second pad of PWM n."),
+    )),
+    Reg("outputs", "ro", "Pads of the outputs, one bit per output; `gpio.out_now` is what drives them."),
+))
 
 
 def _command():
@@ -458,7 +475,7 @@ STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", f"Timing, kind and polari
 ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", f"Counting mode and filter of encoder {n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
 PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n}.", PWM_REGS) for n in range(MAX_PWM))
 
-BANKS = (SDRAM, IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH, GUEST, SEGMENTS)
+BANKS = (SDRAM, IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH, GUEST, SEGMENTS, PADS)
 
 
 def check():

@@ -1,11 +1,12 @@
-"""The PHY's wires: RGMII at 1000, 100 and 10 Mbit/s, the speed being the PHY's word (its in-band status).
+"""The PHY's wires: RGMII at 1000, 100 and 10 Mbit/s; the speed comes from the PHY (its in-band
+status).
 
 `PHY` is what LiteEth's MAC wants of a PHY, around the cores `rgmii_rx`, `rgmii_tx` and `rgmii_link`; it has the registers
 that LiteEth's own RGMII PHY has. `Pins` are the ECP5's: a DDR register and a delay at each wire. The simulated board has
 `PHY` and other pins (`sim.py`), so that all but these few lines is simulated.
 
-TXC is RXC turned round: whatever the speed, the PHY is sent what it asks for. No reset, ever: the other PHY of the board
-shares it and makes the FPGA's clock.
+TXC is RXC sent back: at every speed the PHY gets data at the clock it gives. The PHYs are never
+reset: the two on the board share a reset, and one of them makes the FPGA's clock.
 """
 
 from migen import Cat, ClockDomain, ClockSignal, Instance, Signal
@@ -17,8 +18,8 @@ from litex.soc.interconnect.csr import CSRField, CSRStatus, CSRStorage
 from liteeth.common import eth_phy_description
 from liteeth.phy.common import LiteEthPHYMDIO
 
-# The PHY delays its clocks against the data; 2 ns more on the way in centre the clock in the data's eye. As LiteX has it for
-# these boards.
+# The PHY delays its clocks against the data; 2 ns more on the way in put the clock in the centre of
+# the data's eye. LiteX uses the same value for these boards.
 RX_DELAY = round(2e-9 / 25e-12)
 TX_DELAY = 0
 
@@ -28,27 +29,28 @@ class PHY(LiteXModule):
     `tx_ctl` to them. `mdio` makes the management port. `word` is the link's state if it does not come in-band."""
 
     dw, tx_clk_freq, rx_clk_freq = 8, 125e6, 125e6
-    integrated_ifg_inserter = True  # what a gap is depends on the speed: rgmii_tx keeps it
+    integrated_ifg_inserter = True  # the length of a gap depends on the speed: rgmii_tx keeps it
 
     def __init__(self, pins, mdio, word=None):
         self.crg = LiteXModule()
         self.crg._reset = CSRStorage()
         self.rx = LiteXModule()
         self.rx.inband_status = CSRStatus(fields=[CSRField("link_status", 1), CSRField("clock_speed", 2), CSRField("duplex_status", 1)])
-        self.mdio = mdio()  # LiteX orders registers by their birth, and their order is the map
+        self.mdio = mdio()  # LiteX orders registers by their creation, and their order is the map
         self.cd_eth_rx = ClockDomain()
         self.cd_eth_tx = ClockDomain()
         self.sink = sink = stream.Endpoint(eth_phy_description(8))
         self.source = source = stream.Endpoint(eth_phy_description(8))
         self.link = link = Signal(4)  # what the register reads
+        self.beat = Signal()          # in the core clock: once per 4 clocks of the receive clock
 
         # # #
 
         for domain in (self.cd_eth_rx, self.cd_eth_tx):
             self.comb += domain.clk.eq(pins.rx_clk)
             self.specials += AsyncResetSynchronizer(domain, self.crg._reset.storage)
-        # LiteEth's FCS checker looks only where `last_be` is up, and LiteEth's own 8-bit PHYs leave it down: it never found a
-        # wrong one.
+        # LiteEth's FCS checker looks only where `last_be` is set, and LiteEth's own 8-bit PHYs do
+        # not set it: so it never found a wrong FCS.
         self.comb += source.last_be.eq(source.last)
         status, slow, beat = Signal(4), Signal(), Signal()
         fields = self.rx.inband_status.fields
@@ -61,12 +63,12 @@ class PHY(LiteXModule):
                 i_clk=ClockSignal("eth_tx"), i_slow=slow, i_valid=sink.valid, i_last=sink.last, i_data=sink.data, o_ready=sink.ready,
                 o_rise=pins.tx_rise, o_fall=pins.tx_fall, o_ctl=pins.tx_ctl),
             Instance("rgmii_link",
-                i_clk=ClockSignal("sys"), i_word=status if word is None else word, i_beat=beat, o_status=link),
+                i_clk=ClockSignal("sys"), i_word=status if word is None else word, i_beat=beat, o_status=link, o_changed=self.beat),
         ]
 
 
 class Wires:
-    """What `PHY` wants of pins, as signals."""
+    """The pins `PHY` needs, as signals."""
 
     def __init__(self):
         self.rx_clk = Signal()

@@ -1,6 +1,6 @@
 """The simulated board: the same SoC with its pins as plain ports, behind a PHY that speaks GMII bytes.
 
-`elaborate` writes Verilog for the module `sim`, whose ports are the same whatever the board. Nothing in it depends on a
+`elaborate` writes Verilog for the module `sim`. Its ports are the same for every board. Nothing in it depends on a
 firmware image: the ROM is one public array (`manifest.json` names it) which the simulator fills from an ELF.
 """
 
@@ -21,6 +21,7 @@ from . import banks, regmap as rm, rgmii, sdram, soc as ferro
 from .board import blob
 
 CHIP = Path(__file__).resolve().parents[2] / "sim" / "verilator" / "sdram.sv"
+COPPER = CHIP.with_name("copper.sv")
 
 PORTS = (
     ("sys_clk", 1), ("sys_rst", 1), ("eth_clk", 1),
@@ -30,7 +31,11 @@ PORTS = (
     ("pwm_out", rm.MAX_PWM), ("pwm_dir", rm.MAX_PWM), ("gpio_in", rm.MAX_IN), ("gpio_out", rm.MAX_OUT),
     ("ext_reset", 1), ("led", 1), ("gate", 1), ("cpu_freeze", 1),
     ("spi_cs_n", 1), ("spi_clk", 1), ("spi_mosi", 1), ("spi_miso", 1), ("factory", 1), ("link_status", 4),
+    ("pad_fault", 2), ("pad_at", 7), ("pad_to", 7),
 )
+# Ports of pins that are driven, with the signal of `banks.Pads`: 16 bits each and 32, in the order in which `copper.sv` counts pads.
+DRIVEN = (("step", "step"), ("dir", "dir"), ("step_n", "step_n"), ("dir_n", "dir_n"), ("pwm_out", "pwm"), ("pwm_dir", "pwm_dir"), ("gpio_out", "outputs"))
+
 
 
 class _Platform(GenericPlatform):
@@ -54,7 +59,7 @@ class _CRG(LiteXModule):
 
 
 class MDIO(LiteXModule):
-    """The registers of the management port; nothing is behind them."""
+    """The registers of the management port, without a PHY."""
 
     def __init__(self):
         self._w = CSRStorage(fields=[CSRField("mdc", 1), CSRField("oe", 1), CSRField("w", 1)], name="w")
@@ -97,7 +102,8 @@ class _PadRegisters(Module):
 
 
 def _sdram(soc, platform, board):
-    """The wires of an SDRAM, and the chip at their other end (`sdram.sv`): GENSDRPHY as on the card, its pad registers included."""
+    """The wires of an SDRAM, and a model of the chip (`sdram.sv`): GENSDRPHY as on the card, its
+    pad registers included."""
     chips = sdram.module(board).geom_settings
     dq = Signal(32)
     dq.out, dq.drives, dq.back = Signal(32), Signal(32), Signal(32)
@@ -124,25 +130,38 @@ class SimSoC(ferro.FerroSoC):
         ferro.FerroSoC.__init__(self, platform, board, _CRG(platform), lambda soc: _phy(platform), sdram_pads=pads)
         self._freeze(platform.request("cpu_freeze"))
         pads, channels = self.cores.pads, board.channels
-        for port, signal, count in (
-            ("step", pads.step, channels.stepgen), ("dir", pads.dir, channels.stepgen),
-            ("step_n", pads.step_n, channels.stepgen), ("dir_n", pads.dir_n, channels.stepgen),
-            ("pwm_out", pads.pwm, channels.pwm), ("pwm_dir", pads.pwm_dir, channels.pwm), ("gpio_out", pads.outputs, channels.outputs),
-            ("led", pads.led, 1), ("gate", pads.gate, 1),
-        ):
-            self.comb += platform.request(port).eq(signal if count else 0)
+        self._copper(platform, pads, channels)
+        for port in ("led", "gate"):
+            self.comb += platform.request(port).eq(getattr(pads, port))
         for port, signal in (("step_index", pads.step_index), ("enc_a", pads.enc_a), ("enc_b", pads.enc_b), ("enc_i", pads.enc_i),
                              ("enc_mask", pads.enc_mask), ("gpio_in", pads.inputs)):
             self.comb += signal.eq(platform.request(port))
-        # The port is active high whatever the board: the pin's own polarity is put back before the core.
+        # The port is active high on every board: the pin's own polarity is undone in front of the
+        # core.
         self.comb += pads.ext_reset.eq(platform.request("ext_reset") ^ int(board.ext_reset_active_low))
         for port in ("spi_cs_n", "spi_clk", "spi_mosi"):
             self.comb += platform.request(port).eq(getattr(pads, port))
         for port in ("spi_miso", "factory"):
             self.comb += getattr(pads, port).eq(platform.request(port))
 
+    def _copper(self, platform, pads, channels):
+        """The driven pads, with what the harness has shorted there: the ports carry the pads' own levels, and so does what is read back."""
+        absent = {name for kind, names in (("stepgen", ("step", "dir", "step_n", "dir_n")), ("pwm", ("pwm", "pwm_dir")), ("outputs", ("outputs",)))
+                  if not getattr(channels, kind) for name in names}
+        widths, first, driven, levels = dict(PORTS), 0, Signal(128), Signal(128)
+        for port, name in DRIVEN:
+            signal, seen = getattr(pads, name), getattr(pads, f"{name}_seen")
+            if name not in absent:
+                self.comb += driven[first:first + len(signal)].eq(signal)
+            self.comb += [platform.request(port).eq(levels[first:first + widths[port]]), seen.eq(levels[first:first + len(seen)])]
+            first += widths[port]
+        platform.add_source(str(COPPER), "systemverilog")
+        self.specials += Instance("copper",
+            i_driven=driven, i_fault=platform.request("pad_fault"), i_at=platform.request("pad_at"), i_to=platform.request("pad_to"), o_level=levels)
+
     def _freeze(self, freeze):
-        """A hung CPU: its clock stops between edges and it asks the bus for nothing. Change `cpu_freeze` while sys_clk is low."""
+        """A hung CPU: its clock stops between edges, and it makes no bus access. Change
+        `cpu_freeze` while sys_clk is low."""
         params = self.cpu.cpu_params
         clock = Signal(name="cpu_clk")
         self.comb += clock.eq(self.crg.cd_sys.clk & ~freeze)
@@ -182,7 +201,8 @@ def elaborate(board, out):
 
 
 def _self_contained(top):
-    """One file, no `$readmemh`: a shared library has no folder to read from. The ROM is left to the simulator."""
+    """One file without `$readmemh`: a shared library has no folder to read from. The simulator
+    loads the ROM."""
     text = top.main_source
     rom = re.compile(r"^(\(\*[^\n]*\*\)\s*)?reg \[31:0\] rom\[0:\d+\];", re.M)
     assert len(rom.findall(text)) == ("module sim (" in text), "sim.v: the ROM's array is not where it used to be"
@@ -197,13 +217,14 @@ def _self_contained(top):
 
     text = re.sub(r'\$readmemh\("([^"]+)", (\w+)\);', inline, text)
     assert "$readmemh" not in text
-    # No `timescale: the cores have none, and time is the simulator's affair.
+    # No `timescale: the cores have none, and the simulator defines time.
     return re.sub(r"^(// (Date|LiteX sha1|Filename)|`timescale).*\n", "", text, flags=re.M)
 
 
 def elaborate_cores(board, out):
-    """Writes cores.v, the cores and their banks with the CSR bus as ports, and the map as cores.map: for `tests/cores.cpp`. The
-    guests at the MAC's door and the SDRAM's controller are not among them."""
+    """Writes cores.v, the cores and their banks with the CSR bus as ports, and the map as
+    cores.map: for `tests/cores.cpp`. The receive filter and the SDRAM's controller are not
+    included."""
     out = Path(out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     cores = banks.Cores(board.channels, board.sys_clk_hz, len(blob(board)) // 4, estop_mask=board.estop_mask, estop_level=board.estop_level,
@@ -214,7 +235,7 @@ def elaborate_cores(board, out):
         "clk": cores.cd_sys.clk, "rst": cores.cd_sys.rst, "abi": cores.abi,
         "adr": cores.fabric.adr, "we": bus.we, "dat_w": bus.dat_w, "dat_r": bus.dat_r,
         "frame_done": cores.frame_done, "frame_slot": cores.frame_slot,
-        "frame_pending": cores.frame_pending, "pending_slot": cores.pending_slot,
+        "frame_pending": cores.frame_pending, "pending_slot": cores.pending_slot, "eth_beat": cores.eth_beat,
         **{name: getattr(pads, name) for name in vars(pads)},
     }
     for name, signal in ports.items():

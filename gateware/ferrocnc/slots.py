@@ -1,15 +1,19 @@
-"""LiteEth's MAC as this SoC has it: aligned slots, a door for guests, and no frame that costs another one.
+"""LiteEth's MAC in this SoC: aligned slots, a filter for guests, and frames that cannot damage the
+next one.
 
-Slots begin two bytes in, so that everything behind the 14 bytes of an Ethernet header lies on a word.
+Slots have an offset of two bytes, so that everything after the 14 bytes of an Ethernet header is
+aligned.
 
     slot word   0         1         2         3          4           9           11
                 |-- dst|  dst    |  src    |  src type|  IP ...  |  UDP ...  |  payload ...
 
-Without it every word of the exchange straddles two words of the slot and costs the CPU three instructions on its way in
-and three on its way out. The length registers of the MAC count the two bytes; on the wire there are none.
+Without the offset every word of the exchange would lie in two words of the slot and cost the CPU
+three instructions on its way in and three on its way out. The length registers of the MAC include
+the two bytes, which do not exist on the wire.
 
-`Shift` is both directions: received frames get two bytes in front, sent ones lose their first two. Its one trick is the
-end: where the shifted frame has bytes left over after its last word, one more word follows.
+`Shift` works in both directions: received frames get two bytes in front, sent ones lose their first
+two. The end needs care: if the shifted frame has bytes left over after its last word, one more word
+follows.
 """
 
 from migen import Cat, ClockSignal, If, Instance, Mux, Replicate, Signal
@@ -76,8 +80,9 @@ class Shift(LiteXModule):
 
 
 class WordStore(LiteXModule):
-    """The CPU's side of a transmit slot: whole words in, nothing out. With byte lanes, or with a second port that reads, a slot
-    of 2 KiB takes two block RAMs; so it takes one. A store of less than a word is lost."""
+    """The CPU's side of a transmit slot: it writes whole words and reads nothing. With byte lanes,
+    or with a second port that reads, a slot of 2 KiB would take two block RAMs instead of one. A
+    store of less than a word is lost."""
 
     def __init__(self, memory):
         self.bus = bus = wishbone.Interface(data_width=32)
@@ -95,8 +100,9 @@ class WordStore(LiteXModule):
 
 
 class Checker(mac_crc.LiteEthMACCRC32Checker):
-    """LiteEth's check of the FCS, less a hole: a frame that ends in its first word left the state machine in the middle, and the
-    next frame was taken for its rest. It is nothing but an FCS, so it is wrong."""
+    """LiteEth's check of the FCS, with a fix: a frame that ended in its first word left the state
+    machine in the middle, and the next frame was taken as its rest. Such a frame is nothing but an
+    FCS, so it is wrong."""
 
     def __init__(self, description):
         super().__init__(description)
@@ -104,8 +110,8 @@ class Checker(mac_crc.LiteEthMACCRC32Checker):
 
 
 class Writer(mac_sram.LiteEthMACSRAMWriter):
-    """LiteEth's way into the slots, less the same hole: a frame of one word that found no slot free took the next one with it.
-    `room` is high while a frame passes that found one."""
+    """LiteEth's way into the slots, with the same fix: a frame of one word that found no free slot
+    took the next one with it. `room` is high while a frame passes that found a slot."""
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
@@ -116,8 +122,9 @@ class Writer(mac_sram.LiteEthMACSRAMWriter):
 
 
 class AlignedInterface(LiteEthMACWishboneInterface):
-    """LiteEth's slots with a `Shift` in front of each direction; transmit slots are written in words and never read. A received
-    frame whose last word meets `refuse` is discarded as one whose FCS is `bad`."""
+    """LiteEth's slots with a `Shift` in front of each direction; transmit slots are written in
+    words and never read. A received frame with `refuse` at its last word is discarded like one with
+    a `bad` FCS."""
 
     def __init__(self, dw, *args, **kwargs):
         LiteEthMACWishboneInterface.__init__(self, dw, *args, **kwargs)
@@ -162,7 +169,7 @@ class Door(LiteXModule):
 
 
 def align():
-    """From now on LiteEth's MACs are built with aligned slots; LiteX offers no way to hand one in."""
+    """From now on LiteEth's MACs are built with aligned slots; LiteX has no parameter for that."""
     liteeth_mac.LiteEthMACWishboneInterface = AlignedInterface
     mac_crc.LiteEthMACCRC32Checker = Checker
     mac_sram.LiteEthMACSRAMWriter = Writer

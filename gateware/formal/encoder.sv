@@ -1,4 +1,5 @@
-// An encoder with any constant mode and filter for the proofs; the promises stand beside the logic in encoder.sv.
+// An encoder with any constant mode and filter for the proofs; the guarantees are beside the logic
+// in encoder.sv.
 `default_nettype none
 module encoder_promises (
     input wire clk, a, b, index, mask, visit

@@ -1,4 +1,5 @@
-// A board with e-stop inputs for the proofs: 0 and 11 trigger high, 31 low. The promises stand beside the logic in gpio.sv.
+// A board with e-stop inputs for the proofs: 0 and 11 trigger high, 31 low. The guarantees are
+// beside the logic in gpio.sv.
 `default_nettype none
 module gpio_promises (
     input wire        clk, gate, commit, debounce_we, clear,

@@ -1,4 +1,5 @@
-// Any words to compare with, which stay what they are, and any frames. The promises stand beside the logic in guest.sv.
+// Any constant words to compare with, and any frames. The guarantees are beside the logic in
+// guest.sv.
 `default_nettype none
 module guest_promises (
     input wire        clk, admit, valid, last, bad, room,

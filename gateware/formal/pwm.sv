@@ -1,6 +1,6 @@
-// What dither and PDM may be asked for: the promises stand beside the logic in pwm.sv.
+// The commands for dither and PDM: the guarantees are beside the logic in pwm.sv.
 `default_nettype none
-module pwm_dither (  // no width that a period has no room for, nor one for which the kind changes
+module pwm_dither (  // no width longer than the period, and no change of kind
     input wire        clk, gate, commit, enable, direction, swap, invert,
     input wire [28:0] width
 );

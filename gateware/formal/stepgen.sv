@@ -1,5 +1,6 @@
-// The worlds around a stepgen for gateware/formal/run.sh: any command in any clock, any settings that stay, and a tally that
-// comes by at least every 16 clocks. What must hold stands in rtl/stepgen.sv itself.
+// The environments of a stepgen for gateware/formal/run.sh: any command in any clock, any constant
+// settings, and a tally that visits at least every 16 clocks. The properties are in rtl/stepgen.sv
+// itself.
 `default_nettype none
 module stepgen_world (
     input wire       clk,
@@ -22,7 +23,7 @@ module stepgen_any (input wire clk, gate, stop, advance, commit, enable, visit, 
     stepgen_world world (.*);
 endmodule
 
-// Time as segments.sv lets it pass: never in a clock in which a pulse waits.
+// Path time as segments.sv controls it: it never passes in a clock in which a pulse waits.
 module stepgen_in_time (input wire clk, gate, stop, tick, commit, enable, visit, input wire [31:0] velocity, accel);
     (* anyconst *) logic [1:0] kind;
     wire waits;

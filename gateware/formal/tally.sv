@@ -1,4 +1,5 @@
-// The shared counts and any one of their channels, with its latch, for the proofs. The other channels do as they please.
+// The shared counts and any one of their channels, with its latch, for the proofs. The other
+// channels have arbitrary inputs.
 `default_nettype none
 module tally_promises (
     input wire        clk, sample, arm_index, arm_probe, index, probe, wants_clear,
@@ -12,7 +13,7 @@ module tally_promises (
     wire  [31:0] sampled, latched, f_latched;
     wire         capture, index_latched, probe_latched, sampling;
 
-    // What a stepgen or an encoder does: counts by one, and begins anew when visited.
+    // The behaviour of a stepgen or an encoder: it counts by one, and restarts when visited.
     logic [4:0]  delta = 0;
     logic [31:0] position = 0;
     wire  [31:0] move = ~moves ? 0 : down ? -1 : 1;
@@ -33,7 +34,7 @@ module tally_promises (
         .clk(clk), .arm_index(arm_index), .arm_probe(arm_probe), .index(index), .probe(probe), .pending((pending & mine) != 0),
         .capture(capture), .index_latched(index_latched), .probe_latched(probe_latched));
 
-    // What the host sees: a flag, and with it the count of the clock of the capture.
+    // The host's view: a flag, and with it the count at the clock of the capture.
     always_comb begin
         assert (~capture | (pending & mine) == 0);
 `ifdef PROVE_a_latched_flag_shows_the_count_at_the_capture

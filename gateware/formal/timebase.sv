@@ -1,4 +1,5 @@
-// What the timebase promises: a timed commit comes at its time, or at once when that is past, and never twice.
+// The guarantees of the timebase: a timed commit comes at its time, or at once when that is past,
+// and never twice.
 `default_nettype none
 module timebase_promises (
     input wire        clk,
@@ -12,7 +13,7 @@ module timebase_promises (
     // The register before the core: stable from the clock before the strobe until the commit has come or is replaced. Writing
     // it earlier is allowed as what it is, a new time for what waits; the `live` proof holds that, with no assumption at all.
     logic        started = 1'b0, wanted = 1'b0, was_rst;
-    logic [63:0] was_at, was_now, asked_at, asked_now;  // of the request: its time, and the clock after its strobe
+    logic [63:0] was_at, was_now, asked_at, asked_now;  // the request's time, and the clock after its strobe
     always_ff @(posedge clk) begin
         started  <= 1'b1;
         was_at   <= commit_at;
@@ -20,17 +21,17 @@ module timebase_promises (
         was_rst  <= rst;
         if (rst) wanted <= 1'b0;
         else if (commit_timed) wanted <= 1'b1;
-        else if (commit & now >= was_at) wanted <= 1'b0;  // by itself or with a commit of this very clock
+        else if (commit & now >= was_at) wanted <= 1'b0;  // by itself or with a commit in this clock
         if (commit_timed) asked_at <= commit_at;
         if (commit_timed) asked_now <= now + 64'd1;
     end
-    wire by_time = commit & ~commit_now;  // a commit nobody asks for in this clock
+    wire by_time = commit & ~commit_now;  // a commit without a request in this clock
 
 `ifdef PROVE_exactly_at_its_time_or_at_once_when_past
     always_comb begin
         if (commit_timed) assume (commit_at == was_at & started);
         if (wanted & ~commit_timed) assume (was_at == asked_at);
-        assume (now != 64'hFFFFFFFFFFFFFFFF);  // the clock does not come round
+        assume (now != 64'hFFFFFFFFFFFFFFFF);  // the clock does not wrap
     end
 `endif
     always_ff @(posedge clk) begin

@@ -1,4 +1,5 @@
-// What the watchdog promises, told from outside: arbitrary pins, tokens and keys in every clock, arbitrary but constant times.
+// The guarantees of the watchdog, seen from outside: arbitrary pins, tokens and keys in every
+// clock, arbitrary but constant times.
 `default_nettype none
 module watchdog_promises (
     input wire        clk,
@@ -26,7 +27,8 @@ module watchdog_promises (
     wire pins     = ext_reset | estop;
     wire was_pins = was_ext_reset | was_estop;
 
-    // A heartbeat is a token that differs from the last one written, and an arming. `silence` is how long there was none.
+    // A heartbeat is a token that differs from the last one written, and an arming. `silence`
+    // counts the clocks without one.
     logic [31:0] heard = 32'd0;
     logic [32:0] silence = 33'd0, stopping = 33'd0;
     wire         heartbeat = token_we & (token != heard);
@@ -38,7 +40,8 @@ module watchdog_promises (
 
     always_ff @(posedge clk) begin
 `ifndef BROKEN
-        // What holds the proofs together: open is awake or stopping, never both, and the counter is what is left.
+        // Links the proofs: open is either awake or stopping, never both, and the counter is the
+        // remaining time.
         assert (gate == ((armed | stop) & ~pins));
         assert (~(armed & stop));
         assert (heard == last_token);
@@ -78,7 +81,8 @@ module watchdog_promises (
 `endif
 `ifdef PROVE_last_close_says_why
         if (started & (was_armed | was_stop) & ~(armed | stop)) begin
-            // A pin first, then a bite that began the stop, then who asked; what is left is a soft stop that is over.
+            // The order of reasons: a pin, then a bite that began the stop, then a command;
+            // otherwise a soft stop is over.
             if (was_estop) assert (last_close == 4'd5);
             else if (was_ext_reset) assert (last_close == 4'd2);
             else if (was_bitten | was_bites != bites) assert (last_close == 4'd1);

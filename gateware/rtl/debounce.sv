@@ -1,7 +1,9 @@
-// debounce: believes a group of lines together, once all of them have stood still for `filter` + 2 clocks.
+// debounce: accepts the levels of a group of lines once all of them have been stable for `filter` +
+// 2 clocks.
 //
-// One timer serves the group: quadrature lines move one at a time, so a line that moves is a line the others wait for. What
-// lasts `filter` + 1 clocks or less is never seen. A change of `filter` takes at most 256 quiet clocks to settle.
+// One timer serves the group: quadrature lines move one at a time, so the other lines wait for one
+// that moves. A level that lasts `filter` + 1 clocks or less is never seen. A change of `filter`
+// takes at most 256 quiet clocks to settle.
 //
 //   lines   ____/‾‾‾\__/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾     synchronous to clk
 //   level   ___________________/‾‾‾‾‾‾‾‾
@@ -16,7 +18,7 @@ module debounce #(
     input  wire [LINES-1:0]  lines,
     input  wire [WIDTH-1:0]  filter,
     output logic [LINES-1:0] level,
-    output logic             known  // since power-up, `level` is what the lines were
+    output logic             known  // `level` has been a level of the lines, since power-up
 `ifdef FORMAL
     , output wire [LINES-1:0] f_was, output wire [WIDTH-1:0] f_still
 `endif
@@ -40,10 +42,10 @@ module debounce #(
     end
 
 `ifdef FORMAL
-    assign f_was = was;  // encoder.sv reasons with these
+    assign f_was = was;  // encoder.sv's proofs use these
     assign f_still = still;
-    logic [WIDTH+1:0] f_run = 1;  // clocks `was` has been what it is; its power-up value counts as one
-    logic [WIDTH+1:0] f_age = 0;  // the same of the lines alone
+    logic [WIDTH+1:0] f_run = 1;  // clocks since `was` changed; its power-up value counts as one
+    logic [WIDTH+1:0] f_age = 0;  // the same for the lines alone
     logic [LINES-1:0] f_level = 0;
     always_ff @(posedge clk) begin
         f_run   <= moved ? 1 : &f_run ? f_run : f_run + 1'b1;

@@ -1,20 +1,22 @@
-// edges: when each encoder last moved, and how often its lines lied. Sits beside a tally and shares its rotation.
+// edges: the time of each encoder's last edge, and its number of illegal transitions. It works
+// beside a tally and shares its rotation.
 //
-// A channel keeps the four low bits of time at its last edge; the visit makes 24 of them, by knowing how long ago it was
-// at most. Like the counts, a sample is exact to its clock: an edge after the strobe is not in it, so that count and time
-// of one sample belong together and a velocity can be made of them.
+// A channel stores the four low bits of time at its last edge; its visit extends them to 24,
+// because the edge is at most one rotation old. Like the counts, a sample is exact to its clock: an
+// edge after the strobe is not in it. So count and time of one sample belong together, and a
+// velocity can be computed from them.
 //
 //   moved[n]    pulse: the count changes in this clock
 //   illegal[n]  pulse: both lines changed at once
 //   now         low bits of the wall clock
-//   sampled     {errors 31:24, edge_time 23:0} at the strobe, right 18 clocks after it; read without a clock at `addr`
+//   sampled     {errors 31:24, edge_time 23:0} at the strobe, valid 18 clocks after it; read without a clock at `addr`
 //
 // edge_time is `now` of the clock in which the count last changed, 0 before the first. errors counts illegal transitions
 // and wraps at 256; those of one channel within one rotation of 16 clocks count once.
 //
 `default_nettype none
 module edges #(
-    parameter integer CHANNELS = 16  // as the tally's
+    parameter integer CHANNELS = 16  // the same as the tally's
 ) (
     input  wire                clk,
     input  wire [15:0]         turn,      // tally.turn
@@ -48,13 +50,14 @@ module edges #(
             seen[n]  <= moved[n] | (seen[n] & ~turn[n]);
             wrong[n] <= illegal[n] | (wrong[n] & ~turn[n]);
             if (sample) stamp_caught[4*n +: 4] <= stamp[4*n +: 4];
-            // Written so, they are LUTs and not flip-flops with a reset of their own for each channel (decision 10).
+            // Written like this they become LUTs and not flip-flops with a reset of their own for
+            // each channel (decision 10).
             seen_caught[n]  <= ~turn[n] & (sample ? seen[n] : seen_caught[n]);
             wrong_caught[n] <= ~turn[n] & (sample ? wrong[n] : wrong_caught[n]);
         end
     end
 
-    // Eight channels' words meet in front of one register: as in tally.sv.
+    // Eight channels' words are merged in front of one register: as in tally.sv.
     localparam GROUPS = (CHANNELS + 7) / 8;
     logic [4*GROUPS-1:0] stamp_shown = {4*GROUPS{1'b0}}, stamp_caught_shown = {4*GROUPS{1'b0}};
     logic [GROUPS-1:0]   seen_shown = {GROUPS{1'b0}}, seen_caught_shown = {GROUPS{1'b0}};
@@ -129,7 +132,7 @@ module edges #(
         end
     end
 
-`ifdef FORMAL  // what gateware/formal proves of any one channel
+`ifdef FORMAL  // what gateware/formal proves for any one channel
     logic [23:0] f_time = 0, f_time_sampled = 0;
     logic [7:0]  f_errors = 0, f_errors_sampled = 0;
     logic        f_wrong = 0, f_waits = 0, f_started = 0;
@@ -153,13 +156,14 @@ module edges #(
     wire [3:0]  f_stamp = stamp[4*f_channel +: 4], f_stamp_caught = stamp_caught[4*f_channel +: 4];
     integer j;
     always_comb begin
-        assume (sampling == (f_since <= 16));  // proven of the tally
+        assume (sampling == (f_since <= 16));  // proven for the tally
         assert (f_since != 0 & behind == at - 4'd1 & turn == 16'd1 << at);
         assert (f_waits == (sampling & {1'b0, f_coming} <= 5'd16 - f_since));
         assert (f_started ? visited == now - 24'd1 : {seen_shown, seen_caught_shown} == 0);
         for (j = 0; j < GROUPS; j = j + 1)
             assert (behind >> 3 == j | {stamp_shown[4*j +: 4], stamp_caught_shown[4*j +: 4], seen_shown[j], seen_caught_shown[j], wrong_shown[j], wrong_caught_shown[j]} == 0);
-        // The last edge was since the visit, and the stamp tells when; or before it, and the RAM knows.
+        // Either the last edge came after the visit, and the stamp has its time; or before it, and
+        // the RAM has it.
         if (seen[f_channel]) assert (f_ago <= {20'd0, f_gone} & f_stamp == at - 4'd1 - f_ago[3:0]);
         else assert (f_time == f_old);
         assert (f_wrong == wrong[f_channel] & f_errors == f_count + {7'd0, f_wrong});

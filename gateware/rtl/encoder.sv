@@ -1,10 +1,12 @@
-// encoder: turns the lines of a shaft into counts. The wide count is tally.sv's, the index latch latch.sv's, the time of
-// the last edge edges.sv's; what makes an edge is here, per channel and at every clock.
+// encoder: turns the lines of a shaft encoder into counts. The wide count is in tally.sv, the index
+// latch in latch.sv, the time of the last edge in edges.sv. This module finds the edges, per
+// channel and at every clock.
 //
-// A and B count after both have stood still for `filter` + 2 clocks, so every legal sequence whose transitions are at
-// least `filter` + 3 clocks apart at the asynchronous pins is counted exactly: f_clk/3 transitions per second at filter 0.
-// Counting never stops for a closed gate, so the position of a machine pushed by hand is known. Both lines changing at
-// once is an error, told and not guessed.
+// A and B count after both have been stable for `filter` + 2 clocks. So every legal sequence with
+// transitions at least `filter` + 3 clocks apart at the asynchronous pins is counted exactly:
+// f_clk/3 transitions per second at filter 0. Counting does not stop for a closed gate, so the
+// position of a machine pushed by hand stays known. A change of both lines at once is reported as
+// an error, and not counted.
 //
 //   a        ___/‾‾‾‾‾‾‾\_______/‾‾‾‾‾‾‾\___        filtered
 //   b        _______/‾‾‾‾‾‾‾\_______/‾‾‾‾‾‾‾
@@ -35,7 +37,8 @@ module encoder #(
     output wire              moved,        // pulse: the count changes in this clock
     output wire              illegal       // pulse: both lines changed at once; only where A and B are quadrature
 );
-    // Two flip-flops against metastability. A's start unlike each other, so that nothing is believed before the pin is seen.
+    // Two flip-flops against metastability. Those of A start unlike each other, so that no level is
+    // accepted before the pin was seen.
     (* keep *) logic a_meta = 1'b0, b_meta = 1'b0, i_meta = 1'b0, m_meta = 1'b0;
     (* keep *) logic a_sync = 1'b1, b_sync = 1'b0, i_sync = 1'b0, m_sync = 1'b0;
 
@@ -95,14 +98,15 @@ module encoder #(
     initial index_level = 1'b0;
     wire unused = &{1'b0, mode[7], mode[3], index_known};
 
-`ifdef FORMAL  // what gateware/formal proves: the shaft as its pins show it, and the count that is due for it
+`ifdef FORMAL  // what gateware/formal proves: a shaft, as seen at the pins, and the count that is due for it
     wire [1:0]        f_was;
     wire [FILTER-1:0] f_still, f_mark_still;
     wire              f_mark_was;
     wire [1:0]        f_pins = {a, b & (mode[2:0] != 3'd3)};
     logic [1:0]       f_last = 0;
-    logic [2:0]       f_any = 0;  // behind the pins, behind the flip-flops, behind those of the filter: no longer power-up
-    // The ghosts count modulo 256: they are never more than three apart, so what is equal modulo 256 is equal.
+    logic [2:0]       f_any = 0;  // after the pins, the flip-flops, those of the filter: not the power-up value any more
+    // The ghosts count modulo 256: they are never more than three apart, so equal modulo 256 means
+    // equal.
 `ifdef PROVE_total_and_delta_are_the_count
     localparam integer F = 32;
 `else
@@ -117,7 +121,7 @@ module encoder #(
     end
 
 `ifdef PROVE_total_and_delta_are_the_count
-    // Any pins at all; visits at most 16 clocks apart, as the tally's are.
+    // Any levels at the pins; visits at most 16 clocks apart, as the tally's are.
     logic [31:0] f_total = 0;
     logic [4:0]  f_gap = 0;
     logic        f_moved = 0;
@@ -133,7 +137,8 @@ module encoder #(
         assert (f_total + {{27{delta[4]}}, delta} == f_told);
     end
 `else
-    // A pair of levels lasts filter + 2 clocks or more. What it should count, told without the logic above:
+    // A pair of levels lasts filter + 2 clocks or more. The count it is due, without the logic
+    // above:
     function automatic f_up(input [2:0] kind, input [1:0] from, input [1:0] to);
         f_up = kind == 0 ? {from, to} == 4'b00_10 | {from, to} == 4'b10_11 | {from, to} == 4'b11_01 | {from, to} == 4'b01_00
              : kind == 1 ? {from, to} == 4'b00_10 | {from, to} == 4'b11_01
@@ -160,9 +165,9 @@ module encoder #(
     wire [F-1:0] f_step_last = f_step(mode[2:0], {a_was, b_was}, level);
     wire        f_lie_pins = f_lie(mode[2:0], f_last, f_pins), f_lie_to_level = f_lie(mode[2:0], level, f_was);
     wire        f_lie_to_last = f_lie(mode[2:0], {a_was, b_was}, level);
-    logic [FILTER+1:0] f_age = 0, f_age_sync = 0, f_age_was = 0;  // clocks that the pair at this stage has been there
-    logic [2:0]  f_turned = 0;  // of each stage: this pair is not the one of power-up
-    logic        f_rested = 0;  // the pair before was all counted when this one came
+    logic [FILTER+1:0] f_age = 0, f_age_sync = 0, f_age_was = 0;  // clocks since the pair at this stage came
+    logic [2:0]  f_turned = 0;  // for each stage: this pair is not the one of power-up
+    logic        f_rested = 0;  // the pair before was completely counted when this one came
     logic [F-1:0] f_due = 0, f_due_sync = 0, f_due_was = 0, f_due_level = 0, f_due_last = 0, f_before = 0;
     logic [F-1:0] f_lie_due = 0, f_lie_sync = 0, f_lie_was = 0, f_lie_level = 0, f_lie_last = 0;
     always_ff @(posedge clk) begin
@@ -186,7 +191,7 @@ module encoder #(
         assume (~mode[2] & mode[1:0] != 3);
         if (f_moves) assume (^(f_pins ^ f_last));
 `endif
-        // Stage by stage, what is due there differs by what the pairs there differ.
+        // From stage to stage, the due counts differ by the same amount as the pairs.
         if (f_any[0]) assert (f_age != 0);
         if (f_any[2]) assert (f_age_was > filter ? f_still == filter : f_still >= f_age_was - 1 & f_still <= filter);
         if (f_turned[2]) assert (f_age_was > filter | f_still == f_age_was - 1);
@@ -199,13 +204,15 @@ module encoder #(
         if (~live) assert (f_due_last == 0 & f_due_level == 0 & f_lie_last == 0 & f_lie_level == 0);
         assert (f_told == f_due_last & f_lies == f_lie_last);
         if (f_rested) assert (f_turned[0] & (f_age >= filter + 4 | f_due_level == f_before) & (f_age >= filter + 5 | f_due_last == f_before));
-        // The promise: filter + 5 clocks after an edge it has been counted, and not a clock before.
+        // The guarantee: filter + 5 clocks after an edge it has been counted, and not a clock
+        // earlier.
         if (f_age >= filter + 5) assert (f_told == f_due & f_lies == f_lie_due);
         else if (f_rested) assert (f_told == f_before);
     end
 
 `ifdef PROVE_count_is_exact_for_every_legal_sequence
-    // The shaft's position in quarters of a line, and x4, x2 and x1 by arithmetic: none of them can run away.
+    // The shaft's position in quarters of a line, and x4, x2 and x1 by arithmetic: none of them can
+    // accumulate errors.
     logic [F+1:0] f_position = 0, f_start = 0;
     wire  [F+1:0] f_at_rest = {{F{1'b0}}, f_pins[0], ^f_pins};
     wire         f_forward = f_pins[1] ^ f_last[0];

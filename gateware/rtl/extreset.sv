@@ -1,4 +1,4 @@
-// extreset: brings the external reset pin into the clock. Two flip-flops and a polarity, nothing to configure.
+// extreset: synchronises the external reset pin. Two flip-flops and a polarity, without settings.
 //
 //   clk     _/‾\_/‾\_/‾\_/‾\_
 //   pin     __/‾‾‾‾‾‾‾‾‾‾‾‾‾‾       asynchronous
@@ -12,7 +12,7 @@ module extreset #(
     input  wire pin,
     output wire active
 );
-    // Powers up active: until the pin has been seen, it is a reset.
+    // Powers up active: until the pin has been seen, it counts as a reset.
     (* keep *) logic meta = 1'b1;
     (* keep *) logic sync = 1'b1;
     assign active = sync;

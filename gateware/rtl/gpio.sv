@@ -1,23 +1,25 @@
-// gpio: inputs through two flip-flops and a debouncer, outputs through the gate, e-stop inputs straight to the gate.
+// gpio: inputs through two flip-flops and a debouncer, outputs through the gate, e-stop inputs
+// directly to the gate.
 //
-// While the gate is closed every output carries its safe level; after the gate opens it stays there until the next
-// commit. `invert` turns a pin over, safe level included. Where there are jobs, outputs in `job_mask` carry `job_value` from
-// that commit on, whatever was committed.
+// While the gate is closed every output has its safe level; after the gate opens it keeps it until
+// the next commit. `invert` inverts a pin, its safe level included. On a board with jobs, outputs
+// in `job_mask` carry `job_value` from that commit on, whatever was committed.
 //
 //   gate    ___/‾‾‾‾‾‾‾‾‾‾‾\____
 //   commit  ________/‾\_________
 //   pins    safe      | value | safe
 //
-// One debouncer visits every input in turn, each once in 32 clocks. An input that differs from what was last believed for
-// limit + 1 visits in a row is believed: a level shorter than 32 * limit clocks never passes, one of 32 * (limit + 1) always.
+// One debouncer visits every input in turn, each once in 32 clocks. A new level is accepted when it
+// was seen in limit + 1 visits in a row: a level shorter than 32 * limit clocks never passes, one
+// of 32 * (limit + 1) always does.
 //
 //   visit   |    |    |    |    |    |    |      limit 2
 //   raw     ___/‾‾\____/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾
 //   in      _______________________/‾‾‾‾‾‾
 //
-// An e-stop input is not debounced: no setting may delay it. Which inputs those are, and at which level they trigger, is
-// wired in, so that no program can talk it away. `estop` follows the pin in three clocks; each input's latch falls with
-// `clear`, and only when the input is released.
+// An e-stop input is not debounced: no setting may delay it. The e-stop inputs and their levels are
+// wired in, so that no program can disable them. `estop` follows the pin in three clocks; each
+// input's latch falls with `clear`, and only when the input is released.
 //
 `default_nettype none
 module gpio #(
@@ -39,22 +41,22 @@ module gpio #(
     input  wire               debounce_we,
     input  wire         [4:0] debounce_pin,
     input  wire        [15:0] debounce_limit,  // 32 clocks
-    input  wire               clear,           // pulse: forget what is released; the watchdog's `cleared`
+    input  wire               clear,           // pulse: reset the latches of released inputs; the watchdog's `cleared`
     output logic [INPUTS-1:0] in,              // debounced
     output logic [INPUTS-1:0] raw,             // synchronised only
     output logic              estop,           // an e-stop input is active now
     output logic       [31:0] estop_latched,
     output logic [OUTPUTS-1:0] out_pins        // registered
 );
-    // Until the pins have been seen, e-stop inputs count as released and everything else as 0.
+    // Until the pins have been seen, e-stop inputs count as released and all others as 0.
     localparam logic [31:0] RELEASED = ESTOP_MASK & ~ESTOP_LEVEL;
 
     // Inputs ---------------------------------------------------------------------------------------------------
 
     (* keep *) logic [INPUTS-1:0] meta = RELEASED[INPUTS-1:0];
-    logic  [4:0] pin = 5'd0;  // whose turn it is
+    logic  [4:0] pin = 5'd0;  // the input being visited
     logic [15:0] limits[0:31];
-    logic [15:0] lefts[0:31];  // visits left until it is believed
+    logic [15:0] lefts[0:31];  // visits left until it is accepted
     initial for (int n = 0; n < 32; n++) begin
         limits[n] = 16'd0;
         lefts[n]  = 16'd0;
@@ -103,11 +105,11 @@ module gpio #(
         out_pins <= ((gate & live) ? driven : safe) ^ invert;
     end
 
-`ifdef FORMAL  // what gateware/formal proves: the promises, told without the logic above
+`ifdef FORMAL  // what gateware/formal proves: the guarantees, stated without the logic above
     logic [1:0] f_age = 2'd0;
     always_ff @(posedge clk) f_age <= &f_age ? f_age : f_age + 2'd1;
 
-    // An output is safe unless the gate was open and something has been committed since it opened.
+    // An output is safe unless the gate is open and a commit has come since it opened.
     logic               f_live = 1'b0, f_driven = 1'b0;
     logic [OUTPUTS-1:0] f_value, f_safe, f_wanted;
     always_ff @(posedge clk) begin
@@ -125,7 +127,8 @@ module gpio #(
 `endif
     end
 
-    // An e-stop needs three clocks and no program; its latch falls only when asked to, and only when released.
+    // An e-stop needs three clocks and no program; its latch falls only on request, and only when
+    // the input is released.
     logic [INPUTS-1:0] f_pins1, f_pins2;
     logic       [31:0] f_active, f_latched;
     logic              f_clear;
@@ -143,10 +146,11 @@ module gpio #(
 `endif
     end
 
-    // Any one input: it changes at the visit at which it has differed limit + 1 times in a row, and at no other.
+    // Any one input: it changes at the visit at which it has differed limit + 1 times in a row, and
+    // at no other.
     (* anyconst *) logic [4:0] f_pin;
     logic  [4:0] f_turn = 5'd0;
-    logic [15:0] f_limit = 16'd0, f_loaded = 16'd0, f_seen = 16'd0;  // now; when the run began; visits that differed so far
+    logic [15:0] f_limit = 16'd0, f_loaded = 16'd0, f_seen = 16'd0;  // now; when the run began; number of visits that differed
     logic        f_in = 1'b0;
     wire         f_differs = raw[f_pin] != in[f_pin];
     always_ff @(posedge clk) begin

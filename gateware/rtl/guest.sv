@@ -1,13 +1,14 @@
-// guest: who may occupy a receive slot. Beside the stream of words on their way into it, it compares the headers of each frame as
-// they pass with one set of words, and has the frame discarded at its end, as one with a wrong FCS is, if they differ and nobody
-// has been let in.
+// guest: decides which frames may occupy a receive slot. While the words of a frame stream into the
+// slot, it compares the headers with one set of words. If they differ and there is no ticket, the
+// frame is discarded at its end, like one with a wrong FCS.
 //
-// A frame that is like the words is the owner's and is never refused. Every other one is a guest and needs a ticket, of which
-// there is one at a time: firmware hands it out when it has time for a guest, and the guest that is taken uses it up. So a storm
-// of guests occupies one slot at most, costs one frame's work for every ticket, and leaves the other slot to the owner.
+// A frame with the expected words is the owner's and is never refused. Every other frame is a guest
+// and needs a ticket. There is one ticket at a time: the firmware issues it when it has time for a
+// guest, and the guest that is taken uses it up. So a storm of guests occupies one slot at most,
+// costs one frame's work per ticket, and leaves the other slot to the owner.
 //
-//   mode       which words are compared                                            a guest is what is not
-//   0          none                                                                (nobody)
+//   mode       the words compared                                                  a guest is a frame that is not
+//   0          none                                                                (no guests)
 //   1          0, 1          to this MAC address                                   for this board alone
 //   2, 3       0 to 3, 7, 9  MAC addresses, IPv4 over Ethernet, source, UDP ports  the owner's (or ARP, by MAC address)
 //
@@ -18,10 +19,11 @@
 //   last    _________________/‾\______________ ..
 //   refuse  ___ anything ____/‾\______________               with the last word: one of a guest's without a ticket
 //   admit   _/‾\_____________________________
-//   ticket  ___/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\______________               used up by a guest whose FCS is right and who found a slot free
+//   ticket  ___/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\______________               used up by a guest with a right FCS that found a slot free
 //
-// A frame of less than 59 bytes without its FCS is nobody's: it is a guest. So is one that passes while the words
-// or the mode change: written in between they are never mixed, within a frame they may cost it.
+// A frame of less than 59 bytes without its FCS always counts as a guest. A frame that passes while
+// the words or the mode change may become a guest, too: a set of words written between two frames
+// is never mixed.
 //
 `default_nettype none
 module guest (
@@ -68,15 +70,15 @@ module guest (
         if (ends & refuse) refused <= refused + 32'd1;
     end
 
-`ifdef FORMAL  // what gateware/formal proves; the words are any, and do not change
+`ifdef FORMAL  // what gateware/formal proves, for any words that do not change
     (* anyconst *) logic [3:0] f_word;
     logic [4:0] f_at = 5'd0;       // number of this word, 16 stays
     logic       f_differs = 1'b0;  // word `f_word` was not the expected one
-    logic       f_like = 1'b1;     // all that are compared were
+    logic       f_like = 1'b1;     // all compared words were
     logic       f_arp = 1'b0;
-    logic       f_steady = 1'b1;   // the mode is what it was in the first word
+    logic       f_steady = 1'b1;   // the mode has not changed since the first word
     logic [1:0] f_mode = 2'd0;
-    logic       f_let_in = 1'b0;   // by a ticket nobody has used
+    logic       f_let_in = 1'b0;   // with an unused ticket
     logic [31:0] f_ended = 32'd0, f_taken = 32'd0;
 
     wire f_compared = (f_at < 5'd2) | (mode[1] & ((f_at == 5'd2) | (f_at == 5'd3) | (~f_arp & ((f_at == 5'd7) | (f_at == 5'd9)))));
@@ -118,7 +120,7 @@ module guest (
 `ifdef PROVE_the_owners_frame_is_never_refused
         if (valid & last & f_whole & f_like) assert (~refuse);
 `endif
-`ifdef PROVE_whoever_is_not_taken_is_counted
+`ifdef PROVE_a_frame_that_is_not_taken_is_counted
         assert (refused == f_ended - f_taken);
 `endif
 `ifdef PROVE_without_a_mode_there_are_no_guests

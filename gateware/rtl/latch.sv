@@ -1,4 +1,5 @@
-// latch: decides in which clock a count is latched: the first index or probe edge after its arming.
+// latch: decides in which clock a count is latched: at the first index or probe edge after it was
+// armed.
 //
 // One count can be latched per channel; tally.sv keeps it. While a flag is up nothing latches again, and a flag stays
 // until its own arm bit falls. Levels are not edges: an index that is high when it is armed has to fall first.
@@ -9,8 +10,9 @@
 //   pending        ________/‾‾‾‾\____________________    tally.sv: the value is on its way, 16 clocks at most
 //   index_latched  _______________/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\__    never before the value can be read
 //
-// An edge in the same clock as the rise of its arm bit does not count; one in the clock after does. An edge while
-// `pending` is not captured: only arming anew within 16 clocks of a capture could want that.
+// An edge in the same clock as the rise of its arm bit does not count; one in the clock after does.
+// An edge while `pending` is not captured: that concerns only an arm bit that rises again within 16
+// clocks of a capture.
 //
 `default_nettype none
 module latch (
@@ -24,8 +26,8 @@ module latch (
     output logic index_latched,
     output logic probe_latched
 );
-    logic index_was = 1'b1, probe_was = 1'b1;    // 1 while not armed: what comes before arming is no edge
-    logic index_flag = 1'b0, probe_flag = 1'b0;  // up at once; shown to the outside once the value is there
+    logic index_was = 1'b1, probe_was = 1'b1;    // 1 while not armed: a rise before arming is not an edge
+    logic index_flag = 1'b0, probe_flag = 1'b0;  // set at once; visible outside once the value is there
     initial index_latched = 1'b0;
     initial probe_latched = 1'b0;
 
@@ -43,7 +45,7 @@ module latch (
         probe_latched <= arm_probe & probe_flag & ~pending;
     end
 
-`ifdef FORMAL  // what gateware/formal proves: a source is ready once it has been low while armed; its next high level is an edge
+`ifdef FORMAL  // what gateware/formal proves: a source is ready once it was low while armed; its next high level is an edge
     logic f_index_ready = 0, f_probe_ready = 0, f_pending = 0;
     logic f_index_done = 0, f_probe_done = 0;  // has captured, and its arm bit has not fallen since
     wire  f_index_edge = arm_index & f_index_ready & index, f_probe_edge = arm_probe & f_probe_ready & probe;

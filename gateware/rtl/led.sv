@@ -1,4 +1,4 @@
-// led: tells the states of a board apart from across the room.
+// led: blink patterns for the states of a board, visible from a distance.
 //
 //   0 off      ________________________
 //   1 on       ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾

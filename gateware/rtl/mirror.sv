@@ -1,8 +1,10 @@
-// Reads back what was written: one block RAM for all settings and staged commands, of which the cores keep their own copies.
+// Reads back written words: one block RAM for all settings and staged commands, of which the cores
+// keep their own copies.
 //
 //   write_at/data --we--> 512 words --read_at--> value, one clock later
 //
-// Nobody reads a word on the clock in which it is written: the bus takes two clocks for either.
+// A word is never read on the clock in which it is written: the bus takes two clocks for each
+// access.
 `default_nettype none
 module mirror (
     input  wire         clk,

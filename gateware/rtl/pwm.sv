@@ -1,9 +1,10 @@
-// pwm: one pulse per period, changed only at the edge of a period, on one of two pins.
+// pwm: one pulse per period on one of two pins; all changes take effect at the edge of a period.
 //
-// A new width, direction, period or kind waits for the running period to end: no runt pulse, no lost period. Width 0 is
-// constantly inactive, width >= period constantly active: both without a glitch. Period 0 is off. A closed gate makes both
-// pins inactive on the next clock and forgets the command, so that nothing restarts before the next commit. The pins follow
-// the count by two clocks, whole periods later when the gate has just opened.
+// A new width, direction, period or kind waits for the running period to end: no pulse is cut
+// short, and no period is lost. Width 0 is constantly inactive, width >= period constantly active,
+// both without a glitch. Period 0 is off. A closed gate makes both pins inactive on the next clock
+// and discards the command, so that the output stays off until the next commit. The pins follow the
+// count by two clocks, and whole periods later right after the gate opened.
 //
 //   count   0 1 2 3 4 5 6 7 0 1 2 3 4 5 6 7 0
 //   pulse   ‾‾‾‾‾\__________‾‾‾‾‾‾‾‾‾‾\______      period 8; width 3, then 5
@@ -14,9 +15,10 @@
 //   1 up/down        pulse, forwards    pulse, backwards       never both
 //   2 PDM + DIR      density            direction              one bit per `period` clocks (0 as 1)
 //
-// `swap` lets the two pins change places; `invert` turns pulses over, and leaves a level of DIR alone. With `dither` the
-// fraction of the width is collected, and a period is one clock longer active whenever a whole clock has come together: 256
-// periods are exact to 1/256 clock. PDM is the same sum 16 bits further up: a bit is active whenever it overflows.
+// `swap` exchanges the two pins. `invert` inverts pulses, but not a level of DIR. With `dither` the
+// fraction of the width is accumulated, and a period is one clock longer active whenever the sum
+// reaches a whole clock: 256 periods are exact to 1/256 clock. PDM is the same sum 16 bits higher:
+// a bit is active whenever it overflows.
 //
 `default_nettype none
 module pwm (
@@ -44,9 +46,9 @@ module pwm (
     logic        pdm         = 1'b0;
     logic        up_down     = 1'b0;
     logic [20:0] count       = 21'd0;
-    logic [23:0] sum         = 24'd0;  // what no pulse has paid for yet
+    logic [23:0] sum         = 24'd0;  // accumulated width that was not output yet
     logic        longer      = 1'b0;   // dither: this period is one clock longer active
-    logic        on          = 1'b0;   // the end of the pulse has not been seen; PDM: this bit
+    logic        on          = 1'b0;   // the pulse has not ended; PDM: this bit
 
     wire        off   = this_period == 21'd0;
     wire [20:0] after = count + 21'd1;
@@ -59,7 +61,7 @@ module pwm (
     wire [16:0] high  = {1'b0, sum[23:8]} + {1'b0, next_width[23:8]} + {16'd0, whole};
     wire        full  = |next_width[28:24];
 
-    // What the pins are about to carry, before polarity and place.
+    // The levels of the pins before polarity and swap.
     logic plus = 1'b0, minus = 1'b0, minus_pulses = 1'b0;
 
     always_ff @(posedge clk) begin
@@ -105,8 +107,9 @@ module pwm (
         dir = 1'b0;
     end
 
-`ifdef FORMAL  // what gateware/formal proves: the promises, told without the logic above
-    // What was last committed, and what it was when this period began: all that may decide about this period.
+`ifdef FORMAL  // what gateware/formal proves: the guarantees, stated without the logic above
+    // The last commit, and its value when this period began: nothing else may decide about this
+    // period.
     logic [28:0] f_next = 29'd0;
     logic        f_next_dir = 1'b0;
     logic [20:0] f_at = 21'd0, f_period = 21'd0;
@@ -115,7 +118,7 @@ module pwm (
     logic  [1:0] f_kind = 2'd0;
     logic [28:0] f_asked = 29'd0;
     logic  [8:0] f_part = 9'd0;  // fractions collected, and the carry of the last
-    logic [23:0] f_before = 24'd0;  // what was owed when this period began
+    logic [23:0] f_before = 24'd0;  // the accumulated width when this period began
     wire         f_edge  = ~gate | {1'b0, f_at} + 22'd1 >= {1'b0, f_period};
     wire   [8:0] f_parts = {1'b0, f_part[7:0]} + {1'b0, f_next[7:0]};
     always_ff @(posedge clk) begin
@@ -154,7 +157,7 @@ module pwm (
 `endif
     end
 
-    // The pins show all that two clocks later, if the gate has been open since.
+    // The pins show all of it two clocks later, if the gate has been open since.
     logic        f_live1 = 1'b0, f_live2 = 1'b0, f_dir1 = 1'b0, f_dir2 = 1'b0, f_end1 = 1'b0, f_end2 = 1'b0, f_bit1 = 1'b0, f_bit2 = 1'b0;
     logic  [1:0] f_kind1 = 2'd0, f_kind2 = 2'd0;
     logic [20:0] f_at1 = 21'd0, f_at2 = 21'd0, f_period1 = 21'd0, f_period2 = 21'd0;
@@ -162,7 +165,7 @@ module pwm (
     logic        f_swap = 1'b0, f_invert = 1'b0;
     logic [28:0] f_asked1 = 29'd0, f_asked2 = 29'd0;
     logic [23:0] f_before1 = 24'd0, f_before2 = 24'd0;
-    logic [32:0] f_debt = 33'd0;  // commanded less given, since the gate opened: clocks / 256, or bits / 65536
+    logic [32:0] f_debt = 33'd0;  // commanded less output, since the gate opened: clocks / 256, or bits / 65536
     logic [21:0] f_high = 22'd0;  // clocks the pins were active in this period, until now
     wire         f_plus  = (f_swap ? dir : out) ^ f_invert;
     wire         f_minus = (f_swap ? out : dir) ^ (f_invert & f_kind2 == UP_DOWN);

@@ -1,19 +1,22 @@
-// rgmii_rx: a stream of bytes from what a PHY says at 1000, 100 or 10 Mbit/s, and the speed it says so at.
+// rgmii_rx: turns a PHY's signals at 1000, 100 or 10 Mbit/s into a stream of bytes, and finds the
+// speed.
 //
-// At 1000 a byte comes in one clock, low nibble on its rising edge and high nibble on its falling one; below, a nibble in each
-// clock, low one first. The speed is the PHY's own word: between frames RXD tells link, speed and duplex (in-band status). It is
-// believed when it was the same for 8 clocks, and followed only while it says that the link is up: a PHY which never tells
-// stays at 1000.
+// At 1000 a byte comes in one clock, low nibble on its rising edge and high nibble on its falling
+// one. At the lower speeds a nibble comes in each clock, low one first. The speed comes from the
+// PHY: between frames RXD carries link, speed and duplex (in-band status). It is accepted when it
+// was stable for 8 clocks, and used only while it says that the link is up: with a PHY that never
+// reports it, the speed stays 1000.
 //
 //   1000         clk   _/‾\_/‾\_/‾\_/‾\_         100, 10      clk   _/‾\_/‾\_/‾\_/‾\_
 //                rise  --X 5 | a | 1 X-status                 rise  --X 5 | d | 1 | a X-status
 //                fall  --X d | b | 2 X-status                 byte          d5      a1
 //                byte    d5  ba  21
 //
-// Where a byte begins below 1000 is known once the SFD (5, d) has been seen, however many nibbles of the preamble the PHY
-// has lost. A nibble too many at the end is dropped, as 802.3 wants it. The byte before is held back until the next is whole
-// or the frame has ended, so that `last` comes with the last one. From an error (RX_ER) to
-// its frame's end all bytes are turned over: the MAC finds a wrong FCS, counts it and drops the frame.
+// At the lower speeds the SFD (5, d) shows where a byte begins, however many nibbles of the
+// preamble the PHY has lost. An extra nibble at the end is dropped, as 802.3 requires. Each byte is
+// held back until the next is complete or the frame has ended, so that `last` comes with the last
+// one. From an error (RX_ER) to the end of its frame all bytes are inverted: the MAC finds a wrong
+// FCS, counts it and drops the frame.
 //
 `default_nettype none
 module rgmii_rx (
@@ -25,9 +28,9 @@ module rgmii_rx (
     output wire        valid,
     output wire  [7:0] data,
     output wire        last,
-    output logic [3:0] status,     // what the PHY says of its link: bit 0 up, 2:1 speed, 3 full duplex
+    output logic [3:0] status,     // the PHY's link status: bit 0 up, 2:1 speed, 3 full duplex
     output logic       slow,       // a nibble per clock
-    output wire        beat        // changes every 4 clocks, so that somebody else can see that there is a clock
+    output wire        beat        // changes every 4 clocks, so that another clock domain can see that this clock runs
 );
     logic [3:0] lo = 4'd0, hi = 4'd0, lo_was = 4'd0;
     logic       dv = 1'b0, er = 1'b0;
@@ -42,7 +45,7 @@ module rgmii_rx (
     wire quiet   = ~dv & ~er;
     wire settled = quiet & (&same);
 
-    // Bytes: `whole` when both nibbles of one are there.
+    // Bytes: `whole` when both nibbles of one have come.
     logic odd = 1'b0, aligned = 1'b0;
     wire sfd   = slow & dv & ~aligned & (lo == 4'hd) & (lo_was == 4'h5);
     wire whole = dv & (~slow | odd | sfd);

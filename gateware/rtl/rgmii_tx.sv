@@ -1,7 +1,8 @@
-// rgmii_tx: bytes onto the wires at 1000, 100 or 10 Mbit/s, and the gap between two frames.
+// rgmii_tx: sends bytes at 1000, 100 or 10 Mbit/s, and keeps the gap between two frames.
 //
-// At 1000 a byte per clock, low nibble first; below, a nibble per clock on both edges, so a byte every second clock. The speed
-// changes between frames only. After a frame nothing is taken for 12 byte times, 96 bits.
+// At 1000 it sends a byte per clock, low nibble first. At the lower speeds it sends a nibble per
+// clock on both edges, so a byte every second clock. The speed changes only between frames. After a
+// frame it takes no byte for 12 byte times, 96 bits.
 //
 //   1000    clk    _/‾\_/‾\_/‾\_         100, 10    clk    _/‾\_/‾\_/‾\_/‾\_
 //           data   -X a1X b2X--                     data   -X a1    X b2    X--
@@ -22,7 +23,7 @@ module rgmii_tx (
     output logic       ctl      // the same on both edges: no TX_ER
 );
     logic       halves = 1'b0;  // `slow`, as it was when the frame began
-    logic       second = 1'b0;  // the high nibble's turn
+    logic       second = 1'b0;  // the high nibble is next
     logic [5:0] rest = 6'd0;    // counts up to 64 while bit 5 is set
     initial begin
         rise = 4'd0;

@@ -1,8 +1,10 @@
-// segments: plays motion segments into the stepgens, each on its clock; scales their time; stops them when the segments run out.
+// segments: plays motion segments into the stepgens, each on its clock; scales their time; stops
+// them when the segments run out.
 //
-// A segment says how long it lasts, the velocity each axis has at its end and the acceleration that leads there, and the outputs.
-// The core is a sequencer, not an integrator: it puts the next segment's words where the stepgens' staged commands are and pulls
-// their commit when the clock has come. Whatever is promised of a stepgen stays true, and whoever knows the words knows every edge.
+// A segment has a duration, each axis' velocity at its end with the acceleration to it, and the
+// outputs. The core is a sequencer, not an integrator: it puts the next segment's words in place of
+// the stepgens' staged commands and pulses their commit on the right clock. Every guarantee of a
+// stepgen stays valid, and the words determine every edge.
 //
 //   path clock    |  c  | c+1 | c+2 | c+3 |  ...  | c+N |        N: the segment's duration
 //   commit        __/‾‾‾\_________________________/‾‾‾‾‾\_
@@ -10,18 +12,22 @@
 //   aux           ------X its own ------------------------X
 //   velocity      ------------------X--X--X--X----------     the stepgen learns its direction in c and c+1: N-2 moves
 //
-// Path clocks are those with `advance`. A phase adds `pace` every clock, and its carry lets path time pass: 65536 is every clock, 0
-// none. The pace slews to what it was told by `slew` per clock; the duration counts path clocks, so that all axes slow down on the path, to a
-// stand if wanted, and go on from there. A pulse that has to wait for its pins' times (`waits`) holds path time for everybody.
+// Path clocks are those with `advance`. A phase adds `pace` every clock, and its carry lets path
+// time pass: 65536 is every clock, 0 is none. The pace moves to its new value by `slew` per clock.
+// The duration counts path clocks, so all axes slow down on the path, to a stand if commanded, and
+// resume there. A pulse that has to wait for its pins' times (`waits`) stops path time for all
+// axes.
 //
-// A segment counts only when it is complete: its words are written in any order, then pushed as one. A push that finds a word missing,
-// no room, or a duration below 64 changes nothing and says so; what was written of it is forgotten.
+// A segment counts only when it is complete: its words are written in any order, then pushed as
+// one. A push with a missing word, without room, or with a duration below 64 changes nothing and
+// sets a bit of `refused`; the words written for it are discarded.
 //
-//   IDLE --start--> SETTLE --all stand--> PLAY --the last segment's last clock, or asked to--> HALT --all stand--> IDLE
+//   IDLE --start--> SETTLE --all stand--> PLAY --the last segment's last clock, or a command--> HALT --all stand--> IDLE
 //
-// In SETTLE and HALT the stepgens have their `stop`: a job begins at rest, and ends there. `reason` says why it ended: with all
-// velocities 0 it is done; with any other it is an underrun, which is never a velocity held. Unless it is done the FIFO is empty from then
-// on, takes nothing, and nothing starts, until `clear`. A closed gate empties the FIFO, too.
+// In SETTLE and HALT the stepgens have their `stop`: a job begins and ends at rest. `reason` is the
+// reason of the end: with all velocities 0 the job is done; otherwise it is an underrun, and no
+// velocity is held. Unless it is done, the FIFO is empty from then on, takes no segment, and
+// nothing starts, until `clear`. A closed gate empties the FIFO, too.
 `default_nettype none
 module segments #(
     parameter integer AXES  = 3,   // 1 to 7
@@ -42,22 +48,22 @@ module segments #(
 
     // pulses, one at a time
     input  wire         start,
-    input  wire         quit,       // come to rest and forget the rest
+    input  wire         quit,       // come to rest and discard the other segments
     input  wire         clear,
 
-    // time; `pace_we` is high in the clock before `pace` is another
+    // time; `pace_we` is high in the clock before `pace` changes
     input  wire         pace_we,
     input  wire  [16:0] pace,       // 65536 and more: every clock
     input  wire  [31:0] slew,       // 2^-32 per clock; 0 at once
 
-    input  wire  [15:0] beam,       // outputs that are 0 unless the axes are on their way
+    input  wire  [15:0] beam,       // outputs that are 0 unless the axes move
 
     // the stepgens
     input  wire         waits,      // any of them
     input  wire         stopped,    // all of them
     output wire         advance,
     output wire         stop,       // staged velocities are 0 from then on
-    output wire         busy,       // the stepgens are ours: `stage` and `commit` instead of the bus'
+    output wire         busy,       // this core controls the stepgens: `stage` and `commit` replace those of the bus
     output wire         stage,
     output wire  [3:0]  stage_at,   // 2n: velocity of axis n; 2n + 1: its acceleration
     output wire  [31:0] staged_word,
@@ -65,11 +71,11 @@ module segments #(
     output wire  [15:0] aux,
 
     // what happens
-    output logic [7:0]  level,      // segments that wait
+    output logic [7:0]  level,      // segments waiting
     output logic [1:0]  state,
     output logic [2:0]  reason,
     output logic [4:0]  refused,    // sticky: full, incomplete, too short, not now, start
-    output wire         stands,     // path time does not pass
+    output wire         stands,     // path time is stopped
     output logic        held,       // sticky: a pulse had to wait and held path time
     output logic [31:0] begun,      // segments, since power-up
     output wire  [31:0] left_now,
@@ -87,7 +93,8 @@ module segments #(
     wire dead   = failed | ~gate;
 
     // ---- time ---------------------------------------------------------------------------------------------------
-    // The slew is the stepgen's ramp: after a new pace it tries a move upwards, and only its comparison is used.
+    // The slew is computed as in the stepgen's ramp: after a new pace it tries a move upwards, and
+    // only the comparison is used.
     logic [32:0] scale = {17'h10000, 16'd0};
     logic        turned = 1'b0, up = 1'b0;
     logic [15:0] phase = 16'd0;
@@ -155,7 +162,7 @@ module segments #(
         if (clear) refused <= 5'd0;
     end
 
-    // ---- the next segment: its words from the last down to the duration, which stays where it is read ------------------
+    // ---- the next segment: its words from the last down to the duration, which is used in place ------------------
     logic        staged = 1'b0;
     logic        fetched = 1'b0;
     logic [BITS-1:0] fetched_at = '0;
@@ -169,7 +176,7 @@ module segments #(
     assign stage = fetched & axis;
     assign stage_at = {{4 - BITS{1'b0}}, fetched_at} - 4'd2;
 
-    // ---- the present one ----------------------------------------------------------------------------------------------
+    // ---- the current one ----------------------------------------------------------------------------------------------
     logic [32:0] left  = '1;            // negative in the last clock
     logic        first = 1'b1;          // none has begun
     logic        moves = 1'b0;          // some velocity at its end is not 0
@@ -235,8 +242,8 @@ module segments #(
 `define PROVE_a_job_begins_and_ends_at_rest
 `endif
     // ---- what must hold: gateware/formal/segments.proofs --------------------------------------------------------------
-    // Any one slot of the FIFO and any one word of it, remembered apart from the memory; any one axis' staged word; and a clock of the
-    // path of our own. Every promise is told in terms of those.
+    // Any one slot of the FIFO and any one word of it, stored apart from the memory; any one axis'
+    // staged word; and a path clock of our own. Every guarantee is stated in terms of those.
     (* anyconst *) logic [SLOT-1:0] f_slot;
     (* anyconst *) logic [BITS-1:0] f_at;     // 2 and more: a word of an axis
     always_comb assume (f_at >= BITS'(2) & {27'd0, 1'b0, f_at} < WORDS);
@@ -244,16 +251,16 @@ module segments #(
 
     logic        f_has0 = 1'b0, f_has1 = 1'b0, f_hasw = 1'b0;
     logic [31:0] f_clocks = '0, f_aux = '0, f_word = '0;      // the slot's
-    logic [31:0] f_staged = '0;                              // whoever holds the staged commands
-    logic        f_mine = 1'b0;                              // the present segment came from the slot
+    logic [31:0] f_staged = '0;                              // the staged word, from either side
+    logic        f_mine = 1'b0;                              // the current segment came from the slot
     logic [31:0] f_duration = '0, f_velocity = '0, f_since = '0;  // its words; path clocks since its commit
     logic [15:0] f_outputs = '0;
     logic        f_known = 1'b1;                             // what the outputs should be
     logic [WORDS-1:0] f_seen = '0;                           // the words written since the last push
     logic        f_short = 1'b0;
     logic [31:0] f_level = '0;
-    logic        f_owes = 1'b0;                              // a stop that has not come to its end
-    logic        f_failed = 1'b0;                            // an underrun nobody has cleared
+    logic        f_owes = 1'b0;                              // a stop that has not ended
+    logic        f_failed = 1'b0;                            // an underrun not cleared yet
     logic        f_past = 1'b0, f_stood = 1'b0, f_waited = 1'b0, f_full = 1'b0, f_held = 1'b0, f_rest = 1'b0, f_gate = 1'b0;
     logic        f_advanced = 1'b0, f_committed = 1'b0, f_last = 1'b0, f_cleared = 1'b0;
     logic [1:0]  f_state = IDLE;
@@ -263,7 +270,7 @@ module segments #(
     wire f_head  = head == f_slot;
     wire f_tail  = tail == f_slot;
     wire [SLOT-1:0] f_index = f_slot - tail;
-    wire f_waits = {1'b0, f_index} < level[SLOT:0];          // the slot is one of those that wait
+    wire f_waits = {1'b0, f_index} < level[SLOT:0];          // the slot holds a waiting segment
     wire f_fits  = f_level < DEPTH;
     wire f_moves = ~f_at[0] & f_word != 32'd0;               // the word is a velocity, and not 0
     wire f_ended = state == PLAY & left[32] & ~first & advance & ~commit;
@@ -309,7 +316,8 @@ module segments #(
         assert (level <= 8'(DEPTH));
 `endif
 `ifdef PROVE_what_is_played_is_what_was_pushed
-        // The staged word, the duration and the outputs at the commit are those written into the slot before its push.
+        // At the commit, the staged word, the duration and the outputs are those written into the
+        // slot before its push.
         if (commit & f_tail) assert (f_has0 & f_has1 & f_hasw & f_staged == f_word & out == f_clocks & next == f_aux & f_clocks >= 32'd64);
         if (commit) assert (level != 8'd0);
 `endif
@@ -320,7 +328,8 @@ module segments #(
         if (f_owes) assert (state == HALT & stop & ~commit);
 `endif
 `ifdef PROVE_an_underrun_is_never_a_held_velocity
-        // However slowly time passes: from the clock after the last one on the stepgens have their stop until they stand.
+        // However slowly time passes: from the clock after the last one on, the stepgens have their
+        // stop until they stand.
         if (f_last & f_mine & f_velocity != 32'd0) assert (stop & reason > DONE);
         if (f_failed) assert (stop & f_owes | state == IDLE | ~f_gate | f_rest);
         if (f_failed) assert (state != PLAY & state != SETTLE & ~commit & (state != IDLE | reason > DONE | level == 8'd0));

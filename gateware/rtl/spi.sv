@@ -1,7 +1,9 @@
-// spi: clocks 1 to 32 bits out of and into the flash, most significant first, mode 0, a quarter of the core clock.
+// spi: shifts 1 to 32 bits out to the flash and in from it, most significant first, mode 0, a
+// quarter of the core clock.
 //
-// It knows no flash: firmware selects, writes words and polls `busy`. What it promises is the order of the wires: SCK never
-// moves while CS is high, and a transfer has as many clocks as its length says.
+// It does not know flash commands: the firmware selects, writes words and polls `busy`. It
+// guarantees the order of the wires: SCK never moves while CS is high, and a transfer has exactly
+// as many clocks as its length.
 //
 //   clk      _/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_
 //   start    _/‾‾\________________________________________    one clock; `data` and `length` with it
@@ -11,10 +13,11 @@
 //   miso     ----X bit 1         X bit 0         X--------    the flash changes it after a fall
 //   sampled  ________________|_______________|____________    a clock after the rise
 //
-// MISO is taken three clocks after the fall that made it (50 ns at 60 MHz, the flash needs 8 and the way there and back some
-// 12) and a clock before the next one. CS is high for at least four clocks (67 ns, the flash asks for 50); a start before it
-// has fallen waits for it, and CS stays low until a transfer is over, so firmware need not count. A start while busy, or
-// while not selected, is ignored.
+// MISO is sampled three clocks after the fall that changed it (50 ns at 60 MHz; the flash needs 8,
+// the wires both ways about 12) and a clock before the next fall. CS stays high for at least four
+// clocks (67 ns; the flash needs 50). A start before CS has fallen waits for it, and CS stays low
+// until a transfer is over, so the firmware need not count. A start while busy, or while not
+// selected, is ignored.
 //
 `default_nettype none
 module spi (
@@ -24,7 +27,7 @@ module spi (
     input  wire  [31:0] data,      // bit 31 leaves first
     input  wire  [4:0]  length,    // bits; 0 is 32
     output logic        busy,
-    output wire  [31:0] received,  // the last bit in is bit 0; above them what was not sent
+    output wire  [31:0] received,  // the last bit received is bit 0; above the received bits are the unsent ones
     output logic        cs_n,
     output wire         sck,
     output wire         mosi,
@@ -32,9 +35,9 @@ module spi (
 );
     logic [31:0] shift = 32'd0;
     logic [4:0]  left = 5'd0;    // bits after this one
-    logic [1:0]  phase = 2'd0;   // of the bit; while CS is high, how long it has been
+    logic [1:0]  phase = 2'd0;   // of the bit; while CS is high, the time since it rose
     logic        bit_in = 1'b0;
-    logic        high = 1'b0;    // SCK, a flip-flop: no glitch leaves
+    logic        high = 1'b0;    // SCK, a flip-flop: without glitches
     initial busy = 1'b0;
     initial cs_n = 1'b1;
 

@@ -1,10 +1,12 @@
-// stepgen: turns a velocity into pulses at two pins, and counts what it emitted.
+// stepgen: turns a velocity into pulses at two pins, and counts the emitted pulses.
 //
-// A velocity ramps towards its target by at most `accel` per clock; its integer part is added to a position of 32.32
-// steps every clock; each change of the position's integer part is one pulse. When the pins' timing forbids the pulse,
-// the position waits where it is and tries again in the next clock: a pulse is late, never merged, lost or misdirected.
-// The integer part of the position is, by construction, the number of pulses at the pins, signed. Its low bits are here
-// (`delta`), its wide part is in tally.sv, which comes by every 16 clocks: position = {tally + delta, fraction}.
+// A velocity ramps towards its target by at most `accel` per clock. Its integer part is added to a
+// position of 32.32 steps every clock; each change of the position's integer part is one pulse.
+// When the pins' timing forbids the pulse, the position stays and tries again in the next clock: a
+// pulse may be late, but is never merged, lost or sent in the wrong direction. The integer part of
+// the position is, by construction, the signed number of pulses at the pins. Its low bits are in
+// this module (`delta`), its wide part is in tally.sv, which visits every 16 clocks: position =
+// {tally + delta, fraction}.
 //
 //   kind 0, step/dir: STEP carries the pulses, DIR their direction
 //   step  ____/‾‾‾‾\________/‾‾‾‾\_______________/‾‾‾‾\__     1 steplen    2 stepspace
@@ -28,16 +30,18 @@
 //   target       ----X new ------------     the ramp pauses for this clock and one more, to learn its
 //   velocity     -----------X--X--X--X      direction; the velocity moves from then on, every clock.
 //
-// `stop`, or enable = 0 at a commit, ramps to rest at `stop_accel`. `gate` = 0 makes the pulse inactive on the next clock,
-// forgets target and velocity and keeps the position; DIR and quadrature lines keep their level, so that no edge disturbs
-// the last pulse. After either, nothing moves until the next commit: an old target cannot come back to life.
+// `stop`, or enable = 0 at a commit, ramps to rest at `stop_accel`. `gate` = 0 makes the pulse
+// inactive on the next clock, discards target and velocity and keeps the position; DIR and
+// quadrature lines keep their level, so that no edge disturbs the last pulse. After either, nothing
+// moves until the next commit: an old target has no effect.
 //
-// Velocity and position live in path time, which passes in the clocks in which `advance` is 1 (TIMED; else in every clock). In the
-// others they stand, and so does what a commit has begun; pulses, their times, and a stop's ramp go on by the clock. Whoever scales
-// time has `waits` hold it (segments.sv): a late pulse then makes everybody late and loses nothing.
+// Velocity and position change in path time, which passes in the clocks in which `advance` is 1
+// (TIMED; else in every clock). In the other clocks they stand, and so does a commit that has
+// begun; pulses, their times, and a stop's ramp continue with the clock. The core that scales time
+// stops it while `waits` (segments.sv): a late pulse then delays all axes and loses no step.
 `default_nettype none
 module stepgen #(
-    parameter bit TIMED = 1'b0        // 1: path time is scaled; 0: `advance` is not looked at, and costs nothing
+    parameter bit TIMED = 1'b0        // 1: path time is scaled; 0: `advance` is ignored, and costs no logic
 ) (
     input  wire         clk,
 
@@ -64,12 +68,12 @@ module stepgen #(
     input  wire         step_invert,
     input  wire         dir_invert,
 
-    // what happened
+    // results
     input  wire         visit,        // 1: `delta` is taken, and starts again with the pulse of this clock
-    output logic [4:0]  delta,        // signed pulses since the visit before; 16 clocks hold 8 at most
+    output logic [4:0]  delta,        // signed pulses since the visit before; at most 8 in 16 clocks
     output logic [31:0] fraction,     // of the next pulse; powers up at half a step
     output wire  [31:0] velocity_now, // signed, integer part
-    output wire         waits,        // 1: a pulse is due in this clock and has to wait; says nothing about `advance`
+    output wire         waits,        // 1: a pulse is due in this clock and has to wait; independent of `advance`
 
     // the pins, registered
     output logic        step,
@@ -82,12 +86,13 @@ module stepgen #(
     logic        braking = 1'b1;  // towards rest, at stop_accel
     logic [31:0] wanted  = 32'd0;
     logic [31:0] limit   = 32'd0;
-    // A mask and no reset: each channel would have its own, and all flip-flops of a tile share one (decision 10).
+    // A mask instead of a reset: each channel would have its own, and all flip-flops of a tile
+    // share one (decision 10).
     wire  [31:0] target  = wanted & {32{~braking}};
 
     wire take  = commit & ~halt;
     wire pause = fresh | take | (halt & ~halted);
-    wire holds = TIMED ? pause | ~(advance | braking) : pause;  // a stop is obeyed whether or not time passes
+    wire holds = TIMED ? pause | ~(advance | braking) : pause;  // a stop works whether or not time passes
 
     always_ff @(posedge clk) begin
         halted <= halt;
@@ -102,8 +107,9 @@ module stepgen #(
     end
 
     // ---- velocity: s32.24, moves towards target by at most limit per clock ------------------------------------------
-    // In the clock after a new target the adder tries a move upwards, and only its comparison is used. A target that lies
-    // above, but nearer than one move, is thereby taken for one below: the move downwards then reaches or passes it just the same.
+    // In the clock after a new target the adder tries a move upwards, and only its comparison is
+    // used. A target above, but nearer than one move, thus counts as one below: the move downwards
+    // then also reaches or passes it.
     logic [55:0] v = 56'd0;
     logic        up = 1'b1;   // v is below target, by more than a move
     logic        jump = 1'b1; // no limit
@@ -127,8 +133,8 @@ module stepgen #(
     assign velocity_now = v[55:24];
     wire negative = v[55];
 
-    // ---- position: adds the velocity, asks for a pulse when the integer part would change -----------------------------
-    logic        reverse = 1'b0;  // direction of the pulses: what DIR says, before inversion
+    // ---- position: adds the velocity, requests a pulse when the integer part would change -----------------------------
+    logic        reverse = 1'b0;  // direction of the pulses: DIR before inversion
     wire  [32:0] sum     = {1'b0, fraction} + {v[55], v[55:24]};
     wire         due     = sum[32];
     wire         ready;
@@ -145,8 +151,8 @@ module stepgen #(
     end
 
     // ---- timing: when a pulse may start and end, and the direction may change -----------------------------------------
-    // Two clocks count up from the last event; a time is over from the clock on in which they are equal. In the first
-    // clock after the event times of 0 and 1 are equal.
+    // Two clocks count up from the last event; a time is over in the clock in which they are equal.
+    // In the first clock after the event, times of 0 and 1 are equivalent.
     logic        pulse      = 1'b0;
     logic        setup      = 1'b0;   // dir_clock counts dirsetup (else dirhold)
     logic [12:0] step_clock = 13'd1;  // since the pulse rose or fell
@@ -161,7 +167,8 @@ module stepgen #(
     wire step_done = step_over | ((step_clock[12:1] == step_time[12:1]) & ((step_clock[0] == step_time[0]) | step_first));
     wire dir_done  = dir_over | ((dir_clock[15:1] == dir_time[15:1]) & ((dir_clock[0] == dir_time[0]) | dir_first));
 
-    // A closed gate cuts a pulse; in quadrature there is nothing to cut, and the next edge keeps its distance.
+    // A closed gate cuts a pulse; in quadrature there is no pulse to cut, and the next edge keeps
+    // its distance.
     wire quadrature = kind == 2'd2;
     wire updown     = kind == 2'd1;
     wire fall       = pulse & (step_done | (~gate & ~quadrature));
@@ -209,15 +216,16 @@ module stepgen #(
 
 `ifdef FORMAL
     // ---- what must hold: gateware/formal/stepgen.proofs --------------------------------------------------------------
-    // First a drive that sees the pins and keeps its own clocks; then what it is promised, one `ifdef per proof; then what
-    // links its clocks to ours, so that induction needs one step only (not asserted of a broken core: the promise must catch it).
-    // 0 is read as 1 in every promise.
+    // First a model of a drive that sees the pins and has its own clocks; then its guarantees, one
+    // `ifdef per proof; then the link between its clocks and ours, so that induction needs only one
+    // step (not asserted for a broken core: the guarantee must catch that). Every guarantee reads 0
+    // as 1.
     wire [17:0] high_least  = {5'd0, steplen} + {18'd0, steplen == 13'd0};
     wire [17:0] low_least   = {5'd0, stepspace} + {18'd0, stepspace == 13'd0};
     wire [17:0] setup_least = {2'd0, dirsetup} + {18'd0, dirsetup == 16'd0};
     wire [17:0] hold_least  = {2'd0, dirhold} + {18'd0, dirhold == 16'd0};
 
-    function automatic [17:0] more(input [17:0] n);  // counts, and stays at "long ago"
+    function automatic [17:0] more(input [17:0] n);  // counts up, and saturates
         more = &n ? n : n + 18'd1;
     endfunction
 
@@ -242,7 +250,7 @@ module stepgen #(
     wire         last_backwards = edge_seen ? backwards : was_backwards;
     logic [4:0]  unvisited      = 5'd1;
 
-    always_comb assume (visit | unvisited < 5'd16);  // the tally's part of the contract
+    always_comb assume (visit | unvisited < 5'd16);  // the tally guarantees this
 
     always_ff @(posedge clk) begin
         unvisited  <= visit ? 5'd1 : unvisited + 5'd1;
@@ -261,7 +269,7 @@ module stepgen #(
         if (visit) harvested <= harvested + {{27{delta[4]}}, delta};
     end
 
-    // What the ramp was asked for, and how it answered: the clock before.
+    // The ramp's input and its response one clock later.
     wire         halting = stop | ~gate;
     logic        resting = 1'b1;
     logic [31:0] asked = 32'd0, given = 32'd0;
@@ -342,7 +350,8 @@ module stepgen #(
         if (was_open & $signed(was_v) >= $signed(goal)) assert ($signed(was_v) >= $signed(v) & $signed(v) >= $signed(goal));
 `endif
 `ifdef PROVE_stop_and_disable_come_to_rest
-        // Every clock nearer by the whole limit, but for two that learn the direction; nothing moves at rest; and `stopped` says so.
+        // In every clock the velocity comes nearer by the whole limit, except in the two that find
+        // the direction; nothing moves at rest; and `stopped` is right.
         if (was_open & was_resting & ~was_paused) assert (v == 56'd0 | (most != 57'd0 & size == most & v[55] == was_v[55]));
         if (was_open & was_resting & ~was_paused) assert (v == 56'd0 | v[55] != dv[56]);
         if (halting & was_halt & was_halted) assert (~pause);
@@ -355,7 +364,7 @@ module stepgen #(
         assert (at == was_at + (was_open & was_advancing & ~was_waiting ? {{32{was_v[55]}}, was_v[55:24]} : 64'd0));
 `endif
 `ifdef PROVE_time_that_stands_moves_nothing
-        // Nor does it forget that a command has just come: path time goes on as if it had not stood.
+        // A command that has just come is kept, too: path time continues as if it had not stopped.
         if (~was_advancing) assert (at == was_at);
         if (was_open & ~was_advancing & ~was_taken & ~was_resting & ~was_halt) assert (v == was_v & fresh == was_fresh & {target, limit, braking} == was_kept);
 `endif

@@ -1,28 +1,30 @@
-// tally: the wide part of every count, kept in LUT RAM and visited one channel a clock.
+// tally: the wide part of every count, stored in LUT RAM; it visits one channel a clock.
 //
-// A channel counts in five bits of its own, `delta`, what happened since its last visit. The visit, every 16 clocks, adds
-// that to the channel's 32-bit total. A sample or a capture is exact to its clock all the same: the clock it comes in
-// catches `delta`, and the next visit writes total + caught into a RAM of its own. It knows no pulses and no edges; a
-// channel must not count 16 in 16 clocks in one direction, which neither core can.
+// A channel counts its events since its last visit in five bits of its own, `delta`. The visit,
+// every 16 clocks, adds them to the channel's 32-bit total. A sample or a capture is still exact to
+// its clock: that clock stores `delta`, and the next visit writes total + stored delta into a RAM
+// of its own. This module knows no pulses and no edges; a channel must not count 16 in 16 clocks in
+// one direction, which neither core can do.
 //
 //   clk       0   1   2   3   4       16  17  18
-//   sample    _/‾‾‾\________________________________     any time; here while channel 2 is visited in clock 3
+//   sample    _/‾‾‾\________________________________     at any time; in this example channel 2 is visited in clock 3
 //   visit[2]  _____________/‾‾‾\____________________     total += delta, delta restarts at this clock's event
 //   sampled       old        |   | new                   addr = 2: right two clocks after the visit,
 //                                                        so all channels are 18 clocks after the strobe
 //
-// Position of a channel in a clock: total + delta, without the event of that clock. That is what a strobe or a capture
-// keeps. A strobe within 18 clocks of another one: the words are those of the later one, 18 clocks after it; totals do
-// not notice. A capture must not come while the channel is `pending`; latch.sv sees to that.
+// The position of a channel in a clock is total + delta, without the event of that clock. A strobe
+// or a capture stores this value. If another strobe comes within 18 clocks, the words are those of
+// the later one, 18 clocks after it; the totals are not affected. A capture must not come while the
+// channel is `pending`; latch.sv ensures that.
 //
-// A capture with `clear` keeps the count and restarts it at 0 in the same clock: total + delta is 0 in the next clock,
-// or the event of the capture's own clock.
+// A capture with `clear` stores the count and restarts it at 0 in the same clock: in the next clock
+// total + delta is 0, or the event of the capture's own clock.
 //
 //   delta     {channel n: bits 5n+4..5n}, signed, events since visit[n] and including the event of that clock
 //   visit[n]  one clock in 16, and at a clearing capture: delta[n] restarts, at this clock's event
 //   pending   capture[n] is being written; a flag that says "latched" must wait until it falls and one clock more
 //   turn      the same rotation, one-hot, always 16 long and without the clears; sampling: a visit now writes its sample.
-//             Both are for edges.sv, whose words then belong to the same clock.
+//             Both are for edges.sv: its words then belong to the same clock.
 //   sampled, latched   read without a clock at `addr`
 //
 `default_nettype none
@@ -42,16 +44,16 @@ module tally #(
     output wire [31:0]             sampled,
     output wire [31:0]             latched
 `ifdef FORMAL
-    , input wire [3:0] f_channel, input wire [31:0] f_position, output logic [31:0] f_latched  // any one channel, what it has counted
+    , input wire [3:0] f_channel, input wire [31:0] f_position, output logic [31:0] f_latched  // any one channel, its count
 `endif
 );
     logic [3:0] at    = 4'd0;   // the channel visited in this clock: turn, in binary
-    logic [3:0] behind = 4'd15;  // the one of the clock before, whose words are written now
+    logic [3:0] behind = 4'd15;  // the one of the clock before: its words are written now
     logic [3:0] last = 4'd0;  // where the rotation of the sample ends
 
     logic [CHANNELS-1:0]   clearing = {CHANNELS{1'b0}};    // the total restarts at the next visit
     logic [CHANNELS-1:0]   afresh   = {CHANNELS{1'b0}};    // the strobe came after such a capture
-    logic [5*CHANNELS-1:0] caught   = {5*CHANNELS{1'b0}};  // delta at the strobe; means something until the visit
+    logic [5*CHANNELS-1:0] caught   = {5*CHANNELS{1'b0}};  // delta at the strobe; valid until the visit
     logic [5*CHANNELS-1:0] held     = {5*CHANNELS{1'b0}};  // delta at the capture; likewise
     logic [CHANNELS-1:0]   passed   = {CHANNELS{1'b0}};    // the visit was in the strobe's own clock and has added it:
     logic [CHANNELS-1:0]   added    = {CHANNELS{1'b0}};    // the next adds nothing; the capture's own clock likewise
@@ -70,7 +72,7 @@ module tally #(
             if (capture[n] & clear[n]) clearing[n] <= 1'b1;
             else if (turn[n]) clearing[n] <= 1'b0;
             afresh[n] <= ~turn[n] & (sample ? clearing[n] : afresh[n]);
-            if (sample) begin  // without a reset, of which every channel would have its own (decision 10)
+            if (sample) begin  // without a reset: every channel would have its own (decision 10)
                 caught[5*n +: 5] <= delta[5*n +: 5];
                 passed[n]        <= turn[n];
             end
@@ -81,8 +83,9 @@ module tally #(
         end
     end
 
-    // Of all channels' words the visited one is wanted. Eight of them meet in front of one register, two to a LUT; a register for
-    // each, 0 unless visited, is a third of a LUT cheaper and takes a reset per channel, for which the ECP5's tiles have no room.
+    // Only the visited channel's words are needed. Eight channels' words are merged in front of one
+    // register, two to a LUT. A register for each channel, 0 unless visited, is a third of a LUT
+    // cheaper but takes a reset per channel, for which the ECP5's tiles have no room.
     localparam GROUPS = (CHANNELS + 7) / 8;
     logic [5*GROUPS-1:0] delta_shown = {5*GROUPS{1'b0}}, caught_shown = {5*GROUPS{1'b0}}, held_shown = {5*GROUPS{1'b0}};
     logic [GROUPS-1:0]   pending_shown = {GROUPS{1'b0}};
@@ -130,7 +133,8 @@ module tally #(
     assign sampled = samples[addr];
     assign latched = latches[addr];
 
-    // The visit reads; the clock after it adds and writes. `total` as it is here has nothing of this rotation in it.
+    // The visit reads; the clock after it adds and writes. Here `total` includes nothing of this
+    // rotation.
     logic [31:0] base_total = 32'd0, base_sample = 32'd0, base_latch = 32'd0;
     logic        to_sample = 1'b0;
 
@@ -159,8 +163,8 @@ module tally #(
         end
     end
 
-`ifdef FORMAL  // what gateware/formal proves of any one channel
-    // What the RAM holds, or will when the write of this clock is done.
+`ifdef FORMAL  // what gateware/formal proves for any one channel
+    // The content of the RAM, after the write of this clock.
     wire         f_behind = behind == f_channel;
     wire  [31:0] f_total  = f_behind ? sum(base_total, add_total) : totals[f_channel];
     wire  [4:0]  f_delta = delta[5*f_channel +: 5];
@@ -188,7 +192,8 @@ module tally #(
         assert (f_pending | ~f_clearing);
         assert (f_clearing | ~f_afresh);
         assert (f_position == (f_clearing ? 0 : f_total) + {{27{f_delta[4]}}, f_delta});
-        // A sample waits, is being written, or can be read; 18 clocks after the strobe it can.
+        // A sample waits, is being written, or can be read; 18 clocks after the strobe it can be
+        // read.
         assert (f_since != 0 & sampling == (f_since <= 16) & (~sampling | f_begun == f_since[3:0]));
         assert (f_waits == (sampling & f_coming <= f_ends));
         if (f_waits) assert (f_sampled == (f_afresh ? 0 : f_total) + {{27{f_caught[4]}}, f_caught});
@@ -197,7 +202,7 @@ module tally #(
 `ifdef PROVE_a_sample_is_the_count_at_the_strobe
         assert (addr != f_channel | f_since < 18 | sampled == f_sampled);
 `endif
-        // A capture likewise.
+        // The same for a capture.
         if (f_pending) assert (f_latched == f_total + {{27{f_held[4]}}, f_held});
         else if (f_behind & to_latch) assert (f_latched == sum(base_latch, add_latch));
         else assert (f_latched == latches[f_channel]);

@@ -1,8 +1,9 @@
 // timebase: the wall clock, and the two strobes that make every channel act on one clock.
 //
-// It refuses to lose a timed commit: an apply time already past commits at once, and one that is replaced before it is
-// due, or in that very clock, is simply replaced: no request commits twice. Times compare as plain numbers, so that 2^64 - 1
-// is never (the clock needs 9 700 years at 60 MHz to come round). It knows no bus and no channel.
+// A timed commit is never lost and never happens twice. If its apply time has already passed, it
+// commits at once; if it is replaced before it is due, or in that same clock, only the new one
+// commits. Times compare as plain numbers, so 2^64 - 1 means never (at 60 MHz the clock needs 9 700
+// years to wrap). This module knows no bus and no channel.
 //
 //   clk          _/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_
 //   now          99 |100|101|102|103|104|
@@ -13,7 +14,7 @@
 `default_nettype none
 module timebase (
     input  wire         clk,
-    input  wire         rst,          // forgets a pending commit; the clock itself runs on
+    input  wire         rst,          // discards a pending commit; the clock itself runs on
     input  wire         commit_now,   // pulse: commit in this clock
     input  wire         sample_now,   // pulse: sample in this clock
     input  wire         commit_timed, // pulse: commit when now reaches commit_at
@@ -23,7 +24,8 @@ module timebase (
     output wire         sample,
     output logic        pending
 );
-    // `next` is the counter and `now` its shadow, so that "due in the next clock" is a plain registered comparison.
+    // `next` is the counter and `now` its registered copy, so that "due in the next clock" is a
+    // plain registered comparison.
     logic [63:0] next = 64'd1;
     logic        due  = 1'b0;
     initial now     = 64'd0;

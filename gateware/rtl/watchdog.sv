@@ -1,18 +1,20 @@
-// watchdog: owns the gate that every output passes. Closes it when the tokens stop, whoever is alive.
+// watchdog: controls the gate that every output passes. It closes the gate when the tokens stop,
+// independently of the CPU.
 //
-// Fed by a token that differs from the one before; a repeat is silence. A bite is latched and only `clear` forgets it,
-// and a token never does. The external reset and the e-stop inputs close the gate in the clock they are seen. None of this
-// needs the CPU, and why the gate closed last outlives a reset of the CPU.
+// A token feeds it if it differs from the one before; a repeated token does not count. A bite is
+// latched: only `clear` resets it, a token never does. The external reset and the e-stop inputs
+// close the gate in the clock in which they are seen. None of this needs the CPU, and the reason of
+// the last close survives a reset of the CPU.
 //
 //   token     1    2    3    3    3
-//   remaining \|\  |\   |\__|\_______           timeout, then what is left of `grace`
+//   remaining \|\  |\   |\__|\_______           timeout, then the rest of `grace`
 //   stop      ______________/‾‾‾‾‾‾‾\___        bite: every stepgen ramps to rest,
 //   gate      ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\___        then (or after `grace`) the gate closes
 //
 `default_nettype none
 module watchdog (
     input  wire         clk,
-    input  wire         rst,        // closes the gate, forgets the bite and the external reset; an e-stop it does not
+    input  wire         rst,        // closes the gate, resets the bite and the external reset, but not an e-stop
     input  wire         ext_reset,  // synchronised pin
     input  wire         estop,      // an e-stop input is active, synchronised
 
@@ -32,7 +34,7 @@ module watchdog (
     output logic        reset_latched,
     output logic        estop_latched,
     output logic        armed,         // awake, counting
-    output wire         cleared,       // `clear` was heard: everything latched falls
+    output wire         cleared,       // `clear` was accepted: all latches fall
     output logic  [3:0] last_close,    // why the gate closed last
     output logic [31:0] remaining,     // clocks until it bites; during a soft stop, until the gate closes
     output logic [31:0] last_token,

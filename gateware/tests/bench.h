@@ -1,4 +1,5 @@
-// What every core bench shares: a clock, a seeded generator and a way to fail that says how to see it again.
+// Shared by all core benches: a clock, a seeded generator and a failure message that says how to
+// repeat the run.
 #pragma once
 #include <cstdarg>
 #include <cstdint>
@@ -38,7 +39,8 @@ struct Bench {
         core->clk = 0;
         core->eval();
     }
-    // Inputs set before this are what the core sees at the edge; outputs read after it are what follows the edge.
+    // The core sees inputs set before this at the edge; outputs read after it are those after the
+    // edge.
     void edge() {
         core->clk = 1;
         core->eval();

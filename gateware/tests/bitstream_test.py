@@ -1,4 +1,5 @@
-"""Bitstream builds without the tools: which seed is taken, what fails a build, where things lie in the files."""
+"""Bitstream builds without the tools: the choice of the seed, the failures of a build, the layout
+of the files."""
 
 import contextlib
 import io
@@ -26,7 +27,7 @@ def test(function):
 
 
 def search(reached, seeds=4, at_once=2, slack=5.0, seconds=None):
-    """What a search over seeds that reach these (eth, sys) ends with: the seed, or what it says."""
+    """The result of a search over seeds that reach these (eth, sys): the seed, or the error."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         options = build.Options(seeds=seeds, jobs=at_once, slack=slack)
         design = build.Design("boards/x.toml", Path(folder), options, build.Watch(Path(folder), at_once))
@@ -52,7 +53,7 @@ def search(reached, seeds=4, at_once=2, slack=5.0, seconds=None):
 
 
 @test
-def the_lowest_seed_with_enough_slack_is_taken_whoever_is_faster():
+def the_lowest_seed_with_enough_slack_is_taken_in_any_order_of_finish():
     good, bad = (140, 70), (140, 60.5)
     for at_once in (1, 2, 4):
         seed, _ = search({1: bad, 2: good, 3: good, 4: good}, at_once=at_once, seconds={2: 0.1})
@@ -148,7 +149,8 @@ def an_image_too_long_for_its_slot_is_refused():
 
 
 def config(words, shape):
-    """A text configuration whose block RAMs hold these 32-bit words, 36 columns of 512 bits each, or 32."""
+    """A text configuration with these 32-bit words in its block RAMs, 36 columns of 512 bits each,
+    or 32."""
     width, bits, columns = shape
     rows = [words[n:n + 512] for n in range(0, len(words), 512)]
     todo = [[row >> bit & 1 for row in block] for block in rows for bit in range(32)]

@@ -1,4 +1,5 @@
-"""The loader of board files: what the reader refuses arrives with its own words, and what it accepts arrives whole."""
+"""The loader of board files: the reader's errors arrive with their own text, and an accepted board
+arrives complete."""
 
 import sys
 import tempfile
@@ -10,10 +11,11 @@ sys.path.insert(0, str(ROOT / "gateware"))
 
 from ferrocnc import board, regmap  # noqa: E402
 
-# What is wrong is the reader's to test (config/tests); here, that its words come through.
+# The reader's own tests cover the errors (config/tests); this test checks that their text comes
+# through.
 WRONG = {
     "a pin used twice": ('step = "j1:2"', 'step = "j1:0"', ["stepgen[1].step", "j1:0", "already stepgen[0].step"]),
-    "a key nobody knows": ('name = "x"\nstep', 'nam = "x"\nname = "x"\nstep', ["stepgen[0].nam", "nobody knows"]),
+    "an unknown key": ('name = "x"\nstep', 'nam = "x"\nname = "x"\nstep', ["stepgen[0].nam", "not a known key"]),
     "a platform nobody has": ('"5a-75b-8.0"', '"5a-75z"', ["platform", "5a-75z", "5a-75b-8.0"]),
     "not TOML": ("[network]", "[network", ["is not TOML"]),
 }

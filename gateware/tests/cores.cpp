@@ -1,4 +1,4 @@
-// The banks: every register of the map against the cores it belongs to, over the CSR bus, for one board.
+// The banks: every register of the map and the core it belongs to, over the CSR bus, for one board.
 #include "Vcores.h"
 #include "bench.h"
 #include <fstream>
@@ -32,9 +32,23 @@ struct Bus {
         std::string name, at, access, mask;
         while (file >> name >> at >> access >> mask) map[name] = {hex(at), access, hex(mask)};
     }
-    uint32_t flash = 0;  // what sits at its wires: every bit comes back 32 clocks later
+    uint32_t flash = 0;  // the flash's model: every bit comes back 32 clocks later
     bool sck_was = false;
+    // What is at the pads is not what drives them, and must not matter to it: any levels at any time.
+    uint32_t steps = 0, pwms = 0, outs = 0;  // a bit per pin
+    bool still = false;
+    void pads() {
+        auto &c = *b.core;
+        c.step_seen = b.random.next() & steps, c.dir_seen = b.random.next() & steps;
+        c.step_n_seen = b.random.next() & steps, c.dir_n_seen = b.random.next() & steps;
+        c.pwm_seen = b.random.next() & pwms, c.pwm_dir_seen = b.random.next() & pwms;
+        c.outputs_seen = b.random.next() & outs;
+    }
+    std::vector<uint32_t> beats = {0};  // of the PHY's clock, in so many clocks
     void clock() {
+        if (!still && b.random.one_in(8)) pads();
+        b.core->eth_beat = b.random.one_in(2);
+        beats.push_back(beats.back() + b.core->eth_beat);
         b.edge();
         now++;
         if (b.core->spi_clk && !sck_was) flash = flash << 1 | b.core->spi_mosi;
@@ -55,7 +69,7 @@ struct Bus {
         CHECK(b, map.count(name), "no register %s", name.c_str());
         return map[name].at;
     }
-    // As LiteX's bridge does it: address and write in one clock, read data in the next.
+    // The same timing as LiteX's bridge: address and write in one clock, read data in the next.
     void write(const std::string &name, uint32_t value) {
         b.core->adr = at(name), b.core->dat_w = value, b.core->we = 1;
         clock();
@@ -88,18 +102,20 @@ int main(int argc, char **argv) {
     c.we = c.rst = c.ext_reset = c.inputs = c.enc_a = c.enc_b = c.enc_i = c.enc_mask = c.step_index = 0;
     c.frame_done = c.frame_slot = c.frame_pending = c.pending_slot = 0;
     c.abi = 0x12345678;
-    c.spi_miso = c.factory = 0;
+    c.spi_miso = c.factory = c.eth_beat = 0;
+    c.step_seen = c.dir_seen = c.step_n_seen = c.dir_n_seen = c.pwm_seen = c.pwm_dir_seen = c.outputs_seen = 0;
     b.settle();
     k.widest_step = c.step | c.step_n;  // a bit per channel
     k.run(40);
 
-    // Who it is.
+    // Identity.
     k.expect("ident.magic", 0x46436e43);
     k.expect("ident.abi", 0x12345678);
     const uint32_t counts = k.read("ident.channels0"), pins = k.read("ident.channels1"), hz = k.read("ident.sys_clk_hz");
     const unsigned steps = counts & 255, encoders = counts >> 8 & 255, pwms = counts >> 16 & 255, ins = pins & 255, outs = pins >> 8 & 255;
     CHECK(b, hz >= 10000000 && steps && encoders && pwms && ins && outs, "an empty board");
     CHECK(b, k.widest_step == (1u << steps) - 1, "%u step generators, pins %x", steps, k.widest_step);
+    k.steps = (1u << steps) - 1, k.pwms = (1u << pwms) - 1, k.outs = uint32_t((1ull << outs) - 1);
     const uint32_t estops = k.read("gpio.estop_mask"), trigger = k.read("gpio.estop_level");
     CHECK(b, estops && !(trigger & ~estops) && estops >> (ins - 1) == 1, "e-stop inputs %x, level %x", estops, trigger);
     const uint32_t free_inputs = uint32_t((1ull << ins) - 1) & ~estops;
@@ -131,7 +147,7 @@ int main(int argc, char **argv) {
     }
     for (auto &[name, reg] : k.map)
         if (reg.access == "wo" || !present(name)) k.expect(name, 0), absent++;
-    for (unsigned n = 0; n < 4000; n++) {  // nothing answers between the registers
+    for (unsigned n = 0; n < 4000; n++) {  // addresses between the registers do not answer
         const uint32_t address = r.below(1 << 16);
         bool known = address < 8 * 512;  // LiteX's
         for (auto &[name, reg] : k.map) known |= reg.at == address;
@@ -139,7 +155,7 @@ int main(int argc, char **argv) {
     }
     CHECK(b, !c.gate, "writing settings opened the gate");
 
-    // Quiet settings for everything that follows.
+    // Quiet settings for all tests below.
     for (auto &[name, value] : wrote) k.write(name, 0);
     for (unsigned n = 0; n < pwms; n++) k.write(nth("pwm", n, ".period"), 100);
     k.write("watchdog.timeout", 0xFFFFFFFF);
@@ -151,10 +167,33 @@ int main(int argc, char **argv) {
         const uint64_t began = k.now;
         k.write("timebase.snapshot", 0);
         k.run(r.below(100));
-        return k.read64("timebase.now") - began;
+        const uint64_t caught = k.read64("timebase.now");
+        CHECK(b, caught < k.beats.size(), "the wall clock is ahead");
+        k.expect("timebase.eth_beats", k.beats[caught]);  // of the same clock
+        return caught - began;
     };
     const uint64_t offset = snapshot();
     for (unsigned n = 0; n < 20; n++) CHECK(b, snapshot() == offset, "the snapshot is not of the clock it was asked in");
+
+    // The pads, as they are and two clocks late; what drives them stands at rest.
+    k.expect("ident.features", (k.read("ident.features") & 1) | 2);
+    k.still = true;
+    for (unsigned round = 0; round < 200; round++) {
+        auto all = [&] {
+            return std::vector<uint32_t>{c.step_seen | uint32_t(c.dir_seen) << 16, c.step_n_seen | uint32_t(c.dir_n_seen) << 16, c.pwm_seen | uint32_t(c.pwm_dir_seen) << 16, c.outputs_seen};
+        };
+        static const char *const names[] = {"pads.step", "pads.step_n", "pads.pwm", "pads.outputs"};
+        k.pads();
+        k.run(2);
+        const auto old = all();
+        for (unsigned n = 0; n < 4; n++) k.expect(names[n], old[n]);
+        const unsigned n = r.below(4);
+        k.pads();
+        k.clock();
+        k.expect(names[n], old[n]);
+        k.expect(names[n], all()[n]);
+    }
+    k.still = false;
 
     // Turning pins over looked like pulses: count from here.
     k.pulses.assign(16, 0);
@@ -191,13 +230,13 @@ int main(int argc, char **argv) {
         for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), r.one_in(6) ? 0x80000000 : uint32_t(r.next()));
         k.run(r.below(300));
         drive(uint32_t(r.next()));
-        k.run(40);  // a debouncer without a limit takes 35 clocks
+        k.run(40);  // a debouncer with limit 0 takes 35 clocks
         const auto at_strobe = k.pulses;
         c.adr = k.at("timebase.strobe"), c.dat_w = round & 1 ? 3 : 2, c.we = 1;
         k.clock();
         const auto one_later = k.pulses;
         c.we = 0;
-        k.run(18);  // until the tallies have been everywhere
+        k.run(18);  // until the tallies have visited all channels
         const uint64_t when = k.read64("status.sample");
         k.run(r.below(50));
         CHECK(b, when == k.read64("status.sample"), "reading changed the sample");
@@ -208,8 +247,8 @@ int main(int argc, char **argv) {
             CHECK(b, v != INT32_MIN, "stepgen %u runs at -2^31", n);
         }
     }
-    // Velocities held, another for each channel: every channel's words are its own and of the strobe's clock, from 18 clocks after it on,
-    // whichever is read first.
+    // Constant velocities, a different one for each channel: every channel's words are its own and
+    // of the strobe's clock, from 18 clocks after it on, in any order of reading.
     unsigned moved = 0;
     for (unsigned round = 0; round < 60; round++) {
         uint64_t position[2][16], when[2];
@@ -231,14 +270,15 @@ int main(int argc, char **argv) {
         }
         const uint32_t limited = k.read("status.flags0") >> 16;
         for (unsigned n = 0; n < steps; n++) {
-            if (limited >> n & 1) continue;  // a reversal: it had to wait for its direction
+            if (limited >> n & 1) continue;  // a reversal: the pulse waited for its direction
             const int64_t way = position[1][n] - position[0][n], expected = velocity[n] * int64_t(when[1] - when[0]);
             CHECK(b, way == expected, "stepgen %u: moves %lld in %lld clocks at %d", n, (long long)way, (long long)(when[1] - when[0]), velocity[n]);
             moved++;
         }
     }
     CHECK(b, moved > 30 * steps, "only %u of %u ways checked", moved, 60 * steps);
-    // Asked for more than the timing allows: one channel says so, until it has obeyed for a whole sample.
+    // A velocity above what the timing allows: one channel reports it, until it has obeyed for a
+    // whole sample.
     for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), n ? 0 : 0x7fffffff);
     k.write("stepgen0.steplen", 50);
     k.write("timebase.strobe", 3);
@@ -277,7 +317,7 @@ int main(int argc, char **argv) {
         k.expect("timebase.status", 0);
     }
 
-    // Sampled words of one clock, right when the tallies have been everywhere.
+    // Sampled words of one clock, valid when the tallies have visited all channels.
     auto sample = [&] {
         k.write("timebase.strobe", 2);
         k.run(18);
@@ -296,7 +336,7 @@ int main(int argc, char **argv) {
         CHECK(b, is[0] == enc_index && is[1] == enc_probe && is[2] == step_index && is[3] == step_probe, "flags %x %x %x %x", is[0], is[1], is[2], is[3]);
     };
 
-    // Encoders: a few edges, an index, an edge nobody makes.
+    // Encoders: a few edges, an index, an illegal edge.
     for (unsigned n = 0; n < encoders; n++) {
         static const int gray[4] = {0, 1, 3, 2};
         const unsigned edges = 5 + n;
@@ -346,7 +386,8 @@ int main(int argc, char **argv) {
         arm(0, 0, 0, 0);
         k.write(nth("encoder", n, ".mode"), 0);
     }
-    // The probe: one input for everybody, each with its own arm bit; then the index pins of the step generators.
+    // The probe: one input for all channels, each with its own arm bit; then the index pins of the
+    // step generators.
     for (unsigned round = 0; round < 4; round++) {
         const unsigned input = r.below(ins - 1), low = r.below(2);
         drive(low ? ~0u : 0);
@@ -417,7 +458,8 @@ int main(int argc, char **argv) {
     CHECK(b, second - first == done[1] - done[0], "arrivals %llu clocks apart, expected %llu", (unsigned long long)(second - first), (unsigned long long)(done[1] - done[0]));
     CHECK(b, k.read64("timebase.arrival") == second, "an arrival is forgotten with its frame");
 
-    // The flash's wires: nothing leaves unselected; 32 bits there and back; shorter ones right-aligned.
+    // The flash's wires: no transfer without select; 32 bits there and back; shorter ones
+    // right-aligned.
     auto transfer = [&](uint32_t word, unsigned bits) {
         k.write("flash.length", bits);
         k.write("flash.data", word);
@@ -446,7 +488,7 @@ int main(int argc, char **argv) {
     k.expect("flash.status", 2);
     c.factory = 0;
 
-    // The watchdog's registers, and what STOP leaves behind.
+    // The watchdog's registers, and their values after STOP.
     k.write("watchdog.token", 7);
     k.expect("watchdog.last_token", 7);
     CHECK(b, k.read("watchdog.remaining") > 0xFFFFFF00, "not fed");

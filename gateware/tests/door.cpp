@@ -1,6 +1,7 @@
-// The SDRAM's door under two caches and a CPU that is reset in between: every word read is the one stored last, a line comes in one go,
-// and a store is answered before it is done. Behind it a port as LiteDRAM's: commands in order, when it likes, the word of a store
-// when it likes, those of loads some clocks later.
+// The SDRAM bridge under two caches and a CPU that is reset in between: every word read is the last
+// one stored, a line comes in one burst, and a store is answered before it is done. Behind it there
+// is a port like LiteDRAM's: it takes commands in order, at any time, the word of a store at any
+// time, and gives those of loads some clocks later.
 #include "Vdoor.h"
 #include "bench.h"
 #include <array>
@@ -14,7 +15,7 @@ struct Sdram {
     struct Command { bool we; uint32_t at; };
     std::deque<Command> commands;
     std::deque<std::pair<uint64_t, uint32_t>> loads;  // the clock they come in, the word
-    bool eager = false;  // as fast as LiteDRAM is in an open row
+    bool eager = false;  // as fast as LiteDRAM in an open row
     uint64_t stores = 0, lines = 0;
 
     void before() {  // its outputs for this clock
@@ -25,7 +26,7 @@ struct Sdram {
         c.rdata_valid = !loads.empty() && loads.front().first <= b.clocks;
         c.rdata = c.rdata_valid ? loads.front().second : uint32_t(b.random.next());
     }
-    void after() {  // what was on the pins at this edge; called before it
+    void after() {  // the pins' levels at this edge; called before it
         auto &c = *b.core;
         if (c.rdata_valid) loads.pop_front();
         if (c.wdata_ready) {
@@ -45,14 +46,14 @@ struct Sdram {
 struct Master {
     Bench<Vdoor> &b;
     Sdram sdram{b};
-    std::array<uint32_t, WORDS> words{};   // as the CPU knows them
-    std::array<uint32_t, WORDS> others{};  // and as they may be: a store that was torn
+    std::array<uint32_t, WORDS> words{};   // the CPU's view
+    std::array<uint32_t, WORDS> others{};  // and what they may be after an interrupted store
 
-    bool clock() {  // one; whether there was an ack
+    bool clock() {  // one clock; true if there was an ack
         sdram.before();
         b.settle();
         const bool ack = b.core->ack;
-        CHECK(b, !ack || (b.core->cyc && b.core->stb), "an answer nobody waits for");
+        CHECK(b, !ack || (b.core->cyc && b.core->stb), "an answer without a request");
         seen = b.core->dat_r;
         sdram.after();
         b.edge();
@@ -65,7 +66,7 @@ struct Master {
         b.core->cti = b.random.below(8), b.core->adr = b.random.next() % WORDS, b.core->we = b.random.next() & 1;
         while (clocks--) clock();
     }
-    // Words from `at` on in one burst, or until it is torn. Clocks it took.
+    // Words from `at` on in one burst, or until it is interrupted. Returns the number of clocks.
     unsigned load(unsigned at, unsigned count, bool burst, unsigned patience = 500) {
         auto &c = *b.core;
         const uint64_t begin = b.clocks;
@@ -113,7 +114,8 @@ int main(int argc, char **argv) {
     m.rest(3);
     for (unsigned round = 0; round < 120000; round++) {
         m.sdram.eager = round / 1000 % 2;
-        // A few lines in turn, so that they meet in the door; and the last ones, whose followers begin anew.
+        // A few lines in turn, so that they meet in the bridge; and the last ones, after which the
+        // addresses wrap.
         const unsigned line = r.one_in(8) ? r.below(WORDS / LINE) : r.one_in(9) ? WORDS / LINE - 1 : (round / 50 + r.below(4)) % (WORDS / LINE);
         const unsigned at = line * LINE + r.below(LINE);
         switch (r.below(8)) {
@@ -131,7 +133,7 @@ int main(int argc, char **argv) {
         }
         if (r.one_in(2)) m.rest(r.below(r.one_in(5) ? 60 : 6));
     }
-    // How long it takes, of an SDRAM that is not busy.
+    // The duration with an SDRAM that is not busy.
     m.sdram.eager = true;
     m.rest(100);
     for (unsigned line : {3, 9}) m.load(line * LINE, LINE, true), m.rest(40);

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Writes the bench of the SDRAM's door: `python door_top.py DIR` makes DIR/door.v, the door with its bus and LiteDRAM's port as pins."""
+"""Writes the bench of the SDRAM bridge: `python door_top.py DIR` makes DIR/door.v, the bridge with
+its bus and LiteDRAM's port as pins."""
 
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from ferrocnc.door import Door  # noqa: E402
 
-BITS = 10  # of a word's address: few, so that everything happens to the same words
+BITS = 10  # of a word's address: few, so that all accesses hit the same words
 
 
 class Top(LiteXModule):

@@ -1,4 +1,5 @@
-// What the benches need of the ECP5's primitives. Delays are none: the bench centres its clocks itself.
+// The ECP5 primitives that the benches need. They have no delays: the bench centres its clocks
+// itself.
 `default_nettype none
 module DELAYG #(parameter DEL_MODE = "", DEL_VALUE = 0) (input wire A, output wire Z);
     assign Z = A;

@@ -1,5 +1,6 @@
-// The encoder against a shaft and against pulse trains: every mode, edges as close as the filter allows, glitches one clock too
-// short, lines that change together, an index with mask and polarity, and pins that know nothing of the clock.
+// The encoder with a shaft and with pulse trains: every mode, edges as close as the filter allows,
+// glitches one clock too short, lines that change together, an index with mask and polarity, and
+// pins without a relation to the clock.
 #include "Vencoder.h"
 #include "bench.h"
 
@@ -8,7 +9,7 @@ int main(int argc, char **argv) {
     Random &r = b.random;
     auto &c = *b.core;
     static const int gray[4] = {0, 1, 3, 2};  // bit 0 is A: A leads counts up
-    int64_t total = 0;                        // as the tally keeps it
+    int64_t total = 0;                        // the tally's total
     uint64_t moves = 0, illegal = 0, edges = 0, glitches = 0, indices = 0, lies = 0;
     const unsigned phase = r.below(16);
 
@@ -30,7 +31,7 @@ int main(int argc, char **argv) {
     auto wait = [&](uint64_t n) { while (n--) clock(); };
     auto put = [&](int state) { c.a = state & 1, c.b = state >> 1 & 1; };
 
-    // Power-up with the pins anywhere: a level is not an edge.
+    // Power-up with the pins at any level: a level is not an edge.
     const int rest = r.below(4);
     put(rest);
     c.index = c.mask = 0, c.mode = 0, c.filter = r.one_in(2) ? 0 : r.below(256);
@@ -41,14 +42,14 @@ int main(int argc, char **argv) {
     for (unsigned round = 0; round < 4000; round++) {
         const unsigned mode = r.below(8), filter = r.one_in(3) ? 0 : r.one_in(20) ? 255 : r.below(32), settled = filter + 8;
         const bool index_invert = r.one_in(2), masked = r.one_in(2), mask_invert = r.one_in(2);
-        // The mode changes B as a counter sees it, and a wider filter has to be counted up to.
+        // The mode changes B for a counter, and a wider filter has to be counted up to.
         c.filter = filter, c.mode = mode | index_invert << 4 | masked << 5 | mask_invert << 6 | r.below(2) << 7 | r.below(2) << 3;
         c.index = index_invert, c.mask = !mask_invert;
         wait(300 + settled);
         int64_t expected = count();
         uint64_t wrong = illegal;
 
-        auto model = [&](int to) {  // what a believed change from `state` to `to` counts
+        auto model = [&](int to) {  // the count for an accepted change from `state` to `to`
             const bool a = to & 1, bb = to >> 1, a_was = state & 1, b_was = state >> 1, a_edge = a != a_was, b_edge = bb != b_was;
             if (mode < 3) {
                 if (a_edge && b_edge) return wrong++, 0;
@@ -82,7 +83,7 @@ int main(int argc, char **argv) {
                 wait(settled);
                 const uint64_t before = moves, errors = illegal;
                 const int lines = 1 + r.below(15);
-                // A counter's B may do as it pleases.
+                // A counter's B may have any level.
                 auto flip = [&] { c.a ^= lines & 1, c.b ^= lines >> 1 & 1, c.index ^= lines >> 2 & 1, c.mask ^= lines >> 3 & 1; };
                 flip(), wait(filter + 1), flip();
                 for (unsigned n = 0; n < settled; n++) {
@@ -92,7 +93,7 @@ int main(int argc, char **argv) {
                 CHECK(b, moves == before && illegal == errors, "a glitch of %u clocks counted through a filter of %u", filter + 1, filter);
                 glitches++;
             }
-            if (quadrature && r.one_in(6)) {  // both lines at once: told, not counted
+            if (quadrature && r.one_in(6)) {  // both lines at once: reported, not counted
                 wait(settled);
                 at += 2, go(gray[at & 3]);
                 wait(filter + 2);
@@ -103,7 +104,7 @@ int main(int argc, char **argv) {
         CHECK(b, count() == expected, "mode %u, filter %u: count %lld, expected %lld", mode, filter, (long long)count(), (long long)expected);
         CHECK(b, illegal == wrong, "mode %u: %llu illegal, expected %llu", mode, (unsigned long long)illegal, (unsigned long long)wrong);
 
-        // A counter whose B chatters at every clock.
+        // A counter with a B that changes at every clock.
         if (mode == 3) {
             for (unsigned n = 0; n < 5; n++) {
                 c.a = 0;
@@ -116,7 +117,7 @@ int main(int argc, char **argv) {
             state |= 1;
         }
 
-        // The index, as its polarity and mask say, rises with the count of the edge it came with.
+        // The index, after polarity and mask, rises with the count of the edge it came with.
         CHECK(b, !c.index_level, "an index out of nothing");
         const bool allowed = !masked || r.one_in(2);
         c.mask = masked ? allowed != mask_invert : r.below(2);
@@ -137,7 +138,7 @@ int main(int argc, char **argv) {
             }
         }
         CHECK(b, rose == allowed && c.index_level == allowed, "index level %d, mask %d", c.index_level, allowed);
-        if (masked && allowed) {  // the mask takes it away again
+        if (masked && allowed) {  // the mask hides it again
             c.mask ^= 1;
             wait(settled);
             CHECK(b, !c.index_level, "an index through the mask");
@@ -148,7 +149,8 @@ int main(int argc, char **argv) {
         indices += rose;
     }
 
-    // A shaft that knows nothing of the clock: transitions filter + 3 clocks apart in real time, each pin seen up to a clock late.
+    // A shaft without a relation to the clock: transitions filter + 3 clocks apart in real time,
+    // each pin seen up to a clock late.
     uint64_t free_edges = 0;
     for (unsigned round = 0; round < 300; round++) {
         const unsigned filter = r.one_in(2) ? 0 : r.below(20);
@@ -163,7 +165,7 @@ int main(int argc, char **argv) {
         int direction = 1;
         for (unsigned step = 0; step < 400; step++) {
             if (r.one_in(50)) direction = -direction;
-            const double seen = due + r.below(1000) / 1000.0;  // the flip-flop that wavers
+            const double seen = due + r.below(1000) / 1000.0;  // the metastable flip-flop
             while (double(b.clocks) < seen) clock();
             at += direction, expected += direction, state = gray[at & 3], free_edges++;
             put(state);

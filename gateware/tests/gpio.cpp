@@ -92,8 +92,9 @@ int main(int argc, char **argv) {
         set_limit(7, 0);
         run(64);
     }
-    // E-stop: from the pin to the gate's input in three clocks, with any debounce limit, gate open or not; latched until
-    // cleared, and a clear is not heard while it is held. Other inputs never trip it.
+    // E-stop: from the pin to the gate's input in three clocks, with any debounce limit, gate open
+    // or not; latched until cleared, and a clear is ignored while it is active. Other inputs never
+    // trip it.
     for (unsigned n = 0; n < 32; n++) set_limit(n, 0xFFFF);
     release();
     c.gate = 0;
@@ -118,7 +119,7 @@ int main(int argc, char **argv) {
         CHECK(b, !c.estop_latched, "input %u: does not clear", n);
         trips++;
     }
-    // Anything at any time.
+    // Random actions at any time.
     for (unsigned n = 0; n < 32; n++) set_limit(n, r.one_in(3) ? 0 : r.below(4));
     for (unsigned i = 0; i < 8000000; i++) {
         if (r.one_in(20)) c.in_pins ^= 1u << r.below(32);

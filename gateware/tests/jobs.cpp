@@ -1,6 +1,7 @@
-// Segments and three stepgens, against a ghost that knows no clocks but those of the path: positions to the last bit in every clock,
-// outputs, what is refused and why, underruns, pauses, gates. The ghost believes `advance`; that it comes as often as it should, and
-// never while a pulse waits, is checked beside it.
+// Segments and three stepgens, compared with a model that knows only path clocks: positions to the
+// last bit in every clock, outputs, refusals and their reasons, underruns, pauses, gates. The model
+// takes `advance` as given; a separate check ensures that it comes as often as it should, and never
+// while a pulse waits.
 #include <algorithm>
 #include <array>
 #include <deque>
@@ -45,7 +46,7 @@ struct Checker {
     std::deque<Segment> fifo;
     std::array<Axis, 3> axes;
     Segment now{};
-    uint64_t left = 0;      // path clocks of the present segment to come
+    uint64_t left = 0;      // path clocks left of the current segment
     bool first = true, ghost = false, pulsed[3] = {};
     uint16_t aux = 0;
     int64_t counted[3] = {};
@@ -77,7 +78,8 @@ struct Checker {
         if (plays) {
             since_play++;
             CHECK(b, ghost, "plays unasked");
-            // The last path clock of a segment is also the next one's commit; if there is none it is the last clock of all.
+            // The last path clock of a segment is also the next one's commit; without a next one it
+            // is the last clock of all.
             const bool last = c.advance && (first ? bool(c.commit) : left == 1);
             CHECK(b, c.commit == (last && !breaks && c.commit), "a commit %llu path clocks before its time", (unsigned long long)left);
             if (c.commit) {
@@ -215,14 +217,16 @@ static Segment any_segment(Random &r, const Segment &before, bool last, bool fas
     Segment s{};
     s.clocks = r.one_in(8) ? 64 : 64 + uint32_t(r.up_to_bits(11));
     s.tag = uint16_t(r.next()), s.aux = uint16_t(r.next());
+    const unsigned creeps = r.one_in(20) ? unsigned(r.below(3)) : 3;  // one axis alone, at the lowest velocity there is
     for (unsigned n = 0; n < 3; n++) {
         const int32_t top = fast ? 0x0fffffff : 0x007fffff;
         int32_t v = last || r.one_in(6) ? 0 : r.one_in(4) ? before.velocity[n] : int32_t(r.below(2 * uint64_t(top))) - top;
         if (r.one_in(20)) v = r.one_in(2) ? 1 : -1;
+        if (creeps < 3) v = n == creeps;
         if (last) v = 0;
         s.velocity[n] = v;
         const uint64_t away = uint64_t(std::llabs(int64_t(v) - before.velocity[n]));
-        // What reaches it in time, mostly; sometimes at once, sometimes never.
+        // Segments that usually come in time, sometimes at once, sometimes never.
         s.accel[n] = r.one_in(10) ? 0 : r.one_in(10) ? uint32_t(r.up_to_bits(32)) : uint32_t(std::min<uint64_t>(0xffffffff, ((away << 24) + s.clocks - 3) / (s.clocks - 2)));
     }
     return s;
@@ -237,7 +241,7 @@ static void a_job(Checker &k) {
     c.stop_accel = k.fast || r.one_in(6) ? 0 : 1u << 30 | uint32_t(r.up_to_bits(32));
     c.slew = r.one_in(4) ? 0 : uint32_t(r.up_to_bits(30)) | 1 << 18;
     c.beam = uint16_t(r.next());
-    if (r.one_in(4)) {  // the host has left it moving
+    if (r.one_in(4)) {  // the host left it moving
         c.bus_velocity = uint32_t(r.below(1 << 24)), c.bus_commit = 1;
         k.clocks(2);
         c.bus_commit = 0;
@@ -284,6 +288,13 @@ static void a_job(Checker &k) {
         }
         k.clocks(r.below(400));
         if (r.one_in(150)) k.pulse(c.quit);
+        if (r.one_in(200)) {  // a stop in the very clock that would begin the next segment
+            for (unsigned n = 0; n < 3000 && c.state == PLAY && (k.first || k.left != 1); n++) k.clock();
+            uint8_t &line = r.one_in(3) ? c.quit : c.halt;
+            line = !r.one_in(3), c.gate = line;
+            k.clock();
+            line = 0, c.gate = 1;
+        }
         if (r.one_in(300)) {
             c.halt = 1;
             k.clocks(r.below(500));

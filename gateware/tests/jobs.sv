@@ -1,4 +1,4 @@
-// Segments with three stepgens behind them, wired as in the SoC: staged commands, stop, and the counts.
+// Segments and three stepgens, wired as in the SoC: staged commands, stop, and the counts.
 `default_nettype none
 module jobs #(
     parameter integer AXES = 3

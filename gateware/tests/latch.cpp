@@ -1,4 +1,5 @@
-// The latch against a description of it: arms, edges, both at once, and a tally that takes its 1 to 17 clocks.
+// The latch compared with a description of it: arms, edges, both at once, and a tally that takes 1
+// to 17 clocks.
 #include "Vlatch.h"
 #include "bench.h"
 
@@ -21,7 +22,8 @@ int main(int argc, char **argv) {
         c.arm_index = index.arm, c.arm_probe = probe.arm, c.index = index.level, c.probe = probe.level, c.pending = pending > 0;
         b.settle();
 
-        // An edge is a level that was low while armed and is high now; the clock of the arming itself does not count.
+        // An edge is a level that was low while armed and is high now; an edge in the clock of the
+        // arming does not count.
         const bool index_edge = index.arm && index.seen_low && index.level, probe_edge = probe.arm && probe.seen_low && probe.level;
         const bool free = !index.flag && !probe.flag && !pending;
         const bool capture = free && (index_edge || probe_edge);

@@ -1,4 +1,4 @@
-// The LED: eight patterns, told apart by how often they light up and for how long.
+// The LED: eight patterns that differ in the number and the length of their flashes.
 #include "Vled.h"
 #include "bench.h"
 

@@ -1,4 +1,5 @@
-"""What `netlist.trim` takes out of a netlist changes no output of it: random chains before and after, for random inputs."""
+"""`netlist.trim` changes no output of a netlist: random chains before and after, for random
+inputs."""
 
 import copy
 import itertools
@@ -13,7 +14,7 @@ sys.path.insert(0, str(ROOT / "gateware"))
 
 from ferrocnc import netlist  # noqa: E402
 
-ADDER = 0b1001_0110_1010_1010  # what yosys makes of every $alu
+ADDER = 0b1001_0110_1010_1010  # yosys maps every $alu to this
 
 
 def cell(kind, parameters, inputs, outputs):
@@ -56,7 +57,8 @@ def chain(r):
 
 
 def outputs(module, levels, floating):
-    """Levels of the outputs for these of the inputs; what is not connected has the level `floating`."""
+    """Levels of the outputs for these of the inputs; an unconnected input has the level
+    `floating`."""
     known, waiting = {**levels, "0": 0, "1": 1, "x": floating}, list(module["cells"].values())
     while waiting:
         for c in list(waiting):

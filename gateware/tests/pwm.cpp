@@ -1,4 +1,4 @@
-// The PWM at its pins: whole periods only, whatever is written whenever, in every kind.
+// The PWM at its pins: only whole periods, with any write at any time, in every kind.
 #include "Vpwm.h"
 #include "bench.h"
 
@@ -10,11 +10,12 @@ int main(int argc, char **argv) {
     auto &c = *b.core;
     uint64_t periods = 0, updates = 0;
 
-    // The reference: what waits, what this period is and how far it has come, what it owes.
+    // The reference: the waiting command, the current period with its progress, and the accumulated
+    // fraction.
     uint32_t next_width = 0, width = 0, period = 0, at = 0, owed = 0;
     bool next_dir = false, direction = false, silent = true, extra = false, bit = false;
     unsigned kind = 0;
-    bool pulse_was = false, dir_was = false;  // the pins are one clock behind this
+    bool pulse_was = false, dir_was = false;  // the pins follow one clock later
     unsigned kind_was = 0;
     auto begin_period = [&](bool gate) {
         periods++;
@@ -30,7 +31,7 @@ int main(int argc, char **argv) {
         b.settle();
         const bool gate = c.gate;
         const bool pulse = !silent && (kind == PDM ? bit : period && at < width + extra);
-        // The pins after this edge: of what was one clock ago, through the gate of now.
+        // The pins after this edge: from the state one clock ago, through the current gate.
         const bool up_down = kind_was == UP_DOWN;
         bool plus = gate && pulse_was && !(up_down && dir_was), minus = gate && (up_down ? pulse_was && dir_was : dir_was);
         CHECK(b, !(up_down && plus && minus), "the reference is wrong");
@@ -44,7 +45,7 @@ int main(int argc, char **argv) {
         b.edge();
         CHECK(b, c.out == out && c.dir == dir, "pins %d%d, expected %d%d; clock %u of %u, width %u, kind %u, swap %d, invert %d", c.out, c.dir, out, dir, at, period, width, kind, c.swap, c.invert);
     };
-    auto active = [&](bool backwards) {  // from the pins: where pulses are expected, and as levels before polarity
+    auto active = [&](bool backwards) {  // from the pins: the expected one, before polarity
         const bool on_dir = (c.kind == UP_DOWN && backwards) != c.swap;
         return (on_dir ? c.dir : c.out) != c.invert;
     };
@@ -92,7 +93,8 @@ int main(int argc, char **argv) {
         quiet(3 + r.below(2 * c.period + 1));
         const uint32_t p = c.period;
         if (c.kind != PDM) {
-            // Steady: duty 0 %, 100 %, one clock, a clock around the period, the widest, and anything, all with fractions.
+            // Constant commands: duty 0 %, 100 %, one clock, a clock around the period, the widest,
+            // and random ones, all with fractions.
             const uint32_t widths[] = {0, p, 1, p ? p - 1 : 0, p + 1, 0x1FFFFF, uint32_t(r.below(p + 1))};
             const uint32_t w = widths[r.below(7)], f = r.one_in(3) ? 0 : r.below(256);
             command(w << 8 | f);
@@ -118,7 +120,7 @@ int main(int argc, char **argv) {
             command(d << 8 | r.below(256));
             measure(step, 65536, false, uint64_t(d) * step, -1);
         }
-        // Wild: widths, periods, kinds, directions, enables and the gate at any moment.
+        // Random commands: widths, periods, kinds, directions, enables and the gate at any time.
         for (unsigned i = 0; i < 2000; i++) {
             c.commit = r.one_in(9);
             if (c.commit) {

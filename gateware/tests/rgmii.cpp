@@ -1,4 +1,5 @@
-// The board's PHY at its pins, LiteEth's MAC behind it: frames both ways at 1000, 100 and 10 Mbit/s, the speed changing in mid-run.
+// The board's PHY at its pins, with LiteEth's MAC: frames both ways at 1000, 100 and 10 Mbit/s, the
+// speed changing during the run.
 #include "Vrgmii.h"
 #include "bench.h"
 #include <deque>
@@ -15,7 +16,7 @@ static uint32_t crc32(const Frame &frame) {
     return ~crc;
 }
 
-struct Cycle {  // of RXC or TXC: what is on the wires at its two edges
+struct Cycle {  // of RXC or TXC: the wires' levels at its two edges
     uint8_t rise, fall, ctl_rise, ctl_fall;
 };
 
@@ -27,8 +28,8 @@ struct Link {
     unsigned speed = 2;  // as in-band: 0, 1, 2 are 10, 100, 1000
     bool up = true, running = true;
     std::deque<Cycle> cycles;    // towards the FPGA
-    std::deque<std::pair<Frame, bool>> expected;  // what the MAC has to give; true: if it is not lost
-    std::deque<Frame> sending;   // what the MAC was given
+    std::deque<std::pair<Frame, bool>> expected;  // the frames the MAC has to give; true: unless it is lost
+    std::deque<Frame> sending;   // the frames given to the MAC
     uint64_t received = 0, broken = 0, sent = 0, overtaken = 0;
     uint64_t ps = 0, next_sys = 8333, next_quarter = 1000, quarter = 0;
     // the core's side
@@ -39,6 +40,7 @@ struct Link {
     Cycle out{};
     std::vector<Cycle> wire;
     uint64_t silence = 1000;
+    uint64_t beats = 0, rx_clocks = 0;  // what the core is told of RXC, and RXC
     bool torn = false;  // the speed has changed during this frame, or before it was all out
 
     Link(Bench<Vrgmii> &b) : b(b), r(b.random) {}
@@ -59,7 +61,8 @@ struct Link {
         for (auto &byte : frame) byte = r.one_in(4) ? r.one_in(2) ? 0x55 : 0xd5 : r.next();
         return frame;
     }
-    // A frame onto the wire towards the FPGA, and its gap. `unsure`: it may be lost, but not be given wrong.
+    // Puts a frame and its gap on the wire towards the FPGA. `unsure`: it may be lost, but must not
+    // be delivered damaged.
     void push(Flaw flaw, size_t longest, bool unsure = false) {
         const Frame frame = random_frame(longest);
         uint32_t fcs = crc32(frame);
@@ -69,7 +72,7 @@ struct Link {
         const size_t hit = flaw == RX_ER ? r.below(all.size()) : ~0ull;
         if (flaw == CUT) all.resize(2 + r.below(all.size() - 2));  // LiteEth runs a frame of one byte together with the next one
         unsigned preamble = 7;
-        if (flaw == FEW_PREAMBLE) {  // nibbles where there are any
+        if (flaw == FEW_PREAMBLE) {  // nibbles at the lower speeds
             preamble = r.below(7);
             if (speed != 2) {
                 for (unsigned n = 1 + r.below(13); n--;) nibble(5, false);
@@ -94,8 +97,9 @@ struct Link {
 
     void core_edge() {
         auto &c = *b.core;
-        // What is there before the edge is what the edge takes.
+        // The edge samples the levels before it.
         const bool taken = c.to_valid && c.to_ready;
+        beats += c.beat;
         if (c.from_valid) {
             for (int n = 0; n < 4; n++) {
                 incoming.push_back(c.from_word >> 8 * n);
@@ -125,12 +129,12 @@ struct Link {
         }
         b.settle();
     }
-    std::deque<Frame> on_wire;  // given to the MAC, not yet seen outside
+    std::deque<Frame> on_wire;  // given to the MAC, not yet seen on the wire
     bool sending_allowed = true;
 
     void deliver() {
         while (!expected.empty() && expected.front().first != incoming && expected.front().second) expected.pop_front();
-        CHECK(b, !expected.empty() && expected.front().first == incoming, "a frame of %zu bytes nobody has sent, or too early; %zu waited for", incoming.size(), expected.size());
+        CHECK(b, !expected.empty() && expected.front().first == incoming, "a frame of %zu bytes that was not sent, or too early; %zu waited for", incoming.size(), expected.size());
         expected.pop_front();
         received++;
     }
@@ -154,14 +158,15 @@ struct Link {
     }
     unsigned frame_speed = 2;
     void judge() {
-        CHECK(b, !on_wire.empty(), "a frame nobody has sent leaves");
+        CHECK(b, !on_wire.empty(), "a frame leaves that was not sent");
         Frame want = on_wire.front();
         on_wire.pop_front();
         while (want.size() < 60) want.push_back(0);
         const uint32_t fcs = crc32(want);
         for (int i = 0; i < 4; i++) want.push_back(fcs >> 8 * i);
         Frame got;
-        // Caught by a change of speed, it may have begun at either; it has to end as it began.
+        // If the speed changed, the frame may have begun at either speed; it has to end as it
+        // began.
         if (torn && wire.size() != want.size() + 8) frame_speed = 0;
         else if (torn) frame_speed = 2;
         if (torn) torn = false, overtaken++;
@@ -190,7 +195,7 @@ struct Link {
             if (cycles.empty()) idle(1);
             c.rx_data = cycles.front().rise, c.rx_ctl = cycles.front().ctl_rise;
             break;
-        case 1: c.rx_clk = 1; break;
+        case 1: c.rx_clk = 1, rx_clocks++; break;
         case 2:
             CHECK(b, c.tx_clk, "TXC is not RXC");
             out.rise = c.tx_data, out.ctl_rise = c.tx_ctl;
@@ -216,7 +221,8 @@ struct Link {
         const uint64_t end = ps + nanoseconds * 1000;
         while (ps < end) step();
     }
-    // Until everything that was to come has come. 8 ms beyond what is still to be put on the wire, which alone can take that long.
+    // Until all expected frames have come: 8 ms after the last one is on the wire, which alone can
+    // take that long.
     void drain(const char *what) {
         const uint64_t end = ps + cycles.size() * period() + 8000 * 1000000ull;
         while (!cycles.empty() || !sending.empty() || !on_wire.empty() || !wire.empty()) {
@@ -238,7 +244,7 @@ int main(int argc, char **argv) {
     b.settle();
     Link link(b);
 
-    // A PHY that tells nothing in-band works at 1000.
+    // A PHY without in-band status works at 1000.
     link.up = false, link.speed = 2;
     auto silent = [&] { for (auto &cycle : link.cycles) if (!cycle.ctl_rise) cycle.rise = cycle.fall = 0; };
     for (int n = 0; n < 20; n++) link.push(GOOD, 300), link.send(300);
@@ -247,14 +253,14 @@ int main(int argc, char **argv) {
     CHECK(b, (c.status & 1) == 0, "a link that was never up");
     link.up = true;
 
-    // Every speed, from every other: all good frames both ways, no broken one.
+    // Every change of speed: all good frames pass both ways, and no damaged one.
     static const unsigned order[] = {2, 1, 0, 2, 0, 1, 2};
     for (unsigned speed : order) {
         link.speed = speed;
         link.idle(40);
         link.drain("a change of speed");
         CHECK(b, c.status == (1 | speed << 1 | 8), "status %x at speed %u", c.status, speed);
-        const uint64_t dropped = link.dropped(), broken = link.broken;
+        const uint64_t dropped = link.dropped(), broken = link.broken, beats = link.beats, rx_clocks = link.rx_clocks;
         const size_t longest = speed == 0 ? 200 : 1514;
         for (int n = 0; n < (speed == 0 ? 60 : 300); n++) {
             link.push(Flaw(r.one_in(3) ? r.below(FLAWS) : GOOD), r.one_in(4) ? longest : 90);
@@ -262,16 +268,20 @@ int main(int argc, char **argv) {
         }
         link.drain(speed == 2 ? "1000 Mbit/s" : speed == 1 ? "100 Mbit/s" : "10 Mbit/s");
         CHECK(b, link.dropped() - dropped == link.broken - broken, "%llu broken frames, %llu counted", (unsigned long long)(link.broken - broken), (unsigned long long)(link.dropped() - dropped));
+        // A beat is 4 clocks of RXC, at every speed; one is on its way at either end.
+        const int64_t counted = 4 * int64_t(link.beats - beats), made = int64_t(link.rx_clocks - rx_clocks);
+        CHECK(b, made > 1000 && std::abs(counted - made) <= 8, "%lld clocks of RXC, %lld told in beats", (long long)made, (long long)counted);
     }
 
-    // The speed changes in mid-frame, again and again, both ways busy. What was whole before it and what comes once the new speed
-    // has been told must come; what lies between may be lost; nothing wrong is given.
+    // The speed changes in the middle of frames, again and again, with traffic both ways. Frames
+    // that were complete before the change and frames after the new speed was reported must arrive;
+    // those in between may be lost; no wrong frame is delivered.
     for (int round = 0; round < 300; round++) {
         for (unsigned n = r.below(3); n--;) link.push(GOOD, 120);
         if (r.one_in(2)) link.send(200);
         const size_t left = link.cycles.size();
         link.push(GOOD, 300, true);
-        // Somewhere in that frame, or behind it, the PHY changes its clock and goes on with whatever it says then.
+        // In that frame, or after it, the PHY changes its clock and continues with its next data.
         link.cycles.resize(left + r.below(link.cycles.size() - left));
         while (!link.cycles.empty()) link.step();
         link.torn = !link.wire.empty() || !link.on_wire.empty() || !link.sending.empty();
@@ -279,7 +289,7 @@ int main(int argc, char **argv) {
         do link.speed = r.below(3);
         while (link.speed == was);
         link.quarter = 0, c.rx_clk = 0, b.settle();
-        if (r.one_in(2)) {  // a frame, or the rest of one, before a word about the speed
+        if (r.one_in(2)) {  // a frame, or the rest of one, before the new speed is reported
             link.push(GOOD, 120, true);
             if (r.one_in(2))
                 for (size_t n = r.below(60); n--;) link.cycles.pop_front();
@@ -289,12 +299,12 @@ int main(int argc, char **argv) {
         link.drain("after a change of speed");
         link.torn = false;
         CHECK(b, c.status == (1 | link.speed << 1 | 8), "status %x at speed %u", c.status, link.speed);
-        // The first one may be lost: LiteEth runs what looked like a frame of one byte together with it.
+        // The first one may be lost: LiteEth joins it with what looked like a frame of one byte.
         for (int n = 0; n < 3; n++) link.push(GOOD, 120, n == 0), link.send(120);
         link.drain("at the new speed");
     }
 
-    // A PHY without a clock has no link, whatever it said last; it comes back with its clock.
+    // A PHY without a clock has no link, whatever its last status; the link returns with the clock.
     link.running = false;
     link.run(6000);
     CHECK(b, c.status == 0, "status %x without a clock", c.status);
@@ -302,7 +312,7 @@ int main(int argc, char **argv) {
     link.idle(40);
     link.drain("a clock that was gone");
     CHECK(b, c.status == (1 | link.speed << 1 | 8), "status %x", c.status);
-    // A link that goes down says so, and the speed stays what it was.
+    // A link that goes down is reported, and the speed stays the same.
     link.up = false;
     link.idle(40);
     link.drain("link down");

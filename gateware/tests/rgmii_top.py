@@ -35,7 +35,7 @@ class Top(LiteXModule):
             "rx_ctl": pads.rx_ctl, "rx_data": pads.rx_data, "tx_ctl": pads.tx_ctl, "tx_data": pads.tx_data,
             "to_valid": mac.sink.valid, "to_ready": mac.sink.ready, "to_last": mac.sink.last, "to_last_be": mac.sink.last_be, "to_word": mac.sink.data,
             "from_valid": mac.source.valid, "from_last": mac.source.last, "from_last_be": mac.source.last_be, "from_word": mac.source.data,
-            "from_error": error, "status": phy.link,
+            "from_error": error, "status": phy.link, "beat": phy.beat,
             "preamble_errors": mac.rx_datapath.preamble_errors.status, "crc_errors": mac.rx_datapath.crc_errors.status,
         }
 

@@ -1,5 +1,6 @@
-"""What our router makes of a small design on the real chip: nextpnr takes every route, has next to nothing left to do, and says the same of
-the clock. Twice the same, byte for byte; and what is not a route, such as the kind of a pin, is as without our router."""
+"""Our router's result for a small design on the real chip: nextpnr accepts every route, has almost
+nothing left to do, and reports the same clock. Two runs give the same bytes; and everything but the
+routes, such as the kind of a pin, is as without our router."""
 
 import json
 import re

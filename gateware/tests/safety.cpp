@@ -74,7 +74,7 @@ int main(int argc, char **argv) {
     c.rst = c.token_we = c.arm = c.soft_stop = c.shut = c.clear = c.commit = c.kind = 0, c.pin = 1, c.estop_pins = RELEASED;
     c.timeout = 200, c.grace = 100, c.steplen = 2, c.out_safe = 0xA5, c.out_value = 0x5A, c.stop_accel = 0;
 
-    // Powered, nobody home: asleep, no bite, and not to be armed while the pin is high.
+    // Powered, without a host: asleep, no bite, and arming refused while the pin is high.
     k.run(1000);
     k.expect(!c.gate && !c.bitten && c.reset_latched, "power-up with the reset pin high");
     k.closed_by(NEVER);
@@ -88,7 +88,7 @@ int main(int argc, char **argv) {
     k.run(2);
     k.expect(c.reset_latched, "cleared while the pin was high");
     k.recover();
-    // An e-stop input that is active at power-up is an e-stop, and clearing it is no way around it.
+    // An e-stop input that is active at power-up is an e-stop, and a clear does not help.
     for (uint32_t pins : {RELEASED ^ 1, RELEASED ^ 2}) {
         c.estop_pins = pins;
         k.run(6);
@@ -113,13 +113,13 @@ int main(int argc, char **argv) {
         k.command(int32_t(r.next()), r.one_in(2) ? 0 : 0xFFFFFFFF);
         const uint32_t bites = c.bites;
 
-        for (unsigned n = 0; n < 4; n++) {  // fed in time it lives, whatever the margin
+        for (unsigned n = 0; n < 4; n++) {  // fed in time it does not bite, with any margin
             k.run(r.below(c.timeout));
             k.feed(++k.token);
             k.expect(c.gate && c.remaining == c.timeout, "a fed watchdog does not start again");
         }
         switch (r.below(8)) {
-        case 0: {  // silence, or the same token again and again: the bite comes exactly timeout clocks after the last new one
+        case 0: {  // silence, or a repeated token: the bite comes exactly timeout clocks after the last new one
             const bool repeat = r.one_in(2);
             uint64_t clocks = 0;
             for (; !c.bitten; clocks++) {
@@ -177,7 +177,7 @@ int main(int argc, char **argv) {
             k.worst_reset = clocks > k.worst_reset ? clocks : k.worst_reset, k.worst_pins = pins > k.worst_pins ? pins : k.worst_pins;
             if (r.one_in(2)) c.estop_pins = RELEASED;
             k.run(6);
-            if (r.one_in(2)) k.pulse(c.rst), k.run(2);  // a reset of the system forgets no e-stop
+            if (r.one_in(2)) k.pulse(c.rst), k.run(2);  // a reset of the system does not clear an e-stop
             k.expect(!k.arm() && c.estop_latched && c.estop_inputs == which && !c.bitten, "armed after an e-stop");
             k.closed_by(E_STOP);
             k.estops++;

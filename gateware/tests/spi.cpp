@@ -1,4 +1,5 @@
-// The flash's wires under a CPU that does everything at the wrong time, against a flash that answers as late as it may.
+// The flash's wires under a CPU that writes at the wrong time, with a flash that answers as late as
+// allowed.
 #include "Vspi.h"
 #include "bench.h"
 
@@ -27,7 +28,7 @@ int main(int argc, char **argv) {
             CHECK(b, rises == length, "%u of %u bits, and a new transfer", rises, length);
             length = c.length ? c.length : 32, rises = 0, wanted = c.data, got = answer = 0, transfers++;
         }
-        // The flash: for two clocks after the fall MISO is anything.
+        // The flash: for two clocks after the fall MISO is undefined.
         c.miso = low < 3 && !c.sck ? r.next() & 1 : miso;
         b.edge();
 

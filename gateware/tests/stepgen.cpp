@@ -1,9 +1,10 @@
 // The stepgen at its pins, in its three kinds: the timings, one pulse per step of position, the ramp to the last bit.
 //
-// Two watchers stand beside the core. The drive sees the pins only, decodes the pulses as a motor's drive does and keeps
-// its own clocks. The ghost says when a pulse may start at the earliest, and expects it then: the core may be neither
-// hasty nor slow. It knows the ramp only as `velocity += clamp(target - velocity, -accel, +accel)`. The bench plays the
-// tally: it comes by every 16 clocks, or sooner, and adds `delta` up.
+// Two models observe the core. The drive model sees only the pins, decodes the pulses like a
+// motor's drive and has its own clocks. The reference model computes when a pulse may start at the
+// earliest, and expects it then: the core may be neither early nor late. It knows the ramp only as
+// `velocity += clamp(target - velocity, -accel, +accel)`. The bench acts as the tally: it visits
+// every 16 clocks, or sooner, and adds `delta` up.
 #include <algorithm>
 
 #include "Vstepgen.h"
@@ -18,7 +19,7 @@ struct Settings {
     unsigned kind = 0;
 };
 
-// What a drive sees. `one` and `two` are the pins without their inversion.
+// The drive's view. `one` and `two` are the pins without their inversion.
 struct Drive {
     B &b;
     bool one = false, two = false;
@@ -30,7 +31,7 @@ struct Drive {
 
     explicit Drive(B &b) : b(b) {}
 
-    // The drive is off while settings change: it forgets levels, and what it waited for is long ago.
+    // The drive is off while settings change: it discards levels, and its times are over.
     void reset(bool one_, bool two_) {
         one = one_, two = two_;
         low = since_dir = since_edge = LONG_AGO;
@@ -112,9 +113,9 @@ struct Checker {
     int64_t target = 0;
     uint32_t limit = 0;
     bool halted = true, fresh = false, braking = true;
-    unsigned standing = 0;  // of 16 clocks, how many path time stands in
+    unsigned standing = 0;  // in how many of 16 clocks path time stands
     uint64_t stood = 0;
-    // The ghost.
+    // The reference model.
     bool pulse = false, reverse = false, a = false, bb = false;
     uint64_t high = 0, low = LONG_AGO, since_dir = LONG_AGO;
     int64_t position = 1ll << 31;
@@ -172,7 +173,7 @@ struct Checker {
         else if (take) target = c.enable ? int32_t(c.velocity) : 0, limit = c.enable ? c.accel : s.stop_accel;
         velocity = velocity_next;
 
-        // The ghost.
+        // The reference model.
         const bool start = gate && due && allowed && advance;
         const bool end = pulse && (high >= steplen || (!gate && s.kind != 2));
         if (start) (a == bb) != reverse ? a = !a : bb = !bb;
@@ -189,7 +190,7 @@ struct Checker {
         const bool two_due = s.kind == 2 ? bb : s.kind == 1 ? pulse && reverse : reverse;
         CHECK(b, one == one_due && two == two_due, "kind %u: STEP %d DIR %d, promptly would be %d %d", s.kind, one, two, one_due, two_due);
 
-        // Position: what the drive counted, and in between exactly the sum of the velocities.
+        // Position: the drive's count, and in between exactly the sum of the velocities.
         const int32_t pulses = int32_t(uint32_t(total) + uint32_t(delta(c)));
         const int64_t now = int64_t(uint64_t(uint32_t(pulses)) << 32 | c.fraction);
         CHECK(b, pulses == int32_t(drive.counted), "position says %d pulses, the pins had %lld", pulses, (long long)drive.counted);
@@ -263,7 +264,7 @@ static void random_rounds(Checker &k, uint64_t wanted) {
     auto &c = *k.b.core;
     for (unsigned round = 0; k.drive.pulses < wanted || round < 400; round++) {
         k.reconfigure(any_settings(r, round));
-        k.standing = r.one_in(3) ? r.below(17) : 0;  // path time that never passes, too
+        k.standing = r.one_in(3) ? r.below(17) : 0;  // includes path time that never passes
         const unsigned style = r.below(4);
         const uint64_t commits = 20 + r.below(60);
         for (uint64_t n = 0; n < commits; n++) {
@@ -275,7 +276,7 @@ static void random_rounds(Checker &k, uint64_t wanted) {
             case 1:  // full rate and back, with and without a ramp
                 k.commit(n & 1 ? fast_velocity(r) : -fast_velocity(r), r.one_in(2) ? 0 : 0xFFFFFFFF >> r.below(8), enable);
                 break;
-            case 2:  // hard on the pulse engine, one way
+            case 2:  // fast pulses in one direction
                 k.commit(fast_velocity(r), 0, enable);
                 break;
             default:  // around zero, slow ramps
@@ -338,7 +339,8 @@ static void a_megahertz(Checker &k) {
     }
 }
 
-// enable = 0 reaches the core: it comes to rest, and no time and no stop and no gate wakes it, only a commit with enable.
+// enable = 0 reaches the core: it comes to rest, and neither time nor a stop nor a gate starts it
+// again, only a commit with enable.
 static void enable_reaches_the_core(Checker &k) {
     auto &c = *k.b.core;
     for (unsigned kind = 0; kind < 3; kind++) {

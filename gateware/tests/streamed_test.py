@@ -1,4 +1,5 @@
-"""A board whose jobs a PC streams, as it is elaborated for simulation: the segments core, and nothing of the SDRAM."""
+"""A board for jobs that a PC streams, as it is elaborated for simulation: with the segments core,
+and without the SDRAM."""
 
 import re
 import sys
@@ -12,7 +13,7 @@ from ferrocnc import board, sim  # noqa: E402
 
 
 def instances(text, folder):
-    """Names of the cores in it, the name of every signal, and the files it takes."""
+    """The names of the cores in it, the name of every signal, and the files it uses."""
     (Path(folder) / "platforms").symlink_to(ROOT / "boards" / "platforms")
     path = Path(folder) / "plotter.toml"
     path.write_text(text, encoding="utf-8")

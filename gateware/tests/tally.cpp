@@ -1,5 +1,6 @@
-// The shared counts against a 64-bit position per channel: strobes, captures and clears at any clock, channels as fast as they get.
-// Every channel starts at 0 and walks both ways, so every bit of a total turns over at once again and again.
+// The shared counts compared with a 64-bit position per channel: strobes, captures and clears at
+// any clock, channels at full speed. Every channel starts at 0 and moves both ways, so that all
+// bits of a total change at once again and again.
 #include "Vtally.h"
 #include "bench.h"
 #include <array>
@@ -8,7 +9,7 @@ int main(int argc, char **argv) {
     Bench<Vtally> b("tally", argc, argv);
     Random &r = b.random;
     auto &c = *b.core;
-    static const int N = 16, LATE = 18;  // clocks until a sample or a latched word is right
+    static const int N = 16, LATE = 18;  // clocks until a sample or a latched word is valid
     int64_t position[N] = {}, sampled[N] = {}, latched[N] = {};
     int delta[N] = {}, bias[N], rest[N] = {};
     unsigned since_sample = LATE, quiet[N], speed = 2;

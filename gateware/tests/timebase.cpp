@@ -1,4 +1,5 @@
-// The timebase: a commit at exactly its clock, at once when late, once when asked once, never when replaced.
+// The timebase: a commit at exactly its clock, at once when late, once per request, never when
+// replaced.
 #include "Vtimebase.h"
 #include "bench.h"
 
@@ -34,18 +35,18 @@ int main(int argc, char **argv) {
         }
         CHECK(b, fired == 1, "asked for %lld, fires %u times", (long long)offset, fired);
     }
-    // The ends of the numbers: 2^64 - 1 does not come, nothing above bit 31 is overlooked, 0 and 1 are past.
+    // The ends of the numbers: 2^64 - 1 does not come, bits above bit 31 count, 0 and 1 are past.
     for (uint64_t at : {~0ull, 1ull << 63, 1ull << 32}) {
         ask(at);
         for (unsigned i = 0; i < 1000; i++, edge()) CHECK(b, !c.commit && c.pending, "%llx is past", (unsigned long long)at);
     }
-    for (uint64_t at : {0ull, 1ull}) {  // and the one before, which never came, is replaced
+    for (uint64_t at : {0ull, 1ull}) {  // and the request before, which never came, is replaced
         ask(at);
         CHECK(b, c.commit, "%llx is not past", (unsigned long long)at);
         edge();
         CHECK(b, !c.commit && !c.pending, "fires twice");
     }
-    // Replaced in the very clock it was due: the new one counts, and neither fires twice.
+    // Replaced in the clock it was due: the new one counts, and neither commits twice.
     ask(now + 12);
     for (; now != c.commit_at; edge()) CHECK(b, !c.commit, "early");
     c.commit_timed = 1;

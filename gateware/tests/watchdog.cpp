@@ -1,4 +1,5 @@
-// The watchdog and its gate: every way to close, every way to stay closed, and the right reason for each.
+// The watchdog and its gate: every way to close, every way to stay closed, and the right reason for
+// each.
 #include "Vwatchdog.h"
 #include "bench.h"
 
@@ -9,7 +10,7 @@ int main(int argc, char **argv) {
     Random &r = b.random;
     auto &c = *b.core;
 
-    // The reference, told as a story rather than as equations.
+    // The reference, as a sequence of events rather than as equations.
     enum { CLOSED, AWAKE, STOPPING } state = CLOSED;
     bool bitten = false, reset_latched = false, estop_latched = false;
     uint32_t left = 0, last_token = 0, bites = 0, closes[7] = {};
@@ -57,7 +58,8 @@ int main(int argc, char **argv) {
     run(10);
     CHECK(b, c.last_close == NEVER && !open(), "power-up");
 
-    // An e-stop while disarmed: latched, no way to arm over it, no reason changes because no gate closed.
+    // An e-stop while disarmed: latched, prevents arming, and changes no reason because no gate
+    // closed.
     pulse(c.estop);
     pulse(c.arm);
     CHECK(b, !open() && c.estop_latched && c.last_close == NEVER, "armed over an e-stop");
@@ -71,7 +73,8 @@ int main(int argc, char **argv) {
     pulse(c.arm);
     CHECK(b, open(), "does not arm");
 
-    // Each way to close, from the outside: what closed it, and that a system reset later does not change the story.
+    // Each way to close, from the outside: its reason, and that a later system reset does not
+    // change it.
     for (unsigned round = 0; round < 3000; round++) {
         const unsigned how = 1 + r.below(6);
         pulse(c.shut);
@@ -124,7 +127,7 @@ int main(int argc, char **argv) {
         run(r.below(5));
         CHECK(b, !open() && c.last_close == how, "a system reset changed the story to %d", c.last_close);
     }
-    // Anything at any time.
+    // Random actions at any time.
     for (unsigned i = 0; i < 8000000; i++) {
         c.arm = r.one_in(8), c.clear = r.one_in(12), c.soft_stop = r.one_in(150), c.shut = r.one_in(250), c.rst = r.one_in(400);
         c.ext_reset = r.one_in(300), c.estop = r.one_in(300), c.all_stopped = r.one_in(20);

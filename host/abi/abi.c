@@ -1,6 +1,6 @@
 /* Holds host/src/hal/ffi.rs and host/src/hal/mod.rs against the real headers. Compiling is the test:
  *   gcc -Wall -Werror -I/usr/include/linuxcnc -c host/abi/abi.c -o /dev/null
- * Needs Debian's linuxcnc-uspace-dev; whoever does not have it skips this. */
+ * Needs Debian's linuxcnc-uspace-dev; without the package the check is skipped. */
 #define RTAPI 1
 #include <rtapi.h>
 #include <hal.h>

@@ -1,5 +1,6 @@
-//! A board without a board: the test suite's fake behind a real UDP port, for trying LinuxCNC and the
-//! tool. `cargo run -p ferrocnc --example fake_board -- [ADDRESS:PORT] [lockstep PERIOD_US] [index COUNTS]`
+//! The test suite's fake board behind a real UDP port, to try LinuxCNC and the tool without
+//! hardware. `cargo run -p ferrocnc --example fake_board -- [ADDRESS:PORT] [lockstep PERIOD_US]
+//! [index COUNTS]`
 #![allow(missing_docs)]
 
 #[path = "../tests/common/mod.rs"]

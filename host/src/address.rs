@@ -1,4 +1,4 @@
-//! Where boards are: the text behind `boards=` and the tool's `ADDR`.
+//! Addresses of boards: the text after `boards=` and the tool's `ADDR`.
 
 use std::net::{SocketAddr, SocketAddrV4, ToSocketAddrs};
 

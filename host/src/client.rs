@@ -1,15 +1,16 @@
-//! Talking to a board outside the servo thread: ordinary blocking requests with retries.
+//! Requests to a board outside the servo thread: blocking, with retries.
 //!
-//! `loadrt` gets to know a board and takes its session through here, the tool reads through here.
+//! `loadrt` uses this module to identify a board and to take its session; the tool uses it to read.
 //! Every request carries a tag that comes back with the words read, so a late answer to an earlier
-//! try is never taken for the present one. A datagram that writes and reads is executed whole or not
-//! at all, so an answer to its reads is the receipt for its writes.
+//! try is never taken for the present one. A datagram that writes and reads is executed whole or
+//! not at all, so an answer to its reads is the receipt for its writes.
 
 use crate::address::Address;
 use crate::keys::{Key, KeyError, Keys};
 use std::io;
 use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
 use std::ops::RangeInclusive;
+use std::path::Path;
 use std::time::{Duration, Instant};
 use wire::board::{Blob, BlobError};
 use wire::describe::{self, Describe, DescribeError};
@@ -22,7 +23,7 @@ const TRY: Duration = Duration::from_millis(200);
 /// How long to go on trying. A board needs well under a second from power-up to its first answer; a
 /// simulated one may take a few.
 pub const PATIENCE: Duration = Duration::from_secs(4);
-/// Words read per request: as many as a board answers whoever asks, and whatever it does.
+/// Words read per request: as many as a board answers any client in any state.
 const CHUNK: usize = wire::GUEST_READS;
 
 /// Why a request failed; it says what to do.
@@ -32,31 +33,31 @@ pub enum ClientError {
     Socket(Address, io::Error),
     /// No answer.
     Silent {
-        /// Whose.
+        /// The board.
         address: Address,
         /// How long.
         waited: Duration,
         /// What the network said meanwhile, if anything.
         hint: Option<io::Error>,
     },
-    /// It is no board of ours, or of another version.
+    /// It is not a FerroCNC board, or has another version.
     Describe(Address, DescribeError),
     /// Its board information is unreadable.
     Blob(Address, BlobError),
     /// Gateware and firmware disagree.
     Abi {
-        /// Whose.
+        /// The board.
         address: Address,
         /// The number the firmware was built for.
         firmware: u32,
         /// The number the gateware was built from.
         gateware: u32,
     },
-    /// Somebody else drives it.
+    /// Another host drives it.
     Owned {
         /// Which board.
         address: Address,
-        /// By whom.
+        /// The owner of its session.
         owner: Owner,
     },
     /// It answers, but will not give its session.
@@ -114,8 +115,8 @@ impl core::fmt::Display for ClientError {
 
 impl std::error::Error for ClientError {}
 
-/// Who drives a board, and who asks: a LinuxCNC that hangs on this computer is looked for in another place than one across the
-/// room.
+/// The owner of a board's session, and the address that asks. If both are the same computer, the
+/// message says so, because the operator then looks for a hung LinuxCNC on this computer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Owner(pub SocketAddrV4, pub Option<SocketAddrV4>);
 
@@ -146,8 +147,8 @@ impl Identity {
         Ok(Identity { describe, blob })
     }
 
-    /// What the board file says of a channel's pins: the value of `step=`, `dir=`, `type=`, `estop=`. `class` is
-    /// the first letter of the entry.
+    /// What the board file says of a channel's pins: the value of `step=`, `dir=`, `type=`,
+    /// `estop=`. `class` is the first letter of the entry.
     pub fn pin(&self, class: u8, channel: usize, key: &str) -> Option<&str> {
         self.blob().entries().find_map(|entry| {
             let (first, text) = entry.value.split_first()?;
@@ -165,8 +166,8 @@ impl Identity {
         self.pin(class, channel, key).is_some()
     }
 
-    /// How the board file has this stepgen speak; what it does not say, or in words of a later version, is
-    /// step/dir.
+    /// How the board file has this stepgen speak; what it does not say, or in words of a later
+    /// version, is step/dir.
     pub fn step_type(&self, stepgen: usize) -> StepType {
         match self.pin(b's', stepgen, "type") {
             Some("up_down") => StepType::UpDown,
@@ -214,7 +215,7 @@ impl Client {
         let socket = socket.map_err(|error| ClientError::Socket(address.clone(), error))?;
         Ok(Client {
             address: address.clone(),
-            // Any start will do; it only has to differ between programs following each other.
+            // Any start works if it differs from that of the program before.
             tag: nonce(),
             socket,
             patience: PATIENCE,
@@ -231,7 +232,7 @@ impl Client {
         self
     }
 
-    /// The same, and asks again this often: for who cannot wait until a lost packet is felt.
+    /// The same, and asks again this often: for a caller that needs a lost packet repeated sooner.
     #[must_use]
     pub fn hurried(mut self, every: Duration, patience: Duration) -> Self {
         (self.every, self.patience) = (every, patience);
@@ -259,7 +260,7 @@ impl Client {
         Ok((features & describe::FEATURE_KEY != 0, [hi, lo]))
     }
 
-    /// Who is asked.
+    /// The board's address.
     pub fn address(&self) -> &Address {
         &self.address
     }
@@ -332,19 +333,38 @@ impl Client {
         Ok(())
     }
 
-    /// Takes the session; its token and the sequence number the board has seen last.
+    /// Takes the session; its token and the sequence number the board has seen last. With a key,
+    /// every one the board may have is tried in turn.
     pub fn acquire(&mut self) -> Result<Session, ClientError> {
+        let (locked, uid) = self.locked()?;
+        self.key = None;
+        if !locked {
+            return self.acquire_as(None);
+        }
+        let found = self.keys.find(uid).map_err(|error| self.no_key(error))?;
+        for (key, path) in &found {
+            match self.acquire_as(Some((*key, path))) {
+                Err(ClientError::Key(_, KeyError::Wrong(_))) => {}
+                Ok(session) => {
+                    self.keys.accepted(uid, path);
+                    return Ok(session);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        let tried = found.into_iter().map(|(_, path)| path).collect();
+        Err(self.no_key(KeyError::Wrong(tried)))
+    }
+
+    /// The same with this key, or without any.
+    fn acquire_as(&mut self, with: Option<(Key, &Path)>) -> Result<Session, ClientError> {
         let before = Instant::now();
-        let found = match self.locked()? {
-            (true, uid) => Some(self.keys.find(uid).map_err(|error| self.no_key(error))?),
-            (false, _) => None,
-        };
-        self.key = found.as_ref().map(|(key, _)| *key);
+        self.key = with.map(|(key, _)| key);
         let patience = core::mem::replace(&mut self.patience, TRY * 3);
         let mut wrong = 0;
         let result = loop {
-            // A refused acquisition is a dropped datagram, so silence here and an answer to the
-            // question for the owner together mean "somebody else's".
+            // A refused acquisition is a dropped datagram. So silence here, together with an answer
+            // to the question for the owner, means that another host owns the board.
             let asked = self.ask_for_session();
             if let Ok(words) = &asked
                 && let Some(session) = Session::from_words(words)
@@ -352,10 +372,11 @@ impl Client {
                 break Ok(session);
             }
             let owner = self.read(&[map::SESSION_OWNER_IP, map::SESSION_OWNER_PORT]);
-            // Nobody's, and not given: once may be a challenge that grew too old on its way.
+            // The session is free but was not given. Once, the cause may be a challenge that became
+            // too old on its way.
             wrong += u32::from(owner.as_deref().is_ok_and(|owner| owner == [0, 0]));
-            if let Some((_, path)) = found.as_ref().filter(|_| wrong > 1) {
-                break Err(self.no_key(KeyError::Wrong(path.clone())));
+            if let Some((_, path)) = with.filter(|_| wrong > 1) {
+                break Err(self.no_key(KeyError::Wrong(vec![path.to_owned()])));
             }
             if before.elapsed() < patience {
                 continue;
@@ -391,7 +412,7 @@ impl Client {
             (map::SESSION_RESPONSE, &answer),
             (map::SESSION_ACQUIRE, &[nonce]),
         ];
-        // Once: an answer to a challenge that was used up is none.
+        // Only once, because the answer to a used challenge is not valid.
         let patience = core::mem::replace(&mut self.patience, self.every);
         let asked = self.transact(&writes, &SESSION_WORDS);
         self.patience = patience;
@@ -405,7 +426,7 @@ impl Client {
         if request.write_record(map::SESSION_RELEASE, 1) && request.push(session.token) {
             let mut bytes = [0; 32];
             let length = wire::words_to_bytes(request.words(), &mut bytes);
-            // Nothing to be done about a network that is gone.
+            // Without a network there is nothing to do.
             let _ = self.socket.send(&bytes[..length]);
         }
     }
@@ -460,7 +481,8 @@ impl Client {
         self.tag
     }
 
-    /// One try of a whole request: the answer's tag, one of these, and its words. For requests that must not be executed twice.
+    /// One try of a whole request: the answer's tag, one of these, and its words. For requests that
+    /// must not be executed twice.
     pub(crate) fn once(
         &self,
         request: &[u32],
@@ -470,6 +492,15 @@ impl Client {
         let mut bytes = [0; MAX_PAYLOAD];
         let length = wire::words_to_bytes(request, &mut bytes);
         self.socket.send(&bytes[..length])?;
+        self.answer(tags, count, Instant::now() + self.every)
+    }
+
+    /// Waits once more for the answer to what was sent with one of these tags.
+    pub(crate) fn wait(
+        &self,
+        tags: RangeInclusive<u32>,
+        count: usize,
+    ) -> io::Result<Option<(u32, Vec<u32>)>> {
         self.answer(tags, count, Instant::now() + self.every)
     }
 
@@ -592,7 +623,7 @@ impl Session {
     }
 }
 
-/// Something that is never 0 and hardly ever twice the same.
+/// A number that is never 0 and rarely repeats.
 pub fn nonce() -> u32 {
     let now = std::time::SystemTime::now()
         .duration_since(std::time::UNIX_EPOCH)

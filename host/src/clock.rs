@@ -1,29 +1,30 @@
-//! What time it is on a board, and one moment for all of them.
+//! The time of each board's clock, and one common moment for all boards.
 //!
-//! Every exchange says when this computer sent it and when the board's clock saw its last byte arrive. The
-//! difference is the offset between the two clocks plus the time on the way, and the way is never shorter
-//! than the cable: of many exchanges the ones that were fastest tell the truth, the others tell of a busy
-//! computer. So the least difference of every 64 exchanges is kept, a line through those minima gives
-//! the drift (a median of slopes: a window in which nothing was fast does not bend it), and the line is laid
-//! against them from below.
+//! Every exchange says when this computer sent it and when the board's clock saw its last byte
+//! arrive. The difference is the offset between the two clocks plus the time on the way, and the
+//! way is never shorter than the cable: of many exchanges the fastest ones are the most exact; the
+//! others include delays of a busy computer. So the least difference of every 64 exchanges is kept,
+//! a line through those minima gives the drift (a median of slopes: a window in which nothing was
+//! fast does not bend it), and the line is laid against them from below.
 //!
-//! What remains is the fastest way itself, some microseconds that are nearly the same for boards at the same
-//! switch. For "all at once" only its differences matter.
+//! What remains is the fastest way itself, some microseconds that are nearly the same for boards at
+//! the same switch. For "all at once" only its differences matter.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering::Relaxed};
 use std::time::Instant;
 use wire::units::Clocks;
 
-/// Exchanges per minimum: 64 ms at 1 kHz. One in 64 finds the computer idle, unless it is past help.
+/// Exchanges per minimum: 64 ms at 1 kHz. One in 64 finds the computer idle, unless it is
+/// overloaded.
 const WINDOW: u32 = 64;
 /// Minima the drift is measured over: 1 s at 1 kHz. Crystals do not change in that time.
 const MINIMA: usize = 16;
-/// Minima before anything is claimed: 256 ms at 1 kHz. Without a drift a crystal 100 ppm off is 12 us away
-/// after two windows.
+/// Minima before anything is claimed: 256 ms at 1 kHz. Without a drift a crystal 100 ppm off is 12
+/// us away after two windows.
 const ENOUGH: usize = 4;
-/// 500 ppm: two bad crystals are 200 apart. More is no crystal but a board whose time somebody else makes, as a
-/// simulated one's in lockstep, and nothing can be said about it.
+/// 500 ppm: two bad crystals are 200 apart. A larger difference is not a crystal's: the board's
+/// time is simulated, for example in lockstep, and the clocks cannot be compared.
 const DRIFT_MAX: f64 = 500e-6;
 /// Minima the offset is taken from: few, so that an error of the drift has no time to grow.
 const NEWEST: usize = 4;
@@ -97,7 +98,7 @@ impl BoardClock {
         }
     }
 
-    /// Whether there is anything to go by.
+    /// Whether there are enough minima.
     pub fn known(&self) -> bool {
         self.taken >= ENOUGH && self.slope.abs() <= DRIFT_MAX
     }
@@ -157,8 +158,8 @@ pub struct Timebase {
     pub writes: Moment,
 }
 
-/// One moment of a servo period that several drivers share. Whoever comes for the second time begins the
-/// next one, so it needs nobody to be first.
+/// One moment of a servo period that several drivers share. A driver that asks for the second time
+/// begins the next moment, so no driver has to be the first.
 #[derive(Debug, Default)]
 pub struct Moment {
     generation: AtomicU64,
@@ -333,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_whose_time_is_not_a_crystals_is_not_believed() {
+    fn a_board_clock_too_far_off_for_a_crystal_is_not_used() {
         let mut clock = BoardClock::new(60_000_000);
         for n in 0..10_000 {
             // A millisecond there for two here.
@@ -343,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn the_moment_of_a_period_is_the_same_for_all_whoever_comes_first() {
+    fn the_moment_of_a_period_is_the_same_for_all_drivers_in_any_order() {
         let (moment, mut a, mut b) = (Moment::default(), 0, 0);
         for period in 1..=10 {
             let (one, other) = if period % 2 == 0 {

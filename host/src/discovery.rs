@@ -1,7 +1,8 @@
-//! Finding boards whatever their address is, and telling one of them a new one.
+//! Finds boards with any address, and gives a board a new address.
 //!
-//! The question goes to everybody on every interface; the answer comes to everybody, so it arrives even when
-//! board and computer have addresses in different nets, or several boards have the same.
+//! The question is a broadcast on every interface. The answer is a broadcast too, so it arrives
+//! even if board and computer have addresses in different nets, or several boards have the same
+//! address.
 //!
 //! ```text
 //!   eth0 192.168.2.1  --- 255.255.255.255:51234 "who?" -->   board 192.168.2.50  (d162-..)
@@ -9,13 +10,13 @@
 //!   0.0.0.0, same port <-- 255.255.255.255 "here", twice
 //! ```
 //!
-//! A datagram to 255.255.255.255 leaves through the interface whose address its socket is bound to, so there is
-//! one sending socket per interface; a socket bound to an address does not hear what comes to 255.255.255.255, so
-//! there is one more for listening, at the same port.
+//! A datagram to 255.255.255.255 leaves through the interface that its socket is bound to, so there
+//! is one sending socket per interface. A socket bound to an address does not receive broadcasts,
+//! so one more socket listens at the same port.
 
 use crate::client::nonce;
-use crate::flash::uid_text;
 use crate::keys::{Key, KeyError, Keys};
+use crate::uid::uid_text;
 use socket2::{Domain, Protocol, SockAddr, Socket, Type};
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
@@ -25,13 +26,15 @@ use wire::flash::OpResult;
 use wire::settings::Settings;
 use wire::{DISCOVERY_PORT, MAX_PAYLOAD, MAX_WORDS};
 
-/// 1.5 s: a board answers within milliseconds; one whose firmware is busy with its flash, within a second.
+/// 1.5 s: a board answers within milliseconds; if its firmware is busy with its flash, within a
+/// second.
 pub const WAIT: Duration = Duration::from_millis(1500);
-/// Between two repetitions of a question; the network promises nothing.
+/// Between two repetitions of a question, because datagrams may be lost.
 const AGAIN: Duration = Duration::from_millis(400);
 /// 8 s: settings are saved in a second, by a slow flash in three.
 const SET_PATIENCE: Duration = Duration::from_secs(8);
-/// A board that starts anew: less than 1 s, up to 10 s more until a DHCP server that is not there is given up.
+/// A board that starts anew: less than 1 s, up to 10 s more until a DHCP server that is not there
+/// is given up.
 const RESTART_PATIENCE: Duration = Duration::from_secs(15);
 
 /// A wrong key is not tried oftener than this.
@@ -48,6 +51,8 @@ pub enum DiscoveryError {
     Socket(io::Error),
     /// That board does not answer.
     Silent([u32; 2]),
+    /// It received the order, perhaps, but has not confirmed it.
+    Unsure([u32; 2]),
     /// It answers and says no.
     Refused(OpResult),
     /// It has a key that this computer cannot show.
@@ -67,7 +72,12 @@ impl core::fmt::Display for DiscoveryError {
             DiscoveryError::Socket(error) => write!(f, "cannot broadcast: {error}"),
             DiscoveryError::Silent(uid) => write!(
                 f,
-                "the board {} does not answer; ferrocnc discover shows who does",
+                "the board {} does not answer; ferrocnc discover shows the boards that answer",
+                uid_text(*uid)
+            ),
+            DiscoveryError::Unsure(uid) => write!(
+                f,
+                "the board {} was told and has not answered: it may have its new settings or the old ones; ferrocnc discover shows which, and the same command again does no harm",
                 uid_text(*uid)
             ),
             DiscoveryError::Refused(OpResult::Armed) => f.write_str(
@@ -125,7 +135,7 @@ impl Finder {
         for (name, ip, loopback) in interfaces()? {
             let named = interface == Some(&name);
             if named || (interface.is_none() && !loopback) {
-                // An address that went away a moment ago is no reason not to ask elsewhere.
+                // If an interface has just lost its address, the others are still asked.
                 senders.extend(socket(ip, port, interface));
             }
         }
@@ -142,7 +152,7 @@ impl Finder {
         })
     }
 
-    /// Asks at one address only: a board whose address is known, or a simulated one.
+    /// Asks at one address only: a board with a known address, or a simulated one.
     pub fn at(to: SocketAddrV4) -> Result<Self, DiscoveryError> {
         let receiver = socket(Ipv4Addr::UNSPECIFIED, 0, None)?;
         Ok(Finder {
@@ -152,7 +162,7 @@ impl Finder {
         })
     }
 
-    /// Everybody who answers in this time, each once, in order of name and id.
+    /// Every board that answers in this time, each once, in order of name and id.
     pub fn all(&self, wait: Duration) -> Result<Vec<Found>, DiscoveryError> {
         let mut found: Vec<Found> = Vec::new();
         self.ask([0, 0], Body::Who, wait, &mut |message| {
@@ -186,16 +196,20 @@ impl Finder {
         found.ok_or(DiscoveryError::Silent(uid))
     }
 
-    /// Gives the board with this id settings; it starts anew with them. If it has a key, that is looked for there.
+    /// Gives the board with this id settings; it starts anew with them. If it has a key, that is
+    /// looked for there.
     pub fn set(
         &self,
         uid: [u32; 2],
         settings: &Settings,
         keys: &Keys,
     ) -> Result<(), DiscoveryError> {
-        let (mut body, mut used) = (Body::Set(*settings), None);
+        let mut body = Body::Set(*settings);
+        // The keys it may have, and with which of them it was told how often.
+        let mut found: Vec<(Key, std::path::PathBuf)> = Vec::new();
+        let (mut at, mut tries) = (0, 0);
         let number = nonce();
-        for tries in 0.. {
+        loop {
             let mut answer = None;
             self.ask_as(number, uid, body, SET_PATIENCE, &mut |message| {
                 if let (true, Body::Done(_) | Body::Prove(_)) = (message.uid == uid, message.body) {
@@ -204,21 +218,31 @@ impl Finder {
                 answer.is_some()
             })?;
             let challenge = match answer {
-                Some(Body::Done(OpResult::Ok)) => return Ok(()),
+                Some(Body::Done(OpResult::Ok)) => {
+                    if let Some((_, path)) = found.get(at) {
+                        keys.accepted(uid, path);
+                    }
+                    return Ok(());
+                }
                 Some(Body::Done(result)) => return Err(DiscoveryError::Refused(result)),
                 Some(Body::Prove(challenge)) => challenge,
-                Some(_) | None => return Err(DiscoveryError::Silent(uid)),
+                Some(_) | None => return Err(DiscoveryError::Unsure(uid)),
             };
-            let wrong = |error| DiscoveryError::Key(uid, error);
-            // More than once: its Done was lost, and it started anew with another challenge.
-            if let Some(path) = used.filter(|_| tries >= PROOFS) {
-                return Err(wrong(KeyError::Wrong(path)));
+            if found.is_empty() {
+                found = keys
+                    .find(uid)
+                    .map_err(|error| DiscoveryError::Key(uid, error))?;
+            } else if tries >= PROOFS {
+                // More than once: its Done was lost, and it started anew with another challenge.
+                (at, tries) = (at + 1, 0);
             }
-            let (key, path) = keys.find(uid).map_err(wrong)?;
-            body = proven(&key, challenge, number, uid, settings);
-            used = Some(path);
+            let Some((key, _)) = found.get(at) else {
+                let tried = found.into_iter().map(|(_, path)| path).collect();
+                return Err(DiscoveryError::Key(uid, KeyError::Wrong(tried)));
+            };
+            body = proven(key, challenge, number, uid, settings);
+            tries += 1;
         }
-        Err(DiscoveryError::Silent(uid))
     }
 
     /// Waits until the board with this id has started anew and says of itself what was asked for.
@@ -279,7 +303,7 @@ impl Finder {
             // 1 ms at least: 0 would mean for ever.
             self.receiver
                 .set_read_timeout(Some(until.max(Duration::from_millis(1)).min(AGAIN / 8)))?;
-            // What was sent to everybody comes to the receiver, what was sent to this computer to a sender.
+            // A broadcast arrives at the receiver, a datagram for this computer at a sender.
             let mut sockets: Vec<&UdpSocket> = vec![&self.receiver];
             sockets.extend(&self.senders);
             for socket in sockets {
@@ -299,7 +323,7 @@ impl Finder {
         for sender in &self.senders {
             match sender.send_to(bytes, self.to) {
                 Ok(_) => sent = true,
-                // A cable that is out, or the answer of a host without a board: others may do better.
+                // A pulled cable, or a refusal by another host: the other interfaces may work.
                 Err(error) => failed = Some(error),
             }
         }
@@ -319,7 +343,7 @@ fn receive(socket: &UdpSocket) -> Option<Message> {
     loop {
         let (length, _) = socket.recv_from(&mut bytes).ok()?;
         let parsed = wire::words_from_bytes(&bytes[..length], &mut words).and_then(Message::parse);
-        // Others may talk here, too; the next one.
+        // Another program may use this port, too; take the next datagram.
         if let Ok(message) = parsed {
             return Some(message);
         }
@@ -372,10 +396,12 @@ fn interfaces() -> io::Result<Vec<(String, Ipv4Addr, bool)>> {
         .collect())
 }
 
-/// Interfaces through which this computer throws answers of boards with an address of another net away.
+/// Interfaces through which this computer throws answers of boards with an address of another net
+/// away.
 ///
-/// `rp_filter` 1 drops what comes from an address that would be answered through another interface, 2 what comes
-/// from one there is no way to at all: with a default route there is one to every address.
+/// `rp_filter` 1 drops a datagram if the answer to its sender would leave through another
+/// interface. 2 drops it if there is no route to its sender at all; a default route is a route to
+/// every address.
 pub fn filters(interface: Option<&str>) -> Vec<String> {
     let value = |name: &str| -> u8 {
         let path = format!("/proc/sys/net/ipv4/conf/{name}/rp_filter");

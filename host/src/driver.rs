@@ -3,10 +3,10 @@
 //! # Timing
 //!
 //! `write` computes the targets for the coming period and sends the exchange. The board commits
-//! them and samples everything on the same clock, and its answer travels back while the thread sleeps.
-//! The next `read` normally finds it waiting, so a servo period costs one datagram each way and no
-//! round trip. What it finds is one period old; `motion` knows the ramp exactly, so position and
-//! velocity are predicted forward by that period before HAL sees them.
+//! them and samples everything on the same clock, and its answer travels back while the thread
+//! sleeps. The next `read` normally finds it waiting, so a servo period costs one datagram each way
+//! and no round trip. What it finds is one period old; `motion` knows the ramp exactly, so position
+//! and velocity are predicted forward by that period before HAL sees them.
 //!
 //! ```text
 //!   servo thread   R ctrl W               R ctrl W               R ctrl W
@@ -18,13 +18,14 @@
 //!
 //! # Several boards
 //!
-//! All requests are on their way before `read` waits for the first answer, and it waits for all of them
-//! together. With an apply time every board's command takes effect at the same moment: the first `write` of
-//! the period says when, each driver says it by its own board's clock ([`crate::clock`]). What is predicted is
-//! then the place at the *next* such moment. What stops one of them stops all ([`crate::group`]).
+//! All requests are on their way before `read` waits for the first answer, and it waits for all of
+//! them together. With an apply time every board's command takes effect at the same moment: the
+//! first `write` of the period says when, each driver says it by its own board's clock
+//! ([`crate::clock`]). The prediction is then for the *next* such moment. A stop of one board stops
+//! all ([`crate::group`]).
 //!
-//! `read-request`, if it is there, repeats the last command at the beginning of the period for its answer's
-//! sake: feedback is some 100 us old when the controller sees it, not a period.
+//! `read-request` is optional. It repeats the last command at the beginning of the period to get a
+//! new answer, so feedback is some 100 us old when the controller sees it, not a period.
 //!
 //! ```text
 //!   servo thread   Q R ctrl W               Q R ctrl W
@@ -36,29 +37,31 @@
 //!
 //! `read` waits for it until `packet-read-timeout`, then goes on. One missing answer is bridged by
 //! the model: whether the command or its answer was lost, the board holds a velocity meant for this
-//! moment. From the second on, feedback stands still and so does the position loop's opinion: only
-//! the command's own velocity is passed on, and what a loop outside asks for only if it is no faster than before. The leaky
-//! bucket decides when the board is given up:
-//! `enabled` falls, `io-error` rises, and the driver asks for the session again ten times a second.
-//! Answers to earlier commands are recognised by their sequence number and dropped.
+//! moment. From the second on, feedback stands still and the position loop is off: only the
+//! command's own velocity is passed on. The velocity of an outer loop is passed on only if it is
+//! not faster than before. The leaky bucket decides when the board is given up: `enabled` falls,
+//! `io-error` rises, and the driver asks for the session again ten times a second. Answers to
+//! earlier commands are recognised by their sequence number and dropped.
 //!
 //! # When the thread comes late
 //!
-//! The board goes on with the velocity it has; what it really did is in its next sample, so nothing adds up. Later than the
-//! watchdog waits, it stops, and the silence that follows is told as what it was: not a cable, a thread. Two reads in a row
-//! are one; a second `write` without a `read` between is not sent.
+//! The board goes on with the velocity it has; what it really did is in its next sample, so nothing
+//! adds up. If the thread is later than the watchdog's timeout, the board stops. The message then
+//! names the late thread, not the cable. A second `read` in a row does nothing; a second `write`
+//! without a `read` between is not sent.
 //!
 //! # When a board comes back
 //!
 //! A new session is configured from the parameters again and starts disarmed; arming needs `enable`
-//! and a new rising edge of `enable-request`. Positions are the board's and survive. If the fabric was reset, its counts began
-//! anew: its clock went backwards, or it says that it was switched on and is no older than the silence was long. The difference
-//! is kept here: HAL's position does not jump. It is not called trusted until the machine is armed again.
+//! and a new rising edge of `enable-request`. Positions are the board's and survive. If the fabric
+//! was reset, its counts began anew: its clock went backwards, or it says that it was switched on
+//! and is no older than the silence was long. The difference is kept here: HAL's position does not
+//! jump. It is not called trusted until the machine is armed again.
 //!
-//! What the operator is told, and that it is told once, is in `tell`; what trouble does to this board and to the others of its
-//! [`crate::group`] in `trouble`.
+//! `tell` holds the messages to the operator, each given once. `trouble` holds the effects of a
+//! fault on this board and on the others of its [`crate::group`].
 //!
-//! Nothing in here allocates, locks or blocks, and nothing but [`Link`] makes a system call.
+//! This module does not allocate, lock or block; only [`Link`] makes system calls.
 
 mod command;
 mod export;
@@ -80,11 +83,12 @@ use crate::blocks::watchdog::Watchdog;
 use crate::blocks::{Outlook, Period};
 use crate::client::{CHALLENGE_WORDS, SESSION_WORDS, Session, single_record};
 use crate::clock::{BoardClock, Timebase};
+use crate::glue::Glue;
 use crate::group::Group;
-use crate::hal::Catalogue;
+use crate::hal::checked::Watch;
+use crate::hal::{Catalogue, Level};
 use crate::keys::Key;
-use crate::link::Link;
-use crate::names::Glue;
+use crate::link::{Flood, LOOKS, Link};
 use crate::settings::{Disarmed, Periods, Sync};
 use export::Pins;
 use std::sync::Arc;
@@ -102,13 +106,14 @@ pub use trouble::GROUP_REASON;
 const ACQUIRE_NS: i64 = 100_000_000;
 /// Tags of our requests lie up here, exchange answers are told apart by their length anyway.
 const TAG_BASE: u32 = 0xfe00_0000;
-/// 250 us: four commands are sent in some 60 us and are there some 50 us later, so all boards have theirs
-/// when the moment comes, and the rest of the period is left for what comes late.
+/// 250 us: four commands are sent in some 60 us and are there some 50 us later, so all boards have
+/// theirs when the moment comes, and the rest of the period is left for what comes late.
 const APPLY_DELAY_NS: u32 = 250_000;
 
 /// Crystals and timers differ by less than 0.1 %.
 const YOUNG: f64 = 1.001;
-/// 10 ms: the least a board is on before anybody reads its clock, and more than two clocks are ever compared wrong.
+/// 10 ms: a board is on for at least this long before its clock is read, and the error of a clock
+/// comparison is smaller.
 const JITTER: f64 = 0.01;
 
 /// Whether the board is ours.
@@ -125,6 +130,7 @@ pub struct Driver {
     index: usize,
     address: Address,
     link: Link,
+    flood: Flood,
     channels: Channels,
     clock_hz: u32,
     boot_id: u32,
@@ -147,7 +153,7 @@ pub struct Driver {
     arm: ArmRequest,
     disarmed_settings: Sync<Disarmed>,
     periods: Sync<Periods>,
-    /// Somebody else who drives the board, as far as the operator was told.
+    /// The foreign owner of the session that the operator was told of.
     foreign_owner: Option<(u32, u32)>,
     tag: u32,
     sequence: u32,
@@ -168,7 +174,7 @@ pub struct Driver {
     state: State,
     reason: FaultReason,
     live: bool,
-    /// It was stopped for good.
+    /// It was stopped for ever.
     halted: bool,
     /// Commands later than this one say `enable` false until the board has stopped.
     halting: Option<u32>,
@@ -182,11 +188,11 @@ pub struct Driver {
     io_error: bool,
 
     group: Arc<Group>,
-    /// There are others.
+    /// There are other boards.
     several: bool,
     /// The group's alarm heard last.
     alarm_heard: u32,
-    /// The board whose alarm stopped this one.
+    /// The board with the alarm that stopped this one.
     stopped_by: Option<usize>,
 
     time: Arc<Timebase>,
@@ -211,18 +217,21 @@ pub struct Driver {
     held_up: i64,
 
     catalogue: Catalogue,
+    /// Over every number that comes from HAL.
+    watches: Vec<Watch>,
     glue: Glue,
 }
 
 impl Driver {
     /// Keeps other names for our pins alive from here on.
-    pub fn adopt(&mut self, glue: Glue) {
+    pub fn adopt(&mut self, mut glue: Glue) {
+        self.watches.append(&mut glue.watches);
         self.glue = glue;
     }
 
-    /// Makes this one of several boards that act at the same moments. With more than one, commands carry an
-    /// apply time from the start; `apply-delay-ns` says otherwise. What stops one stops them all; `stop-group` says
-    /// otherwise.
+    /// Makes this one of several boards that act at the same moments. With more than one, commands
+    /// carry an apply time from the start; `apply-delay-ns` says otherwise. What stops one stops
+    /// them all; `stop-group` says otherwise.
     pub fn join(&mut self, time: &Arc<Timebase>, group: &Arc<Group>, boards: usize) {
         self.time = Arc::clone(time);
         self.group = Arc::clone(group);
@@ -242,8 +251,9 @@ impl Driver {
         self.channels
     }
 
-    /// Repeats the last command, so that `read` finds feedback from the beginning of this period instead of
-    /// the end of the last. Of several boards, all requests go out before the first answer is waited for.
+    /// Repeats the last command, so that `read` finds feedback from the beginning of this period
+    /// instead of the end of the last. Of several boards, all requests go out before the first
+    /// answer is waited for.
     pub fn read_request(&mut self, _period_ns: i64) {
         let Phase::Online { .. } = self.phase else {
             return;
@@ -256,7 +266,8 @@ impl Driver {
             apply_at: None,
             ..last
         };
-        // Not sent: then the answer to the command before is all there will be, and `read` says so.
+        // If it was not sent, only the answer to the command before can come, and `read` reports
+        // that.
         self.awaiting |= self.transmit(&command);
         self.repeated = true;
         self.request_seen = true;
@@ -269,8 +280,8 @@ impl Driver {
         let now = self.time.now();
         let began = self.time.reads.of(&mut self.read_moment, now);
         if self.awaiting {
-            // Boards are waited for together: several silent ones cost no more than one. Where the answer was asked
-            // for in this period, its time runs from there.
+            // Boards are waited for together: several silent ones cost no more than one. Where the
+            // answer was asked for in this period, its time runs from there.
             let since = if self.repeated { self.sent[0].1 } else { began };
             deadline += self.packets.left(period_ns, now - since);
         }
@@ -303,6 +314,9 @@ impl Driver {
     /// Sends what is wanted of the board in the coming period.
     pub fn write(&mut self, period_ns: i64) {
         self.glue.inputs();
+        for watch in &mut self.watches {
+            watch.look(period_ns, |what| self.voice.tell(Level::Error, what));
+        }
         if core::mem::replace(&mut self.written, true) {
             return self.voice.once(
                 Event::Unread,
@@ -326,7 +340,7 @@ impl Driver {
                 // Keeps following its pins, so that nothing jumps later.
                 let _ = self.make_command(0, false, period);
                 if tag != 0 && self.packets.exceeded() {
-                    // Nor this time, whatever the operator made of it.
+                    // It stays set, even if the operator cleared it.
                     self.raise_io_error();
                 }
                 let tag = self.send_acquire();
@@ -356,6 +370,23 @@ impl Driver {
         self.live = false;
     }
 
+    /// Another thread called while this one was inside, and was sent away.
+    pub fn collided(&mut self) {
+        self.voice.once(
+            Event::Collided,
+            format_args!(
+                "two threads call its functions at once, and one was sent away; addf ferrocnc.{0}.read and ferrocnc.{0}.write to \
+                 one thread",
+                self.index
+            ),
+        );
+    }
+
+    /// System calls made in the servo thread so far.
+    pub fn calls(&self) -> u64 {
+        self.link.calls()
+    }
+
     /// The session's token, to give it back with.
     pub fn token(&self) -> Option<u32> {
         match self.phase {
@@ -370,19 +401,41 @@ impl Driver {
             let mut words = [0; 8];
             let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
             if request.write_record(map::SESSION_RELEASE, 1) && request.push(token) {
-                // Nothing to be done about a network that is gone.
+                // Without a network there is nothing to do.
                 let _ = self.link.send(request.words());
             }
         }
     }
 
-    /// Receives until the answer to the last command is there or the deadline has passed; whatever
-    /// else arrives is seen to on the way. If the last command repeated the one before, the answer to that
-    /// one is the next best.
+    /// The answer to the last command, if it comes before the deadline and among the first
+    /// [`LOOKS`] datagrams.
     fn collect(&mut self, deadline: Instant) -> Option<Status> {
+        let mut looks = LOOKS;
+        let status = self.look_for_answer(deadline, &mut looks);
+        let flood = self.flood.looked(LOOKS - looks);
+        if flood.discard {
+            let unread = self.link.discard();
+            self.packets.discarded(unread);
+        }
+        if flood.tell {
+            self.voice.once(
+                Event::Flooded,
+                format_args!(
+                    "far more datagrams than a board sends come from its address; find what floods the network, or answers will be \
+                     lost"
+                ),
+            );
+        }
+        status
+    }
+
+    /// Receives until the answer to the last command is there, the deadline has passed or
+    /// everything has been looked at that may be; other datagrams are handled on the way. If the
+    /// last command repeated the one before, the answer to that one is the next best.
+    fn look_for_answer(&mut self, deadline: Instant, looks: &mut u32) -> Option<Status> {
         let status_words = wire::exchange::status_words(self.channels);
         let mut second_best = None;
-        while let Some(words) = self.link.receive(deadline) {
+        while let Some(words) = self.link.receive(deadline, looks) {
             let Some((base, payload)) = single_record(words) else {
                 continue;
             };
@@ -468,13 +521,15 @@ impl Driver {
         }
     }
 
-    /// The board's clock: for the operator, for the apply time, and to notice that the fabric was reset.
+    /// The board's clock: for the operator, for the apply time, and to notice that the fabric was
+    /// reset.
     fn follow_clock(&mut self, status: &Status, clock_hz: f64) {
         let now = self.time.now();
         let silent = (now - core::mem::replace(&mut self.heard, now)) as f64 * 1e-9;
-        // A fabric whose clock went backwards is a new one. One that was off for longer than it had been on says so, or is behind
-        // what its clock should say by now; it is no older than the silence, and its stepgens have never moved: to take an old
-        // one for new would move the position, so all of it has to fit.
+        // If the clock went backwards, the fabric was reset. If the board was off for longer than
+        // it had been on, it reports a reset, or its clock is behind the expected time; it is also
+        // not older than the silence, and its stepgens have never moved. A false reset would move
+        // the position, so all of these must hold.
         let first = core::mem::take(&mut self.first_answer);
         let sent = self.sent.iter().find(|sent| sent.0 == status.sequence);
         let due = sent.and_then(|(_, host)| self.clock.board_at(*host));
@@ -511,7 +566,8 @@ impl Driver {
     fn outlook(&self, status: &Status, period: Period) -> Outlook {
         let repeated = self.repeated && status.sequence == self.sequence;
         let ahead = match self.request_to_write {
-            // The command has been in force for a while; the next one is due after what the last one took.
+            // The command has been in force for a while; the next one is due after what the last
+            // one took.
             Some(nanos) if repeated => {
                 let delay = i64::from(self.apply_delay());
                 let clocks = (nanos + delay) as f64 * 1e-9 * period.clock_hz;

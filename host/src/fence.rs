@@ -1,19 +1,21 @@
 //! The panic fence around everything LinuxCNC calls.
 //!
 //! A panic that unwinds into C aborts `rtapi_app`, and nothing in LinuxCNC notices: pins keep their
-//! last values and the operator sees a machine that is on. So a panic ends at the fence, the board is
-//! left to its watchdog, and the fence stays shut: the broken driver is not called again.
+//! last values and the operator sees a machine that is on. So a panic ends at the fence, the board
+//! is left to its watchdog, and the fence stays shut: the broken driver is not called again.
 
 use crate::driver::Driver;
 use crate::hal::{Level, Line, Messenger};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Once;
 
-/// A driver that cannot hurt its caller.
+/// A driver with all panics caught.
 pub struct Fenced {
     driver: Driver,
     say: Messenger,
     halted: bool,
+    /// Refused calls of other threads, as far as told.
+    collisions: u32,
 }
 
 impl Fenced {
@@ -23,6 +25,7 @@ impl Fenced {
             driver,
             say,
             halted: false,
+            collisions: 0,
         }
     }
 
@@ -41,11 +44,18 @@ impl Fenced {
         self.guard(|driver| driver.write(period_ns));
     }
 
+    /// So many calls of other threads were turned away until now.
+    pub fn collided(&mut self, collisions: u32) {
+        if core::mem::replace(&mut self.collisions, collisions) != collisions {
+            self.guard(Driver::collided);
+        }
+    }
+
     /// Runs something on the driver behind the fence.
     pub fn guard(&mut self, work: impl FnOnce(&mut Driver)) {
         if !self.halted {
             let driver = &mut self.driver;
-            // The driver is never used again after a panic, so what it left half done cannot matter.
+            // The driver is never used again after a panic, so its state does not matter.
             let Err(payload) = catch_unwind(AssertUnwindSafe(|| work(driver))) else {
                 return;
             };
@@ -70,8 +80,8 @@ impl Fenced {
     }
 }
 
-/// Replaces the default panic hook, which would allocate and unwind symbols in the servo thread (90 000
-/// allocations were counted), by one that says where. The hook is this library's own `std`'s.
+/// Replaces the default panic hook, which would allocate and unwind symbols in the servo thread (90
+/// 000 allocations were counted), by one that says where. The hook is this library's own `std`'s.
 pub fn install_quiet_hook(say: impl Fn(&core::ffi::CStr) + Send + Sync + 'static) {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {

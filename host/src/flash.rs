@@ -1,8 +1,9 @@
-//! The board's flash over the network: what lies in it, and operations on it that survive a bad cable.
+//! The board's flash over the network: its contents, and operations that survive a bad cable.
 //!
-//! A refused datagram is not answered, and a lost one looks the same. So silence is always followed by a question
-//! everybody may ask: is the machine armed, does somebody own it, was the operation taken after all? An operation
-//! is sent again until one of these says how it is; every operation may safely happen twice.
+//! A refused datagram is not answered, and a lost one looks the same. So after silence the tool
+//! always reads words that every client may read: is the machine armed, does a session own it, did
+//! the board take the operation? An operation is sent again until one of these gives the answer;
+//! every operation may safely happen twice.
 
 use crate::client::{Client, ClientError, Session};
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -12,13 +13,15 @@ use wire::flash::{Layout, LinkWord, Op, OpResult, OpWord, Origin, PAGE, Running,
 use wire::settings::{self, Settings, SettingsError};
 use wire::{State, map};
 
-/// How long one question is repeated before the silence is looked into: three tries.
+/// How long one question is repeated before the tool looks for the cause of the silence: three
+/// tries.
 const QUESTION: Duration = Duration::from_millis(600);
-/// 60 s: somebody walks to the machine and plugs the cable in again.
+/// 60 s: time to walk to the machine and plug the cable in again.
 pub const PATIENCE: Duration = Duration::from_secs(60);
-/// 20 s: the slowest thing a flash does is to erase 64 KiB, 2 s by its data sheet. Then the chip, or whoever asks it, is stuck.
+/// 20 s: the slowest thing a flash does is to erase 64 KiB, 2 s by its data sheet. After this time
+/// the chip or the firmware is stuck.
 const SLOWEST: Duration = Duration::from_secs(20);
-/// 5 s of answers and no consent: somebody wants something else.
+/// 5 s in which the board answers but does not take the operation: it refuses.
 const REFUSED: Duration = Duration::from_secs(5);
 /// Between two looks at a running operation.
 const LOOK: Duration = Duration::from_millis(2);
@@ -43,19 +46,19 @@ pub enum FlashError {
     Client(ClientError),
     /// It answered for a while, then no more.
     Lost {
-        /// Whose.
+        /// The board.
         address: String,
         /// How long it was waited for.
         waited: Duration,
     },
-    /// No flash, or one whose layout nobody knows.
+    /// No flash, or one with an unknown layout.
     NoFlash {
         /// Its JEDEC id.
         jedec: u32,
     },
     /// The machine is not at rest.
     Armed(State),
-    /// Somebody drives the board.
+    /// Another host drives the board.
     Owned(SocketAddrV4),
     /// The board answers but does not take the operation.
     Refused(Op),
@@ -70,7 +73,7 @@ pub enum FlashError {
     },
     /// An operation does not end.
     Stuck(Op),
-    /// The board says something this side does not know.
+    /// The board reports a value that this version does not know.
     Nonsense,
     /// The settings in force cannot be read.
     Settings(SettingsError),
@@ -111,10 +114,10 @@ impl core::fmt::Display for FlashError {
             } => write!(f, "cannot {op} at {address:#08x}: {result}"),
             FlashError::Stuck(op) => write!(
                 f,
-                "the board does not get done with \"{op}\"; power it off and on and try again"
+                "the board does not finish \"{op}\"; power it off and on and try again"
             ),
             FlashError::Nonsense => f.write_str(
-                "the board's flash window says something this version does not know; update the tool",
+                "the board's flash window holds a value that this version does not know; update the tool",
             ),
             FlashError::Settings(error) => write!(f, "the board's settings cannot be read: {error}"),
         }
@@ -136,7 +139,7 @@ pub struct Overview {
     pub jedec: u32,
     /// Unique id; zeros without.
     pub uid: [u32; 2],
-    /// What lies where; `None` if nobody knows.
+    /// What lies where; `None` if unknown.
     pub layout: Option<Layout>,
     /// Which image runs.
     pub running: Running,
@@ -198,30 +201,6 @@ impl Overview {
     }
 }
 
-/// A unique id as people read it: `d162-0c8a-1b2c-3d4e`.
-pub fn uid_text([hi, lo]: [u32; 2]) -> String {
-    format!(
-        "{:04x}-{:04x}-{:04x}-{:04x}",
-        hi >> 16,
-        hi & 0xffff,
-        lo >> 16,
-        lo & 0xffff
-    )
-}
-
-/// A unique id as people write it: 16 hex digits, with or without separators.
-pub fn uid_parse(text: &str) -> Option<[u32; 2]> {
-    let digits: String = text
-        .chars()
-        .filter(|c| !matches!(c, '-' | ':' | ' '))
-        .collect();
-    if digits.len() != 16 || !digits.chars().all(|c| c.is_ascii_hexdigit()) {
-        return None;
-    }
-    let id = u64::from_str_radix(&digits, 16).ok()?;
-    Some([(id >> 32) as u32, id as u32])
-}
-
 /// What is said while it goes on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Word {
@@ -252,7 +231,7 @@ pub struct Flasher<'t> {
     /// When the board answered last, and whether its silence was told.
     heard: Instant,
     silent: bool,
-    /// What a board with a key wants before it takes an operation.
+    /// The session, which a board with a key needs before it takes an operation.
     session: Option<Session>,
 }
 
@@ -343,7 +322,7 @@ impl<'t> Flasher<'t> {
         self.operate(Op::Protect, 0, 0, None).map(|_| ())
     }
 
-    /// Has the firmware start anew. Not answered: the board is then elsewhere.
+    /// Has the firmware start anew. There is no answer, because the board restarts.
     pub fn restart(&mut self) {
         // Silence is what a restart looks like.
         let _ = self.client.transact(
@@ -389,7 +368,7 @@ impl<'t> Flasher<'t> {
                     };
                     self.may(&answer)?;
                     if !mine(&answer) {
-                        // A board that was silent for long has forgotten whose it was.
+                        // After a long silence the board has ended the session.
                         if answer.owner.is_none() {
                             self.unlock()?;
                         }
@@ -412,7 +391,7 @@ impl<'t> Flasher<'t> {
                     None => continue,
                 }
             }
-            // It started anew meanwhile and knows nothing of it.
+            // The board has restarted and does not know the operation.
             if !mine(&answer) {
                 continue;
             }
@@ -455,7 +434,7 @@ impl<'t> Flasher<'t> {
         }
     }
 
-    /// One question; `None` when nobody answers, an error when nobody has for too long.
+    /// One question; `None` without an answer, an error if there was none for too long.
     fn ask(
         &mut self,
         writes: &[(u32, &[u32])],
@@ -469,7 +448,7 @@ impl<'t> Flasher<'t> {
                 }
                 Answer::from_words(&words).map(Some)
             }
-            // Without a cable the network itself may refuse to send: the same silence.
+            // Without a cable this computer may refuse to send; that counts as silence, too.
             Err(ClientError::Silent { .. } | ClientError::Socket(..)) => {
                 if self.heard.elapsed() > self.patience {
                     return Err(FlashError::Lost {
@@ -520,32 +499,5 @@ impl Answer {
             owner: (ip != 0).then(|| SocketAddrV4::new(ip.into(), port as u16)),
             page,
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_unique_id_is_read_as_it_is_written() {
-        let uid = [0xd162_0c8a, 0x1b2c_3d4e];
-        assert_eq!(uid_text(uid), "d162-0c8a-1b2c-3d4e");
-        for text in [
-            "d162-0c8a-1b2c-3d4e",
-            "D1620C8A1B2C3D4E",
-            "d1:62:0c:8a:1b:2c:3d:4e",
-        ] {
-            assert_eq!(uid_parse(text), Some(uid), "{text}");
-        }
-        for text in [
-            "",
-            "d162",
-            "d162-0c8a-1b2c-3d4",
-            "d162-0c8a-1b2c-3d4g",
-            "+1620c8a1b2c3d4e",
-        ] {
-            assert_eq!(uid_parse(text), None, "{text}");
-        }
     }
 }

@@ -1,8 +1,8 @@
-//! A `.flash` file: everything a board's flash holds on its first day.
+//! A `.flash` file: the whole content of a new board's flash.
 //!
-//! Stubs, slot A, the golden image and the jump page, at their places; the rest is erased. It is written once by
-//! JTAG and never needed again. Nothing is written that does not hold together: both images whole, for the same
-//! FPGA, and something at 0 that leads to slot A.
+//! Stubs, slot A, the golden image and the jump page, at their places; the rest is erased. It is
+//! written once by JTAG and never needed again. Only a consistent file is written: both images
+//! whole and for the same FPGA, and a stub at 0 that leads to slot A.
 
 use crate::image::fpga_name;
 use wire::board::crc32;
@@ -118,8 +118,8 @@ impl FlashFile {
         self.bytes.is_empty()
     }
 
-    /// Which pieces of a flash differ from this file. What the file leaves erased (settings, slot B) is not
-    /// looked at: a board that has been in use has something there.
+    /// Which pieces of a flash differ from this file. Areas that the file leaves erased (settings,
+    /// slot B) are not compared: a board in use has data there.
     pub fn compare(&self, flash: &[u8]) -> Vec<(&'static str, u32)> {
         let layout = self.layout;
         let stubs = Area {

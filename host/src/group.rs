@@ -1,45 +1,49 @@
-//! Several boards that are one machine: what stops one stops them all.
+//! Several boards that are one machine: a stop of one board stops all.
 //!
-//! A gantry with a board on each side, or three axes here and the fourth there: an axis that goes on while
-//! another stands is a crash. So a board that is given up, stops by itself or is halted raises the alarm, and
-//! every other board of the group is told to stop softly by its next command. All reads come before all writes in
-//! a servo thread, so that next command is this period's:
+//! With a gantry on two boards, or three axes on one board and the fourth on another, an axis that
+//! goes on while another stands is a crash. So a board that is given up, stops by itself or is
+//! halted raises the alarm, and every other board of the group is told to stop softly by its next
+//! command. All reads come before all writes in a servo thread, so that next command is this
+//! period's:
 //!
 //! ```text
 //!   read.0  read.1  read.2 !      motion      write.0  write.1  write.2
 //!                          alarm  ----------> stop     stop     -
 //! ```
 //!
-//! A thread that reads and writes one board after the other tells those before the dead one a period later.
+//! A thread that reads and writes one board after the other tells those before the dead one a
+//! period later.
 //!
-//! No board of the group is armed while another one does not answer. `stop-group` takes a board out of it.
+//! No board of the group is armed while another one does not answer. `stop-group` takes a board out
+//! of it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
-/// What is known of the others. Relaxed: one servo thread usually, and a period later at worst if it is not.
+/// What is known of the others. Relaxed: one servo thread usually, and a period later at worst if
+/// it is not.
 #[derive(Debug, Default)]
 pub struct Group {
-    /// The last alarm: how many there were, times 256, and whose it was.
+    /// The last alarm: the number of alarms, times 256, plus the index of its board.
     alarm: AtomicU32,
     /// Boards that do not answer, one bit each.
     lost: AtomicU32,
 }
 
 impl Group {
-    /// Nobody in it yet.
+    /// An empty group.
     pub fn new() -> Arc<Self> {
         Arc::default()
     }
 
-    /// Board `index` has stopped and nobody wanted that.
+    /// Board `index` has stopped without a command to stop.
     pub fn raise(&self, index: usize) {
         let count = self.alarm.load(Relaxed) >> 8;
         let alarm = count.wrapping_add(1) << 8 | (index as u32 & 0xff);
         self.alarm.store(alarm, Relaxed);
     }
 
-    /// Whose alarm there is that is newer than what was `heard`.
+    /// The board with an alarm newer than `heard`.
     pub fn alarm(&self, heard: &mut u32) -> Option<usize> {
         let alarm = self.alarm.load(Relaxed);
         let news = alarm != *heard;

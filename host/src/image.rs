@@ -1,7 +1,7 @@
-//! A bitstream file of ours: what it is for, and whether it is whole.
+//! A FerroCNC bitstream file: the board it is for, and whether it is whole.
 //!
-//! Nothing gets near a board's flash before it has been through [`Image::parse`], which refuses what was cut,
-//! damaged, made for another chip, or made by somebody else.
+//! Every file for a board's flash goes through [`Image::parse`] first. It refuses a file that is
+//! cut, damaged, made for another chip, or made by another project.
 //!
 //! ```text
 //! ff 00                                 comment header: NUL-terminated lines
@@ -17,8 +17,8 @@
 //! ff .. 3b 000000 e2 000000 IDCODE ..   commands; VERIFY_ID names the FPGA it will load into
 //! ```
 //!
-//! The header's own text is not under the CRC. What it says is either compared (length, CRC, part against the
-//! FPGA id, platform against the board's) or only a name for people.
+//! The header's own text is not under the CRC. Its fields are either compared (length, CRC, part
+//! with the FPGA id, platform with the board's) or only names.
 
 use wire::Name;
 use wire::board::crc32;
@@ -28,9 +28,9 @@ use wire::images::{Meta, idcode_of, program_length};
 const PREAMBLE: [u8; 4] = [0xff, 0xff, 0xbd, 0xb3];
 /// The first bytes of a file with a comment header.
 const COMMENT: [u8; 2] = [0xff, 0x00];
-/// Begins the line that says whose file this is.
+/// Begins the line that names the project.
 const MARK: &str = "FerroCNC";
-/// 16 KiB: a header has some 200 bytes; what is longer is none.
+/// 16 KiB: a header has some 200 bytes; a longer one is refused.
 const HEADER_MOST: usize = 16 * 1024;
 /// 4 MiB: the largest flash there is.
 const FILE_MOST: usize = 4 << 20;
@@ -72,7 +72,7 @@ pub enum ImageError {
     Missing(&'static str),
     /// The header has a line twice, and they differ.
     Twice(&'static str),
-    /// A line of the header makes no sense.
+    /// A line of the header is invalid.
     Field {
         /// Which line.
         line: &'static str,
@@ -115,7 +115,7 @@ impl core::fmt::Display for ImageError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             ImageError::NoBitstream => f.write_str(
-                "it is no ECP5 bitstream; give the .bit file that cargo xtask bitstream wrote",
+                "it is not an ECP5 bitstream; give the .bit file that cargo xtask bitstream wrote",
             ),
             ImageError::Foreign => f.write_str(
                 "it is a bitstream, but not one of FerroCNC's; give the .bit file that cargo xtask bitstream wrote",
@@ -129,7 +129,7 @@ impl core::fmt::Display for ImageError {
             }
             ImageError::Field { line, value } => write!(
                 f,
-                "its header says \"{line}: {value}\", which means nothing: it is damaged; copy or build it again"
+                "its header says \"{line}: {value}\", which is invalid: the file is damaged; copy or build it again"
             ),
             ImageError::Truncated { length, found } => write!(
                 f,
@@ -211,7 +211,8 @@ impl Image {
 }
 
 impl Image {
-    /// Bytes of the jobs program behind the bitstream; 0 if there is none. The FPGA is not to see it.
+    /// Bytes of the jobs program behind the bitstream; 0 if there is none. The FPGA must not get
+    /// it.
     pub fn program(&self) -> usize {
         let last = self.bytes.last_chunk::<8>().map(|last| {
             let [a, b, c, d, e, f, g, h] = *last;

@@ -1,18 +1,19 @@
-//! openFPGALoader, run for you: the first flash of a board's life goes through a JTAG cable.
+//! Runs openFPGALoader: the first flash of a board goes through a JTAG cable.
 //!
-//! This module finds the program, gives it the right options, passes its progress on, and turns what it prints
-//! when something is missing into one sentence that says what to do. It never guesses: before anything is
-//! written the FPGA on the cable is asked for its id.
+//! This module finds the program, gives it the right options, passes its progress on, and turns its
+//! error output into one sentence with the remedy. Before a write it always reads the id of the
+//! FPGA on the cable.
 //!
 //! | step | command |
 //! |---|---|
-//! | who is there | `openFPGALoader -c CABLE --detect` |
+//! | read the FPGA's id | `openFPGALoader -c CABLE --detect` |
 //! | load | `openFPGALoader -c CABLE -m FILE.bit` |
 //! | write | `openFPGALoader -c CABLE -f --unprotect-flash --verify -o 0 --file-type raw FILE.flash` |
 //! | read back | `openFPGALoader -c CABLE --dump-flash -o 0 --file-size BYTES FILE` |
 //!
-//! `--unprotect-flash` because these boards come with their flash protected; openFPGALoader protects it again
-//! as it was. What it prints was read in version 0.10 (Debian 12) and in the sources of 1.0.
+//! `--unprotect-flash` is needed because these boards come with their flash protected;
+//! openFPGALoader restores the protection afterwards. Its messages are those of version 0.10
+//! (Debian 12) and of the sources of 1.0.
 
 use crate::image::fpga_name;
 use std::io::Read;
@@ -23,7 +24,7 @@ use std::process::{Command, Stdio};
 pub const DEFAULT_CABLE: &str = "ft232";
 /// The bits of an FPGA's id that every version shows.
 const ID_SHOWN: u32 = 0x0fff_ffff;
-/// Of what it said last, this much is worth showing.
+/// At most this much of its last output is shown.
 const SAID_MOST: usize = 400;
 
 /// Why it did not work; it says what to do.
@@ -60,7 +61,7 @@ pub enum JtagError {
         /// The board's.
         board: u32,
     },
-    /// The FPGA answers, but not as one that wants to be configured.
+    /// The FPGA answers, but does not enter configuration.
     Configuration,
     /// The flash keeps its write protection.
     Protected,
@@ -122,10 +123,10 @@ impl core::fmt::Display for JtagError {
                 fpga_name(*board)
             ),
             JtagError::Configuration => f.write_str(
-                "the FPGA answers but does not let itself be configured; power the board off and on, and use shorter wires or a slower cable (--freq) if it stays so",
+                "the FPGA answers but does not accept a configuration; power the board off and on, and use shorter wires or a slower cable (--freq) if it stays so",
             ),
             JtagError::Protected => f.write_str(
-                "the flash is write-protected and does not let go; look whether its WP pin is tied low, and power the board off and on before the next try",
+                "the flash stays write-protected; look whether its WP pin is tied low, and power the board off and on before the next try",
             ),
             JtagError::NoFlash => f.write_str(
                 "the FPGA answers but its flash does not; power the board off and on and try again",
@@ -194,8 +195,9 @@ impl Loader {
 
     /// Refuses any FPGA but this.
     ///
-    /// Version 0.10 shows ids without their upper four bits, which tell a 12F from a 25F of the same die. Then the
-    /// rest has to do; for a bitstream openFPGALoader compares the whole id by itself.
+    /// Version 0.10 shows ids without their upper four bits, which tell a 12F from a 25F of the
+    /// same die. Then the rest has to do; for a bitstream openFPGALoader compares the whole id by
+    /// itself.
     pub fn expect(&self, file: u32) -> Result<(), JtagError> {
         match self.detect()? {
             board if board == file || board == file & ID_SHOWN => Ok(()),
@@ -267,7 +269,7 @@ impl Loader {
         let complaints = std::thread::spawn(move || {
             let mut bytes = Vec::new();
             if let Some(mut stderr) = stderr {
-                // What came until then is what there is to understand.
+                // The output until then has to be enough.
                 let _ = stderr.read_to_end(&mut bytes);
             }
             String::from_utf8_lossy(&bytes).into_owned()
@@ -295,7 +297,8 @@ impl Loader {
             .wait()
             .map_err(|error| JtagError::NotStarted(error.to_string()))?;
         let complaints = complaints.join().unwrap_or_default();
-        // A step that failed is not always in its exit code: a verification in 0.10, reading the flash.
+        // The exit code does not show every failed step: in 0.10 not a verification, nor reading
+        // the flash.
         let failed = complaints.contains("FAIL") || complaints.contains("erification failed");
         match status.success() && !failed {
             true => Ok(out),
@@ -305,7 +308,7 @@ impl Loader {
         }
     }
 
-    /// What its complaints mean.
+    /// The meaning of its error output.
     fn understand(&self, complaints: &str, out: &str) -> Option<JtagError> {
         let said = |text: &str| complaints.contains(text) || out.contains(text);
         let any = |texts: &[&str]| texts.iter().any(|text| said(text));

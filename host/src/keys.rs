@@ -1,13 +1,21 @@
-//! Pre-shared keys on this computer: one file per board, named by the board's unique id, for this user alone.
+//! Pre-shared keys on this computer: one file per board, named by the board's unique id, for this
+//! user alone.
 //!
 //! ```text
 //! ~/.config/ferrocnc/keys/d162-0c8a-1b2c-3d4e.key     mode 0600: one line, 32 hex digits
 //! ```
 //!
-//! ($XDG_CONFIG_HOME in place of ~/.config.) Everything that changes a board looks there by itself; a file may be named
-//! instead. A file others can read is refused, as ssh does. What is signed with a key is in [`wire::auth`].
+//! ($XDG_CONFIG_HOME in place of ~/.config.) A key on its way to a board lies beside that file, as
+//! `UID.key.new-FINGERPRINT`. The file exists before the board gets the key, and until it is known
+//! which key the board has. So every key of a board is in a file, even if an answer or the power of
+//! this computer is lost. Every command that needs the key tries those files, too. The key that the
+//! board takes becomes the board's file.
+//!
+//! Every command that changes a board looks there by itself; a file may be named instead. A file
+//! that other users can read is refused, as by ssh. [`wire::auth`] defines the words that a key
+//! signs.
 
-use crate::flash::uid_text;
+use crate::uid::uid_text;
 use hmac::{Hmac, Mac};
 use std::fs::{self, DirBuilder, OpenOptions};
 use std::io::{self, Write};
@@ -34,7 +42,7 @@ impl Key {
         for (word, bytes) in words.iter_mut().zip(bytes.as_chunks().0) {
             *word = u32::from_be_bytes(*bytes);
         }
-        // All zeros is none; it takes 2^128 tries to see this.
+        // All zeros means no key; this happens once in 2^128 tries.
         Ok(Key::new(words).unwrap_or(Key([1; WORDS])))
     }
 
@@ -67,9 +75,9 @@ impl Key {
         words.concat()
     }
 
-    /// Tells keys apart and gives nothing away.
+    /// Tells keys apart without showing them.
     pub fn fingerprint(&self) -> String {
-        // No purpose: no board takes this for an answer.
+        // Purpose 0 is not used, so no board accepts this tag as an answer.
         let [first, ..] = self.tag(&[0], &[]);
         format!("{first:08x}")
     }
@@ -101,7 +109,7 @@ impl Key {
         self.tag(&Purpose::Login.head(challenge), &[])
     }
 
-    /// The answer at the end of a Proven whose words before it are these.
+    /// The answer at the end of a Proven, for the words before it.
     pub fn set(&self, challenge: [u32; WORDS], words: &[u32]) -> [u32; WORDS] {
         self.tag(&Purpose::Set.head(challenge), words)
     }
@@ -120,8 +128,8 @@ pub enum KeyError {
     Io(PathBuf, io::Error),
     /// Neither $XDG_CONFIG_HOME nor $HOME is set.
     NoHome,
-    /// The board does not take it.
-    Wrong(PathBuf),
+    /// The board takes none of these.
+    Wrong(Vec<PathBuf>),
 }
 
 impl core::fmt::Display for KeyError {
@@ -129,12 +137,12 @@ impl core::fmt::Display for KeyError {
         match self {
             KeyError::Missing(path) => write!(
                 f,
-                "the board wants a key, and there is none at {}; copy that file from the computer where the key was made (ferrocnc key new), or name another: --key FILE, with loadrt key=FILE. Lost for good? Start the board with its factory pin held, then: ferrocnc key clear",
+                "the board wants a key, and there is none at {}; copy that file from the computer where the key was made (ferrocnc key new), or name another: --key FILE, with loadrt key=FILE. If the key is lost: start the board with its factory pin held, then: ferrocnc key clear",
                 path.display()
             ),
             KeyError::Open(path, mode) => write!(
                 f,
-                "{} can be read by others (mode {mode:04o}), so it is no secret; if nobody has: chmod 600 {}, else make a new one (ferrocnc key new)",
+                "{} can be read by others (mode {mode:04o}), so it is not secret; if it was not copied: chmod 600 {}, else make a new one (ferrocnc key new)",
                 path.display(),
                 path.display()
             ),
@@ -147,10 +155,14 @@ impl core::fmt::Display for KeyError {
             KeyError::NoHome => f.write_str(
                 "neither $XDG_CONFIG_HOME nor $HOME says where keys are; name the file: --key FILE, with loadrt key=FILE",
             ),
-            KeyError::Wrong(path) => write!(
+            KeyError::Wrong(paths) => write!(
                 f,
                 "the board has a key, but not the one in {}; take the file from the computer where the key was made last (ferrocnc key show tells them apart)",
-                path.display()
+                paths
+                    .iter()
+                    .map(|path| path.display().to_string())
+                    .collect::<Vec<_>>()
+                    .join(", nor in ")
             ),
         }
     }
@@ -182,12 +194,78 @@ impl Keys {
         }
     }
 
-    /// The key for this board, and where it was.
-    pub fn find(&self, uid: [u32; 2]) -> Result<(Key, PathBuf), KeyError> {
-        let path = self.path(uid)?;
-        Ok((read(&path)?, path))
+    /// The keys this board may have, at least one, and where they are: the board's file, then what
+    /// was on its way to it, the last first.
+    pub fn find(&self, uid: [u32; 2]) -> Result<Vec<(Key, PathBuf)>, KeyError> {
+        let home = self.path(uid)?;
+        let mut found = Vec::new();
+        let first = match read(&home) {
+            Ok(key) => {
+                found.push((key, home.clone()));
+                None
+            }
+            // Something on its way may be the one.
+            Err(error @ KeyError::Missing(_)) => Some(error),
+            Err(error) => return Err(error),
+        };
+        for path in self.pending(uid)? {
+            // A file that others can read, or that a full disk cut short, is skipped.
+            found.extend(read(&path).map(|key| (key, path)));
+        }
+        match first {
+            Some(error) if found.is_empty() => Err(error),
+            Some(_) | None => Ok(found),
+        }
+    }
+
+    /// Where a key waits that is on its way to this board.
+    pub fn on_its_way(uid: [u32; 2], key: &Key) -> Result<PathBuf, KeyError> {
+        let home = user_file(uid)?;
+        Ok(home.with_extension(format!("{PENDING}{}", key.fingerprint())))
+    }
+
+    /// The files of keys that were on their way to this board, the last first. None where a file is
+    /// named.
+    pub fn pending(&self, uid: [u32; 2]) -> Result<Vec<PathBuf>, KeyError> {
+        let home = match self {
+            Keys::File(_) => return Ok(Vec::new()),
+            Keys::ByBoard => user_file(uid)?,
+        };
+        let prefix = home.with_extension(PENDING);
+        let (Some(folder), Some(prefix)) = (prefix.parent(), prefix.file_name()) else {
+            return Ok(Vec::new());
+        };
+        // No folder, no files.
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        let mut found: Vec<_> = entries
+            .filter(|entry| {
+                let name = entry.file_name();
+                name.as_encoded_bytes()
+                    .starts_with(prefix.as_encoded_bytes())
+            })
+            .map(|entry| {
+                let written = entry.metadata().and_then(|data| data.modified()).ok();
+                (std::cmp::Reverse(written), entry.path())
+            })
+            .collect();
+        found.sort();
+        Ok(found.into_iter().map(|(_, path)| path).collect())
+    }
+
+    /// The board has taken the key in this file: if it was on its way, it is the board's from now
+    /// on.
+    pub fn accepted(&self, uid: [u32; 2], path: &Path) {
+        if let (Keys::ByBoard, Ok(home)) = (self, user_file(uid))
+            && path != home
+        {
+            // If the rename fails, the file is found under its old name the next time.
+            let _ = fs::rename(path, &home).and_then(|()| sync_folder(&home));
+        }
     }
 }
+
+/// What a key's file ends in while the board may not have it yet; its fingerprint follows.
+const PENDING: &str = "key.new-";
 
 /// This user's file for the board with this unique id.
 pub fn user_file(uid: [u32; 2]) -> Result<PathBuf, KeyError> {
@@ -200,7 +278,7 @@ pub fn user_file(uid: [u32; 2]) -> Result<PathBuf, KeyError> {
     Ok(config.join("ferrocnc").join("keys").join(name))
 }
 
-/// Reads a key that nobody else can read.
+/// Reads a key from a file that only this user can read.
 pub fn read(path: &Path) -> Result<Key, KeyError> {
     let failed = |error: io::Error| match error.kind() {
         io::ErrorKind::NotFound => KeyError::Missing(path.to_owned()),
@@ -215,17 +293,23 @@ pub fn read(path: &Path) -> Result<Key, KeyError> {
     Key::parse(&text).ok_or_else(|| KeyError::Malformed(path.to_owned()))
 }
 
-/// Writes a key where only this user can read it; what was there before is there until the new one is whole.
+/// Writes a key where only this user can read it; the old file stays until the new one is whole.
+/// When this comes back the key survives a loss of power: the file is on the disk, its name is, and
+/// so are folders made for it.
 pub fn write(path: &Path, key: &Key) -> Result<(), KeyError> {
     let failed = |error| KeyError::Io(path.to_owned(), error);
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
     if let Some(folder) = folder {
+        let missing: Vec<_> = folder.ancestors().take_while(|one| !one.exists()).collect();
         let mut builder = DirBuilder::new();
         let made = builder.recursive(true).mode(0o700).create(folder);
         made.map_err(failed)?;
+        for folder in missing {
+            sync_folder(folder).map_err(failed)?;
+        }
     }
     let fresh = path.with_extension("key.tmp");
-    // One that a crash left has who knows what mode.
+    // A file left by a crash may have any mode.
     let _ = fs::remove_file(&fresh);
     let mut options = OpenOptions::new();
     let file = options
@@ -235,7 +319,15 @@ pub fn write(path: &Path, key: &Key) -> Result<(), KeyError> {
         .open(&fresh);
     let mut file = file.map_err(failed)?;
     let done = writeln!(file, "{}", key.text()).and_then(|()| file.sync_all());
-    done.and_then(|()| fs::rename(&fresh, path)).map_err(failed)
+    done.and_then(|()| fs::rename(&fresh, path))
+        .and_then(|()| sync_folder(path))
+        .map_err(failed)
+}
+
+/// Has the names in a file's folder written to the disk.
+fn sync_folder(file: &Path) -> io::Result<()> {
+    let folder = file.parent().filter(|folder| *folder != Path::new(""));
+    fs::File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
 }
 
 #[cfg(test)]
@@ -318,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_shows_itself_to_nobody() {
+    fn debug_output_does_not_show_the_key() {
         let key = Key::parse("feedfacefeedfacefeedfacefeedface\n").unwrap();
         assert!(!format!("{key:?}").contains("feed"));
     }

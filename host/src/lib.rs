@@ -1,37 +1,40 @@
 //! FerroCNC on the host.
 //!
 //! Built as a `cdylib` this crate is the realtime module `ferrocnc.so` that `loadrt ferrocnc
-//! boards=192.168.2.50` loads into LinuxCNC. Built as an `rlib` it is everything the tool and the tests
-//! need. Neither needs LinuxCNC to build or link.
+//! boards=192.168.2.50` loads into LinuxCNC. Built as an `rlib` it is everything the tool and the
+//! tests need. Neither needs LinuxCNC to build or link.
 //!
 //! | module | what it is for |
 //! |---|---|
 //! | [`module`] | what `loadrt` finds: parameters, entry points |
+//! | [`turn`] | exclusive access to a board: one realtime thread at a time, and then `unloadrt` |
 //! | [`fence`] | a panic stops the machine, not the process |
 //! | [`driver`] | one board in the servo thread: read, write, session, state; the timing model |
 //! | [`blocks`] | one function block each: pins, units, policy; also the list of pins |
 //! | [`names`] | other drivers' names for the same pins |
-//! | [`clock`] | what time it is on a board; one moment for several |
-//! | [`group`] | what stops one of several boards stops them all |
+//! | [`clock`] | the time of a board's clock; one moment for several boards |
+//! | [`group`] | a stop of one of several boards stops all |
 //! | [`settings`] | parameters on their way to the board |
 //! | [`link`] | the socket in the servo thread |
 //! | [`client`] | the socket everywhere else: blocking requests, board identity, session |
 //! | [`address`] | `IP[:port]` |
 //! | [`image`] | a bitstream file: what it is for, whether it is whole |
 //! | [`flash`] | the board's flash over the network |
-//! | [`discovery`] | finding boards whatever their address is |
-//! | [`provision`] | giving them another one |
+//! | [`discovery`] | finding boards with any address |
+//! | [`provision`] | giving boards new settings |
 //! | [`update`] | a new image over the network |
 //! | [`flash_file`] | a whole flash image, before it is written by JTAG |
-//! | [`jtag`] | openFPGALoader, run for you |
+//! | [`jtag`] | runs openFPGALoader |
+//! | [`selftest`] | tests of a new board and its wiring, with remedies |
 //! | [`job`] | drawings and programs become jobs, are drawn and checked |
 //! | [`hal`] | typed pins, the real HAL, a HAL in a `Vec` |
 //!
 //! # Pins of a board
 //!
-//! Functions `ferrocnc.<n>.read` and `ferrocnc.<n>.write`: `read` first and `write` last in the servo
-//! thread. `ferrocnc.<n>.read-request`, optional and before every `read`: feedback from the beginning of the
-//! period instead of the end of the last, for one more datagram each way. Board-wide, as `ferrocnc.<n>.<name>`:
+//! Functions `ferrocnc.<n>.read` and `ferrocnc.<n>.write`: `read` first and `write` last in the
+//! servo thread. `ferrocnc.<n>.read-request`, optional and before every `read`: feedback from the
+//! beginning of the period instead of the end of the last, for one more datagram each way.
+//! Board-wide, as `ferrocnc.<n>.<name>`:
 //!
 //! | name | | |
 //! |---|---|---|
@@ -51,11 +54,12 @@
 //! | `probe-invert` | bit param | it is active low |
 //! | `apply-delay-ns` | u32 param | commands take effect this long after `write`, on all boards at once; 0: on arrival |
 //!
-//! then [`blocks::packets`], [`blocks::watchdog`], [`blocks::wallclock`], [`blocks::ethernet`], and per channel
-//! [`blocks::stepgen`], [`blocks::encoder`], [`blocks::pwm`], [`blocks::gpio`], with the board's own name
-//! for the channel where it has one and two digits where not. A pin whose name would be longer than 41
-//! characters goes by its channel's two digits: `encoder.05.position-latched` of the encoder `spindle`.
-//! `docs/pins.md` has them all in one table, beside what other drivers call them.
+//! then [`blocks::packets`], [`blocks::watchdog`], [`blocks::wallclock`], [`blocks::ethernet`], and
+//! per channel [`blocks::stepgen`], [`blocks::encoder`], [`blocks::pwm`], [`blocks::gpio`], with
+//! the board's own name for the channel where it has one and two digits where not. If a pin's name
+//! would be longer than 41 characters, it has its channel's two digits instead:
+//! `encoder.05.position-latched` of the encoder `spindle`. `docs/pins.md` has them all in one
+//! table, beside what other drivers call them.
 #![deny(unsafe_op_in_unsafe_fn)]
 
 pub mod address;
@@ -67,6 +71,7 @@ pub mod driver;
 pub mod fence;
 pub mod flash;
 pub mod flash_file;
+pub mod glue;
 pub mod group;
 pub mod hal;
 pub mod image;
@@ -77,5 +82,9 @@ pub mod link;
 pub mod module;
 pub mod names;
 pub mod provision;
+pub mod selftest;
 pub mod settings;
+pub mod sync;
+pub mod turn;
+pub mod uid;
 pub mod update;

@@ -1,7 +1,22 @@
 //! The realtime module: what `loadrt ferrocnc boards=...` finds in `ferrocnc.so`.
 //!
-//! `rtapi_app` looks up `rtapi_app_main`, `rtapi_app_exit`, and per module parameter a pair of words
-//! saying its type and where it lives. C makes those with macros; here they are spelled out.
+//! `rtapi_app` looks up `rtapi_app_main`, `rtapi_app_exit`, and per module parameter a pair of
+//! words saying its type and where it lives. C uses macros for them; here they are written out.
+//!
+//! # Unloading
+//!
+//! `unloadrt` calls `rtapi_app_exit` while realtime threads run on, and unmaps the module when that
+//! returns. Nothing in HAL waits for a thread that is inside one of our functions, or about to call
+//! one. So:
+//!
+//! 1. Every function goes through its board's [`Turn`]. `rtapi_app_exit` shuts it, waits for the
+//!    thread inside, and gives the session back: the board stops softly.
+//! 2. HAL takes our functions out of its threads' lists without asking whether one is being walked
+//!    through. That is done right after a thread was turned away, when it has the rest of its
+//!    period to sleep.
+//! 3. What a thread may still hold after that is the address of the `Turn` and of the function. The
+//!    one is never freed (some hundred bytes a board), the other never unmapped (`build.rs` links
+//!    with `nodelete`).
 
 use crate::address::{self, Address};
 use crate::client::{Client, ClientError};
@@ -15,10 +30,12 @@ use crate::hal::{ExportError, Level};
 use crate::keys::Keys;
 use crate::link::Link;
 use crate::names::{self, Does, NamesError, Scheme};
+use crate::turn::Turn;
 use core::ffi::{CStr, c_char, c_int, c_long, c_void};
 use core::sync::atomic::{AtomicPtr, Ordering};
 use std::ffi::CString;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 /// A pointer-sized word `rtapi_app` reads by name.
 #[repr(transparent)]
@@ -63,13 +80,23 @@ exported!(
     c"FerroCNC: motion on Colorlight ECP5 boards".as_ptr()
 );
 
-/// Everything alive between load and unload. Dropped in this order: functions and pins first, then
-/// the drivers they refer to.
+/// A board as HAL's functions know it; empty once it is unloaded.
+pub type Door = Turn<Option<Fenced>>;
+
+/// Everything alive between load and unload.
 struct Loaded {
     component: Component,
-    // Boxed: HAL holds their addresses.
-    boards: Vec<Box<Fenced>>,
+    /// Leaked: a thread may look at one after it was unloaded.
+    boards: Vec<&'static Door>,
 }
+
+/// 5 s for a thread to come out of a function: longer than any `packet-read-timeout`.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// 100 us between two looks.
+const LOOK: Duration = Duration::from_micros(100);
+/// 20 ms: a thread that was not turned away in that time does not run, or is too slow to be waited
+/// for.
+const SLOWEST: Duration = Duration::from_millis(20);
 
 static LOADED: AtomicPtr<Loaded> = AtomicPtr::new(core::ptr::null_mut());
 
@@ -139,7 +166,7 @@ pub extern "C" fn rtapi_app_main() -> c_int {
             say(&api, &error.to_string());
             error.errno()
         }
-        // The hook has said where.
+        // The panic hook has printed the place.
         Err(_) => -libc::EFAULT,
     }
 }
@@ -152,14 +179,53 @@ pub extern "C" fn rtapi_app_exit() {
         return;
     }
     // SAFETY: `rtapi_app_main` put a box there, and the swap made us the only one to take it.
-    let mut loaded = unsafe { Box::from_raw(loaded) };
+    let loaded = unsafe { Box::from_raw(loaded) };
     // Nothing may unwind out of here; the hook has said what happened.
-    let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-        for board in &mut loaded.boards {
-            board.release();
+    let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| drop(loaded)));
+    // The module stays where it is, and the next `loadrt` sets only what it is given.
+    for parameter in [&BOARDS, &NAMES, &KEY] {
+        parameter.store(core::ptr::null_mut(), Ordering::Relaxed);
+    }
+}
+
+impl Drop for Loaded {
+    fn drop(&mut self) {
+        // Out of the threads' reach first; HAL forgets functions and pins when `component` is
+        // dropped.
+        for door in &self.boards {
+            drop(unload(door));
         }
-    }));
-    drop(loaded);
+    }
+}
+
+/// Takes a board away from the threads and gives its session back. `None`: a thread is inside and
+/// does not leave, so everything stays loaded; the board's watchdog stops the machine.
+pub fn unload(door: &Door) -> Option<Fenced> {
+    let deadline = Instant::now() + PATIENCE;
+    let patient = || {
+        std::thread::sleep(LOOK);
+        Instant::now() < deadline
+    };
+    let mut board = door.shut(patient, Option::take).flatten()?;
+    board.release();
+    turned_away(door);
+    Some(board)
+}
+
+/// Waits until the threads that call a board have just been turned away, and sleep.
+fn turned_away(door: &Door) {
+    let began = Instant::now();
+    let before = door.late();
+    let mut last = before;
+    while began.elapsed() < SLOWEST {
+        std::thread::sleep(LOOK);
+        let now = door.late();
+        // The last of its functions was called more than a look ago.
+        if now != before && now == last {
+            return;
+        }
+        last = now;
+    }
 }
 
 fn load(api: Api) -> Result<Loaded, LoadError> {
@@ -167,12 +233,17 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
     let scheme = Scheme::parse(&parameter(&NAMES)).map_err(LoadError::Names)?;
     let keys = Some(parameter(&KEY)).filter(|file| !file.is_empty());
     let keys = Keys::named(keys.as_deref().map(Path::new));
-    // Talk to the boards first: if one is missing HAL has never heard of us.
+    // Connect to the boards first: if one is missing, nothing is registered with HAL.
     let clients = boards
         .iter()
         .map(|address| connect(address, &keys))
         .collect::<Result<Vec<_>, _>>()
         .map_err(LoadError::Client)?;
+    if let Some(scheme) = &scheme {
+        for (index, (_, identity)) in clients.iter().enumerate() {
+            scheme.check(index, identity).map_err(LoadError::Names)?;
+        }
+    }
     let component =
         Component::new(api, c"ferrocnc").map_err(|errno| LoadError::Hal("hal_init", errno))?;
     let mut loaded = Loaded {
@@ -214,19 +285,17 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
                 (format!("{prefix}.{name}"), function)
             }));
         }
-        loaded
-            .boards
-            .push(Box::new(Fenced::new(driver, messenger(api))));
-        if let Some(board) = loaded.boards.last_mut() {
-            register(&loaded.component, &functions, board).map_err(LoadError::Export)?;
-        }
+        let fenced = Fenced::new(driver, messenger(api));
+        let door: &Door = Box::leak(Box::new(Turn::new(Some(fenced))));
+        loaded.boards.push(door);
+        register(&loaded.component, &functions, door).map_err(LoadError::Export)?;
     }
     let ready = loaded.component.ready();
     ready.map_err(|errno| LoadError::Hal("hal_ready", errno))?;
     Ok(loaded)
 }
 
-/// Gets to know a board and takes its session.
+/// Identifies a board and takes its session.
 fn connect(
     address: &Address,
     keys: &Keys,
@@ -246,41 +315,56 @@ const UPDATE: Funct = update;
 fn register(
     component: &Component,
     functions: &[(String, Funct)],
-    board: &mut Fenced,
+    door: &'static Door,
 ) -> Result<(), ExportError> {
-    let argument: *mut Fenced = board;
+    let argument = core::ptr::from_ref(door).cast_mut();
     for (name, function) in functions {
         let name = CString::new(name.as_str()).unwrap_or_default();
-        // SAFETY: all functions take a `Fenced`; the box outlives the component in `Loaded`.
+        // SAFETY: all functions take a `Door`, and look at it only; it lives as long as the
+        // program.
         unsafe { component.function(&name, *function, argument.cast())? };
     }
     Ok(())
 }
 
-unsafe extern "C" fn read_request(board: *mut c_void, period_ns: c_long) {
-    // SAFETY: HAL passes back what `register` registered, and calls from one thread at a time.
-    let board = unsafe { &mut *board.cast::<Fenced>() };
-    board.read_request(nanos(period_ns));
+/// A function's way in: not if another thread is inside, and not after the board was unloaded.
+///
+/// # Safety
+/// `door` must be what `register` registered.
+unsafe fn enter(door: *mut c_void, work: impl FnOnce(&mut Fenced)) {
+    // SAFETY: the caller's promise; doors are never freed.
+    let door = unsafe { &*door.cast::<Door>() };
+    door.take(|board| {
+        let Some(board) = board else { return };
+        board.collided(door.collisions());
+        work(board);
+    });
 }
 
-unsafe extern "C" fn read(board: *mut c_void, period_ns: c_long) {
-    // SAFETY: as in `read_request`.
-    let board = unsafe { &mut *board.cast::<Fenced>() };
-    board.read(nanos(period_ns));
+unsafe extern "C" fn read_request(door: *mut c_void, period_ns: c_long) {
+    // SAFETY: HAL passes back what `register` registered.
+    unsafe { enter(door, |board| board.read_request(nanos(period_ns))) };
 }
 
-unsafe extern "C" fn write(board: *mut c_void, period_ns: c_long) {
+unsafe extern "C" fn read(door: *mut c_void, period_ns: c_long) {
     // SAFETY: as in `read_request`.
-    let board = unsafe { &mut *board.cast::<Fenced>() };
-    board.write(nanos(period_ns));
+    unsafe { enter(door, |board| board.read(nanos(period_ns))) };
+}
+
+unsafe extern "C" fn write(door: *mut c_void, period_ns: c_long) {
+    // SAFETY: as in `read_request`.
+    unsafe { enter(door, |board| board.write(nanos(period_ns))) };
 }
 
 /// Lcnc's one function for both.
-unsafe extern "C" fn update(board: *mut c_void, period_ns: c_long) {
+unsafe extern "C" fn update(door: *mut c_void, period_ns: c_long) {
     // SAFETY: as in `read_request`.
-    let board = unsafe { &mut *board.cast::<Fenced>() };
-    board.read(nanos(period_ns));
-    board.write(nanos(period_ns));
+    unsafe {
+        enter(door, |board| {
+            board.read(nanos(period_ns));
+            board.write(nanos(period_ns));
+        });
+    }
 }
 
 /// C's `long` is 32 bits on small machines.

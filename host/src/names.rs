@@ -1,21 +1,25 @@
-//! `names=lcnc` and `names=litexcnc[:NAME,...]`: the pins of other drivers for the same boards, so that a
-//! HAL file written for one of them loads unchanged but for its `loadrt` line.
+//! `names=lcnc` and `names=litexcnc[:NAME,...]`: the pins of other drivers for the same boards, so
+//! that a HAL file for one of them needs only another `loadrt` line. Tests run LinuxCNC with the
+//! two files in `host/examples/peers`.
 //!
-//! Where their pin is one of ours in type, direction and unit it becomes a HAL alias: one pin with two
-//! names. Where it differs it is a pin of its own, coupled to ours by a bit of glue that runs before `write`
-//! and after `read`. What is written to such a pin is passed on when it *changes*, so a file that uses both
-//! names for one thing gets the last word said, and a pin nobody touches changes nothing.
+//! If a pin of the other driver equals one of ours in type, direction and unit, it becomes a HAL
+//! alias: one pin with two names. If it differs, it is a pin of its own, coupled to ours by glue
+//! code that runs before `write` and after `read`. A value written to such a pin is passed on when
+//! it *changes*, so if a file uses both names for one pin, the last write counts, and a pin without
+//! a write changes nothing.
 //!
-//! The ordinary names stay. What each name means here, and where that is not what it meant there, is in
-//! `docs/pins.md`.
+//! The ordinary names stay. `docs/pins.md` lists the meaning of each name here, and each difference
+//! from the other driver.
 
 use crate::client::Identity;
 use crate::driver::Driver;
+use crate::glue::Glue;
+use crate::hal::checked::{Rule, Source, Watch};
 use crate::hal::{Backend, Catalogue, Direction, ExportError, Exported, Exporter, Handle, Type};
 use Direction::{In, Io, Out, ReadOnly, ReadWrite};
 use Type::{Bit, Float, U32};
 
-/// Whose names.
+/// The driver with the names.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Scheme {
     /// `Lcnc.NN.*`.
@@ -24,26 +28,61 @@ pub enum Scheme {
     LitexCnc(Vec<String>),
 }
 
-/// `names=` is not understood.
+/// Why a board does not get others' names.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NamesError(String);
+pub enum NamesError {
+    /// `names=` is not understood.
+    Scheme(String),
+    /// This board does not say which number LiteX-CNC gave its inputs and outputs, and our numbers
+    /// differ.
+    Row(String, RowError),
+}
+
+/// What is wrong with the numbers of a board's inputs and outputs in LiteX-CNC's row.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RowError {
+    /// It gives no number, and has channels that shift the numbers.
+    Unsaid,
+    /// This is not a number of the row.
+    NoNumber(String),
+    /// Two channels have this one.
+    Twice(u8),
+}
 
 impl core::fmt::Display for NamesError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(
-            f,
-            "\"{}\" are no names; say names=lcnc, names=litexcnc or names=litexcnc:NAME[,NAME...], one per board",
-            self.0
-        )
+        match self {
+            NamesError::Scheme(text) => write!(
+                f,
+                "\"{text}\" is not valid for names=; write names=lcnc, names=litexcnc or names=litexcnc:NAME[,NAME...], one per board"
+            ),
+            NamesError::Row(prefix, wrong) => {
+                write!(f, "names=litexcnc cannot number gpio of \"{prefix}\": ")?;
+                match wrong {
+                    RowError::Unsaid => f.write_str(
+                        "LiteX-CNC numbers inputs and outputs in one row, in the order of its JSON, and the board does not say which number each had, so that its HAL file would switch the wrong outputs",
+                    ),
+                    RowError::NoNumber(text) => {
+                        write!(f, "the board says {text:?}, which is no number from 0 to 63")
+                    }
+                    RowError::Twice(number) => {
+                        write!(f, "the board gives the number {number} to two channels")
+                    }
+                }?;
+                f.write_str(
+                    "; import that JSON again (ferrocnc config import litexcnc), or write litexcnc = NUMBER beside each [[gpio_in]] and [[gpio_out]] of the board file, then build and update the board",
+                )
+            }
+        }
     }
 }
 
 impl std::error::Error for NamesError {}
 
 impl Scheme {
-    /// The module parameter; empty is none.
+    /// The module parameter; empty means no other names.
     pub fn parse(text: &str) -> Result<Option<Scheme>, NamesError> {
-        let error = || NamesError(text.to_owned());
+        let error = || NamesError::Scheme(text.to_owned());
         match text.trim() {
             "" => Ok(None),
             "lcnc" => Ok(Some(Scheme::Lcnc)),
@@ -78,6 +117,17 @@ impl Scheme {
         }
     }
 
+    /// Refuses a board if the other driver's names would belong to other pins.
+    pub fn check(&self, index: usize, identity: &Identity) -> Result<(), NamesError> {
+        match self {
+            Scheme::Lcnc => Ok(()),
+            Scheme::LitexCnc(_) => match row(identity) {
+                Ok(_) => Ok(()),
+                Err(wrong) => Err(NamesError::Row(self.prefix(index, identity), wrong)),
+            },
+        }
+    }
+
     /// The realtime functions: name after the prefix, and what they do.
     pub fn functions(&self) -> &'static [(&'static str, Does)] {
         match self {
@@ -104,29 +154,60 @@ fn is_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= 16 && name.bytes().all(good)
 }
 
-type Step = Box<dyn FnMut() + Send>;
-
-/// What runs beside a driver to keep other names alive.
-#[derive(Default)]
-pub struct Glue {
-    inputs: Vec<Step>,
-    outputs: Vec<Step>,
+/// An input or output in LiteX-CNC's one row of both.
+struct Place {
+    number: u8,
+    input: bool,
+    /// Ours among its kind.
+    ours: u8,
 }
 
-impl Glue {
-    /// Before our pins are read.
-    pub fn inputs(&mut self) {
-        for step in &mut self.inputs {
-            step();
+/// The row as the board's description says it. Without a word in it our own numbers do where they
+/// cannot differ: with inputs or outputs alone, and without what an import puts in front of them,
+/// e-stops and the watchdog's pins.
+fn row(identity: &Identity) -> Result<Vec<Place>, RowError> {
+    let channels = identity.describe.channels;
+    let all = || {
+        let inputs = (0..channels.inputs).map(|n| (true, n));
+        inputs.chain((0..channels.outputs).map(|n| (false, n)))
+    };
+    let letter = |input: bool| if input { b'i' } else { b'o' };
+    let mut row: Vec<Place> = Vec::new();
+    for (input, ours) in all() {
+        let Some(text) = identity.pin(letter(input), usize::from(ours), "gpio") else {
+            continue;
+        };
+        let number = text.parse().ok().filter(|number| *number < 64);
+        let number = number.ok_or_else(|| RowError::NoNumber(text.to_owned()))?;
+        if row.iter().any(|other| other.number == number) {
+            return Err(RowError::Twice(number));
         }
+        row.push(Place {
+            number,
+            input,
+            ours,
+        });
     }
-
-    /// After our pins were written.
-    pub fn outputs(&mut self) {
-        for step in &mut self.outputs {
-            step();
+    if !row.is_empty() {
+        return Ok(row);
+    }
+    let blob = identity.blob();
+    let moved = all().any(|(input, n)| {
+        let name = || blob.text(wire::board::Kind::Output, n);
+        match input {
+            true => identity.has_pin(b'i', usize::from(n), "estop"),
+            false => matches!(name(), Some("watchdog" | "heartbeat")),
         }
+    });
+    if moved || (channels.inputs > 0 && channels.outputs > 0) {
+        return Err(RowError::Unsaid);
     }
+    let own = all().map(|(input, ours)| Place {
+        number: ours,
+        input,
+        ours,
+    });
+    Ok(own.collect())
 }
 
 /// Exports the names of a scheme for a board.
@@ -138,8 +219,11 @@ pub fn export(
     driver: &Driver,
 ) -> Result<Glue, ExportError> {
     let prefix = scheme.prefix(index, identity);
+    let mut theirs = Catalogue::default();
     let mut names = Names {
-        hal: Exporter::new(backend, prefix).with_foreign_names(),
+        hal: Exporter::new(backend, prefix)
+            .with_foreign_names()
+            .listed(&mut theirs),
         ours: driver.catalogue(),
         glue: Glue::default(),
     };
@@ -147,7 +231,9 @@ pub fn export(
         Scheme::Lcnc => lcnc(&mut names, driver)?,
         Scheme::LitexCnc(_) => litexcnc(&mut names, identity, driver)?,
     }
-    Ok(names.glue)
+    let mut glue = names.glue;
+    glue.watches = theirs.iter().filter_map(Watch::of).collect();
+    Ok(glue)
 }
 
 /// `Lcnc.NN.*` as `driver/Lcnc.c` exports it.
@@ -159,7 +245,7 @@ fn lcnc(names: &mut Names<'_>, driver: &Driver) -> Result<(), ExportError> {
     // A missing answer raises our level by 2.
     names.follow(
         ("tx-max-retries", U32, ReadWrite),
-        10.0,
+        (10.0, Rule::Any),
         &["packet-error-limit"],
         |n| 2.0 * n,
     )?;
@@ -168,7 +254,7 @@ fn lcnc(names: &mut Names<'_>, driver: &Driver) -> Result<(), ExportError> {
     })?;
     names.follow(
         ("watchdog-write", Float, ReadWrite),
-        0.01,
+        (0.01, Rule::NotNegative),
         &["watchdog.timeout-ns"],
         |s| s * 1e9,
     )?;
@@ -188,10 +274,10 @@ fn lcnc(names: &mut Names<'_>, driver: &Driver) -> Result<(), ExportError> {
         names.alias(&theirs("pos-fb"), &ours("position"))?;
         names.alias(&theirs("vel-fb"), &ours("velocity"))?;
         names.alias(&theirs("reset"), &ours("reset"))?;
-        // Ours counts always.
+        // Our encoder always counts.
         names.lone((&theirs("enable"), Bit, In), 0.0)?;
         // Units per count there, counts per unit here.
-        let scale = names.lone((&theirs("scale"), Float, ReadWrite), 1.0)?;
+        let scale = names.told((&theirs("scale"), Float, ReadWrite), 1.0, Rule::Divisor)?;
         let invert = names.lone((&theirs("inv"), Bit, ReadWrite), 0.0)?;
         let reciprocal = move || {
             1.0 / if invert.get() == 0.0 {
@@ -214,10 +300,11 @@ fn lcnc(names: &mut Names<'_>, driver: &Driver) -> Result<(), ExportError> {
         names.alias(&theirs("step_inv"), &ours("step-invert"))?;
         names.alias(&theirs("dir_inv"), &ours("dir-invert"))?;
         names.ours(&ours("control-type"))?.handle.set(1.0);
-        // 0 never moves there and knows no limit here: what nobody sets leaves our cautious default alone.
-        let limit = names.lone((&theirs("acc_lim"), Float, In), 0.0)?;
+        // 0 means no motion there and no limit here. A pin that HAL does not set keeps our cautious
+        // default.
+        let limit = names.told((&theirs("acc_lim"), Float, In), 0.0, Rule::NotNegative)?;
         let default = names.ours(&ours("maxaccel"))?.handle.get();
-        names.set(&ours("maxaccel"), move || match limit.get().abs() {
+        names.set(&ours("maxaccel"), move || match limit.get() {
             0.0 => default,
             limit => limit,
         })?;
@@ -228,32 +315,42 @@ fn lcnc(names: &mut Names<'_>, driver: &Driver) -> Result<(), ExportError> {
             .map(|n| format!("stepgen.{n}.{pin}"))
             .collect()
     };
-    let width = names.lone(("stepgen-step_width", Float, ReadWrite), 100.0)?;
-    let space = names.lone(("stepgen-step_space", Float, ReadWrite), 100.0)?;
-    let dir = names.lone(("stepgen-dir_width", Float, ReadWrite), 100.0)?;
-    let setup = names.lone(("stepgen-setup_time", Float, ReadWrite), 1000.0)?;
+    let mut time =
+        |pin: &str, nanos: f64| names.told((pin, Float, ReadWrite), nanos, Rule::NotNegative);
+    let width = time("stepgen-step_width", 100.0)?;
+    let space = time("stepgen-step_space", 100.0)?;
+    let dir = time("stepgen-dir_width", 100.0)?;
+    let setup = time("stepgen-setup_time", 1000.0)?;
     for n in 0..usize::from(channels.stepgens) {
+        let (width, space) = (width.clone(), space.clone());
+        let (dir, setup, held) = (dir.clone(), setup.clone(), setup.clone());
         names.set(&all("steplen")[n], move || width.get())?;
         names.set(&all("stepspace")[n], move || space.get())?;
         names.set(&all("dirsetup")[n], move || setup.get())?;
-        names.set(&all("dirhold")[n], move || setup.get().max(dir.get()))?;
+        names.set(&all("dirhold")[n], move || held.get().max(dir.get()))?;
     }
     for n in 0..channels.pwms {
         let theirs = |pin: &str| format!("pwm.{n:02}.{pin}");
         let ours = |pin: &str| format!("pwm.{n}.{pin}");
-        let frequency = names.lone((&theirs("freq"), Float, In), 0.0)?;
-        let value = names.lone((&theirs("value"), Float, In), 0.0)?;
+        let frequency = names.told((&theirs("freq"), Float, In), 0.0, Rule::Number)?;
+        let value = names.told((&theirs("value"), Float, In), 0.0, Rule::Command)?;
         let enable = names.lone((&theirs("enable"), Bit, In), 0.0)?;
-        let scale = names.lone((&theirs("scale"), Float, ReadWrite), 100.0)?;
-        let offset = names.lone((&theirs("offs"), Float, ReadWrite), 0.0)?;
+        let scale = names.told((&theirs("scale"), Float, ReadWrite), 100.0, Rule::Divisor)?;
+        let offset = names.told((&theirs("offs"), Float, ReadWrite), 0.0, Rule::Number)?;
         names.alias(&theirs("inv"), &ours("invert-output"))?;
-        names.set(&ours("value"), move || value.get())?;
-        names.set(&ours("scale"), move || scale.get())?;
+        let (asked, divisor) = (value.clone(), scale.clone());
+        let wanted = frequency.clone();
+        // A value that is not a number is refused under both names: the output rests.
+        names.set(&ours("value"), move || {
+            asked.look().unwrap_or_else(|bad| bad)
+        })?;
+        names.set(&ours("scale"), move || divisor.get())?;
         // Added before the scale there, after it here.
         names.set(&ours("offset"), move || offset.get() / scale.get())?;
-        // A frequency of 0 and a negative value are off there; without a frequency ours keeps its own.
+        // A frequency of 0 and a negative value are off there; without a frequency ours keeps its
+        // own.
         let default = names.ours(&ours("pwm-freq"))?.handle.get();
-        names.set(&ours("pwm-freq"), move || match frequency.get() {
+        names.set(&ours("pwm-freq"), move || match wanted.get() {
             hz if hz > 0.0 => hz,
             _ => default,
         })?;
@@ -296,7 +393,7 @@ fn litexcnc(
         1.0 - enabled
     })?;
     names.alias("watchdog.timeout-ns", "watchdog.timeout-ns")?;
-    let nanos = names.ours("watchdog.timeout-ns")?.handle;
+    let nanos = names.checked("watchdog.timeout-ns")?;
     names.publish(("watchdog.timeout-cycles", U32, ReadOnly), move || {
         nanos.get() * clock / 1e9
     })?;
@@ -317,16 +414,16 @@ fn litexcnc(
         |ticks| ticks,
     )?;
 
-    for n in 0..channels.inputs {
-        names.alias(&format!("gpio.{n:02}.in"), &format!("gpio.{n}.in"))?;
-        names.alias(&format!("gpio.{n:02}.in-not"), &format!("gpio.{n}.in-not"))?;
-    }
-    for n in 0..channels.outputs {
-        names.alias(&format!("gpio.{n:02}.out"), &format!("gpio.{n}.out"))?;
-        names.alias(
-            &format!("gpio.{n:02}.invert-output"),
-            &format!("gpio.{n}.invert"),
-        )?;
+    // No pins rather than wrong ones: `Scheme::check` has refused such a board.
+    for place in row(identity).unwrap_or_default() {
+        let pins: &[_] = match place.input {
+            true => &[("in", "in"), ("in-not", "in-not")],
+            false => &[("out", "out"), ("invert-output", "invert")],
+        };
+        for (their, our) in pins {
+            let theirs = format!("gpio.{:02}.{their}", place.number);
+            names.alias(&theirs, &format!("gpio.{}.{our}", place.ours))?;
+        }
     }
     for n in 0..channels.stepgens {
         litexcnc_stepgen(names, n)?;
@@ -357,20 +454,23 @@ fn litexcnc_stepgen(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
         ("velocity-mode", "control-type"),
         ("position-cmd", "position-cmd"),
         ("velocity-cmd", "velocity-cmd"),
-        // Theirs is an input, so that homing to it never ends. As io it takes the same signals from LinuxCNC.
+        // Theirs is an input, so homing to the index never ends. As io it takes the same signals
+        // from LinuxCNC.
         ("index-enable", "index-enable"),
     ] {
         names.alias(&theirs(their), &ours(our))?;
     }
     let most = names.ours(&ours("maxaccel"))?.handle.get();
-    let most = names.lone((&theirs("max-acceleration"), Float, ReadWrite), most)?;
-    let wish = names.lone((&theirs("acceleration-cmd"), Float, In), 0.0)?;
-    names.set(&ours("maxaccel"), move || {
-        match (wish.get().abs(), most.get()) {
-            (0.0, most) => most,
-            (wish, 0.0) => wish,
-            (wish, most) => wish.min(most),
-        }
+    let most = names.told(
+        (&theirs("max-acceleration"), Float, ReadWrite),
+        most,
+        Rule::Limit,
+    )?;
+    let wish = names.told((&theirs("acceleration-cmd"), Float, In), 0.0, Rule::Limit)?;
+    names.set(&ours("maxaccel"), move || match (wish.get(), most.get()) {
+        (0.0, most) => most,
+        (wish, 0.0) => wish,
+        (wish, most) => wish.min(most),
     })?;
     names.lone((&theirs("debug"), Bit, In), 0.0)?;
     names.show(
@@ -378,13 +478,12 @@ fn litexcnc_stepgen(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
         &ours("velocity-fb"),
         |v| v,
     )?;
-    let scale = names.ours(&ours("position-scale"))?.handle;
+    let scale = names.checked(&ours("position-scale"))?;
     let counts = names.ours(&ours("counts"))?.handle;
     let velocity = names.ours(&ours("velocity-fb"))?.handle;
-    let (steplen, stepspace) = (
-        names.ours(&ours("steplen"))?.handle,
-        names.ours(&ours("stepspace"))?.handle,
-    );
+    let steplen = names.checked(&ours("steplen"))?;
+    let stepspace = names.checked(&ours("stepspace"))?;
+    let steps = scale.clone();
     // Theirs is unsigned.
     names.publish((&theirs("counts"), U32, Out), move || {
         f64::from(counts.get() as i32 as u32)
@@ -393,7 +492,7 @@ fn litexcnc_stepgen(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
         counts.get() / scale.get()
     })?;
     names.publish((&theirs("frequency"), Float, ReadOnly), move || {
-        velocity.get() * scale.get()
+        velocity.get() * steps.get()
     })?;
     names.publish((&theirs("max-frequency"), Float, ReadOnly), move || {
         1e9 / (steplen.get() + stepspace.get()).max(1.0)
@@ -418,7 +517,11 @@ fn litexcnc_encoder(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
     names.index_pulse(&theirs("index-pulse"), &ours("index-enable"))?;
     // Ours goes on counting beyond 2^31.
     names.lone((&theirs("overflow-occurred"), Bit, Out), 0.0)?;
-    let offset = names.lone((&theirs("position-offset"), Float, ReadWrite), 0.0)?;
+    let offset = names.told(
+        (&theirs("position-offset"), Float, ReadWrite),
+        0.0,
+        Rule::Number,
+    )?;
     let position = names.ours(&ours("position"))?.handle;
     names.publish((&theirs("position"), Float, Out), move || {
         position.get() + offset.get()
@@ -433,7 +536,7 @@ fn litexcnc_encoder(names: &mut Names<'_>, n: u8) -> Result<(), ExportError> {
         };
         f64::from(mode as u32)
     })?;
-    // Theirs clears itself when it has been obeyed.
+    // Theirs clears itself after the reset.
     let reset = names.lone((&theirs("reset"), Bit, Io), 0.0)?;
     let obey = names.ours(&ours("reset"))?.handle;
     names.glue.inputs.push(Box::new(move || {
@@ -470,25 +573,29 @@ fn litexcnc_pwm(
     ] {
         names.alias(&theirs(pin), &ours(pin))?;
     }
-    for (pin, default) in [
-        ("scale", 1.0),
-        ("offset", 0.0),
-        ("min-dc", 0.0),
-        ("max-dc", 1.0),
+    for (pin, default, rule) in [
+        ("scale", 1.0, Rule::Divisor),
+        ("offset", 0.0, Rule::Number),
+        ("min-dc", 0.0, Rule::NotNegative),
+        ("max-dc", 1.0, Rule::NotNegative),
     ] {
-        names.follow((&theirs(pin), Float, In), default, &[&ours(pin)], |value| {
-            value
-        })?;
+        names.follow(
+            (&theirs(pin), Float, In),
+            (default, rule),
+            &[&ours(pin)],
+            |value| value,
+        )?;
     }
-    names.follow(
-        (&theirs("dither-pwm"), Bit, In),
-        0.0,
-        &[&ours("dither")],
-        |value| value,
-    )?;
+    let dither = names.lone((&theirs("dither-pwm"), Bit, In), 0.0)?;
+    names.set(&ours("dither"), move || dither.get())?;
     // 0 Hz is pulse density, a bit every clock.
-    let frequency = names.lone((&theirs("pwm-freq"), Float, In), 100_000.0)?;
-    names.set(&ours("pwm-freq"), move || match frequency.get() {
+    let frequency = names.told(
+        (&theirs("pwm-freq"), Float, In),
+        100_000.0,
+        Rule::NotNegative,
+    )?;
+    let wanted = frequency.clone();
+    names.set(&ours("pwm-freq"), move || match wanted.get() {
         0.0 => clock,
         hz => hz.max(1.0),
     })?;
@@ -525,7 +632,26 @@ impl<'b> Names<'b> {
         self.hal.alias(exported, theirs)
     }
 
-    /// A pin of theirs nothing is coupled to yet.
+    /// A number of ours that HAL sets, as it is in force.
+    fn checked(&self, logical: &str) -> Result<Source, ExportError> {
+        let source = self.ours(logical)?.source.clone();
+        source.ok_or_else(|| ExportError {
+            name: logical.to_owned(),
+            errno: -libc::EINVAL,
+        })
+    }
+
+    /// A number of theirs that HAL sets.
+    fn told(
+        &mut self,
+        (name, ty, direction): Theirs<'_>,
+        initial: f64,
+        rule: Rule,
+    ) -> Result<Source, ExportError> {
+        self.hal.checked(name, ty, direction, initial, rule)
+    }
+
+    /// A pin of theirs nothing is coupled to yet, a bit or one that we write.
     fn lone(
         &mut self,
         (name, ty, direction): Theirs<'_>,
@@ -553,16 +679,17 @@ impl<'b> Names<'b> {
         Ok(())
     }
 
-    /// A pin of theirs that sets ours, converted.
+    /// A number of theirs that sets ours, converted.
     fn follow(
         &mut self,
         theirs: Theirs<'_>,
-        initial: f64,
+        (initial, rule): (f64, Rule),
         ours: &[&str],
         convert: fn(f64) -> f64,
     ) -> Result<(), ExportError> {
-        let theirs = self.lone(theirs, initial)?;
+        let theirs = self.told(theirs, initial, rule)?;
         for ours in ours {
+            let theirs = theirs.clone();
             self.set(ours, move || convert(theirs.get()))?;
         }
         Ok(())

@@ -1,20 +1,23 @@
 //! New settings for a board, by its address or by its unique id.
 //!
-//! What is not to change stays as it is: the settings in force are read first, through the flash window where the
-//! board can be reached, out of its answer to discovery where not. The key is never read and stays what it is.
+//! Settings that are not named stay: the settings in force are read first, through the flash window
+//! if the board can be reached, otherwise from its answer to discovery. The key is never read and
+//! stays.
 
 use crate::address::{self, Address};
 use crate::client::Client;
 use crate::discovery::{DiscoveryError, Finder, Found, WAIT};
-use crate::flash::{FlashError, Flasher, Overview, uid_text};
-use crate::keys::{Key, Keys};
+use crate::flash::{FlashError, Flasher, Overview};
+use crate::keys::{Key, KeyError, Keys};
+use crate::uid::uid_text;
 use std::net::Ipv4Addr;
 use std::time::Duration;
 use wire::Name;
 use wire::discovery::Here;
+use wire::flash::OpResult;
 use wire::settings::{Settings, SettingsError, mac_of_uid};
 
-/// How long a board that may not be reachable at all is tried.
+/// How long to try a board that may not be reachable.
 const SHORT: Duration = Duration::from_secs(1);
 
 /// What is to change; `None` stays.
@@ -37,24 +40,29 @@ pub struct Change {
 /// Why it did not work; it says what to do.
 #[derive(Debug)]
 pub enum ProvisionError {
-    /// Over the flash window.
+    /// Over the flash window. The board has what it had.
     Flash(FlashError),
+    /// The same, and the board may have done what it was told: the question was sent, and no answer
+    /// says that it was refused.
+    Unsure(FlashError),
+    /// The new key cannot be kept, so the board has not heard of it.
+    Key(KeyError),
     /// Over discovery.
     Discovery(DiscoveryError),
-    /// No board could live with these.
+    /// No board can use these.
     Settings(SettingsError),
     /// Several boards have this address.
     Shared {
         /// The address.
         ip: Ipv4Addr,
-        /// Who has it.
+        /// The boards with this address.
         uids: Vec<[u32; 2]>,
     },
     /// Another board answers at the address.
     Other {
-        /// Which was meant.
+        /// The id of the board that was meant.
         wanted: [u32; 2],
-        /// Who answers.
+        /// The id of the board that answers.
         found: [u32; 2],
     },
     /// It cannot be reached to be told that.
@@ -65,6 +73,11 @@ impl core::fmt::Display for ProvisionError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             ProvisionError::Flash(error) => write!(f, "{error}"),
+            ProvisionError::Unsure(error) => write!(
+                f,
+                "{error}. The board was told and may have saved it: at its next start it may have the new settings or the old ones"
+            ),
+            ProvisionError::Key(error) => write!(f, "{error}; nothing was changed"),
             ProvisionError::Discovery(error) => write!(f, "{error}"),
             ProvisionError::Settings(error) => write!(
                 f,
@@ -81,7 +94,7 @@ impl core::fmt::Display for ProvisionError {
                     SettingsError::Value(_)
                     | SettingsError::Magic
                     | SettingsError::Version(_)
-                    | SettingsError::Crc => "no board could live with these settings",
+                    | SettingsError::Crc => "no board can use these settings",
                 }
             ),
             ProvisionError::Shared { ip, uids } => {
@@ -96,7 +109,7 @@ impl core::fmt::Display for ProvisionError {
             }
             ProvisionError::Other { wanted, found } => write!(
                 f,
-                "at that address answers {}, not {}; ferrocnc discover shows who has which address",
+                "at that address answers {}, not {}; ferrocnc discover shows the address of each board",
                 uid_text(*found),
                 uid_text(*wanted)
             ),
@@ -128,7 +141,7 @@ impl Change {
         *self == Change::default()
     }
 
-    /// The settings with the change, if a board could live with them.
+    /// The settings with the change, if a board can use them.
     pub fn apply(&self, to: &Settings) -> Result<Settings, ProvisionError> {
         let mut settings = Settings {
             keep_key: true,
@@ -138,7 +151,7 @@ impl Change {
         if let Some((ip, prefix)) = self.ip {
             settings.ip = ip.into();
             settings.prefix = prefix.unwrap_or(settings.prefix);
-            // An address is given to be used, unless it is said to be what to fall back to.
+            // An address turns DHCP off, unless DHCP is asked for too: then it is the fallback.
             settings.dhcp = false;
         }
         if let Some(gateway) = self.gateway {
@@ -152,7 +165,7 @@ impl Change {
         Ok(settings)
     }
 
-    /// Does a board say of itself what was asked for?
+    /// Does the board report the settings that were asked for?
     pub fn is_in_force(&self, settings: &Settings, here: &Here) -> bool {
         let address = settings.dhcp || here.ip == settings.ip;
         let mac = settings.mac == [0; 6] || here.mac == settings.mac;
@@ -160,8 +173,8 @@ impl Change {
     }
 }
 
-/// The settings a board would say, out of what it says of itself to everybody. Net and gateway are not in it: a
-/// net of 256 addresses and no gateway are assumed.
+/// The settings of a board from its answer to discovery. The answer does not hold net and gateway:
+/// a net of 256 addresses and no gateway are assumed.
 pub fn settings_of(found: &Found) -> Settings {
     let here = &found.here;
     Settings {
@@ -174,7 +187,8 @@ pub fn settings_of(found: &Found) -> Settings {
     }
 }
 
-/// The settings in force, as they would be given: a MAC address made from the unique id is not one that was set.
+/// The settings in force, as they would be given: a MAC address made from the unique id is not one
+/// that was set.
 fn in_force(overview: &Overview) -> Result<Settings, FlashError> {
     let settings = overview.settings.map_err(FlashError::Settings)?;
     Ok(Settings {
@@ -191,12 +205,12 @@ fn given_mac(uid: [u32; 2], mac: [u8; 6]) -> [u8; 6] {
     }
 }
 
-/// The board with this id, at an address nobody else has.
+/// The board with this id, if no other board has its address.
 pub fn reach(finder: &Finder, uid: [u32; 2]) -> Result<(Found, Client), ProvisionError> {
     let found = finder.one(uid, WAIT)?;
     let ip = found.here.ip;
-    let everybody = finder.all(WAIT)?;
-    let others = everybody
+    let boards = finder.all(WAIT)?;
+    let others = boards
         .iter()
         .filter(|other| other.here.ip == ip && other.uid != uid)
         .map(|other| other.uid);
@@ -232,7 +246,8 @@ pub fn address_of(found: &Found) -> Address {
     address::parse(&text, wire::DEFAULT_PORT).unwrap_or(Address { text, socket })
 }
 
-/// Changes the settings of the board with this id, wherever it is; what it says of itself afterwards.
+/// Changes the settings of the board with this id, at any address; returns its answer to discovery
+/// afterwards.
 pub fn set_by_uid(
     finder: &Finder,
     uid: [u32; 2],
@@ -242,7 +257,7 @@ pub fn set_by_uid(
     let found = finder.one(uid, WAIT)?;
     let base = match reach(finder, uid) {
         Ok((_, mut client)) => in_force(&Overview::read(&mut client)?).ok(),
-        // A shared or foreign address: what it says to everybody has to do.
+        // A shared or foreign address: only the answer to discovery is left.
         Err(_) => None,
     };
     let settings = change.apply(&base.unwrap_or_else(|| settings_of(&found)))?;
@@ -250,21 +265,40 @@ pub fn set_by_uid(
     Ok(finder.until(uid, |here| change.is_in_force(&settings, here))?)
 }
 
-/// Changes the settings of the board at an address. They are saved and the board starts anew; what it will then
-/// have.
+/// Changes the settings of the board at an address. They are saved and the board starts anew; what
+/// it will then have.
 pub fn set_at(client: Client, change: &Change) -> Result<Settings, ProvisionError> {
     let mut client = client;
     let overview = Overview::read(&mut client)?;
     let settings = change.apply(&in_force(&overview)?)?;
     let mut flasher = Flasher::new(client, crate::client::PATIENCE, |_| {});
     flasher.may_write()?;
-    flasher.save(&settings)?;
+    flasher.save(&settings).map_err(told)?;
     flasher.restart();
     Ok(settings)
 }
 
-/// Gives a board a key, or takes it away. It is saved with everything else as it is, and the board starts anew.
-pub fn set_key(client: Client, key: Option<Key>) -> Result<(), ProvisionError> {
+/// The error of an operation on the settings. Only a refusal that depends on the operation alone
+/// proves that it was not done, because the answer may belong to any of its repetitions.
+fn told(error: FlashError) -> ProvisionError {
+    match error {
+        FlashError::NoFlash { .. }
+        | FlashError::Failed {
+            result: OpResult::Value | OpResult::NoFlash,
+            ..
+        } => ProvisionError::Flash(error),
+        _ => ProvisionError::Unsure(error),
+    }
+}
+
+/// Gives a board a key, or removes it. All other settings stay, and the board restarts. `keep`
+/// saves the key on this computer; it is called when the board is ready for the key, and before the
+/// key is sent.
+pub fn set_key(
+    client: Client,
+    key: Option<Key>,
+    keep: impl FnOnce(&Key) -> Result<(), KeyError>,
+) -> Result<(), ProvisionError> {
     let mut client = client;
     let settings = in_force(&Overview::read(&mut client)?)?;
     let settings = Settings {
@@ -274,7 +308,10 @@ pub fn set_key(client: Client, key: Option<Key>) -> Result<(), ProvisionError> {
     };
     let mut flasher = Flasher::new(client, crate::client::PATIENCE, |_| {});
     flasher.may_write()?;
-    flasher.save(&settings)?;
+    if let Some(key) = &key {
+        keep(key).map_err(ProvisionError::Key)?;
+    }
+    flasher.save(&settings).map_err(told)?;
     flasher.restart();
     Ok(())
 }
@@ -283,7 +320,7 @@ pub fn set_key(client: Client, key: Option<Key>) -> Result<(), ProvisionError> {
 pub fn forget_at(client: Client) -> Result<(), ProvisionError> {
     let mut flasher = Flasher::new(client, crate::client::PATIENCE, |_| {});
     flasher.may_write()?;
-    flasher.forget()?;
+    flasher.forget().map_err(told)?;
     flasher.restart();
     Ok(())
 }

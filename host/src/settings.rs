@@ -1,8 +1,8 @@
 //! Parameters on their way to the board's config window, and the proof that they arrived.
 //!
-//! Everything the board refuses to change while armed travels in one datagram, executed whole or not
-//! at all, whose last record reads a word back: that answer is the receipt. PWM periods may change
-//! under way and travel by themselves.
+//! All settings that the board refuses to change while armed go in one datagram, which the board
+//! executes whole or not at all. Its last record reads a word back; that answer is the receipt. PWM
+//! periods may change while armed and have a datagram of their own.
 
 use wire::describe::Channels;
 use wire::exchange::MAX_CHANNELS;

@@ -1,4 +1,5 @@
-//! A new image into a board's flash, over the network, so that at every moment one that works is selected.
+//! Writes a new image into a board's flash over the network. At every moment a working image is
+//! selected.
 //!
 //! ```text
 //!   1  refuse what is not for this board, and a machine that is not at rest
@@ -10,8 +11,9 @@
 //!   7  select the slot                                                         one byte: the old or the new
 //! ```
 //!
-//! Only the slot that is not selected is touched; the firmware sees to that, too. Whatever is cut short, wherever,
-//! the same command again goes on from there: step 2 finds what is done.
+//! Only the slot that is not selected is written; the firmware enforces that, too. After an
+//! interruption at any point the same command continues from there: step 2 finds the finished
+//! blocks.
 
 use crate::client::{Client, ClientError};
 use crate::flash::{FlashError, Flasher, Overview, Word};
@@ -270,7 +272,7 @@ impl Job<'_, '_> {
         (self.tell)(Event::Step(what, done as f64 / of.max(1) as f64));
     }
 
-    /// What saves the day when everything else fails should be there.
+    /// Warns if the golden image, the last fallback, is missing.
     fn look_after_golden(&mut self, golden: Area, protected: bool) -> Result<(), FlashError> {
         if self.meta_of(golden)?.is_none() {
             (self.tell)(Event::NoGolden);

@@ -1,5 +1,5 @@
-//! Four boards on one servo thread: their requests go out together, and what is commanded takes effect at
-//! the same instant on all of them, whatever their clocks say.
+//! Four boards on one servo thread: their requests go out together, and a command takes effect at
+//! the same instant on all of them, with any difference between their clocks.
 
 mod common;
 
@@ -13,11 +13,11 @@ use std::sync::Arc;
 use std::time::Duration;
 use wire::FaultReason;
 
-/// The instants of four boards agree within this: the clock's resolution is 17 ns, the rest is what a
-/// network that delays by 20 to 40 us leaves of the least delay.
+/// The instants of four boards agree within this: the clock's resolution is 17 ns, the rest is what
+/// a network that delays by 20 to 40 us leaves of the least delay.
 const AGREE_NS: f64 = 3_000.0;
 
-/// A computer with four boards. Time is what the test says; delays and crystals are the boards' own.
+/// A computer with four boards. The test sets the time; each board has its own delays and crystal.
 struct Shop {
     time: Arc<Timebase>,
     hal: FakeHal,
@@ -54,7 +54,7 @@ impl Shop {
         for (n, driver) in drivers.iter_mut().enumerate() {
             driver.join(&time, &group, boards.len());
             hal.set(&format!("ferrocnc.{n}.packet-read-timeout"), 500_000_000);
-            // Only what the script loses may bite.
+            // Only a loss in the script may make the watchdog bite.
             hal.set(&format!("ferrocnc.{n}.watchdog.timeout-ns"), 50_000_000u32);
         }
         Shop {
@@ -78,7 +78,8 @@ impl Shop {
         self.time.set(self.now);
     }
 
-    /// Does something with one board and waits until the board has seen it: time stands meanwhile.
+    /// Does something with one board and waits until the board has seen it; the time stands still
+    /// meanwhile.
     fn seen(&mut self, n: usize, what: impl FnOnce(&mut Driver)) {
         let before = self.boards[n].look().exchanges;
         what(&mut self.drivers[n]);
@@ -197,7 +198,7 @@ fn all_requests_are_under_way_before_the_first_answer_is_waited_for() {
     for n in 0..4 {
         shop.seen(n, |driver| driver.read_request(PERIOD_NS));
     }
-    // Nobody has read yet, and every board has been asked.
+    // There was no read yet, and every board has been asked.
     let after = shop.exchanges();
     for (n, (before, after)) in before.iter().zip(&after).enumerate() {
         assert_eq!(after - before, 1, "board {n}");
@@ -269,7 +270,7 @@ fn a_read_request_brings_feedback_from_this_period_and_costs_no_pulse() {
     }
 }
 
-/// Board 2's plug is out. How many periods until it is given up?
+/// Board 2 is unplugged: runs until it is given up.
 fn until_given_up(shop: &mut Shop) {
     shop.hal.set("ferrocnc.2.packet-read-timeout", 100_000);
     shop.boards[2].look().knobs.unplugged = true;
@@ -361,7 +362,7 @@ fn no_board_is_armed_while_another_does_not_answer_and_all_are_when_it_does() {
         .filter(|s| s.contains("board 2 of the group does not answer"));
     assert_eq!(errors.count(), 3, "one answer to one question: {said:?}");
 
-    // It lived on, and its watchdog bit. The request is still high: that arms nobody.
+    // The board went on, and its watchdog bit. The request is still high, which arms no board.
     shop.boards[2].look().advance(60_000 * 100);
     shop.boards[2].look().knobs.unplugged = false;
     shop.hal.set("ferrocnc.2.packet-read-timeout", 500_000_000);
@@ -442,7 +443,7 @@ fn a_driver_that_is_halted_stops_the_others() {
     for driver in &mut shop.drivers {
         driver.read(PERIOD_NS);
     }
-    // What the fence does after a panic.
+    // As the fence does after a panic.
     shop.drivers[1].halt();
     for n in [0, 2, 3] {
         shop.seen(n, |driver| driver.write(PERIOD_NS));
@@ -456,7 +457,8 @@ fn a_driver_that_is_halted_stops_the_others() {
 
 #[test]
 fn four_boards_are_waited_for_together() {
-    // Each answers 10 ms late. One after the other that is 40 ms a period; the time is printed, not judged.
+    // Each answers 10 ms late. One after the other that is 40 ms a period; the time is printed, not
+    // judged.
     let boards: Vec<FakeBoard> = (0..4)
         .map(|_| FakeBoard::mill6(Time::Lockstep(u64::from(CLOCK_HZ) / 1000)))
         .collect();

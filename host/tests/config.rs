@@ -1,4 +1,4 @@
-//! `ferrocnc config`, run as a person runs it, and the driver's view of what board files name.
+//! `ferrocnc config`, run as a process, and the driver's view of the names in board files.
 
 use ferrocnc_config::board::Class;
 use std::path::{Path, PathBuf};

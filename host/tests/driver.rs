@@ -1,5 +1,5 @@
-//! The driver against a fake HAL on one side and a fake board behind real UDP on the other: what the
-//! machine does when everything is well, and what it does when the network or the board is not.
+//! The driver against a fake HAL on one side and a fake board behind real UDP on the other: the
+//! behaviour of the machine in normal operation, and with faults of the network or the board.
 
 mod common;
 
@@ -359,7 +359,7 @@ fn a_stepgens_index_is_where_its_position_is_zero_from_then_on() {
     }
     rig.hal.set("ferrocnc.0.stepgen.x.position-cmd", 0.25);
     rig.run(300);
-    // 0.25 units beyond the index, whatever was before.
+    // 0.25 units beyond the index, from any start.
     assert_eq!(rig.board.look().pulses(0), 1000 + 200);
     assert_eq!(rig.hal.get::<i32>("ferrocnc.0.stepgen.x.counts"), 200);
     assert!((rig.position() - 0.25).abs() < 1e-6);
@@ -547,7 +547,7 @@ fn unloading_gives_the_session_back() {
 }
 
 #[test]
-fn a_board_somebody_else_has_taken_meanwhile_is_told_once_with_who() {
+fn a_board_that_another_host_took_meanwhile_is_told_once_with_its_owner() {
     let mut rig = Rig::armed();
     {
         let mut board = rig.board.look();

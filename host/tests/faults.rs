@@ -1,5 +1,5 @@
-//! Random bad networks: whatever is lost, doubled or late, positions agree in the end and nothing moves
-//! that was not commanded.
+//! Random bad networks: with any loss, repetition or delay of datagrams, positions agree in the end
+//! and nothing moves without a command.
 
 mod common;
 
@@ -46,7 +46,7 @@ fn bad_network(seed: u64) {
         let fb: f64 = hal.get("ferrocnc.0.stepgen.x.position-fb");
         let seen = board.look().datagrams;
         driver.write(PERIOD_NS);
-        // A knob turned before the board has seen this command would hit the wrong one.
+        // A knob set before the board has seen this command would affect the wrong command.
         for _ in 0..2000 {
             if board.look().datagrams != seen {
                 break;
@@ -60,7 +60,7 @@ fn bad_network(seed: u64) {
     hal.set("ferrocnc.0.stepgen.x.maxaccel", 3000.0);
     hal.set("ferrocnc.0.stepgen.x.steplen", 1000u32);
     hal.set("ferrocnc.0.stepgen.x.stepspace", 1000u32);
-    // Machine time stands still in lockstep; only losses may bite.
+    // Machine time stands still in lockstep; only losses may make the watchdog bite.
     hal.set("ferrocnc.0.watchdog.timeout-ns", 20_000_000u32);
     hal.set("ferrocnc.0.enable", true);
     for _ in 0..100 {
@@ -82,11 +82,12 @@ fn bad_network(seed: u64) {
             "ferrocnc.0.stepgen.x.position-cmd",
             10.0 * (1.0 - phase.cos()),
         );
-        // What will not come is not waited for, what will come is: this machine may be slow.
+        // The test waits long for an answer that will come, because this computer may be slow, and
+        // not for a lost one.
         let timeout = if lost > 0 { HASTY } else { PATIENT };
         hal.set("ferrocnc.0.packet-read-timeout", timeout);
         lost = lost.saturating_sub(1);
-        // Worse than this and giving the board up is the right answer: another test's business.
+        // With more losses the driver must give the board up, which another test shows.
         let tolerable = hal.get::<i32>("ferrocnc.0.packet-error-level") <= 4;
         if n < 800 && lost == 0 && tolerable {
             let mut board = board.look();

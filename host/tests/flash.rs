@@ -75,7 +75,7 @@ impl Bench {
 }
 
 #[test]
-fn load_asks_who_is_there_and_then_loads() {
+fn load_asks_for_the_fpga_id_and_then_loads() {
     let bench = Bench::new("load");
     bench.answer("fine-1.0", &["load", "mill6.bit"]);
     std::fs::remove_file(bench.path("log")).unwrap();
@@ -129,7 +129,7 @@ fn verify_names_the_pieces_that_differ() {
 }
 
 #[test]
-fn progress_is_passed_on_as_steps_when_nobody_looks_at_a_bar() {
+fn without_a_terminal_progress_is_one_line_per_step() {
     let bench = Bench::new("progress");
     let output = bench.run("fine", &["write", "mill6.flash"]);
     let said = String::from_utf8(output.stderr).unwrap();
@@ -179,8 +179,8 @@ fn every_usual_failure_has_its_own_sentence() {
             "the board has LFE5U-45F (0x41112043)",
         ),
         ("same-die", "load", "the board has LFE5U-12F (0x21111043)"),
-        ("stubborn", "write", "does not let itself be configured"),
-        ("stubborn", "verify", "does not let itself be configured"),
+        ("stubborn", "write", "does not accept a configuration"),
+        ("stubborn", "verify", "does not accept a configuration"),
         ("verify", "write", "Verification failed at 4096"),
         ("odd", "load", "the moon is in the wrong house"),
     ] {
@@ -204,7 +204,7 @@ fn nothing_is_written_when_the_fpga_or_the_file_is_the_wrong_one() {
     let said = bench.complaint("fine", &["write", "mill6.bit"]);
     assert!(said.contains("write the .flash file"), "{said}");
     let said = bench.complaint("fine", &["load", "mill6.flash"]);
-    assert!(said.contains("no ECP5 bitstream"), "{said}");
+    assert!(said.contains("not an ECP5 bitstream"), "{said}");
     let said = bench.complaint("fine", &["load", "nowhere.bit"]);
     assert!(said.contains("cannot read nowhere.bit"), "{said}");
     assert_eq!(bench.calls().len(), 1);

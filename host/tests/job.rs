@@ -142,6 +142,81 @@ fn every_point_of_a_circle_is_within_the_tolerance() {
 }
 
 #[test]
+fn a_coordinate_light_years_away_is_refused_by_its_elements_name_before_it_takes_the_memory() {
+    let folder = folder("far");
+    for (name, drawing, parts) in [
+        (
+            "curve",
+            r#"<path id="tail" d="M1 1 C 2 2, 3 3, 1e30 4" stroke="black"/>"#,
+            ["tail", "1", "transform"],
+        ),
+        (
+            "nameless",
+            r#"<path d="M0 0 L1 1" stroke="black"/><circle cx="5" cy="5" r="1e20" stroke="black"/>"#,
+            ["path 2", "e", "no id"],
+        ),
+        (
+            "nested",
+            r#"<g transform="scale(1e4)"><g transform="scale(1e4)"><path id="deep" d="M0 0 Q 3 7 5 5" stroke="black"/></g></g>"#,
+            ["deep", "7", "transform"],
+        ),
+        (
+            "overflow",
+            r#"<g transform="scale(1e30)"><path id="over" d="M0 0 Q 3 1e20 5 5" stroke="black"/></g>"#,
+            // The reader of SVG removes values that are not finite.
+            ["nothing", "to", "draw"],
+        ),
+    ] {
+        let file = format!("{name}.svg");
+        std::fs::write(folder.join(&file), format!(r#"<svg xmlns="http://www.w3.org/2000/svg" width="100mm" height="100mm" viewBox="0 0 100 100">{drawing}</svg>"#)).unwrap();
+        let said = complaint(&folder, &format!("prepare {file} -o {name}.job"));
+        let how_far = if name == "overflow" { "draw" } else { "10 m" };
+        for part in [&parts[..], &[how_far]].concat() {
+            assert!(said.contains(part), "{name}: {part:?} is not in: {said}");
+        }
+        assert!(!folder.join(format!("{name}.job")).exists());
+    }
+}
+
+#[test]
+fn what_small_files_can_ask_for_ends_soon_and_in_words() {
+    let folder = folder("bombs");
+    let head = r#"<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" width="100mm" height="100mm" viewBox="0 0 100 100">"#;
+    // Ten of ten of ten ...: a billion lines in a page of text.
+    let uses: String = (1..9)
+        .map(|n| {
+            let ten = format!(r##"<use xlink:href="#l{}"/>"##, n - 1).repeat(10);
+            format!(r#"<g id="l{n}">{ten}</g>"#)
+        })
+        .collect();
+    let dashes = "0.0001,".repeat(20_000);
+    for (name, drawing, fine) in [
+        ("uses", format!(r##"<defs><path id="l0" d="M0 0 L1 1"/>{uses}</defs><use xlink:href="#l8"/>"##), false),
+        ("dashes", format!(r#"<path d="M0 0 L99 99" stroke="black" stroke-dasharray="{dashes}1"/>"#), true),
+        ("deep", format!("{}<path d='M0 0 L1 1' stroke='black'/>{}", "<g opacity='0.5'>".repeat(5_000), "</g>".repeat(5_000)), false),
+        ("markers", format!(r##"<marker id="m">{}</marker><path d="M0 0{}" stroke="black" marker-mid="url(#m)"/>"##, "<path d='M0 0 L1 1'/>".repeat(300), "L1 1".repeat(15_000)), false),
+        ("nested", format!(r##"<marker id="m"><path d="M0 0{0}" marker-mid="url(#n)"/></marker><marker id="n"><path d="M0 0{0}"/></marker><path d="M0 0{0}" stroke="black" marker-mid="url(#m)"/>"##, "L1 1".repeat(3_000)), false),
+        ("arrows", format!(r##"<marker id="m"><path d="M0 0 L1 1 L2 0 Z"/></marker><path d="M0 0{}" stroke="black" marker-end="url(#m)"/>"##, "L1 1".repeat(15_000)), true),
+        ("picture", r#"<image width="9" height="9" href="data:image/svg+xml,<svg/>"/><image width="9" height="9" href="/dev/zero"/><path d="M0 0 L1 1" stroke="black"/>"#.replace("<svg/>", "&lt;svg/>"), true),
+        ("loop", r##"<g id="a"><use xlink:href="#b"/></g><g id="b"><use xlink:href="#a"/></g><path d="M0 0 L1 1" stroke="black"/>"##.to_owned(), false),
+    ] {
+        let file = format!("{name}.svg");
+        std::fs::write(folder.join(&file), format!("{head}{drawing}</svg>")).unwrap();
+        let output = tool(&folder, &format!("prepare {file} -o {name}.job --tolerance 0.001"));
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        // 101 is a panic, none a signal: out of memory, or of stack.
+        assert!(matches!(output.status.code(), Some(0 | 1)), "{name}: {:?}: {said}", output.status);
+        assert_eq!(output.status.success(), fine, "{name}: {said}");
+        let why = ["more than a million", "more than memory may hold"];
+        assert!(fine || why.iter().any(|why| said.contains(why)), "{name}: {said}");
+        if name == "picture" {
+            let notes = String::from_utf8_lossy(&output.stdout).into_owned();
+            assert!(notes.contains("pictures made of pixels are not drawn"), "{notes}");
+        }
+    }
+}
+
+#[test]
 fn a_page_is_filled_and_the_margin_kept() {
     let folder = folder("page");
     std::fs::write(folder.join("d.svg"), r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 10 20"><rect width="10" height="20"/></svg>"#).unwrap();
@@ -249,7 +324,7 @@ fn a_program_and_its_job_are_the_same() {
 #[test]
 fn places_out_of_bounds_are_named_and_fail_the_check() {
     let folder = with_machine("bounds");
-    // The second is an arc whose ends are within and whose middle is not.
+    // The second is an arc with both ends within the limits and its middle outside.
     std::fs::write(
         folder.join("part.ngc"),
         "G0 X301\nG0 X290 Y100\nG2 X290 Y80 J-10 F1000\nG3 X290 Y60 J-10\n",

@@ -1,4 +1,4 @@
-//! Boards with a key, fake ones: who has it may, who has not is told what to do.
+//! Fake boards with a key: a client with the key is accepted, a client without it gets the remedy.
 
 mod common;
 
@@ -9,10 +9,10 @@ use ferrocnc::address;
 use ferrocnc::client::{Client, ClientError};
 use ferrocnc::discovery::{DiscoveryError, Finder};
 use ferrocnc::driver::Driver;
-use ferrocnc::flash::uid_text;
 use ferrocnc::hal::fake::FakeHal;
 use ferrocnc::keys::{self, Key, KeyError, Keys};
 use ferrocnc::link::Link;
+use ferrocnc::uid::uid_text;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -81,7 +81,7 @@ fn complaint(home: &Path, arguments: &[&str]) -> String {
 }
 
 #[test]
-fn who_has_the_key_gets_the_session_and_can_give_it_back() {
+fn a_client_with_the_key_gets_the_session_and_can_give_it_back() {
     let (board, right, _) = locked("session");
     let mut client = client(&board, &right);
     let session = client.acquire().unwrap();
@@ -94,7 +94,7 @@ fn who_has_the_key_gets_the_session_and_can_give_it_back() {
 }
 
 #[test]
-fn who_has_none_or_another_is_told_what_to_do() {
+fn a_client_without_the_key_or_with_another_is_told_what_to_do() {
     let (board, _, wrong) = locked("refused");
     let nowhere = Keys::File("/nowhere/at/all.key".into());
     let said = client(&board, &nowhere).acquire().unwrap_err();
@@ -122,7 +122,7 @@ fn who_has_none_or_another_is_told_what_to_do() {
 }
 
 #[test]
-fn a_key_is_no_help_while_somebody_drives_and_that_is_what_is_told() {
+fn a_board_that_another_host_drives_is_refused_with_that_reason_even_with_the_key() {
     let (board, right, _) = locked("owned");
     let _owner = client(&board, &right).acquire().unwrap();
     let said = client(&board, &right).acquire().unwrap_err();
@@ -149,7 +149,7 @@ fn the_driver_takes_a_board_with_a_key_again_after_the_cable_was_out() {
     let say = hal.messenger();
     let mut driver = Driver::export(&mut hal, 0, address, &identity, link, say).unwrap();
     driver.remember(key);
-    // A busy computer may lose it on its own account; it comes back the same way.
+    // A busy computer may lose the session by itself; it comes back the same way.
     let mut online = |other_than: Option<u32>| {
         (0..1_000).find_map(|_| {
             driver.read(PERIOD_NS);
@@ -207,10 +207,7 @@ fn a_key_is_made_kept_for_this_user_alone_shown_changed_and_cleared() {
         assert!(said.contains("wants a key"), "{said}");
     }
     assert_eq!(board.look().flash.settings.key, first.words());
-    let left: Vec<_> = fs::read_dir(stranger.join("ferrocnc/keys"))
-        .unwrap()
-        .collect();
-    assert!(left.is_empty(), "{left:?}");
+    assert!(files(&stranger).is_empty(), "{:?}", files(&stranger));
 
     answer(&home, &["key", "new", &at]);
     let second = keys::read(&file).unwrap();
@@ -225,6 +222,214 @@ fn a_key_is_made_kept_for_this_user_alone_shown_changed_and_cleared() {
     answer(&home, &["key", "clear", &at]);
     assert_eq!(board.look().flash.settings.key, wire::auth::NONE);
     assert!(!file.exists());
+}
+
+/// The files of a board's keys: its own first, if it is there, then what was on its way.
+fn files(home: &Path) -> Vec<PathBuf> {
+    let folder = fs::read_dir(home.join("ferrocnc/keys"));
+    let mut files: Vec<_> = folder
+        .into_iter()
+        .flatten()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    files.sort();
+    files
+}
+
+/// The board comes back after the plug was out: what it has saved is in force.
+fn plug_in_again(board: &FakeBoard) {
+    let mut mind = board.look();
+    mind.flash.silent_after = None;
+    mind.flash.lose_save = false;
+    mind.knobs.unplugged = false;
+    mind.power_cycle();
+}
+
+#[test]
+fn if_the_receipt_for_a_key_is_lost_the_key_is_kept_named_and_used_at_the_next_contact() {
+    let (board, home) = (board(), home("receipt"));
+    let at = board.text();
+    // The board has saved, and sends nothing more.
+    board.look().flash.looks = 1;
+    board.look().flash.silent_after = Some(1);
+    let said = complaint(&home, &["key", "new", &at]);
+    let saved = Key::new(board.look().flash.settings.key).expect("the board has a key");
+    let [kept] = &files(&home)[..] else {
+        panic!("{:?}", files(&home));
+    };
+    assert_eq!(keys::read(kept).unwrap(), saved);
+    assert!(
+        said.contains(kept.to_str().unwrap()) && said.contains("not known"),
+        "{said}"
+    );
+    assert!(
+        !said.contains(fs::read_to_string(kept).unwrap().trim()),
+        "{said}"
+    );
+
+    plug_in_again(&board);
+    answer(&home, &["set", &at, "--name", "mill"]);
+    assert_eq!(board.look().flash.settings.name.text(), "mill");
+    let [file] = &files(&home)[..] else {
+        panic!("{:?}", files(&home));
+    };
+    assert_eq!(keys::read(file).unwrap(), saved);
+    assert!(file.to_str().unwrap().ends_with(".key"), "{file:?}");
+}
+
+#[test]
+fn a_key_that_never_reached_the_board_is_kept_beside_the_one_it_has_and_does_no_harm() {
+    let (board, home) = (board(), home("request"));
+    let at = board.text();
+    answer(&home, &["key", "new", &at]);
+    let has = board.look().flash.settings.key;
+    board.look().flash.lose_save = true;
+    let said = complaint(&home, &["key", "new", &at]);
+    assert_eq!(board.look().flash.settings.key, has);
+    let both = files(&home);
+    assert_eq!(both.len(), 2, "{both:?}");
+    assert!(said.contains(both[1].to_str().unwrap()), "{said}");
+
+    plug_in_again(&board);
+    let said = answer(&home, &["key", "show", &at]);
+    assert!(
+        said.contains("they fit") && said.contains(both[1].to_str().unwrap()),
+        "{said}"
+    );
+    assert_eq!(keys::read(&both[0]).unwrap().words(), has);
+    // The next one that arrives overtakes it.
+    answer(&home, &["key", "new", &at]);
+    assert_eq!(files(&home), both[..1]);
+    assert_eq!(
+        keys::read(&both[0]).unwrap().words(),
+        board.look().flash.settings.key
+    );
+}
+
+#[test]
+fn a_key_the_board_refuses_is_not_kept_and_one_its_flash_failed_at_is() {
+    use wire::flash::OpResult;
+    for (result, left) in [
+        (OpResult::Value, 0),
+        (OpResult::NoFlash, 0),
+        (OpResult::Flash, 1),
+    ] {
+        let (board, home) = (board(), home(&format!("refuses-{left}-{}", result.code())));
+        board.look().flash.refuse = Some(result);
+        let said = complaint(&home, &["key", "new", &board.text()]);
+        assert_eq!(files(&home).len(), left, "{result}: {said}");
+        assert_eq!(said.contains("not known"), left > 0, "{said}");
+    }
+}
+
+#[test]
+fn a_key_that_a_board_may_have_since_an_earlier_try_is_kept_when_a_later_one_is_refused() {
+    use wire::flash::OpResult;
+    let (board, home) = (board(), home("again"));
+    let file = home.join("mine");
+    let key = Key::random().unwrap();
+    keys::write(&file, &key).unwrap();
+    let arguments = ["key", "set", &board.text(), file.to_str().unwrap()];
+    board.look().flash.looks = 1;
+    board.look().flash.silent_after = Some(1);
+    assert!(complaint(&home, &arguments).contains("not known"));
+    assert_eq!(board.look().flash.settings.key, key.words());
+    // It has saved it, goes on without it until its next start, and refuses the next try.
+    board.look().flash.silent_after = None;
+    board.look().knobs.unplugged = false;
+    board.look().flash.refuse = Some(OpResult::Value);
+    complaint(&home, &arguments);
+    board.look().flash.refuse = None;
+    plug_in_again(&board);
+    answer(&home, &["set", &board.text(), "--name", "mill"]);
+    assert_eq!(keys::read(&files(&home)[0]).unwrap(), key);
+}
+
+#[test]
+fn a_tool_killed_while_the_board_saves_leaves_the_key_on_the_disk() {
+    let (board, home) = (board(), home("killed"));
+    let at = board.text();
+    // It saves for longer than the tool lives.
+    board.look().flash.looks = u32::MAX;
+    let mut tool = Command::new(env!("CARGO_BIN_EXE_ferrocnc"))
+        .args(["key", "new", &at])
+        .env("XDG_CONFIG_HOME", &home)
+        .spawn()
+        .unwrap();
+    while !board.look().flash.busy() {
+        assert!(tool.try_wait().unwrap().is_none(), "it ended by itself");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    tool.kill().unwrap();
+    tool.wait().unwrap();
+    board.look().flash.end();
+    let saved = Key::new(board.look().flash.settings.key).expect("the board has a key");
+    let [kept] = &files(&home)[..] else {
+        panic!("{:?}", files(&home));
+    };
+    assert_eq!(keys::read(kept).unwrap(), saved);
+    board.look().flash.looks = 0;
+    plug_in_again(&board);
+    let said = answer(&home, &["key", "show", &at]);
+    assert!(
+        said.contains("they fit") && said.contains(&saved.fingerprint()),
+        "{said}"
+    );
+}
+
+#[test]
+fn when_the_receipt_for_no_key_is_lost_the_old_one_stays_on_this_computer() {
+    let (board, home) = (board(), home("clear"));
+    let at = board.text();
+    answer(&home, &["key", "new", &at]);
+    let before = files(&home);
+    board.look().flash.lose_save = true;
+    let said = complaint(&home, &["key", "clear", &at]);
+    assert!(said.contains("not known"), "{said}");
+    assert_eq!(files(&home), before);
+    plug_in_again(&board);
+    answer(&home, &["key", "clear", &at]);
+    assert!(files(&home).is_empty());
+}
+
+#[test]
+fn discovery_tries_the_key_that_was_on_its_way_too() {
+    let segment = Segment::of(&[[1, 2]]);
+    let home = home("discovery-pending");
+    let [has, other] = [Key::random().unwrap(), Key::random().unwrap()];
+    let folder = home.join("ferrocnc/keys");
+    let file = folder.join(format!("{}.key", uid_text([1, 2])));
+    let waiting = file.with_extension(format!("key.new-{}", has.fingerprint()));
+    keys::write(&file, &other).unwrap();
+    keys::write(&waiting, &has).unwrap();
+    segment.look()[0].flash.settings.key = has.words();
+    let at = segment.address.to_string();
+    let arguments = [
+        "set",
+        "--uid",
+        &uid_text([1, 2]),
+        "--at",
+        &at,
+        "--ip",
+        "10.0.0.7",
+    ];
+    // The board has no Etherbone server at its address: only discovery is asked.
+    let output = tool(&home, &arguments);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(segment.look()[0].flash.settings.ip, 0x0a00_0007, "{said}");
+    assert_eq!(files(&home), std::slice::from_ref(&file));
+    assert_eq!(keys::read(&file).unwrap(), has);
+}
+
+#[test]
+fn if_the_receipt_for_an_address_is_lost_the_address_is_told_to_be_old_or_new() {
+    let (board, home) = (board(), home("address"));
+    board.look().flash.looks = 1;
+    board.look().flash.silent_after = Some(1);
+    let said = complaint(&home, &["set", &board.text(), "--ip", "10.0.0.7"]);
+    for part in ["may have", "10.0.0.7", "ferrocnc discover"] {
+        assert!(said.contains(part), "{part} is not in: {said}");
+    }
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `loadrt` that fails says in one sentence what is wrong and what to do.
+//! A `loadrt` that fails prints the problem and the remedy in one sentence.
 
 mod common;
 
@@ -109,7 +109,7 @@ fn a_damaged_board_information_says_so() {
 }
 
 #[test]
-fn a_board_somebody_else_drives_names_who() {
+fn a_board_that_another_host_drives_is_told_with_its_owner() {
     let message = refused(Knobs {
         foreign_owner: Some("192.168.2.7:4711".parse().unwrap()),
         ..Knobs::default()

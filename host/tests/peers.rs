@@ -1,7 +1,8 @@
-//! What other drivers for these boards got wrong, one test each: we do not have it.
+//! Defects of other drivers for these boards: one test for each shows that FerroCNC does not have
+//! it.
 //!
-//! The defects were found by reading and simulating Lcnc, LiteX-CNC, hostmot2 and Remora. Those that concern
-//! gateware are tested there.
+//! The defects were found by reading and simulating Lcnc, LiteX-CNC, hostmot2 and Remora. Those
+//! that concern gateware are tested there.
 
 mod common;
 
@@ -154,12 +155,7 @@ fn litexcnc_top_speed_is_off_by_two_and_wraps_not_ours() {
     rig.hal.set("ferrocnc.0.stepgen.x.enable", true);
     // 1 us + 1 us: 500 kHz.
     let clock = f64::from(CLOCK_HZ);
-    for (asked, hz) in [
-        (1e3, 500e3),
-        (-1e3, -500e3),
-        (1e12, 500e3),
-        (f64::NEG_INFINITY, -500e3),
-    ] {
+    for (asked, hz) in [(1e3, 500e3), (-1e3, -500e3), (1e12, 500e3), (-1e20, -500e3)] {
         rig.hal.set("ferrocnc.0.stepgen.x.velocity-cmd", asked);
         rig.run(2);
         let (rate, _) = rig.board.look().command.stepgen[0];
@@ -255,7 +251,8 @@ fn litexcnc_enable_pin_is_unused_ours_stops_the_axis() {
     assert_ne!(rig.board.look().command.stepgen[0].0, StepRate(0));
 }
 
-/// The driver clips to 11, 11 and 13 bits what has 10, 10 and 12, so one timing overflows into the next.
+/// The driver clips to 11, 11 and 13 bits what has 10, 10 and 12, so one timing overflows into the
+/// next.
 #[test]
 fn litexcnc_timing_fields_overflow_into_each_other_not_ours() {
     let mut hal = FakeHal::new();

@@ -1,23 +1,25 @@
-//! `docs/pins.md` says what the driver exports: every pin, its type, its direction, and the other drivers'
-//! names for it.
+//! `docs/pins.md` says what the driver exports: every pin, its type, its direction, and the other
+//! drivers' names for it.
 
 mod common;
 
 use common::rig::load_with;
-use common::{FakeBoard, Time};
+use common::{FakeBoard, MILL6_ROW, Time};
 use ferrocnc::hal::fake::FakeHal;
 use ferrocnc::hal::{Direction, Type};
 use ferrocnc::names::{self, Scheme};
+use ferrocnc_config::Class;
 use std::collections::{BTreeMap, BTreeSet};
 
 const PAGE: &str = include_str!("../../docs/pins.md");
 
 /// Everything a `mill6` exports under a scheme.
 fn export(scheme: Option<&Scheme>) -> FakeHal {
-    let board = FakeBoard::mill6(Time::Lockstep(60_000));
+    let board = FakeBoard::saying(MILL6_ROW);
     let mut hal = FakeHal::new();
     let (driver, identity) = load_with(&board, &mut hal, 0);
     if let Some(scheme) = scheme {
+        assert_eq!(scheme.check(0, &identity), Ok(()));
         names::export(scheme, &mut hal, 0, &identity, &driver).unwrap();
     }
     hal
@@ -55,7 +57,7 @@ fn general(name: &str, prefix: &str) -> Option<String> {
     Some(parts.join("."))
 }
 
-/// Cells of every table row whose first cell is a name in backquotes.
+/// Cells of every table row with a name in backquotes in its first cell.
 fn rows() -> impl Iterator<Item = Vec<&'static str>> {
     PAGE.lines()
         .filter(|line| line.starts_with("| `"))
@@ -152,9 +154,136 @@ fn words<'f>(file: &'f str, prefix: &str) -> Vec<&'f str> {
         .collect()
 }
 
+/// LiteX-CNC's configuration of the board the example's HAL file is for.
+const THEIRS: &str = include_str!("../examples/peers/litexcnc.json");
+
+/// A board made of an import of it.
+fn imported() -> (FakeBoard, ferrocnc_config::Board) {
+    let platforms = ferrocnc_config::source::Folder::default();
+    let import = ferrocnc_config::import::litexcnc("litexcnc.json", THEIRS, "mill", &platforms);
+    let board = import.unwrap().board;
+    let count = |class| board.of(class).len() as u8;
+    let channels = wire::describe::Channels {
+        stepgens: count(Class::Stepgen),
+        encoders: count(Class::Encoder),
+        pwms: count(Class::Pwm),
+        inputs: count(Class::Input),
+        outputs: count(Class::Output),
+    };
+    let fake = FakeBoard::of("127.0.0.1:0", channels, Time::Lockstep(60_000));
+    fake.look().described = Some(ferrocnc_config::blob::blob(&board).unwrap());
+    (fake, board)
+}
+
+#[test]
+fn an_imported_board_has_every_pin_of_litexcncs_row_under_the_number_it_had_there() {
+    let (fake, board) = imported();
+    let mut hal = FakeHal::new();
+    let (driver, identity) = load_with(&fake, &mut hal, 0);
+    let scheme = Scheme::LitexCnc(vec!["test".to_owned()]);
+    assert_eq!(scheme.check(0, &identity), Ok(()));
+    let _glue = names::export(&scheme, &mut hal, 0, &identity, &driver).unwrap();
+    let theirs: serde_json::Value = serde_json::from_str(THEIRS).unwrap();
+    let row = theirs["modules"][0]["instances"].as_array().unwrap();
+    for (number, instance) in row.iter().enumerate() {
+        let (class, pin) = match instance["direction"].as_str() {
+            Some("in") => (Class::Input, "in"),
+            _ => (Class::Output, "out"),
+        };
+        // The channel at the pin that the JSON names, whatever its number is here.
+        let mut channels = board.of(class).iter();
+        let ours = channels
+            .find(|one| one.pin("pin") == instance["pin"].as_str())
+            .unwrap();
+        let (ours, theirs) = (
+            format!("ferrocnc.0.gpio.{}.{pin}", ours.name),
+            format!("test.gpio.{number:02}.{pin}"),
+        );
+        for level in [true, false] {
+            hal.set(&theirs, level);
+            assert_eq!(hal.get::<bool>(&ours), level, "{theirs} is {ours}");
+        }
+    }
+    let known: BTreeSet<&str> = hal
+        .list()
+        .chain(hal.aliases())
+        .map(|(name, _, _)| name)
+        .collect();
+    let file = include_str!("../examples/peers/litexcnc.hal");
+    for name in words(file, "test.") {
+        assert!(
+            ["test.read", "test.write"].contains(&name) || known.contains(name),
+            "{name}"
+        );
+    }
+    // What had no number there has none here: the e-stop and the watchdog's pin.
+    let numbered = known.iter().filter(|name| {
+        name.starts_with("test.gpio.") && (name.ends_with(".in") || name.ends_with(".out"))
+    });
+    assert_eq!(numbered.count(), row.len());
+}
+
+#[test]
+fn a_board_that_mixes_inputs_and_outputs_and_does_not_say_their_row_is_refused_in_words() {
+    let scheme = Scheme::LitexCnc(vec!["test".to_owned()]);
+    let told = |fake: &FakeBoard| {
+        let mut hal = FakeHal::new();
+        let (driver, identity) = load_with(fake, &mut hal, 0);
+        let told = scheme
+            .check(0, &identity)
+            .map_err(|error| error.to_string());
+        // A driver that does not check exports none rather than wrong ones.
+        if told.is_err() {
+            names::export(&scheme, &mut hal, 0, &identity, &driver).unwrap();
+            assert!(
+                !hal.aliases()
+                    .any(|(name, _, _)| name.starts_with("test.gpio."))
+            );
+        }
+        told
+    };
+    let said = told(&FakeBoard::saying(&[])).unwrap_err();
+    for part in [
+        "test",
+        "one row",
+        "wrong outputs",
+        "config import litexcnc",
+        "litexcnc = NUMBER",
+    ] {
+        assert!(said.contains(part), "{part} is not in: {said}");
+    }
+    assert!(
+        told(&FakeBoard::saying(&[(8, 0, "ogpio=64")]))
+            .unwrap_err()
+            .contains("64")
+    );
+    let twice = FakeBoard::saying(&[(8, 0, "ogpio=3"), (8, 4, "igpio=3")]);
+    assert!(told(&twice).unwrap_err().contains("the number 3 to two"));
+    // With outputs alone both count alike, unless the watchdog's pin was put in front of them.
+    let outputs = wire::describe::Channels {
+        stepgens: 3,
+        encoders: 1,
+        pwms: 1,
+        inputs: 0,
+        outputs: 7,
+    };
+    let alone = FakeBoard::of("127.0.0.1:0", outputs, Time::Lockstep(60_000));
+    assert_eq!(told(&alone), Ok(()));
+    let led = FakeBoard::of("127.0.0.1:0", outputs, Time::Lockstep(60_000));
+    for (kind, channel, name) in &mut led.look().names {
+        if (*kind, *channel) == (7, 0) {
+            "watchdog".clone_into(name);
+        }
+    }
+    assert!(told(&led).is_err());
+    // Lcnc counts as we do.
+    let mut hal = FakeHal::new();
+    let (_, identity) = load_with(&FakeBoard::saying(&[]), &mut hal, 0);
+    assert_eq!(Scheme::Lcnc.check(0, &identity), Ok(()));
+}
+
 #[test]
 fn every_pin_the_example_files_name_exists() {
-    let litexcnc = Scheme::LitexCnc(vec!["test".to_owned()]);
     let mill = include_str!("../examples/mill/mill.hal");
     for (scheme, prefix, functions, file) in [
         (None, "ferrocnc.0.", &["read", "write"][..], mill),
@@ -163,12 +292,6 @@ fn every_pin_the_example_files_name_exists() {
             "Lcnc.00.",
             &["update"],
             include_str!("../examples/peers/lcnc.hal"),
-        ),
-        (
-            Some(litexcnc),
-            "test.",
-            &["read", "write"],
-            include_str!("../examples/peers/litexcnc.hal"),
         ),
     ] {
         let hal = export(scheme.as_ref());

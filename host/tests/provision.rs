@@ -1,4 +1,4 @@
-//! Boards are found, told apart and given addresses: library and tool, on a segment of fake boards.
+//! Library and tool on a segment of fake boards: find boards, tell them apart, give them addresses.
 
 mod common;
 #[path = "common/tool.rs"]
@@ -9,9 +9,10 @@ use common::{FakeBoard, Time};
 use ferrocnc::address;
 use ferrocnc::client::Client;
 use ferrocnc::discovery::Finder;
-use ferrocnc::flash::{Overview, uid_text};
+use ferrocnc::flash::Overview;
 use ferrocnc::keys::Keys;
 use ferrocnc::provision::{self, Change, ProvisionError};
+use ferrocnc::uid::uid_text;
 use ferrocnc_tool::{answer, complaint};
 use std::net::Ipv4Addr;
 use std::time::Duration;

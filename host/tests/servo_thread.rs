@@ -1,4 +1,4 @@
-//! What the servo thread may not do: allocate, or let a panic out.
+//! The servo thread must not allocate, and a panic must not leave it.
 
 mod common;
 
@@ -25,7 +25,7 @@ thread_local! {
     static COUNT: Cell<u32> = const { Cell::new(0) };
 }
 
-/// Counts what the watching thread does, leaves everybody else alone.
+/// Counts allocations of the watching thread only.
 struct Counting;
 
 fn hit() {
@@ -110,6 +110,16 @@ fn the_servo_functions_never_allocate_whatever_the_board_does() {
     assert_eq!(counted, 0, "connecting and arming");
     assert!(hal.get::<bool>("ferrocnc.0.enabled"));
 
+    let counted = allocations(|| {
+        // Refused numbers are told of, too.
+        hal.set("ferrocnc.0.stepgen.x.maxaccel", f64::NAN);
+        hal.set("ferrocnc.0.stepgen.x.velocity-cmd", f64::INFINITY);
+        run(&mut driver, 5);
+        hal.set("ferrocnc.0.stepgen.x.maxaccel", 1.0);
+        hal.set("ferrocnc.0.stepgen.x.velocity-cmd", 10.0);
+    });
+    assert_eq!(counted, 0, "invalid numbers");
+
     // Setting a knob locks a mutex and may allocate: outside the count.
     board.look().knobs.duplicate_replies = true;
     board.look().knobs.drop_replies = 2;
@@ -183,7 +193,7 @@ fn a_panic_stops_at_the_fence_and_stays_stopped() {
     assert_eq!(said.len(), 1, "one message: {said:?}");
     assert!(said[0].contains("watchdog stops the machine"), "{said:?}");
 
-    // And the board does stop it.
+    // The board stops the machine.
     board.look().advance(60_000 * 1000);
     assert!(!board.look().gate);
 }

@@ -1,5 +1,5 @@
-//! What people do to a machine without meaning to: a thread that comes late, a plug that is half out, a parameter set by hand, a
-//! board that was off over lunch.
+//! Faults of everyday use: a late thread, a loose plug, a parameter set by hand, a board that was
+//! off for an hour.
 
 mod common;
 
@@ -13,7 +13,7 @@ use wire::FaultReason;
 /// Clocks of a servo period.
 const PERIOD: u64 = 60_000;
 
-/// What is not sent is not waited for.
+/// For datagrams that are lost on purpose.
 const HASTY: i32 = 100_000;
 const PATIENT: i32 = 200_000_000;
 
@@ -34,7 +34,7 @@ fn errors(rig: &Rig) -> Vec<String> {
         .collect()
 }
 
-/// An armed rig whose computer's time the test says.
+/// An armed rig; the test sets the computer's time.
 fn with_time() -> (Rig, Arc<Timebase>) {
     let mut rig = Rig::armed();
     let time = Timebase::scripted();
@@ -89,7 +89,8 @@ fn a_thread_held_up_under_way_is_forgiven_until_the_watchdog_bites_and_no_pulse_
         rig.hal.set("ferrocnc.0.stepgen.x.position-cmd", at);
         rig.run(1);
         if n % 50 == 0 {
-            // 3 ms without anybody, of the 5 it waits; the catching up is two periods at once.
+            // 3 ms without a command, of a timeout of 5 ms; then the thread runs two periods at
+            // once.
             rig.board.look().advance(3 * PERIOD);
         }
         // 39 units/s at most: three periods of that, and what the loop makes of it.
@@ -380,7 +381,8 @@ fn a_loop_outside_does_not_run_away_with_frozen_feedback() {
     timeout(&rig, HASTY);
     // The last answer that comes, and the one that is bridged.
     rig.run(2);
-    // The loop sees the axis stand still and pushes; it may brake, and not change its mind about that.
+    // The loop sees the axis stand still and raises its command; the axis may brake, but not
+    // accelerate again.
     for (asked, given) in [(12.0, 8000.0), (5.0, 4000.0), (-5.0, 0.0)] {
         rig.hal.set("ferrocnc.0.stepgen.x.velocity-cmd", asked);
         rig.run(1);

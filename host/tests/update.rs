@@ -22,7 +22,8 @@ fn image(build: u32) -> Image {
     Image::parse(&image::sample::file("mill6", PLATFORM, build, LENGTH)).unwrap()
 }
 
-/// A board as it comes from its first flash: image 1 in slot A, running and selected, image 2 golden.
+/// A board as it comes from its first flash: image 1 in slot A, running and selected, image 2
+/// golden.
 fn board() -> FakeBoard {
     let board = FakeBoard::mill6(Time::Lockstep(60_000));
     {

@@ -1,13 +1,14 @@
 //! Arcs as chords, with integers only.
 //!
-//! A chord's middle lies `r (1 - cos(angle / 2)) <= r angle^2 / 8` inside the arc, so chords of
-//! `sqrt(8 tolerance / r)` keep the tolerance; their ends are on the arc to a nanometre, each computed from the
-//! centre, none from the one before. The planner cuts the corners between chords by less than the chords cut the arc.
+//! The middle of a chord is `r (1 - cos(angle / 2)) <= r angle^2 / 8` inside the arc, so chords of
+//! `sqrt(8 tolerance / r)` keep the tolerance. Their ends are on the arc to a nanometre, because
+//! each is computed from the centre and none from the one before. The planner cuts the corners
+//! between chords by less than the chords cut the arc.
 
 use crate::instruction::{Arc, Place};
 use crate::wide::{product, quotient, quotient_up, root, scaled, wide};
 
-/// A turn is 2^56 of these.
+/// One turn is 2^56 of these units.
 type Angle = i64;
 const TURN: Angle = 1 << 56;
 
@@ -63,24 +64,25 @@ const ARCTAN: [i64; 48] = [
     0x51,
 ];
 
-/// What 48 rounds of CORDIC shrink a vector to that begins as 1: 2^60 times 0.607.
+/// The length to which 48 rounds of CORDIC shrink a vector of length 1: 2^60 times 0.607.
 const SHRUNK: i64 = 700_114_967_507_363_238;
 
-/// After so many rounds what is left to turn is below 2^-24.
+/// After this many rounds the remaining angle is below 2^-24.
 const ROUNDS: usize = 26;
 
 /// `2 pi * 2^40`.
 const TWO_PI_40: i64 = 6_908_559_991_273;
 
-/// `2 pi * 2^16`, rounded up: an arc has rather a chord too many.
+/// `2 pi * 2^16`, rounded up: better one chord too many.
 const TWO_PI_16: u64 = 411_775;
 
-/// No chord turns by more than a twelfth of a circle, whatever the tolerance: a plotter's smallest arc is round.
+/// No chord turns by more than a twelfth of a circle, whatever the tolerance: so a plotter's
+/// smallest arc is round.
 const LEAST_PER_TURN: u64 = 12;
 
 /// Direction of a vector: 0 is +X, a quarter turn +Y. 0 for the null vector.
 fn direction(x: i64, y: i64) -> Angle {
-    // Into the right half plane, then as large as the rounds' growth by 1.65 allows.
+    // Into the right half plane, then scaled up as far as the growth by 1.65 in the rounds allows.
     let (mut x, mut y, mut angle) = if x < 0 { (-x, -y, TURN / 2) } else { (x, y, 0) };
     let room = (x | y.abs()).leading_zeros().saturating_sub(3);
     (x, y) = (x << room, y << room);
@@ -117,7 +119,7 @@ fn unit(angle: Angle) -> [i64; 2] {
             (x, y, left) = (x + (y >> i), y - (x >> i), left + arctan);
         }
     }
-    // What is left is so small that its sine is itself, and half of its square nothing.
+    // The remaining angle is so small that it equals its sine, and half of its square is 0.
     let left = scaled(left, TWO_PI_40, 36);
     (x, y) = (x - scaled(y, left, 60), y + scaled(x, left, 60));
     if half { [-x, -y] } else { [x, y] }
@@ -129,11 +131,11 @@ pub(crate) fn hypot(x: i64, y: i64) -> i64 {
     let ([x0, x1], [y0, y1]) = (square(x), square(y));
     let (low, carry) = x0.overflowing_add(y0);
     let high = x1.wrapping_add(y1).wrapping_add(carry.into());
-    // Twice the root, rounded: the last bit decides.
+    // Twice the root, then rounded by the last bit.
     root([low << 2, high << 2 | low >> 62]).div_ceil(2) as i64
 }
 
-/// The ends of the chords of an arc, the arc's own end last.
+/// The ends of an arc's chords; the last one is the arc's own end.
 #[derive(Clone, Debug)]
 pub struct Chords {
     from: Place,
@@ -148,7 +150,7 @@ pub struct Chords {
 }
 
 impl Chords {
-    /// Of the arc that begins at `from`, no further than `tolerance` nm from it.
+    /// The chords of the arc that begins at `from`, no further than `tolerance` nm from it.
     pub fn new(from: Place, arc: Arc, tolerance: u32) -> Chords {
         let seen = |place: Place| [place[0] - arc.center[0], place[1] - arc.center[1]];
         let (first, last) = (seen(from), seen(arc.to));
@@ -172,12 +174,12 @@ impl Chords {
         }
     }
 
-    /// How many there are.
+    /// The number of chords.
     pub fn count(&self) -> u32 {
         self.count
     }
 
-    /// How long the arc is, in nm; of a helix, what is seen from above.
+    /// The length of the arc, in nm; for a helix, the length seen from above.
     pub fn length(&self) -> u64 {
         let radius = self.radius().unsigned_abs();
         let [low, high] = product(radius, self.sweep.unsigned_abs());
@@ -229,7 +231,7 @@ fn count(sweep: Angle, radius: i64, tolerance: u32) -> u32 {
     let high = quotient(radius >> 24, by);
     let low = wide([radius << 40, (radius >> 24).wrapping_sub(high * by)], by);
     let fineness = root([low, high]) + 1;
-    // A turn of it, and what part of a turn there is to go: 2^92 for each chord, rounded up.
+    // The arc's turn in this unit, as a part of a full turn: 2^92 for each chord, rounded up.
     let [first, second] = product(sweep, TWO_PI_16);
     let [low, middle] = product(first, fineness);
     let high = middle + second * fineness;
@@ -308,7 +310,7 @@ mod tests {
                 before = place;
             }
             prop_assert_eq!(before, to);
-            // It went the way it was told, not the other way round.
+            // The arc turned in the commanded direction, not the other one.
             let whole = radius as f64 * sweep;
             prop_assert!(length <= whole + 10.0 && length >= whole * 0.98 - 10.0, "{} of {}", length, whole);
         }
@@ -329,7 +331,7 @@ mod tests {
 
     #[test]
     fn arcs_of_two_degrees_and_less_are_arcs() {
-        // 100 mm, 2 degrees: 15 um high. A chord of it alone would miss a tolerance of 1 um.
+        // 100 mm, 2 degrees: 15 um high. A single chord would miss a tolerance of 1 um.
         for degrees in [2.0f64, 1.0, 0.5, 0.01] {
             let angle = degrees.to_radians();
             let to = [

@@ -1,4 +1,5 @@
-//! FPGA G's instruction as a parsed type: the 14 bytes of its description, first field in the highest byte.
+//! FPGA G's instruction as a parsed type: the 14 bytes of its description, first field in the
+//! highest byte.
 //!
 //! | bytes | field | meaning |
 //! |---|---|---|
@@ -9,30 +10,31 @@
 //! | 2 | loops travel | how many steps keep their speed |
 //! | 2, 2 | deceleration, loops decel | how many steps slow down, and how fast |
 //!
-//! Its code had fields its description has not, and its last version a third form. What the unit of the acceleration is, it never
-//! said; whoever executes this says it ([`crate::words`]). Here the words are taken apart, and refused when they are no instruction.
+//! Its code had fields that its description does not have, and its last version a third form. It
+//! never stated the unit of the acceleration; the executor defines it ([`crate::words`]). This
+//! module parses the words, and refuses them if they are not an instruction.
 
 use crate::segment::AXES;
 use core::fmt;
 
-/// Bytes of an instruction.
+/// Length of an instruction in bytes.
 pub const BYTES: usize = 14;
 
-/// Words it is sent in; the last two bytes of the last are 0.
+/// Number of words it is sent in; the last two bytes of the last word are 0.
 pub const WORDS: usize = 4;
 
-/// The command beside a word.
+/// The command that is sent with a word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Nothing.
+    /// No command.
     Empty,
     /// The word is the next of an instruction.
     Gcode,
     /// The reply is the status.
     Status,
-    /// Execute.
+    /// Start execution.
     Start,
-    /// Execute no more.
+    /// Stop execution.
     Stop,
 }
 
@@ -63,7 +65,7 @@ impl Command {
 
 /// The reply's status bits; a reply of 0 is normal.
 pub mod status {
-    /// No room for another instruction; this one was refused.
+    /// There is no room for another instruction; this one was refused.
     pub const FULL: u32 = 1;
     /// Not an instruction; it was refused.
     pub const PARSE_ERROR: u32 = 2;
@@ -76,31 +78,32 @@ pub struct Move {
     pub direction: u8,
     /// Outputs.
     pub aux: u16,
-    /// Acceleration, in units of the executor.
+    /// Acceleration, in the executor's units.
     pub acceleration: u16,
-    /// Steps speeding up.
+    /// Number of steps while speeding up.
     pub loops_accel: u16,
-    /// Steps at speed.
+    /// Number of steps at constant speed.
     pub loops_travel: u16,
-    /// Deceleration, likewise.
+    /// Deceleration, in the same units.
     pub deceleration: u16,
-    /// Steps slowing down.
+    /// Number of steps while slowing down.
     pub loops_decel: u16,
 }
 
 /// Words of an instruction of the final revision, three motors.
 pub const CURVE_WORDS: usize = 1 + 3 * AXES;
 
-/// Ticks of a curve that says none: its longest.
+/// Ticks of a curve that does not give a number: the longest curve.
 pub const CURVE_TICKS: u16 = 1100;
 
-/// A curve of the final revision: word 0 is command (bits 7:0), outputs (15:8) and 16 bits it had no use for, here the ticks (1 us each, 0 is
-/// [`CURVE_TICKS`]); then per motor three signed words.
+/// A curve of the final revision. Word 0 is command (bits 7:0), outputs (15:8) and 16 bits without
+/// a use there; here they are the ticks (1 us each, 0 is [`CURVE_TICKS`]). Then there are three
+/// signed words per motor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Curve {
     /// Outputs.
     pub aux: u8,
-    /// How long, 1 to 1100.
+    /// Duration in ticks, 1 to 1100.
     pub ticks: u16,
     /// Per motor c0, c1, c2: after t ticks it has made `(c0 t + c1 t^2 + c2 t^3) / 2^31` steps.
     pub motors: [[i32; 3]; AXES],
@@ -144,19 +147,19 @@ impl Curve {
 /// What is wrong with an instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Error {
-    /// Its first byte is not that of a move.
+    /// Its first byte is not the command of a move.
     Command(u8),
     /// The unused bytes at its end are not 0: the words are out of step.
     Padding(u16),
-    /// More of them than a curve may last.
+    /// More ticks than a curve may last.
     Ticks(u16),
-    /// A motor that is on its way would turn or halt at once.
+    /// A moving motor would reverse or stop at once.
     Jump,
-    /// More speed or acceleration than the machine has.
+    /// More speed or acceleration than the machine's limits.
     Fast,
-    /// It ends beyond the machine's limits.
+    /// It leaves the machine's limits, or could not stop within them.
     Bounds,
-    /// It speeds up or slows down for some steps at no acceleration.
+    /// It accelerates for some steps with an acceleration of 0.
     NoAcceleration,
 }
 
@@ -169,9 +172,12 @@ impl fmt::Display for Error {
                 "{bytes:#x} where an instruction's unused bytes are: words are missing"
             ),
             Error::Ticks(ticks) => write!(f, "{ticks} ticks, of {CURVE_TICKS} at most"),
-            Error::Jump => write!(f, "a motor that is on its way would have to jump"),
+            Error::Jump => write!(f, "a moving motor would have to jump"),
             Error::Fast => write!(f, "more speed or acceleration than the machine has"),
-            Error::Bounds => write!(f, "it ends beyond the machine's limits"),
+            Error::Bounds => write!(
+                f,
+                "it leaves the machine's limits, or could not stop within them"
+            ),
             Error::NoAcceleration => write!(f, "steps of acceleration without an acceleration"),
         }
     }
@@ -221,7 +227,7 @@ impl Move {
         ]
     }
 
-    /// Steps of the motor that makes the most.
+    /// Steps of the motor that makes the most steps.
     pub fn loops(&self) -> u32 {
         u32::from(self.loops_accel) + u32::from(self.loops_travel) + u32::from(self.loops_decel)
     }

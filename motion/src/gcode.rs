@@ -1,45 +1,49 @@
-//! Reads G-code, byte by byte, line by line, into [`Instruction`]s. No word is skipped: what this cannot do
-//! is an error with line and column, so that a program checked to its end does what it says.
+//! Reads G-code, byte by byte, line by line, into [`Instruction`]s. No word is skipped: a word that
+//! is not supported is an error with line and column. So a program that was read to its end does
+//! what it says.
 //!
 //! | words | meaning |
 //! |---|---|
 //! | `G0 G1 G2 G3` | rapid, line, arc clockwise, arc counterclockwise; modal. Arcs with I and J, or with R (negative: the longer way). End left out or equal to the beginning, with I and J: a full circle. With Z: a helix |
 //! | `G4 P` | dwell: **seconds** as in LinuxCNC, or milliseconds when [`Options::dwell`] says so; `G4 S` is always seconds |
 //! | `G17` | XY plane, the only one |
-//! | `G20 G21` | inches, millimetres (which is how it begins) |
-//! | `G28` | find the switches of the axes named, or of all; numbers other than 0 are refused. They are at 0 then, and what G92 set for them is forgotten |
-//! | `G90 G91` | absolute (which is how it begins), relative |
-//! | `G92` | the present place is called what the words say |
+//! | `G20 G21` | inches, millimetres (the default) |
+//! | `G28` | home the axes named, or all; numbers other than 0 are refused. The axes are at 0 then, and their G92 offsets are cleared |
+//! | `G90 G91` | absolute (the default), relative |
+//! | `G92` | the words become the coordinates of the current position |
 //! | `F` | mm/min or inch/min, along the path |
-//! | `M0 M2 M30` | wait for the operator; end. What follows an end is not read |
+//! | `M0 M2 M30` | wait for the operator; end. Text after an end is not read |
 //! | `M3 M5` | tool (pen, laser) on, off: output 0 |
-//! | `G40 G49 G54 G80 G91.1 G94` | accepted: they ask for what is the case anyway |
+//! | `G40 G49 G54 G80 G91.1 G94` | accepted: they select what is always in force here |
 //! | `N123`, `*71` | line number; checksum of all bytes before the star, exclusive or |
 //! | `( )`, `;`, `%` | comments, program mark |
 //!
-//! Within a line the order is LinuxCNC's: feed, tool, dwell, modes, then G28, G92 or the motion, then the stop.
-//! No crate does this: `gcode` 0.7 runs on `no_std` and gives spans, but its numbers are `f32`. They are 60 nm coarse
-//! at a metre, sums of relative moves drift, and a softcore without FPU is slow with them.
+//! Within a line the order is LinuxCNC's: feed, tool, dwell, modes, then G28, G92 or the motion,
+//! then the stop. No existing crate fits: `gcode` 0.7 runs on `no_std` and gives spans, but its
+//! numbers are `f32`. At a metre they have a resolution of 60 nm, sums of relative moves drift, and
+//! a softcore without FPU is slow with them.
 
 use crate::circle::hypot;
-use crate::instruction::{AUX_TOOL, Arc, CENTER_FARTHEST, FARTHEST, Feed, Instruction, Place};
+use crate::instruction::{
+    AUX_TOOL, Arc, CENTER_FARTHEST, DWELL_LONGEST, FARTHEST, Feed, Instruction, Place,
+};
 use crate::segment::AXES;
 use core::fmt;
 
 /// RS-274's limit.
 pub const LINE_LENGTH: usize = 256;
 
-/// Words in a line; there are not that many different ones.
+/// Largest number of words in a line; there are fewer different ones.
 const WORDS: usize = 32;
 
-/// What dialects differ in.
+/// The differences between dialects.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Options {
-    /// What `G4 P` counts.
+    /// The unit of `G4 P`.
     pub dwell: DwellUnit,
 }
 
-/// What `G4 P` counts.
+/// The unit of `G4 P`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum DwellUnit {
     /// As LinuxCNC, grbl and RS-274.
@@ -49,45 +53,45 @@ pub enum DwellUnit {
     Milliseconds,
 }
 
-/// What is wrong, and where; both count from 1.
+/// An error and its place; line and byte count from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Error {
     /// Line of the text.
     pub line: u32,
     /// Byte of the line.
     pub column: u16,
-    /// What.
+    /// The kind.
     pub fault: Fault,
 }
 
-/// What can be wrong with a line.
+/// The errors a line can have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// Not a letter where a word begins.
+    /// A word begins with something else than a letter.
     NoWord(u8),
     /// A letter without a number.
     NoNumber(u8),
     /// A number too large for any machine.
     TooLarge,
-    /// A G code nobody here knows; ten times its number.
+    /// An unknown G code; ten times its number.
     UnknownG(i64),
-    /// An M code nobody here knows; ten times its number.
+    /// An unknown M code; ten times its number.
     UnknownM(i64),
-    /// A letter nobody here knows.
+    /// An unknown letter.
     UnknownLetter(u8),
     /// A letter twice.
     Twice(u8),
     /// Two codes that exclude each other.
     Conflict,
-    /// A letter no code of the line uses.
+    /// A letter that no code of the line uses.
     Unused(u8),
     /// A comment without end.
     OpenComment,
-    /// The sum says something was garbled.
+    /// The checksum shows that the line was garbled.
     Checksum {
-        /// As it says.
+        /// The checksum in the line.
         said: u8,
-        /// As it is.
+        /// The checksum of the line.
         is: u8,
     },
     /// Longer than 256 bytes or 32 words.
@@ -98,19 +102,19 @@ pub enum Fault {
     NoFeed,
     /// F of 0, below it, or beyond 257 m/min.
     BadFeed,
-    /// G4 without P or S, with both, or below 0.
+    /// G4 without P or S, with both, below 0, or longer than a week.
     BadDwell,
-    /// G28 with a place.
+    /// G28 with a position.
     HomeWithPlace,
     /// G92 without words.
     EmptyOffset,
     /// An arc with neither R nor I and J, or with both.
     NoCenter,
-    /// An arc with R that ends where it begins: any circle would do.
+    /// An arc with R that ends at its beginning: every circle with this radius fits.
     RadiusFullCircle,
     /// Its ends are further apart than twice R.
     RadiusTooSmall,
-    /// The end is not on the circle; by so many nanometres.
+    /// The end is not on the circle; by this many nanometres.
     OffCircle(i64),
     /// More than 10 m from home.
     TooFar,
@@ -143,7 +147,7 @@ impl fmt::Display for Code {
 impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Fault::NoWord(byte) => write!(f, "{:?} begins no word", char::from(byte)),
+            Fault::NoWord(byte) => write!(f, "{:?} does not begin a word", char::from(byte)),
             Fault::NoNumber(letter) => write!(f, "{} without a number", char::from(letter)),
             Fault::TooLarge => write!(f, "a number beyond a million"),
             Fault::UnknownG(code) => write!(f, "{} is not supported", Code('G', code)),
@@ -162,10 +166,10 @@ impl fmt::Display for Fault {
             Fault::NoMode => write!(f, "axis words, but no G0, G1, G2 or G3 so far"),
             Fault::NoFeed => write!(f, "a feed is needed, but no F so far"),
             Fault::BadFeed => write!(f, "F must be above 0 and below 257 m/min"),
-            Fault::BadDwell => write!(f, "G4 needs one of P and S, not below 0"),
+            Fault::BadDwell => write!(f, "G4 needs one of P and S, not below 0 and at most a week"),
             Fault::HomeWithPlace => write!(
                 f,
-                "G28 finds the switches; a number other than 0 means nothing to it"
+                "G28 homes the axes; a number other than 0 has no meaning here"
             ),
             Fault::EmptyOffset => write!(f, "G92 without an axis"),
             Fault::NoCenter => write!(f, "an arc needs either R, or I and J"),
@@ -190,7 +194,7 @@ impl fmt::Display for Fault {
     }
 }
 
-/// What a line asks for, in order.
+/// The result of a line, in order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Instructions {
     items: [Option<Instruction>; 4],
@@ -199,7 +203,7 @@ pub struct Instructions {
 
 impl Instructions {
     fn add(&mut self, instruction: Instruction) {
-        // Tool, dwell, one of motion and G28, stop: never more.
+        // Tool, dwell, one of motion and G28, stop: at most one of each.
         if let Some(free) = self.items.iter_mut().find(|item| item.is_none()) {
             *free = Some(instruction);
         }
@@ -216,7 +220,7 @@ impl Iterator for Instructions {
     }
 }
 
-/// The reader: what a line means depends on those before it.
+/// The reader. The meaning of a line depends on the lines before it.
 #[derive(Clone, Debug)]
 pub struct Reader {
     options: Options,
@@ -227,9 +231,9 @@ pub struct Reader {
     inches: bool,
     relative: bool,
     feed: Option<u32>,
-    /// In the machine's coordinates.
+    /// In machine coordinates.
     at: Place,
-    /// What G92 adds to the program's coordinates to get the machine's.
+    /// G92's offset: it is added to program coordinates to get machine coordinates.
     offset: Place,
     tool: bool,
     ended: bool,
@@ -286,7 +290,7 @@ impl Reader {
         self.ended
     }
 
-    /// The next byte of the program. The end of a line says what the line asks for.
+    /// Takes the next byte of the program. At the end of a line it returns the line's result.
     pub fn byte(&mut self, byte: u8) -> Result<Instructions, Error> {
         if byte == b'\n' {
             return self.end_of_line();
@@ -317,7 +321,7 @@ impl Reader {
         self.line(&buffer[..length])
     }
 
-    /// A whole line at once, without its end.
+    /// Takes a whole line at once, without its end.
     pub fn line(&mut self, text: &[u8]) -> Result<Instructions, Error> {
         self.line += 1;
         if self.ended {
@@ -378,7 +382,7 @@ impl Reader {
                 (letter, _) => return Err((word.at, Fault::UnknownLetter(letter))),
             }
         }
-        // Nothing is taken over before the line is known to be good: a copy is worked on.
+        // The changes are made to a copy, which replaces the state only if the whole line is valid.
         let mut next = self.modes(inches, relative);
         let mut out = Instructions::default();
         if let Some(word) = words.find(b'F') {
@@ -463,7 +467,7 @@ impl Reader {
     }
 }
 
-/// What lines leave behind for those after them.
+/// The state that a line leaves to the lines after it.
 struct Modes {
     dwell: DwellUnit,
     mode: Option<Motion>,
@@ -476,7 +480,7 @@ struct Modes {
     ended: bool,
 }
 
-/// A fault and the byte it is at, from 0.
+/// An error and its byte, from 0.
 type At = (usize, Fault);
 
 impl Modes {
@@ -505,10 +509,12 @@ impl Modes {
             (None, None) | (Some(_), Some(_)) => return Err((at, Fault::BadDwell)),
         };
         let micros = rounded(word.value, if milli { 1_000_000 } else { 1000 });
-        u64::try_from(micros).map_err(|_| (word.at, Fault::BadDwell))
+        let micros = u64::try_from(micros).ok();
+        let micros = micros.filter(|micros| *micros <= DWELL_LONGEST);
+        micros.ok_or((word.at, Fault::BadDwell))
     }
 
-    /// Where the axis words lead.
+    /// The end position of the axis words.
     fn target(&self, words: &Words) -> Result<Place, At> {
         let mut to = self.at;
         for (axis, letter) in (b'X'..=b'Z').enumerate() {
@@ -613,7 +619,7 @@ impl Modes {
                 let center = [from[0] + nm(i), from[1] + nm(j)];
                 let radius = hypot(from[0] - center[0], from[1] - center[1]);
                 let off = (hypot(to[0] - center[0], to[1] - center[1]) - radius).abs();
-                // LinuxCNC's: five micrometres, or a thousandth of a large radius.
+                // LinuxCNC's tolerance: five micrometres, or a thousandth of a large radius.
                 match radius {
                     0 => Err((word.at, Fault::NoCenter)),
                     _ if off > (radius / 1000).max(5000) => Err((word.at, Fault::OffCircle(off))),
@@ -638,7 +644,7 @@ impl Modes {
         if chord == 0 {
             return Err((word.at, Fault::RadiusFullCircle));
         }
-        // A half circle's R may be rounded down: the tolerance is that of I and J.
+        // The R of a half circle may be rounded down: the tolerance is the same as for I and J.
         let twice = 2 * radius.abs();
         if chord > twice + (radius.abs() / 1000).max(5000) {
             return Err((word.at, Fault::RadiusTooSmall));
@@ -648,7 +654,7 @@ impl Modes {
         // From the chord's middle to the centre, twice.
         let height = (square(twice) - chord_square).max(0).isqrt();
         let fine_chord = (chord_square << 40).isqrt();
-        // The shorter way counterclockwise has its centre to the left.
+        // The shorter counterclockwise arc has its centre to the left.
         let left = clockwise == (radius < 0);
         let side = |across: i64| {
             let part = (height * i128::from(across)) << 20;
@@ -674,7 +680,7 @@ fn set<T>(place: &mut Option<T>, value: T, word: &Word) -> Result<(), At> {
     }
 }
 
-/// Letters seen.
+/// The letters found so far.
 #[derive(Default)]
 struct Used(u32);
 
@@ -687,7 +693,7 @@ impl Used {
     }
 }
 
-/// Numbers are counted in 10^-9.
+/// Numbers are in units of 10^-9.
 const NANO: i64 = 1_000_000_000;
 
 #[derive(Clone, Copy, Default)]
@@ -719,7 +725,7 @@ impl Words {
         self.iter().find(|word| word.letter == letter)
     }
 
-    /// Where the line's first word is, but for its number.
+    /// The position of the line's first word after its number.
     fn first_at(&self) -> usize {
         self.iter()
             .find(|word| word.letter != b'N')
@@ -735,7 +741,7 @@ impl Words {
         while let Some(&byte) = text.get(at) {
             match byte {
                 b' ' | b'\t' | b'\r' => at += 1,
-                // Program marks; what else stands in their line is a word.
+                // Program marks; anything else in their line is a word.
                 b'%' => at += 1,
                 b';' => break,
                 b'(' => at = after_comment(text, at)?,
@@ -773,7 +779,7 @@ fn after_comment(text: &[u8], at: usize) -> Result<usize, At> {
     }
 }
 
-/// `*` and the checksum at `at`: of the bytes before.
+/// `*` and the checksum at `at`, for the bytes before it.
 fn check(text: &[u8], at: usize) -> Result<(), At> {
     let (value, end) = number(text, at + 1).map_err(|_| (at, Fault::NoNumber(b'*')))?;
     let is = text[..at].iter().fold(0, |sum, byte| sum ^ byte);
@@ -791,8 +797,8 @@ fn check(text: &[u8], at: usize) -> Result<(), At> {
     }
 }
 
-/// The number at `at` (spaces before it are allowed) and where it ends. Digits beyond the ninth after the point are read and
-/// mean nothing.
+/// The number at `at` (spaces before it are allowed) and its end. Digits after the ninth decimal
+/// are read and ignored.
 fn number(text: &[u8], mut at: usize) -> Result<(i64, usize), Fault> {
     while matches!(text.get(at), Some(b' ' | b'\t')) {
         at += 1;
@@ -926,6 +932,22 @@ mod tests {
     }
 
     #[test]
+    fn a_dwell_is_at_most_a_week() {
+        let week = Instruction::Dwell {
+            micros: DWELL_LONGEST,
+        };
+        assert_eq!(read("G4 P604800\n"), [week]);
+        for text in ["G4 P604800.001\n", "G4 S1000000\n", "G4 P-1\n"] {
+            let complaint = complaint(text);
+            assert!(complaint.contains("at most a week"), "{text}: {complaint}");
+        }
+        // 2^64 microseconds, and one less.
+        for text in ["G4 P18446744073709.551616\n", "G4 P18446744073709.551615\n"] {
+            assert!(read_with(Options::default(), text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
     fn a_dwell_is_in_seconds_unless_milliseconds_are_asked_for() {
         let p = "G4 P1.5\nG4 S2";
         let dwell = |micros| Instruction::Dwell { micros };
@@ -977,7 +999,8 @@ mod tests {
             read("G3 X20 R10 F60000"),
             [arc(half, [10_000_000, 0], false)]
         );
-        // A quarter from (0, 0) to (10, 10): counterclockwise and short, the centre is to the left of the way.
+        // A quarter from (0, 0) to (10, 10): counterclockwise and short, with the centre to the
+        // left of the path.
         let quarter = [10_000_000, 10_000_000, 0];
         assert_eq!(
             read("G3 X10 Y10 R10 F60000"),
@@ -1036,8 +1059,8 @@ mod tests {
             ("G90.1", "line 1, column 1: G90.1 is not supported"),
             ("G1.05 X1", "line 1, column 1: G1 is not supported"),
             ("M3 S1000", "line 1, column 4: no code of this line uses S"),
-            ("#1=5", "line 1, column 1: '#' begins no word"),
-            ("/G0 X1", "line 1, column 1: '/' begins no word"),
+            ("#1=5", "line 1, column 1: '#' does not begin a word"),
+            ("/G0 X1", "line 1, column 1: '/' does not begin a word"),
             ("G0 X", "line 1, column 4: X without a number"),
             ("G0 X1 X2", "line 1, column 7: X twice"),
             (
@@ -1067,15 +1090,15 @@ mod tests {
             ),
             (
                 "G4",
-                "line 1, column 1: G4 needs one of P and S, not below 0",
+                "line 1, column 1: G4 needs one of P and S, not below 0 and at most a week",
             ),
             (
                 "G4 P-1",
-                "line 1, column 4: G4 needs one of P and S, not below 0",
+                "line 1, column 4: G4 needs one of P and S, not below 0 and at most a week",
             ),
             (
                 "G28 X5",
-                "line 1, column 5: G28 finds the switches; a number other than 0 means nothing to it",
+                "line 1, column 5: G28 homes the axes; a number other than 0 has no meaning here",
             ),
             ("G92", "line 1, column 1: G92 without an axis"),
             (

@@ -1,20 +1,25 @@
-//! What a job is made of: modal states resolved, units metric, every place absolute.
+//! The instructions of a job: modal states resolved, units metric, every position absolute.
 //!
-//! The G-code reader, the reader of XYPenPlotter's binary files and the job file all speak these; the planner
-//! executes them. A length is in nanometres, so that inches, millimetres and sums of either are exact.
+//! The G-code reader, the reader of XYPenPlotter's binary files and the job file all use them; the
+//! planner executes them. A length is in nanometres, so that inches, millimetres and their sums are
+//! exact.
 
 use crate::segment::AXES;
 
-/// A place in nanometres from home.
+/// A position in nanometres from home.
 pub type Place = [i64; AXES];
 
-/// No place of a job is further than 10 m from home.
+/// No position of a job is further than 10 m from home.
 pub const FARTHEST: i64 = 10_000_000_000;
 
-/// The centre of an arc may be further: a line that is hardly bent. Beyond that it is a line.
+/// The centre of an arc may be further away, because a nearly straight arc has a distant one.
+/// Beyond this limit it is a line.
 pub const CENTER_FARTHEST: i64 = 4 * FARTHEST;
 
-/// How fast along the path.
+/// The longest dwell, in microseconds: a week, as for a line. So sums of them do not overflow.
+pub const DWELL_LONGEST: u64 = 7 * 24 * 3600 * 1_000_000;
+
+/// The speed along the path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Feed {
     /// As fast as the axes can.
@@ -23,7 +28,7 @@ pub enum Feed {
     Rate(u32),
 }
 
-/// One thing to do.
+/// An instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Instruction {
     /// A straight line.
@@ -33,33 +38,33 @@ pub enum Instruction {
         /// The speed.
         feed: Feed,
     },
-    /// A part of a circle, a whole one, or a helix.
+    /// A part of a circle, a full circle, or a helix.
     Arc(Arc),
-    /// Nothing moves for this many microseconds.
+    /// All axes rest for this many microseconds.
     Dwell {
-        /// How long.
+        /// The duration, at most [`DWELL_LONGEST`].
         micros: u64,
     },
-    /// The outputs are from now on these.
+    /// Sets the outputs.
     Aux {
-        /// One bit for each.
+        /// One bit for each output.
         bits: u16,
     },
-    /// Find the switches of these axes; their places are 0 then.
+    /// Homes these axes; their positions are 0 then.
     Home {
         /// X, Y, Z.
         axes: [bool; AXES],
     },
     /// Wait for the operator.
     Pause,
-    /// The job is over.
+    /// The end of the job.
     End,
 }
 
-/// An arc in the XY plane. One that ends where it begins is a full circle.
+/// An arc in the XY plane. If it ends at its beginning, it is a full circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Arc {
-    /// Its end; when its Z is not that of the beginning it is a helix.
+    /// Its end; if its Z differs from that of the beginning, the arc is a helix.
     pub to: Place,
     /// Centre, X and Y.
     pub center: [i64; 2],

@@ -1,4 +1,5 @@
-//! The job file: [`Instruction`]s, checked, in blocks that can be sent, stored and resumed one by one.
+//! The job file: [`Instruction`]s, checked, in blocks that can be sent, stored and resumed one by
+//! one.
 //!
 //! ```text
 //! file    = block*                      the first is the header, the last the end
@@ -10,8 +11,9 @@
 //! end     = instructions:u32 lowest:i64 x 3 highest:i64 x 3           the extents in nm
 //! ```
 //!
-//! An instruction is a byte (low half: what; high half: which fields follow), then varints (seven bits a byte, lowest first; signed ones
-//! zigzag). Lines, places and centres are differences to those of the instruction before, so that a short line takes 6 bytes.
+//! An instruction is a byte (low half: the kind; high half: the fields that follow), then varints
+//! (seven bits a byte, lowest first; signed ones zigzag). Lines, positions and centres are
+//! differences to those of the instruction before, so that a short line takes 6 bytes.
 //!
 //! | low half | instruction | fields, each if its bit is set |
 //! |---|---|---|
@@ -24,32 +26,33 @@
 //! | 7 | home | `10` X `20` Y `40` Z, `80` source line |
 //! | 8, 9 | pause, end of program | `80` source line |
 //!
-//! No instruction crosses a block's end, and a block holds at most [`BLOCK`] bytes of them: a reader needs memory for one block,
-//! and whoever sends can go on from the block after the last one that arrived. The state of the differences goes on across blocks.
+//! No instruction crosses a block's end, and a block holds at most [`BLOCK`] bytes of them. So a
+//! reader needs memory for one block, and a sender can continue with the block after the last one
+//! that arrived. The state of the differences continues across blocks.
 
-use crate::instruction::{Arc, CENTER_FARTHEST, FARTHEST, Feed, Instruction, Place};
+use crate::instruction::{Arc, CENTER_FARTHEST, DWELL_LONGEST, FARTHEST, Feed, Instruction, Place};
 use core::fmt;
 use wire::crc::Crc32;
 
-/// The only version there is.
+/// The only version.
 pub const VERSION: u8 = 1;
 
-/// Bytes of instructions in a block, at most.
+/// Largest number of instruction bytes in a block.
 pub const BLOCK: usize = 1024;
 
-/// Bytes round a block's payload.
+/// Bytes around a block's payload.
 pub const FRAME: usize = HEAD + 4;
 
-/// Bytes of a job's name, at most.
+/// Longest name of a job, in bytes.
 pub const NAME: usize = 64;
 
 const HEAD: usize = 8;
 const MAGIC: [u8; 2] = *b"FJ";
 
-/// No instruction is longer: a byte and seven varints of ten bytes at most.
+/// The longest instruction: a byte and seven varints of ten bytes.
 const LONGEST: usize = 64;
 
-/// What a block is.
+/// The kind of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Version and name.
@@ -82,31 +85,31 @@ impl Kind {
 /// What is wrong with a job file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Error {
-    /// Not a block where one begins.
+    /// There is no block at this place.
     NoBlock,
-    /// It ends within a block, or without its last.
+    /// The file ends within a block, or without its last block.
     Cut,
     /// Garbled, or a block is missing before it.
     Crc {
-        /// As it says.
+        /// The CRC in the block.
         said: u32,
-        /// As it is.
+        /// The CRC of the block.
         is: u32,
     },
-    /// A header, an end or a name where none belongs.
+    /// A header, an end or a name at a wrong place.
     Order,
     /// Of another version.
     Version {
-        /// Its.
+        /// Its version.
         theirs: u8,
     },
-    /// An instruction nobody here knows, or with impossible fields.
+    /// An unknown instruction, or one with impossible fields.
     Instruction(u8),
-    /// The end counts other instructions than there are.
+    /// The end gives another number of instructions than there are.
     Count {
-        /// As it says.
+        /// The number in the end.
         said: u32,
-        /// As it is.
+        /// The number of instructions read.
         is: u32,
     },
 }
@@ -136,7 +139,7 @@ impl fmt::Display for Error {
     }
 }
 
-/// What the end says.
+/// The content of the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Summary {
     /// Instructions of the program, feeds not counted.
@@ -190,7 +193,7 @@ impl Summary {
     }
 }
 
-/// What instructions are differences to.
+/// The state that the differences refer to.
 #[derive(Clone, Copy, Debug)]
 struct State {
     at: Place,
@@ -204,7 +207,8 @@ const START: State = State {
     line: 0,
 };
 
-/// Writes a job into blocks. Each is to be taken (written, sent) before the next is made.
+/// Writes a job into blocks. The caller takes each block (writes it, sends it) before the next is
+/// made.
 #[derive(Clone, Debug)]
 pub struct Writer {
     block: [u8; HEAD + BLOCK + 4],
@@ -215,7 +219,7 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// The first block and the writer of the others. A name is cut at 64 bytes.
+    /// The first block, and the writer of the others. A name is cut at 64 bytes.
     pub fn new(name: &str) -> Self {
         let mut writer = Writer {
             block: [0; HEAD + BLOCK + 4],
@@ -237,8 +241,8 @@ impl Writer {
         self.close(Kind::Header)
     }
 
-    /// Adds an instruction; `line` is that of its source. When the block is full it comes back, complete, and this instruction
-    /// is in the next.
+    /// Adds an instruction; `line` is that of its source. When the block is full, the complete
+    /// block is returned, and this instruction is in the next.
     pub fn add(&mut self, instruction: &Instruction, line: u32, mut full: impl FnMut(&[u8])) {
         if self.length + 2 * LONGEST > HEAD + BLOCK {
             full(self.close(Kind::Instructions));
@@ -362,21 +366,22 @@ fn crc(before: u32, bytes: &[u8]) -> u32 {
     crc.value()
 }
 
-/// A block whose CRC is right.
+/// A block with a right CRC.
 #[derive(Clone, Copy, Debug)]
 pub struct Block<'a> {
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
-    /// What is in it.
+    /// Its content.
     pub payload: &'a [u8],
     /// With its frame.
     pub length: usize,
-    /// What the next block continues from.
+    /// The CRC that the next block continues from.
     pub crc: u32,
 }
 
 impl<'a> Block<'a> {
-    /// The block at the beginning of `bytes`, which may hold more. `before`: the CRC of the block before, 0 for the first.
+    /// The block at the beginning of `bytes`, which may hold more. `before`: the CRC of the block
+    /// before, 0 for the first.
     pub fn parse(bytes: &'a [u8], before: u32) -> Result<Block<'a>, Error> {
         let head: &[u8; HEAD] = bytes.first_chunk().ok_or(Error::Cut)?;
         let [f, j, code, zero, a, b, c, d] = *head;
@@ -425,8 +430,9 @@ impl Default for Reader {
 }
 
 impl Reader {
-    /// The next block of the file, at the beginning of `bytes`. Its instructions go to `each` with their source lines; it says
-    /// how many bytes the block has. An error says nothing about the blocks before it.
+    /// The next block of the file, at the beginning of `bytes`. Its instructions go to `each` with
+    /// their source lines; returns the block's length. An error does not affect the blocks before
+    /// it.
     pub fn block(
         &mut self,
         bytes: &[u8],
@@ -530,7 +536,7 @@ impl Reader {
                 near.then_some(Instruction::Arc(arc))?
             }
             4 => Instruction::Dwell {
-                micros: fields.varint()?,
+                micros: fields.varint().filter(|micros| *micros <= DWELL_LONGEST)?,
             },
             5 => Instruction::Aux {
                 bits: u16::try_from(fields.varint()?).ok()?,
@@ -547,12 +553,13 @@ impl Reader {
     }
 }
 
-/// Reads a job instruction by instruction, when the next is wanted: with memory for one block.
+/// Reads a job instruction by instruction, on demand: with memory for one block.
 #[derive(Clone, Debug)]
 pub struct Pull {
     reader: Reader,
     block: [u8; BLOCK + FRAME],
-    /// Bytes in it, and where the instruction read next begins and they all end.
+    /// The number of bytes in it, the start of the next instruction, and the end of the
+    /// instructions.
     loaded: usize,
     at: usize,
     end: usize,
@@ -571,8 +578,8 @@ impl Default for Pull {
 }
 
 impl Pull {
-    /// The next instruction and its source line. `None`: none this time; ask again unless it is [`Pull::ended`]. `fill` writes the next bytes
-    /// of the file and says how many.
+    /// The next instruction and its source line. `None`: there is none now; ask again unless it is
+    /// [`Pull::ended`]. `fill` writes the next bytes of the file and returns their number.
     pub fn next(
         &mut self,
         fill: impl FnOnce(&mut [u8]) -> usize,
@@ -588,7 +595,7 @@ impl Pull {
         if self.ended() {
             return Ok(None);
         }
-        // The block that is done goes, with its CRC.
+        // The finished block is removed, with its CRC.
         let done = if self.end > 0 { self.end + 4 } else { 0 };
         self.block.copy_within(done..self.loaded, 0);
         self.loaded -= done;
@@ -625,7 +632,7 @@ pub fn name_of(header: &[u8]) -> Result<&str, Error> {
     }
 }
 
-/// What is left of a block.
+/// The rest of a block.
 struct Fields<'a>(&'a [u8]);
 
 impl Fields<'_> {
@@ -705,7 +712,7 @@ mod tests {
                     })
                 }
             ),
-            any::<u64>().prop_map(|micros| Instruction::Dwell { micros }),
+            (0..=DWELL_LONGEST).prop_map(|micros| Instruction::Dwell { micros }),
             any::<u16>().prop_map(|bits| Instruction::Aux { bits }),
             any::<[bool; 3]>().prop_map(|axes| Instruction::Home { axes }),
             Just(Instruction::Pause),
@@ -744,6 +751,22 @@ mod tests {
             let mut reader = Reader::default();
             let mut fields = Fields(&payload);
             while !fields.0.is_empty() && reader.instruction(&mut fields).is_ok() {}
+        }
+    }
+
+    #[test]
+    fn a_dwell_longer_than_a_week_is_no_instruction() {
+        for micros in [DWELL_LONGEST + 1, u64::MAX / 60, u64::MAX] {
+            let mut writer = Writer::new("x");
+            let mut file = writer.header().to_vec();
+            writer.add(&Instruction::Dwell { micros }, 1, |block| {
+                file.extend(block)
+            });
+            writer.finish(|block| file.extend(block));
+            let mut reader = Reader::default();
+            let header = reader.block(&file, |_, _| {}).unwrap();
+            let read = reader.block(&file[header..], |instruction, _| panic!("{instruction:?}"));
+            assert!(matches!(read, Err(Error::Instruction(_))), "{read:?}");
         }
     }
 

@@ -1,9 +1,9 @@
-//! Integer motion maths: one truth for everyone who has to know what a stepgen will do.
+//! Integer motion maths: one definition of a stepgen's behaviour for all code that has to know it.
 //!
-//! Ramps and segments are what the gateware executes; the driver predicts feedback with them, simulations and
-//! tests compare against them. G-code and arcs become segments here, on a PC and on the board alike. Nothing here
-//! knows registers, sockets or floating point, and nothing here waits: the
-//! step timing that can make a real stepgen late by a few clocks is the gateware's business.
+//! The gateware executes ramps and segments; the driver predicts feedback with them, simulations
+//! and tests compare against them. G-code and arcs become segments here, on a PC and on the board.
+//! This crate knows no registers, no sockets and no floating point, and it never waits. Step
+//! timing, which can delay a real stepgen by a few clocks, belongs to the gateware.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -1,8 +1,10 @@
-//! The look-ahead planner: [`Instruction`]s in, [`Segment`]s out, integers only, memory fixed at compile time.
+//! The look-ahead planner: [`Instruction`]s in, [`Segment`]s out, integers only, memory fixed at
+//! compile time.
 //!
-//! Motion is what the integrators can do exactly: constant acceleration for whole clocks. A line is sped up, held
-//! and slowed down within the limits of every axis. A corner is not a jump of the velocity, which no machine can follow,
-//! but a parabola tangent to both lines:
+//! The motion is what the integrators can do exactly: constant acceleration for whole clocks. A
+//! line is accelerated, held and decelerated within the limits of every axis. At a corner the
+//! velocity does not jump, because no machine could follow, but takes a parabola tangent to both
+//! lines:
 //!
 //! ```text
 //!            corner          The blend begins d before the corner and ends d after it, at one speed u, in 2d/u.
@@ -12,18 +14,20 @@
 //!                     |      or a pause changes when the machine is somewhere, never where.
 //! ```
 //!
-//! Speeds: entering speeds are squared, then braking is linear: `w_in <= w_out + 2 a l`. Going backwards through the buffer
-//! makes the largest speeds from which the end can be reached at rest, with the last line known taken for 2/5 shorter than it is
-//! (the corner still to come may take that much). A line is begun when the buffer is full or no more is to come; by then the
-//! speed it ends with is final, and whatever follows, braking stays possible.
+//! Speeds: the planner stores squares of speeds, so that braking is linear: `w_in <= w_out + 2 a
+//! l`. A pass backwards through the buffer gives the largest speeds from which the end can be
+//! reached at rest. The last known line counts as 2/5 shorter than it is, because the next corner
+//! may take that much. A line begins when the buffer is full or no more instructions will come. By
+//! then its final speed is fixed, and whatever follows, the machine can still brake.
 //!
-//! Exactness: the reference is continuous, in steps with 32 fraction bits and clocks with 16. A segment lasts whole clocks and aims
-//! from where the integrators *are* (they are computed with the arithmetic of the gateware, bit by bit) at the reference's velocity at
-//! its end, with what is missing in position spread over the next 2^21 clocks. So nothing accumulates. At a stop (tool, dwell, home, pause,
-//! end) the place is a whole step, and the last segment's velocity is 0.
+//! Exactness: the reference is continuous, in steps with 32 fraction bits and clocks with 16. A
+//! segment lasts whole clocks. It starts from where the integrators *are* (computed with the
+//! arithmetic of the gateware, bit by bit) and aims at the reference's velocity at its end; the
+//! missing position is spread over the next 2^21 clocks. So no error accumulates. At a stop (tool,
+//! dwell, home, pause, end) the position is a whole step, and the last segment's velocity is 0.
 
 use crate::circle::Chords;
-use crate::instruction::{CENTER_FARTHEST, FARTHEST, Feed, Instruction, Place};
+use crate::instruction::{CENTER_FARTHEST, DWELL_LONGEST, FARTHEST, Feed, Instruction, Place};
 use crate::segment::{AXES, Axis, COMMIT_CLOCKS, MAX_CLOCKS, MIN_CLOCKS, Machine, Segment};
 use crate::wide::{Inverse, product, quotient, quotient_up, ratio, scaled, wide};
 use core::fmt;
@@ -47,11 +51,12 @@ pub struct Setup {
     pub clock_hz: u32,
     /// X, Y, Z.
     pub axes: [AxisSetup; AXES],
-    /// How far chords may be from their arc, in nm.
+    /// Largest distance of a chord from its arc, in nm.
     pub chord_tolerance: u32,
-    /// How far a blend may be from its corner, in nm. 0 stops at every corner.
+    /// Largest distance of a blend from its corner, in nm. 0 stops at every corner.
     pub junction_deviation: u32,
-    /// How long everything rests after the outputs have changed, in microseconds: a pen takes its time.
+    /// How long all axes rest after the outputs have changed, in microseconds: a pen needs time to
+    /// move.
     pub aux_settle: u32,
 }
 
@@ -64,7 +69,7 @@ pub enum SetupError {
     Scale(usize),
     /// Less than three units of rate, or more than a step in four clocks.
     Speed(usize),
-    /// Beyond 100 g, or what a segment can say, or too small for it.
+    /// More than 100 g or than a segment can represent, or too small for one.
     Accel(usize),
     /// A chord tolerance below 1 um.
     Tolerance,
@@ -99,41 +104,42 @@ impl fmt::Display for SetupError {
     }
 }
 
-/// What the planner has to say next.
+/// The planner's next output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Output {
-    /// Execute this.
+    /// Execute this segment.
     Segment(Segment),
-    /// Everything rests: find the switches of these axes. They are at step 0 then.
+    /// All axes rest: home these axes. They are at step 0 then.
     Home([bool; AXES]),
-    /// Everything rests: wait for the operator.
+    /// All axes rest: wait for the operator.
     Pause,
-    /// Everything rests: the job is over.
+    /// All axes rest: the job has ended.
     End,
 }
 
-/// What came of a little work.
+/// The result of one piece of work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Work {
-    /// This is to be done next.
+    /// Do this next.
     Output(Output),
-    /// Nothing so far: there is more to work on.
+    /// No output yet: there is more work.
     More,
-    /// It needs another instruction to know.
+    /// It needs another instruction to continue.
     Starved,
 }
 
 /// The largest square of a speed, in (nm/s)^2.
 const FASTEST: u64 = 1 << 63;
 
-/// Clocks no line takes more than, but for its ramps: a week at 60 MHz. A feed that asks for more is raised, whatever the override:
-/// time with its 16 fraction bits is 64 bits wide. It is 300 nm/s for a metre.
+/// The longest time of a line in clocks, without its ramps: a week at 60 MHz. A lower feed is
+/// raised, whatever the override, because time with its 16 fraction bits has 64 bits. That is 300
+/// nm/s for a metre.
 const LONGEST: u64 = 1 << 45;
 
 /// Directions have 30 fraction bits.
 const ONE: i64 = 1 << 30;
 
-/// Two directions this near to each other (8e-9 of a turn's radius) are one.
+/// Two directions this close to each other (8e-9 of a turn's radius) count as one.
 const STRAIGHT: u64 = 1 << 3;
 
 /// A setup in the units of the integrators.
@@ -146,9 +152,9 @@ struct Machinery {
     scale: [i64; AXES],
     /// nm per step, 2^23 times, rounded up.
     pitch: [u64; AXES],
-    /// nm/s. A 4096th and two units of rate below the limit, room for what corrections add.
+    /// nm/s. A 4096th and two units of rate below the limit, as room for corrections.
     speed: [u64; AXES],
-    /// nm/s^2. A 64th below the limit, likewise.
+    /// nm/s^2. A 64th below the limit, for the same reason.
     accel: [u64; AXES],
     /// Units of a segment's acceleration: the limit itself.
     limit: [u32; AXES],
@@ -203,7 +209,7 @@ impl Machinery {
         Ok(machinery)
     }
 
-    /// An integrator's position for a place.
+    /// An integrator's position for a position of the job.
     fn position(&self, axis: usize, nm: i64) -> i64 {
         scaled(nm, self.scale[axis], 32) + Position::ZERO.0
     }
@@ -229,17 +235,17 @@ struct Line {
     direction: [i64; AXES],
     /// Steps per nm, 2^64 times.
     slope: [i64; AXES],
-    /// Where the integrators are to be at its end, corners uncut.
+    /// The integrators' positions at its end, without the corner's blend.
     end: [i64; AXES],
-    /// Along it, nm/s^2.
+    /// Acceleration along it, nm/s^2.
     accel: u64,
-    /// What the axes allow, nm/s.
+    /// The axes' limit, nm/s.
     top: u64,
     /// The speed that takes [`LONGEST`] for it, nm/s; at most `top`.
     slowest: u64,
-    /// What is asked for, nm/s, at 100 %.
+    /// The commanded speed, nm/s, at 100 %.
     feed: u32,
-    /// What it is to be drawn with, nm/s, and its square.
+    /// The speed it will be drawn with, nm/s, and its square.
     held: u64,
     fastest: u64,
     /// How far the blend at its beginning reaches into it, nm.
@@ -248,7 +254,7 @@ struct Line {
     corner: u64,
     /// Square of the planned speed there.
     entry: u64,
-    /// Of the instruction it comes from, as told.
+    /// The tag of the instruction it comes from.
     tag: u32,
 }
 
@@ -270,12 +276,12 @@ impl Line {
         tag: 0,
     };
 
-    /// Where the integrators are when `left` nm (with 16 fraction bits) are left to the corner.
+    /// The integrators' positions when `left` nm (with 16 fraction bits) are left to the corner.
     fn position(&self, axis: usize, left: i64) -> i64 {
         self.end[axis] - scaled(self.slope[axis], left, 48)
     }
 
-    /// The speed it is to be drawn with, nm/s.
+    /// The speed it will be drawn with, nm/s.
     fn at(&self, percent: u32) -> u64 {
         let feed = match percent {
             100 => self.feed.into(),
@@ -284,7 +290,7 @@ impl Line {
         feed.clamp(self.slowest, self.top)
     }
 
-    /// Asks for another.
+    /// Asks for another speed.
     fn set_override(&mut self, percent: u32) {
         self.held = self.at(percent);
         self.fastest = square(self.held);
@@ -308,7 +314,8 @@ fn square(speed: u64) -> u64 {
     speed.saturating_mul(speed).min(FASTEST)
 }
 
-/// The instruction that is not planned yet, because what follows decides whether it ends on a whole step.
+/// The instruction that is not planned yet, because the next one decides whether it ends on a whole
+/// step.
 #[derive(Clone, Copy, Debug)]
 struct Pending {
     to: Place,
@@ -316,7 +323,7 @@ struct Pending {
     tag: u32,
 }
 
-/// What waits until everything rests.
+/// What waits until all axes rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Then {
     Aux(u16),
@@ -327,12 +334,13 @@ enum Then {
     End,
 }
 
-/// A part of the reference with one acceleration.
+/// A part of the reference with constant acceleration.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Leg {
     /// Clocks, 16 fraction bits.
     pub(crate) duration: i64,
-    /// Time of the last segment's end, in clocks with 16 fraction bits since the leg began; up to 64 clocks before it.
+    /// Time of the last segment's end, in clocks with 16 fraction bits since the leg began; up to
+    /// 64 clocks before it.
     pub(crate) at: i64,
     pub(crate) position: [i64; AXES],
     pub(crate) velocity: [i64; AXES],
@@ -340,7 +348,7 @@ pub(crate) struct Leg {
     pub(crate) accel: [i64; AXES],
 }
 
-/// The stretches of the line being drawn that are still to come.
+/// The stretches of the current line that are still to come.
 #[derive(Clone, Copy, Debug, Default)]
 struct Stretch {
     /// Speeds, nm/s.
@@ -350,7 +358,7 @@ struct Stretch {
     duration: i64,
     /// To the corner at the beginning, nm with 16 fraction bits.
     left: i64,
-    /// Not along the line but round its corner.
+    /// Round the corner, not along the line.
     blend: bool,
 }
 
@@ -379,7 +387,7 @@ pub struct Planner<const DEPTH: usize> {
     chords: Option<(Chords, Feed)>,
     tag: u32,
     then: Option<Then>,
-    /// The speed the line drawn ends with, nm/s.
+    /// The final speed of the line being drawn, nm/s.
     speed: u64,
     running: Option<Running>,
     follower: Follower,
@@ -388,7 +396,7 @@ pub struct Planner<const DEPTH: usize> {
 impl<const DEPTH: usize> Planner<DEPTH> {
     /// At rest, at home, all outputs off.
     pub fn new(setup: &Setup) -> Result<Self, SetupError> {
-        const { assert!(DEPTH >= 3, "a line, its successor, and one to look at") };
+        const { assert!(DEPTH >= 3, "a line, its successor, and one to look ahead") };
         let machinery = Machinery::new(setup)?;
         Ok(Planner {
             follower: Follower::new(machinery.limit),
@@ -408,13 +416,14 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         })
     }
 
-    /// Whether [`Planner::push`] takes an instruction now. If not, [`Planner::poll`] has something to say.
+    /// Does [`Planner::push`] take an instruction now? If not, [`Planner::poll`] has an output.
     pub fn accepts(&self) -> bool {
         self.then.is_none() && self.chords.is_none() && self.count < DEPTH
     }
 
-    /// The next instruction; `tag` (a line number) comes back from [`Planner::tag`]. False, and nothing happened, when
-    /// [`Planner::accepts`] is false or a place is out of bounds.
+    /// Adds the next instruction; `tag` (a line number) is returned by [`Planner::tag`]. False, and
+    /// no effect, if [`Planner::accepts`] is false, a position is out of bounds or a dwell is too
+    /// long.
     #[must_use]
     pub fn push(&mut self, instruction: &Instruction, tag: u32) -> bool {
         if !self.accepts() {
@@ -446,6 +455,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
                 let tolerance = self.machinery.setup.chord_tolerance;
                 self.chords = Some((Chords::new(self.at, arc, tolerance), arc.feed));
             }
+            Instruction::Dwell { micros } if micros > DWELL_LONGEST => return false,
             Instruction::Dwell { micros } => self.then = Some(Then::Dwell(self.clocks_of(micros))),
             Instruction::Aux { bits } => self.then = Some(Then::Aux(bits)),
             Instruction::Home { axes } => self.then = Some(Then::Home(axes)),
@@ -455,7 +465,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         true
     }
 
-    /// What is to be done next. `None`: it needs another instruction to know.
+    /// The next output. `None`: it needs another instruction.
     pub fn poll(&mut self) -> Option<Output> {
         loop {
             match self.work(usize::MAX) {
@@ -466,8 +476,8 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         }
     }
 
-    /// The same for whoever has other things to do as well: at most this many chords of an arc are looked at in a call. All calls together
-    /// say what [`Planner::poll`] says.
+    /// The same for a caller with other work to do: a call looks at no more than this many chords
+    /// of an arc. All calls together give the same outputs as [`Planner::poll`].
     pub fn work(&mut self, chords: usize) -> Work {
         let mut seen = 0;
         loop {
@@ -502,8 +512,9 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         }
     }
 
-    /// Goes on from where the integrators are: at rest, and with nothing planned. False, and nothing happened, otherwise. The first line leads
-    /// to its end from there, and ends on a whole step like any other.
+    /// Continues from the integrators' positions: at rest, and with nothing planned. Otherwise it
+    /// returns false and has no effect. The first line leads from there to its end, and ends on a
+    /// whole step like any other.
     #[must_use]
     pub fn begin_at(&mut self, positions: [i64; AXES]) -> bool {
         let busy = self.count > 0
@@ -515,7 +526,8 @@ impl<const DEPTH: usize> Planner<DEPTH> {
             return false;
         }
         let nm = |axis: usize| {
-            // To the 256th of a step: after a stop it is whole but for a ten thousandth, and a program that goes there has arrived.
+            // To the 256th of a step: after a stop the position is a whole step to within a ten
+            // thousandth, and a program that goes there has arrived.
             let steps = positions[axis].wrapping_sub(Position::ZERO.0);
             let steps = (i128::from(steps) + (1 << 23)) >> 24;
             let per_km = i128::from(self.machinery.setup.axes[axis].steps_per_km);
@@ -534,7 +546,8 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         true
     }
 
-    /// Percent of the feed, for what is not planned to the end yet; rapids too. The path stays the same.
+    /// Sets the feed in percent, for all motion that is not completely planned yet, rapids
+    /// included. The path stays the same.
     pub fn set_override(&mut self, percent: u32) {
         self.percent = percent.clamp(1, 200);
         for index in 0..self.count {
@@ -544,19 +557,19 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         self.plan(true);
     }
 
-    /// The integrators and outputs after everything [`Planner::poll`] said.
+    /// The integrators and outputs after all outputs of [`Planner::poll`].
     pub fn machine(&self) -> &Machine {
         &self.follower.machine
     }
 
-    /// Of the line being drawn.
+    /// The tag of the line being drawn.
     pub fn tag(&self) -> u32 {
         self.running
             .as_ref()
             .map_or(self.tag, |running| running.line.tag)
     }
 
-    /// Where the reference's last instruction ends.
+    /// The end of the reference's last instruction.
     pub fn target(&self) -> Place {
         self.at
     }
@@ -587,7 +600,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         }
         self.at = to;
         let tag = self.tag;
-        // A line of less than half a step is not worth a corner; what it asks for goes into the next.
+        // A line of less than half a step gets no corner; its end goes into the next line.
         match self.pending {
             Some(pending) if !self.is_short(&pending) => self.append(&pending, false),
             Some(_) | None => {}
@@ -600,7 +613,8 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         (0..AXES).all(|axis| away(axis).abs() < 1 << 31)
     }
 
-    /// Where an axis is to be at the end of a line. One that is not moved stays where it is, to the last bit.
+    /// An axis' position at the end of a line. An axis that is not moved keeps its position, to the
+    /// last bit.
     fn goal(&self, pending: &Pending, axis: usize, whole: bool) -> i64 {
         let goal = if pending.to[axis] == self.end.0[axis] {
             self.end.1[axis]
@@ -614,13 +628,14 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         }
     }
 
-    /// Room for a line there must be.
+    /// There must be room for a line.
     fn append(&mut self, pending: &Pending, whole: bool) {
         let machinery = &self.machinery;
         let goal = core::array::from_fn(|axis| self.goal(pending, axis, whole));
         let steps: [i64; AXES] = core::array::from_fn(|axis| goal[axis] - self.end.1[axis]);
         self.end = (pending.to, goal);
-        // Lengths are rounded up, each axis' and the whole: so a short line is no faster than its axes may be.
+        // Lengths are rounded up, each axis' and the total: so a short line is no faster than its
+        // axes allow.
         let nm: [i64; AXES] = core::array::from_fn(|axis| {
             let size = nm_of(steps[axis].unsigned_abs(), machinery.pitch[axis]) as i64;
             if steps[axis] < 0 { -size } else { size }
@@ -662,7 +677,8 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         self.plan(false);
     }
 
-    /// How far before and after the corner its blend reaches, and the square of the largest speed in it.
+    /// How far before and after the corner its blend reaches, and the square of the largest speed
+    /// in it.
     fn corner(&self, before: &Line, after: &Line) -> (u64, u64) {
         let change: [i64; AXES] =
             core::array::from_fn(|axis| after.direction[axis] - before.direction[axis]);
@@ -685,8 +701,8 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         (cut, gain(accel, cut))
     }
 
-    /// The largest speeds from which everything known can be brought to rest. The speed the first line begins with
-    /// is settled already.
+    /// The largest speeds from which everything known can be brought to rest. The initial speed of
+    /// the first line is already fixed.
     fn plan(&mut self, all: bool) {
         let Some(last) = self.count.checked_sub(1) else {
             return;
@@ -731,7 +747,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         true
     }
 
-    /// Before a stop the line that waited ends on a whole step.
+    /// Before a stop the waiting line ends on a whole step.
     fn last_line(&mut self) -> bool {
         if self.then.is_none() || self.chords.is_some() || self.count == DEPTH {
             return false;
@@ -761,7 +777,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         };
         let length = line.length - line.cut - next.cut;
         let begin = square(self.speed);
-        // An override may ask for more braking than there is room for.
+        // An override may need more braking than there is room for.
         let brake = begin.saturating_sub(line.gained(0, length));
         let end = next
             .entry
@@ -884,7 +900,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
                 return self.at_rest();
             }
             Some(Then::Dwell(clocks)) => {
-                // Half of 2^32 at a time, so that what is left is never too short for a segment.
+                // Half of 2^32 at a time, so that the rest is never too short for a segment.
                 let now = clocks.max(MIN_CLOCKS.into());
                 let now = if now >> 31 > 1 {
                     1 << 31
@@ -921,14 +937,14 @@ impl<const DEPTH: usize> Planner<DEPTH> {
     }
 }
 
-/// Segments after a reference, from where the integrators are.
+/// Makes segments that follow a reference, from the integrators' positions.
 #[derive(Clone, Debug)]
 pub(crate) struct Follower {
     /// The integrators, and the outputs.
     pub(crate) machine: Machine,
-    /// What there is of the reference.
+    /// The reference's position and velocity.
     pub(crate) leg: Option<Leg>,
-    /// Clocks (16 fraction bits) the reference is ahead of the segments; below 65.
+    /// How many clocks (16 fraction bits) the reference is ahead of the segments; below 65.
     pub(crate) ahead: i64,
     limit: [u32; AXES],
 }
@@ -952,7 +968,8 @@ impl Follower {
             self.leg = None;
             return None;
         }
-        // Legs too short for a segment of their own are caught up with at once, not over the whole of this one.
+        // Legs too short for a segment of their own are followed at once, not over the whole of
+        // this segment.
         let late = leg.at <= -(1 << 16) && clocks >= 2 * i64::from(MIN_CLOCKS);
         let pieces = (clocks as u64).div_ceil(MAX_CLOCKS.into());
         let clocks = if late {
@@ -1002,7 +1019,7 @@ impl Follower {
 }
 
 impl Leg {
-    /// Evenly to these velocities.
+    /// A uniform change to these velocities.
     pub(crate) fn steer(&mut self, end: &[i64; AXES]) {
         for (axis, end) in end.iter().enumerate() {
             let by = self.duration.max(1).unsigned_abs();
@@ -1010,7 +1027,7 @@ impl Leg {
         }
     }
 
-    /// Where the reference is, and how fast.
+    /// The reference's position and speed.
     fn reference(&self, axis: usize) -> (i64, i64) {
         let begin = self.velocity[axis];
         let velocity = begin + scaled(self.accel[axis], self.at, 32);
@@ -1020,20 +1037,22 @@ impl Leg {
 }
 
 impl Axis {
-    /// The velocity, and the acceleration to it, that leads in so many clocks to the reference's velocity, and in the 2^21 clocks after
-    /// them to its position: slow enough to be stable for segments of any length up to 2^20.
+    /// The velocity, and the acceleration to it, that leads to the reference's velocity in this
+    /// many clocks, and to its position in the 2^21 clocks after that. This is slow enough to be
+    /// stable for segments of any length up to 2^20.
     fn aim(&self, clocks: u32, position: i64, velocity: i64, limit: u32) -> (i32, u32) {
         let moves = i64::from(clocks - COMMIT_CLOCKS);
         let sum = self.velocity + velocity;
-        // The last of the moves is too late to count: v0 v0 v1 .. vm.
+        // The last of the moves comes too late to count: v0 v0 v1 .. vm.
         let late = self.velocity - velocity;
         let mean = scaled(sum, clocks.into(), 25) + (late >> 25);
         let off = self.position.wrapping_add(mean).wrapping_sub(position);
-        // At most half a step in 2^21 clocks, 14 steps/s at 60 MHz: more is never missing.
+        // At most half a step in 2^21 clocks, 14 steps/s at 60 MHz: the error is never larger.
         let correction = off.clamp(-(1 << 31), 1 << 31) << 3;
         let most = i64::from(limit) * moves;
         let wanted = velocity - correction;
-        // Velocities are whole at the end of a segment, so they are at the beginning of the next.
+        // Velocities are whole numbers at the end of a segment, and so at the beginning of the
+        // next.
         let nearest = (wanted + (1 << 23)) >> 24;
         let [least, greatest] = [self.velocity - most, self.velocity + most];
         let rate = nearest.clamp(-(-least >> 24), greatest >> 24);
@@ -1043,22 +1062,22 @@ impl Axis {
     }
 }
 
-/// How much of a line its corners may take at either end: two fifths.
+/// How much of a line its corners may take at each end: two fifths.
 fn most_of(length: u64) -> u64 {
     // Lengths are below 2^40.
     (length * 102) >> 8
 }
 
-/// The nm of so many steps (32 fraction bits), rounded up.
+/// The length in nm of this many steps (32 fraction bits), rounded up.
 fn nm_of(steps: u64, pitch: u64) -> u64 {
     let [low, high] = product(steps, pitch);
     let down = high << 9 | low >> 55;
     down + u64::from(low << 9 != 0)
 }
 
-/// Along a vector (30 fraction bits): the most that exceeds no axis' limit.
+/// The largest value along a vector (30 fraction bits) that exceeds no axis' limit.
 fn smallest(limits: &[u64; AXES], vector: &[i64; AXES]) -> u64 {
-    // limit / part, the parts being below 2^26: whose is the smallest is a matter of products.
+    // limit / part, with parts below 2^26: products are enough to find the smallest.
     let part = |part: &i64| (part.unsigned_abs() >> 6) + 1;
     let mut least = (u64::MAX >> 24, 1);
     for (&limit, vector) in limits.iter().zip(vector) {

@@ -6,12 +6,12 @@
 //! ```
 //!
 //! [`Ramp::clock`] is that definition. [`Ramp::advance`] gives the same bits for any number of
-//! clocks in a few dozen operations: a ramp is an arithmetic progression, and a sum of floors of one
-//! has a closed form ([`sum_of_floors`]).
+//! clocks in a few dozen operations: a ramp is an arithmetic progression, and a sum of floors of
+//! one has a closed form ([`sum_of_floors`]).
 //!
-//! A new command reaches the ramp [`COMMIT_CLOCKS`] clocks after the strobe that carries it; that
-//! strobe is also the one that samples position and velocity. So a status block plus the command it
-//! answers determine the future: [`Ramp::predict`].
+//! A new command reaches the ramp [`COMMIT_CLOCKS`] clocks after the strobe that carries it; the
+//! same strobe samples position and velocity. So a status block and the command it answers
+//! determine the future: [`Ramp::predict`].
 
 use crate::wide::{product, quotient_up, short};
 use wire::units::{Accel, Clocks, Position, StepRate};
@@ -20,10 +20,10 @@ use wire::units::{Accel, Clocks, Position, StepRate};
 pub const VELOCITY_FRACTION: u32 = 24;
 
 /// Clocks from the commit strobe (that clock included) in which the velocity does not move yet: one
-/// to take the target, one to learn in which direction it lies. `gateware/rtl/stepgen.sv`.
+/// to take the target, one to find its direction. `gateware/rtl/stepgen.sv`.
 pub const COMMIT_CLOCKS: u64 = 2;
 
-/// Position, velocity and what the velocity is heading for.
+/// Position, velocity and the velocity's target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ramp {
     /// Phase accumulator, s32.32 steps; wraps like the register.
@@ -48,9 +48,9 @@ impl Default for Ramp {
 }
 
 impl Ramp {
-    /// Where a stepgen will be `clocks` after a strobe that sampled `position` and `velocity` and
-    /// committed `target` and `accel`. The sample carries the velocity's integer part only, so this
-    /// is short by less than one unit of rate.
+    /// A stepgen's position `clocks` after a strobe that sampled `position` and `velocity` and
+    /// committed `target` and `accel`. The sample contains only the velocity's integer part, so the
+    /// result is short by less than one unit of rate.
     pub fn predict(
         position: Position,
         velocity: StepRate,
@@ -132,9 +132,9 @@ impl Ramp {
 
 /// `sum of floor((start + i * step) / 2^24) for i in 0..terms`, its lowest 64 bits.
 ///
-/// The quotients of `start` and `step` come out of the floor at once; what remains counts lattice
-/// points under a line and shrinks like Euclid's algorithm. With 24 bits that ends after at most
-/// some 35 rounds. Good for `terms` below 2^40 (five hours of clocks).
+/// The quotients of `start` and `step` come out of the floor at once; the rest counts lattice
+/// points under a line and shrinks as in Euclid's algorithm. With 24 bits that ends after at most
+/// about 35 rounds. It is valid for `terms` below 2^40 (five hours of clocks).
 pub fn sum_of_floors(terms: u64, start: i64, step: i64) -> i64 {
     let rest = |x: i64| (x & ((1 << VELOCITY_FRACTION) - 1)) as u32;
     let [low, high] = product(terms, terms.wrapping_sub(1));
@@ -145,7 +145,7 @@ pub fn sum_of_floors(terms: u64, start: i64, step: i64) -> i64 {
     if step == 0 {
         return sum;
     }
-    // A softcore has to do this for every segment, and no segment that accelerates is longer.
+    // A softcore has to compute this for every segment, and no segment that accelerates is longer.
     sum.wrapping_add(match u32::try_from(terms) {
         Ok(terms) if terms >> 31 == 0 => lattice_points(terms, start, step) as i64,
         _ => wide_lattice_points(terms, start.into(), step.into()) as i64,

@@ -1,7 +1,9 @@
-//! Motion segments, as the `segments` core plays them into the stepgens, and the integer model that predicts every edge.
+//! Motion segments, as the `segments` core plays them into the stepgens, and the integer model that
+//! predicts every edge.
 //!
-//! A segment says how long it lasts, which velocity each axis has at its end and which acceleration leads there. The stepgens'
-//! own integrators make the motion ([`crate::ramp`]); they keep the last bit from one segment to the next.
+//! A segment gives its duration, each axis' velocity at its end and the acceleration to it. The
+//! stepgens' own integrators make the motion ([`crate::ramp`]); they keep the last bit from one
+//! segment to the next.
 //!
 //! ```text
 //! clock       0    1    2    3   ...  N-2  N-1      of a segment of N clocks
@@ -9,10 +11,12 @@
 //! velocity    v0 ------|v1  |v2  ...  |vm ------    the first and the last clock belong to the commits (gateware/rtl/segments.sv)
 //! ```
 //!
-//! A stepgen never passes its target, so a segment whose acceleration suffices ends at exactly its velocity, a whole number, and a
-//! rounding lasts no longer than its segment. Whoever knows the integrators at the beginning and the segments knows every edge:
-//! [`Play::clock`] is the definition, [`Play::after`] the same bits in closed form, [`Edges`] the clocks in which a step is due. A pulse
-//! that has to wait for its pins' times (`steplen`, `dirsetup`) holds the time of all axes: it makes edges later, and changes none.
+//! A stepgen never passes its target. So a segment with sufficient acceleration ends at exactly its
+//! velocity, a whole number, and a rounding error lasts no longer than its segment. The integrators
+//! at the beginning and the segments determine every edge: [`Play::clock`] is the definition,
+//! [`Play::after`] gives the same bits in closed form, [`Edges`] the clocks in which a step is due.
+//! A pulse that has to wait for its pins' times (`steplen`, `dirsetup`) stops the time of all axes:
+//! edges come later, but none changes.
 
 use crate::ramp::{Ramp, VELOCITY_FRACTION};
 use wire::units::{Accel, Position, StepRate};
@@ -23,23 +27,23 @@ pub const AXES: usize = 3;
 /// Words of a segment at the core's window.
 pub const WORDS: usize = 2 + 2 * AXES;
 
-/// For how long, how fast in the end, and with which outputs.
+/// Its duration, the velocities at its end, and its outputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Segment {
-    /// Clocks it lasts; at least [`MIN_CLOCKS`].
+    /// Duration in clocks; at least [`MIN_CLOCKS`].
     pub clocks: u32,
-    /// Towards its end: `f_clk / 2^32` steps/s, signed.
+    /// Velocity at its end: `f_clk / 2^32` steps/s, signed.
     pub velocity: [i32; AXES],
-    /// By how much the velocities move in a clock: `f_clk^2 / 2^56` steps/s^2. 0 is at once.
+    /// By how much the velocities change in a clock: `f_clk^2 / 2^56` steps/s^2. 0 is at once.
     pub accel: [u32; AXES],
     /// The outputs, from the first clock on.
     pub aux: u16,
-    /// Comes back from the core: which segment this is, for whoever watches.
+    /// A number that the core reports back, to identify the segment.
     pub tag: u16,
 }
 
 impl Segment {
-    /// As the core takes it: window words from 0 on, then the push.
+    /// In the core's format: window words from 0 on, then the push.
     pub fn words(&self) -> [u32; WORDS] {
         let mut words = [0; WORDS];
         words[0] = self.clocks;
@@ -51,7 +55,7 @@ impl Segment {
         words
     }
 
-    /// What it is to one axis.
+    /// The segment for one axis.
     pub const fn play(&self, axis: usize) -> Play {
         Play {
             clocks: self.clocks,
@@ -61,14 +65,15 @@ impl Segment {
     }
 }
 
-/// No segment is shorter: about a microsecond, time enough for a core to fetch the next one.
+/// The shortest segment: about a microsecond, enough time for a core to fetch the next one.
 pub const MIN_CLOCKS: u32 = 64;
 
-/// Clocks of a segment in which no velocity moves.
+/// Clocks of a segment in which no velocity changes.
 pub const COMMIT_CLOCKS: u32 = 2;
 
-/// No segment that accelerates is longer. Its velocity is a whole number, so it is off by up to half a unit for each clock; in 2^20
-/// clocks (17 ms at 60 MHz) that makes 1.2e-4 steps, and the next one makes up for it.
+/// The longest segment that accelerates. Its velocity is a whole number, so it is off by up to half
+/// a unit in each clock; in 2^20 clocks (17 ms at 60 MHz) that makes 1.2e-4 steps, which the next
+/// segment corrects.
 pub const MAX_CLOCKS: u32 = 1 << 20;
 
 /// The two integrators of one stepgen.
@@ -87,7 +92,7 @@ impl Default for Axis {
 }
 
 impl Axis {
-    /// At rest in the middle of a step, as a stepgen wakes up.
+    /// At rest in the middle of a step, as a stepgen after power-up.
     pub const fn at(step: i32) -> Self {
         Axis {
             position: ((step as i64) << 32) + Position::ZERO.0,
@@ -100,7 +105,7 @@ impl Axis {
         self.position >> 32
     }
 
-    /// A clock in which the velocity does not move.
+    /// A clock in which the velocity does not change.
     const fn hold(&mut self, clocks: u32) {
         let way = (self.velocity >> VELOCITY_FRACTION).wrapping_mul(clocks as i64);
         self.position = self.position.wrapping_add(way);
@@ -119,16 +124,16 @@ impl Axis {
 /// A segment as one axis plays it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Play {
-    /// How long.
+    /// Duration in clocks.
     pub clocks: u32,
-    /// Towards this velocity.
+    /// The velocity at its end.
     pub velocity: StepRate,
-    /// By so much a clock.
+    /// The change in a clock.
     pub accel: Accel,
 }
 
 impl Play {
-    /// Clocks in which the velocity moves.
+    /// Clocks in which the velocity changes.
     const fn moves(&self) -> u32 {
         self.clocks.saturating_sub(COMMIT_CLOCKS)
     }
@@ -144,7 +149,8 @@ impl Play {
         }
     }
 
-    /// The first `clocks` of its clocks at once, with the same result as that many calls of [`Play::clock`].
+    /// The first `clocks` of its clocks at once, with the same result as that many calls of
+    /// [`Play::clock`].
     pub fn after(&self, mut axis: Axis, clocks: u32) -> Axis {
         let clocks = clocks.min(self.clocks);
         let moves = clocks.saturating_sub(1).min(self.moves());
@@ -167,7 +173,8 @@ impl Play {
         }
     }
 
-    /// The clock from which on the other direction holds; up to it, and from it on, the position goes one way.
+    /// The clock at which the direction changes; before it, and from it on, the position moves in
+    /// one direction.
     fn turn(&self, axis: &Axis) -> u32 {
         let goal = i64::from(self.velocity.0) << VELOCITY_FRACTION;
         let (velocity, accel) = (axis.velocity, i64::from(self.accel.0));
@@ -180,7 +187,7 @@ impl Play {
         } else {
             velocity / accel + 1
         };
-        // Clock 0 holds, and every move is seen by the clock after it.
+        // Clock 0 holds, and the clock after a move sees it.
         u32::try_from(moves + 1).map_or(self.clocks, |turn| turn.min(self.clocks))
     }
 }
@@ -190,7 +197,7 @@ impl Play {
 pub struct Edge {
     /// The clock of the segment (from 0) that takes the position across the edge.
     pub clock: u32,
-    /// Towards plus.
+    /// In the direction of plus.
     pub forward: bool,
 }
 
@@ -223,7 +230,7 @@ impl Iterator for Edges {
                 (self.axis, self.done) = (end, high);
                 continue;
             }
-            // After `low` clocks we are still here, after `high` no more.
+            // After `low` clocks the position is still before the edge, after `high` no more.
             while high - low > 1 {
                 let middle = low + (high - low) / 2;
                 if self.play.after(self.begin, middle).steps() == here {
@@ -242,7 +249,7 @@ impl Iterator for Edges {
     }
 }
 
-/// All axes and the outputs: what a job does to the machine.
+/// All axes and the outputs: the effect of a job on the machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Machine {
     /// The integrators.
@@ -259,7 +266,7 @@ impl Machine {
         *self = self.within(segment, segment.clocks);
     }
 
-    /// After so many clocks of a segment that begins now.
+    /// The state after this many clocks of a segment that begins now.
     pub fn within(&self, segment: &Segment, clocks: u32) -> Self {
         let clocks = clocks.min(segment.clocks);
         Machine {
@@ -274,7 +281,7 @@ impl Machine {
         self.axes.map(|axis| axis.steps())
     }
 
-    /// Nothing moves, to the last bit.
+    /// All axes are at rest, to the last bit.
     pub fn rests(&self) -> bool {
         self.axes.iter().all(|axis| axis.velocity == 0)
     }
@@ -295,7 +302,7 @@ mod tests {
             -1i64 << 30..1 << 30,
             -1i64 << 54..1 << 54
         ];
-        // Away from the wrap, where a direction by comparison would be wrong.
+        // Far from the wrap, where a comparison would give a wrong direction.
         (-1i64 << 55..1 << 55, velocity)
             .prop_map(|(position, velocity)| Axis { position, velocity })
     }
@@ -364,6 +371,21 @@ mod tests {
         let forward = edges.iter().filter(|edge| edge.forward).count();
         assert_eq!(edges, edges_by_clock(&play, axis));
         assert!(forward > 5 && forward * 2 <= edges.len(), "{edges:?}");
+    }
+
+    #[test]
+    fn a_machine_rests_when_all_of_its_axes_do() {
+        for axis in 0..AXES {
+            let mut segment = Segment {
+                clocks: 100,
+                ..Segment::default()
+            };
+            segment.velocity[axis] = -1;
+            let mut machine = Machine::default();
+            assert!(machine.rests());
+            machine.run(&segment);
+            assert!(!machine.rests(), "axis {axis} is on its way");
+        }
     }
 
     #[test]

@@ -1,8 +1,9 @@
-//! Products and quotients of more than 32 bits, for a processor that has no more.
+//! Products and quotients of more than 32 bits, for a 32-bit processor.
 //!
-//! What a compiler makes of `i128`, and of a division of `u64`, takes the softcore up to some thousand clocks: bit by bit, and through
-//! memory. Here it is schoolbook with digits of 32 bits, a digit of a quotient in two of the processor's divisions. A PC has instructions for
-//! all of it, and uses them; the tests hold one against the other.
+//! The code a compiler makes for `i128`, or for a division of `u64`, takes the softcore up to about
+//! a thousand clocks: bit by bit, and through memory. This module uses schoolbook arithmetic with
+//! digits of 32 bits, where a digit of a quotient takes two of the processor's divisions. A PC has
+//! instructions for all of it, and uses them; the tests compare both.
 
 const PC: bool = cfg!(target_pointer_width = "64");
 
@@ -45,7 +46,7 @@ pub fn quotient_up(n: u64, d: u64) -> u64 {
     }
 }
 
-/// `floor(n / d)` and what is left, if the quotient has no more than 32 bits: `n < d * 2^32`.
+/// `floor(n / d)` and the remainder, if the quotient has at most 32 bits: `n < d * 2^32`.
 pub fn short(n: u64, d: u32) -> (u32, u32) {
     if PC {
         let d = u64::from(d.max(1));
@@ -76,7 +77,8 @@ pub fn root([low, high]: [u64; 2]) -> u64 {
     }
 }
 
-/// `floor(n * 2^shift / d)` towards 0, with the sign of `n`, for `shift` from 1 to 63; what does not fit is the largest there is.
+/// `floor(n * 2^shift / d)` towards 0, with the sign of `n`, for `shift` from 1 to 63; what does
+/// not fit is the largest there is.
 pub fn ratio(n: i64, shift: u32, d: u64) -> i64 {
     let size = n.unsigned_abs();
     let all = [size << shift, size >> (64 - shift)];
@@ -139,7 +141,8 @@ fn wide_by_digits([low, high]: [u64; 2], d: u64) -> u64 {
         let (q0, _) = digit(rest, n0, d0);
         return both(q0, q1);
     }
-    // With the divisor's highest bit set, a digit guessed from its upper half is at most two too large.
+    // If the divisor's highest bit is set, a digit guessed from its upper half is at most two too
+    // large.
     let up = d1.leading_zeros();
     let d = d << up;
     let high = high << up | if up == 0 { 0 } else { low >> (64 - up) };
@@ -149,12 +152,12 @@ fn wide_by_digits([low, high]: [u64; 2], d: u64) -> u64 {
     both(q0, q1)
 }
 
-/// A digit of a quotient and what is left: two digits by one; `high < d`.
+/// A digit of a quotient and the remainder: two digits by one; `high < d`.
 fn digit(high: u32, low: u32, d: u32) -> (u32, u32) {
     if high == 0 {
         return (low / d, low % d);
     }
-    // The same once more with half digits, which the processor can divide.
+    // The same with half digits, which the processor can divide.
     let up = d.leading_zeros();
     let d = d << up;
     let n = both(low, high) << up;
@@ -164,7 +167,7 @@ fn digit(high: u32, low: u32, d: u32) -> (u32, u32) {
     (q1 << 16 | q0, rest >> up)
 }
 
-/// Half a digit: `high * 2^16 + low` by `d`, whose highest bit is set.
+/// Half a digit: `high * 2^16 + low` by `d`, with the highest bit of `d` set.
 fn half_digit(high: u32, low: u32, d: u32) -> (u32, u32) {
     let (d1, d0) = (d >> 16, d & 0xffff);
     let (mut q, mut rest) = (high / d1, high % d1);
@@ -200,7 +203,8 @@ fn digit_by_two(high: u64, low: u32, d: u64) -> (u32, u64) {
     (q, rest)
 }
 
-/// The root of the upper half is the root's upper digit. What it leaves, by twice the digit, is the lower one, or one more than it.
+/// The root of the upper half is the root's upper digit. The remainder divided by twice the digit
+/// is the lower digit, or one more than it.
 fn root_by_digits([low, high]: [u64; 2]) -> u64 {
     if (low, high) == (0, 0) {
         return 0;
@@ -209,7 +213,7 @@ fn root_by_digits([low, high]: [u64; 2]) -> u64 {
         0 => 64 + low.leading_zeros(),
         _ => high.leading_zeros(),
     };
-    // Up by a power of four, until one of the two highest bits is set.
+    // Scaled up by a power of four, until one of the two highest bits is set.
     let up = zeros & !1;
     let (low, high) = match up {
         0 => (low, high),
@@ -218,7 +222,7 @@ fn root_by_digits([low, high]: [u64; 2]) -> u64 {
     };
     let [n0, n1] = digits(low);
     let upper = high.isqrt();
-    // At most twice the digit: with half of the next one behind it, it still has 64 bits.
+    // At most twice the digit: with half of the next digit after it, it still has 64 bits.
     let half = (high - upper * upper) << 31 | u64::from(n1 >> 1);
     let lower = quotient_by_digits(half, upper);
     let left = (half - lower * upper) << 1 | u64::from(n1 & 1);
@@ -229,7 +233,8 @@ fn root_by_digits([low, high]: [u64; 2]) -> u64 {
     root.wrapping_sub(large.into()) >> (up / 2)
 }
 
-/// Divides many by one, each with a product: [`Inverse::of`] is at most 2 too small, and never too large.
+/// Divides many numbers by one, with a product each: [`Inverse::of`] is at most 2 too small, and
+/// never too large.
 #[derive(Clone, Copy, Debug)]
 pub struct Inverse {
     /// `2^(127 - zeros) / d`: its highest bit is set.
@@ -238,7 +243,7 @@ pub struct Inverse {
 }
 
 impl Inverse {
-    /// Of 1 for 0.
+    /// For `d` = 0 the inverse of 1.
     pub fn new(d: u64) -> Self {
         let d = d.max(1);
         let zeros = d.leading_zeros();
@@ -327,7 +332,7 @@ mod tests {
 
         #[test]
         fn a_root_by_digits_is_that_of_the_pc(low in any_word(), high in any_word(), root in any_word(), off in -2i64..=2) {
-            // Anything, and what is a square or beside one.
+            // Random numbers, and squares and their neighbours.
             let square = (u128::from(root) * u128::from(root)).wrapping_add_signed(off.into());
             for [low, high] in [[low, high], [low, 0], [square as u64, (square >> 64) as u64]] {
                 let exact = (u128::from(high) << 64 | u128::from(low)).isqrt() as u64;

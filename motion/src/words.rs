@@ -1,22 +1,27 @@
-//! Executes FPGA G's instructions ([`crate::fpgag`]) as segments: its words say how the motors move, and nothing is looked ahead.
+//! Executes FPGA G's instructions ([`crate::fpgag`]) as segments: the words define the motion,
+//! without look-ahead.
 //!
-//! What FPGA G left open is said here:
+//! FPGA G leaves these points open; they are defined here:
 //!
-//! * **An acceleration** of a move is in units of 64 steps/s^2. A move begins with the speed the one before ended with; it speeds up for `loops_accel`
-//!   steps, keeps its speed for `loops_travel`, slows down for `loops_decel`. All motors make the same steps; bits 4, 5 and 6 of
-//!   `direction`, which the description has no use for, let motor 0, 1 or 2 stand.
-//! * **A motor cannot jump**: an instruction that turns or halts a motor that is on its way, needs more speed or acceleration than the machine has, moves
-//!   without any, or ends out of bounds, is refused like one that cannot be read. So is a change of outputs on the way only if its
-//!   instruction is.
-//! * **The end**: whoever lets the queue run dry on the way gets an underrun.
+//! * **An acceleration** of a move is in units of 64 steps/s^2. A move begins with the final speed
+//!   of the one before. It speeds up for `loops_accel` steps, keeps its speed for `loops_travel`,
+//!   and slows down for `loops_decel`. All motors make the same steps; bits 4, 5 and 6 of
+//!   `direction`, which the description does not use, let motor 0, 1 or 2 stand.
+//! * **A motor cannot jump**: an instruction is refused if it reverses or stops a moving motor,
+//!   needs more speed or acceleration than the machine has, or moves without acceleration. A change
+//!   of outputs during motion is refused only if its instruction is.
+//! * **Bounds hold for the stop, too**: an instruction is refused if a motor leaves its bounds
+//!   anywhere in it, or could not brake within them from there. The queue may run empty after every
+//!   instruction, and the motors brake then.
+//! * **The end**: a queue that runs empty during motion is an underrun.
 //!
-//! Places between two instructions are kept with 32 fraction bits, so nothing is dropped; at rest the motors are on whole steps, if the
-//! words say so.
+//! Positions between two instructions are kept with 32 fraction bits, so nothing is lost; at rest
+//! the motors are on whole steps, if the words ask for that.
 
 use crate::fpgag::{Curve, Error, Move};
 use crate::plan::{Follower, Leg};
 use crate::segment::{AXES, MIN_CLOCKS, Machine, Segment};
-use wire::units::Position;
+use crate::wide::{product, wide};
 
 /// steps/s^2 in a unit of a move's acceleration.
 pub const ACCELERATION: u64 = 64;
@@ -24,39 +29,47 @@ pub const ACCELERATION: u64 = 64;
 /// Ticks of a curve per second.
 const TICKS_PER_SECOND: u64 = 1_000_000;
 
-/// Straight stretches of velocity a curve with a third coefficient is made of.
+/// Number of straight velocity segments that approximate a curve with a third coefficient.
 const STRETCHES: i64 = 8;
 
-/// What the motors can do, and where they may be.
+/// A 16th of a step: how far segments may be off their reference. Motors rest in the middle of a
+/// step.
+const SLACK: i64 = 1 << 28;
+
+/// Clocks from the end of the last segment to the first in which the motors brake: two for the
+/// commit, and one to see that no segment follows.
+const LATE: u64 = 3;
+
+/// The motors' capabilities and bounds.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// The board's clock.
     pub clock_hz: u32,
-    /// Largest acceleration, as a segment has it.
+    /// Largest acceleration, in a segment's unit.
     pub accel: [u32; AXES],
     /// Largest speed, steps/s.
     pub speed: [u32; AXES],
-    /// Lowest and highest place, steps from home.
+    /// Lowest and highest position, in steps from home.
     pub bounds: [(i64, i64); AXES],
 }
 
 /// An instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Word {
-    /// Of the description.
+    /// In the form of the description.
     Move(Move),
-    /// Of the final revision.
+    /// In the form of the final revision.
     Curve(Curve),
 }
 
-/// Where the reference is behind an instruction.
+/// The reference's state after an instruction.
 #[derive(Clone, Copy, Debug)]
 struct End {
     /// Integrators.
     position: [i64; AXES],
     /// s32.24, as integrators have it.
     velocity: [i64; AXES],
-    /// Of a move, (steps/s)^2.
+    /// For a move, (steps/s)^2.
     square: u64,
 }
 
@@ -67,7 +80,7 @@ pub struct Player<const DEPTH: usize> {
     words: [Word; DEPTH],
     head: usize,
     count: usize,
-    /// Behind the last one accepted, and behind the last one begun.
+    /// The state after the last instruction accepted, and after the last one begun.
     accepted: End,
     begun: End,
     legs: [Option<Leg>; STRETCHES as usize],
@@ -76,7 +89,7 @@ pub struct Player<const DEPTH: usize> {
 }
 
 impl<const DEPTH: usize> Player<DEPTH> {
-    /// At rest, there.
+    /// At rest, at these positions.
     pub fn new(limits: Limits, positions: [i64; AXES]) -> Self {
         let end = End {
             position: positions,
@@ -108,12 +121,12 @@ impl<const DEPTH: usize> Player<DEPTH> {
         }
     }
 
-    /// There is no room for another.
+    /// Is there room for another instruction?
     pub fn full(&self) -> bool {
         self.count == DEPTH
     }
 
-    /// Accepts an instruction for which there is room, or refuses it; then nothing has changed.
+    /// Accepts an instruction, for which there must be room, or refuses it without an effect.
     pub fn push(&mut self, word: Word) -> Result<(), Error> {
         let (_, end) = self.legs_of(&word, &self.accepted)?;
         if self.full() {
@@ -125,8 +138,16 @@ impl<const DEPTH: usize> Player<DEPTH> {
         Ok(())
     }
 
-    /// The motors are elsewhere than was thought, and nothing was begun yet. What waits is asked anew; an error, and the rest is gone.
-    pub fn begin_at(&mut self, positions: [i64; AXES]) -> Result<(), Error> {
+    /// Sets the limits for new instructions. [`Player::begin_at`] checks the waiting ones again.
+    pub fn set_limits(&mut self, limits: Limits) {
+        self.limits = limits;
+    }
+
+    /// Sets the motors' positions and limits before the first instruction begins. The waiting
+    /// instructions are checked again; after an error the rest is discarded.
+    pub fn begin_at(&mut self, limits: Limits, positions: [i64; AXES]) -> Result<(), Error> {
+        self.limits = limits;
+        self.follower = Follower::new(limits.accel);
         let (head, count) = (self.head, core::mem::take(&mut self.count));
         let end = End {
             position: positions,
@@ -143,12 +164,12 @@ impl<const DEPTH: usize> Player<DEPTH> {
         Ok(())
     }
 
-    /// Where the motors are after everything [`Player::poll`] said.
+    /// The motors' positions after all outputs of [`Player::poll`].
     pub fn machine(&self) -> &Machine {
         &self.follower.machine
     }
 
-    /// The next segment; `next`: another instruction may be begun. `None`: nothing to do.
+    /// The next segment; `next`: another instruction may be begun. `None`: there is none.
     pub fn poll(&mut self, next: bool) -> Option<Segment> {
         loop {
             if let Some(segment) = self.follower.piece(0) {
@@ -160,7 +181,8 @@ impl<const DEPTH: usize> Player<DEPTH> {
                 self.follower.leg = Some(Leg { at, ..leg });
                 continue;
             }
-            // Coefficients are rounded: what a motor can stop from in the shortest segment is no velocity.
+            // Coefficients are rounded: a velocity that a motor can stop from in the shortest
+            // segment counts as 0.
             let slow = |(velocity, accel): (&i64, &u32)| {
                 velocity.unsigned_abs() <= u64::from(*accel) * u64::from(MIN_CLOCKS)
             };
@@ -177,7 +199,7 @@ impl<const DEPTH: usize> Player<DEPTH> {
             let word = self.words[self.head];
             self.head = (self.head + 1) % DEPTH;
             self.count -= 1;
-            // It was asked when it was accepted.
+            // It was checked when it was accepted.
             let (legs, end) = self.legs_of(&word, &self.begun).ok()?;
             (self.legs, self.leg, self.begun) = (legs, 0, end);
             self.follower.machine.aux = match word {
@@ -192,14 +214,68 @@ impl<const DEPTH: usize> Player<DEPTH> {
             Word::Move(word) => self.move_legs(word, from)?,
             Word::Curve(curve) => self.curve_legs(curve, from)?,
         };
-        let inside = |(position, (lowest, highest)): (&i64, &(i64, i64))| {
-            let steps = position.wrapping_sub(Position::ZERO.0) >> 32;
-            steps >= *lowest && steps <= *highest
-        };
-        if !end.position.iter().zip(&self.limits.bounds).all(inside) {
-            return Err(Error::Bounds);
-        }
+        self.within(&legs, from, &end)?;
         Ok((legs, end))
+    }
+
+    /// Is every motor within its bounds in all these legs, and slow enough to stop within them?
+    /// With no more acceleration than the limit the stopping point moves on with the motor, so the
+    /// ends of the legs and the turning points are sufficient.
+    fn within(&self, legs: &Legs, from: &End, end: &End) -> Result<(), Error> {
+        let mut legs = legs.iter().flatten().peekable();
+        let mut inside = true;
+        while let Some(leg) = legs.next() {
+            let next = legs.peek();
+            let positions = next.map_or(&end.position, |next| &next.position);
+            let velocities = next.map_or(&end.velocity, |next| &next.velocity);
+            for axis in 0..AXES {
+                let (position, begin) = (leg.position[axis], leg.velocity[axis]);
+                let finish = velocities[axis];
+                inside &= self.stops(axis, position, begin, self.braking(axis, begin));
+                inside &= self.stops(axis, positions[axis], finish, self.braking(axis, finish));
+                if begin.signum() == -finish.signum() {
+                    let turn = turning(begin, finish, leg.duration);
+                    inside &= self.stops(axis, position, begin, turn);
+                }
+            }
+        }
+        for axis in 0..AXES {
+            let (before, behind) = (from.position[axis], end.position[axis]);
+            let slack = if before == behind { 0 } else { SLACK };
+            inside &= self.holds(axis, behind, [true; 2], slack);
+        }
+        inside.then_some(()).ok_or(Error::Bounds)
+    }
+
+    /// The way a motor with this velocity needs to stop, as a way of its integrator.
+    fn braking(&self, axis: usize, velocity: i64) -> u64 {
+        // v^2 / 2a: 2^-44 steps per clock are left of 2^-56, so that steps with 32 fraction bits
+        // come out.
+        let speed = (velocity.unsigned_abs() >> 12) + 1;
+        let way = wide(
+            product(speed, speed),
+            2 * u64::from(self.limits.accel[axis]),
+        );
+        way.saturating_add(((velocity.unsigned_abs() >> 24) + 1) * LATE)
+    }
+
+    /// Is the motor within its bounds after this way in the direction of its velocity? A motor at
+    /// rest is.
+    fn stops(&self, axis: usize, position: i64, velocity: i64, way: u64) -> bool {
+        let stands = i64::try_from(way).ok();
+        let stands = stands.and_then(|way| position.checked_add(way * velocity.signum()));
+        let sides = [velocity < 0, velocity > 0];
+        velocity == 0 || stands.is_some_and(|place| self.holds(axis, place, sides, SLACK))
+    }
+
+    /// Is this position within those of the two bounds that are to be checked?
+    fn holds(&self, axis: usize, place: i64, [low, high]: [bool; 2], slack: i64) -> bool {
+        let Some(&(lowest, highest)) = self.limits.bounds.get(axis) else {
+            return false;
+        };
+        let below = place.saturating_sub(slack) >> 32 < lowest;
+        let above = place.saturating_add(slack) >> 32 > highest;
+        !(low && below || high && above)
     }
 
     fn move_legs(&self, word: &Move, from: &End) -> Result<(Legs, End), Error> {
@@ -253,7 +329,7 @@ impl<const DEPTH: usize> Player<DEPTH> {
         u64::try_from(accel).unwrap_or(u64::MAX)
     }
 
-    /// So many steps from one speed to another, given as squares.
+    /// This many steps from one speed to another, given as squares.
     fn straight(&self, end: &mut End, signs: &[i64; AXES], steps: u64, squares: [u64; 2]) -> Leg {
         // steps/s with 10 fraction bits.
         let [begin, finish] = squares.map(|square| (u128::from(square) << 20).isqrt());
@@ -281,7 +357,8 @@ impl<const DEPTH: usize> Player<DEPTH> {
         let count = if bent { STRETCHES } else { 1 };
         let clock = i128::from(self.limits.clock_hz);
         let per_second = i128::from(TICKS_PER_SECOND);
-        // Of a motor after so many eighths of the ticks: s32.32 from the beginning, and s32.24 of velocity.
+        // A motor's state after this many eighths of the ticks: s32.32 from the beginning, and
+        // s32.24 of velocity.
         let at = |motor: &[i32; 3], eighths: i64| {
             let [c0, c1, c2] = motor.map(i128::from);
             let t = i128::from(curve.ticks) * i128::from(eighths) * i128::from(STRETCHES / count);
@@ -330,6 +407,16 @@ impl<const DEPTH: usize> Player<DEPTH> {
         }
         Ok((legs, end))
     }
+}
+
+/// How far a motor goes on before it turns, in a leg of this duration from one velocity to the
+/// opposite one; rounded up.
+fn turning(begin: i64, finish: i64, duration: i64) -> u64 {
+    let (begin, finish) = (begin.unsigned_abs(), finish.unsigned_abs());
+    // The part of the leg in which it slows down, times half of its velocity.
+    let part = wide(product(begin, begin), begin.saturating_add(finish));
+    let clocks = (duration.unsigned_abs() >> 16) + 1;
+    ((part >> 24) + 1).saturating_mul(clocks) / 2 + 1
 }
 
 type Legs = [Option<Leg>; STRETCHES as usize];

@@ -1,6 +1,6 @@
 //! Binary G-code of XYPenPlotter (`image.bin` of its `g2b.py`), read and written.
 //!
-//! A word that counts, then records of seven words, all little endian:
+//! A word with a count, then records of seven words, all little endian:
 //!
 //! | word | type | meaning |
 //! |---|---|---|
@@ -9,18 +9,20 @@
 //! | 4, 5 | f32 | I, J: centre of an arc from its beginning |
 //! | 6 | i32 | P: dwell |
 //!
-//! `0xffffffff` is a field that is not there. What its writers did differently is a flag of [`Quirks`]:
+//! `0xffffffff` marks a missing field. Where its writers differ, there is a flag in [`Quirks`]:
 //!
-//! * **count**: `g2b.py` counts fields, seven for each record; its description speaks of instructions.
-//! * **sign**: `g2b.py` inverts Y and J, because that plotter's origin is at the top, and leaves G2 and G3 as they are. With the
-//!   flag both signs are turned back: the G-code it was made of, with its Y upwards and its G2 clockwise.
-//! * **dwell**: the controller counts ticks of its system, its comment says milliseconds.
+//! * **count**: `g2b.py` counts fields, seven for each record; its description says instructions.
+//! * **sign**: `g2b.py` inverts Y and J, because that plotter's origin is at the top, and does not
+//!   change G2 and G3. With the flag both signs are inverted again: the result is the original
+//!   G-code, with Y upwards and G2 clockwise.
+//! * **dwell**: the controller counts system ticks, its comment says milliseconds.
 //!
-//! What its controller got wrong is not carried over: fields that are missing are missing in every instruction and not NaN in some,
-//! full circles and arcs of up to 2 degrees are drawn as arcs, the last two records are executed once.
+//! The controller's errors are not reproduced: a missing field is missing in every instruction and
+//! not NaN in some, full circles and arcs of up to 2 degrees are drawn as arcs, the last two
+//! records are executed once.
 
 use crate::circle::hypot;
-use crate::instruction::{AUX_TOOL, Arc, FARTHEST, Feed, Instruction, Place};
+use crate::instruction::{AUX_TOOL, Arc, DWELL_LONGEST, FARTHEST, Feed, Instruction, Place};
 use core::fmt;
 
 /// Words in a record.
@@ -29,7 +31,7 @@ pub const FIELDS: usize = 7;
 /// A field that is not there.
 pub const MISSING: u32 = u32::MAX;
 
-/// In what files differ.
+/// The differences between files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quirks {
     /// The first word counts fields (as `g2b.py` writes it), not records.
@@ -59,20 +61,20 @@ pub enum Error {
     Length(usize),
     /// The first word does not count what follows.
     Count {
-        /// As it says.
+        /// The count in the file.
         said: u32,
-        /// As it is, counted the same way.
+        /// The number in the file, counted the same way.
         is: u32,
     },
     /// A G number that is none of 0 to 4.
     Code(usize, i32),
-    /// A number that is none, or beyond 10 m.
+    /// Not a number, or beyond 10 m.
     Number(usize),
     /// An arc without I and J.
     NoCenter(usize),
-    /// An arc whose end is not on its circle.
+    /// An arc with its end off its circle.
     OffCircle(usize),
-    /// A dwell without P, or with one below 0.
+    /// A dwell without P, with one below 0, or longer than a week.
     Dwell(usize),
 }
 
@@ -91,12 +93,15 @@ impl fmt::Display for Error {
             Error::Number(record) => write!(f, "record {record}: not a number of mm within 10 m"),
             Error::NoCenter(record) => write!(f, "record {record}: an arc without I and J"),
             Error::OffCircle(record) => write!(f, "record {record}: the end is not on the circle"),
-            Error::Dwell(record) => write!(f, "record {record}: a dwell needs P, not below 0"),
+            Error::Dwell(record) => write!(
+                f,
+                "record {record}: a dwell needs P, not below 0 and at most a week"
+            ),
         }
     }
 }
 
-/// One record, fields as they are in the file.
+/// One record, with its fields as in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record(pub [u32; FIELDS]);
 
@@ -127,12 +132,12 @@ pub struct Reader<'a> {
     index: usize,
     at: Place,
     pen_down: bool,
-    /// What a record asks for after its pen.
+    /// The rest of a record, after its pen.
     then: Option<Instruction>,
 }
 
 impl<'a> Reader<'a> {
-    /// The file's length and count are right, or nothing is read of it.
+    /// Checks the file's length and count first; otherwise nothing of it is read.
     pub fn new(file: &'a [u8], quirks: Quirks) -> Result<Self, Error> {
         let (count, records) = file.split_first_chunk().ok_or(Error::Length(file.len()))?;
         if !records.len().is_multiple_of(4 * FIELDS) {
@@ -161,7 +166,7 @@ impl<'a> Reader<'a> {
         nanometres(field).map(Some).ok_or(Error::Number(index))
     }
 
-    /// Pen (if it changes) and what to do then.
+    /// The pen (if it changes), then the motion.
     fn read(&mut self, record: Record) -> Result<(Option<bool>, Option<Instruction>), Error> {
         let index = self.index;
         let sign = if self.quirks.invert_y { -1 } else { 1 };
@@ -202,9 +207,15 @@ impl<'a> Reader<'a> {
                 }))
             }
             4 => match i32::try_from(p) {
-                Ok(ticks) => Some(Instruction::Dwell {
-                    micros: ticks as u64 * u64::from(self.quirks.dwell_micros),
-                }),
+                Ok(ticks) => {
+                    // Below 2^31 by 2^32.
+                    let micros =
+                        u64::from(ticks.unsigned_abs()) * u64::from(self.quirks.dwell_micros);
+                    if micros > DWELL_LONGEST {
+                        return Err(Error::Dwell(index));
+                    }
+                    Some(Instruction::Dwell { micros })
+                }
                 Err(_) => return Err(Error::Dwell(index)),
             },
             other => return Err(Error::Code(index, other)),
@@ -246,10 +257,10 @@ impl Iterator for Reader<'_> {
     }
 }
 
-/// What the format cannot say.
+/// Instructions that the format cannot represent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unwritable {
-    /// Z: it means the pen there.
+    /// Z: in this format it is the pen.
     Height,
     /// No code for it.
     NoCode,
@@ -260,7 +271,7 @@ pub enum Unwritable {
 impl fmt::Display for Unwritable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Unwritable::Height => write!(f, "the format has no height, its Z is the pen"),
+            Unwritable::Height => write!(f, "the format has no height: its Z is the pen"),
             Unwritable::NoCode => write!(
                 f,
                 "the format has no code for home, pause and outputs but the pen"
@@ -270,7 +281,8 @@ impl fmt::Display for Unwritable {
     }
 }
 
-/// Makes records of instructions. The caller writes the count first: [`Writer::count`] says it at the end.
+/// Makes records from instructions. The caller writes the count first: [`Writer::count`] returns it
+/// at the end.
 #[derive(Clone, Debug)]
 pub struct Writer {
     quirks: Quirks,
@@ -297,7 +309,7 @@ impl Writer {
         }
     }
 
-    /// Its record; none for the end. Feeds are lost: the format has none.
+    /// Its record; none for the end. Feeds are lost, because the format has none.
     pub fn record(&mut self, instruction: &Instruction) -> Result<Option<Record>, Unwritable> {
         let sign = if self.quirks.invert_y { -1 } else { 1 };
         let mut fields = [MISSING; FIELDS];
@@ -344,7 +356,7 @@ impl Writer {
     }
 }
 
-/// Of an f32 in mm, to the nearest; with integers, for the softcore.
+/// From an f32 in mm, to the nearest; with integers, for the softcore.
 fn nanometres(bits: u32) -> Option<i64> {
     let exponent = (bits >> 23 & 0xff) as i32;
     let mantissa = i128::from(bits & 0x7f_ffff);
@@ -365,7 +377,7 @@ fn nanometres(bits: u32) -> Option<i64> {
     Some(if bits >> 31 == 1 { -size } else { size })
 }
 
-/// The f32 in mm nearest to it, as its bits. Only a PC writes this format.
+/// The nearest f32 in mm, as its bits. Only a PC writes this format.
 fn millimetres(nm: i64) -> u32 {
     ((nm as f64 / 1e6) as f32).to_bits()
 }
@@ -439,6 +451,9 @@ mod tests {
             Err(Error::NoCenter(0))
         );
         assert_eq!(read(&[[4, NO, NO, NO, NO, NO, NO]]), Err(Error::Dwell(0)));
+        // 2^31 ticks of a millisecond are 24 days.
+        let long = [4, NO, NO, NO, NO, NO, i32::MAX as u32];
+        assert_eq!(read(&[long]), Err(Error::Dwell(0)));
     }
 
     #[test]

@@ -1,7 +1,9 @@
-//! What the planner promises, for random machines and random programs.
+//! The planner's guarantees, for random machines and random programs.
 
 use ferrocnc_motion::gcode::Reader;
-use ferrocnc_motion::instruction::{Arc, Feed, Instruction, Place};
+use ferrocnc_motion::instruction::{
+    Arc, CENTER_FARTHEST, DWELL_LONGEST, FARTHEST, Feed, Instruction, Place,
+};
 use ferrocnc_motion::plan::{AxisSetup, Output, Planner, Setup, SetupError, Work};
 use ferrocnc_motion::segment::{Machine, Segment};
 use proptest::prelude::*;
@@ -30,7 +32,7 @@ fn mill() -> Setup {
     }
 }
 
-/// What a program does to the machine.
+/// The effect of a program on the machine.
 struct Run {
     segments: Vec<Segment>,
     /// Integrators before each segment and after the last.
@@ -137,12 +139,12 @@ fn distance_to_line(p: [f64; 3], a: [f64; 3], b: [f64; 3]) -> f64 {
     dot(off, off).sqrt()
 }
 
-/// The limits of every axis, in every segment, with no tolerance at all.
+/// The limits of every axis, in every segment, without a tolerance.
 fn keeps_its_limits(setup: &Setup, run: &Run) {
     for (segment, after) in run.segments.iter().zip(&run.states[1..]) {
         for (i, axis) in setup.axes.iter().enumerate() {
             assert!(segment.accel[i] <= run.limits[i], "axis {i}: {segment:?}");
-            // What it says is what it does: the acceleration suffices.
+            // The acceleration suffices: the segment reaches its velocity.
             let reached = i64::from(segment.velocity[i]) << 24;
             assert_eq!(after.axes[i].velocity, reached, "axis {i}: {segment:?}");
             let steps_per_s =
@@ -257,8 +259,11 @@ fn any_lines() -> impl Strategy<Value = Vec<(Place, Feed)>> {
     })
 }
 
+/// What makes the next output of a planner.
+type Next = Box<dyn FnMut(&mut Planner<16>) -> Option<Output>>;
+
 proptest! {
-    // A failing case is printed whole; no file is left behind.
+    // A failing case is printed completely; no regression file is written.
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(60) })]
 
     #[test]
@@ -360,7 +365,7 @@ proptest! {
             prop_assert!(off <= most, "{off} mm off, {most} allowed");
             farthest = farthest.max((x - radius as f64 * 1e-6).hypot(y));
         }
-        // All round, not the chord from the beginning to the end.
+        // All the way round, not the chord from the beginning to the end.
         prop_assert!(farthest > radius as f64 * 1.9e-6, "only {farthest} mm away");
         prop_assert_eq!(run.states.last().unwrap().steps(), steps_of(&setup, [radius, 0, 0]));
     }
@@ -371,7 +376,7 @@ proptest! {
         let program: Vec<Instruction> = lines.iter().flat_map(|(to, feed)| {
             [Instruction::Line { to: *to, feed: *feed }, Instruction::Arc(circle(*to, *feed))]
         }).chain([Instruction::End]).collect();
-        let play = |mut next: Box<dyn FnMut(&mut Planner<16>) -> Option<Output>>| {
+        let play = |mut next: Next| {
             let mut planner = Planner::<16>::new(&setup).unwrap();
             let (mut instructions, mut outputs) = (program.iter(), Vec::new());
             while outputs.last() != Some(&Output::End) {
@@ -566,7 +571,7 @@ fn every_edge_of_a_program_is_predicted() {
 
 #[test]
 fn a_machine_that_rests_a_hair_beside_its_step_stands_where_the_program_thinks_it_does() {
-    // Where another program has left it: on the step, but for a ten thousandth.
+    // The position after another program: on the step, to within a ten thousandth.
     for off in [-500_000i64, -5, -1, 1, 5, 500_000] {
         let mut planner = Planner::<16>::new(&mill()).expect("a good machine");
         let at = |step: i64| (step << 32) + 0x8000_0000 + off;
@@ -649,4 +654,188 @@ fn a_setup_that_no_board_can_drive_is_refused() {
     );
     assert_eq!(refuse(|s| s.axes[0].max_accel = 0), SetupError::Accel(0));
     assert_eq!(refuse(|s| s.chord_tolerance = 0), SetupError::Tolerance);
+}
+
+/// Whether a planner can be had for the mill with this change, and with which limits.
+fn limits_of(change: impl Fn(&mut Setup)) -> Result<[u32; 3], SetupError> {
+    let mut setup = mill();
+    change(&mut setup);
+    Planner::<4>::new(&setup).map(|planner| planner.limits())
+}
+
+#[test]
+fn each_bound_of_a_setup_is_where_the_refusal_says() {
+    let clock = |hz| limits_of(|s| s.clock_hz = hz) != Err(SetupError::Clock);
+    let clocks = [999_999, 1_000_000, 1_000_000_000, 1_000_000_001];
+    assert_eq!(clocks.map(clock), [false, true, true, false]);
+    let tolerance = |nm| limits_of(|s| s.chord_tolerance = nm).is_ok();
+    assert_eq!([999, 1000].map(tolerance), [false, true]);
+    let scale =
+        |per_km| limits_of(|s| s.axes[0].steps_per_km = per_km) != Err(SetupError::Scale(0));
+    assert_eq!([100_000_000_000, 100_000_000_001].map(scale), [true, false]);
+    // A step in four clocks is 187.5 mm/s with 80 000 steps in a mm.
+    let fast = |nm_per_s| {
+        limits_of(|s| (s.axes[0].steps_per_km, s.axes[0].max_speed) = (80_000_000_000, nm_per_s))
+    };
+    assert!(fast(187_500_000).is_ok());
+    assert_eq!(fast(187_500_001), Err(SetupError::Speed(0)));
+    // A unit of rate is 34.9 nm/s, and two of them are kept back.
+    let slow = |nm_per_s| limits_of(|s| s.axes[0].max_speed = nm_per_s);
+    assert_eq!(slow(70), Err(SetupError::Speed(0)));
+    assert!(slow(71).is_ok());
+    // 100 g, with few steps.
+    let hard =
+        |accel| limits_of(|s| (s.axes[0].steps_per_km, s.axes[0].max_accel) = (1_000_000, accel));
+    assert!(hard(1_000_000_000_000).is_ok());
+    assert_eq!(hard(1_000_000_000_001), Err(SetupError::Accel(0)));
+}
+
+/// The smallest number that is `true`.
+fn first(mut low: u64, mut high: u64, is: impl Fn(u64) -> bool) -> u64 {
+    while high - low > 1 {
+        let middle = low + (high - low) / 2;
+        if is(middle) {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    high
+}
+
+#[test]
+fn the_accelerations_are_those_that_a_segment_can_say() {
+    let limit = |per_km, accel| {
+        limits_of(|s| (s.axes[1].steps_per_km, s.axes[1].max_accel) = (per_km, accel))
+            .map(|limits| limits[1])
+    };
+    let least = first(0, 1_000_000_000, |accel| limit(400_000_000, accel).is_ok());
+    assert_eq!(limit(400_000_000, least), Ok(1 << 12));
+    // clock^2 / 2^44 steps/s^2.
+    let steps = least as f64 * 400e-6;
+    assert!(
+        (steps / (6e7f64.powi(2) / 2f64.powi(44)) - 1.0).abs() < 1e-5,
+        "{steps}"
+    );
+    let most = first(1, 1_000_000_000_000, |accel| {
+        limit(100_000_000_000, accel).is_err()
+    }) - 1;
+    // A nm/s^2 is two units there.
+    let greatest = limit(100_000_000_000, most).unwrap();
+    assert!(((1 << 31) - 2..1 << 31).contains(&greatest), "{greatest}");
+    assert_eq!(limit(100_000_000_000, most + 1), Err(SetupError::Accel(1)));
+}
+
+#[test]
+fn a_refused_setup_names_its_axis() {
+    let said: Vec<String> = [
+        SetupError::Scale(0),
+        SetupError::Speed(1),
+        SetupError::Accel(2),
+    ]
+    .map(|error| error.to_string())
+    .into();
+    for (said, axis) in said.iter().zip(["X: ", "Y: ", "Z: "]) {
+        assert!(said.starts_with(axis), "{said}");
+    }
+    assert!(SetupError::Clock.to_string().contains("1 MHz"));
+    assert!(SetupError::Tolerance.to_string().contains("1 um"));
+}
+
+fn arc(to: Place, center: [i64; 2]) -> Instruction {
+    let (clockwise, feed) = (false, Feed::Rapid);
+    Instruction::Arc(Arc {
+        to,
+        center,
+        clockwise,
+        feed,
+    })
+}
+
+fn rapid(to: Place) -> Instruction {
+    let feed = Feed::Rapid;
+    Instruction::Line { to, feed }
+}
+
+#[test]
+fn what_is_out_of_bounds_is_not_taken_and_changes_nothing() {
+    let planner = || Planner::<8>::new(&mill()).unwrap();
+    let mut empty = planner();
+    let mut both = |near: &Instruction, far: &Instruction| {
+        assert!(planner().push(near, 7), "{near:?}");
+        assert!(!empty.push(far, 7), "{far:?}");
+        assert_eq!((empty.target(), empty.tag()), ([0; 3], 0));
+        assert!(empty.accepts());
+        assert_eq!(empty.poll(), None);
+    };
+    for sign in [1, -1] {
+        for axis in 0..3 {
+            let place = |nm| core::array::from_fn(|n| if n == axis { sign * nm } else { 0 });
+            both(&rapid(place(FARTHEST)), &rapid(place(FARTHEST + 1)));
+            let center = [1_000_000, 0];
+            both(
+                &arc(place(FARTHEST), center),
+                &arc(place(FARTHEST + 1), center),
+            );
+        }
+        for axis in 0..2 {
+            let center = |nm| core::array::from_fn(|n| if n == axis { sign * nm } else { 0 });
+            let to = [1_000_000, 0, 0];
+            both(
+                &arc(to, center(CENTER_FARTHEST)),
+                &arc(to, center(CENTER_FARTHEST + 1)),
+            );
+        }
+    }
+    let dwell = |micros| Instruction::Dwell { micros };
+    both(&dwell(DWELL_LONGEST), &dwell(DWELL_LONGEST + 1));
+}
+
+#[test]
+fn a_planner_begins_elsewhere_at_rest_only_and_with_nothing_planned() {
+    let elsewhere = [(5 << 32) + (1 << 31); 3];
+    for instruction in [
+        rapid([1_000_000, 0, 0]),
+        arc([2_000_000, 0, 0], [1_000_000, 0]),
+    ] {
+        let mut planner = Planner::<64>::new(&mill()).unwrap();
+        assert!(planner.push(&instruction, 0));
+        assert!(!planner.begin_at(elsewhere), "planned: {instruction:?}");
+        assert!(planner.poll().is_none(), "all chords have room");
+        assert!(!planner.begin_at(elsewhere), "in the buffer");
+        assert!(planner.push(&Instruction::End, 0));
+        while let Some(Output::Segment(_)) = planner.poll() {
+            let stands = planner.machine().rests();
+            assert!(stands || !planner.begin_at(elsewhere), "being drawn");
+        }
+        assert!(planner.begin_at(elsewhere), "all of it is done");
+        assert_eq!(planner.machine().steps(), [5; 3]);
+    }
+}
+
+#[test]
+fn an_override_is_from_1_to_200_percent() {
+    let program = [line(20.0, 5.0, 0.0, 10.0), line(0.0, 0.0, 0.0, 10.0)];
+    let clocks = |percent| seconds(&run_at(&mill(), &program, percent));
+    assert_eq!(clocks(0), clocks(1));
+    assert_eq!(clocks(201), clocks(200));
+    assert!(clocks(1) > 1.9 * clocks(2) && clocks(199) > clocks(200));
+}
+
+#[test]
+fn the_tag_is_that_of_the_line_being_drawn() {
+    let mut planner = Planner::<8>::new(&mill()).unwrap();
+    let corners = [[9, 0, 0], [9, 9, 0], [0, 9, 0]];
+    for (tag, corner) in (70_001..).zip(corners) {
+        assert!(planner.push(&rapid(corner.map(|mm| mm * 1_000_000)), tag));
+    }
+    assert!(planner.push(&Instruction::End, 9));
+    let mut tags = Vec::new();
+    while let Some(Output::Segment(segment)) = planner.poll() {
+        assert_eq!(segment.tag, planner.tag() as u16);
+        if tags.last() != Some(&planner.tag()) {
+            tags.push(planner.tag());
+        }
+    }
+    assert_eq!(tags, [70_001, 70_002, 70_003]);
 }

@@ -2,11 +2,9 @@
 //! Addresses and numbers that gateware and firmware must agree on, for code that moves whole windows of words and
 //! for the one comparison that decides whether a board may arm.
 
-/// ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version.
-pub const ABI: u32 = 0xffac269b;
-/// Version of the exchange's word layout this map was made for.
-pub const WIRE_LAYOUT: u32 = 3;
-/// What `ident.magic` reads: "FCnC".
+/// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the exchange's layout (`wire/layout.txt`).
+pub const ABI: u32 = 0x4bf5b79f;
+/// The value of `ident.magic`: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
 pub const ROM_BASE: usize = 0x00000000;
@@ -54,7 +52,7 @@ pub const IN_MAX: usize = 32;
 pub const OUT_MAX: usize = 32;
 /// Axes a job can have at most.
 pub const JOB_AXES_MAX: usize = 7;
-/// Room for so many segments.
+/// Segments that fit into the FIFO.
 pub const JOB_SEGMENTS: usize = 64;
 /// `watchdog.control`: arm.
 pub const KEY_ARM: u32 = 0x41524d31;
@@ -75,7 +73,7 @@ pub const CSR_BASE: usize = 0xf0000000;
 /// Bytes of a page; channel n of a kind is n pages after channel 0.
 pub const CSR_PAGE: usize = 0x800;
 /// Pages in use, absent channels included.
-pub const CSR_PAGES: usize = 67;
+pub const CSR_PAGES: usize = 68;
 /// Page of `ctrl`.
 pub const CSR_CTRL: usize = 0xf0000000;
 /// Page of `identifier_mem`.
@@ -114,6 +112,8 @@ pub const CSR_FLASH: usize = 0xf0020000;
 pub const CSR_GUEST: usize = 0xf0020800;
 /// Page of `segments`.
 pub const CSR_SEGMENTS: usize = 0xf0021000;
+/// Page of `pads`.
+pub const CSR_PADS: usize = 0xf0021800;
 /// Word of the command window: enables.
 pub const COMMAND_ENABLES: usize = 0;
 /// Word of the command window: outputs.

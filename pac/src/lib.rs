@@ -895,7 +895,7 @@ pub mod ctrl {
         pub const fn reset(&self) -> &Reset {
             &self.reset
         }
-        #[doc = "0x04 - A word that does nothing; powers up as 0x12345678, no unit."]
+        #[doc = "0x04 - A word without an effect; powers up as 0x12345678, no unit."]
         #[inline(always)]
         pub const fn scratch(&self) -> &Scratch {
             &self.scratch
@@ -961,10 +961,10 @@ pub mod ctrl {
         #[doc = "`reset()` method sets RESET to value 0"]
         impl crate::Resettable for ResetSpec {}
     }
-    #[doc = "SCRATCH (rw) register accessor: A word that does nothing; powers up as 0x12345678, no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`scratch::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`scratch::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@scratch`] module"]
+    #[doc = "SCRATCH (rw) register accessor: A word without an effect; powers up as 0x12345678, no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`scratch::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`scratch::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@scratch`] module"]
     #[doc(alias = "SCRATCH")]
     pub type Scratch = crate::Reg<scratch::ScratchSpec>;
-    #[doc = "A word that does nothing; powers up as 0x12345678, no unit."]
+    #[doc = "A word without an effect; powers up as 0x12345678, no unit."]
     pub mod scratch {
         #[doc = "Register `SCRATCH` reader"]
         pub type R = crate::R<ScratchSpec>;
@@ -976,7 +976,7 @@ pub mod ctrl {
             }
         }
         impl W {}
-        #[doc = "A word that does nothing; powers up as 0x12345678, no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`scratch::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`scratch::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "A word without an effect; powers up as 0x12345678, no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`scratch::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`scratch::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct ScratchSpec;
         impl crate::RegisterSpec for ScratchSpec {
             type Ux = u32;
@@ -1013,14 +1013,14 @@ pub mod ctrl {
         impl crate::Resettable for BusErrorsSpec {}
     }
 }
-#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and they read what nobody wrote."]
+#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values."]
 pub type Ethmac = crate::Periph<ethmac::RegisterBlock, 0xf000_1800>;
 impl core::fmt::Debug for Ethmac {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Ethmac").finish()
     }
 }
-#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and they read what nobody wrote."]
+#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values."]
 pub mod ethmac {
     #[repr(C)]
     #[doc = "Register block"]
@@ -1064,7 +1064,7 @@ pub mod ethmac {
         pub const fn sram_writer_ev_status(&self) -> &SramWriterEvStatus {
             &self.sram_writer_ev_status
         }
-        #[doc = "0x10 - A frame is presented; write 1 to give its slot back, one bit."]
+        #[doc = "0x10 - A frame is presented; write 1 to free its slot, one bit."]
         #[inline(always)]
         pub const fn sram_writer_ev_pending(&self) -> &SramWriterEvPending {
             &self.sram_writer_ev_pending
@@ -1222,10 +1222,10 @@ pub mod ethmac {
         #[doc = "`reset()` method sets SRAM_WRITER_EV_STATUS to value 0"]
         impl crate::Resettable for SramWriterEvStatusSpec {}
     }
-    #[doc = "SRAM_WRITER_EV_PENDING (rw) register accessor: A frame is presented; write 1 to give its slot back, one bit.\n\nYou can [`read`](crate::Reg::read) this register and get [`sram_writer_ev_pending::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`sram_writer_ev_pending::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@sram_writer_ev_pending`] module"]
+    #[doc = "SRAM_WRITER_EV_PENDING (rw) register accessor: A frame is presented; write 1 to free its slot, one bit.\n\nYou can [`read`](crate::Reg::read) this register and get [`sram_writer_ev_pending::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`sram_writer_ev_pending::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@sram_writer_ev_pending`] module"]
     #[doc(alias = "SRAM_WRITER_EV_PENDING")]
     pub type SramWriterEvPending = crate::Reg<sram_writer_ev_pending::SramWriterEvPendingSpec>;
-    #[doc = "A frame is presented; write 1 to give its slot back, one bit."]
+    #[doc = "A frame is presented; write 1 to free its slot, one bit."]
     pub mod sram_writer_ev_pending {
         #[doc = "Register `SRAM_WRITER_EV_PENDING` reader"]
         pub type R = crate::R<SramWriterEvPendingSpec>;
@@ -1249,7 +1249,7 @@ pub mod ethmac {
                 AvailableW::new(self, 0)
             }
         }
-        #[doc = "A frame is presented; write 1 to give its slot back, one bit.\n\nYou can [`read`](crate::Reg::read) this register and get [`sram_writer_ev_pending::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`sram_writer_ev_pending::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "A frame is presented; write 1 to free its slot, one bit.\n\nYou can [`read`](crate::Reg::read) this register and get [`sram_writer_ev_pending::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`sram_writer_ev_pending::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct SramWriterEvPendingSpec;
         impl crate::RegisterSpec for SramWriterEvPendingSpec {
             type Ux = u32;
@@ -1633,7 +1633,7 @@ pub mod ethphy {
         pub const fn crg_reset(&self) -> &CrgReset {
             &self.crg_reset
         }
-        #[doc = "0x04 - What the PHY says about its link: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock."]
+        #[doc = "0x04 - The PHY's link status: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock."]
         #[inline(always)]
         pub const fn rx_inband_status(&self) -> &RxInbandStatus {
             &self.rx_inband_status
@@ -1678,10 +1678,10 @@ pub mod ethphy {
         #[doc = "`reset()` method sets CRG_RESET to value 0"]
         impl crate::Resettable for CrgResetSpec {}
     }
-    #[doc = "RX_INBAND_STATUS (r) register accessor: What the PHY says about its link: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock.\n\nYou can [`read`](crate::Reg::read) this register and get [`rx_inband_status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@rx_inband_status`] module"]
+    #[doc = "RX_INBAND_STATUS (r) register accessor: The PHY's link status: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock.\n\nYou can [`read`](crate::Reg::read) this register and get [`rx_inband_status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@rx_inband_status`] module"]
     #[doc(alias = "RX_INBAND_STATUS")]
     pub type RxInbandStatus = crate::Reg<rx_inband_status::RxInbandStatusSpec>;
-    #[doc = "What the PHY says about its link: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock."]
+    #[doc = "The PHY's link status: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock."]
     pub mod rx_inband_status {
         #[doc = "Register `RX_INBAND_STATUS` reader"]
         pub type R = crate::R<RxInbandStatusSpec>;
@@ -1708,7 +1708,7 @@ pub mod ethphy {
                 DuplexStatusR::new(((self.bits >> 3) & 1) != 0)
             }
         }
-        #[doc = "What the PHY says about its link: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock.\n\nYou can [`read`](crate::Reg::read) this register and get [`rx_inband_status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "The PHY's link status: bit 0 up, bits 2:1 speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. Reads 0 while the PHY gives no clock.\n\nYou can [`read`](crate::Reg::read) this register and get [`rx_inband_status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct RxInbandStatusSpec;
         impl crate::RegisterSpec for RxInbandStatusSpec {
             type Ux = u32;
@@ -1835,7 +1835,7 @@ pub mod sdram {
         dfii_pi0_rddata: DfiiPi0Rddata,
     }
     impl RegisterBlock {
-        #[doc = "0x00 - Who drives the SDRAM."]
+        #[doc = "0x00 - Selects what drives the SDRAM."]
         #[inline(always)]
         pub const fn dfii_control(&self) -> &DfiiControl {
             &self.dfii_control
@@ -1845,7 +1845,7 @@ pub mod sdram {
         pub const fn dfii_pi0_command(&self) -> &DfiiPi0Command {
             &self.dfii_pi0_command
         }
-        #[doc = "0x08 - Writing any value gives the command, for one clock; reads 0, no unit."]
+        #[doc = "0x08 - Writing any value issues the command, for one clock; reads 0, no unit."]
         #[inline(always)]
         pub const fn dfii_pi0_command_issue(&self) -> &DfiiPi0CommandIssue {
             &self.dfii_pi0_command_issue
@@ -1871,10 +1871,10 @@ pub mod sdram {
             &self.dfii_pi0_rddata
         }
     }
-    #[doc = "DFII_CONTROL (rw) register accessor: Who drives the SDRAM.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_control::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_control::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_control`] module"]
+    #[doc = "DFII_CONTROL (rw) register accessor: Selects what drives the SDRAM.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_control::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_control::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_control`] module"]
     #[doc(alias = "DFII_CONTROL")]
     pub type DfiiControl = crate::Reg<dfii_control::DfiiControlSpec>;
-    #[doc = "Who drives the SDRAM."]
+    #[doc = "Selects what drives the SDRAM."]
     pub mod dfii_control {
         #[doc = "Register `DFII_CONTROL` reader"]
         pub type R = crate::R<DfiiControlSpec>;
@@ -1888,13 +1888,13 @@ pub mod sdram {
         pub type CkeR = crate::BitReader;
         #[doc = "Field `cke` writer - Clock enable; wired high on the cards."]
         pub type CkeW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `odt` reader - Nothing on an SDRAM."]
+        #[doc = "Field `odt` reader - Unused with an SDRAM."]
         pub type OdtR = crate::BitReader;
-        #[doc = "Field `odt` writer - Nothing on an SDRAM."]
+        #[doc = "Field `odt` writer - Unused with an SDRAM."]
         pub type OdtW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `reset_n` reader - Nothing on an SDRAM."]
+        #[doc = "Field `reset_n` reader - Unused with an SDRAM."]
         pub type ResetNR = crate::BitReader;
-        #[doc = "Field `reset_n` writer - Nothing on an SDRAM."]
+        #[doc = "Field `reset_n` writer - Unused with an SDRAM."]
         pub type ResetNW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
             #[doc = "Bit 0 - 1: the controller; 0: the registers below."]
@@ -1907,12 +1907,12 @@ pub mod sdram {
             pub fn cke(&self) -> CkeR {
                 CkeR::new(((self.bits >> 1) & 1) != 0)
             }
-            #[doc = "Bit 2 - Nothing on an SDRAM."]
+            #[doc = "Bit 2 - Unused with an SDRAM."]
             #[inline(always)]
             pub fn odt(&self) -> OdtR {
                 OdtR::new(((self.bits >> 2) & 1) != 0)
             }
-            #[doc = "Bit 3 - Nothing on an SDRAM."]
+            #[doc = "Bit 3 - Unused with an SDRAM."]
             #[inline(always)]
             pub fn reset_n(&self) -> ResetNR {
                 ResetNR::new(((self.bits >> 3) & 1) != 0)
@@ -1929,18 +1929,18 @@ pub mod sdram {
             pub fn cke(&mut self) -> CkeW<'_, DfiiControlSpec> {
                 CkeW::new(self, 1)
             }
-            #[doc = "Bit 2 - Nothing on an SDRAM."]
+            #[doc = "Bit 2 - Unused with an SDRAM."]
             #[inline(always)]
             pub fn odt(&mut self) -> OdtW<'_, DfiiControlSpec> {
                 OdtW::new(self, 2)
             }
-            #[doc = "Bit 3 - Nothing on an SDRAM."]
+            #[doc = "Bit 3 - Unused with an SDRAM."]
             #[inline(always)]
             pub fn reset_n(&mut self) -> ResetNW<'_, DfiiControlSpec> {
                 ResetNW::new(self, 3)
             }
         }
-        #[doc = "Who drives the SDRAM.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_control::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_control::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Selects what drives the SDRAM.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_control::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_control::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct DfiiControlSpec;
         impl crate::RegisterSpec for DfiiControlSpec {
             type Ux = u32;
@@ -1987,13 +1987,13 @@ pub mod sdram {
         pub type RdenR = crate::BitReader;
         #[doc = "Field `rden` writer - Catches `dfii_pi0_rddata`."]
         pub type RdenW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `cs_top` reader - Nothing here."]
+        #[doc = "Field `cs_top` reader - Unused."]
         pub type CsTopR = crate::BitReader;
-        #[doc = "Field `cs_top` writer - Nothing here."]
+        #[doc = "Field `cs_top` writer - Unused."]
         pub type CsTopW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `cs_bottom` reader - Nothing here."]
+        #[doc = "Field `cs_bottom` reader - Unused."]
         pub type CsBottomR = crate::BitReader;
-        #[doc = "Field `cs_bottom` writer - Nothing here."]
+        #[doc = "Field `cs_bottom` writer - Unused."]
         pub type CsBottomW<'a, REG> = crate::BitWriter<'a, REG>;
         impl R {
             #[doc = "Bit 0 - Chip select."]
@@ -2026,12 +2026,12 @@ pub mod sdram {
             pub fn rden(&self) -> RdenR {
                 RdenR::new(((self.bits >> 5) & 1) != 0)
             }
-            #[doc = "Bit 6 - Nothing here."]
+            #[doc = "Bit 6 - Unused."]
             #[inline(always)]
             pub fn cs_top(&self) -> CsTopR {
                 CsTopR::new(((self.bits >> 6) & 1) != 0)
             }
-            #[doc = "Bit 7 - Nothing here."]
+            #[doc = "Bit 7 - Unused."]
             #[inline(always)]
             pub fn cs_bottom(&self) -> CsBottomR {
                 CsBottomR::new(((self.bits >> 7) & 1) != 0)
@@ -2068,12 +2068,12 @@ pub mod sdram {
             pub fn rden(&mut self) -> RdenW<'_, DfiiPi0CommandSpec> {
                 RdenW::new(self, 5)
             }
-            #[doc = "Bit 6 - Nothing here."]
+            #[doc = "Bit 6 - Unused."]
             #[inline(always)]
             pub fn cs_top(&mut self) -> CsTopW<'_, DfiiPi0CommandSpec> {
                 CsTopW::new(self, 6)
             }
-            #[doc = "Bit 7 - Nothing here."]
+            #[doc = "Bit 7 - Unused."]
             #[inline(always)]
             pub fn cs_bottom(&mut self) -> CsBottomW<'_, DfiiPi0CommandSpec> {
                 CsBottomW::new(self, 7)
@@ -2093,10 +2093,10 @@ pub mod sdram {
         #[doc = "`reset()` method sets DFII_PI0_COMMAND to value 0"]
         impl crate::Resettable for DfiiPi0CommandSpec {}
     }
-    #[doc = "DFII_PI0_COMMAND_ISSUE (rw) register accessor: Writing any value gives the command, for one clock; reads 0, no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_command_issue::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_command_issue::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_pi0_command_issue`] module"]
+    #[doc = "DFII_PI0_COMMAND_ISSUE (rw) register accessor: Writing any value issues the command, for one clock; reads 0, no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_command_issue::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_command_issue::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_pi0_command_issue`] module"]
     #[doc(alias = "DFII_PI0_COMMAND_ISSUE")]
     pub type DfiiPi0CommandIssue = crate::Reg<dfii_pi0_command_issue::DfiiPi0CommandIssueSpec>;
-    #[doc = "Writing any value gives the command, for one clock; reads 0, no unit."]
+    #[doc = "Writing any value issues the command, for one clock; reads 0, no unit."]
     pub mod dfii_pi0_command_issue {
         #[doc = "Register `DFII_PI0_COMMAND_ISSUE` reader"]
         pub type R = crate::R<DfiiPi0CommandIssueSpec>;
@@ -2108,7 +2108,7 @@ pub mod sdram {
             }
         }
         impl W {}
-        #[doc = "Writing any value gives the command, for one clock; reads 0, no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_command_issue::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_command_issue::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Writing any value issues the command, for one clock; reads 0, no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_command_issue::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_command_issue::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct DfiiPi0CommandIssueSpec;
         impl crate::RegisterSpec for DfiiPi0CommandIssueSpec {
             type Ux = u32;
@@ -2232,14 +2232,14 @@ pub mod sdram {
         impl crate::Resettable for DfiiPi0RddataSpec {}
     }
 }
-#[doc = "Who the gateware is. Constant; read by firmware at boot before it trusts anything else."]
+#[doc = "The gateware's identity. Constant; the firmware reads it at boot before anything else."]
 pub type Ident = crate::Periph<ident::RegisterBlock, 0xf000_4000>;
 impl core::fmt::Debug for Ident {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Ident").finish()
     }
 }
-#[doc = "Who the gateware is. Constant; read by firmware at boot before it trusts anything else."]
+#[doc = "The gateware's identity. Constant; the firmware reads it at boot before anything else."]
 pub mod ident {
     #[repr(C)]
     #[doc = "Register block"]
@@ -2259,7 +2259,7 @@ pub mod ident {
         pub const fn magic(&self) -> &Magic {
             &self.magic
         }
-        #[doc = "0x04 - ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version. Firmware compares it with its own; unequal never arms."]
+        #[doc = "0x04 - ABI number: first 32 bits of the SHA-256 of the normalised register map and of the exchange's layout. Firmware compares it with its own; unequal never arms."]
         #[inline(always)]
         pub const fn abi(&self) -> &Abi {
             &self.abi
@@ -2317,10 +2317,10 @@ pub mod ident {
         #[doc = "`reset()` method sets MAGIC to value 0"]
         impl crate::Resettable for MagicSpec {}
     }
-    #[doc = "ABI (r) register accessor: ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version. Firmware compares it with its own; unequal never arms.\n\nYou can [`read`](crate::Reg::read) this register and get [`abi::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@abi`] module"]
+    #[doc = "ABI (r) register accessor: ABI number: first 32 bits of the SHA-256 of the normalised register map and of the exchange's layout. Firmware compares it with its own; unequal never arms.\n\nYou can [`read`](crate::Reg::read) this register and get [`abi::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@abi`] module"]
     #[doc(alias = "ABI")]
     pub type Abi = crate::Reg<abi::AbiSpec>;
-    #[doc = "ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version. Firmware compares it with its own; unequal never arms."]
+    #[doc = "ABI number: first 32 bits of the SHA-256 of the normalised register map and of the exchange's layout. Firmware compares it with its own; unequal never arms."]
     pub mod abi {
         #[doc = "Register `ABI` reader"]
         pub type R = crate::R<AbiSpec>;
@@ -2329,7 +2329,7 @@ pub mod ident {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "ABI number: first 32 bits of the SHA-256 of the normalised register map and wire layout version. Firmware compares it with its own; unequal never arms.\n\nYou can [`read`](crate::Reg::read) this register and get [`abi::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "ABI number: first 32 bits of the SHA-256 of the normalised register map and of the exchange's layout. Firmware compares it with its own; unequal never arms.\n\nYou can [`read`](crate::Reg::read) this register and get [`abi::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct AbiSpec;
         impl crate::RegisterSpec for AbiSpec {
             type Ux = u32;
@@ -2483,11 +2483,18 @@ pub mod ident {
         pub type R = crate::R<FeaturesSpec>;
         #[doc = "Field `jobs` reader - 1: the board executes jobs; `segments` is there."]
         pub type JobsR = crate::BitReader;
+        #[doc = "Field `readback` reader - 1: `pads` and `timebase.eth_beats` are there. 0 in gateware from before them."]
+        pub type ReadbackR = crate::BitReader;
         impl R {
             #[doc = "Bit 0 - 1: the board executes jobs; `segments` is there."]
             #[inline(always)]
             pub fn jobs(&self) -> JobsR {
                 JobsR::new((self.bits & 1) != 0)
+            }
+            #[doc = "Bit 1 - 1: `pads` and `timebase.eth_beats` are there. 0 in gateware from before them."]
+            #[inline(always)]
+            pub fn readback(&self) -> ReadbackR {
+                ReadbackR::new(((self.bits >> 1) & 1) != 0)
             }
         }
         #[doc = "Optional parts present, one bit each.\n\nYou can [`read`](crate::Reg::read) this register and get [`features::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
@@ -2544,6 +2551,7 @@ pub mod timebase {
         commit_at_hi: CommitAtHi,
         strobe: Strobe,
         status: Status,
+        eth_beats: EthBeats,
     }
     impl RegisterBlock {
         #[doc = "0x00 - Low word of the wall clock, in clocks since power-up, as caught by the last write to `snapshot`."]
@@ -2590,6 +2598,11 @@ pub mod timebase {
         #[inline(always)]
         pub const fn status(&self) -> &Status {
             &self.status
+        }
+        #[doc = "0x24 - The PHY's receive clock, in units of 4 of its clocks since power-up, a count, as caught by the last write to `snapshot`: on the same clock as `now_lo`, so two looks give the ratio of both clocks."]
+        #[inline(always)]
+        pub const fn eth_beats(&self) -> &EthBeats {
+            &self.eth_beats
         }
     }
     #[doc = "NOW_LO (r) register accessor: Low word of the wall clock, in clocks since power-up, as caught by the last write to `snapshot`.\n\nYou can [`read`](crate::Reg::read) this register and get [`now_lo::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@now_lo`] module"]
@@ -2830,6 +2843,28 @@ pub mod timebase {
         impl crate::Readable for StatusSpec {}
         #[doc = "`reset()` method sets STATUS to value 0"]
         impl crate::Resettable for StatusSpec {}
+    }
+    #[doc = "ETH_BEATS (r) register accessor: The PHY's receive clock, in units of 4 of its clocks since power-up, a count, as caught by the last write to `snapshot`: on the same clock as `now_lo`, so two looks give the ratio of both clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`eth_beats::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@eth_beats`] module"]
+    #[doc(alias = "ETH_BEATS")]
+    pub type EthBeats = crate::Reg<eth_beats::EthBeatsSpec>;
+    #[doc = "The PHY's receive clock, in units of 4 of its clocks since power-up, a count, as caught by the last write to `snapshot`: on the same clock as `now_lo`, so two looks give the ratio of both clocks."]
+    pub mod eth_beats {
+        #[doc = "Register `ETH_BEATS` reader"]
+        pub type R = crate::R<EthBeatsSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "The PHY's receive clock, in units of 4 of its clocks since power-up, a count, as caught by the last write to `snapshot`: on the same clock as `now_lo`, so two looks give the ratio of both clocks.\n\nYou can [`read`](crate::Reg::read) this register and get [`eth_beats::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct EthBeatsSpec;
+        impl crate::RegisterSpec for EthBeatsSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`eth_beats::R`](R) reader structure"]
+        impl crate::Readable for EthBeatsSpec {}
+        #[doc = "`reset()` method sets ETH_BEATS to value 0"]
+        impl crate::Resettable for EthBeatsSpec {}
     }
 }
 #[doc = "The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no CPU."]
@@ -12933,14 +12968,14 @@ pub mod flash {
         impl crate::Resettable for StatusSpec {}
     }
 }
-#[doc = "Who may occupy a receive slot: frames that are not the owner's wait for a ticket outside."]
+#[doc = "Which frames may occupy a receive slot: a frame that is not the owner's needs a ticket."]
 pub type Guest = crate::Periph<guest::RegisterBlock, 0xf002_0800>;
 impl core::fmt::Debug for Guest {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Guest").finish()
     }
 }
-#[doc = "Who may occupy a receive slot: frames that are not the owner's wait for a ticket outside."]
+#[doc = "Which frames may occupy a receive slot: a frame that is not the owner's needs a ticket."]
 pub mod guest {
     #[repr(C)]
     #[doc = "Register block"]
@@ -12960,62 +12995,62 @@ pub mod guest {
         refused: Refused,
     }
     impl RegisterBlock {
-        #[doc = "0x00 - Word 0 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[doc = "0x00 - Word 0 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header0(&self) -> &Header0 {
             &self.header0
         }
-        #[doc = "0x04 - Word 1 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[doc = "0x04 - Word 1 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header1(&self) -> &Header1 {
             &self.header1
         }
-        #[doc = "0x08 - Word 2 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[doc = "0x08 - Word 2 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header2(&self) -> &Header2 {
             &self.header2
         }
-        #[doc = "0x0c - Word 3 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[doc = "0x0c - Word 3 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header3(&self) -> &Header3 {
             &self.header3
         }
-        #[doc = "0x10 - Word 4 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[doc = "0x10 - Word 4 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header4(&self) -> &Header4 {
             &self.header4
         }
-        #[doc = "0x14 - Word 5 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[doc = "0x14 - Word 5 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header5(&self) -> &Header5 {
             &self.header5
         }
-        #[doc = "0x18 - Word 6 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[doc = "0x18 - Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header6(&self) -> &Header6 {
             &self.header6
         }
-        #[doc = "0x1c - Word 7 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[doc = "0x1c - Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header7(&self) -> &Header7 {
             &self.header7
         }
-        #[doc = "0x20 - Word 8 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[doc = "0x20 - Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header8(&self) -> &Header8 {
             &self.header8
         }
-        #[doc = "0x24 - Word 9 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+        #[doc = "0x24 - Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header9(&self) -> &Header9 {
             &self.header9
         }
-        #[doc = "0x28 - Which words of a frame are compared; whoever differs in one is a guest, and so is a frame of less than 59 bytes without FCS."]
+        #[doc = "0x28 - Which words of a frame are compared. A frame that differs in one is a guest, and so is a frame of less than 59 bytes without FCS."]
         #[inline(always)]
         pub const fn mode(&self) -> &Mode {
             &self.mode
         }
-        #[doc = "0x2c - Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."]
+        #[doc = "0x2c - Writing any value issues a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."]
         #[inline(always)]
         pub const fn admit(&self) -> &Admit {
             &self.admit
@@ -13026,10 +13061,10 @@ pub mod guest {
             &self.refused
         }
     }
-    #[doc = "HEADER0 (w) register accessor: Word 0 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header0::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header0`] module"]
+    #[doc = "HEADER0 (w) register accessor: Word 0 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header0::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header0`] module"]
     #[doc(alias = "HEADER0")]
     pub type Header0 = crate::Reg<header0::Header0Spec>;
-    #[doc = "Word 0 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    #[doc = "Word 0 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header0 {
         #[doc = "Register `HEADER0` writer"]
         pub type W = crate::W<Header0Spec>;
@@ -13039,7 +13074,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Word 0 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header0::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 0 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header0::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header0Spec;
         impl crate::RegisterSpec for Header0Spec {
             type Ux = u32;
@@ -13051,10 +13086,10 @@ pub mod guest {
         #[doc = "`reset()` method sets HEADER0 to value 0"]
         impl crate::Resettable for Header0Spec {}
     }
-    #[doc = "HEADER1 (w) register accessor: Word 1 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header1::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header1`] module"]
+    #[doc = "HEADER1 (w) register accessor: Word 1 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header1::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header1`] module"]
     #[doc(alias = "HEADER1")]
     pub type Header1 = crate::Reg<header1::Header1Spec>;
-    #[doc = "Word 1 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    #[doc = "Word 1 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header1 {
         #[doc = "Register `HEADER1` writer"]
         pub type W = crate::W<Header1Spec>;
@@ -13064,7 +13099,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Word 1 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header1::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 1 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header1::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header1Spec;
         impl crate::RegisterSpec for Header1Spec {
             type Ux = u32;
@@ -13076,10 +13111,10 @@ pub mod guest {
         #[doc = "`reset()` method sets HEADER1 to value 0"]
         impl crate::Resettable for Header1Spec {}
     }
-    #[doc = "HEADER2 (w) register accessor: Word 2 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header2::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header2`] module"]
+    #[doc = "HEADER2 (w) register accessor: Word 2 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header2::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header2`] module"]
     #[doc(alias = "HEADER2")]
     pub type Header2 = crate::Reg<header2::Header2Spec>;
-    #[doc = "Word 2 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    #[doc = "Word 2 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header2 {
         #[doc = "Register `HEADER2` writer"]
         pub type W = crate::W<Header2Spec>;
@@ -13089,7 +13124,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Word 2 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header2::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 2 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header2::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header2Spec;
         impl crate::RegisterSpec for Header2Spec {
             type Ux = u32;
@@ -13101,10 +13136,10 @@ pub mod guest {
         #[doc = "`reset()` method sets HEADER2 to value 0"]
         impl crate::Resettable for Header2Spec {}
     }
-    #[doc = "HEADER3 (w) register accessor: Word 3 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header3::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header3`] module"]
+    #[doc = "HEADER3 (w) register accessor: Word 3 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header3::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header3`] module"]
     #[doc(alias = "HEADER3")]
     pub type Header3 = crate::Reg<header3::Header3Spec>;
-    #[doc = "Word 3 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    #[doc = "Word 3 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header3 {
         #[doc = "Register `HEADER3` writer"]
         pub type W = crate::W<Header3Spec>;
@@ -13114,7 +13149,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Word 3 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header3::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 3 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header3::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header3Spec;
         impl crate::RegisterSpec for Header3Spec {
             type Ux = u32;
@@ -13126,10 +13161,10 @@ pub mod guest {
         #[doc = "`reset()` method sets HEADER3 to value 0"]
         impl crate::Resettable for Header3Spec {}
     }
-    #[doc = "HEADER4 (w) register accessor: Word 4 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header4::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header4`] module"]
+    #[doc = "HEADER4 (w) register accessor: Word 4 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header4::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header4`] module"]
     #[doc(alias = "HEADER4")]
     pub type Header4 = crate::Reg<header4::Header4Spec>;
-    #[doc = "Word 4 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    #[doc = "Word 4 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header4 {
         #[doc = "Register `HEADER4` writer"]
         pub type W = crate::W<Header4Spec>;
@@ -13139,7 +13174,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Word 4 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header4::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 4 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header4::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header4Spec;
         impl crate::RegisterSpec for Header4Spec {
             type Ux = u32;
@@ -13151,10 +13186,10 @@ pub mod guest {
         #[doc = "`reset()` method sets HEADER4 to value 0"]
         impl crate::Resettable for Header4Spec {}
     }
-    #[doc = "HEADER5 (w) register accessor: Word 5 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header5::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header5`] module"]
+    #[doc = "HEADER5 (w) register accessor: Word 5 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header5::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header5`] module"]
     #[doc(alias = "HEADER5")]
     pub type Header5 = crate::Reg<header5::Header5Spec>;
-    #[doc = "Word 5 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    #[doc = "Word 5 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header5 {
         #[doc = "Register `HEADER5` writer"]
         pub type W = crate::W<Header5Spec>;
@@ -13164,7 +13199,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Word 5 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header5::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 5 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header5::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header5Spec;
         impl crate::RegisterSpec for Header5Spec {
             type Ux = u32;
@@ -13176,10 +13211,10 @@ pub mod guest {
         #[doc = "`reset()` method sets HEADER5 to value 0"]
         impl crate::Resettable for Header5Spec {}
     }
-    #[doc = "HEADER6 (w) register accessor: Word 6 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header6::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header6`] module"]
+    #[doc = "HEADER6 (w) register accessor: Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header6::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header6`] module"]
     #[doc(alias = "HEADER6")]
     pub type Header6 = crate::Reg<header6::Header6Spec>;
-    #[doc = "Word 6 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    #[doc = "Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header6 {
         #[doc = "Register `HEADER6` writer"]
         pub type W = crate::W<Header6Spec>;
@@ -13189,7 +13224,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Word 6 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header6::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header6::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header6Spec;
         impl crate::RegisterSpec for Header6Spec {
             type Ux = u32;
@@ -13201,10 +13236,10 @@ pub mod guest {
         #[doc = "`reset()` method sets HEADER6 to value 0"]
         impl crate::Resettable for Header6Spec {}
     }
-    #[doc = "HEADER7 (w) register accessor: Word 7 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header7::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header7`] module"]
+    #[doc = "HEADER7 (w) register accessor: Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header7::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header7`] module"]
     #[doc(alias = "HEADER7")]
     pub type Header7 = crate::Reg<header7::Header7Spec>;
-    #[doc = "Word 7 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    #[doc = "Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header7 {
         #[doc = "Register `HEADER7` writer"]
         pub type W = crate::W<Header7Spec>;
@@ -13214,7 +13249,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Word 7 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header7::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header7::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header7Spec;
         impl crate::RegisterSpec for Header7Spec {
             type Ux = u32;
@@ -13226,10 +13261,10 @@ pub mod guest {
         #[doc = "`reset()` method sets HEADER7 to value 0"]
         impl crate::Resettable for Header7Spec {}
     }
-    #[doc = "HEADER8 (w) register accessor: Word 8 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header8::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header8`] module"]
+    #[doc = "HEADER8 (w) register accessor: Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header8::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header8`] module"]
     #[doc(alias = "HEADER8")]
     pub type Header8 = crate::Reg<header8::Header8Spec>;
-    #[doc = "Word 8 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    #[doc = "Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header8 {
         #[doc = "Register `HEADER8` writer"]
         pub type W = crate::W<Header8Spec>;
@@ -13239,7 +13274,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Word 8 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header8::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header8::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header8Spec;
         impl crate::RegisterSpec for Header8Spec {
             type Ux = u32;
@@ -13251,10 +13286,10 @@ pub mod guest {
         #[doc = "`reset()` method sets HEADER8 to value 0"]
         impl crate::Resettable for Header8Spec {}
     }
-    #[doc = "HEADER9 (w) register accessor: Word 9 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header9::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header9`] module"]
+    #[doc = "HEADER9 (w) register accessor: Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header9::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header9`] module"]
     #[doc(alias = "HEADER9")]
     pub type Header9 = crate::Reg<header9::Header9Spec>;
-    #[doc = "Word 9 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit."]
+    #[doc = "Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header9 {
         #[doc = "Register `HEADER9` writer"]
         pub type W = crate::W<Header9Spec>;
@@ -13264,7 +13299,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Word 9 of the owner's frames, as a receive slot reads. Written between frames or at the cost of the one that passes; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header9::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header9::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header9Spec;
         impl crate::RegisterSpec for Header9Spec {
             type Ux = u32;
@@ -13276,10 +13311,10 @@ pub mod guest {
         #[doc = "`reset()` method sets HEADER9 to value 0"]
         impl crate::Resettable for Header9Spec {}
     }
-    #[doc = "MODE (rw) register accessor: Which words of a frame are compared; whoever differs in one is a guest, and so is a frame of less than 59 bytes without FCS.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mode`] module"]
+    #[doc = "MODE (rw) register accessor: Which words of a frame are compared. A frame that differs in one is a guest, and so is a frame of less than 59 bytes without FCS.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mode`] module"]
     #[doc(alias = "MODE")]
     pub type Mode = crate::Reg<mode::ModeSpec>;
-    #[doc = "Which words of a frame are compared; whoever differs in one is a guest, and so is a frame of less than 59 bytes without FCS."]
+    #[doc = "Which words of a frame are compared. A frame that differs in one is a guest, and so is a frame of less than 59 bytes without FCS."]
     pub mod mode {
         #[doc = "Register `MODE` reader"]
         pub type R = crate::R<ModeSpec>;
@@ -13291,9 +13326,9 @@ pub mod guest {
         pub enum Select {
             #[doc = "0: None: there are no guests."]
             None = 0,
-            #[doc = "1: 0 and 1: whoever is not for this MAC address is a guest."]
+            #[doc = "1: 0 and 1: a frame to another MAC address is a guest."]
             Ours = 1,
-            #[doc = "3: 0 to 3, 7 and 9: whoever is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."]
+            #[doc = "3: 0 to 3, 7 and 9: a frame that is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."]
             Owner = 3,
         }
         impl From<Select> for u8 {
@@ -13324,12 +13359,12 @@ pub mod guest {
             pub fn is_none(&self) -> bool {
                 *self == Select::None
             }
-            #[doc = "0 and 1: whoever is not for this MAC address is a guest."]
+            #[doc = "0 and 1: a frame to another MAC address is a guest."]
             #[inline(always)]
             pub fn is_ours(&self) -> bool {
                 *self == Select::Ours
             }
-            #[doc = "0 to 3, 7 and 9: whoever is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."]
+            #[doc = "0 to 3, 7 and 9: a frame that is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."]
             #[inline(always)]
             pub fn is_owner(&self) -> bool {
                 *self == Select::Owner
@@ -13347,12 +13382,12 @@ pub mod guest {
             pub fn none(self) -> &'a mut crate::W<REG> {
                 self.variant(Select::None)
             }
-            #[doc = "0 and 1: whoever is not for this MAC address is a guest."]
+            #[doc = "0 and 1: a frame to another MAC address is a guest."]
             #[inline(always)]
             pub fn ours(self) -> &'a mut crate::W<REG> {
                 self.variant(Select::Ours)
             }
-            #[doc = "0 to 3, 7 and 9: whoever is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."]
+            #[doc = "0 to 3, 7 and 9: a frame that is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."]
             #[inline(always)]
             pub fn owner(self) -> &'a mut crate::W<REG> {
                 self.variant(Select::Owner)
@@ -13372,7 +13407,7 @@ pub mod guest {
                 SelectW::new(self, 0)
             }
         }
-        #[doc = "Which words of a frame are compared; whoever differs in one is a guest, and so is a frame of less than 59 bytes without FCS.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Which words of a frame are compared. A frame that differs in one is a guest, and so is a frame of less than 59 bytes without FCS.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct ModeSpec;
         impl crate::RegisterSpec for ModeSpec {
             type Ux = u32;
@@ -13386,10 +13421,10 @@ pub mod guest {
         #[doc = "`reset()` method sets MODE to value 0"]
         impl crate::Resettable for ModeSpec {}
     }
-    #[doc = "ADMIT (w) register accessor: Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`admit::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@admit`] module"]
+    #[doc = "ADMIT (w) register accessor: Writing any value issues a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`admit::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@admit`] module"]
     #[doc(alias = "ADMIT")]
     pub type Admit = crate::Reg<admit::AdmitSpec>;
-    #[doc = "Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."]
+    #[doc = "Writing any value issues a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."]
     pub mod admit {
         #[doc = "Register `ADMIT` writer"]
         pub type W = crate::W<AdmitSpec>;
@@ -13399,7 +13434,7 @@ pub mod guest {
             }
         }
         impl W {}
-        #[doc = "Writing any value hands out a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`admit::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Writing any value issues a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`admit::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct AdmitSpec;
         impl crate::RegisterSpec for AdmitSpec {
             type Ux = u32;
@@ -13606,7 +13641,7 @@ pub mod segments {
         pub const fn current(&self) -> &Current {
             &self.current
         }
-        #[doc = "0x68 - The pace on its way to what it was told, in 1/65536."]
+        #[doc = "0x68 - The pace now, while it slews to `pace`, in 1/65536."]
         #[inline(always)]
         pub const fn pace_now(&self) -> &PaceNow {
             &self.pace_now
@@ -14063,11 +14098,11 @@ pub mod segments {
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[repr(u8)]
         pub enum Command {
-            #[doc = "1: Play the segments: when all step generators of the job stand, the first begins. Refused unless one waits, the gate is open and no end is to be cleared."]
+            #[doc = "1: Play the segments: when all step generators of the job stand, the first begins. Refused unless one waits, the gate is open and no end has to be cleared."]
             Start = 1,
-            #[doc = "2: Bring the step generators to rest, each at its stop_accel, and forget the segments."]
+            #[doc = "2: Bring the step generators to rest, each at its stop_accel, and discard the segments."]
             Quit = 2,
-            #[doc = "3: Forget what was refused; and, while idle, why it ended and the segments that wait."]
+            #[doc = "3: Clear `refused` and, while idle, `reason` and the waiting segments."]
             Clear = 3,
         }
         impl From<Command> for u8 {
@@ -14087,17 +14122,17 @@ pub mod segments {
             REG: crate::Writable + crate::RegisterSpec,
             REG::Ux: From<u8>,
         {
-            #[doc = "Play the segments: when all step generators of the job stand, the first begins. Refused unless one waits, the gate is open and no end is to be cleared."]
+            #[doc = "Play the segments: when all step generators of the job stand, the first begins. Refused unless one waits, the gate is open and no end has to be cleared."]
             #[inline(always)]
             pub fn start(self) -> &'a mut crate::W<REG> {
                 self.variant(Command::Start)
             }
-            #[doc = "Bring the step generators to rest, each at its stop_accel, and forget the segments."]
+            #[doc = "Bring the step generators to rest, each at its stop_accel, and discard the segments."]
             #[inline(always)]
             pub fn quit(self) -> &'a mut crate::W<REG> {
                 self.variant(Command::Quit)
             }
-            #[doc = "Forget what was refused; and, while idle, why it ended and the segments that wait."]
+            #[doc = "Clear `refused` and, while idle, `reason` and the waiting segments."]
             #[inline(always)]
             pub fn clear(self) -> &'a mut crate::W<REG> {
                 self.variant(Command::Clear)
@@ -14405,7 +14440,7 @@ pub mod segments {
         }
         #[doc = "Field `refused` reader - What was refused since `clear`, one bit each: 0 a push without room, 1 one with a word missing, 2 one shorter than 64 clocks, 3 one with the gate closed or an end to be cleared, 4 a start."]
         pub type RefusedR = crate::FieldReader;
-        #[doc = "Field `stands` reader - 1: the pace is 0, the path's time does not pass."]
+        #[doc = "Field `stands` reader - 1: the pace is 0, path time is stopped."]
         pub type StandsR = crate::BitReader;
         #[doc = "Field `held` reader - 1: since the start a pulse has had to wait for its pins' times, and has held the time of the path."]
         pub type HeldR = crate::BitReader;
@@ -14430,7 +14465,7 @@ pub mod segments {
             pub fn refused(&self) -> RefusedR {
                 RefusedR::new(((self.bits >> 16) & 0x1f) as u8)
             }
-            #[doc = "Bit 24 - 1: the pace is 0, the path's time does not pass."]
+            #[doc = "Bit 24 - 1: the pace is 0, path time is stopped."]
             #[inline(always)]
             pub fn stands(&self) -> StandsR {
                 StandsR::new(((self.bits >> 24) & 1) != 0)
@@ -14528,10 +14563,10 @@ pub mod segments {
         #[doc = "`reset()` method sets CURRENT to value 0"]
         impl crate::Resettable for CurrentSpec {}
     }
-    #[doc = "PACE_NOW (r) register accessor: The pace on its way to what it was told, in 1/65536.\n\nYou can [`read`](crate::Reg::read) this register and get [`pace_now::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@pace_now`] module"]
+    #[doc = "PACE_NOW (r) register accessor: The pace now, while it slews to `pace`, in 1/65536.\n\nYou can [`read`](crate::Reg::read) this register and get [`pace_now::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@pace_now`] module"]
     #[doc(alias = "PACE_NOW")]
     pub type PaceNow = crate::Reg<pace_now::PaceNowSpec>;
-    #[doc = "The pace on its way to what it was told, in 1/65536."]
+    #[doc = "The pace now, while it slews to `pace`, in 1/65536."]
     pub mod pace_now {
         #[doc = "Register `PACE_NOW` reader"]
         pub type R = crate::R<PaceNowSpec>;
@@ -14540,7 +14575,7 @@ pub mod segments {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "The pace on its way to what it was told, in 1/65536.\n\nYou can [`read`](crate::Reg::read) this register and get [`pace_now::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "The pace now, while it slews to `pace`, in 1/65536.\n\nYou can [`read`](crate::Reg::read) this register and get [`pace_now::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct PaceNowSpec;
         impl crate::RegisterSpec for PaceNowSpec {
             type Ux = u32;
@@ -14582,6 +14617,167 @@ pub mod segments {
         impl crate::Readable for ShapeSpec {}
         #[doc = "`reset()` method sets SHAPE to value 0"]
         impl crate::Resettable for ShapeSpec {}
+    }
+}
+#[doc = "Levels at the pads that the board drives, as their own input buffers see them two clocks ago: with the gate open or closed, shorted or not. What is behind a pad is not seen: a buffer on the card, its supply, the header. A pin the board file does not have reads 0."]
+pub type Pads = crate::Periph<pads::RegisterBlock, 0xf002_1800>;
+impl core::fmt::Debug for Pads {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        f.debug_struct("Pads").finish()
+    }
+}
+#[doc = "Levels at the pads that the board drives, as their own input buffers see them two clocks ago: with the gate open or closed, shorted or not. What is behind a pad is not seen: a buffer on the card, its supply, the header. A pin the board file does not have reads 0."]
+pub mod pads {
+    #[repr(C)]
+    #[doc = "Register block"]
+    pub struct RegisterBlock {
+        step: Step,
+        step_n: StepN,
+        pwm: Pwm,
+        outputs: Outputs,
+    }
+    impl RegisterBlock {
+        #[doc = "0x00 - Pads of the step generators, one bit per pin."]
+        #[inline(always)]
+        pub const fn step(&self) -> &Step {
+            &self.step
+        }
+        #[doc = "0x04 - Pads of the inverted copies for differential lines, one bit per pin."]
+        #[inline(always)]
+        pub const fn step_n(&self) -> &StepN {
+            &self.step_n
+        }
+        #[doc = "0x08 - Pads of the PWM generators, one bit per pin."]
+        #[inline(always)]
+        pub const fn pwm(&self) -> &Pwm {
+            &self.pwm
+        }
+        #[doc = "0x0c - Pads of the outputs, one bit per output; `gpio.out_now` is what drives them."]
+        #[inline(always)]
+        pub const fn outputs(&self) -> &Outputs {
+            &self.outputs
+        }
+    }
+    #[doc = "STEP (r) register accessor: Pads of the step generators, one bit per pin.\n\nYou can [`read`](crate::Reg::read) this register and get [`step::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@step`] module"]
+    #[doc(alias = "STEP")]
+    pub type Step = crate::Reg<step::StepSpec>;
+    #[doc = "Pads of the step generators, one bit per pin."]
+    pub mod step {
+        #[doc = "Register `STEP` reader"]
+        pub type R = crate::R<StepSpec>;
+        #[doc = "Field `step` reader - Bit n: the pad of STEP n."]
+        pub type StepR = crate::FieldReader<u16>;
+        #[doc = "Field `dir` reader - Bit n: the pad of DIR n."]
+        pub type DirR = crate::FieldReader<u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Bit n: the pad of STEP n."]
+            #[inline(always)]
+            pub fn step(&self) -> StepR {
+                StepR::new((self.bits & 0xffff) as u16)
+            }
+            #[doc = "Bits 16:31 - Bit n: the pad of DIR n."]
+            #[inline(always)]
+            pub fn dir(&self) -> DirR {
+                DirR::new(((self.bits >> 16) & 0xffff) as u16)
+            }
+        }
+        #[doc = "Pads of the step generators, one bit per pin.\n\nYou can [`read`](crate::Reg::read) this register and get [`step::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct StepSpec;
+        impl crate::RegisterSpec for StepSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`step::R`](R) reader structure"]
+        impl crate::Readable for StepSpec {}
+        #[doc = "`reset()` method sets STEP to value 0"]
+        impl crate::Resettable for StepSpec {}
+    }
+    #[doc = "STEP_N (r) register accessor: Pads of the inverted copies for differential lines, one bit per pin.\n\nYou can [`read`](crate::Reg::read) this register and get [`step_n::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@step_n`] module"]
+    #[doc(alias = "STEP_N")]
+    pub type StepN = crate::Reg<step_n::StepNSpec>;
+    #[doc = "Pads of the inverted copies for differential lines, one bit per pin."]
+    pub mod step_n {
+        #[doc = "Register `STEP_N` reader"]
+        pub type R = crate::R<StepNSpec>;
+        #[doc = "Field `step` reader - Bit n: the pad of the inverted STEP n."]
+        pub type StepR = crate::FieldReader<u16>;
+        #[doc = "Field `dir` reader - Bit n: the pad of the inverted DIR n."]
+        pub type DirR = crate::FieldReader<u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Bit n: the pad of the inverted STEP n."]
+            #[inline(always)]
+            pub fn step(&self) -> StepR {
+                StepR::new((self.bits & 0xffff) as u16)
+            }
+            #[doc = "Bits 16:31 - Bit n: the pad of the inverted DIR n."]
+            #[inline(always)]
+            pub fn dir(&self) -> DirR {
+                DirR::new(((self.bits >> 16) & 0xffff) as u16)
+            }
+        }
+        #[doc = "Pads of the inverted copies for differential lines, one bit per pin.\n\nYou can [`read`](crate::Reg::read) this register and get [`step_n::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct StepNSpec;
+        impl crate::RegisterSpec for StepNSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`step_n::R`](R) reader structure"]
+        impl crate::Readable for StepNSpec {}
+        #[doc = "`reset()` method sets STEP_N to value 0"]
+        impl crate::Resettable for StepNSpec {}
+    }
+    #[doc = "PWM (r) register accessor: Pads of the PWM generators, one bit per pin.\n\nYou can [`read`](crate::Reg::read) this register and get [`pwm::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@pwm`] module"]
+    #[doc(alias = "PWM")]
+    pub type Pwm = crate::Reg<pwm::PwmSpec>;
+    #[doc = "Pads of the PWM generators, one bit per pin."]
+    pub mod pwm {
+        #[doc = "Register `PWM` reader"]
+        pub type R = crate::R<PwmSpec>;
+        #[doc = "Field `pwm` reader - Bit n: the first pad of PWM n."]
+        pub type PwmR = crate::FieldReader<u16>;
+        #[doc = "Field `dir` reader - Bit n: the second pad of PWM n."]
+        pub type DirR = crate::FieldReader<u16>;
+        impl R {
+            #[doc = "Bits 0:15 - Bit n: the first pad of PWM n."]
+            #[inline(always)]
+            pub fn pwm(&self) -> PwmR {
+                PwmR::new((self.bits & 0xffff) as u16)
+            }
+            #[doc = "Bits 16:31 - Bit n: the second pad of PWM n."]
+            #[inline(always)]
+            pub fn dir(&self) -> DirR {
+                DirR::new(((self.bits >> 16) & 0xffff) as u16)
+            }
+        }
+        #[doc = "Pads of the PWM generators, one bit per pin.\n\nYou can [`read`](crate::Reg::read) this register and get [`pwm::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct PwmSpec;
+        impl crate::RegisterSpec for PwmSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`pwm::R`](R) reader structure"]
+        impl crate::Readable for PwmSpec {}
+        #[doc = "`reset()` method sets PWM to value 0"]
+        impl crate::Resettable for PwmSpec {}
+    }
+    #[doc = "OUTPUTS (r) register accessor: Pads of the outputs, one bit per output; `gpio.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@outputs`] module"]
+    #[doc(alias = "OUTPUTS")]
+    pub type Outputs = crate::Reg<outputs::OutputsSpec>;
+    #[doc = "Pads of the outputs, one bit per output; `gpio.out_now` is what drives them."]
+    pub mod outputs {
+        #[doc = "Register `OUTPUTS` reader"]
+        pub type R = crate::R<OutputsSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Pads of the outputs, one bit per output; `gpio.out_now` is what drives them.\n\nYou can [`read`](crate::Reg::read) this register and get [`outputs::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct OutputsSpec;
+        impl crate::RegisterSpec for OutputsSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`outputs::R`](R) reader structure"]
+        impl crate::Readable for OutputsSpec {}
+        #[doc = "`reset()` method sets OUTPUTS to value 0"]
+        impl crate::Resettable for OutputsSpec {}
     }
 }
 #[unsafe(no_mangle)]
@@ -14715,6 +14911,8 @@ pub struct Peripherals {
     pub guest: Guest,
     #[doc = "SEGMENTS"]
     pub segments: Segments,
+    #[doc = "PADS"]
+    pub pads: Pads,
 }
 impl Peripherals {
     #[doc = r" Returns all the peripherals *once*."]
@@ -14800,6 +14998,7 @@ impl Peripherals {
             flash: unsafe { Flash::steal() },
             guest: unsafe { Guest::steal() },
             segments: unsafe { Segments::steal() },
+            pads: unsafe { Pads::steal() },
         }
     }
 }

@@ -1,9 +1,10 @@
-//! nextpnr's chip database: wires, the switches between them ("pips"), pins of the places ("bels") and what all of it takes.
+//! nextpnr's chip database: wires, the switches between them ("pips"), pins of the places ("bels")
+//! and the delays of all of them.
 //!
-//! The layout is that of `ecp5/arch.h` of nextpnr 0.11: packed little-endian structures, pointers relative to where they stand, one
-//! description for all tiles alike.
+//! The layout is that of `ecp5/arch.h` of nextpnr 0.11: packed little-endian structures, pointers
+//! relative to where they stand, one description for all tiles alike.
 
-use crate::netlist::Bel;
+use crate::bel::Bel;
 use anyhow::{Context, Result, bail, ensure};
 use std::collections::{HashMap, VecDeque};
 
@@ -116,7 +117,7 @@ impl Data {
     }
 
     fn slice(&self, at: usize) -> Result<(usize, usize)> {
-        // What is empty points anywhere.
+        // The pointer of an empty list has no meaning.
         Ok(match usize::try_from(self.i32(at + 4)?)? {
             0 => (0, 0),
             count => (self.pointer(at)?, count),
@@ -179,8 +180,8 @@ impl Tiles {
 }
 
 impl Chip {
-    /// Reads the database. `slices` says what is in each slice, `globals` which pins are on clock networks: wires that nextpnr will
-    /// need for those are left out.
+    /// Reads the database. `slices` says what is in each slice, `globals` which pins are on clock
+    /// networks: wires that nextpnr will need for those are left out.
     pub fn read(
         bytes: Vec<u8>,
         slices: &[(Bel, Permutation)],
@@ -315,7 +316,8 @@ impl Chip {
         Ok(())
     }
 
-    /// Wires of the clock networks, and between them and the pins they lead to: what `route_logic_tile_global` of nextpnr takes.
+    /// Wires of the clock networks, and between them and the pins they lead to: what
+    /// `route_logic_tile_global` of nextpnr takes.
     fn clock_networks(&self, globals: &[(Bel, String)]) -> Result<Vec<bool>> {
         let named = |wire: u32, start: &str| {
             self.names[usize::from(self.wires[wire as usize].name)].starts_with(start)
@@ -438,7 +440,8 @@ impl Chip {
         (tile, inputs.collect())
     }
 
-    /// What cells take, by the numbers' names: (cell, from, to): picoseconds; (cell, clock, port): setup.
+    /// What cells take, by the numbers' names: (cell, from, to): picoseconds; (cell, clock, port):
+    /// setup.
     pub fn cell_delays(&self) -> Result<CellDelays> {
         let names: HashMap<i32, &str> = self.ports.0.iter().map(|(name, n)| (*n, *name)).collect();
         let name = |at: usize| -> Result<&str> {

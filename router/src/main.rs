@@ -19,10 +19,12 @@ struct Args {
     /// The same with routes.
     #[arg(long)]
     routed: PathBuf,
-    /// Where to write what the clocks are asked for, as constraints for nextpnr: a netlist does not keep them.
+    /// Where to write the target frequencies as constraints for nextpnr: a netlist does not keep
+    /// them.
     #[arg(long)]
     constraints: Option<PathBuf>,
-    /// CLOCK=MHZ: what the nets on clock networks whose names contain CLOCK are asked for; the first that fits counts, "" fits all.
+    /// CLOCK=MHZ: target frequency of the clock nets with CLOCK in their names. The first match
+    /// counts; "" matches all.
     #[arg(long = "clock", value_parser = clock)]
     clocks: Vec<(String, f32)>,
     /// Per cent the clocks should have to spare.
@@ -31,7 +33,7 @@ struct Args {
     /// Per cent that will do.
     #[arg(long, default_value_t = 6.0)]
     enough: f32,
-    /// Rounds after which it is given up.
+    /// Give up after this many rounds.
     #[arg(long, default_value_t = 100)]
     rounds: u32,
 }

@@ -1,42 +1,14 @@
-//! A placed netlist as nextpnr writes it (`--write`): nets and their pins, and what signals take through cells.
+//! A placed netlist as nextpnr writes it (`--write`): nets and their pins, and what signals take
+//! through cells.
 //!
-//! Which port counts for what follows `getPortTimingClass` and `getPortClockingInfo` of nextpnr's `ecp5/arch.cc`.
+//! The meaning of each port follows `getPortTimingClass` and `getPortClockingInfo` of nextpnr's
+//! `ecp5/arch.cc`.
 
+use crate::bel::Bel;
 use crate::chip::{CellDelays, Chip, Permutation};
 use anyhow::{Context, Result, ensure};
 use serde_json::{Map, Value};
 use std::collections::{HashMap, HashSet};
-use std::fmt;
-
-/// A place on the chip.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Bel {
-    /// Column.
-    pub x: usize,
-    /// Row.
-    pub y: usize,
-    /// Its name in that tile.
-    pub name: String,
-}
-
-impl fmt::Display for Bel {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "X{}/Y{}/{}", self.x, self.y, self.name)
-    }
-}
-
-impl Bel {
-    fn parse(text: &str) -> Option<Self> {
-        let mut parts = text.splitn(3, '/');
-        let x = parts.next()?.strip_prefix('X')?.parse().ok()?;
-        let y = parts.next()?.strip_prefix('Y')?.parse().ok()?;
-        Some(Self {
-            x,
-            y,
-            name: parts.next()?.to_owned(),
-        })
-    }
-}
 
 /// A pin a net leads to.
 pub struct Sink {
@@ -165,8 +137,8 @@ impl Netlist {
         Ok(clocks)
     }
 
-    /// The chip as this design leaves it, and what is to be routed on it. Nets on clock networks and the ways into them are nextpnr's.
-    /// `clocks` as [`Netlist::clocks`] has them.
+    /// The chip as this design leaves it, and what is to be routed on it. Nets on clock networks
+    /// and the ways into them are nextpnr's. `clocks` as [`Netlist::clocks`] has them.
     pub fn nets(&self, database: Vec<u8>, clocks: &[String]) -> Result<(Chip, Vec<Net>)> {
         let (cells, names) = (self.cells()?, self.names()?);
         let clock_of = |net: Option<u64>| {
@@ -384,7 +356,8 @@ fn leads<'a>(cell: &Cell<'_>, port: &'a str, delays: &CellDelays) -> Result<Lead
             };
             Leads::End(setup(&table, half, port)?, clock)
         }
-        // Without registers of their own, as yosys makes them: others are refused by the placer's netlist here.
+        // Without registers of their own, as yosys makes them: others are refused by the placer's
+        // netlist here.
         "MULT18X18D"
             if port.len() > 1
                 && port[1..].starts_with(|c: char| c.is_ascii_digit())

@@ -1,7 +1,9 @@
-//! Negotiated congestion (PathFinder): every net takes the cheapest way, whoever else is there; a wire that several want becomes
-//! dearer from round to round, until all but one have found something else. Pins that a clock depends on pay for delay instead.
+//! Negotiated congestion (PathFinder): every net takes the cheapest way, even over wires that other
+//! nets use. The price of a shared wire rises from round to round, until only one net still uses
+//! it. A pin on a critical path of a clock pays for delay instead.
 //!
-//! Nothing in it depends on time, on threads or on the order of a hash table: the same netlist is routed the same.
+//! Nothing in it depends on time, on threads or on the order of a hash table: the same netlist
+//! always gets the same routes.
 
 use crate::chip::{Chip, NONE};
 use crate::netlist::Net;
@@ -11,26 +13,28 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap, HashMap};
 use std::hash::{BuildHasherDefault, Hasher};
 
-/// What every switch costs beside its delay: long ways of fast switches are no bargain.
+/// The price of every switch beside its delay: it keeps long ways over fast switches expensive.
 const HOP: f32 = 20.0;
-/// The price of sharing a wire in the first round, how it grows, and its end: with a higher one nets would go all around the chip
-/// rather than push another aside for which that is easy, and be late.
+/// The price of a shared wire: in the first round, its growth per round, and its upper limit. With
+/// a higher limit a net goes all around the chip and misses its timing, even where another net
+/// could move easily.
 const SHARING: (f32, f32, f32) = (0.5, 1.4, 12.0);
-/// With so few shared wires left the price may grow further: the last ones have to make up their minds.
+/// With so few shared wires left the price may grow further, which resolves the last conflicts.
 const FEW: usize = 100;
-/// The price that is gone on with when no wire is shared and a clock is missed, and how often that is done.
+/// If no wire is shared but a clock misses its target: the price to go on with, and how many times.
 const AGAIN: (f32, u32) = (2.0, 8);
-/// What a wire that was shared costs more from then on.
+/// The extra price of a wire after a round in which it was shared.
 const HISTORY: f32 = 1.0;
-/// How much the estimate of what is still to go counts: more than 1 finds a way sooner, not always the cheapest.
+/// Weight of the estimated remaining cost: above 1 the search is faster but may miss the cheapest
+/// way.
 const ESTIMATE: f32 = 1.1;
 /// Tiles around a net it may use, one more with every fourth round it takes part in.
 const MARGIN: i32 = 3;
-/// Of a net of more pins only what hangs behind shared wires is routed again.
+/// In a net with more pins only the part behind shared wires is routed again.
 const LARGE: usize = 24;
-/// How much of what a critical pin pays is delay.
+/// The share of delay in the cost of a critical pin.
 const CRITICAL: f32 = 0.96;
-/// A pin as critical as that, on a detour, has its net routed again even if nothing is shared.
+/// A net with a pin this critical on a detour is routed again, even without shared wires.
 const SLOW: f32 = 0.85;
 
 /// A hash that is the same everywhere.
@@ -211,7 +215,7 @@ impl Ahead {
     }
 }
 
-/// What no sample has seen is as its neighbour.
+/// Gives a place without a sample the value of its neighbour.
 fn spread(one: &mut [u16], width: usize, height: usize) {
     if one.iter().all(|&k| k == UNKNOWN) {
         return;
@@ -342,8 +346,8 @@ impl<'a> Router<'a> {
         }
     }
 
-    /// Rounds until no wire is shared and no path of a clock is longer than `enough`, each told to `say`. If that does not come to pass,
-    /// what was best without a shared wire counts.
+    /// Rounds until no wire is shared and no path of a clock is longer than `enough`, each told to
+    /// `say`. If no round reaches that, the best result without a shared wire counts.
     pub fn run(&mut self, rounds: u32, enough: &[f32], mut say: impl FnMut(&Round)) -> Result<()> {
         let mut best: Option<(f32, Vec<Tree>)> = None;
         let mut again = 0;
@@ -398,9 +402,7 @@ impl<'a> Router<'a> {
             self.sharing = AGAIN.0;
         }
         let Some((_, trees)) = best else {
-            bail!(
-                "there are wires that several nets want after {rounds} rounds: the design is too crowded"
-            )
+            bail!("several nets still share wires after {rounds} rounds: the design is too crowded")
         };
         self.ways
             .iter_mut()
@@ -437,7 +439,8 @@ impl<'a> Router<'a> {
             .collect()
     }
 
-    /// Takes a net out that has to be routed: all of it, or of a large one what hangs behind shared wires. Says whether it has to.
+    /// Removes the routes of a net that must be routed again: all of them, or in a large net those
+    /// behind shared wires. True if the net must be routed again.
     fn take_out(&mut self, n: usize, round: u32) -> bool {
         let (net, way, nodes) = (&self.nets[n], &mut self.ways[n], &mut self.nodes);
         if net.sinks.is_empty() {
@@ -507,7 +510,7 @@ impl<'a> Router<'a> {
             way.around[2] + margin,
             way.around[3] + margin,
         ];
-        // Of a large net only the wires near a pin are where its way begins.
+        // In a large net a way begins only at wires near the pin.
         let mut near = (net.sinks.len() > LARGE).then(|| {
             let mut near = Near::default();
             let mut wires: Vec<u32> = way.tree.keys().copied().collect();
@@ -586,7 +589,7 @@ impl<'a> Router<'a> {
             usize::from(self.nodes[to as usize].x),
             usize::from(self.nodes[to as usize].y),
         );
-        // What is not near is closed: a way must not cross its own net.
+        // The other wires of the net are closed: a way must not cross its own net.
         for (&wire, step) in tree {
             let node = &mut self.nodes[wire as usize];
             node.search = search;
@@ -684,7 +687,8 @@ impl<'a> Router<'a> {
         look.longest
     }
 
-    /// Shared wires by the first letters of their names, and by blocks of four tiles by four: where it is too narrow.
+    /// Shared wires by the first letters of their names, and by blocks of four tiles by four. They
+    /// show where the design is too crowded.
     pub fn crowds(&self) -> (BTreeMap<String, u32>, Vec<Vec<u32>>) {
         let mut names: BTreeMap<String, u32> = BTreeMap::new();
         let mut blocks = vec![vec![0; self.chip.width.div_ceil(4)]; self.chip.height.div_ceil(4)];
@@ -759,7 +763,8 @@ mod tests {
         }
     }
 
-    /// Routes, and looks whether every pin is reached, by switches there are, and no wire twice. The wires of every net.
+    /// Routes, and looks whether every pin is reached, by switches there are, and no wire twice.
+    /// The wires of every net.
     fn route(chip: &Chip, nets: &[Net], target: f32) -> Result<Vec<Vec<u32>>> {
         let mut router = Router::new(chip, nets, vec![target]);
         router.run(100, &[target], |_| {})?;
@@ -850,8 +855,8 @@ mod tests {
                     .wrapping_add(1_442_695_040_888_963_407);
                 (state >> 33) as u32 % below
             };
-            // Sources 0..10 lead to wires of 20..80, those on to each other and to pins 100..140. A way of its own is there for every
-            // pin, so that nothing is too crowded.
+            // Sources 0..10 lead to wires of 20..80, those on to each other and to pins 100..140. A
+            // way of its own is there for every pin, so that nothing is too crowded.
             let (mut pips, mut nets) = (Vec::new(), Vec::new());
             for source in 0..10 {
                 let pins: Vec<u32> = (0..1 + random(4))

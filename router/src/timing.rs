@@ -1,8 +1,9 @@
-//! How fast it is, and which pins that depends on.
+//! Static timing: the longest path of each clock, and how critical each pin is for it.
 
 use crate::netlist::Net;
 
-/// What every pin of a design means to its clocks. Delays of wires are given to it anew for every look.
+/// What every pin of a design means to its clocks. Delays of wires are given to it anew for every
+/// look.
 pub struct Timing {
     /// Nets, each behind all it depends on.
     order: Vec<usize>,
@@ -14,7 +15,8 @@ pub struct Timing {
 pub struct Look {
     /// Longest path of each clock, in picoseconds.
     pub longest: Vec<f32>,
-    /// Of every net's every pin: 1 on the longest path of a clock (or one as long as the target), less the more room there is.
+    /// Of every net's every pin: 1 on the longest path of a clock (or one as long as the target),
+    /// less the more room there is.
     pub criticality: Vec<Vec<f32>>,
 }
 

@@ -1,4 +1,5 @@
-//! What an ECP5 would run, given a file with the contents of its flash (or a bitstream alone).
+//! The image that an ECP5 would run from a file with the contents of its flash (or from a bitstream
+//! alone).
 //!
 //!   cargo run -p ferrocnc-sim --example boot -- FILE [IDCODE]
 

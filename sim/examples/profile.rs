@@ -1,8 +1,10 @@
-//! Where an exchange's clocks go: `cargo run --release -p ferrocnc-sim --example profile -- SOC_DIR ELF [EXCHANGES]`.
+//! Where an exchange's clocks go: `cargo run --release -p ferrocnc-sim --example profile -- SOC_DIR
+//! ELF [EXCHANGES]`.
 //!
-//! Acquires a session, makes exchanges a servo period apart, and charges every clock between the last request byte and the
-//! first reply byte to the source line whose instruction left the pipeline last (a stall is charged to the instruction before
-//! it). Prints clocks per exchange and line; needs `riscv64-unknown-elf-addr2line` to see through inlining.
+//! Acquires a session, makes exchanges a servo period apart, and charges every clock between the
+//! last request byte and the first reply byte to the source line of the instruction that left the
+//! pipeline last (a stall is charged to the instruction before it). Prints clocks per exchange and
+//! line; needs `riscv64-unknown-elf-addr2line` to see through inlining.
 
 use std::collections::BTreeMap;
 use std::process::Command;

@@ -1,9 +1,11 @@
-//! The board's two clocks, its GMII bytes and everything that watches or drives its pins, one rising edge at a time.
+//! The board's two clocks, its GMII bytes and everything that watches or drives its pins, one
+//! rising edge at a time.
 //!
-//! Time is counted in *ticks*, the largest unit of which both clock periods are whole multiples (at 60 and 125 MHz: 2/3 ns,
-//! 25 ticks to a sys clock and 12 to an Ethernet clock), so nothing ever drifts. Callers speak in sys clocks.
+//! Time is counted in *ticks*, the largest unit of which both clock periods are whole multiples (at
+//! 60 and 125 MHz: 2/3 ns, 25 ticks to a sys clock and 12 to an Ethernet clock), so the clocks
+//! never drift. Callers use sys clocks.
 //!
-//! It knows frames as bytes with times and nothing of what they say; [`crate::segment`] does.
+//! It handles frames as bytes with times; [`crate::segment`] knows their contents.
 
 use std::collections::VecDeque;
 use std::ops::{Deref, DerefMut};
@@ -101,7 +103,7 @@ pub struct Board<S> {
     next_sys: u64,
     next_eth: u64,
     clock: u64,
-    /// The same for whoever is called from inside the silicon.
+    /// The same time, for callbacks from inside the silicon.
     time: Arc<AtomicU64>,
     feeder: Feeder,
     collector: Collector,
@@ -133,7 +135,8 @@ impl<S: Silicon> Board<S> {
         }
     }
 
-    /// Hold reset for 32 clocks; `prepare` gets the silicon after the first of them (the place to fill its ROM).
+    /// Hold reset for 32 clocks; `prepare` gets the silicon after the first of them (the place to
+    /// fill its ROM).
     pub fn reset(&mut self, prepare: impl FnOnce(&mut S)) {
         self.world.pins.sys_rst = 1;
         self.run_until(self.clock + 1);
@@ -153,7 +156,8 @@ impl<S: Silicon> Board<S> {
         self.clock
     }
 
-    /// A clock on the wall: sys clocks since power-up, for a device that the silicon calls while time passes.
+    /// A clock on the wall: sys clocks since power-up, for a device that the silicon calls while
+    /// time passes.
     pub fn time(&self) -> Arc<AtomicU64> {
         self.time.clone()
     }
@@ -242,7 +246,8 @@ impl<S: Silicon> Board<S> {
         Stop::Time
     }
 
-    /// One rising edge of whichever clock comes next, or of both. True when the board finished a frame.
+    /// One rising edge of whichever clock comes next, or of both. True when the board finished a
+    /// frame.
     #[inline]
     fn step(&mut self) -> bool {
         let (sys, eth) = (
@@ -328,8 +333,9 @@ pub(crate) mod tests {
     use crate::soc::Pins;
     use crate::world::Output;
 
-    /// Silicon in Rust: sends every received byte back four Ethernet clocks later, steps channel 0 every 10 sys clocks
-    /// backward unless input 0 is high, shows input 1 at output 1, closes its gate on ext_reset, and counts a 7-of-20 PWM.
+    /// Silicon in Rust: sends every received byte back four Ethernet clocks later, steps channel 0
+    /// every 10 sys clocks backward unless input 0 is high, shows input 1 at output 1, closes its
+    /// gate on ext_reset, and counts a 7-of-20 PWM.
     #[derive(Debug, Default)]
     pub(crate) struct Toy {
         delay: [(u8, u8); 4],
@@ -423,7 +429,8 @@ pub(crate) mod tests {
         let back = board.take_transfer().unwrap();
         assert_eq!(sent.id, id);
         assert_eq!(back.wire, encode(&[0xab; 80]));
-        // Driven after one edge, taken by the next, out four later: five edges from the first byte to its echo.
+        // Driven after one edge, taken by the next, out four later: five edges from the first byte
+        // to its echo.
         assert_eq!(back.first - sent.first, 5 * 12);
         assert_eq!(back.last - back.first, (8 + 80 + 4) * 12);
         assert_eq!(board.run_until(20_000), Stop::Time);

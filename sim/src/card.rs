@@ -1,7 +1,9 @@
-//! What a board is, without its gateware: the information blob and the clock, as elaboration writes them.
+//! The description of a board without its gateware: the information blob and the clock, as
+//! elaboration writes them.
 //!
-//! Nobody but `gateware/ferrocnc/board.py` reads board files; this reads what that wrote: for the boards of this repository the
-//! committed copies under `sim/boards` (`sim/boards/regen.py` writes them), for any other `target/sim/NAME`.
+//! Only `gateware/ferrocnc/board.py` reads board files. This module reads its output: the committed
+//! copies under `sim/boards` for the boards of this repository (`sim/boards/regen.py` writes them),
+//! `target/sim/NAME` for any other.
 
 use std::path::{Path, PathBuf};
 
@@ -49,7 +51,8 @@ const BUILT_IN: [(&str, &[u8], &[u8]); 3] = [
 ];
 
 impl Card {
-    /// The board of this name: a committed description, or what elaboration left in `target/sim/NAME`.
+    /// The board of this name: a committed description, or what elaboration left in
+    /// `target/sim/NAME`.
     pub fn named(name: &str) -> Result<Self, Error> {
         let built_in = BUILT_IN.iter().find(|(known, _, _)| *known == name);
         let Some((_, blob, manifest)) = built_in else {
@@ -60,7 +63,7 @@ impl Card {
             return Err(Error::Board {
                 name: name.into(),
                 why: format!(
-                    "there is no {} and it is none of {:?}; elaborate it (`cargo xtask sim`) or say --channels and --clock",
+                    "there is no {} and it is none of {:?}; elaborate it (`cargo xtask sim`) or give --channels and --clock",
                     folder.join("board.bin").display(),
                     BUILT_IN.map(|(known, _, _)| known)
                 ),
@@ -70,7 +73,7 @@ impl Card {
         Self::parse(name, blob.to_vec(), manifest.sys_clk_hz)
     }
 
-    /// The board whose `board.bin` and `manifest.json` lie in this folder.
+    /// The board with `board.bin` and `manifest.json` in this folder.
     pub fn read(folder: &Path) -> Result<Self, Error> {
         let manifest = Manifest::read(folder)?;
         let path = folder.join("board.bin");
@@ -81,7 +84,7 @@ impl Card {
         Self::parse(&path.display().to_string(), blob, manifest.sys_clk_hz)
     }
 
-    /// A board nobody has described: so many stepgens, encoders, PWMs, inputs and outputs.
+    /// A board without a board file: so many stepgens, encoders, PWMs, inputs and outputs.
     pub fn plain(channels: Channels, clock_hz: u32) -> Self {
         let mut body = Vec::new();
         let mut entry = |kind: u8, channel: u8, text: &str| {

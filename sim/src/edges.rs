@@ -1,7 +1,7 @@
 //! Watches the STEP and DIR pins: counts pulses, checks their timing, keeps or streams every step.
 //!
-//! This is the judge of the whole chain, so it believes nothing but the pins. It knows no positions, no scales and no
-//! firmware. The four rules, each in sys clocks:
+//! This checks the whole chain, so it looks at the pins only. It knows no positions, no scales and
+//! no firmware. The four rules, each in sys clocks:
 //!
 //! ```text
 //! step  ____/‾‾‾‾\________/‾‾‾‾\_______________/‾‾‾‾\__     1 steplen    2 stepspace
@@ -9,11 +9,13 @@
 //! dir   ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\________________
 //! ```
 //!
-//! A pulse cut short because the gate closed in that very clock, or in the one before when a pin closed it, is no violation: the
-//! gate must win.
+//! A pulse cut short because the gate closed in that very clock, or in the one before when a pin
+//! closed it, is no violation: the gate must win. Nor is one that begins in the clock in which the
+//! gate closes: STEP is a register and was decided a clock before. That is what is proven of the
+//! core, too (`closed_gate_begins_nothing`).
 //!
-//! Up/down: both pins carry pulses, each held to rules 1 and 2. Quadrature: every edge of either pin is a step, no two closer
-//! than steplen + stepspace, never both at once.
+//! Up/down: both pins carry pulses, each held to rules 1 and 2. Quadrature: every edge of either
+//! pin is a step, no two closer than steplen + stepspace, never both at once.
 
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -22,7 +24,7 @@ use wire::map::StepType;
 
 use crate::error::Error;
 
-/// STEP/DIR pairs the SoC's ports have, whatever the board uses.
+/// STEP/DIR pairs of the SoC's ports; a board may use fewer.
 pub const CHANNELS: usize = 16;
 
 /// First bytes of an edge file ([`Recorder`]).
@@ -64,7 +66,7 @@ pub enum Rule {
     Dirsetup,
     /// DIR moved too soon after STEP's fall, or while STEP was active (`took` is then 0).
     Dirhold,
-    /// STEP rose while the gate was closed.
+    /// STEP rose while the gate was closed, and was so in the clock before.
     Gate,
 }
 
@@ -162,9 +164,9 @@ pub struct EdgeWatch {
     gate: bool,
     /// When the gate closed last.
     closed: Option<u64>,
-    /// Channels whose STEP is active low at the pin.
+    /// Channels with STEP active low at the pin.
     step_inverted: u16,
-    /// Channels whose DIR is low for backward at the pin.
+    /// Channels with DIR low for backward at the pin.
     dir_inverted: u16,
     violations: Vec<Violation>,
     violation_count: u64,
@@ -201,8 +203,8 @@ impl EdgeWatch {
         self.channels[n].kind = kind;
     }
 
-    /// Polarity at the pins, one bit per channel, as in the stepgens' mode registers: STEP active low instead of high, DIR
-    /// low for backward instead of high. Set it before the channels move.
+    /// Polarity at the pins, one bit per channel, as in the stepgens' mode registers: STEP active
+    /// low instead of high, DIR low for backward instead of high. Set it before the channels move.
     pub fn set_polarity(&mut self, step_inverted: u16, dir_inverted: u16) {
         self.step = self.step ^ self.step_inverted ^ step_inverted;
         self.dir = self.dir ^ self.dir_inverted ^ dir_inverted;
@@ -210,7 +212,7 @@ impl EdgeWatch {
         self.dir_inverted = dir_inverted;
     }
 
-    /// The pins stand like this, and nothing is to be made of how they came there.
+    /// Takes these levels without counting or checking the change.
     pub(crate) fn adopt(&mut self, step: u16, dir: u16) {
         self.step = step ^ self.step_inverted;
         self.dir = dir ^ self.dir_inverted;
@@ -258,15 +260,17 @@ impl EdgeWatch {
         }
     }
 
-    /// The pins changed: this is how they stand after the sys edge `clock`. Returns the channels that stepped
-    /// (forward mask, backward mask). Call it for every clock in which STEP, DIR or the gate changed.
+    /// The pins changed: this is how they stand after the sys edge `clock`. Returns the channels
+    /// that stepped (forward mask, backward mask). Call it for every clock in which STEP, DIR or
+    /// the gate changed.
     pub fn change(&mut self, clock: u64, step: u16, dir: u16, gate: bool) -> (u16, u16) {
         let step = step ^ self.step_inverted;
         let dir = dir ^ self.dir_inverted;
         if self.gate && !gate {
             self.closed = Some(clock);
         }
-        // The pins' registers follow the gate by a clock when a pin closes it, and at once when its own register does.
+        // The pins' registers follow the gate by a clock when a pin closes it, and at once when its
+        // own register does.
         let closed_now = !gate && self.closed.is_some_and(|at| clock <= at + 1);
         let (mut forward, mut backward) = (0, 0);
         let mut moved = (step ^ self.step) | (dir ^ self.dir);
@@ -350,7 +354,7 @@ impl EdgeWatch {
         }
         self.judge(clock, n, Rule::Stepspace, timing.stepspace.max(1), space);
         self.judge(clock, n, Rule::Dirsetup, timing.dirsetup, setup);
-        if !self.gate {
+        if !self.gate && self.closed != Some(clock) {
             self.judge(clock, n, Rule::Gate, 1, Some(0));
         }
     }
@@ -359,7 +363,7 @@ impl EdgeWatch {
         let channel = &mut self.channels[n];
         let timing = channel.timing;
         let took = channel.last_rise.map(|t| clock - t);
-        // Neither line's level means anything: the time since the last edge is all there is to judge.
+        // The levels have no meaning here; only the time since the last edge is checked.
         channel.last_fall = None;
         self.rise(clock, n, forward);
         let needed = timing.steplen.max(1) + timing.stepspace.max(1);
@@ -395,7 +399,7 @@ impl EdgeWatch {
         if let Some(took) = held {
             channel.shortest.dirhold = channel.shortest.dirhold.min(took);
         }
-        // DIR must never move under an active STEP, whatever dirhold says.
+        // DIR must never move under an active STEP, even with a dirhold of 0.
         let needed = channel.timing.dirhold.max(u64::from(step_active));
         self.judge(clock, n, Rule::Dirhold, needed, held);
     }
@@ -424,7 +428,8 @@ impl EdgeWatch {
 /// record   clock u64, count i32 (signed, this step included), channel u8, forward u8, 0 u16
 /// ```
 ///
-/// numpy: `np.fromfile(f, [('clock','<u8'),('count','<i4'),('channel','u1'),('forward','u1'),('zero','<u2')], offset=16)`.
+/// numpy: `np.fromfile(f,
+/// [('clock','<u8'),('count','<i4'),('channel','u1'),('forward','u1'),('zero','<u2')], offset=16)`.
 pub struct Recorder {
     out: BufWriter<Box<dyn Write + Send>>,
     name: std::path::PathBuf,
@@ -475,7 +480,7 @@ impl Recorder {
         self.write(&record);
     }
 
-    /// A full disk is told at the end, once.
+    /// A write error is reported once, at the end.
     fn write(&mut self, bytes: &[u8]) {
         if self.failed.is_none() {
             self.failed = self.out.write_all(bytes).err();
@@ -494,7 +499,8 @@ impl Recorder {
     }
 }
 
-/// Read an edge file back: the clock frequency and the steps. Trailing bytes of a torn record are ignored.
+/// Read an edge file back: the clock frequency and the steps. Trailing bytes of a torn record are
+/// ignored.
 pub fn read_file(bytes: &[u8]) -> Option<(u64, Vec<Step>)> {
     let (header, records) = bytes.split_at_checked(16)?;
     let hz = u64::from_le_bytes(header[8..].try_into().ok()?);
@@ -608,13 +614,29 @@ mod tests {
         assert_eq!(w.violations(), []);
         w.change(200, 1, 0, false);
         assert_eq!(w.violations()[0].rule, Rule::Gate);
-        // The reset pin closes the gate at once, the pin's register follows in the next clock and no later.
+        // The reset pin closes the gate at once, the pin's register follows in the next clock and
+        // no later.
         for (falls, broken) in [(301, 0), (302, 1)] {
             let mut w = watch(T);
             w.change(298, 1, 0, true);
             w.change(300, 1, 0, false);
             w.change(falls, 0, 0, false);
             assert_eq!(w.violation_count(), broken, "STEP falls at {falls}");
+        }
+    }
+
+    #[test]
+    fn a_pulse_may_begin_in_the_clock_in_which_the_gate_closes_and_in_none_behind_it() {
+        for (rises, broken) in [(300, 0), (301, 1), (302, 1)] {
+            let mut w = watch(T);
+            w.change(200, 0, 0, true);
+            if rises > 300 {
+                w.change(300, 0, 0, false);
+            }
+            w.change(rises, 1, 0, false);
+            w.change(rises + 1, 0, 0, false);
+            let gate = w.violations().iter().filter(|v| v.rule == Rule::Gate);
+            assert_eq!(gate.count(), broken, "STEP rises at {rises}");
         }
     }
 

@@ -1,4 +1,4 @@
-//! What can go wrong before a board runs. Once it runs, the board's misbehaviour is a result, not an error.
+//! Errors before a board runs. Once it runs, its misbehaviour is a result, not an error.
 
 use std::path::PathBuf;
 
@@ -23,7 +23,9 @@ pub enum Error {
         source: std::io::Error,
     },
     /// `manifest.json` is not what the gateware elaboration writes.
-    #[error("{path} is no SoC manifest: {source}")]
+    #[error(
+        "{path} is not a SoC manifest: {source}; elaborate the board again (`cargo xtask sim`)"
+    )]
     Manifest {
         /// The file.
         path: PathBuf,
@@ -39,7 +41,7 @@ pub enum Error {
         why: String,
     },
     /// The plant file describes no plant.
-    #[error("{path} describes no plant: {why}")]
+    #[error("{path} is not a valid plant file: {why}")]
     Plant {
         /// The file.
         path: PathBuf,
@@ -87,7 +89,7 @@ pub enum Error {
         "the board at {ip} answered nothing within {clocks} clocks after reset (frames seen from it: {frames}); are firmware and SoC built from the same tree?"
     )]
     Silent {
-        /// Who was asked.
+        /// The address that was asked.
         ip: std::net::Ipv4Addr,
         /// How long, in sys clocks.
         clocks: u64,

@@ -1,4 +1,4 @@
-//! Recognises exchanges on the wire and measures them. Never judges one: that is the firmware's business.
+//! Recognises exchanges on the wire and measures them. It does not check them; the firmware does.
 
 use std::collections::HashMap;
 
@@ -25,7 +25,8 @@ fn is_write(payload: &[u8]) -> bool {
             .is_some_and(|wcount| *wcount != 0)
 }
 
-/// The datagram carries a command block (well-formed or not): an Etherbone write based at the COMMAND window.
+/// The datagram carries a command block (well-formed or not): an Etherbone write based at the
+/// COMMAND window.
 pub fn is_request(payload: &[u8]) -> bool {
     is_write(payload) && be32(payload, BASE) == Some(wire::map::COMMAND)
 }
@@ -182,7 +183,8 @@ impl Meter {
         }
     }
 
-    /// A datagram came for `to`, its bytes on the wire from tick `first` to `last`. Returns how it fits a request.
+    /// A datagram came for `to`, its bytes on the wire from tick `first` to `last`. Returns how it
+    /// fits a request.
     pub fn reply(
         &mut self,
         to: Endpoint,
@@ -191,7 +193,8 @@ impl Meter {
         clocks: impl Fn(u64) -> u64,
     ) -> Option<Timing> {
         let list = self.pending.get_mut(&to)?;
-        // An exchange by its sequence number; anything else is the answer to the last request before it.
+        // An exchange by its sequence number; anything else is the answer to the last request
+        // before it.
         let by_sequence = list.iter().position(|p| {
             p.sequence
                 .is_some_and(|s| p.fed.is_some() && StatusHead::parse(payload, s).is_some())
@@ -217,7 +220,8 @@ impl Meter {
     /// An exchange has been answered like this.
     pub(crate) fn answer(&mut self, head: StatusHead) {
         self.answered += 1;
-        // The command that opens the gate arrives while the watchdog still sleeps and has nothing left.
+        // The command that opens the gate arrives while the watchdog still sleeps and has nothing
+        // left.
         let was_enabled = self
             .last_state
             .is_some_and(|state| StatusHead { state, ..head }.enabled());

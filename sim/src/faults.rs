@@ -1,8 +1,9 @@
-//! Trouble on purpose: what is to go wrong between host and board, when, how often, and by which dice.
+//! Fault injection between host and board: which faults, when, how often, and from which seed.
 //!
-//! A [`Plan`] is text a person can type; a [`Script`] is a plan under way, in sys clocks of the board; a [`Line`] is one
-//! direction of the cable with whatever is late on it. All of it is simulated time and seeded dice: the same plan and the same
-//! frames give the same trouble on every machine.
+//! A [`Plan`] is text a person can type; a [`Script`] is a plan under way, in sys clocks of the
+//! board; a [`Line`] is one direction of the cable with the delayed frames on it. Time is simulated
+//! and random numbers come from a seed: the same plan and the same frames give the same faults on
+//! every machine.
 //!
 //! ```text
 //!            Script::judge                        Line::due
@@ -10,7 +11,8 @@
 //!            Script::due: link down, CPU frozen, board restarted
 //! ```
 //!
-//! It knows no Ethernet and no UDP. Whoever owns the frames says how long they are and what damage does to them ([`Cargo`]).
+//! It knows no Ethernet and no UDP. The type of the frames gives their length and the effect of
+//! damage ([`Cargo`]).
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -22,8 +24,8 @@ mod text;
 
 pub use text::{Rejected, WORDS};
 
-/// A switch that has to slow frames down keeps this much of them; the rest it drops. 50 ms, a small switch's buffer at
-/// 10 Mbit/s.
+/// A switch that slows frames down buffers this much of them and drops the rest. 50 ms, a small
+/// switch's buffer at 10 Mbit/s.
 const BACKLOG: Duration = Duration::from_millis(50);
 /// A frame that waits to be overtaken goes after this long even if none comes. Ten servo periods.
 const OVERTAKE: Duration = Duration::from_millis(10);
@@ -50,7 +52,8 @@ pub enum Kind {
     Reorder(f64),
     /// A frame comes this much later, evenly spread.
     Delay(Duration, Duration),
-    /// A bit of a frame is turned over on the wire with this probability; its checksum no longer fits.
+    /// A bit of a frame is turned over on the wire with this probability; its checksum no longer
+    /// fits.
     Corrupt(f64),
     /// A datagram loses its end with this probability; its checksums fit what is left.
     Truncate(f64),
@@ -58,7 +61,7 @@ pub enum Kind {
     Rate(u64),
     /// The cable is out, and the PHY says so.
     Pull,
-    /// The host is neither heard nor does it hear; when it is back everything comes at once.
+    /// The host is paused: it neither sends nor receives; afterwards everything arrives at once.
     HostPause,
     /// The CPU's clock stands still.
     Freeze,
@@ -82,7 +85,7 @@ pub struct Rule {
 /// What is to go wrong.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
-    /// What the dice are thrown from; `None` leaves them as they lie.
+    /// The seed; `None` keeps the present random state.
     pub seed: Option<u64>,
     /// Earlier trouble ends first: everything, or the cable being out.
     pub ends: Option<Ends>,
@@ -90,7 +93,7 @@ pub struct Plan {
     pub rules: Vec<Rule>,
 }
 
-/// What a plan begins with ending.
+/// The earlier faults that a plan ends first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ends {
     /// All trouble.
@@ -115,7 +118,7 @@ pub enum Act {
 pub struct Tally {
     /// Offered, towards the board and from it.
     pub offered: [u64; 2],
-    /// Lost, for whatever reason.
+    /// Lost, for any reason.
     pub lost: u64,
     /// Sent twice.
     pub duplicated: u64,
@@ -174,7 +177,7 @@ pub struct Script {
 }
 
 impl Script {
-    /// No trouble, on a board whose sys clock has `hz`.
+    /// No faults, on a board with a sys clock of `hz`.
     pub fn new(hz: u64) -> Self {
         Script {
             hz,
@@ -189,7 +192,8 @@ impl Script {
     }
 
     fn dice(seed: u64) -> [Pcg32; 2] {
-        // One for each direction, so that what one does moves nothing of the other's.
+        // One for each direction, so that the faults of one direction do not change the random
+        // numbers of the other.
         [Pcg32::new(seed, 1), Pcg32::new(seed, 2)]
     }
 
@@ -307,8 +311,9 @@ impl Script {
         let (hz, backlog) = (self.hz, self.clocks(BACKLOG));
         let clocks = |time: Duration| (time.as_nanos() * u128::from(hz) / 1_000_000_000) as u64;
         let dice = &mut self.dice[direction as usize];
-        // In the order in which they stand below, whatever order they were given in: so a word more in a plan moves no other's
-        // dice as long as it does not lose frames.
+        // Random numbers are drawn in the order below, not in the order of the plan. So another
+        // word in a plan does not change the numbers of the others, as long as it does not lose
+        // frames.
         let mut delay = 0;
         let mut resume = now;
         for active in &mut self.rules {
@@ -357,8 +362,8 @@ impl Script {
         verdict
     }
 
-    /// A datagram on its way: perhaps its end is missing. For whoever makes or takes datagrams, before or after their
-    /// checksums.
+    /// A datagram on its way; its end may be cut off. Used where datagrams are made or taken,
+    /// before or after their checksums.
     pub fn cut(&mut self, direction: Direction, now: u64, payload: &mut Vec<u8>) {
         let dice = &mut self.dice[direction as usize];
         for active in &self.rules {
@@ -373,7 +378,7 @@ impl Script {
         }
     }
 
-    /// What is going wrong and what has, for a person.
+    /// Present and past faults, as text.
     pub fn told(&self, now: u64) -> String {
         let rules = self.rules.iter().map(|active| {
             let state = if active.at(now) { "" } else { "later:" };
@@ -404,11 +409,12 @@ impl Script {
     }
 }
 
-/// Something that travels.
+/// Anything that a cable can carry.
 pub trait Cargo: Clone {
     /// Bytes on the wire, preamble and checksum included.
     fn wire_bytes(&self) -> usize;
-    /// One bit is turned over, this one modulo how many there are. False when nobody would take what is left: then it is lost.
+    /// Inverts this bit, modulo the number of bits. False if every receiver would drop the result:
+    /// then the frame is lost.
     #[must_use]
     fn damage(&mut self, bit: u64) -> bool;
 }
@@ -421,6 +427,7 @@ pub struct Line<T> {
     /// Waits to be overtaken.
     held: Option<(u64, T)>,
     order: u64,
+    spoilt: u32,
 }
 
 impl<T: Cargo> Line<T> {
@@ -431,7 +438,13 @@ impl<T: Cargo> Line<T> {
             late: BTreeMap::new(),
             held: None,
             order: 0,
+            spoilt: 0,
         }
+    }
+
+    /// Frames so far that came damaged and were thrown away for it.
+    pub fn spoilt(&self) -> u32 {
+        self.spoilt
     }
 
     fn put(&mut self, due: u64, item: T) {
@@ -439,8 +452,8 @@ impl<T: Cargo> Line<T> {
         self.order += 1;
     }
 
-    /// A frame enters at the sys clock `now`. Whatever of it arrives is there for [`Self::due`], at once if nothing makes it
-    /// late.
+    /// A frame enters at the sys clock `now`. The part that arrives is there for [`Self::due`], at
+    /// once if no fault delays it.
     pub fn enter(&mut self, script: &mut Script, now: u64, mut item: T) {
         let verdict = script.judge(self.direction, now, item.wire_bytes());
         if verdict.lost {
@@ -450,6 +463,7 @@ impl<T: Cargo> Line<T> {
             let bit = script.dice[self.direction as usize].random();
             if !item.damage(bit) {
                 script.tally.lost += 1;
+                self.spoilt += 1;
                 return;
             }
         }
@@ -482,7 +496,7 @@ impl<T: Cargo> Line<T> {
         late.into_iter().chain(held).min().unwrap_or(u64::MAX)
     }
 
-    /// Nothing is on it any more: the board it led to is gone.
+    /// Removes everything from the cable: its board is gone.
     pub fn clear(&mut self) {
         self.late.clear();
         self.held = None;

@@ -11,12 +11,14 @@ use crate::error::Error;
 /// A firmware image, ready to be put into the ROM array of the simulated SoC.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
-    /// ROM contents from address 0 on, where the memory map (`memory.x`) has the ROM; little-endian words.
+    /// ROM contents from address 0 on, where the memory map (`memory.x`) has the ROM; little-endian
+    /// words.
     pub words: Vec<u32>,
 }
 
 impl Image {
-    /// Read the loadable segments of a riscv32 ELF at their load addresses, at most `rom_words` words.
+    /// Read the loadable segments of a riscv32 ELF at their load addresses, at most `rom_words`
+    /// words.
     pub fn read(path: &Path, rom_words: usize) -> Result<Self, Error> {
         let data = std::fs::read(path).map_err(|source| Error::Read {
             path: path.into(),

@@ -1,4 +1,5 @@
-//! Ethernet frames as the bytes a PHY sees: preamble, start delimiter, padding, FCS, inter-frame gap.
+//! Ethernet frames as the bytes a PHY sees: preamble, start delimiter, padding, FCS, inter-frame
+//! gap.
 //!
 //! Knows nothing above layer 1. One byte per 125 MHz clock each way:
 //!
@@ -31,7 +32,7 @@ pub fn encode(frame: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Why bytes seen on the wire are no frame.
+/// Why bytes seen on the wire are not a valid frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Malformed {
     /// No start delimiter where it belongs.
@@ -58,8 +59,9 @@ pub fn decode(wire: &[u8]) -> Result<&[u8], Malformed> {
 
 /// Bytes that went over the wire, with the times of their first and last byte.
 ///
-/// Times are ticks of the board's clockwork ([`crate::board::Clockwork`]). `first` is the edge after which the first byte
-/// stands on the wire, `last` the edge at which the receiver takes the last one.
+/// Times are ticks of the board's clockwork ([`crate::board::Clockwork`]). `first` is the edge
+/// after which the first byte stands on the wire, `last` the edge at which the receiver takes the
+/// last one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Transfer {
     /// Number given by [`Feeder::push`], or counted up by [`Collector`].
@@ -72,7 +74,7 @@ pub struct Transfer {
     pub last: u64,
 }
 
-/// Times of a transfer whose bytes nobody needs any more.
+/// Times of a transfer without its bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sent {
     /// Number given by [`Feeder::push`].
@@ -96,7 +98,8 @@ pub struct Feeder {
 }
 
 impl Feeder {
-    /// Queue wire bytes (usually from [`encode`]); returns the number under which [`Sent`] reports them.
+    /// Queue wire bytes (usually from [`encode`]); returns the number under which [`Sent`] reports
+    /// them.
     pub fn push(&mut self, wire: Vec<u8>) -> u64 {
         let id = self.next_id;
         self.next_id += 1;
@@ -116,7 +119,8 @@ impl Feeder {
         self.byte
     }
 
-    /// One rising edge at `now` has taken the present byte; put the next one. Returns the frame this edge finished.
+    /// One rising edge at `now` has taken the present byte; put the next one. Returns the frame
+    /// this edge finished.
     pub fn edge(&mut self, now: u64) -> Option<Sent> {
         if let Some((id, wire)) = self.queue.front() {
             if self.gap == 0 && self.position < wire.len() {

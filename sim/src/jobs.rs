@@ -1,11 +1,13 @@
-//! The program that executes jobs, beside the firmware of a twin: [`firmware::jobs`] with a piece of this machine's memory for SDRAM.
+//! The program that executes jobs, beside the firmware of a twin: [`firmware::jobs`] with a piece
+//! of this machine's memory for SDRAM.
 //!
-//! Its TCP is the machine's own: a visitor's bytes go to its desk as they come. On a board the loop calls it; here it is called when
-//! something has come and every [`TURN`] while it has work.
+//! Its TCP is the machine's own: a client's bytes go to the job server as they come. On a board the
+//! loop calls it; here it is called when something has come and every [`TURN`] while it has work.
 
 use firmware::cores::Board as _;
 use firmware::ip::Text;
 use firmware::jobs::abi::TEXT_MAX;
+use firmware::jobs::desk::Door;
 use firmware::jobs::{AHEAD, Jobs, Outside};
 use firmware::machine::Machine;
 use firmware::net::Us;
@@ -15,13 +17,14 @@ use wire::jobs::{self, FRAME, Op, Status};
 
 use crate::twin::Desk;
 
-/// Clocks of a turn of the loop in which it does a piece of work: a segment planned, a block of a job read. A round figure.
+/// Clocks of a turn of the loop in which it does a piece of work: a segment planned, a block of a
+/// job read. A round figure.
 pub const TURN: u64 = 12_000;
 /// Clocks between two looks while there is nothing to do: what the ROM's loop takes for that.
 const IDLE_MS: u64 = 1;
 /// 8 MiB of SDRAM, less what the program itself takes at their beginning.
 const ROOM: usize = 8 * 1024 * 1024 - 512 * 1024;
-/// What it is known by; on a board the program's own CRC.
+/// The id of the program; on a board it is the program's CRC.
 const PROGRAM: u32 = 0x7477_696e;
 
 /// The board as the program sees it from inside.
@@ -30,7 +33,8 @@ pub struct Outer<'a>(pub &'a mut Machine<Desk>);
 
 impl Outside for Outer<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
-        self.0.inside(request, reply).map_or(0, <[u32]>::len)
+        let answer = self.0.inside(request, reply, Machine::hold_path);
+        answer.map_or(0, <[u32]>::len)
     }
     fn send_frame(&mut self, _: &[u8]) {}
     fn read_segments(&mut self, word: usize) -> u32 {
@@ -53,42 +57,47 @@ impl Outside for Outer<'_> {
 #[derive(Debug)]
 pub struct Program {
     jobs: Jobs<'static>,
-    /// Who is at the desk.
+    /// The client that has the line.
     visitor: Option<usize>,
-    /// What he said and it has not read yet.
+    /// Received bytes that are not yet read.
     ahead: Vec<u8>,
+    /// Clients that connected meanwhile, with their bytes that are not yet read.
+    callers: Vec<(usize, Door, Vec<u8>)>,
     per_ms: u64,
 }
 
-/// What the desk has to say.
+/// Output for a client.
 #[derive(Clone, Debug, Default)]
 pub struct Said {
-    /// To whom.
+    /// The client.
     pub visitor: usize,
-    /// What.
+    /// The bytes.
     pub bytes: Vec<u8>,
-    /// And hangs up.
+    /// Closes the connection afterwards.
     pub close: bool,
 }
 
 impl Program {
     /// On this board; `None` if it has no segments.
     pub fn start(machine: &mut Machine<Desk>, clock_hz: u32) -> Option<Self> {
-        // Never given back: boards are few, and live as long as their simulator.
+        // Never freed: there are few boards, and each lives as long as its simulator.
         let memory = vec![0; ROOM].leak();
         Some(Program {
             jobs: Jobs::new(memory, PROGRAM, &mut Outer(machine))?,
             visitor: None,
             ahead: Vec::new(),
+            callers: Vec::new(),
             per_ms: u64::from(clock_hz / 1000),
         })
     }
 
-    /// Somebody comes. What he is told at once if somebody else is there.
+    /// A client connects. Returns the answer for it if another client is connected; it may still
+    /// send a stop.
     pub fn open(&mut self, visitor: usize, machine: &mut Machine<Desk>) -> Option<Vec<u8>> {
         if self.visitor.is_some() {
             let mut frame = [0; FRAME];
             let length = jobs::answer(Op::Hello.code(), Status::Busy, 0, &mut frame, |_| {});
+            self.callers.push((visitor, Door::new(), Vec::new()));
             return Some(frame[..length].to_vec());
         }
         self.visitor = Some(visitor);
@@ -97,14 +106,22 @@ impl Program {
         None
     }
 
-    /// He says something; how many bytes were taken.
+    /// Bytes from a client; returns how many were taken.
     pub fn type_in(&mut self, visitor: usize, bytes: &[u8]) -> usize {
         if self.visitor != Some(visitor) {
+            if let Some((.., ahead)) = self.caller(visitor) {
+                ahead.extend(bytes);
+            }
             return bytes.len();
         }
         let taken = bytes.len().min(AHEAD.saturating_sub(self.ahead.len()));
         self.ahead.extend(&bytes[..taken]);
         taken
+    }
+
+    fn caller(&mut self, visitor: usize) -> Option<&mut (usize, Door, Vec<u8>)> {
+        let mut callers = self.callers.iter_mut();
+        callers.find(|(caller, ..)| *caller == visitor)
     }
 
     /// Bytes that have not been read yet.
@@ -115,15 +132,16 @@ impl Program {
         }
     }
 
-    /// He is gone.
+    /// The client is gone.
     pub fn close(&mut self, visitor: usize) {
         if self.visitor == Some(visitor) {
             self.visitor = None;
             self.ahead.clear();
         }
+        self.callers.retain(|(caller, ..)| *caller != visitor);
     }
 
-    /// Somebody says something about jobs at the debug console.
+    /// A line about jobs at the debug console.
     pub fn line(&mut self, line: &str, machine: &mut Machine<Desk>) -> Vec<u8> {
         let mut room = [0; TEXT_MAX];
         let trusted = machine.trusted();
@@ -134,7 +152,7 @@ impl Program {
         room[..count].to_vec()
     }
 
-    /// A turn: what there is to say, and in how many clocks the next one is due.
+    /// A turn of the program: returns its output, and the clocks until the next turn.
     pub fn turn(&mut self, machine: &mut Machine<Desk>) -> (Option<Said>, u64) {
         let mut outer = Outer(machine);
         let said = self.visitor.and_then(|visitor| {
@@ -148,7 +166,27 @@ impl Program {
             };
             (said.close || !said.bytes.is_empty()).then_some(said)
         });
+        let said = said.or_else(|| self.at_door(&mut Outer(machine)));
+        let mut outer = Outer(machine);
         let works = self.jobs.poll(&mut outer) || self.visitor.is_some();
         (said, if works { TURN } else { IDLE_MS * self.per_ms })
+    }
+
+    /// The answer to a client that connected while another one was there.
+    fn at_door(&mut self, outer: &mut Outer) -> Option<Said> {
+        let callers = self.callers.iter_mut();
+        let (visitor, door, ahead) = { callers }.find(|(.., ahead)| !ahead.is_empty())?;
+        let mut text = Text::new();
+        let taken = self.jobs.knock(door, ahead, &mut text, outer);
+        ahead.drain(..taken);
+        let said = Said {
+            visitor: *visitor,
+            bytes: text.bytes().to_vec(),
+            close: text.close,
+        };
+        if said.close {
+            ahead.clear();
+        }
+        (said.close || !said.bytes.is_empty()).then_some(said)
     }
 }

@@ -1,10 +1,11 @@
-//! The simulated board, twice: the Verilated SoC with the release firmware inside it and a virtual Ethernet around it; and its
-//! twin, the firmware's library on the cores' models, which needs no FPGA tool and outruns real time.
+//! The simulated board, twice: the Verilated SoC with the release firmware inside it and a virtual
+//! Ethernet around it; and its twin, the firmware's library on the cores' models, which needs no
+//! FPGA tool and is faster than real time.
 //!
-//! Of the first, nothing below the MAC's byte interface is stubbed: frames enter as GMII bytes with preamble and FCS, the
-//! firmware is the ELF that goes into the bitstream, and what leaves at the STEP/DIR pins is counted clock by clock. Above the
-//! MAC the crate offers either to ordinary programs (real UDP and TCP sockets on loopback, no root), the first also to tests
-//! ([`Rig`]).
+//! The Verilated board has no stub inside the PHY's byte interface: frames enter as GMII bytes with
+//! preamble and FCS, the firmware is the ELF that goes into the bitstream, and the STEP/DIR pins
+//! are counted clock by clock. Ordinary programs reach both through real UDP and TCP sockets on
+//! loopback, without root; tests reach the Verilated board also in process ([`Rig`]).
 //!
 //! ```text
 //!   LinuxCNC, litex_server, nc                    tests
@@ -21,10 +22,11 @@
 //!                [world]  [edges] judge them, [plant] is wired to them
 //! ```
 //!
-//! Time is simulated time, counted in clocks of the board's own `sys` clock. It advances only when somebody calls for it,
-//! so the same calls give the same edges on every machine.
+//! Time is simulated time, counted in clocks of the board's own `sys` clock. It advances only on
+//! request, so the same calls give the same edges on every machine.
 //!
-//! Everything but [`soc`] is plain Rust over the [`soc::Silicon`] trait and is tested without any FPGA tool.
+//! Everything but [`soc`] is plain Rust over the [`soc::Silicon`] trait and is tested without any
+//! FPGA tool.
 
 pub mod board;
 pub mod card;
@@ -38,6 +40,7 @@ pub mod jobs;
 pub mod loader;
 pub mod model;
 pub mod nor;
+pub mod pads;
 pub mod plant;
 pub mod report;
 pub mod rig;

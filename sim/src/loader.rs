@@ -1,4 +1,5 @@
-//! What an ECP5 does with its flash when power comes: which image it runs, and by which way it came there.
+//! The configuration of an ECP5 from its flash at power-up: which image it runs, and how it found
+//! it.
 //!
 //! ```text
 //! read from 0 on --- preamble BD B3? --- commands ---- DONE ---> runs
@@ -8,16 +9,18 @@
 //!                    read the last page of the flash, once ---> JUMP ---> golden
 //! ```
 //!
-//! Commands, their lengths and the CRC are those of Project Trellis (`libtrellis/src/Bitstream.cpp`), which real chips load.
-//! A bitstream is not expanded; a frame is as long as its compression says. Any two bytes BD B3 are taken for a preamble:
-//! the data sheet names the 16 bits, and what a real chip asks for beyond them could only save us.
+//! Commands, their lengths and the CRC are those of Project Trellis
+//! (`libtrellis/src/Bitstream.cpp`), which real chips load. A bitstream is not expanded; a frame is
+//! as long as its compression says. Any two bytes BD B3 are taken for a preamble: the data sheet
+//! names these 16 bits; a real chip that checks more would only find fewer false preambles.
 //!
-//! It also makes bitstreams, small ones of the same commands ([`Small`]), for tests that load thousands of times.
+//! It also makes bitstreams, small ones of the same commands ([`Small`]), for tests that load
+//! thousands of times.
 
 use crate::nor::PAGE;
 
-/// Bytes from where reading begins within which the preamble must be found. What the real limit is nobody publishes; the two
-/// sectors of stubs are all that is ever asked of it.
+/// Bytes from where reading begins within which the preamble must be found. The real limit is not
+/// published; our flashes need no more than the two sectors of stubs.
 pub const SEARCH: usize = 0x2000;
 /// More jumps than any flash of ours has: a circle.
 const JUMPS: usize = 8;
@@ -59,13 +62,13 @@ pub enum Trouble {
     Crc,
     /// For another chip.
     Id(u32),
-    /// A command nobody knows.
+    /// An unknown command.
     Command(u8),
     /// Jumps for ever.
     Circle,
 }
 
-/// What came of a power-up.
+/// The result of a power-up.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Loaded {
     /// Where the image that runs begins: what was jumped to, or 0.
@@ -76,7 +79,7 @@ pub struct Loaded {
     pub preambles: Vec<usize>,
     /// Why it came to the page at the end.
     pub fell_back: Option<Trouble>,
-    /// Why not even that helped.
+    /// Why the fallback failed, too.
     pub failed: Option<Trouble>,
 }
 
@@ -172,7 +175,8 @@ impl<'f> Reader<'f> {
         }
     }
 
-    /// One compressed frame: whole bytes, each by a prefix-free code (0; 10 and four bits; 11 and eight bits).
+    /// One compressed frame: whole bytes, each by a prefix-free code (0; 10 and four bits; 11 and
+    /// eight bits).
     fn compressed(&mut self) -> Result<(), Trouble> {
         let (mut left, mut buffer) = (0, 0u32);
         let mut bits = |reader: &mut Self, count: u32| -> Result<u32, Trouble> {
@@ -298,7 +302,8 @@ impl Small {
         let [high, low] = self.frames.to_be_bytes();
         put(&mut bytes, &[op::PROG_INCR_RTI, 0x91, high, low]);
         let mut noise = u64::from(self.usercode) << 1 | 1;
-        // The CRC so far counts into the first frame's; a dummy byte behind one into the next one's.
+        // The CRC so far counts into the first frame's; a dummy byte behind one into the next
+        // one's.
         for _ in 0..self.frames {
             let frame: Vec<u8> = (0..FRAME)
                 .map(|_| {
@@ -415,7 +420,7 @@ mod tests {
             let loaded = power_up(&flash(&[(0, stub(0x1_0000)), (0x1_0000, bad)]), ID);
             match loaded.usercode {
                 9 => fell += 1,
-                // Bits nobody looks at: operands without meaning, dummies before the CRC.
+                // Bits without effect: unused operands, dummies before the CRC.
                 1 => same += 1,
                 other => panic!("byte {at}: USERCODE {other}"),
             }

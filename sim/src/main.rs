@@ -51,7 +51,7 @@ fn parse_fault(text: &str) -> Result<Plan, Rejected> {
 /// How simulated time passes.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum TimeMode {
-    /// One servo period of board time per exchange: cycle-exact however slow this machine is.
+    /// One servo period of board time per exchange: cycle-exact even on a slow machine.
     Lockstep,
     /// By itself, as fast as it goes or paced.
     Free,
@@ -60,33 +60,38 @@ enum TimeMode {
 /// What stands behind the sockets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Backend {
-    /// The Verilated gateware with the release image inside: exact, some 0.9 million clocks a second.
+    /// The Verilated gateware with the release image inside: exact, some 0.9 million clocks a
+    /// second.
     Rtl,
-    /// The twin, firmware library on models of the cores: the same pins, faster than real time, needs no FPGA tool.
+    /// The twin, firmware library on models of the cores: the same pins, faster than real time,
+    /// needs no FPGA tool.
     Model,
 }
 
-/// The FerroCNC board in simulation: Verilated gateware and real firmware, or their twin in Rust; real sockets.
+/// The FerroCNC board in simulation: Verilated gateware and real firmware, or their twin in Rust;
+/// real sockets.
 ///
 ///   ferrocnc-sim --soc target/sim/mill6 --firmware ELF          the gateware, clock by clock
 ///   ferrocnc-sim --backend model --board mill6 --mode free      the twin in real time, e.g. for LinuxCNC at 1 kHz
 ///   ferrocnc-sim --backend model --board mill6 --plant P.toml   in lockstep, with switches, probe and spindle
 ///
-/// Prints one line beginning with `ready` on stdout when the board answers, then serves until SIGINT, SIGTERM or the control
-/// command `quit`.
+/// Prints one line beginning with `ready` on stdout when the board answers, then serves until
+/// SIGINT, SIGTERM or the control command `quit`.
 #[derive(Parser, Debug)]
 #[command(version, verbatim_doc_comment)]
 struct Arguments {
     /// What stands behind the sockets.
     #[arg(long, value_enum, default_value_t = Backend::Rtl)]
     backend: Backend,
-    /// Directory of libferrocnc_soc.so and manifest.json (target/sim/NAME); model: of board.bin and manifest.json.
+    /// Directory of libferrocnc_soc.so and manifest.json (target/sim/NAME); model: of board.bin and
+    /// manifest.json.
     #[arg(long, value_name = "DIR", required_if_eq("backend", "rtl"))]
     soc: Option<PathBuf>,
     /// Firmware ELF.
     #[arg(long, value_name = "ELF", required_if_eq("backend", "rtl"))]
     firmware: Option<PathBuf>,
-    /// Model: which board, by the name of its file under boards/ (mill6, max, or any that has been elaborated).
+    /// Model: which board, by the name of its file under boards/ (mill6, max, or any that has been
+    /// elaborated).
     #[arg(long, value_name = "NAME", default_value = "mill6")]
     board: String,
     /// Model: a board of so many stepgens,encoders,PWMs,inputs,outputs instead of a named one.
@@ -103,20 +108,21 @@ struct Arguments {
     /// Loopback address that stands for the board's UDP port 1234.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:1234")]
     udp: SocketAddr,
-    /// Address that stands for the board's discovery port, UDP 51234. Answers go to the asker alone, unless --interface says
-    /// that there is a network to shout into.
+    /// Address that stands for the board's discovery port, UDP 51234. Answers go to the sender of
+    /// the question only; with --interface they are broadcasts.
     #[arg(long, value_name = "ADDR:PORT")]
     discovery: Option<SocketAddr>,
-    /// Model: be this network interface, e.g. one end of a veth pair in a network namespace of its own. It is given the
-    /// board's hardware and IPv4 address, at start and whenever they change; discovery is answered to everybody. Listens on
-    /// every address of the namespace: say --udp 0.0.0.0:1234 --discovery 0.0.0.0:51234. Needs root there.
+    /// Model: be this network interface, e.g. one end of a veth pair in a network namespace of its
+    /// own. It is given the board's hardware and IPv4 address, at start and whenever they change;
+    /// discovery is answered by broadcast. Listens on every address of the namespace: use --udp
+    /// 0.0.0.0:1234 --discovery 0.0.0.0:51234. Needs root there.
     #[arg(long, value_name = "NAME", requires = "discovery")]
     interface: Option<String>,
     /// Loopback address that stands for the board's console, TCP port 23.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:2323")]
     console: SocketAddr,
-    /// Loopback address that stands for the board's port of jobs, TCP port 724: for `ferrocnc job`, on boards that execute
-    /// jobs; one of --channels does if this is given.
+    /// Loopback address that stands for the board's port of jobs, TCP port 724: for `ferrocnc job`,
+    /// on boards that execute jobs; one of --channels does if this is given.
     #[arg(long, value_name = "ADDR:PORT")]
     jobs: Option<SocketAddr>,
     /// Model: a board of --channels that has segments and no SDRAM: for `ferrocnc job serve`.
@@ -134,8 +140,9 @@ struct Arguments {
     /// Lockstep: the servo period in nanoseconds.
     #[arg(long, value_name = "NS", default_value_t = 1_000_000)]
     period_ns: u64,
-    /// Free: at most this many nanoseconds of board time per second of this machine; 1e9 is real time, 0 is as fast as it
-    /// goes. When not given the twin keeps real time and the gateware runs as fast as it goes.
+    /// Free: at most this many nanoseconds of board time per second of this machine; 1e9 is real
+    /// time, 0 is as fast as it goes. When not given the twin keeps real time and the gateware runs
+    /// as fast as it goes.
     #[arg(long, value_name = "NS")]
     pace: Option<f64>,
     /// Lockstep: silence of the host after which the board runs on by itself.
@@ -144,11 +151,12 @@ struct Arguments {
     /// Lockstep: how much board time it then runs on for.
     #[arg(long, value_name = "MS", default_value_t = 2000)]
     orphan_ms: u64,
-    /// The board's flash is this file, written as it changes; killed at any time it is a board whose power failed. One that is
-    /// not there is a new, erased chip. cargo xtask bitstream writes whole ones (NAME.flash).
+    /// The board's flash is this file, written as it changes; a killed simulator leaves the flash
+    /// as a power failure would. Without the file the chip is new and erased. cargo xtask bitstream
+    /// writes whole ones (NAME.flash).
     #[arg(long, value_name = "FILE")]
     flash: Option<PathBuf>,
-    /// Unique id of the flash, 16 hexadecimal digits; a dozen boards want a dozen.
+    /// Unique id of the flash, 16 hexadecimal digits; each board needs another one.
     #[arg(long, value_name = "HEX", default_value_t = format!("{:016x}", sim::twin::UID), value_parser = parse_uid)]
     uid: String,
     /// The factory pin is held at start: saved settings are not used.
@@ -163,7 +171,8 @@ struct Arguments {
     /// No encoders at the pins but those of --plant.
     #[arg(long)]
     no_plant: bool,
-    /// What else is wired to the board: axes, switches, probes, spindles, wires. `--help` shows such a file.
+    /// What else is wired to the board: axes, switches, probes, spindles, wires. `--help` shows
+    /// such a file.
     #[arg(long, value_name = "TOML", long_help = PLANT_HELP)]
     plant: Option<PathBuf>,
     /// Write the report here at the end.
@@ -181,8 +190,9 @@ struct Arguments {
     /// Sys clocks of waveforms.
     #[arg(long, value_name = "CLOCKS", default_value_t = 200_000)]
     trace_cycles: u64,
-    /// What is to go wrong, from the start on: loss=0.1%, to-board:delay=1ms..3ms, pull@2s..4s, reboot@3s, seed=7 ... May be
-    /// given more than once. The control command `fault` changes it while the board runs.
+    /// Faults from the start on: loss=0.1%, to-board:delay=1ms..3ms, pull@2s..4s, reboot@3s, seed=7
+    /// ... May be given more than once. The control command `fault` changes it while the board
+    /// runs.
     #[arg(long, value_name = "WORDS", value_parser = parse_fault, long_help = FAULT_HELP)]
     fault: Vec<Plan>,
     /// Ping the board this often after start and print the round trips.

@@ -1,15 +1,18 @@
-//! A serial NOR flash that behaves as its data sheet says, and worse when its power fails.
+//! A serial NOR flash that behaves as its data sheet says, with power failures at any step.
 //!
-//! It takes SPI bytes and gives SPI bytes; [`spi`] puts it behind `embedded-hal`, [`pins`] behind four wires. It programs by
-//! AND inside one page, erases whole sectors, obeys its write enable latch and its protection bits, and is busy for as long
-//! as the real one. It knows nothing of what is stored in it.
+//! It takes SPI bytes and gives SPI bytes; [`spi`] puts it behind `embedded-hal`, [`pins`] behind
+//! four wires. It programs by AND inside one page, erases whole sectors, obeys its write enable
+//! latch and its protection bits, and is busy for as long as the real one. It knows nothing of what
+//! is stored in it.
 //!
-//! **Power.** Every operation that changes cells is a number of *steps*: a program one per byte, an erase [`ERASE_STEPS`], a
-//! status write one. [`Nor::cut_at`] lets the power fail at any of them. The step it fails in is left half done: some bits of
-//! a byte, a sector whose cells were all being discharged or charged, drawn from the cut's seed. [`Nor::power_up`] is the next
-//! morning. A test that wants every cut runs once for [`Nor::steps`], then once for each of them.
+//! **Power.** Every operation that changes cells is a number of *steps*: a program one per byte, an
+//! erase [`ERASE_STEPS`], a status write one. [`Nor::cut_at`] lets the power fail at any of them.
+//! The step it fails in is left half done: some bits of a byte, or a sector with some of its cells
+//! discharged or charged, drawn from the cut's seed. [`Nor::power_up`] brings the power back. A
+//! test that wants every cut runs once for [`Nor::steps`], then once for each of them.
 //!
-//! **Misuse** does what the chip does (mostly nothing) and is noted ([`Nor::misuse`]): a driver that is right leaves none.
+//! **Misuse** does what the chip does (mostly nothing) and is noted ([`Nor::misuse`]): a correct
+//! driver causes none.
 
 pub mod pins;
 pub mod spi;
@@ -27,8 +30,8 @@ pub const PAGE: usize = 256;
 pub const SECTOR: usize = 4096;
 /// Bytes of a block.
 pub const BLOCK: usize = 65536;
-/// Points at which an erase can be interrupted: untouched, four degrees of being programmed to 0 first, four of being erased,
-/// the last with a handful of cells missing.
+/// Points at which an erase can be interrupted: untouched, four degrees of being programmed to 0
+/// first, four of being erased, the last with a handful of cells missing.
 pub const ERASE_STEPS: u64 = 9;
 
 /// Bits of the status registers.
@@ -43,7 +46,8 @@ mod status {
     pub const TB: u8 = 1 << 5;
     /// Register 1: in sectors instead of blocks.
     pub const SEC: u8 = 1 << 6;
-    /// Register 1: with SRL the lock of the registers themselves; the pin /WP is not modelled (high).
+    /// Register 1: with SRL the lock of the registers themselves; the pin /WP is not modelled
+    /// (high).
     pub const SRP: u8 = 1 << 7;
     /// Register 2: the registers are locked until the next power-up.
     pub const SRL: u8 = 1 << 0;
@@ -69,7 +73,7 @@ pub struct Times {
 }
 
 impl Times {
-    /// Three looks at the status register: for tests in which nobody else does anything meanwhile.
+    /// Three reads of the status register: for tests in which nothing else happens meanwhile.
     pub const QUICK: Times = Times {
         page: 4_000,
         sector: 4_000,
@@ -164,7 +168,7 @@ pub enum Misuse {
     NotEnabled(u8),
     /// A change of something protected, at this address; it was ignored.
     Protected(u32),
-    /// A program order whose bytes went over the end of the page and began again at its start.
+    /// A program order went over the end of its page and continued at the page's start.
     Wrapped(u32),
     /// A program that wanted a 0 bit to become 1 at this address.
     NotErased(u32),
@@ -172,7 +176,7 @@ pub enum Misuse {
     Incomplete(u8),
     /// An order it does not know.
     Unknown(u8),
-    /// The clock moved while nobody was selected, or together with /CS.
+    /// The clock moved while no chip was selected, or together with /CS.
     StrayClock,
 }
 
@@ -197,7 +201,7 @@ pub struct Cut {
     pub order: Order,
 }
 
-/// Small numbers from a seed, the same for ever (xorshift64*).
+/// Pseudo-random numbers from a seed (xorshift64*).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Dice(u64);
 
@@ -252,7 +256,7 @@ struct Talk {
     at: usize,
     /// Bytes of a program, and how many came.
     page: Vec<(usize, u8)>,
-    /// It is ignored to its end.
+    /// The rest of the order is ignored.
     deaf: bool,
 }
 
@@ -316,9 +320,10 @@ impl Nor {
         }
     }
 
-    /// A chip whose cells are a file, written as they change: killed at any time it is a chip whose power failed. A file that
-    /// is not there is a new chip of this part; an existing one says by its size which part it is. Its status registers are in
-    /// a file beside it, `.status`, once they are not 0.
+    /// A chip with its cells in a file, written as they change: if the simulator is killed, the
+    /// file is like a chip after a power failure. A file that is not there is a new chip of this
+    /// part; an existing one says by its size which part it is. Its status registers are in a file
+    /// beside it, `.status`, once they are not 0.
     pub fn in_file(path: &Path, part: Part, uid: u64) -> Result<Self, Error> {
         let wrong = |source| Error::Read {
             path: path.into(),
@@ -365,7 +370,8 @@ impl Nor {
         Ok(nor)
     }
 
-    /// The same cells, registers and id in another chip, without file, cut and history: to try things with.
+    /// The same cells, registers and id in another chip, without file, cut and history: to try
+    /// things with.
     pub fn copy(&self) -> Self {
         let mut nor = Nor::new(self.part, 0);
         nor.cells.copy_from_slice(&self.cells);
@@ -421,7 +427,7 @@ impl Nor {
         &self.misuse
     }
 
-    /// Notes what somebody in front of it has seen.
+    /// Notes a misuse that a front end has seen.
     pub fn note(&mut self, misuse: Misuse) {
         self.misuse.push(misuse);
     }
@@ -451,12 +457,13 @@ impl Nor {
         self.cut = Some(cut);
     }
 
-    /// The power has failed: it hears nothing, and its output floats high.
+    /// The power has failed: it takes no orders, and its output floats high.
     pub fn dead(&self) -> bool {
         self.dead
     }
 
-    /// Power is back: latches and volatile bits are as after a power-up, no cut is planned, time begins anew.
+    /// Power is back: latches and volatile bits are as after a power-up, no cut is planned, time
+    /// begins anew.
     pub fn power_up(&mut self) {
         self.live = self.kept;
         (self.enabled, self.volatile_enabled, self.reset_enabled) = (false, false, false);
@@ -467,7 +474,7 @@ impl Nor {
 
     // ---- time -----------------------------------------------------------------------------------------------------------
 
-    /// It is this late, nanoseconds; never earlier than it was.
+    /// Sets the time in nanoseconds; it never goes back.
     pub fn it_is(&mut self, now: u64) {
         self.now = self.now.max(now);
     }
@@ -489,7 +496,8 @@ impl Nor {
         self.talk = (!self.dead).then(Talk::default);
     }
 
-    /// Eight clocks: the byte on its way out since before them, and a byte in. `None`: the output floats.
+    /// Eight clocks: the byte on its way out since before them, and a byte in. `None`: the output
+    /// floats.
     pub fn byte(&mut self, byte: u8) -> Option<u8> {
         self.now += self.byte_time;
         let out = self.output();
@@ -618,7 +626,7 @@ impl Nor {
                 % self.part.bytes
         };
         let (change, time) = match order {
-            // Nothing but answers.
+            // Orders that only read.
             0x05 | 0x35 | 0x15 | 0x9f | 0x90 | 0x4b | 0x03 | 0x0b | 0x5a => return Ok(()),
             0x06 | 0x04 | 0x50 => {
                 whole(taken.is_empty())?;
@@ -820,7 +828,7 @@ impl Nor {
             let written = file
                 .seek(SeekFrom::Start(range.start as u64))
                 .and_then(|_| file.write_all(&self.cells[range]));
-            // The board goes on; what stands in the file is what a worn-out chip would hold.
+            // The board goes on; the file holds old bytes, as a worn-out chip would.
             if let Err(error) = written {
                 eprintln!("sim: {}: {error}", path.display());
             }

@@ -1,8 +1,10 @@
-//! The machine behind the pins: motors that follow every pulse, encoders on their shafts, a spindle behind a PWM, wires from
-//! outputs to inputs, and switches and probes that an axis runs into.
+//! The machine behind the pins: motors that follow every pulse, encoders on their shafts, a spindle
+//! behind a PWM, wires from outputs to inputs, jumpers between header pins, and switches and probes
+//! that an axis runs into.
 //!
-//! Axes are rigid and ideal: a pulse is a movement. The edges they make are as far apart as the encoder's `gap` says and catch
-//! up with the pulses as fast as that allows. A spindle has inertia: its speed follows the PWM's duty with a first-order lag.
+//! Axes are rigid and ideal: a pulse is a movement. The edges they make are as far apart as the
+//! encoder's `gap` says and catch up with the pulses as fast as that allows. A spindle has inertia:
+//! its speed follows the PWM's duty with a first-order lag.
 //!
 //! A plant can be written down as TOML ([`Plant::read`]):
 //!
@@ -17,6 +19,11 @@ use serde::Deserialize;
 use crate::edges::CHANNELS;
 use crate::error::Error;
 
+mod jumper;
+
+pub use jumper::{Jumper, Sink, Source};
+use jumper::{Outputs, Plugged};
+
 /// One axis: a motor on a stepgen and an encoder on the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -25,7 +32,8 @@ pub struct Axis {
     pub stepgen: usize,
     /// Encoder on its shaft.
     pub encoder: usize,
-    /// Quadrature counts (x4) per `per_steps` steps; negative turns the encoder the other way round.
+    /// Quadrature counts (x4) per `per_steps` steps; negative turns the encoder the other way
+    /// round.
     #[serde(default = "one")]
     pub counts: i64,
     /// See `counts`.
@@ -40,7 +48,8 @@ pub struct Axis {
     /// The index also reaches the stepgen's own index pin.
     #[serde(default = "yes")]
     pub stepgen_index: bool,
-    /// Least sys clocks between two encoder edges, at least 1. The gateware's synchroniser and filter need a few.
+    /// Least sys clocks between two encoder edges, at least 1. The gateware's synchroniser and
+    /// filter need a few.
     #[serde(default = "few")]
     pub gap: u32,
 }
@@ -59,8 +68,9 @@ const fn yes() -> bool {
 }
 
 impl Axis {
-    /// Stepgen `n` turns encoder `n`: one count per step, index every 4000 counts (a 1000-line encoder), an edge at most
-    /// every 4 clocks (15 MHz count rate at 60 MHz; no machine does that).
+    /// Stepgen `n` turns encoder `n`: one count per step, index every 4000 counts (a 1000-line
+    /// encoder), an edge at most every 4 clocks (15 MHz count rate at 60 MHz; no machine does
+    /// that).
     pub fn direct(n: usize) -> Self {
         Axis {
             stepgen: n,
@@ -79,7 +89,7 @@ impl Axis {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Switch {
-    /// Stepgen whose steps move the dog.
+    /// Stepgen that moves the dog.
     pub stepgen: usize,
     /// Position in steps where it is pressed.
     pub at: i64,
@@ -152,7 +162,8 @@ struct Shaft {
     ready: u64,
 }
 
-/// Speed and angle are integrated in ticks of a tenth of a millisecond; in between the speed is constant.
+/// Speed and angle are integrated in ticks of a tenth of a millisecond; in between the speed is
+/// constant.
 const TICKS_PER_SECOND: u64 = 10_000;
 
 #[derive(Clone, Copy, Debug)]
@@ -285,10 +296,12 @@ pub struct Plant {
     rotors: Vec<Rotor>,
     switches: Vec<Switch>,
     wires: Vec<Wire>,
+    jumpers: Vec<Plugged>,
     steps: [i64; CHANNELS],
     levels: Levels,
     gpio_mask: u32,
-    gpio_out: u32,
+    /// Levels of the board's output pins.
+    pins: Outputs,
     /// Sys clock of the next edge or tick; 0 is "look", `u64::MAX` is rest.
     next: u64,
 }
@@ -301,10 +314,11 @@ impl Default for Plant {
             rotors: Vec::new(),
             switches: Vec::new(),
             wires: Vec::new(),
+            jumpers: Vec::new(),
             steps: [0; CHANNELS],
             levels: Levels::default(),
             gpio_mask: 0,
-            gpio_out: 0,
+            pins: Outputs::default(),
             next: u64::MAX,
         }
     }
@@ -322,6 +336,8 @@ struct File {
     spindle: Vec<Spindle>,
     #[serde(default)]
     wire: Vec<Wire>,
+    #[serde(default)]
+    jumper: Vec<Jumper>,
 }
 
 impl Plant {
@@ -339,7 +355,7 @@ impl Plant {
         Self::new((0..n).map(Axis::direct))
     }
 
-    /// Adds what a TOML file says; an axis or spindle takes the place of whatever had its encoder.
+    /// Adds what a TOML file says; an axis or spindle replaces the one that had its encoder.
     pub fn read(&mut self, path: &Path) -> Result<(), Error> {
         let text = std::fs::read_to_string(path).map_err(|source| Error::Read {
             path: path.into(),
@@ -380,6 +396,9 @@ impl Plant {
             channel("wire.input", wire.input, 32)?;
             self.add_wire(wire);
         }
+        for jumper in file.jumper {
+            self.add_jumper(jumper);
+        }
         Ok(())
     }
 
@@ -388,7 +407,8 @@ impl Plant {
         self.hz = sys_hz.max(TICKS_PER_SECOND);
     }
 
-    /// Put another axis on the machine. Its encoder starts at the count its stepgen's pulses so far give.
+    /// Put another axis on the machine. Its encoder starts at the count its stepgen's pulses so far
+    /// give.
     pub fn add_axis(&mut self, axis: Axis) {
         self.free_encoder(axis.encoder);
         let at = Self::count(&axis, self.steps[axis.stepgen]);
@@ -440,6 +460,14 @@ impl Plant {
         self.settle();
     }
 
+    /// Put a jumper between two header pins.
+    pub fn add_jumper(&mut self, jumper: Jumper) {
+        self.jumpers.push(Plugged::new(jumper, &self.pins));
+        if let Sink::Input(n) = jumper.to {
+            self.gpio_mask |= 1 << n;
+        }
+    }
+
     /// Turn a shaft by hand: `counts` encoder counts, no steps.
     pub fn slip(&mut self, encoder: usize, counts: i64) {
         for shaft in self.shafts.iter_mut().filter(|s| s.axis.encoder == encoder) {
@@ -456,7 +484,11 @@ impl Plant {
 
     /// What the plant puts on the inputs now.
     pub fn levels(&self) -> Levels {
-        self.levels
+        let mut levels = self.levels;
+        for plugged in &self.jumpers {
+            plugged.show(&mut levels);
+        }
+        levels
     }
 
     /// Count the encoder shows now; `None` when nothing has it.
@@ -472,7 +504,8 @@ impl Plant {
         Some(rotor.speed * self.hz as f64 / rotor.spindle.counts_per_rev as f64)
     }
 
-    /// The next sys clock in which something moves by itself: [`Self::turn`] must be called then. `u64::MAX` is rest.
+    /// The next sys clock in which something moves by itself: [`Self::turn`] must be called then.
+    /// `u64::MAX` is rest.
     #[inline]
     pub fn next(&self) -> u64 {
         self.next
@@ -502,12 +535,31 @@ impl Plant {
 
     /// The general outputs changed.
     pub fn outputs(&mut self, gpio_out: u32) {
-        self.gpio_out = gpio_out;
+        self.pins.gpio = gpio_out;
+        self.look();
         self.settle();
+    }
+
+    /// Pins of step generators changed: levels of first and second pins. True when a jumper carries
+    /// them.
+    #[inline]
+    pub fn motion(&mut self, step: u16, dir: u16) -> bool {
+        (self.pins.step, self.pins.dir) = (step, dir);
+        self.look();
+        !self.jumpers.is_empty()
+    }
+
+    #[inline]
+    fn look(&mut self) {
+        for plugged in &mut self.jumpers {
+            plugged.look(&self.pins);
+        }
     }
 
     /// PWM pins changed at `clock`: levels of first and second pins.
     pub fn pwm(&mut self, clock: u64, out: u16, dir: u16) {
+        self.pins.pwm = out;
+        self.look();
         for rotor in &mut self.rotors {
             let pins = [out, dir].map(|word| word >> rotor.spindle.pwm & 1 != 0);
             if pins != rotor.pins {
@@ -519,8 +571,8 @@ impl Plant {
         }
     }
 
-    /// Whatever moves by itself has come to sys clock `clock`: at most one encoder edge per shaft, `gap` clocks apart. True
-    /// when a level changed.
+    /// Moves everything that moves by itself to sys clock `clock`: at most one encoder edge per
+    /// shaft, `gap` clocks apart. True when a level changed.
     pub fn turn(&mut self, clock: u64) -> bool {
         let mut changed = false;
         self.next = u64::MAX;
@@ -541,7 +593,7 @@ impl Plant {
         }
         for i in 0..self.rotors.len() {
             let rotor = &mut self.rotors[i];
-            if clock >= rotor.next() && rotor.turn(clock, self.hz, self.gpio_out) {
+            if clock >= rotor.next() && rotor.turn(clock, self.hz, self.pins.gpio) {
                 changed = true;
                 self.show_rotor(i);
             }
@@ -581,7 +633,7 @@ impl Plant {
         let mut gpio = 0;
         for wire in &self.wires {
             gpio |=
-                u32::from((self.gpio_out >> wire.output & 1 != 0) != wire.inverted) << wire.input;
+                u32::from((self.pins.gpio >> wire.output & 1 != 0) != wire.inverted) << wire.input;
         }
         for switch in &self.switches {
             let at = self.steps[switch.stepgen];
@@ -777,7 +829,8 @@ mod tests {
         assert_eq!(seen, [3, 11]);
     }
 
-    /// A PWM of 3000 clocks at `duty` percent for `clocks`, from `start`; returns the counter and the indexes seen.
+    /// A PWM of 3000 clocks at `duty` percent for `clocks`, from `start`; returns the counter and
+    /// the indexes seen.
     fn spin(plant: &mut Plant, start: u64, clocks: u64, duty: u64, dir: u16) -> (Counter, u32) {
         let (mut counter, mut indexes, mut index_was) = (Counter::default(), 0, true);
         let last = plant.levels();
@@ -812,7 +865,8 @@ mod tests {
         assert!((2990..=3020).contains(&counter.count), "{}", counter.count);
         assert!((29..=31).contains(&indexes), "{indexes}");
         assert_eq!(counter.illegal, 0);
-        // Reversed it passes through zero and counts down; without pulses it comes to rest and asks for no more time.
+        // Reversed it passes through zero and counts down; without pulses it comes to rest and asks
+        // for no more time.
         spin(&mut plant, 1_302_000, 300_000, 60, 1);
         assert!((plant.spindle_rps(0).unwrap() + 30.0).abs() < 1.5);
         let (counter, _) = spin(&mut plant, 1_602_000, 600_000, 0, 0);
@@ -852,7 +906,7 @@ mod tests {
     fn the_example_is_a_plant() {
         let mut plant = Plant::default();
         plant.parse(include_str!("../plant.example.toml")).unwrap();
-        assert_eq!(plant.gpio_mask(), 1 << 6 | 1 << 7);
+        assert_eq!(plant.gpio_mask(), 1 << 6 | 1 << 7 | 1 << 8);
         assert_eq!(plant.spindle_rps(5), Some(0.0));
     }
 

@@ -1,4 +1,4 @@
-//! What a run leaves behind, as JSON: counts at the pins, times of exchanges, the cost of simulating.
+//! The report of a run, as JSON: counts at the pins, times of exchanges, the cost of simulating.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,9 +9,20 @@ use crate::board::Clockwork;
 use crate::edges::CHANNELS;
 use crate::error::Error;
 use crate::exchange::{Meter, Spread};
-use crate::rig::{FrameCounts, Rig};
-use crate::soc::Silicon;
 use crate::world::World;
+
+/// Frames that passed the cable.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct FrameCounts {
+    /// Fed to the board.
+    pub to_board: u64,
+    /// Received from the board.
+    pub from_board: u64,
+    /// From the board, with a bad preamble, length or FCS.
+    pub malformed_from_board: u64,
+    /// Lost on the way by [`crate::rig::Rig::faults`].
+    pub dropped: u64,
+}
 
 /// What a report is made of.
 pub(crate) struct Seen<'r> {
@@ -66,7 +77,8 @@ pub struct AxisReport {
     pub pulses_total: u64,
     /// DIR edges.
     pub reversals: u64,
-    /// Count of the encoder on its motor, if there is one on the encoder channel of the same number.
+    /// Count of the encoder on its motor, if there is one on the encoder channel of the same
+    /// number.
     pub encoder_at_pins: Option<i64>,
     /// Pulses the board says it has made; `None` when it was not asked or did not answer.
     pub firmware_counts: Option<i64>,
@@ -89,7 +101,7 @@ pub struct ExchangeReport {
     pub turnaround_list: Vec<u32>,
 }
 
-/// The watchdog as the status blocks told it.
+/// The watchdog as reported in the status blocks.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct WatchdogReport {
     /// Least time left at the arrival of a command while the gate was open, sys clocks.
@@ -114,24 +126,13 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// Ask the board; `None` when it does not answer.
-    pub fn read<S: Silicon>(rig: &mut Rig<S>) -> Option<Self> {
-        let counters = rig.read_block_as_guest(wire::map::COUNTERS, COUNTERS)?;
-        let describe = rig.read_block_as_guest(wire::map::DESCRIBE, 9)?;
-        let stepgens = describe[7] & 0xff;
-        let status = rig.read_block_as_guest(wire::map::STATUS, status_words(stepgens));
+    /// Asks the board; `None` when it does not answer. `read` gives words from an address on.
+    pub(crate) fn gather(mut read: impl FnMut(u32, u32) -> Option<Vec<u32>>) -> Option<Self> {
+        let counters = read(wire::map::COUNTERS, COUNTERS)?;
+        let describe = read(wire::map::DESCRIBE, 9)?;
+        let stepgens = describe.get(7)? & 0xff;
+        let status = read(wire::map::STATUS, status_words(stepgens));
         Some(Self::from_words(&counters, &status.unwrap_or_default()))
-    }
-
-    /// The same, a word at a time.
-    pub(crate) fn gather(mut read: impl FnMut(u32) -> Option<u32>) -> Option<Self> {
-        let mut block = |base: u32, count: u32| -> Option<Vec<u32>> {
-            (0..count).map(|word| read(base + 4 * word)).collect()
-        };
-        let counters = block(wire::map::COUNTERS, COUNTERS)?;
-        let stepgens = block(wire::map::DESCRIBE, 9)?[7] & 0xff;
-        let status = block(wire::map::STATUS, status_words(stepgens))?;
-        Some(Self::from_words(&counters, &status))
     }
 
     fn from_words(counters: &[u32], status: &[u32]) -> Self {

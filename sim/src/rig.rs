@@ -1,7 +1,7 @@
-//! A board on a bench, in process: what tests talk to.
+//! A board in process, for tests.
 //!
-//! Every call that waits for the board advances simulated time until the answer is out or a bounded time has passed; nothing
-//! else moves time. So a test reads as a story with exact clocks:
+//! Every call that waits for the board advances simulated time until the answer is out or a bounded
+//! time has passed; nothing else moves time. So a test is a sequence of calls with exact clocks:
 //!
 //! ```no_run
 //! # fn main() -> Result<(), sim::Error> {
@@ -31,7 +31,7 @@ use crate::gmii::{self, Transfer};
 use crate::nor::pins::Wires;
 use crate::nor::spi::Shared;
 use crate::plant::Plant;
-use crate::report::{Counters, Report, Seen};
+use crate::report::{Counters, FrameCounts, Report, Seen};
 use crate::segment::{
     BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, Segment,
 };
@@ -51,7 +51,7 @@ pub struct Setup {
     pub board_ip: Ipv4Addr,
     /// The machine at its pins.
     pub plant: Plant,
-    /// The flash at its wires; without one nobody answers there.
+    /// The flash at its wires; without one there is no answer there.
     pub flash: Option<Shared>,
     /// The factory pin is held.
     pub factory: bool,
@@ -61,7 +61,8 @@ pub struct Setup {
     pub shorted: SdramLines,
     /// Waveforms of a window of time.
     pub trace: Option<TraceWindow>,
-    /// Longest wait for the first answer, sys clocks. 3 000 000 are 50 ms of board time: start-up is a few.
+    /// Longest wait for the first answer, sys clocks. 3 000 000 are 50 ms of board time: start-up
+    /// is a few.
     pub boot_clocks: u64,
 }
 
@@ -138,19 +139,6 @@ impl Reply {
     }
 }
 
-/// Frames that passed the cable.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct FrameCounts {
-    /// Fed to the board.
-    pub to_board: u64,
-    /// Received from the board.
-    pub from_board: u64,
-    /// From the board, with a bad preamble, length or FCS.
-    pub malformed_from_board: u64,
-    /// Lost on the way by [`Rig::faults`].
-    pub dropped: u64,
-}
-
 /// A board, its cable and the hosts on it.
 #[derive(Debug)]
 pub struct Rig<S = Soc> {
@@ -166,7 +154,8 @@ pub struct Rig<S = Soc> {
     from_board: Line<Transfer>,
     /// Frames passed.
     pub frames: FrameCounts,
-    /// Longest wait for an answer, sys clocks; see [`Self::wait_for`]. The default is 60 000: a millisecond at 60 MHz.
+    /// Longest wait for an answer, sys clocks; see [`Self::wait_for`]. The default is 60 000: a
+    /// millisecond at 60 MHz.
     pub patience: u64,
     captured: Option<Vec<Vec<u8>>>,
     inbox: Vec<(Datagram, Option<Timing>)>,
@@ -249,7 +238,8 @@ impl<S: Silicon> Rig<S> {
     /// Ask the board for its address and then for its first describe word until it answers both.
     pub fn wait_ready(&mut self, clocks: u64) -> Result<(), Error> {
         let (end, frames) = (self.clock() + clocks, self.frames.from_board);
-        // Ask every 20 000 clocks (a third of a millisecond): seldom enough not to fill the MAC of a CPU still starting.
+        // Ask every 20 000 clocks (a third of a millisecond): seldom enough not to fill the MAC of
+        // a CPU still starting.
         let pause = 20_000;
         while self.clock() < end {
             if self.segment.board_mac().is_none() {
@@ -291,7 +281,8 @@ impl<S: Silicon> Rig<S> {
         self.board.clockwork().clocks_in_ns(time.as_nanos() as u64)
     }
 
-    /// Run to the sys clock `until`, or as long as `wanted` says after each frame; true when time ran out.
+    /// Run to the sys clock `until`, or as long as `wanted` says after each frame; true when time
+    /// ran out.
     pub fn run_while(&mut self, until: u64, mut wanted: impl FnMut(&mut Self) -> bool) -> bool {
         while self.clock() < until {
             if self.advance(until) && !wanted(self) {
@@ -301,8 +292,8 @@ impl<S: Silicon> Rig<S> {
         true
     }
 
-    /// Run to the sys clock `until` or to the end of the next frame from the board, whichever comes first, and let the
-    /// segment do its work. True when something may have changed on the segment.
+    /// Run to the sys clock `until` or to the end of the next frame from the board, whichever comes
+    /// first, and let the segment do its work. True when something may have changed on the segment.
     pub fn advance(&mut self, until: u64) -> bool {
         self.flush();
         let tcp = self.segment.has_connections();
@@ -365,7 +356,7 @@ impl<S: Silicon> Rig<S> {
         false
     }
 
-    /// What comes out of the cable by now is the receiver's; the number of the last frame.
+    /// Hands over the frames that have arrived by now; returns the number of the last one.
     fn hand_over(&mut self) -> Option<u64> {
         let mut last = None;
         while let Some(Outgoing { wire, request }) = self.to_board.due(self.board.clock()) {
@@ -379,7 +370,7 @@ impl<S: Silicon> Rig<S> {
         last
     }
 
-    /// What has gone wrong by now with the board itself.
+    /// Applies the due faults of the board itself.
     fn suffer(&mut self) {
         while let Some(act) = self.faults.due(self.board.clock()) {
             match act {
@@ -390,10 +381,10 @@ impl<S: Silicon> Rig<S> {
         }
     }
 
-    /// From now on this goes wrong.
+    /// Starts these faults now.
     pub fn trouble(&mut self, plan: &Plan) -> Result<(), String> {
         if plan.rules.iter().any(|rule| rule.kind == Kind::Power) {
-            return Err("power: the Verilated board keeps its RAM; say reboot here, or power to --backend model".into());
+            return Err("power: the Verilated board keeps its RAM; use reboot here, or power with --backend model".into());
         }
         self.faults.follow(plan, self.board.clock());
         self.suffer();
@@ -412,15 +403,16 @@ impl<S: Silicon> Rig<S> {
         }
     }
 
-    /// Simulated sys clocks per second of the machine's time, in thousands, over everything run so far.
+    /// Simulated sys clocks per second of the machine's time, in thousands, over everything run so
+    /// far.
     pub fn kcycles_per_second(&self) -> f64 {
         self.busy_clocks as f64 / self.busy.as_secs_f64().max(1e-9) / 1e3
     }
 
     // ---- frames ------------------------------------------------------------------------------------------------------
 
-    /// Send a frame (destination MAC .. payload) to the board; preamble, padding and FCS are added. `None` when a fault
-    /// lost it or made it late.
+    /// Send a frame (destination MAC .. payload) to the board; preamble, padding and FCS are added.
+    /// `None` when a fault lost it or made it late.
     pub fn inject_frame(&mut self, frame: &[u8]) -> Option<u64> {
         self.send(frame, None)
     }
@@ -464,20 +456,21 @@ impl<S: Silicon> Rig<S> {
         self.send(&frame, Some((from, payload, wire_len)));
     }
 
-    /// Put a datagram for everybody on the wire and return at once.
+    /// Put a broadcast datagram on the wire and return at once.
     pub fn broadcast(&mut self, from: Endpoint, port: u16, payload: &[u8]) {
         let frame = self.segment.broadcast(from, port, payload);
         self.inject_frame(&frame);
     }
 
-    /// Datagrams from the board that nobody has taken.
+    /// Datagrams from the board that were not yet taken.
     pub fn take_datagrams(&mut self) -> Vec<(Datagram, Option<Timing>)> {
         std::mem::take(&mut self.inbox)
     }
 
-    /// Longest wait for the answer to `payload`: [`Self::patience`] and 200 clocks for each of its bytes, since a read of 255
-    /// words takes the firmware milliseconds by itself. An exchange is short and gets `patience` alone: whoever waits in
-    /// vain for one must not wake the watchdog.
+    /// Longest wait for the answer to `payload`: [`Self::patience`] and 200 clocks for each of its
+    /// bytes, since a read of 255 words takes the firmware milliseconds by itself. An exchange is
+    /// short and gets `patience` alone, because a wait without an answer must not make the watchdog
+    /// bite.
     pub fn wait_for(&self, payload: &[u8]) -> u64 {
         self.patience
             + if is_request(payload) {
@@ -487,7 +480,8 @@ impl<S: Silicon> Rig<S> {
             }
     }
 
-    /// Send a datagram from any host and wait for the board's answer to it, at most [`Self::wait_for`] clocks.
+    /// Send a datagram from any host and wait for the board's answer to it, at most
+    /// [`Self::wait_for`] clocks.
     pub fn request(&mut self, from: Endpoint, port: u16, payload: &[u8]) -> Option<Reply> {
         self.inbox.retain(|(datagram, _)| datagram.to != from);
         self.post(from, port, payload);
@@ -506,7 +500,8 @@ impl<S: Silicon> Rig<S> {
         })
     }
 
-    /// Send a payload to the board's Etherbone port from the default host's `src_port`; the payload of the answer.
+    /// Send a payload to the board's Etherbone port from the default host's `src_port`; the payload
+    /// of the answer.
     pub fn send_udp(&mut self, src_port: u16, payload: &[u8]) -> Option<Vec<u8>> {
         self.request((HOST_IP, src_port), BOARD_PORT, payload)
             .map(|reply| reply.payload)
@@ -517,7 +512,8 @@ impl<S: Silicon> Rig<S> {
         self.request((HOST_IP, RIG_PORT), BOARD_PORT, payload)
     }
 
-    /// One exchange as LinuxCNC makes it: send, take the reply, and let the rest of the servo period pass.
+    /// One exchange as LinuxCNC makes it: send, take the reply, and let the rest of the servo
+    /// period pass.
     pub fn servo_period(&mut self, payload: &[u8], period_clocks: u64) -> Option<Reply> {
         let end = self.clock() + period_clocks;
         let reply = self.exchange(payload);
@@ -556,21 +552,27 @@ impl<S: Silicon> Rig<S> {
         Some(words)
     }
 
-    /// Read a block as a stranger, who may come once a millisecond and ask for [`wire::GUEST_READS`] words while somebody
-    /// owns the session.
+    /// Read a block as a guest: at most [`wire::GUEST_READS`] words a datagram. A board with an
+    /// owner that has fallen silent hands out one ticket every 3 ms, so each datagram waits longer
+    /// than that. Any frame in between uses the ticket up, so a datagram without an answer is sent
+    /// again, as every client does.
     pub fn read_block_as_guest(&mut self, base: u32, count: u32) -> Option<Vec<u32>> {
-        let a_while = 2 * self.board.clockwork().sys_hz / 1000;
+        const ATTEMPTS: usize = 4;
+        let a_while = 4 * self.board.clockwork().sys_hz / 1000;
         let mut words = Vec::new();
         while (words.len() as u32) < count {
-            self.run(a_while);
             let at = base + 4 * words.len() as u32;
             let some = (count - words.len() as u32).min(wire::GUEST_READS as u32);
-            words.extend(self.read_block(at, some)?);
+            words.extend((0..ATTEMPTS).find_map(|_| {
+                self.run(a_while);
+                self.read_block(at, some)
+            })?);
         }
         Some(words)
     }
 
-    /// Write words over Etherbone (no answer is expected: writes have none), and give the board a tenth of a millisecond.
+    /// Write words over Etherbone (no answer is expected: writes have none), and give the board a
+    /// tenth of a millisecond.
     pub fn write_words(&mut self, base: u32, values: &[u32]) {
         let mut words = vec![
             etherbone::HEADER,
@@ -592,7 +594,7 @@ impl<S: Silicon> Rig<S> {
         let frame = self
             .segment
             .echo_request(HOST_IP, ident, seq_no, b"FerroCNC");
-        // Answers to earlier pings may still lie about.
+        // Answers to earlier pings may still be queued.
         while self.segment.take_echo().is_some() {}
         let started = self.board.now();
         self.inject_frame(&frame);
@@ -623,8 +625,8 @@ impl<S: Silicon> Rig<S> {
         }
     }
 
-    /// Send text and gather what comes back until the board has been silent for 3 ms of its time (at most 50): it
-    /// looks after TCP once a millisecond.
+    /// Send text and gather what comes back until the board has been silent for 3 ms of its time
+    /// (at most 50): it looks after TCP once a millisecond.
     pub fn tcp_talk(&mut self, connection: Connection, text: &str) -> String {
         let mut out = text.as_bytes();
         let mut heard = Vec::new();
@@ -645,7 +647,8 @@ impl<S: Silicon> Rig<S> {
         String::from_utf8_lossy(&heard).into_owned()
     }
 
-    /// One session on the debug console: connect, say `text`, return everything the board said, hang up.
+    /// One session on the debug console: connect, say `text`, return everything the board said,
+    /// hang up.
     pub fn tcp_console(&mut self, text: &str) -> Result<String, Error> {
         let connection = self.tcp_connect(CONSOLE_PORT)?;
         let heard = self.tcp_talk(connection, text);
@@ -689,10 +692,10 @@ impl<S: Silicon> Rig<S> {
         self.board.finish()
     }
 
-    /// Everything worth reporting. Asks the board for its own counters, which takes a little simulated time; a board that
-    /// is dead or frozen leaves them out.
+    /// Everything worth reporting. Asks the board for its own counters, which takes a little
+    /// simulated time; a board that is dead or frozen leaves them out.
     pub fn report(&mut self) -> Report {
-        let own = Counters::read(self);
+        let own = Counters::gather(|base, words| self.read_block_as_guest(base, words));
         Report::of(
             &Seen {
                 backend: "rtl",

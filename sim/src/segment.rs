@@ -1,8 +1,10 @@
-//! The virtual Ethernet segment the board's cable ends in: any number of hosts, their ARP, ICMP echo and TCP.
+//! The virtual Ethernet segment the board's cable ends in: any number of hosts, their ARP, ICMP
+//! echo and TCP.
 //!
-//! UDP goes in and out as datagrams with the times of their first and last byte on the wire; TCP is a smoltcp stack living
-//! at [`HOST_IP`]. No TAP, no root: nothing of this ever touches the machine's own network. It knows neither exchanges nor
-//! sockets of the machine ([`crate::server`] does), and its clock is simulated time.
+//! UDP goes in and out as datagrams with the times of their first and last byte on the wire; TCP is
+//! a smoltcp stack living at [`HOST_IP`]. No TAP, no root: the machine's own network is never
+//! touched. It knows neither exchanges nor sockets of the machine ([`crate::server`] does), and its
+//! clock is simulated time.
 
 use std::collections::{HashMap, VecDeque};
 use std::net::Ipv4Addr;
@@ -37,9 +39,9 @@ pub type Endpoint = (Ipv4Addr, u16);
 /// A UDP datagram from the board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Datagram {
-    /// Who sent it.
+    /// The sender.
     pub from: Endpoint,
-    /// Who it is for.
+    /// The receiver.
     pub to: Endpoint,
     /// What it says.
     pub payload: Vec<u8>,
@@ -210,12 +212,13 @@ impl Segment {
         arp_frame(header, arp)
     }
 
-    /// The frame of a UDP datagram; longer payloads than [`MAX_UDP`] make a frame no Ethernet carries, if asked for.
+    /// The frame of a UDP datagram; longer payloads than [`MAX_UDP`] make a frame no Ethernet
+    /// carries, if asked for.
     pub fn udp(&mut self, from: Endpoint, port: u16, payload: &[u8]) -> Vec<u8> {
         self.udp_to(from, (self.board_ip, port), payload)
     }
 
-    /// The same to everybody: 255.255.255.255 in a broadcast frame.
+    /// The same as a broadcast: to 255.255.255.255 in a broadcast frame.
     pub fn broadcast(&mut self, from: Endpoint, port: u16, payload: &[u8]) -> Vec<u8> {
         let mut frame = self.udp_to(from, (Ipv4Addr::BROADCAST, port), payload);
         frame[..6].fill(0xff);
@@ -287,7 +290,8 @@ impl Segment {
         (frame, at)
     }
 
-    /// A frame from the board, without preamble and FCS. `first` and `last` are the times of its bytes on the wire.
+    /// A frame from the board, without preamble and FCS. `first` and `last` are the times of its
+    /// bytes on the wire.
     pub fn receive(&mut self, frame: &[u8], first: u64, last: u64) {
         if self.understand(frame, first, last).is_none() {
             self.odd_frames += 1;
@@ -386,7 +390,8 @@ impl Segment {
         );
     }
 
-    /// Some TCP connection exists, so that [`Self::poll`] is wanted now and then even without frames.
+    /// Some TCP connection exists, so that [`Self::poll`] is wanted now and then even without
+    /// frames.
     pub fn has_connections(&self) -> bool {
         self.sockets.iter().next().is_some()
     }
@@ -411,7 +416,7 @@ impl Segment {
         let buffer = || tcp::SocketBuffer::new(vec![0; 8192]);
         let mut socket = tcp::Socket::new(buffer(), buffer());
         socket.set_nagle_enabled(false);
-        // Simulated milliseconds are dear; an acknowledgement is not.
+        // Simulated milliseconds are expensive; an acknowledgement is not.
         socket.set_ack_delay(None);
         let local = self.next_local_port;
         self.next_local_port = local.checked_add(1).unwrap_or(49152);
@@ -492,9 +497,11 @@ fn arp_frame(header: EthernetRepr, arp: ArpRepr) -> Vec<u8> {
     frame
 }
 
-/// Maps senders of the real world to source ports on the segment and back, so that the board can tell them apart.
+/// Maps senders of the real world to source ports on the segment and back, so that the board can
+/// tell them apart.
 ///
-/// Ports are given out once and never reused before the range is exhausted: a session on the board is bound to one.
+/// Ports are given out once and never reused before the range is exhausted: a session on the board
+/// is bound to one.
 #[derive(Debug)]
 pub struct Nat<K> {
     by_key: HashMap<K, u16>,
@@ -602,7 +609,8 @@ mod tests {
         let reply = arp_reply(&mut s, BOARD_IP, HOST_IP, ArpOperation::Reply);
         s.receive(&reply, 0, 0);
         assert_eq!(s.board_mac(), Some(BOARD_MAC));
-        // The default host is answered by the stack, a guest by the segment, a stranger by nobody.
+        // The stack answers for the default host, the segment for a guest; a stranger gets no
+        // answer.
         let guest = Ipv4Addr::new(192, 168, 2, 77);
         s.host_mac(guest);
         for (target, answered) in [

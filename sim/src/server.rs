@@ -1,4 +1,5 @@
-//! The simulated board behind real sockets: UDP and a TCP console on loopback, two ways of passing time, a control channel.
+//! The simulated board behind real sockets: UDP and a TCP console on loopback, two ways of passing
+//! time, a control channel.
 //!
 //! ```text
 //! lockstep   host    |cmd|......computes......|cmd|......computes......|cmd|
@@ -6,14 +7,15 @@
 //!                        `-> reply leaves at once, while the rest of the period is still being simulated
 //! ```
 //!
-//! *Lockstep*: simulated time stands still until the host sends an exchange, then advances by exactly one servo period. So
-//! LinuxCNC sees a board with a perfect clock, however slow the machine. Other datagrams advance time until their answer is
-//! out. A host that falls silent in the middle of a session must be seen as dead: after [`Options::silence`] of the machine's
-//! time the board runs on by itself for [`Options::orphan_clocks`].
+//! *Lockstep*: simulated time stands still until the host sends an exchange, then advances by
+//! exactly one servo period. So LinuxCNC sees a board with a perfect clock, even on a slow machine.
+//! Other datagrams advance time until their answer is out. A host that falls silent in the middle
+//! of a session must count as dead: after [`Options::silence`] of the machine's time the board runs
+//! on by itself for [`Options::orphan_clocks`].
 //!
 //! *Free*: time runs as fast as it can, or paced.
 //!
-//! Nothing here looks into a datagram further than to tell an exchange from the rest.
+//! The only inspection of a datagram is whether it is an exchange.
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
@@ -27,18 +29,18 @@ use std::time::{Duration, Instant};
 use crate::board::Clockwork;
 use crate::exchange::{Meter, Spread, is_request, wants_reply};
 use crate::faults::{Direction, Plan, Script, WORDS};
-use crate::report::Report;
-use crate::rig::{FrameCounts, Rig};
+use crate::report::{FrameCounts, Report};
+use crate::rig::Rig;
 use crate::segment::{BOARD_PORT, CONSOLE_PORT, Connection, HOST_IP, Nat};
 use crate::soc::Silicon;
 use crate::world::World;
 
-/// Whom on the board a datagram is for.
+/// The service of the board that a datagram is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Service {
     /// The Etherbone server.
     Etherbone,
-    /// Discovery: what is sent to everybody.
+    /// Discovery, by broadcast.
     Discovery,
     /// The DHCP client. Only a board that is an interface has one.
     Dhcp,
@@ -47,7 +49,7 @@ pub enum Service {
 /// A datagram of the board's.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Reply {
-    /// Who sent it.
+    /// The sender.
     pub service: Service,
     /// The host's port.
     pub port: u16,
@@ -55,7 +57,7 @@ pub struct Reply {
     pub payload: Vec<u8>,
 }
 
-/// Who a board is on the network.
+/// The network addresses of a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Addresses {
     /// Hardware address.
@@ -68,9 +70,10 @@ pub struct Addresses {
     pub port: u16,
 }
 
-/// A board that can be served: datagrams and console lines in, answers out, and time that passes only when told to.
+/// A board that can be served: datagrams and console lines in, answers out, and time that passes
+/// only when told to.
 pub trait Device {
-    /// One visitor's line to the console.
+    /// One client's connection to the console.
     type Console: Copy;
 
     /// Sys clocks since power-up.
@@ -79,32 +82,34 @@ pub trait Device {
     fn clockwork(&self) -> Clockwork;
     /// Puts a datagram from a host's `port` on the way to the board.
     fn post(&mut self, port: u16, service: Service, payload: &[u8]);
-    /// Lets time pass to the sys clock `until` or to the next answer; true when something may have come.
+    /// Lets time pass to the sys clock `until` or to the next answer; true when something may have
+    /// come.
     fn pass(&mut self, until: u64) -> bool;
     /// What the board has sent.
     fn take_replies(&mut self) -> Vec<Reply>;
     /// Longest wait for the answer to `payload`, or for it to take effect, sys clocks.
     fn wait_for(&self, service: Service, payload: &[u8]) -> u64;
-    /// Who the board is on the network at present; `None` when nobody outside its cable needs to know.
+    /// The network addresses of the board at present; `None` if nothing outside its cable needs
+    /// them.
     fn addresses(&self) -> Option<Addresses> {
         None
     }
 
-    /// A visitor comes to this TCP port: the console's, or that of jobs.
+    /// A client connects to this TCP port: the console's, or that of jobs.
     fn open(&mut self, port: u16) -> Self::Console;
-    /// He types; how many bytes were taken.
+    /// Bytes from the client; returns how many were taken.
     fn type_in(&mut self, console: Self::Console, bytes: &[u8]) -> usize;
-    /// What the board has said to him since.
+    /// The board's new output for the client.
     fn heard(&mut self, console: Self::Console) -> Vec<u8>;
-    /// Bytes typed that the board has not got yet.
+    /// Bytes from the client that the board has not received yet.
     fn untold(&mut self, console: Self::Console) -> usize;
-    /// He leaves.
+    /// The client closes its side.
     fn hang_up(&mut self, console: Self::Console);
-    /// The board has said good bye.
+    /// The board has closed its side.
     fn hung_up(&mut self, console: Self::Console) -> bool;
-    /// Both have.
+    /// Both sides are closed.
     fn closed(&mut self, console: Self::Console) -> bool;
-    /// He is gone.
+    /// Forgets the connection.
     fn forget(&mut self, console: Self::Console);
 
     /// Pins, edges, plant.
@@ -113,9 +118,10 @@ pub trait Device {
     fn world_mut(&mut self) -> &mut World;
     /// Stops or starts the CPU.
     fn freeze_cpu(&mut self, frozen: bool);
-    /// What is going wrong.
+    /// The faults.
     fn faults(&mut self) -> &mut Script;
-    /// From now on this goes wrong. An error says what this board cannot do and what to say instead.
+    /// Starts these faults now. An error names the fault that this board cannot have, and an
+    /// alternative.
     fn trouble(&mut self, plan: &Plan) -> Result<(), String>;
     /// Measurements of exchanges.
     fn meter(&self) -> &Meter;
@@ -251,9 +257,9 @@ pub struct Options {
     pub udp: SocketAddr,
     /// Address that stands for the board's discovery port.
     pub discovery: Option<SocketAddr>,
-    /// A network interface that is the board's: it is given the board's hardware and IPv4 address whenever they change, the
-    /// Etherbone port follows the board's, and discovery is answered to everybody. Needs root, and wants a network
-    /// namespace of its own.
+    /// A network interface that is the board's: it is given the board's hardware and IPv4 address
+    /// whenever they change, the Etherbone port follows the board's, and discovery is answered by
+    /// broadcast. Needs root and a network namespace of its own.
     pub interface: Option<String>,
     /// Loopback address that stands for the board's console port.
     pub console: Option<SocketAddr>,
@@ -265,16 +271,17 @@ pub struct Options {
     pub stdin: bool,
     /// Time.
     pub mode: Mode,
-    /// Lockstep: silence of the host, in the machine's time, after which the board runs on by itself.
+    /// Lockstep: silence of the host, in the machine's time, after which the board runs on by
+    /// itself.
     pub silence: Duration,
-    /// Lockstep: how far it then runs, sys clocks. Enough for every watchdog and soft stop; not so much that a forgotten
-    /// simulator keeps a core busy for ever.
+    /// Lockstep: how far it then runs, sys clocks. Enough for every watchdog and soft stop; not so
+    /// much that a forgotten simulator keeps a core busy for ever.
     pub orphan_clocks: u64,
     /// Where `stats` and the end of the run write the report.
     pub report: Option<PathBuf>,
 }
 
-/// What the outside world did.
+/// An event from outside.
 enum Event {
     Datagram(Service, SocketAddr, Vec<u8>),
     Opened(u64, u16, TcpStream),
@@ -318,8 +325,8 @@ pub struct Server<D: Device> {
     pace_from: Option<(Instant, u64)>,
 }
 
-/// Sys clocks simulated between two looks at the outside world when time runs by itself: about a millisecond of the
-/// machine's time.
+/// Sys clocks simulated between two looks at the outside world when time runs by itself: about a
+/// millisecond of the machine's time.
 const SLICE: u64 = 1000;
 /// A paced board that is later than this starts counting anew instead of hurrying.
 const LATE: Duration = Duration::from_millis(100);
@@ -327,7 +334,7 @@ const LATE: Duration = Duration::from_millis(100);
 const NAP: Duration = Duration::from_micros(50);
 
 impl<D: Device> Server<D> {
-    /// Open the sockets. `stop` ends [`Self::run`] when somebody (a signal handler) sets it.
+    /// Open the sockets. [`Self::run`] ends when `stop` is set, for example by a signal handler.
     pub fn bind(rig: D, options: Options, stop: Arc<AtomicBool>) -> std::io::Result<Self> {
         let (sender, events) = channel();
         let udp = Ear::open(options.udp, Service::Etherbone, &sender)?;
@@ -397,7 +404,7 @@ impl<D: Device> Server<D> {
         Ok(server)
     }
 
-    /// The interface is what the board is.
+    /// Gives the interface the board's addresses.
     fn follow_addresses(&mut self) -> std::io::Result<()> {
         let Some(interface) = &self.options.interface else {
             return Ok(());
@@ -417,10 +424,10 @@ impl<D: Device> Server<D> {
                 "address add {}/{} brd + dev {interface}",
                 new.ip, new.prefix
             ),
-            // A board shouts out of its only cable; this machine wants to be told which that is.
+            // A board sends broadcasts out of its only cable; this machine needs a route for that.
             format!("route replace 255.255.255.255 dev {interface}"),
         ];
-        // While a DHCP server is asked the board has none.
+        // The board has no address while it asks a DHCP server.
         let without = |command: &&String| !(new.ip.is_unspecified() && command.contains("brd"));
         for command in commands.iter().filter(without) {
             let said = std::process::Command::new("ip")
@@ -507,7 +514,8 @@ impl<D: Device> Server<D> {
         };
         match event {
             Ok(Event::Datagram(Service::Etherbone, sender, payload)) if is_request(&payload) => {
-                // A period starts where the last one ended, unless time has been moved by something else since.
+                // A period starts where the last one ended, unless time has been moved by something
+                // else since.
                 let start = self.rig.clock().max(self.period_end);
                 self.pass(start);
                 self.period_end = start + period;
@@ -531,7 +539,7 @@ impl<D: Device> Server<D> {
 
     fn free(&mut self, pace: Option<f64>) {
         let event = match self.ahead(pace) {
-            // As far as time goes: nothing to do until it goes on or somebody comes.
+            // Nothing to do until time goes on or an event comes.
             Some(wait) => self
                 .events
                 .recv_timeout(wait)
@@ -559,7 +567,8 @@ impl<D: Device> Server<D> {
         let (began, from) = *self.pace_from.get_or_insert((Instant::now(), clock));
         let due = from + (began.elapsed().as_secs_f64() * pace) as u64;
         if due > clock + SLICE {
-            // What this machine slept away is made up for, unless it is so much that it would look like a fault.
+            // A delay of this machine is made up for, unless it is so long that it would look like
+            // a fault.
             if due - clock > (LATE.as_secs_f64() * pace) as u64 {
                 self.pace_from = None;
             }
@@ -575,14 +584,15 @@ impl<D: Device> Server<D> {
         port
     }
 
-    /// Let time pass to the sys clock `until`, sending on whatever leaves the board as it leaves.
+    /// Let time pass to the sys clock `until`, forwarding datagrams as they leave the board.
     fn pass(&mut self, until: u64) {
         while self.rig.clock() < until && !self.stop.load(Ordering::Relaxed) {
             self.pass_frame(until);
         }
     }
 
-    /// Let time pass to the next frame or `until`. Returns the virtual ports that datagrams went to.
+    /// Let time pass to the next frame or `until`. Returns the virtual ports that datagrams went
+    /// to.
     fn pass_frame(&mut self, until: u64) -> Vec<u16> {
         // Slices keep signals and consoles alive in long waits.
         let until = until.min(self.rig.clock() + 20 * SLICE);
@@ -594,20 +604,20 @@ impl<D: Device> Server<D> {
             ports.push(reply.port);
             if reply.service == Service::Dhcp {
                 if let Some(dhcp) = &self.dhcp {
-                    let everybody = (Ipv4Addr::BROADCAST, reply.port);
-                    // Nobody may be there, nor a way out: it asks again.
-                    let _ = dhcp.udp.send_to(&reply.payload, everybody);
+                    let broadcast = (Ipv4Addr::BROADCAST, reply.port);
+                    // There may be no server or no route; the board asks again.
+                    let _ = dhcp.udp.send_to(&reply.payload, broadcast);
                 }
                 continue;
             }
             let Some(sender) = self.nat.sender(reply.port) else {
                 continue;
             };
-            // A host that is gone refuses the datagram; the board would not know either.
+            // A host that is gone refuses the datagram; a real board would not notice that either.
             let _ = match (reply.service, &self.discovery) {
                 (Service::Discovery, Some(discovery)) if self.options.interface.is_some() => {
-                    let everybody = (Ipv4Addr::BROADCAST, sender.port());
-                    discovery.udp.send_to(&reply.payload, everybody)
+                    let broadcast = (Ipv4Addr::BROADCAST, sender.port());
+                    discovery.udp.send_to(&reply.payload, broadcast)
                 }
                 (Service::Discovery, Some(discovery)) => {
                     discovery.udp.send_to(&reply.payload, sender)
@@ -659,7 +669,8 @@ impl<D: Device> Server<D> {
         self.pump_consoles();
     }
 
-    /// Bytes both ways between real console connections and the segment. True while something moved.
+    /// Bytes both ways between real console connections and the segment. True while something
+    /// moved.
     fn pump_consoles(&mut self) -> bool {
         let rig = &mut self.rig;
         let mut moved = false;
@@ -669,7 +680,8 @@ impl<D: Device> Server<D> {
             let heard = rig.heard(console.connection);
             moved |= sent != 0 || !heard.is_empty();
             if !heard.is_empty() && console.stream.write_all(&heard).is_err() {
-                // Nobody listens any more. The board still has to hear it, or it keeps its only console for them.
+                // The client is gone. The board still has to be told, or it keeps its only console
+                // reserved.
                 console.ended = true;
                 console.waiting.clear();
             }
@@ -677,7 +689,8 @@ impl<D: Device> Server<D> {
                 rig.hang_up(console.connection);
             }
             if rig.hung_up(console.connection) {
-                // Our good bye has to follow the board's, or it waits for it and lets nobody else in.
+                // Our side has to close after the board's, or the board waits for it and accepts no
+                // other client.
                 let _ = console.stream.shutdown(std::net::Shutdown::Both);
                 rig.hang_up(console.connection);
             }
@@ -691,8 +704,8 @@ impl<D: Device> Server<D> {
         moved
     }
 
-    /// Lockstep: give the board time in small slices until the consoles have been quiet for 3 ms of its time (it looks after
-    /// TCP once a millisecond), at most 20 ms.
+    /// Lockstep: give the board time in small slices until the consoles have been quiet for 3 ms of
+    /// its time (it looks after TCP once a millisecond), at most 20 ms.
     fn settle_consoles(&mut self) {
         let ms = self.rig.clocks(Duration::from_millis(1));
         let end = self.rig.clock() + 20 * ms;
@@ -836,7 +849,7 @@ impl<D: Device> Server<D> {
     }
 }
 
-/// A socket with somebody who reads it; both are gone when this is dropped.
+/// A socket with its reading thread; both end when this is dropped.
 struct Ear {
     udp: UdpSocket,
     deaf: Arc<AtomicBool>,
@@ -876,7 +889,7 @@ fn read_datagrams(udp: &UdpSocket, service: Service, to: &Sender<Event>, deaf: &
                     return;
                 }
             }
-            // Linux reports a peer's closed port on the next receive; that is the peer's affair.
+            // Linux reports a peer's closed port on the next receive; it is not an error here.
             Err(e)
                 if matches!(
                     e.kind(),
@@ -893,7 +906,7 @@ fn read_datagrams(udp: &UdpSocket, service: Service, to: &Sender<Event>, deaf: &
     }
 }
 
-/// Visitors are numbered `first`, `first` + 2, ..: there are two doors.
+/// Clients are numbered `first`, `first` + 2, ..: there are two listeners.
 fn accept_visitors(listener: &TcpListener, first: u64, port: u16, to: &Sender<Event>) {
     for (id, stream) in (first..).step_by(2).zip(listener.incoming().flatten()) {
         let Ok(mut reader) = stream.try_clone() else {
@@ -938,8 +951,8 @@ mod tests {
     use crate::plant::Plant;
     use crate::soc::{ETH, Pins, SYS};
 
-    /// Silicon that answers every UDP frame as a board would: addresses and ports exchanged, the payload echoed. It stores
-    /// the frame and sends the answer when the frame has ended.
+    /// Silicon that answers every UDP frame as a board would: addresses and ports exchanged, the
+    /// payload echoed. It stores the frame and sends the answer when the frame has ended.
     #[derive(Default)]
     struct Echo {
         incoming: Vec<u8>,

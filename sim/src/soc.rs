@@ -1,7 +1,8 @@
-//! The Verilated SoC behind its C ABI: pins in, pins out, one rising clock edge at a time; and the bare cores likewise.
+//! The Verilated SoC behind its C ABI: pins in, pins out, one rising clock edge at a time; and the
+//! bare cores likewise.
 //!
-//! The only file of this crate with `unsafe`: it calls a shared library made by `sim/verilator/build.sh`. It knows no
-//! frames and no time; [`crate::board`] does.
+//! The only file of this crate with `unsafe`: it calls a shared library made by
+//! `sim/verilator/build.sh`. It knows no frames and no time; [`crate::board`] does.
 
 use std::ffi::{CString, c_char, c_int, c_void};
 use std::path::{Path, PathBuf};
@@ -12,14 +13,15 @@ use serde::Deserialize;
 use crate::error::Error;
 
 /// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
-const SHIM_ABI: u32 = 7;
+const SHIM_ABI: u32 = 8;
 
 /// Bit of the sys clock in [`Silicon::rise`].
 pub const SYS: u32 = 1;
 /// Bit of the 125 MHz Ethernet clock in [`Silicon::rise`].
 pub const ETH: u32 = 2;
 
-/// Every pin of the simulated board: inputs first, then outputs as they stand after the last clock edge.
+/// Every pin of the simulated board: inputs first, then outputs as they stand after the last clock
+/// edge.
 ///
 /// Field order and widths are those of `struct Pins` in `verilator/shim.cpp`.
 #[repr(C)]
@@ -51,8 +53,12 @@ pub struct Pins {
     pub factory: u8,
     /// In: what the PHY says of its link, see [`LINK_1000`].
     pub link_status: u8,
-    #[doc(hidden)]
-    pub reserved_in: [u8; 3],
+    /// In: what is wrong with the driven pads: [`crate::pads::Fault::put`].
+    pub pad_fault: u8,
+    /// In: at which of them.
+    pub pad_at: u8,
+    /// In: and which other.
+    pub pad_to: u8,
     /// Out: levels at the general outputs.
     pub gpio_out: u32,
     /// Out: STEP pins, bit n = stepgen n.
@@ -107,7 +113,9 @@ impl Default for Pins {
             sys_rst: 0,
             factory: 0,
             link_status: LINK_1000,
-            reserved_in: [0; 3],
+            pad_fault: 0,
+            pad_at: 0,
+            pad_to: 0,
             gpio_out: 0,
             step: 0,
             dir: 0,
@@ -145,16 +153,19 @@ impl Pins {
             sys_rst: inputs.sys_rst,
             factory: inputs.factory,
             link_status: inputs.link_status,
-            reserved_in: [0; 3],
+            pad_fault: inputs.pad_fault,
+            pad_at: inputs.pad_at,
+            pad_to: inputs.pad_to,
             ..*other
         };
     }
 }
 
-/// Anything that behaves as the board's digital part at its pins: the Verilated SoC, or a few lines of Rust in a test.
+/// Anything that behaves as the board's digital part at its pins: the Verilated SoC, or a few lines
+/// of Rust in a test.
 pub trait Silicon {
-    /// One rising edge of the clocks in `clocks` ([`SYS`], [`ETH`] or both), with the inputs of `pins` stable before it;
-    /// leaves the outputs in `pins`. `time_ps` is used by waveforms only.
+    /// One rising edge of the clocks in `clocks` ([`SYS`], [`ETH`] or both), with the inputs of
+    /// `pins` stable before it; leaves the outputs in `pins`. `time_ps` is used by waveforms only.
     fn rise(&mut self, pins: &mut Pins, clocks: u32, time_ps: u64);
 
     /// Start writing waveforms to `file`.
@@ -207,14 +218,15 @@ type HandleFn = unsafe extern "C" fn(*mut c_void);
 type SpiCallback = unsafe extern "C" fn(*mut c_void, u8, u8, u8) -> u8;
 type OnSpiFn = unsafe extern "C" fn(*mut c_void, Option<SpiCallback>, *mut c_void);
 
-/// What sits at the flash's wires. It is told every level of CS and SCK that is new, CS being active low, and MOSI as it
-/// stands with it; what it returns is MISO from then on.
+/// What sits at the flash's wires. It is told every level of CS and SCK that is new, CS being
+/// active low, and MOSI as it stands with it; what it returns is MISO from then on.
 pub type SpiDevice = Box<dyn FnMut(bool, bool, bool) -> bool + Send>;
 
 /// What the shim calls.
 unsafe extern "C" fn on_spi(context: *mut c_void, cs_n: u8, sck: u8, mosi: u8) -> u8 {
-    // SAFETY: `context` is the `SpiDevice` that `Soc::attach_spi` boxed; it lives until the shim has forgotten it, and the shim
-    // calls only from within `fc_rise`, which nothing else runs beside.
+    // SAFETY: `context` is the `SpiDevice` that `Soc::attach_spi` boxed; it lives until the shim
+    // has forgotten it, and the shim calls only from within `fc_rise`, which nothing else runs
+    // beside.
     let device = unsafe { &mut *context.cast::<SpiDevice>() };
     device(cs_n != 0, sck != 0, mosi != 0).into()
 }
@@ -258,11 +270,13 @@ impl std::fmt::Debug for Soc {
     }
 }
 
-// SAFETY: the model has its own Verilator context and no thread-local state; it is used by one thread at a time (`&mut`).
+// SAFETY: the model has its own Verilator context and no thread-local state; it is used by one
+// thread at a time (`&mut`).
 unsafe impl Send for Soc {}
 
 impl Soc {
-    /// Load the SoC of `soc_dir`: the fast model, or with `trace` the slower one that can write waveforms.
+    /// Load the SoC of `soc_dir`: the fast model, or with `trace` the slower one that can write
+    /// waveforms.
     pub fn load(soc_dir: &Path, trace: bool) -> Result<Self, Error> {
         let name = if trace {
             "libferrocnc_soc_trace.so"
@@ -276,8 +290,9 @@ impl Soc {
             path: path.clone(),
             source,
         };
-        // SAFETY: the library is ours (build.sh); its initialisers are Verilator's and touch nothing outside it. The symbols
-        // have the types given in shim.cpp, which the ABI version confirms before any other call.
+        // SAFETY: the library is ours (build.sh); its initialisers are Verilator's and touch
+        // nothing outside it. The symbols have the types given in shim.cpp, which the ABI version
+        // confirms before any other call.
         unsafe {
             let library = Library::new(&path).map_err(err)?;
             let version = library
@@ -322,10 +337,11 @@ impl Soc {
         unsafe { (self.rom_words)(self.handle) as usize }
     }
 
-    /// Put `words` at the start of the ROM; what does not fit is an error of the caller ([`crate::firmware`] checks).
+    /// Put `words` at the start of the ROM; what does not fit is an error of the caller
+    /// ([`crate::firmware`] checks).
     ///
-    /// The model runs its `initial` blocks (which may load the elaborated ROM) at the first clock edge, so call this after
-    /// it. [`crate::board::Board::reset`] does.
+    /// The model runs its `initial` blocks (which may load the elaborated ROM) at the first clock
+    /// edge, so call this after it. [`crate::board::Board::reset`] does.
     pub fn load_rom(&mut self, words: &[u32]) {
         let room = self.rom_words();
         for (i, word) in words.iter().enumerate().take(room) {
@@ -338,11 +354,13 @@ impl Soc {
     pub fn attach_spi(&mut self, device: SpiDevice) {
         let device = self.spi.insert(Box::new(device));
         let context: *mut SpiDevice = &mut **device;
-        // SAFETY: see `rom_words`; `context` stays where it is until it is replaced here or freed after the handle.
+        // SAFETY: see `rom_words`; `context` stays where it is until it is replaced here or freed
+        // after the handle.
         unsafe { (self.on_spi)(self.handle, Some(on_spi), context.cast()) }
     }
 
-    /// Address of the instruction that left the CPU's pipeline with the last clock edge; `None` in a stall.
+    /// Address of the instruction that left the CPU's pipeline with the last clock edge; `None` in
+    /// a stall.
     pub fn pc(&mut self) -> Option<u32> {
         // SAFETY: see `rom_words`.
         let pc = unsafe { (self.pc)(self.handle) };
@@ -356,14 +374,15 @@ impl Soc {
         (both != u64::MAX).then_some(((both >> 8) as u32, both as u8))
     }
 
-    /// Shorts lines of the SDRAM to ground; false on a board without one. Call it after the first clock edge, as [`Soc::load_rom`].
+    /// Shorts lines of the SDRAM to ground; false on a board without one. Call it after the first
+    /// clock edge, as [`Soc::load_rom`].
     pub fn short_sdram(&mut self, lines: SdramLines) -> bool {
         // SAFETY: see `rom_words`.
         unsafe { (self.sdram_low)(self.handle, lines.data, lines.row.into()) == 0 }
     }
 
-    /// The on-chip RAM as it stands; empty when the manifest does not name it. A write-back in the CPU's data cache may be
-    /// missing (VexRiscv writes through, so it is not).
+    /// The on-chip RAM as it stands; empty when the manifest does not name it. A write-back in the
+    /// CPU's data cache may be missing (VexRiscv writes through, so it is not).
     pub fn ram(&mut self) -> Vec<u32> {
         // SAFETY: as above; indices within the count the model gives.
         unsafe {
@@ -409,7 +428,7 @@ impl Drop for Soc {
 }
 
 /// Version of [`CoresPins`]; equal to `ABI_VERSION` in `verilator/cores.cpp`.
-const CORES_ABI: u32 = 1;
+const CORES_ABI: u32 = 2;
 
 /// Pins and register bus of the bare cores, as `struct CoresPins` in `verilator/cores.cpp`.
 #[repr(C)]
@@ -447,6 +466,14 @@ pub struct CoresPins {
     pub frame_pending: u8,
     /// In: of this slot.
     pub pending_slot: u8,
+    /// In: what is wrong with the driven pads, as in [`Pins`].
+    pub pad_fault: u8,
+    /// In: at which of them.
+    pub pad_at: u8,
+    /// In: and which other.
+    pub pad_to: u8,
+    /// In: the PHY's clock has made another beat.
+    pub eth_beat: u8,
     #[doc(hidden)]
     pub reserved_in: [u8; 3],
     /// Out: what was read.
@@ -473,7 +500,7 @@ pub struct CoresPins {
     pub reserved_out: [u8; 2],
 }
 
-const _: () = assert!(size_of::<CoresPins>() == 60);
+const _: () = assert!(size_of::<CoresPins>() == 64);
 
 type CoresRiseFn = unsafe extern "C" fn(*mut c_void, *mut CoresPins);
 
@@ -501,8 +528,9 @@ impl Cores {
             path: path.clone(),
             source,
         };
-        // SAFETY: the library is ours (cores.sh); its initialisers touch nothing outside it. The symbols have the types given
-        // in cores.cpp, which the ABI version confirms before any other call.
+        // SAFETY: the library is ours (cores.sh); its initialisers touch nothing outside it. The
+        // symbols have the types given in cores.cpp, which the ABI version confirms before any
+        // other call.
         unsafe {
             let library = Library::new(&path).map_err(err)?;
             let version = library
@@ -531,7 +559,8 @@ impl Cores {
     /// One rising edge.
     #[inline]
     pub fn rise(&mut self, pins: &mut CoresPins) {
-        // SAFETY: `handle` came from fc_cores_new and is alive until drop; `pins` has the layout of the shim's struct.
+        // SAFETY: `handle` came from fc_cores_new and is alive until drop; `pins` has the layout of
+        // the shim's struct.
         unsafe { (self.rise)(self.handle, pins) }
     }
 }

@@ -1,10 +1,12 @@
-//! The twin: the firmware's library on the cores' models, behind the same sockets as the Verilated board.
+//! The twin: the firmware's library on the cores' models, behind the same sockets as the Verilated
+//! board.
 //!
-//! No CPU, no MAC, no frames: a datagram goes into [`firmware::machine::Machine`] as the image would put it there, and the
-//! verbs of [`firmware::cores::Board`] become register writes of [`model::Board`]. What happens at the pins is the gateware's,
-//! clock by clock; when the firmware does something is a round figure (see [`ANSWER`]), for nobody fetches instructions here.
+//! No CPU, no MAC, no frames: a datagram goes into [`firmware::machine::Machine`] as the image
+//! would put it there, and the verbs of [`firmware::cores::Board`] become register writes of
+//! [`model::Board`]. The pins behave as the gateware's, clock by clock; the times of the firmware's
+//! actions are round figures (see [`ANSWER`]), because no instructions are executed here.
 //!
-//! Time passes from event to event, so an idle board costs next to nothing.
+//! Time passes from event to event, so an idle board takes almost no computing time.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -22,7 +24,7 @@ use wire::images::{Meta, Role, Trailer};
 use wire::map::{BoardConfig, StepType, StepgenConfig};
 use wire::{MAX_WORDS, ResetReason};
 
-use crate::board::Clockwork;
+use crate::board::{Clockwork, ETH_CLK_HZ};
 use crate::card::Card;
 use crate::edges::{Recorder, Timing};
 use crate::error::Error;
@@ -35,26 +37,27 @@ use crate::model::{self, board::pages};
 use crate::nor::spi::Shared;
 use crate::nor::{Nor, Part};
 use crate::plant::Plant;
-use crate::report::{Counters, Report, Seen};
-use crate::rig::FrameCounts;
+use crate::report::{Counters, FrameCounts, Report, Seen};
 use crate::segment::CONSOLE_PORT;
 use crate::server::{Addresses, Device, Reply, Service};
 use crate::soc::LINK_1000;
 use crate::world::World;
 
-/// Clocks from a request's arrival to its execution, and from there to its answer. The image takes some 970 clocks from the
-/// last byte in to the first byte out (`cargo xtask bench exchange`), and acts in the middle.
+/// Clocks from a request's arrival to its execution, and from there to its answer. The image takes
+/// some 970 clocks from the last byte in to the first byte out (`cargo xtask bench exchange`), and
+/// acts in the middle.
 pub const ANSWER: [u64; 2] = [480, 490];
 /// Clocks after a strobe until every word of a sample can be read: `tally.sv`.
 const SAMPLED: u64 = 20;
-/// Clocks between two slices of an operation of the flash: what a slice takes the image, some 256 bytes of SPI.
+/// Clocks between two slices of an operation of the flash: what a slice takes the image, some 256
+/// bytes of SPI.
 const SLICE: u64 = 12_000;
-/// Clocks a CPU takes to come to its first instruction of ours.
+/// Clocks until a CPU reaches the firmware's first instruction.
 const FIRST: u64 = 64;
 /// Clocks of a register access of the CPU.
 const ACCESS: u64 = 2;
-/// Clocks from a start to the first frame that is looked at: what the image takes on the Verilated board
-/// (`ferrocnc-sim --backend rtl` prints 198 662 from power-up with the first question).
+/// Clocks from a start to the first frame that is looked at: what the image takes on the Verilated
+/// board (`ferrocnc-sim --backend rtl` prints 198 662 from power-up with the first question).
 pub const STARTING: u64 = 190_000;
 /// Bytes around a UDP payload on the wire: preamble, Ethernet, IPv4, UDP, FCS.
 const ENVELOPE: usize = 8 + 14 + 20 + 8 + 4;
@@ -66,21 +69,32 @@ pub const IDCODE: u32 = 0x4111_1043;
 /// Unique id of a twin's flash until told otherwise.
 pub const UID: u64 = 0xd162_0c8a_1b2c_3d4e;
 
-/// What a twin is put together from.
+/// The parts of a twin.
 #[derive(Debug)]
 pub struct Setup {
     /// The board.
     pub card: Card,
     /// What is wired to it.
     pub plant: Plant,
-    /// Its flash. It stays what it is through a restart; the next twin with it is the board after a power cycle.
+    /// Its flash. It survives a restart; the next twin with the same flash is the board after a
+    /// power cycle.
     pub flash: Shared,
     /// The factory pin is held.
     pub factory: bool,
-    /// The register map its gateware was built from. Another than the firmware's is a board somebody flashed in halves.
+    /// The register map its gateware was built from. Another than the firmware's means that
+    /// gateware and firmware of different builds were flashed.
     pub abi: u32,
-    /// What its wall clock shows at the start; it counts clocks since power-up, so 0 unless its end is to come soon.
+    /// What its wall clock shows at the start; it counts clocks since power-up, so 0 unless its end
+    /// is to come soon.
     pub wall_clock: u64,
+    /// Its SDRAM works; only a board with jobs uses it.
+    pub sdram: bool,
+    /// Its gateware reads its pads back and counts the Ethernet clock; false is one from before
+    /// that.
+    pub readback: bool,
+    /// How fast the PHY's receive clock is against the board's own, in parts per million of what it
+    /// should be.
+    pub eth_ppm: i32,
 }
 
 impl Setup {
@@ -93,12 +107,15 @@ impl Setup {
             factory: false,
             abi: abi::ABI,
             wall_clock: 0,
+            sdram: true,
+            readback: true,
+            eth_ppm: 0,
         }
     }
 }
 
-/// What packing wrote at the end of the ROM of whatever the FPGA has loaded from this flash. Nothing loads from a blank one: then
-/// the twin is a board that was loaded by JTAG.
+/// The trailer of the image that the FPGA loads from this flash, as packing wrote it at the end of
+/// the ROM. From a blank flash nothing loads: then the twin is a board that JTAG loaded.
 fn trailer(flash: &Nor) -> Trailer {
     let loaded = loader::power_up(flash.cells(), IDCODE);
     let Some((at, layout)) = loaded.image.zip(Layout::of(flash.part().bytes as u32)) else {
@@ -120,11 +137,21 @@ fn trailer(flash: &Nor) -> Trailer {
     })
 }
 
+/// The PHY's receive clock, as far as it is counted.
+#[derive(Clone, Copy, Debug, Default)]
+struct EthClock {
+    /// Until this clock of the world.
+    clock: u64,
+    /// Its clocks, times a million, times the clocks of the board in a second.
+    passed: u128,
+}
+
 /// The firmware's board: registers, pins and what is wired to them.
 #[derive(Debug)]
 pub struct Desk {
     model: model::Board,
-    /// Clocks of the world before this model began: a board that starts anew counts from 0, the world does not.
+    /// Clocks of the world before this model began: a board that starts anew counts from 0, the
+    /// world does not.
     before: u64,
     world: World,
     flash: Shared,
@@ -135,12 +162,17 @@ pub struct Desk {
     record: Record,
     /// When the watchdog was last given a token.
     fed: u64,
+    eth_ppm: i32,
+    eth: EthClock,
+    /// Frames the MAC threw away.
+    spoilt: u32,
     step_inverted: u16,
     dir_inverted: u16,
 }
 
 impl Desk {
-    /// Switches a board on and brings it to where the firmware starts; what it calls itself comes with it.
+    /// Switches a board on and brings it to where the firmware starts; returns it with its
+    /// identity.
     pub fn power_up(setup: Setup) -> (Self, Ident) {
         // Its own time begins anew, its cells do not.
         let trailer = {
@@ -148,7 +180,7 @@ impl Desk {
             chip.power_up();
             trailer(&chip)
         };
-        let ident = ident(&setup.card, setup.abi);
+        let ident = ident(&setup.card, setup.abi, setup.readback);
         let mut desk = Desk::new(setup, trailer);
         // The pins are seen by the first instruction.
         desk.pass(FIRST);
@@ -166,6 +198,12 @@ impl Desk {
         self.record.boot(now)
     }
 
+    /// Leaves word why the next start will be one. Without it that start was a jump to where the
+    /// firmware begins.
+    pub fn part(&mut self, why: ResetReason) {
+        self.record.part(why);
+    }
+
     fn new(setup: Setup, trailer: Trailer) -> Self {
         let Setup {
             card,
@@ -174,11 +212,14 @@ impl Desk {
             factory,
             abi,
             wall_clock,
+            sdram: _,
+            readback,
+            eth_ppm,
         } = setup;
         let mut world = World::new(plant, card.clock_hz.into());
         world.factory(factory);
         Desk {
-            model: model::Board::at(build(&card, abi), wall_clock),
+            model: model::Board::at(build(&card, abi, readback), wall_clock),
             before: 0u64.wrapping_sub(wall_clock),
             world,
             flash,
@@ -188,6 +229,9 @@ impl Desk {
             ring: log::Ring::new(),
             record: Record::EMPTY,
             fed: 0,
+            eth_ppm,
+            eth: EthClock::default(),
+            spoilt: 0,
             step_inverted: 0,
             dir_inverted: 0,
         }
@@ -198,7 +242,8 @@ impl Desk {
         self.before.wrapping_add(self.model.clocks())
     }
 
-    /// Every core as it powers up; what is wired to them stays as it is, and so does the time of day.
+    /// Every core as it powers up; what is wired to them stays as it is, and so does the time of
+    /// day.
     fn restart(&mut self) {
         self.before = self.clock();
         self.model = model::Board::new(self.model.build().clone());
@@ -229,12 +274,30 @@ impl Desk {
         }
     }
 
-    /// The flash, as late as it is here. Its own time passes while it is spoken to, as the CPU's does.
+    /// The flash, as late as it is here. Its own time passes while it is spoken to, as the CPU's
+    /// does.
     fn flash(&mut self) -> &mut Shared {
         let ticks = self.clock() * self.clockwork.sys_period;
         let now = self.clockwork.picoseconds(ticks) / 1000;
         self.flash.chip().it_is(now);
         &mut self.flash
+    }
+
+    /// As the firmware asks for the time: the wall clock and the beats of the PHY's clock are
+    /// caught together.
+    fn snapshot(&mut self) {
+        let (now, status) = (self.clock(), self.world.pins.link_status);
+        let hz: u64 = match (status & 1, status >> 1 & 3) {
+            (1, 0) => 2_500_000,
+            (1, 1) => 25_000_000,
+            _ => ETH_CLK_HZ,
+        };
+        let million = (1_000_000 + i64::from(self.eth_ppm)).max(0) as u128;
+        self.eth.passed += u128::from(now - self.eth.clock) * u128::from(hz) * million;
+        self.eth.clock = now;
+        let of_one = u128::from(self.clockwork.sys_hz) * 1_000_000;
+        let beat = of_one * u128::from(wire::map::ETH_BEAT_CLOCKS);
+        self.model.snapshot((self.eth.passed / beat) as u32);
     }
 
     fn order(&mut self, page: u32, word: u32, data: u32) {
@@ -258,7 +321,7 @@ impl Desk {
         }
     }
 
-    /// The judge at the pins holds a stepgen to what it is set to.
+    /// Gives the check at the pins the settings of a stepgen.
     fn tell_the_judge(&mut self, n: u8) {
         let mut read =
             |field: StepgenConfig| self.model.read(pages::STEPGEN + u32::from(n), field as u32);
@@ -274,7 +337,7 @@ impl Desk {
         let put = |word: u16, bit| word & !(1 << n) | u16::from(mode & bit != 0) << n;
         self.step_inverted = put(self.step_inverted, wire::map::STEPGEN_STEP_INVERT);
         self.dir_inverted = put(self.dir_inverted, wire::map::STEPGEN_DIR_INVERT);
-        // A pin that is turned over is no pulse: the judge looks again once it stands.
+        // A change of polarity is not a pulse: the check takes the new level.
         self.pass(self.clock());
         self.model.drive(&self.world.pins);
         while self.model.run(self.model.clocks() + ACCESS) {}
@@ -302,13 +365,15 @@ impl cores::Board for Desk {
     fn link(&mut self) -> cores::Link {
         cores::Link {
             status: self.world.pins.link_status.into(),
-            errors: 0,
+            errors: self.spoilt,
         }
     }
     fn now(&mut self) -> u64 {
+        self.snapshot();
         self.model.now()
     }
     fn now_lo(&mut self) -> u32 {
+        self.snapshot();
         self.model.now() as u32
     }
     fn arrival_lo(&mut self) -> u32 {
@@ -408,7 +473,7 @@ impl cores::Board for Desk {
     }
 }
 
-fn build(card: &Card, abi: u32) -> model::board::Build {
+fn build(card: &Card, abi: u32, readback: bool) -> model::board::Build {
     model::board::Build {
         jobs: card.jobs,
         channels: card.channels,
@@ -418,6 +483,7 @@ fn build(card: &Card, abi: u32) -> model::board::Build {
         abi,
         version: firmware::VERSION,
         rom_words: card.words().len() as u32,
+        readback,
     }
 }
 
@@ -431,14 +497,14 @@ impl text::Sink for Paper {
     }
 }
 
-/// Somebody at the console.
+/// A client at the console.
 #[derive(Debug, Default)]
 struct Visitor {
     line: console::Line,
     out: Paper,
     said_goodbye: bool,
     gone: bool,
-    /// Not at the console but at the desk of jobs.
+    /// A client of the jobs, not of the console.
     jobs: bool,
 }
 
@@ -490,6 +556,7 @@ struct Request {
 pub struct Twin {
     machine: Machine<Desk>,
     card: Card,
+    sdram: bool,
     clockwork: Clockwork,
     requests: VecDeque<Request>,
     replies: Vec<Reply>,
@@ -514,23 +581,28 @@ fn payload(words: &[u32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
-fn ident(card: &Card, abi: u32) -> Ident {
+fn ident(card: &Card, abi: u32, readback: bool) -> Ident {
     Ident {
         abi,
         version: firmware::VERSION,
         clock_hz: card.clock_hz,
         channels: card.channels,
-        features: u32::from(card.jobs > 0) * wire::describe::FEATURE_JOBS,
+        features: (u32::from(card.jobs > 0) * wire::describe::FEATURE_JOBS)
+            | (u32::from(readback) * wire::describe::FEATURE_READBACK),
         blob_words: card.words().len() as u32,
     }
 }
 
-fn jobs_program(machine: &mut Machine<Desk>, card: &Card) -> Option<jobs::Program> {
+fn jobs_program(machine: &mut Machine<Desk>, card: &Card, sdram: bool) -> Option<jobs::Program> {
     if card.jobs == 0 {
         return None;
     }
     if card.streamed {
         machine.server.jobs(JobsState::Streamed);
+        return None;
+    }
+    if !sdram {
+        machine.server.jobs(JobsState::Sdram);
         return None;
     }
     let program = jobs::Program::start(machine, card.clock_hz);
@@ -549,11 +621,11 @@ impl Twin {
 
     /// Switches a board on.
     pub fn power_up(setup: Setup) -> Self {
-        let card = setup.card.clone();
+        let (card, sdram) = (setup.card.clone(), setup.sdram);
         let (mut desk, ident) = Desk::power_up(setup);
         let boot = desk.boot();
         let mut machine = Machine::start(desk, ident, abi::ABI, boot);
-        let jobs = jobs_program(&mut machine, &card);
+        let jobs = jobs_program(&mut machine, &card, sdram);
         let clockwork = Clockwork::new(card.clock_hz.into());
         Twin {
             chores_at: machine.board.clock(),
@@ -561,6 +633,7 @@ impl Twin {
             jobs,
             machine,
             card,
+            sdram,
             clockwork,
             requests: VecDeque::new(),
             replies: Vec::new(),
@@ -611,7 +684,7 @@ impl Twin {
         }
     }
 
-    /// What the board has to say to everybody goes out.
+    /// Sends the board's broadcasts.
     fn shout(&mut self) {
         while self.machine.has_to_shout() {
             let mut buffer = [0; MAX_WORDS];
@@ -631,7 +704,7 @@ impl Twin {
         }
     }
 
-    /// Onto the cable.
+    /// Puts a reply on the cable.
     fn send(&mut self, mut reply: Reply) {
         let now = self.machine.board.clock();
         let from = Direction::FromBoard;
@@ -640,7 +713,7 @@ impl Twin {
         self.heard_of(now);
     }
 
-    /// What has come through the cable by now.
+    /// Takes the datagrams that have arrived by now.
     fn heard_of(&mut self, now: u64) {
         while let Some(letter) = self.to_board.due(now) {
             self.take_in(letter);
@@ -669,7 +742,7 @@ impl Twin {
         });
     }
 
-    /// What has gone wrong by now with the board itself.
+    /// Applies the due faults of the board itself.
     fn suffer(&mut self) {
         while let Some(act) = self.script.due(self.machine.board.clock()) {
             match act {
@@ -680,7 +753,8 @@ impl Twin {
         }
     }
 
-    /// The whole board starts anew, as its reset pin makes it; with `power` the memory of its last start is lost as well.
+    /// The whole board starts anew, as its reset pin makes it; with `power` the memory of its last
+    /// start is lost as well.
     pub fn reboot(&mut self, power: bool) {
         let board = &mut self.machine.board;
         let before = board.clock();
@@ -707,20 +781,24 @@ impl Twin {
         let board = &mut self.machine.board;
         let boot = board.record.boot(board.model.clocks() as u32);
         let (flash, trailer) = (board.flash.clone(), board.trailer);
-        let gateware = board.model.build().abi;
+        let (gateware, readback) = {
+            let build = board.model.build();
+            (build.abi, build.readback)
+        };
         let spare = Setup {
             flash,
             ..Setup::new(self.card.clone(), Plant::default())
         };
         let spare = Desk::new(spare, trailer);
         let desk = std::mem::replace(&mut self.machine.board, spare);
-        self.machine = Machine::start(desk, ident(&self.card, gateware), abi::ABI, boot);
-        self.jobs = jobs_program(&mut self.machine, &self.card);
+        self.machine = Machine::start(desk, ident(&self.card, gateware, readback), abi::ABI, boot);
+        self.jobs = jobs_program(&mut self.machine, &self.card, self.sdram);
     }
 
     fn chores(&mut self) {
         if let Some((state, reason)) = self.machine.chores() {
-            // The image logs this for `ferrocnc log`, which needs the image's strings; here somebody sits in front of it.
+            // The image logs this for `ferrocnc log`, which needs the image's strings; here it is
+            // printed.
             eprintln!("sim: {state}, reason {reason}");
         }
         self.shout();
@@ -762,9 +840,8 @@ impl Twin {
         if !reply.is_empty() {
             request.reply = Some(payload(reply));
         }
-        let Machine { server, board, .. } = &mut self.machine;
-        if server.owes_path() {
-            server.hold_path(board);
+        if self.machine.server.owes_path() {
+            self.machine.hold_path();
         }
         self.shout();
         request.answered = self.machine.board.clock() + ANSWER[1];
@@ -814,7 +891,7 @@ impl Twin {
             None
         } else {
             let peer = Peer { ip: HOST, port: 0 };
-            Counters::gather(|address| {
+            let mut word = |address| {
                 let words = [
                     wire::etherbone::HEADER,
                     0,
@@ -825,7 +902,8 @@ impl Twin {
                 let mut buffer = [0; MAX_WORDS];
                 let reply = self.machine.datagram(&words, peer, &mut buffer).ok()?;
                 reply.get(4).copied()
-            })
+            };
+            Counters::gather(|base, words| (0..words).map(|n| word(base + 4 * n)).collect())
         };
         Report::of(
             &Seen {
@@ -864,6 +942,7 @@ impl Device for Twin {
         let to = Direction::ToBoard;
         self.script.cut(to, now, &mut letter.payload);
         self.to_board.enter(&mut self.script, now, letter);
+        self.machine.board.spoilt = self.to_board.spoilt();
         self.heard_of(now);
     }
 
@@ -953,11 +1032,8 @@ impl Device for Twin {
             let program = self.jobs.as_mut();
             match program.map(|program| program.open(number, &mut self.machine)) {
                 Some(None) => self.jobs_at = self.jobs_at.min(self.clock() + ACCESS),
-                Some(Some(busy)) => {
-                    visitor.out.0.extend(busy);
-                    visitor.said_goodbye = true;
-                }
-                // Nobody listens there.
+                Some(Some(busy)) => visitor.out.0.extend(busy),
+                // No service listens there.
                 None => visitor.said_goodbye = true,
             }
         }
@@ -1026,7 +1102,7 @@ impl Device for Twin {
     }
 
     fn forget(&mut self, console: usize) {
-        // Numbers stay what they are; an empty visitor is a few words.
+        // The numbers of other clients must not change; an empty entry takes a few words.
         self.visitors[console] = Visitor::default();
     }
 
@@ -1335,7 +1411,7 @@ mod tests {
             let clock = bench.twin.clock();
             bench.twin.trouble(&word.parse().unwrap()).unwrap();
             assert_eq!(bench.twin.world().pins().gate, 0, "{word}");
-            // Nobody is there yet.
+            // The firmware has not started yet.
             assert_eq!(bench.ask(&[0x4e6f_1044, 0, 0x000f_0001, 0, 0]), None);
             bench.twin.pass(clock + STARTING);
             assert_eq!(bench.read(map::SESSION_TOKEN), 0, "{word}");
@@ -1365,7 +1441,8 @@ mod tests {
             bench.twin.pass(end);
         }
         assert_eq!(bench.twin.world().pins().link_status, LINK_1000);
-        // The session died with its watchdog: what its host still says is refused, and nothing opens the gate.
+        // The session died with its watchdog: what its host still says is refused, and nothing
+        // opens the gate.
         assert_eq!(bench.read(map::SESSION_TOKEN), 0);
         assert_eq!(bench.twin.world().pins().gate, 0);
     }

@@ -1,7 +1,7 @@
-//! What is around a board's pins: the judge of its edges, the plant, and a log of its other outputs.
+//! Everything at a board's pins: the check of its edges, the plant, and a log of its other outputs.
 //!
-//! The same for the Verilated board and for the twin, and driven alike: whoever makes time pass calls [`World::observe`] after
-//! each sys clock in which an output changed or [`World::next`] has come.
+//! The Verilated board and the twin both use it: the code that makes time pass calls
+//! [`World::observe`] after each sys clock in which an output changed or [`World::next`] has come.
 
 use crate::edges::EdgeWatch;
 use crate::plant::Plant;
@@ -34,7 +34,7 @@ pub struct PinEvent {
 /// Which outputs leave [`PinEvent`]s.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PinWatch {
-    /// The gate (default on: it changes seldom and matters always).
+    /// The gate (on by default: it rarely changes and is always important).
     pub gate: bool,
     /// The LED.
     pub led: bool,
@@ -69,12 +69,13 @@ pub struct PwmCycle {
 /// The pins and everything wired to them.
 #[derive(Debug)]
 pub struct World {
-    /// The pins as they stand; inputs are what the world makes of them.
+    /// The pins as they stand; the world sets the inputs.
     pub(crate) pins: Pins,
     seen: Pins,
     /// STEP/DIR pins.
     pub edges: EdgeWatch,
-    /// What is wired to the board. Change it freely; [`Self::settle`] puts its levels on the pins at once.
+    /// What is wired to the board. Change it freely; [`Self::settle`] puts its levels on the pins
+    /// at once.
     pub plant: Plant,
     /// Which other outputs to log.
     pub watch: PinWatch,
@@ -111,7 +112,8 @@ impl World {
         self.pins.ext_reset = high.into();
     }
 
-    /// Drive the factory pin: the button or jumper that makes a board forget its settings while it is held at start.
+    /// Drive the factory pin: the button or jumper that makes a board forget its settings while it
+    /// is held at start.
     pub fn factory(&mut self, active: bool) {
         self.pins.factory = active.into();
     }
@@ -119,6 +121,11 @@ impl World {
     /// What the PHY says of its link, as [`crate::soc::LINK_1000`]; 0 is down.
     pub fn link(&mut self, status: u8) {
         self.pins.link_status = status;
+    }
+
+    /// What is wrong with the driven pads from now on.
+    pub fn pads(&mut self, fault: crate::pads::Fault) {
+        fault.put(&mut self.pins);
     }
 
     /// Drive the general inputs that the plant does not.
@@ -138,7 +145,7 @@ impl World {
         self.pins.gpio_in = (self.gpio_in & !mask) | (levels.gpio & mask);
     }
 
-    /// The step pins have been turned over by a setting: as they stand is how they stood.
+    /// A setting has changed the polarity of the step pins: takes the new levels without counting.
     pub(crate) fn look_again(&mut self) {
         let p = &self.pins;
         self.edges.adopt(p.step, p.dir);
@@ -167,8 +174,11 @@ impl World {
         let (p, s) = (&self.pins, &self.seen);
         if (p.step, p.dir, p.gate) != (s.step, s.dir, s.gate) {
             let (forward, backward) = self.edges.change(clock, p.step, p.dir, p.gate != 0);
+            let jumpers = self.plant.motion(p.step, p.dir);
             if forward | backward != 0 {
                 self.plant.steps(forward, backward);
+            }
+            if jumpers || forward | backward != 0 {
                 self.settle();
             }
         }
@@ -221,6 +231,7 @@ impl World {
         }
         if (pins.pwm_out, pins.pwm_dir) != (seen.pwm_out, seen.pwm_dir) {
             self.plant.pwm(clock, pins.pwm_out, pins.pwm_dir);
+            self.settle();
         }
         if gpio != 0 {
             self.plant.outputs(pins.gpio_out);

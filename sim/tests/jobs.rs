@@ -1,13 +1,15 @@
-//! Jobs on the Verilated cores of `tests/boards/jobs.toml`: `segments` with its stepgens, outputs and banks against the models, clock
-//! by clock, under random stimulus; and every edge of a long job where the integer model has it.
+//! Jobs on the Verilated cores of `tests/boards/jobs.toml`: `segments` with its stepgens, outputs
+//! and banks against the models, clock by clock, under random stimulus; and every edge of a long
+//! job where the integer model has it.
 //!
-//! Run as `cargo test --release -p ferrocnc-sim --features board --test jobs` after `sim/verilator/cores.sh jobs`.
+//! Run as `cargo test --release -p ferrocnc-sim --features board --test jobs` after
+//! `sim/verilator/cores.sh jobs`.
 //!
 //! | variable | meaning | default |
 //! |---|---|---|
 //! | `FERROCNC_JOBS_CORES` | folder of `libferrocnc_cores.so`, as `sim/verilator/cores.sh` leaves it | `target/sim/cores-jobs` |
 //! | `FERROCNC_CLOCKS` | clocks to compare, in all | 12000000 |
-//! | `FERROCNC_SEGMENTS` | segments of the job whose edges are predicted | 10000 |
+//! | `FERROCNC_SEGMENTS` | segments of the job with predicted edges | 10000 |
 //! | `FERROCNC_SEED` | seed; printed | from the clock |
 
 use motion::segment::{Machine, Segment};
@@ -89,6 +91,7 @@ impl Pair {
                 version: 0x00_0100,
                 rom_words: pins.dat_r,
                 jobs: AXES as u8,
+                readback: true,
             },
             0,
         );
@@ -291,7 +294,7 @@ impl Stimulus {
         self.write(pages::SEGMENTS, PUSH, 0);
     }
 
-    /// A command of the host's, whoever owns the stepgens.
+    /// A command of the host, even if the segments own the stepgens.
     fn host(&mut self) {
         for n in 0..4 {
             let velocity = self.random.random_range(-(1i32 << 24)..1 << 24);
@@ -455,7 +458,7 @@ fn random(seed: u64, clocks: u64) -> (BTreeMap<&'static str, u64>, f64) {
     (seen.counts, started.elapsed().as_secs_f64())
 }
 
-/// Less than this of anything, per million clocks, and the run has proven nothing about it.
+/// The least number of each event per million clocks; with fewer the run proves nothing about it.
 const LEAST_PER_MILLION: &[(&str, u64)] = &[
     ("segments", 400),
     ("edges of STEP", 5000),
@@ -506,14 +509,15 @@ fn segments_and_their_model_agree_on_every_pin_and_register_in_every_clock() {
     }
 }
 
-/// Plays a random job of so many segments and returns (edges, clocks, clocks in which time stood). Every edge must come in the clock of
-/// the path in which the integer model has it; and when nothing scales time and no pulse waits, that is every clock.
+/// Plays a random job of so many segments and returns (edges, clocks, clocks in which time stood).
+/// Every edge must come in the clock of the path in which the integer model has it; and when
+/// nothing scales time and no pulse waits, that is every clock.
 fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
     let mut random = Pcg32::seed_from_u64(seed);
     let mut pair = Pair::new(seed);
     let segments: Vec<Segment> = job(&mut random, segments);
 
-    // What will happen, from the words alone.
+    // The prediction, from the words alone.
     let mut machine = Machine::default();
     let mut expected: [VecDeque<(usize, u32, bool)>; AXES] = Default::default();
     for (number, segment) in segments.iter().enumerate() {
@@ -615,7 +619,7 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
                 let real = pair.clock - first.expect("begun");
                 assert_eq!(
                     real, path,
-                    "seed {seed}: time passed differently, and nobody told it to"
+                    "seed {seed}: time passed differently without a pace or a pulse that waits"
                 );
             }
         }
@@ -653,7 +657,8 @@ fn job(random: &mut Pcg32, segments: usize) -> Vec<Segment> {
                 0 if !last => 64,
                 _ => random.random_range(64..900),
             };
-            // What the steepest acceleration reaches: 256 units of rate a clock. More comes at once, but never through a reversal.
+            // What the steepest acceleration reaches: 256 units of rate a clock. More comes at
+            // once, but never through a reversal.
             let most = (i64::from(clocks) - 2) << 8;
             let aims = before.map(|before| {
                 let wanted = match random.random_range(0..6) {

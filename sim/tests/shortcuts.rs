@@ -1,7 +1,8 @@
-//! The shim's shortcuts (no falling edges, no input logic when no input moved) change nothing that a pin could show.
+//! The shim's shortcuts (no falling edges, no input logic when no input moved) change no pin.
 //!
-//! Needs both libraries of a Verilated SoC and an image: `FERROCNC_SOC=target/sim/mill6 FERROCNC_FIRMWARE=... cargo test
-//! -p ferrocnc-sim --test shortcuts -- --ignored` (build the second library with `build.sh ... --trace vcd`).
+//! Needs both libraries of a Verilated SoC and an image: `FERROCNC_SOC=target/sim/mill6
+//! FERROCNC_FIRMWARE=... cargo test -p ferrocnc-sim --test shortcuts -- --ignored` (build the
+//! second library with `build.sh ... --trace vcd`).
 
 use sim::board::TraceWindow;
 use sim::faults::{Direction, Kind};
@@ -14,7 +15,8 @@ fn the_fast_model_and_the_plain_one_do_the_same() {
     let (soc, elf) = (path("FERROCNC_SOC"), path("FERROCNC_FIRMWARE"));
     let start = |plain: bool| {
         let mut setup = Setup::new(soc.as_ref(), elf.as_ref());
-        // The plain model is the one that can draw; it is asked to draw at the end of time.
+        // Only the plain model can write waveforms; it is set to write them after the end of the
+        // test.
         setup.trace = plain.then(|| TraceWindow {
             path: "/dev/null".into(),
             from: u64::MAX >> 1,

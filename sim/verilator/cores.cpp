@@ -1,5 +1,5 @@
-// The cores and their banks (gateware `elaborate --target cores`) behind a C ABI: one call, one rising edge. For the
-// lock-step test, which holds them against the models in sim/src/model.
+// The cores and their banks (gateware `elaborate --target cores`) behind a C ABI: one call, one
+// rising edge. For the lock-step test, which compares them with the models in sim/src/model.
 //
 // `CoresPins` is mirrored by sim/src/soc.rs; change both, and ABI_VERSION with them.
 
@@ -10,19 +10,19 @@
 #include "verilated.h"
 
 namespace {
-constexpr uint32_t ABI_VERSION = 1;
+constexpr uint32_t ABI_VERSION = 2;
 
 struct CoresPins {
     // in
     uint32_t adr, dat_w, abi, gpio_in;
     uint16_t enc_a, enc_b, enc_i, step_index, enc_mask;
-    uint8_t we, rst, ext_reset, frame_done, frame_slot, frame_pending, pending_slot, reserved_in[3];
+    uint8_t we, rst, ext_reset, frame_done, frame_slot, frame_pending, pending_slot, pad_fault, pad_at, pad_to, eth_beat, reserved_in[3];
     // out
     uint32_t dat_r, gpio_out;
     uint16_t step, dir, step_n, dir_n, pwm_out, pwm_dir;
     uint8_t led, gate, reserved_out[2];
 };
-static_assert(sizeof(CoresPins) == 60, "mirrored in sim/src/soc.rs");
+static_assert(sizeof(CoresPins) == 64, "mirrored in sim/src/soc.rs");
 
 struct Cores {
     VerilatedContext context;
@@ -34,6 +34,23 @@ struct Cores {
         model->clk = 0;
         model->spi_miso = 1;
         model->eval();
+    }
+
+    // What `copper.sv` is on the simulated board: the pads as they are driven, and one thing that is wrong with them.
+    void pads(const CoresPins &p) {
+        Vcores &m = *model;
+        uint32_t seen[7] = {m.step, m.dir, m.step_n, m.dir_n, m.pwm, m.pwm_dir, m.outputs};
+        auto group = [](unsigned pad) { return pad < 96 ? pad >> 4 : 6; };
+        auto bit = [](unsigned pad) { return pad < 96 ? pad & 15 : pad & 31; };
+        auto level = [&](unsigned pad) { return seen[group(pad)] >> bit(pad) & 1; };
+        auto hold = [&](unsigned pad, uint32_t to) { seen[group(pad)] = (seen[group(pad)] & ~(1u << bit(pad))) | to << bit(pad); };
+        const unsigned at = p.pad_at & 127, to = p.pad_to & 127;
+        if ((p.pad_fault & 3) == 3) {
+            const uint32_t both = level(at) & level(to);
+            hold(at, both), hold(to, both);
+        } else if (p.pad_fault & 3) hold(at, p.pad_fault >> 1 & 1);
+        m.step_seen = seen[0], m.dir_seen = seen[1], m.step_n_seen = seen[2], m.dir_n_seen = seen[3];
+        m.pwm_seen = seen[4], m.pwm_dir_seen = seen[5], m.outputs_seen = seen[6];
     }
 
     // As in shim.cpp.
@@ -54,7 +71,9 @@ void fc_cores_free(void* cores) { delete static_cast<Cores*>(cores); }
 
 // One rising edge with the inputs as they are; the outputs as they stand after it.
 void fc_cores_rise(void* handle, CoresPins* p) {
+    static_cast<Cores*>(handle)->pads(*p);
     Vcores& m = *static_cast<Cores*>(handle)->model;
+    m.eth_beat = p->eth_beat;
     m.adr = p->adr;
     m.dat_w = p->dat_w;
     m.we = p->we;

@@ -1,13 +1,14 @@
-// An SDRAM as it behaves to whoever treats it as its data sheet says: burst length 1, no data masks.
+// A model of an SDRAM that is used as its data sheet says: burst length 1, no data masks.
 //
 //   clk      _/‾\_/‾\_/‾\_/‾\_
 //   command  --ACT-----RD------     tRCD between them
 //   q        ------------------Q    so that the pad's register catches it `cl` + 1 edges after the command left its own
 //
-// Whoever does not (a mode register that is not set, a row that is not open, a time that is too short, a row that waited too long for
-// its refresh) gets rubbish, and what he writes is lost. `data_low` and `row_low` are for whoever runs the model: lines of the board that are
-// shorted to ground. On the card the chip's clock is a fraction of a period late; here all
-// share one edge, and the outputs' way back is that fraction shorter.
+// After wrong use (a mode register that is not set, a row that is not open, a time that is too
+// short, a row that waited too long for its refresh) it returns rubbish and loses writes. The test
+// bench sets `data_low` and `row_low`: lines of the board that are shorted to ground. On the card
+// the chip's clock is a fraction of a period late; here all share one edge, and the outputs' way
+// back is that fraction shorter.
 module sdram_chip #(
     parameter int BANK_BITS = 2, ROW_BITS = 11, COL_BITS = 8,
     parameter int T_RCD = 1, T_RP = 1, T_RAS = 3, T_RFC = 4, T_WR = 1,   // clocks at 60 MHz, rounded up from 15, 15, 40, 55 and 15 ns
@@ -35,7 +36,7 @@ module sdram_chip #(
     logic [2:0]          cl = 0;
     logic [31:0]         later;
     logic                kept;                    // it has been refreshed in time
-    logic [31:0]         data_low = 0;            // lines that are low whatever anybody says
+    logic [31:0]         data_low = 0;            // lines that are always low
     logic [15:0]         row_low = 0;             // likewise those of a row's number; the highest: a chip of half the size
 
     initial begin

@@ -1,4 +1,4 @@
-// The one C++ file of the simulator: a Verilated SoC behind a C ABI small enough to read in one sitting.
+// A Verilated SoC behind a small C ABI.
 //
 // It knows clocks, pins, the firmware ROM and the waveform file. It knows no frames, no time modes and no boards: those
 // live in Rust (sim/src), which loads the library made from this file at run time, so that building the Rust side needs no
@@ -36,7 +36,7 @@ bool Vsoc___024root___eval_phase__nba(Vsoc___024root*);
 #endif
 
 namespace {
-constexpr uint32_t ABI_VERSION = 7;
+constexpr uint32_t ABI_VERSION = 8;
 constexpr uint32_t SYS = 1, ETH = 2;
 
 struct Pins {
@@ -44,7 +44,7 @@ struct Pins {
     uint32_t gpio_in;
     uint16_t enc_a, enc_b, enc_i, step_index, enc_mask;
     uint8_t gmii_rx_data, gmii_rx_dv;
-    uint8_t ext_reset, cpu_freeze, sys_rst, factory, link_status, reserved_in[3];
+    uint8_t ext_reset, cpu_freeze, sys_rst, factory, link_status, pad_fault, pad_at, pad_to;
     // out
     uint32_t gpio_out;
     uint16_t step, dir, step_n, dir_n, pwm_out, pwm_dir;
@@ -65,7 +65,7 @@ struct Soc {
     OnSpi on_spi = nullptr;
     void* spi_context = nullptr;
     uint8_t spi_cs_n = 1, spi_clk = 0;  // as last told
-    uint8_t spi_miso = 1, driven_miso = 1;  // nobody drives it: pulled up
+    uint8_t spi_miso = 1, driven_miso = 1;  // undriven: pulled up
 #if defined(FC_TRACE_FST) || defined(FC_TRACE_VCD)
     std::unique_ptr<Trace> trace;
 #endif
@@ -115,6 +115,9 @@ struct Soc {
         m.sys_rst = p.sys_rst;
         m.factory = p.factory;
         m.link_status = p.link_status;
+        m.pad_fault = p.pad_fault;
+        m.pad_at = p.pad_at;
+        m.pad_to = p.pad_to;
         m.spi_miso = driven_miso = spi_miso;
     }
 
@@ -213,8 +216,8 @@ void fc_rise(void* handle, Pins* pins, uint32_t clocks, uint64_t time_ps) {
     soc.sample(*pins);
 }
 
-// Puts `on_spi` at the flash's wires (null: nobody, MISO is 1). It is called from within fc_rise, after the edge; the MISO it
-// returns is seen by the next one.
+// Puts `on_spi` at the flash's wires (null: no device, MISO is 1). It is called from within
+// fc_rise, after the edge; the MISO it returns is seen by the next one.
 void fc_on_spi(void* handle, OnSpi on_spi, void* context) {
     Soc& soc = *static_cast<Soc*>(handle);
     soc.on_spi = on_spi;
@@ -271,7 +274,8 @@ uint64_t fc_segments(void* handle) {
 #endif
 }
 
-// Lines of the SDRAM that are low from now on, whatever anybody says: of the data, and of a row's number. 1: there is no SDRAM.
+// Lines of the SDRAM that are low from now on: of the data, and of a row's number. 1: there is no
+// SDRAM.
 int fc_sdram_low(void* handle, uint32_t data, uint32_t row) {
 #if defined(FC_DATA_LOW)
     auto* root = static_cast<Soc*>(handle)->model->rootp;

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""The path LinuxCNC commanded and the path counted from the STEP/DIR edges at the pins, laid over each other.
+"""Compares the path that LinuxCNC commanded with the path counted from the STEP/DIR edges.
 
     report.py OUT --json REPORT.json
 
 Reads what run.py left in OUT; writes OUT/path.png, OUT/path.svg and the report, prints a table, and fails when the pins
-disagree with the firmware's counts, an axis does not stand on its step at rest, or is further off in motion than one step
-plus the way of one servo period.
+disagree with the firmware's counts, an axis does not stand on its step at rest, or is further off in motion than the
+arithmetic of the position loop allows (`allowed`).
 """
 
 import argparse
@@ -23,6 +23,8 @@ AXES = "xyz"
 EDGE = np.dtype([("clock", "<u8"), ("count", "<i4"), ("channel", "u1"), ("forward", "u1"), ("zero", "<u2")])
 # The command of servo period k is for its end; what was sampled there is read two rows later.
 ROWS_TO_ARRIVAL = 2
+# samples.csv has six places behind the point, in mm.
+ROUNDING = 0.5e-6
 
 
 def load(out):
@@ -58,6 +60,37 @@ def disagreements(pins, clocks, counts):
     return [int(np.count_nonzero(pins.at(n, clocks) != counts[n])) for n in range(len(AXES))]
 
 
+def loop_lag(ratio):
+    """How far behind its command the position loop falls (`host/src/blocks/stepgen.rs`), in A T^2: A is the command's acceleration,
+    T the servo period, `ratio` is A over `maxaccel`.
+
+    The loop asks for the command's own speed of the period, and the stepgen ramps there with `maxaccel`: D the change of speed, it
+    loses D^2 / 2 maxaccel of way. The loop foresees that, and takes half of what is left of it back in each period. With x the
+    error and d the speed that is missing at a period's beginning, both in units of A and T, and e = x + ratio d |d| / 2,
+
+        x' = x / 2 - ratio d |d| / 4 + ratio D |D| / 2,    D = d + e / 2,    d' = u - e / 2,    u from -1 to 1.
+
+    While A lasts, u = -1, that comes to rest at D = -1, d = -(1 - ratio / 2): the lag below. No other course of u lags more, if
+    `maxaccel` is at least twice A: all of 11 periods of -1, 0 and 1 have been tried. Below that a command that turns its
+    acceleration over in every period can do worse, so nothing is claimed.
+    """
+    assert ratio <= 0.5, f"maxaccel is {1 / ratio:.2f} times the acceleration, and the bound is for twice and more"
+    return ratio - ratio * (1 - ratio / 2) ** 2 / 2
+
+
+def allowed(axis, command, intervals, clock_hz):
+    """How many steps the pins may be off the command in motion, for each period.
+
+    Half a step, for a pin knows whole steps and the stepgen rounds to the nearest; the lag of the loop; and for each clock that a
+    command came early or late its way, twice: the loop takes half of it back in each period, and 1 + 1/2 + 1/4 ... = 2.
+    """
+    period = 1e-3
+    accel = axis["accel_steps"] * period**2
+    late = np.max(np.abs(intervals - period * clock_hz)) / (period * clock_hz)
+    way = np.abs(np.diff(command, prepend=command[0]))
+    return 0.5 + loop_lag(axis["accel_steps"] / axis["maxaccel_steps"]) * accel + 2 * late * way + 2 * ROUNDING * axis["scale"]
+
+
 def analyse(samples, edges, simulator, result):
     pins = Pins(edges)
     scales = [axis["scale"] for axis in result["axes"]]
@@ -76,7 +109,7 @@ def analyse(samples, edges, simulator, result):
         command = samples[f"{axis}_cmd"] * scales[n]
         there = pins.at(n, arrival[rows + ROWS_TO_ARRIVAL])
         deviation = there - command[rows]
-        allowed = 1.0 + np.abs(command[rows] - command[rows - 1])
+        limit = allowed(result["axes"][n], command, np.diff(arrival[rows]), simulator["sys_clk_hz"])[rows]
         deviations.append(deviation)
         at_pins = simulator["axes"][n]["pulses_at_pins"] if n < len(simulator["axes"]) else 0
         firmware = simulator["axes"][n]["firmware_counts"] if n < len(simulator["axes"]) else 0
@@ -88,7 +121,8 @@ def analyse(samples, edges, simulator, result):
                 "pulses_total": simulator["axes"][n]["pulses_total"] if n < len(simulator["axes"]) else 0,
                 "deviation_at_rest_steps": int(at_pins - round(command[-1])),
                 "deviation_max_steps": float(np.max(np.abs(deviation))),
-                "deviation_over_allowed_max": float(np.max(np.abs(deviation) / allowed)),
+                "deviation_over_allowed_max": float(np.max(np.abs(deviation) / limit)),
+                "allowed_max_steps": float(np.max(limit)),
                 "speed_max_steps_per_s": float(np.max(np.abs(np.diff(command)))) * 1000,
             }
         )
@@ -173,7 +207,7 @@ def verdict(report):
         if axis["deviation_at_rest_steps"] != 0:
             yield f"{name}: {axis['deviation_at_rest_steps']} steps off at rest"
         if axis["deviation_over_allowed_max"] > 1.0:
-            yield f"{name}: {axis['deviation_max_steps']:.2f} steps off in motion, more than one step and one period's way"
+            yield f"{name}: {axis['deviation_max_steps']:.2f} steps off in motion, more than the {axis['allowed_max_steps']:.3f} of the loop's arithmetic"
     if report["samples_pins_differ_from_counts"]:
         yield f"{report['samples_pins_differ_from_counts']} reported counts differ from the pins at their clock"
     if report["step_timing_violations"]:

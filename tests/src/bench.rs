@@ -1,4 +1,5 @@
-//! A twin on a bench in this process, its flash in the tester's hand: operations, restarts, and the plug pulled anywhere.
+//! A twin in this process, with access to its flash: operations, restarts, and power lost at any
+//! step.
 
 use host::keys::Key;
 use sim::card::Card;
@@ -19,13 +20,14 @@ use crate::{flash, to_bytes, to_words};
 
 /// The tester's port.
 const PORT: u16 = 40_000;
-/// Milliseconds of board time after which an operation is stuck: 64 KiB are erased in 2 s at worst, an image summed in less.
+/// Milliseconds of board time after which an operation is stuck: 64 KiB are erased in 2 s at worst,
+/// an image summed in less.
 const STUCK_MS: u64 = 20_000;
 
 /// The key of the boards that have one.
 pub const KEY: [u32; WORDS] = [1, 2, 3, 4];
 
-/// How something went that was asked of the flash.
+/// The result of an operation of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Went {
     /// To its end.
@@ -46,7 +48,7 @@ impl Went {
 pub struct Bench {
     twin: Twin,
     flash: Shared,
-    /// Who asks.
+    /// The port of the client.
     port: u16,
     command: Command,
 }
@@ -68,7 +70,7 @@ impl Bench {
             port: PORT,
             command: Command::default(),
         };
-        // Whatever it does at start with its flash is over.
+        // The operations of the flash at start are over.
         bench.pass(20);
         bench
     }
@@ -151,7 +153,8 @@ impl Bench {
         self.transact(&[(address, &[value])], &[map::DESCRIBE]);
     }
 
-    /// Starts an operation and waits for its end; on a board with a key as its owner, who has shown the key.
+    /// Starts an operation and waits for its end; on a board with a key as the owner, after the
+    /// answer to a challenge.
     pub fn op(&mut self, op: Op, address: u32, length: u32, buffer: &[u32]) -> Went {
         if self.read(map::DESCRIBE + 4 * FEATURES_AT as u32) & FEATURE_KEY != 0
             && self.read(map::SESSION_OWNER_PORT) != u32::from(self.port)
@@ -243,7 +246,7 @@ impl Bench {
         Slot::from_code(self.read(map::FLASH_SELECTED))
     }
 
-    /// An operation, asked for by somebody else.
+    /// An operation, asked for by another client.
     pub fn op_from_a_stranger(&mut self, op: Op) -> Went {
         self.port = PORT + 1;
         let went = self.unproven_op(op, 0, 0, &[]);
@@ -258,7 +261,7 @@ impl Bench {
         self.command.sequence = self.read(map::SESSION_LAST_SEQ);
     }
 
-    /// What the next exchange says.
+    /// The command of the next exchange.
     pub fn command(&mut self) -> &mut Command {
         &mut self.command
     }
@@ -298,7 +301,7 @@ impl Bench {
         assert!(self.exchange().state.enabled, "arming failed");
     }
 
-    /// A message to everybody, and the answer to it.
+    /// A broadcast message, and the answer to it.
     pub fn discover(&mut self, message: &Message) -> Option<Message> {
         let mut buffer = [0; WORDS_MAX];
         let words = message.emit(&mut buffer).to_vec();
@@ -319,7 +322,7 @@ impl Bench {
         Some(Message::parse(&reply).unwrap_or_else(|why| panic!("{reply:x?}: {why}")))
     }
 
-    /// Who is there?
+    /// Asks for boards.
     pub fn who(&mut self) -> Message {
         let ask = Message {
             nonce: 77,
@@ -329,7 +332,8 @@ impl Bench {
         self.discover(&ask).expect("a board answers")
     }
 
-    /// The whole of an update, in the order of `ferrocnc update`; ends where it is not done. `None` when it was.
+    /// The whole of an update, in the order of `ferrocnc update`; ends where it is not done. `None`
+    /// when it was.
     pub fn update(&mut self, build: u32, frames: u16) -> Option<Went> {
         self.bring(build, &flash::image(build, frames))
     }

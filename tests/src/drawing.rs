@@ -1,7 +1,7 @@
-//! The drawing of the tests of jobs, what a board must do with it, and the picture of what it did.
+//! The drawing of the tests of jobs, its checks, and the picture of the result.
 //!
-//! The judge is [`host::job::pins`]; who plays the job (bare cores, the twin, the board with its firmware) only has to bring the edges of
-//! its pins.
+//! [`host::job::pins`] checks the edges. The player of the job (bare cores, the twin, the board
+//! with its firmware) only has to supply the edges of its pins.
 
 use host::job::machine::Machine;
 use host::job::pins::{self, Difference, Drawn, Event, Pin, Prediction};
@@ -34,7 +34,8 @@ pub fn machine() -> Machine {
     Machine::read(&folder().join("machine.toml")).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// The drawing as a program, its curves as lines within `tolerance` mm. Its letters need a font on this machine, any.
+/// The drawing as a program, its curves as lines within `tolerance` mm. Its letters need a font on
+/// this machine, any.
 pub fn program(tolerance: f64) -> Program {
     let wish = Wish {
         page: None,
@@ -46,13 +47,13 @@ pub fn program(tolerance: f64) -> Program {
         fonts: Vec::new(),
     };
     let text = text();
-    let prepared = svg::prepare("drawing", text.as_bytes(), &wish);
+    let prepared = svg::prepare("drawing", text.as_bytes(), &wish, &|_, _| {});
     prepared
         .unwrap_or_else(|error| panic!("drawing.svg: {error}"))
         .program
 }
 
-/// What is known of a drawing that was executed.
+/// The result of a drawing that was executed.
 #[derive(Clone, Debug)]
 pub struct Verdict {
     /// Edge by edge.
@@ -67,7 +68,8 @@ pub struct Verdict {
     pub segments: usize,
 }
 
-/// Holds the pins' edges against the job's prediction and the drawing's own curves, and leaves a picture of both.
+/// Compares the pins' edges with the job's prediction and the drawing's own curves, and writes a
+/// picture of both.
 pub fn judge(told: &Prediction, machine: &Machine, emitted: &[Event], picture: &Path) -> Verdict {
     // Twenty times finer than the job: the curves themselves, for a step of 12.5 um.
     let curves = program(TOLERANCE / 20.0);
@@ -120,7 +122,8 @@ impl Verdict {
         assert_eq!(drawn.steps, told.steps, "the axes end elsewhere");
     }
 
-    /// For other programs. `rate`: segments that the board's own processor plans in a second, if it was that.
+    /// For other programs. `rate`: segments that the board's own processor plans in a second, if it
+    /// was that.
     pub fn figures(&self, player: &str, rate: Option<f64>) -> serde_json::Value {
         serde_json::json!({
             "played_by": player, "segments": self.segments, "edges": self.difference.edges, "edge_differences": self.difference.wrong,
@@ -156,7 +159,8 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// The pins after the clock `clock`: bit n of `step` and `dir` is axis n, bit 0 of `outputs` the tool.
+    /// The pins after the clock `clock`: bit n of `step` and `dir` is axis n, bit 0 of `outputs`
+    /// the tool.
     pub fn see(&mut self, clock: u64, step: u16, dir: u16, outputs: u32) {
         let risen = step & !std::mem::replace(&mut self.step, step);
         for axis in (0..AXES).filter(|axis| risen >> axis & 1 == 1) {

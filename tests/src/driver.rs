@@ -34,7 +34,7 @@ impl Driver {
         driver.send(&write(map::SESSION_ACQUIRE, 0x1234_5678));
         driver.command.token = driver.read(map::SESSION_TOKEN);
         driver.command.sequence = driver.read(map::SESSION_LAST_SEQ);
-        // A second: whatever else this machine does, it will look here sooner.
+        // A second: enough for a busy computer to come back here.
         let second = driver.read(map::DESCRIBE + 0x18);
         driver.send(&write(map::CONFIG_BOARD, second));
         driver.command.enable = true;

@@ -1,7 +1,8 @@
-//! A board's flash as it leaves the bench, with images small enough to be written thousands of times.
+//! A board's flash as it is first written, with images small enough for thousands of writes.
 //!
-//! The images are bitstreams that the FPGA's own loader ([`sim::loader`]) takes, with their build id as USERCODE, so that
-//! what loads after a power cut is decided by what an ECP5 would do and by nothing of ours.
+//! The images are bitstreams that the FPGA's own loader ([`sim::loader`]) takes, with their build
+//! id as USERCODE, so that the model of an ECP5, not our own code, decides what loads after a power
+//! cut.
 
 use sim::loader::{self, Small, Trouble};
 use sim::nor::spi::Shared;
@@ -19,7 +20,8 @@ pub const IDCODE: u32 = 0x4111_1043;
 pub const FIRST: u32 = 0xaaaa_0001;
 /// Build id of a new board's golden image.
 pub const GOLDEN: u32 = 0x601d_601d;
-/// The configuration and the platform of these tests. Its file gives it no hardware address: each board makes its own.
+/// The configuration and the platform of these tests. Its file gives it no hardware address: each
+/// board makes its own.
 pub const CONFIGURATION: &str = "75b_v8_14o11i6s6e6p";
 /// See [`CONFIGURATION`].
 pub const PLATFORM: &str = "5a-75b-8.0";
@@ -70,7 +72,8 @@ fn put(nor: &mut Nor, area: Area, image: &[u8], meta: &Meta) {
     nor.preload(area.meta() as usize, &meta.to_page());
 }
 
-/// A flash as the bench leaves it: [`FIRST`] in slot A and selected, [`GOLDEN`] protected, the rest erased.
+/// A flash as the bench leaves it: [`FIRST`] in slot A and selected, [`GOLDEN`] protected, the rest
+/// erased.
 pub fn factory(part: Part, uid: u64) -> Nor {
     let mut nor = Nor::new(part, uid);
     let layout = layout(&nor);
@@ -117,7 +120,8 @@ pub fn boots(nor: &Nor) -> Boots {
     }
 }
 
-/// Power comes to a Verilated board with this flash that is expected at this address, and runs [`FIRST`].
+/// Power comes to a Verilated board with this flash that is expected at this address, and runs
+/// [`FIRST`].
 pub fn power_up(flash: &Shared, ip: Ipv4Addr, factory_pin: bool) -> Rig {
     flash.chip().power_up();
     let (soc, firmware) = crate::parts();

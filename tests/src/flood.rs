@@ -1,7 +1,7 @@
-//! A third host on the segment that sends as fast as the wire takes it, and frames nobody should have to read.
+//! A third host on the segment that sends frames of all kinds, as many as the wire takes.
 //!
-//! The owner's datagrams go out between two of its frames. What a switch in front of the board would do to them there, when both
-//! want more than its port has, is not the board's affair.
+//! The owner's datagrams go out between two of its frames. The loss in a switch when both need more
+//! than its port has is not tested here.
 
 use crate::{Machine, STRANGER};
 use rand::Rng;
@@ -18,7 +18,7 @@ use wire::map;
 /// The third host.
 pub const INTRUDER_IP: Ipv4Addr = Ipv4Addr::new(192, 168, 2, 9);
 const INTRUDER: Endpoint = (INTRUDER_IP, STRANGER);
-const EVERYBODY: [u8; 6] = [0xff; 6];
+const BROADCAST: [u8; 6] = [0xff; 6];
 /// Longest frame of ordinary Ethernet, without FCS.
 pub const LONGEST: usize = 1514;
 /// Bytes a gigabit wire takes in a servo period of a millisecond, gaps and preambles included.
@@ -27,11 +27,11 @@ const WIRE_BYTES: u64 = 125_000;
 /// A kind of frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Broadcast: who has an address of the segment's, sometimes ours.
+    /// Broadcast ARP requests for an address of the segment, sometimes ours.
     Arp,
     /// To the board's port, as short as Etherbone gets.
     ShortRead,
-    /// To the board's port, as many of the dearest reads as a frame holds.
+    /// To the board's port, as many of the slowest reads as a frame holds.
     LongRead,
     /// To the board's port, words of any value, 4 to 1472 bytes.
     Garbage,
@@ -41,13 +41,13 @@ pub enum Kind {
     OwnersAddress,
     /// Broadcast and multicast: mDNS and its like.
     Multicast,
-    /// Asks all boards who they are.
+    /// Discovery questions to all boards.
     Discovery,
     /// Shorter than Ethernet allows, its FCS right.
     Runt,
     /// 9018 bytes, its FCS right.
     Jumbo,
-    /// Whatever else there is, its FCS wrong.
+    /// Any other kind, with a wrong FCS.
     BadFcs,
     /// 802.3x.
     Pause,
@@ -90,7 +90,7 @@ pub struct Answer {
     pub turnaround: u64,
 }
 
-/// Preamble, these bytes and their FCS, however few there are.
+/// Preamble, these bytes and their FCS, without padding.
 pub fn bare(frame: &[u8]) -> Vec<u8> {
     let mut wire = gmii::PREAMBLE.to_vec();
     wire.extend(frame);
@@ -136,7 +136,7 @@ impl Machine {
         match kind {
             Kind::Arp => {
                 let last = *[50, 1, 77].choose(rng).unwrap_or(&50);
-                gmii::encode(&self.arp(INTRUDER_IP, Ipv4Addr::new(192, 168, 2, last), EVERYBODY))
+                gmii::encode(&self.arp(INTRUDER_IP, Ipv4Addr::new(192, 168, 2, last), BROADCAST))
             }
             Kind::ShortRead => {
                 let payload = read_of([map::STATUS].into_iter());
@@ -164,10 +164,10 @@ impl Machine {
                 let to = *[
                     [1, 0, 0x5e, 0, 0, 0xfb],
                     [0x33, 0x33, 0, 0, 0, 1],
-                    EVERYBODY,
+                    BROADCAST,
                 ]
                 .choose(rng)
-                .unwrap_or(&EVERYBODY);
+                .unwrap_or(&BROADCAST);
                 let from = self.rig.segment.host_mac(INTRUDER_IP);
                 let rest = vec![0x45; if short { 46 } else { 1500 }];
                 gmii::encode(&ethernet(
@@ -226,7 +226,7 @@ impl Machine {
             Kind::Tcp => {
                 let data = vec![b'x'; if short { 0 } else { 1400 }];
                 let flags = if short { 2 } else { rng.random() };
-                let tcp = tcp_segment(rng.random(), flags, rng.random(), &data);
+                let tcp = tcp_segment(rng.random(), flags, rng.random(), 0, &data);
                 gmii::encode(&self.ip(INTRUDER_IP, 6, 0, &tcp))
             }
             Kind::Fragment => {
@@ -253,7 +253,7 @@ impl Machine {
             .expect("the board has answered ARP")
     }
 
-    /// Who asks who has this address, in a frame to `to`.
+    /// An ARP request by `asks` about this address, in a frame to `to`.
     pub fn arp(&mut self, asks: Ipv4Addr, about: Ipv4Addr, to: [u8; 6]) -> Vec<u8> {
         let from = self.rig.segment.host_mac(asks);
         let rest = [
@@ -285,7 +285,8 @@ impl Machine {
         ethernet(self.board_mac(), mac, 0x0800, &[&header[..], body].concat())
     }
 
-    /// A servo period in which these frames and no others are on the wire, the owner's exchange in front of number `at` of them.
+    /// A servo period in which these frames and no others are on the wire, the owner's exchange in
+    /// front of number `at` of them.
     pub fn period_with(
         &mut self,
         command: &mut Command,
@@ -317,7 +318,8 @@ impl Machine {
             })
     }
 
-    /// A servo period with the wire full of frames of this kind, the exchange anywhere between them.
+    /// A servo period with the wire full of frames of this kind, the exchange anywhere between
+    /// them.
     pub fn period_under(
         &mut self,
         command: &mut Command,
@@ -328,7 +330,8 @@ impl Machine {
         self.period_anywhere(command, &frames, rng)
     }
 
-    /// A servo period with these frames, the exchange anywhere between them, but early enough to be answered in it.
+    /// A servo period with these frames, the exchange anywhere between them, but early enough to be
+    /// answered in it.
     pub fn period_anywhere(
         &mut self,
         command: &mut Command,
@@ -354,12 +357,12 @@ impl Machine {
 }
 
 /// A TCP segment to the console, its checksum right.
-fn tcp_segment(port: u16, flags: u8, sequence: u32, data: &[u8]) -> Vec<u8> {
+pub fn tcp_segment(port: u16, flags: u8, sequence: u32, ack: u32, data: &[u8]) -> Vec<u8> {
     let mut tcp = [
         &port.to_be_bytes()[..],
         &CONSOLE_PORT.to_be_bytes(),
         &sequence.to_be_bytes(),
-        &[0; 4],
+        &ack.to_be_bytes(),
         &[0x50, flags, 0x10, 0, 0, 0, 0, 0],
         data,
     ]
@@ -376,7 +379,7 @@ fn tcp_segment(port: u16, flags: u8, sequence: u32, data: &[u8]) -> Vec<u8> {
     tcp
 }
 
-/// What became of the frames that were sent to the board, counts.
+/// Counts of the frames that were sent to the board, by their fate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mail {
     /// The CPU got them.
@@ -403,7 +406,8 @@ impl Mail {
         }
     }
 
-    /// Is every one of so many frames counted? One with a wrong FCS that finds no slot either is counted twice.
+    /// Is every one of so many frames counted? One with a wrong FCS that finds no slot either is
+    /// counted twice.
     pub fn accounts_for(&self, frames: u64) -> bool {
         let all = [
             self.taken,
@@ -468,7 +472,8 @@ impl Machine {
         self.rig.take_frames().iter().any(told)
     }
 
-    /// A millisecond with the wire full of these frames and somewhere among them an attempt to acquire the board, which nobody owns.
+    /// A millisecond with the wire full of these frames and somewhere among them an attempt to
+    /// acquire the free board.
     pub fn acquires_under(&mut self, kind: Kind, rng: &mut Pcg64Mcg) -> bool {
         let frames = self.wireful(kind, rng);
         let (before, after) = frames.split_at(rng.random_range(0..frames.len()));
@@ -502,7 +507,8 @@ impl Machine {
         self.rig.freeze_cpu(false);
     }
 
-    /// How long an exchange takes that comes right behind each of these lines at the console, clocks.
+    /// How long an exchange takes that comes right behind each of these lines at the console,
+    /// clocks.
     pub fn console_costs<'l>(
         &mut self,
         command: &mut Command,
@@ -572,7 +578,7 @@ impl Machine {
         )
     }
 
-    /// Frames sent to the board so far, by everybody: the host's stack answers what the board says, too.
+    /// Frames sent to the board so far by all hosts, including answers of the host's stack.
     pub fn sent(&self) -> u64 {
         self.rig.frames.to_board
     }

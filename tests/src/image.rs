@@ -1,11 +1,13 @@
-//! What the release image can do, read from its machine code: where it can panic, and how deep its stack can get.
+//! Analysis of the release image's machine code: where it can panic, and how deep its stack can
+//! get.
 //!
-//! Every panic of the image comes down to one `ebreak` (`firmware/src/soc/postmortem.rs`), so the places that can panic are the
-//! calls of `core`'s panicking functions and the `ebreak`s inlined elsewhere. The stack is the longest way through
-//! the call graph: what a function takes is in its `addi sp`, whom it calls in its jumps. A call through a table may reach every
-//! function whose address lies in the ROM's data or is made by code. Recursion has no bound and is an error.
+//! Every panic of the image comes down to one `ebreak` (`firmware/src/soc/postmortem.rs`), so the
+//! places that can panic are the calls of `core`'s panicking functions and the `ebreak`s inlined
+//! elsewhere. The stack is the longest way through the call graph: the stack of a function is in
+//! its `addi sp`, its calls are in its jumps. A call through a table may reach every function with
+//! an address in the ROM's data or made by code. Recursion has no bound and is an error.
 //!
-//! It reads RV32IM and what rustc and riscv-rt make of it; what it does not understand is an error, not a guess.
+//! It reads RV32IM as rustc and riscv-rt emit it; an unknown pattern is an error, not a guess.
 
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,7 +24,8 @@ const PANICKING: &[&str] = &[
     "panic_nounwind",
     "rust_begin_unwind",
 ];
-/// Below lie start-up, traps and the fast lane, whose addresses nobody takes: a number this small in the data is a number.
+/// Below lie start-up, traps and the fast lane. No code takes their addresses, so a number this
+/// small in the data is a number.
 const CALLED_BY_NAME: u32 = 0x800;
 /// In riscv-rt's tables of exceptions and interrupts only; `_start_trap_rust` names them, too.
 const HANDLERS: &[&str] = &["_default_abort", "DefaultHandler", "ExceptionHandler"];
@@ -32,6 +35,11 @@ const T0: u32 = 5;
 const EBREAK: u32 = 0x0010_0073;
 const UNIMP: u32 = 0xc000_1073;
 const MRET: u32 = 0x3020_0073;
+const RET: u32 = 0x0000_8067;
+/// `j` to the instruction behind it.
+const J_NEXT: u32 = 0x0040_006f;
+/// Restores registers and returns, for the function that jumps to it (`firmware/src/saves.s`).
+const RESTORE: &str = "__riscv_restore_";
 
 /// The code of an image.
 #[derive(Debug)]
@@ -59,11 +67,11 @@ pub struct Panic {
 /// What a function does to the stack.
 #[derive(Clone, Debug, Default)]
 struct Frame {
-    /// Deepest, without whom it calls.
+    /// Deepest, without its calls.
     own: u32,
-    /// Who is called how deep.
+    /// The depth at each call.
     calls: BTreeMap<Callee, u32>,
-    /// How deep it is left: not 0 in what the outliner cut out.
+    /// The depth at its return: not 0 in a function that the outliner made.
     left: i64,
 }
 
@@ -88,7 +96,7 @@ pub const CALLED_BACK: [&str; 2] = [
     "ferrocnc_firmware::app::datagram",
     "ferrocnc_firmware::app::send",
 ];
-/// The jobs program's way in, in its header: the ROM's, and nobody else's.
+/// The entry of the jobs program, in its header: only the ROM calls it.
 const WAY_IN: &str = "jobs_entry";
 
 impl Code {
@@ -141,7 +149,7 @@ impl Code {
             let name = symbol.name().unwrap_or("?");
             let function = match symbol.kind() {
                 SymbolKind::Text => true,
-                // Hand-written: riscv-rt's. `$x` and the like mark nothing but code.
+                // Hand-written: riscv-rt's. `$x` and the like only mark code.
                 _ => name.starts_with('_'),
             };
             let ours = symbol.section_index().is_some_and(code_of);
@@ -170,7 +178,8 @@ impl Code {
         found.map_or((at, "?"), |(start, (name, _))| (*start, name))
     }
 
-    /// Every place in the image that can panic: once per call, `core`'s own panicking functions left out.
+    /// Every place in the image that can panic: once per call, `core`'s own panicking functions
+    /// left out.
     pub fn panics(&self) -> Vec<Panic> {
         let panicking = |name: &str| PANICKING.iter().any(|part| name.contains(part));
         let mut found = Vec::new();
@@ -209,7 +218,8 @@ impl Code {
         }
     }
 
-    /// What the one or two instructions before `at` put into `register`, if that is a constant address.
+    /// What the one or two instructions before `at` put into `register`, if that is a constant
+    /// address.
     fn constant(&self, at: u32, register: u32) -> Option<u32> {
         if register == 0 {
             return Some(0);
@@ -272,6 +282,18 @@ impl Code {
             .collect()
     }
 
+    /// Is this the return of a function that has returned already, by its last jump to what
+    /// restores registers? A compiler may leave it behind that jump, and one to it between them.
+    fn has_returned(&self, at: u32, word: u32) -> bool {
+        let word_at = |at: u32| self.words.get(&at).copied().unwrap_or(0);
+        let stray = u32::from(word_at(at.wrapping_sub(4)) == J_NEXT);
+        let last = at.wrapping_sub(4 + 4 * stray);
+        let to = word_at(last);
+        let jumps = to & 0xfff == 0x6f || to & 0xfff == 0x67;
+        let target = self.jump_target(last, to).filter(|_| jumps);
+        word == RET && target.is_some_and(|target| self.function(target).1.starts_with(RESTORE))
+    }
+
     fn frame(&self, start: u32, walk: &mut Walk) -> Result<Frame, String> {
         let (name, end) = &self.functions[&start];
         let inside = |at: &u32| (start..*end).contains(at);
@@ -321,7 +343,7 @@ impl Code {
                 0x67 if target.is_none() && matches!(rs1, RA | T0) => {
                     left = left.max(Some(depth));
                 }
-                // A switch, whose table lies in the ROM's data, or a last call through a table.
+                // A switch with its table in the ROM's data, or a tail call through a table.
                 0x67 if target.is_none() => {
                     let cases = self.data.iter().filter(|at| inside(at) && *at % 4 == 0);
                     let switch: Vec<_> = cases.map(|case| (*case, depth)).collect();
@@ -372,7 +394,8 @@ impl Code {
                 _ => todo.push((at + 4, depth)),
             }
         }
-        // A compiler leaves a few instructions that nothing leads to. Those that take stack or go elsewhere were overlooked.
+        // A compiler leaves a few instructions that nothing leads to. Those that take stack or go
+        // elsewhere were overlooked.
         let matters = |at: u32, word: u32| match word & 0x7f {
             0x67 => true,
             0x6f => word >> 7 & 31 != 0 || !inside(&at.wrapping_add(jal_offset(word))),
@@ -380,9 +403,9 @@ impl Code {
             _ => false,
         };
         let mut all = self.words.range(start..*end);
-        if let Some((at, _)) =
-            all.find(|(at, word)| !seen.contains_key(at) && matters(**at, **word))
-        {
+        if let Some((at, _)) = all.find(|(at, word)| {
+            !seen.contains_key(at) && matters(**at, **word) && !self.has_returned(**at, **word)
+        }) {
             return Err(format!("{name}: no way to {at:#x} was found"));
         }
         frame.left = left.unwrap_or(0);
@@ -394,7 +417,7 @@ struct Walk<'c> {
     code: &'c Code,
     frames: BTreeMap<u32, Frame>,
     depths: BTreeMap<u32, Deepest>,
-    /// Whose way is being walked: who turns up twice calls itself.
+    /// The functions on the present way: one that appears twice calls itself.
     open: Vec<u32>,
     by_table: BTreeSet<u32>,
 }
@@ -474,9 +497,8 @@ fn jal_offset(word: u32) -> u32 {
 mod tests {
     use super::*;
 
-    const RET: u32 = 0x0000_8067;
-
-    /// Functions one behind the other from address 0x1000 on, where what is called through a table may lie.
+    /// Functions one behind the other from address 0x1000 on, where what is called through a table
+    /// may lie.
     fn code(functions: &[(&str, &[u32])], data: &[u32]) -> Code {
         let mut code = Code {
             words: BTreeMap::new(),
@@ -593,7 +615,7 @@ mod tests {
     }
 
     #[test]
-    fn who_calls_itself_has_no_bound() {
+    fn a_function_that_calls_itself_has_no_bound() {
         let functions: &[(&str, &[u32])] = &[
             ("main", &[take(-16), jal(RA, 12), take(16), RET]),
             ("again", &[take(-16), jal(RA, -20), take(16), RET]),
@@ -614,6 +636,35 @@ mod tests {
             &[],
         );
         assert_eq!(code.deepest("main").unwrap().bytes, 48 + 16);
+    }
+
+    #[test]
+    fn shared_saves_and_restores_take_stack_and_give_it_back_and_a_return_behind_them_is_none() {
+        let back = 0x0002_8067; // jr t0
+        let with = |main: &[u32]| {
+            let length = 4 * main.len() as i32;
+            let mut main = main.to_vec();
+            main[0] = jal(T0, length);
+            main[3] = jal(0, length + 8 - 12);
+            code(
+                &[
+                    ("main", &main),
+                    ("__riscv_save_4", &[take(-32), back]),
+                    ("__riscv_restore_4", &[take(32), RET]),
+                ],
+                &[],
+            )
+        };
+        for rest in [&[][..], &[RET], &[J_NEXT, RET]] {
+            let main = [&[0, take(-48), take(48), 0], rest].concat();
+            assert_eq!(with(&main).deepest("main").unwrap().bytes, 80, "{rest:x?}");
+        }
+        // Behind anything else it is code that was overlooked.
+        for rest in [&[RET, RET][..], &[UNIMP, RET], &[take(-800), RET]] {
+            let main = [&[0, take(-48), take(48), 0], rest].concat();
+            let why = with(&main).deepest("main").unwrap_err();
+            assert!(why.contains("no way to"), "{why}");
+        }
     }
 
     #[test]

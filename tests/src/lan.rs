@@ -7,13 +7,13 @@
 //!    `-- ...
 //! ```
 //!
-//! Nothing of it has a name outside the processes that hold it, so it is gone when the test is, however that ends; the
-//! machine's own network is never touched. It needs root, or a kernel that lets users make user namespaces; where neither is
-//! given the test fails and says so.
+//! It has no name outside the processes that hold it, so it ends with the test, even after a crash;
+//! the machine's own network is never touched. It needs root, or a kernel that lets users make user
+//! namespaces; where neither is given the test fails and says so.
 
 use std::process::{Child, Command, Stdio};
 
-/// Said with everything that goes wrong here.
+/// Part of every error message of this module.
 const NEEDS: &str = "this test makes network namespaces (Debian's iproute2 and util-linux): run it as root, \
                      or on a kernel that allows user namespaces";
 
@@ -27,7 +27,7 @@ pub struct Place {
 impl Place {
     /// A process that `unshare` puts into a new network namespace.
     fn hold(mut unshare: Command, users: bool) -> Self {
-        // `cat` ends when its input does: when this process is gone, whatever became of it.
+        // `cat` ends with its input, so it ends with this process, even after a crash.
         unshare
             .arg("cat")
             .stdin(Stdio::piped())
@@ -99,7 +99,7 @@ impl Default for Lan {
 }
 
 impl Lan {
-    /// A segment with nobody on it.
+    /// A segment without hosts.
     pub fn new() -> Self {
         let user = Command::new("id").arg("-u").output();
         let users = user.is_ok_and(|user| !user.stdout.starts_with(b"0"));

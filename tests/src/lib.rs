@@ -1,8 +1,9 @@
-//! A board on the bench for the tests in this crate: the Verilated SoC with the release image, and a host that speaks the
-//! protocol the way the driver does.
+//! A board on the bench for the tests in this crate: the Verilated SoC with the release image, and
+//! a host that speaks the protocol the way the driver does.
 //!
-//! [`Machine`] arranges in one line what a test needs (started, acquired, armed) and asks one thing at a time. Where the
-//! board and the image come from is said by `FERROCNC_SOC` and `FERROCNC_FIRMWARE`, which `cargo xtask test` sets.
+//! [`Machine`] arranges in one line what a test needs (started, acquired, armed) and asks one thing
+//! at a time. `FERROCNC_SOC` and `FERROCNC_FIRMWARE`, set by `cargo xtask test`, name the board and
+//! the image.
 
 pub mod bench;
 pub mod drawing;
@@ -14,6 +15,7 @@ pub mod image;
 pub mod lan;
 pub mod mill;
 pub mod plotter;
+pub mod stops;
 pub mod wired;
 
 use sim::edges;
@@ -74,7 +76,8 @@ pub fn root() -> &'static std::path::Path {
         .expect("the crate lies in the workspace")
 }
 
-/// The seed of this run: `FERROCNC_SEED`, or one from the clock. Printed, and part of every message that depends on it.
+/// The seed of this run: `FERROCNC_SEED`, or one from the clock. Printed, and part of every message
+/// that depends on it.
 pub fn seed() -> u64 {
     let given = std::env::var("FERROCNC_SEED")
         .ok()
@@ -102,7 +105,7 @@ pub fn reports() -> PathBuf {
     folder.unwrap_or_else(|| root().join("target/reports"))
 }
 
-/// Leaves figures for whoever asked for them: `NAME.json` in the folder `FERROCNC_REPORTS` says, if it says one.
+/// Writes figures to `NAME.json` in the folder `FERROCNC_REPORTS`, if that is set.
 pub fn report(name: &str, figures: &serde_json::Value) {
     if let Some(folder) = std::env::var_os("FERROCNC_REPORTS") {
         let path = PathBuf::from(folder).join(format!("{name}.json"));
@@ -213,7 +216,8 @@ impl Machine {
         self.sequence = self.read(map::SESSION_LAST_SEQ);
     }
 
-    /// Writes step timings and watchdog of an ordinary machine, and tells the judge at the pins about them.
+    /// Writes step timings and watchdog of an ordinary machine, and gives them to the check at the
+    /// pins.
     pub fn configure(&mut self) {
         let clocks = |ns| Clocks::from_nanos_ceil(ns, self.describe.clock_hz).0;
         let timing = edges::Timing {
@@ -421,7 +425,8 @@ impl Machine {
         status
     }
 
-    /// Turnarounds of the last exchanges, clocks from the last request byte to the first reply byte.
+    /// Turnarounds of the last exchanges, clocks from the last request byte to the first reply
+    /// byte.
     pub fn turnarounds(&self, last: usize) -> Vec<u32> {
         let all = &self.rig.meter.turnarounds;
         all[all.len().saturating_sub(last)..].to_vec()
@@ -530,7 +535,8 @@ impl Machine {
         self.rig.freeze_cpu(true);
     }
 
-    /// Raises the external reset pin; how many clocks until the gate is closed and every output at its safe level.
+    /// Raises the external reset pin; how many clocks until the gate is closed and every output at
+    /// its safe level.
     pub fn external_reset_until_safe(&mut self) -> u64 {
         let raised = self.clock();
         self.rig.ext_reset(true);
@@ -545,7 +551,8 @@ impl Machine {
         self.rig.gpio_in(levels);
     }
 
-    /// Puts these levels at the inputs; how many clocks until the gate is closed and every output at its safe level.
+    /// Puts these levels at the inputs; how many clocks until the gate is closed and every output
+    /// at its safe level.
     pub fn inputs_until_safe(&mut self, levels: u32) -> u64 {
         let raised = self.clock();
         self.rig.gpio_in(levels);
@@ -555,8 +562,8 @@ impl Machine {
         self.clock() - raised
     }
 
-    /// A bit flips in the instruction memory: the next ping runs into an illegal instruction. Once the gate has closed the
-    /// memory is as it was, as after a soft error.
+    /// A bit flips in the instruction memory: the next ping runs into an illegal instruction. Once
+    /// the gate has closed the memory is as it was, as after a soft error.
     pub fn trap_cpu(&mut self) {
         let mut broken = self.image.words.clone();
         let (start, end) = symbol(&parts().1, "2ip4ping");
@@ -600,7 +607,7 @@ impl Machine {
     }
 }
 
-/// Address range of the first function whose name contains `part`.
+/// Address range of the first function with `part` in its name.
 fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
     use object::{Object, ObjectSymbol};
     let bytes = std::fs::read(elf).unwrap_or_else(|error| panic!("{}: {error}", elf.display()));
@@ -696,7 +703,7 @@ impl Simulator {
         Simulator { child, udp }
     }
 
-    /// Pulls its plug: it ends in the middle of whatever it does.
+    /// Kills it at any point, like a loss of power.
     pub fn pull_the_plug(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();

@@ -1,14 +1,14 @@
-//! A machine tool without LinuxCNC: the real driver with a HAL in a Vec, the twin, and between them a socket whose every
-//! datagram passes through the fault injector. A servo period takes some 50 us, and nothing in it depends on the clock on the
-//! wall, so the same plan gives the same story every time.
+//! A machine tool without LinuxCNC: the real driver with a HAL in a Vec, the twin, and between them
+//! a socket with a fault injector for every datagram. A servo period takes some 50 us, and nothing
+//! in it depends on the wall clock, so the same plan gives the same run every time.
 //!
 //! ```text
 //!   Motion (position-cmd)  ->  host::Driver  ->  UDP on loopback  ->  sim::faults  ->  firmware  ->  cores  ->  pins
 //!   following error        <-                <-                   <-               <-            <-
 //! ```
 //!
-//! [`Owner`] is the same without the driver: a host that speaks the protocol itself, for what the driver would not do and for
-//! what has to happen a million times.
+//! [`Owner`] is the same without the driver: a host that speaks the protocol itself, for commands
+//! that the driver would not send, and for tests with a million exchanges.
 
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -35,7 +35,7 @@ use wire::{Refusal, map};
 pub const PERIOD_NS: i64 = 1_000_000;
 /// Steps per unit of every axis.
 pub const SCALE: f64 = 1000.0;
-/// Units/s^2 that Motion asks for, and what the stepgens may do: a tenth more, as everybody configures them.
+/// Units/s^2 that Motion asks for, and what the stepgens may do: a tenth more, as is usual.
 pub const MAX_ACCEL: f64 = 500.0;
 /// Axes that move.
 pub const AXES: [&str; 3] = ["x", "y", "z"];
@@ -50,8 +50,9 @@ pub fn card() -> Card {
     Card::named("mill6").expect("a committed board")
 }
 
-/// What LinuxCNC's motion controller does, as far as a driver can tell: a commanded place that moves with bounded velocity and
-/// acceleration while the machine is on, and follows the feedback while it is off.
+/// What LinuxCNC's motion controller does, as far as a driver can tell: a commanded place that
+/// moves with bounded velocity and acceleration while the machine is on, and follows the feedback
+/// while it is off.
 #[derive(Clone, Debug, Default)]
 pub struct Motion {
     on: bool,
@@ -116,7 +117,7 @@ pub struct Mill {
     pub meddle: Option<fn(&mut Vec<u8>)>,
 }
 
-/// Serves a twin at a socket while somebody loads a driver, who may take as long as he likes.
+/// Serves a twin at a socket while a driver loads, for as long as that takes.
 fn serve(twin: &mut Twin, socket: &UdpSocket, meddle: Option<fn(&mut Vec<u8>)>, done: &AtomicBool) {
     let mut buffer = [0; 2048];
     while !done.load(Ordering::Relaxed) {
@@ -135,7 +136,7 @@ fn deliver(twin: &mut Twin, socket: &UdpSocket, meddle: Option<fn(&mut Vec<u8>)>
         if let Some(meddle) = meddle {
             meddle(&mut reply.payload);
         }
-        // Whoever is gone refuses it; the board would not know either.
+        // A host that is gone refuses it; a real board would not notice that either.
         let _ = socket.send_to(
             &reply.payload,
             SocketAddr::from(([127, 0, 0, 1], reply.port)),
@@ -144,7 +145,7 @@ fn deliver(twin: &mut Twin, socket: &UdpSocket, meddle: Option<fn(&mut Vec<u8>)>
 }
 
 impl Mill {
-    /// A board that is switched on, and nobody to drive it.
+    /// A board that is switched on, without a driver.
     pub fn board(setup: Setup) -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         let wait = Some(Duration::from_millis(1));
@@ -197,7 +198,8 @@ impl Mill {
 
     /// A HAL file's worth of `setp`.
     fn settings(&mut self) {
-        // An answer that has not come by now never will: the board's time stands still while we look.
+        // An answer that has not come by now never will: the board's time stands still while we
+        // look.
         self.setp("packet-read-timeout", 100_000);
         for axis in AXES {
             self.setp(&format!("stepgen.{axis}.position-scale"), SCALE);
@@ -384,7 +386,8 @@ impl Mill {
         }
     }
 
-    /// A datagram of somebody else's, and the answer to it if there is one within a tenth of a millisecond.
+    /// A datagram of another host, and the answer to it if there is one within a tenth of a
+    /// millisecond.
     pub fn stranger(&mut self, port: u16, payload: &[u8]) -> Option<Vec<u8>> {
         self.twin.post(port, Service::Etherbone, payload);
         let until = self.twin.clock() + 6000;
@@ -400,10 +403,12 @@ impl Mill {
         answer
     }
 
-    /// A word of the board, read by somebody who owns nothing.
+    /// A word of the board, read by a host without the session.
     pub fn look(&mut self, address: u32) -> u32 {
         let request = words(&[0x4e6f_1044, 0, 0x000f_0001, 0, address]);
-        let answer = self.stranger(50_505, &request).expect("everybody may read");
+        let answer = self
+            .stranger(50_505, &request)
+            .expect("every host may read");
         u32::from_be_bytes(answer[16..20].try_into().expect("a word"))
     }
 
@@ -412,7 +417,8 @@ impl Mill {
         self.look(map::COUNTERS_REFUSED + 4 * reason.index() as u32)
     }
 
-    /// What must hold whatever happens: every pulse at the pins was legal, and while it is on it is where it says.
+    /// Must hold in every case: every pulse at the pins was legal, and while the machine is on its
+    /// position is the reported one.
     pub fn nothing_is_wrong(&self) {
         let edges = &self.twin.world().edges;
         assert_eq!(edges.violations(), [], "illegal pulses at the pins");
@@ -441,7 +447,7 @@ impl Mill {
         assert_eq!(self.motion_at_pins(), before, "it moves while it is off");
     }
 
-    /// Off, or on and where it believes to be.
+    /// The machine is off, or on at the reported position.
     pub fn all_settled(&mut self) {
         self.feed([0.0; 3]);
         self.run(200);
@@ -488,7 +494,8 @@ impl Owner {
         }
     }
 
-    /// Armed, stands. Timeout and grace in clocks, the deceleration of a soft stop as the register has it.
+    /// Armed, stands. Timeout and grace in clocks, the deceleration of a soft stop as the register
+    /// has it.
     pub fn armed(twin: Twin, timeout: u32, grace: u32, stop: [Accel; 3]) -> Self {
         let mut owner = Self::of(twin);
         owner.write(map::SESSION_ACQUIRE, &[7]);

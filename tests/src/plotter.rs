@@ -1,4 +1,4 @@
-//! A board that draws by itself, served over real sockets, and a line to it that can be cut.
+//! A board that executes jobs, served over real sockets, and a connection to it that can be cut.
 
 use host::address::Address;
 use host::job::client::Board;
@@ -12,7 +12,7 @@ use sim::plant::Plant;
 use sim::server::{self, Mode, Options, Server};
 use sim::twin::Setup;
 use sim::world::Output;
-use std::io::{Read, Write};
+use std::io::{BufRead as _, BufReader, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, SocketAddrV4, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -21,10 +21,10 @@ use std::time::Duration;
 use wire::describe::Channels;
 use wire::jobs::{Report, State};
 
-/// As long as a test may take, whatever else this machine does.
+/// As long as a test may take, even on a busy computer.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// The board of the tests: three axes and one that is none of a job's, a pen at output 0.
+/// The board of the tests: the three axes of a job and one more, a pen at output 0.
 const CHANNELS: Channels = Channels {
     stepgens: 4,
     encoders: 0,
@@ -42,6 +42,7 @@ pub struct Plotter {
     pub console: SocketAddrV4,
     /// Where the board itself is.
     pub udp: SocketAddrV4,
+    control: SocketAddrV4,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Twin>,
     streamer: Option<(Arc<AtomicBool>, JoinHandle<()>)>,
@@ -55,7 +56,8 @@ impl Plotter {
         Plotter::switched_on(card, None, "")
     }
 
-    /// The same without SDRAM, so many times slower than real time, lest a busy machine lets it wait. Nobody executes its jobs yet.
+    /// The same without SDRAM, so many times slower than real time, so that a busy computer is not
+    /// too late. Its jobs have no executor yet.
     pub fn without_sdram(slower: u32) -> Self {
         Plotter::bare(slower, "")
     }
@@ -67,7 +69,7 @@ impl Plotter {
         Plotter::switched_on(card, Some(pace), trouble)
     }
 
-    /// The same, with this trouble on the wire, and somebody here who executes them.
+    /// The same with these faults on the wire and with an executor of its jobs in this process.
     pub fn streamed(slower: u32, trouble: &str) -> Self {
         let mut plotter = Plotter::bare(slower, trouble);
         let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
@@ -100,7 +102,7 @@ impl Plotter {
             interface: None,
             console: Some(any),
             jobs: (!streamed).then_some(any),
-            control: None,
+            control: Some(any),
             stdin: false,
             mode: Mode::Free { pace },
             silence: PATIENCE,
@@ -116,7 +118,7 @@ impl Plotter {
         };
         let udp = place("udp=").expect("it says where it is");
         let jobs = match streamed {
-            // Until somebody executes them.
+            // Until its jobs have an executor.
             true => udp,
             false => place("jobs=").expect("it says where its jobs are"),
         };
@@ -124,6 +126,7 @@ impl Plotter {
             jobs,
             udp,
             console: place("console=").expect("it says where its console is"),
+            control: place("control=").expect("it says where it is controlled"),
             stop,
             thread: std::thread::spawn(move || server.run()),
             streamer: None,
@@ -156,12 +159,42 @@ impl Plotter {
         }
     }
 
-    /// Switched off: everything its pins did.
-    pub fn events(self) -> Vec<Event> {
-        if let Some((stop, thread)) = self.streamer {
+    /// One of the simulator's control commands; its answer.
+    pub fn control(&self, command: &str) -> String {
+        let stream = TcpStream::connect(self.control).expect("the simulator listens");
+        let mut stream = BufReader::new(stream);
+        let told = writeln!(stream.get_mut(), "{command}");
+        told.expect("the simulator listens");
+        let mut answer = String::new();
+        stream.read_line(&mut answer).expect("it answers");
+        assert!(answer.starts_with("ok"), "{command}: {answer}");
+        answer
+    }
+
+    /// Pulses at the pins of each axis, and whether the gate is open, as they are now.
+    pub fn pins(&self) -> ([i64; AXES], bool) {
+        let gate = self.control("pins").contains("gate=1");
+        let said = self.control("counts");
+        let (_, counts) = said.split_once("counts=").expect("counts");
+        let mut counts = counts
+            .trim()
+            .split(',')
+            .map(|n| n.parse().expect("a count"));
+        let counts = std::array::from_fn(|_| counts.next().expect("of each axis"));
+        (counts, gate)
+    }
+
+    /// Who streams is told to end, as by Ctrl-C, and has ended.
+    pub fn end_streaming(&mut self) {
+        if let Some((stop, thread)) = self.streamer.take() {
             stop.store(true, Ordering::Relaxed);
             thread.join().expect("the streamer's thread");
         }
+    }
+
+    /// Switched off: everything its pins did.
+    pub fn events(mut self) -> Vec<Event> {
+        self.end_streaming();
         self.stop.store(true, Ordering::Relaxed);
         let mut twin = self.thread.join().expect("the twin's thread");
         let world = twin.world();
@@ -189,7 +222,8 @@ pub struct Scissors {
 }
 
 impl Scissors {
-    /// In front of the board at `to`; the first connection lasts for the first of `lengths`, and so on; those after them last.
+    /// In front of the board at `to`; the first connection lasts for the first of `lengths`, and so
+    /// on; those after them last.
     pub fn new(to: SocketAddrV4, lengths: &[usize]) -> Self {
         Scissors::cutting(
             to,

@@ -1,10 +1,12 @@
-//! A Verilated board that draws by itself, at the end of a wire of this machine: the tool's own client sends it jobs and starts them.
+//! A Verilated board that executes jobs, at a socket of this machine: the tool's own client sends
+//! it jobs and starts them.
 //!
 //! ```text
 //! host::job::client::Board --- loopback ---> Wired --- frames of the virtual Ethernet ---> the board's TCP
 //! ```
 //!
-//! Time passes for the board while the client does something, and when a test says so; between the two it stands.
+//! The board's time passes while the client does something, and when a test says so; otherwise it
+//! stands still.
 
 use crate::{Machine, flash, parts};
 use host::job::client::Board;
@@ -24,14 +26,16 @@ use std::time::Duration;
 use wire::flash::{Area, Layout};
 use wire::images::{Role, Trailer};
 
-/// As long as the client waits, whatever else this machine does.
+/// As long as the client waits, even on a busy computer.
 const PATIENCE: Duration = Duration::from_secs(480);
 /// Clocks between two looks at the sockets: a sixtieth of a millisecond.
 const TURN: u64 = 1000;
-/// Clocks between two looks at the program counter. A prime, so that no loop is always seen at the same place.
+/// Clocks between two looks at the program counter. A prime, so that no loop is always seen at the
+/// same place.
 const SAMPLE: u64 = 61;
-/// 2 ms from what the board says to what the client answers, and of that one frame after the other. The board has two places for
-/// frames and the program takes up to 2 ms for each; what is lost comes again after most of a second, which is minutes here.
+/// 2 ms from what the board says to what the client answers, and of that one frame after the other.
+/// The board has two places for frames and the program takes up to 2 ms for each; what is lost
+/// comes again after most of a second, which is minutes here.
 const THINKS: u64 = 120_000;
 /// Bytes of one frame, as the board says in its handshake.
 const PIECE: usize = 1460;
@@ -85,14 +89,14 @@ pub fn on_flash(trailer: Trailer, nor: Nor) -> Setup {
     setup
 }
 
-/// One connection, and what was said at this end and the board has not taken.
+/// One connection, with the bytes that the board has not taken yet.
 struct Line {
     stream: TcpStream,
     line: Connection,
     ahead: Vec<u8>,
     /// When the board spoke last.
     heard: u64,
-    /// The client has said all he will.
+    /// The client has sent its last request.
     over: bool,
 }
 
@@ -113,7 +117,7 @@ pub struct Wired {
     at: SocketAddrV4,
     listener: TcpListener,
     lines: Vec<Line>,
-    /// After the lines: it hangs up without anybody at the other end.
+    /// After the lines: it closes after the other end is gone.
     client: Option<Board>,
     profile: Option<Profile>,
 }
@@ -238,7 +242,7 @@ impl Wired {
         segments.expect("a board with jobs, verilated by this build")
     }
 
-    /// Tells the judge at the pins what this machine's drives need.
+    /// Gives the check at the pins the timing of this machine's drives.
     pub fn judge(&mut self, machine: &host::job::machine::Machine) {
         let axes = machine.to_board().axes;
         for (axis, told) in axes.iter().enumerate() {
@@ -280,7 +284,7 @@ impl Wired {
 }
 
 impl Line {
-    /// What either end has said goes to the other; false when both have hung up.
+    /// Passes data between both ends; false when both have closed.
     fn serve(&mut self, segment: &mut sim::segment::Segment, now: u64) -> bool {
         let mut buffer = [0; 2048];
         while !self.over && self.ahead.is_empty() {

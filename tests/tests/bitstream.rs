@@ -1,4 +1,4 @@
-//! The files a build made, in the hands of those who take them: the host's parsers, and an ECP5 at power-up.
+//! The files of a build, read by the host's parsers and by a model of an ECP5 at power-up.
 //!
 //! `cargo xtask test bitstream` builds them and says where they are.
 
@@ -126,7 +126,8 @@ fn an_ecp5_runs_slot_a_and_golden_when_that_is_damaged_or_nothing_leads_to_it() 
 fn the_svf_loads_the_same_bytes() {
     let files = files();
     let (image, _) = images(&files);
-    // Everything shifted after LSC_BITSTREAM_BURST (7A), each row last byte first and last bit first.
+    // Everything shifted after LSC_BITSTREAM_BURST (7A), each row last byte first and last bit
+    // first.
     let (_, burst) = files.svf.split_once("TDI  (7A)").expect("a burst");
     let (burst, _) = burst.split_once("SIR\t8\tTDI  (FF)").expect("its end");
     let mut loaded = Vec::new();

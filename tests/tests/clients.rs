@@ -1,4 +1,4 @@
-//! Other people's programs against the board: ping, a console session, LiteX's RemoteClient.
+//! Other projects' programs against the board: ping, a console session, LiteX's RemoteClient.
 
 use ferrocnc_tests::{Machine, Simulator};
 use std::path::Path;

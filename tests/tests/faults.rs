@@ -1,8 +1,10 @@
-//! The fault table of docs/safety.md, a test for each row: the real driver, the real firmware library, the cores' bit-exact
-//! models, and between them a cable on which things go wrong. Every test makes the fault happen and watches the pins.
+//! The fault table of docs/safety.md, a test for each row: the real driver, the real firmware
+//! library, the cores' bit-exact models, and between them a cable with injected faults. Every test
+//! makes the fault happen and watches the pins.
 //!
-//! Seconds for all of them, on any machine that has Rust. The rows that must hold with the CPU removed are on the Verilated
-//! board in `faults_rtl.rs`; LinuxCNC itself has its share in `linuxcnc.rs` and `twin.rs`.
+//! All of them take seconds, on any machine with Rust. The rows that must hold with the CPU removed
+//! are on the Verilated board in `faults_rtl.rs`; `linuxcnc.rs` and `twin.rs` have the tests with
+//! LinuxCNC.
 
 use ferrocnc_tests::bench::Bench;
 use ferrocnc_tests::flash::{Boots, FIRST, boots, factory};
@@ -14,7 +16,7 @@ use sim::twin::{Setup, Twin};
 use wire::units::Accel;
 use wire::{FaultReason, Refusal, map};
 
-/// The watchdog of a driver nobody told otherwise.
+/// The default timeout of the driver's watchdog.
 const TIMEOUT_MS: u64 = 5;
 /// 40 units/s at 550 units/s^2, and what `path ratio` may add: nothing takes longer to stop.
 const STOP_MS: u64 = 80;
@@ -35,7 +37,7 @@ fn powered_cpu_not_running() {
     mill.twin.trouble(&"freeze".parse().unwrap()).unwrap();
     mill.run(100);
     assert!(mill.all_safe());
-    // Whatever arrives: nobody is there to be fooled.
+    // No datagram has an effect, because the CPU does not run.
     let mut owner = Owner::of(mill.twin);
     owner.command.enable = true;
     owner.command.enable_request = true;
@@ -67,7 +69,7 @@ fn abi_mismatch() {
         error.contains("0xdeadbeef") && error.contains(&ours),
         "{error}"
     );
-    // And a host that does not care gets nowhere.
+    // A host that ignores the mismatch cannot arm the board.
     let mut owner = Owner::of(Twin::power_up(setup()));
     owner.write(map::SESSION_ACQUIRE, &[7]);
     owner.command.token = owner.read(map::SESSION_TOKEN);
@@ -200,7 +202,7 @@ fn duplicated_reordered_stale_frame() {
     }
 }
 
-/// Somebody who has x at 50 000 steps/s.
+/// An owner with x at 50 000 steps/s.
 fn moving_owner() -> Owner {
     let stop = Accel::from_steps(5e5, f64::from(card().clock_hz));
     let twin = Twin::power_up(Mill::setup());
@@ -223,7 +225,8 @@ fn malformed_truncated_padded_oversized_datagram() {
     let cut = mill.twin.faults().tally.truncated;
     assert!(cut > 20, "{cut} were cut");
 
-    // The same from a host that means harm: each is counted under its own name, and nothing at the pins takes notice.
+    // The same from a hostile host: each is counted under its own name, and nothing changes at the
+    // pins.
     let mut owner = moving_owner();
     let good = owner.request();
     owner.ask(&good).expect("the real one is answered");
@@ -310,7 +313,8 @@ fn cable_pulled_replugged() {
     mill.run(500);
     mill.is_stopped_for_good();
     assert_eq!(mill.pulses(), at, "plugging in moved something");
-    // What LinuxCNC believes may move to where the machine is; the machine does not move to where LinuxCNC believes.
+    // LinuxCNC's position may jump to the machine's position; the machine never moves to
+    // LinuxCNC's.
     mill.all_agree([0; 3]);
     assert!(believed != [0.0; 3]);
 
@@ -336,7 +340,7 @@ fn firmware_hangs_or_panics() {
     mill.run(TIMEOUT_MS + STOP_MS);
     mill.is_stopped_for_good();
     let at = mill.pulses();
-    // Somebody presses reset.
+    // The reset button is pressed.
     mill.trouble("off reboot");
     mill.run(500);
     assert_eq!(mill.pulses(), at);
@@ -433,8 +437,9 @@ fn linuxcnc_exits_or_is_killed() {
 
 #[test]
 fn counter_passes_2_32_or_2_63() {
-    // Counts at the end of 31 bits, of 32 bits, and of nothing; wall clocks at the end of 32 and of 63 bits. A position is 32
-    // bits of steps and 32 of fraction, so the first of them is 2^63 of its own units.
+    // Counts at the end of 31 bits, of 32 bits, and of nothing; wall clocks at the end of 32 and of
+    // 63 bits. A position is 32 bits of steps and 32 of fraction, so the first of them is 2^63 of
+    // its own units.
     for (count, wall) in [
         (i32::MAX - 3000, (1 << 32) - 40_000_000),
         (-3000, (1 << 63) - 40_000_000),
@@ -454,7 +459,8 @@ fn counter_passes_2_32_or_2_63() {
         let (there, at_pins) = (mill.feedback(), mill.pulses());
         let encoder: f64 = mill.getp("encoder.x.position");
         let mut last = there;
-        // There and back, past the end twice. All in one direction and then the other, so that every axis passes it.
+        // There and back, past the end twice. All in one direction and then the other, so that
+        // every axis passes it.
         for feed in [[40.0, 40.0, 40.0], [-40.0, -40.0, -40.0]] {
             mill.feed(feed);
             for _ in 0..400 {
@@ -573,14 +579,15 @@ fn power_fails_during_a_flash_update() {
     }
 }
 
-// ---- what users of other boards were hurt by ------------------------------------------------------------------------------
+// ---- known accidents of other boards --------------------------------------------------------------
 
 #[test]
 fn axes_do_not_jump_on_reconnect_wherever_the_cable_was_pulled() {
     let mut mill = Mill::on();
     mill.swing([4.0, -3.0, 1.0], 0.25);
     for n in 0..12 {
-        // Another moment of the swing each time, and another time without a cable: none that the watchdog notices, and long ones.
+        // Another moment of the swing each time, and another time without a cable: none that the
+        // watchdog notices, and long ones.
         mill.run(100 + 7 * n);
         mill.trouble("pull");
         mill.run(n * n / 2);
@@ -612,7 +619,8 @@ fn no_network_however_bad_makes_an_axis_run_away() {
         for _ in 0..1000 {
             mill.period();
             for (n, pulses) in mill.pulses().iter().enumerate() {
-                // Amplitudes are 2000 and 1000 steps, out and back; the rest is what a soft stop needs.
+                // Amplitudes are 2000 and 1000 steps, out and back; the rest is what a soft stop
+                // needs.
                 assert!(pulses.abs() < 6500, "seed {seed}: axis {n} is at {pulses}");
             }
         }
@@ -627,7 +635,7 @@ fn no_network_however_bad_makes_an_axis_run_away() {
 }
 
 #[test]
-fn a_bite_is_told_once_and_stays_until_somebody_acts() {
+fn a_bite_is_told_once_and_stays_until_the_operator_acts() {
     let mut mill = Mill::cutting();
     mill.hal.said();
     mill.trouble("to-board:loss=1@0ms..100ms");
@@ -635,7 +643,7 @@ fn a_bite_is_told_once_and_stays_until_somebody_acts() {
     mill.is_stopped_for_good();
     assert!(mill.getp::<bool>("watchdog.has-bitten"));
     let told = mill.hal.said();
-    // One alarm for one event, and the board's own reason once it can be heard again.
+    // One alarm for one event, and the board's own reason once it answers again.
     let alarms = told.iter().filter(|line| line.starts_with("error")).count();
     let reasons = told
         .iter()

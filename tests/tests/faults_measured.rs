@@ -1,7 +1,8 @@
-//! The figures of docs/safety.md: how long until outputs are safe, what loss costs, and a day without drift.
+//! The figures of docs/safety.md: the time until outputs are safe, the cost of loss, and a day
+//! without drift.
 //!
-//! What takes long is short here and long by command: `FERROCNC_EXCHANGES` and `FERROCNC_SOAK_SECONDS`, which `cargo xtask bench
-//! loss` and `cargo xtask bench soak` set.
+//! Long measurements are short by default; two variables set their length: `FERROCNC_EXCHANGES` and
+//! `FERROCNC_SOAK_SECONDS`, which `cargo xtask bench loss` and `cargo xtask bench soak` set.
 
 use ferrocnc_tests::mill::{Mill, Owner, SCALE, card};
 use ferrocnc_tests::{from_environment, report, seed};
@@ -17,7 +18,7 @@ use wire::map;
 use wire::units::{Accel, StepRate};
 
 const HZ: f64 = 60e6;
-/// How often the dice are thrown.
+/// The number of seeds.
 const SEEDS: u64 = 1000;
 
 fn gate_closed(owner: &mut Owner) -> Option<u64> {
@@ -26,7 +27,7 @@ fn gate_closed(owner: &mut Owner) -> Option<u64> {
     events.iter().rfind(closed).map(|event| event.clock)
 }
 
-/// A machine somewhere in the middle of something: three axes at speeds of their own that they have reached, and a watchdog.
+/// A machine in motion: three axes at speeds of their own, and a watchdog.
 struct Scene {
     owner: Owner,
     timeout: u64,
@@ -47,7 +48,8 @@ impl Scene {
             };
             owner.rate(axis, rate, Accel::from_steps(1e8, HZ));
         }
-        // 100 000 steps/s at 10^8 steps/s^2 are there within a millisecond. A timeout of a millisecond does not wait for one.
+        // 100 000 steps/s at 10^8 steps/s^2 are there within a millisecond. A timeout of a
+        // millisecond does not wait for one.
         for _ in 0..8 {
             owner.exchange_now().expect("an answer");
             owner.pass(random.random_range(6_000..40_000));
@@ -143,9 +145,11 @@ fn from_the_last_good_frame_to_the_first_safe_output() {
     );
 }
 
-/// Clocks from the CPU's write to the watchdog taking the token: the bus, and the register behind it.
+/// Clocks from the CPU's write to the watchdog taking the token: the bus, and the register behind
+/// it.
 const TAKEN: u64 = 2;
-/// A pulse that has begun is finished: one may begin in the last clocks of a soft stop. Once in some ten thousand.
+/// A pulse that has begun is finished: one may begin in the last clocks of a soft stop. Once in
+/// some ten thousand.
 const PULSE: u64 = 60;
 
 #[test]
@@ -187,7 +191,7 @@ fn from_the_external_reset_pin_to_safe_outputs() {
 
 // ---- loss ------------------------------------------------------------------------------------------------------------------
 
-/// A program that goes on and on under this much loss each way.
+/// An endless program with this loss in each direction.
 struct Program {
     exchanges: u64,
     stopped_at: Option<u64>,
@@ -221,8 +225,8 @@ fn run_under_loss(percent: f64, exchanges: u64, seed: u64) -> Program {
     program
 }
 
-/// Steps of following error that 25 units/s and two lost periods can make, with what the driver needs to catch up. LinuxCNC's
-/// mills allow a thousand.
+/// Steps of following error that 25 units/s and two lost periods can make, with what the driver
+/// needs to catch up. LinuxCNC's mills allow a thousand.
 const FERROR_STEPS: f64 = 100.0;
 
 #[test]
@@ -264,8 +268,8 @@ fn random_loss_costs_no_position_and_one_in_ten_thousand_never_stops_a_program()
 
 // ---- a day -----------------------------------------------------------------------------------------------------------------
 
-/// A host that makes three axes follow sines at 1 kHz, by what the board reports and nothing else; integers, so that nothing
-/// of its own can drift.
+/// A host that makes three axes follow sines at 1 kHz, by what the board reports and nothing else;
+/// integers, so that nothing of its own can drift.
 struct Day {
     owner: Owner,
     /// Where the axes are to be, steps.
@@ -277,13 +281,15 @@ struct Day {
 const AMPLITUDE: [f64; 3] = [600.0, 400.0, 250.0];
 /// Milliseconds; no two have a common beat with the second.
 const BEAT: [f64; 3] = [997.0, 1499.0, 2311.0];
-/// Where counters begin: the ends of 31 bits (2^63 in units of a position) and of 32, and the middle of nowhere.
+/// Where counters begin: the ends of 31 bits (2^63 in units of a position) and of 32, and the
+/// middle of nowhere.
 const BEGIN: [i32; 3] = [i32::MAX - 100, -100, 1_234_567];
 
 impl Day {
     fn begin() -> Self {
         let mut setup = Mill::setup();
-        // 2^32 a minute on, 2^63 ten minutes on would be too late for a short run: both within the first second.
+        // 2^32 a minute on, 2^63 ten minutes on would be too late for a short run: both within the
+        // first second.
         setup.wall_clock = (1 << 63) - u64::from(card().clock_hz) / 2;
         let mut twin = Twin::power_up(setup);
         for (n, begin) in BEGIN.iter().enumerate() {
@@ -291,7 +297,7 @@ impl Day {
         }
         let stop = Accel::from_steps(1e6, HZ);
         let mut owner = Owner::armed(twin, 300_000, 30_000_000, [stop; 3]);
-        // A sequence number whose end comes after five seconds; a leap of 2^31 would be one backwards.
+        // A sequence number that wraps after five seconds; a leap of 2^31 would be one backwards.
         for sequence in [0x7000_0000, 0xe000_0000, u32::MAX - 5000] {
             owner.command.sequence = sequence;
             assert!(owner.exchange().expect("an answer").state.enabled);
@@ -373,7 +379,8 @@ fn a_day_passes_and_commanded_emitted_and_reported_positions_are_one() {
                 began.elapsed().as_secs_f64()
             );
         }
-        // A sine of 600 steps in a second moves 4 steps in a millisecond; the last exchange was one ago.
+        // A sine of 600 steps in a second moves 4 steps in a millisecond; the last exchange was one
+        // ago.
         assert!(
             worst < 12.0,
             "second {}: {worst} steps from where it should be",

@@ -1,5 +1,5 @@
-//! The rows of the fault table that must hold with the CPU removed, on the Verilated board with its CPU's clock stopped; and the
-//! release image's own share of the others.
+//! The rows of the fault table that must hold with the CPU removed, on the Verilated board with its
+//! CPU's clock stopped; and the release image's own share of the others.
 
 use ferrocnc_tests::Machine;
 use wire::exchange::Command;
@@ -54,8 +54,9 @@ fn powered_cpu_not_running() {
 
 #[test]
 fn frames_lost_past_the_timeout() {
-    // The CPU stops in the clock after the last answer, so whatever follows is the gateware's alone. Measured from the request's
-    // last byte on the wire; the firmware takes up to 1000 clocks of that until it feeds the watchdog.
+    // The CPU stops in the clock after the last answer, so the gateware alone does the rest.
+    // Measured from the request's last byte on the wire; the firmware takes up to 1000 clocks of
+    // that until it feeds the watchdog.
     let (mut machine, mut command) = cutting();
     let sent = machine.clock();
     machine.exchange(&mut command);
@@ -86,7 +87,8 @@ fn until_closed(machine: &mut Machine, patience: u64) -> u64 {
 
 #[test]
 fn firmware_hangs_or_panics() {
-    // A hang here; a trap of the release image is soc::a_trap_closes_the_gate_and_leaves_its_message.
+    // A hang here; a trap of the release image is
+    // soc::a_trap_closes_the_gate_and_leaves_its_message.
     let (mut machine, _) = cutting();
     machine.freeze_cpu();
     until_closed(&mut machine, 1_000_000);
@@ -153,7 +155,8 @@ fn cable_pulled_replugged() {
 
 #[test]
 fn a_board_that_starts_anew_under_its_host_is_safe_and_not_armed() {
-    // The board is started anew under its host: outputs are safe at once, and nobody is armed afterwards.
+    // The board is started anew under its host: outputs are safe at once, and the board is not
+    // armed afterwards.
     let (mut machine, mut command) = cutting();
     machine.trouble("reboot");
     assert!(!machine.gate_open());
@@ -163,7 +166,7 @@ fn a_board_that_starts_anew_under_its_host_is_safe_and_not_armed() {
         assert_eq!(
             machine.ask(&bytes),
             None,
-            "a token of the life before is none"
+            "a token from before the restart is not valid"
         );
     }
     machine.run_millis(5);

@@ -1,8 +1,9 @@
-//! The release image on the Verilated board, with the behavioural flash soldered to its four wires: identity, settings, discovery,
-//! an update, the factory pin, the link.
+//! The release image on the Verilated board, with the behavioural flash soldered to its four wires:
+//! identity, settings, discovery, an update, the factory pin, the link.
 //!
-//! Everything here the twin does too, and thousands of times (`provision.rs`); here it is held that gateware and image do it
-//! with real clocks on real wires. A power cycle is another board of the same gateware with the same chip.
+//! `provision.rs` tests all of this on the twin, thousands of times. These tests show that gateware
+//! and image do it with real clocks on real wires. A power cycle is another board of the same
+//! gateware with the same chip.
 
 use std::net::Ipv4Addr;
 
@@ -32,7 +33,8 @@ fn new_flash() -> Shared {
 
 /// Power comes to a board with this flash that is expected at this address.
 fn power_up(flash: &Shared, ip: Ipv4Addr, factory_pin: bool) -> Rig {
-    // What a datagram writes while an image is summed up waits for a slice of that: a fifth of a millisecond.
+    // What a datagram writes while an image is summed up waits for a slice of that: a fifth of a
+    // millisecond.
     let mut rig = flash::power_up(flash, ip, factory_pin);
     rig.patience *= 4;
     rig
@@ -83,7 +85,7 @@ fn settings_at(last_octet: u8, name: &str) -> Settings {
     }
 }
 
-/// A message to everybody; the answers that come within some milliseconds.
+/// A broadcast message; returns the answers within some milliseconds.
 fn discover(rig: &mut Rig, message: &Message, milliseconds: u64) -> Vec<Message> {
     let mut buffer = [0; WORDS_MAX];
     let bytes = to_bytes(message.emit(&mut buffer));
@@ -179,7 +181,7 @@ fn settings_are_saved_survive_a_power_cycle_and_a_cut_and_the_factory_pin_sets_t
 }
 
 #[test]
-fn discovery_is_answered_to_everybody_and_a_set_moves_the_board() {
+fn discovery_is_answered_by_broadcast_and_a_set_moves_the_board() {
     let flash = new_flash();
     let mut rig = power_up(&flash, BOARD_IP, false);
     let uid = [(UID >> 32) as u32, UID as u32];

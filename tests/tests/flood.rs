@@ -1,8 +1,8 @@
-//! A third host that sends as fast as the wire takes it, at the release image on the Verilated board: what it can do to the host that
-//! owns the machine, in clocks.
+//! A third host that sends as fast as the wire takes it, at the release image on the Verilated
+//! board: the delay for the host that owns the machine, in clocks.
 //!
-//! The bound is [`BOUND`]: an exchange is answered within so many clocks of its last byte whatever the others send. The figures
-//! are printed and stand in `target/reports/flood.json`.
+//! The bound is [`BOUND`]: an exchange is answered within so many clocks of its last byte, for any
+//! frames of the others. The figures are printed and stand in `target/reports/flood.json`.
 
 use ferrocnc_tests::flood::{Answer, KINDS, Kind};
 use ferrocnc_tests::{Machine, report_part, seed};
@@ -15,16 +15,17 @@ use wire::state::State;
 use wire::units::{Accel, StepRate};
 use wire::{GUEST_READS, map};
 
-/// 300 us at 60 MHz: a guest's dearest frame, what an exchange takes that finds nothing of itself in the cache, and the chores
-/// between the two. Less than a third of a servo period of 1 kHz, a sixteenth of the watchdog's five.
+/// 300 us at 60 MHz: a guest's slowest frame, an exchange with a cold cache, and the chores between
+/// the two. Less than a third of a servo period of 1 kHz, a sixteenth of the watchdog's five.
 const BOUND: u64 = 18_000;
 /// Servo periods under each kind of flood.
 const PERIODS: usize = 25;
-/// Clocks the watchdog has left when a command comes: five periods, less the two there may be between an exchange at the beginning
-/// of one period and one at the end of the next, less the bound.
+/// Clocks the watchdog has left when a command comes: five periods, less the two there may be
+/// between an exchange at the beginning of one period and one at the end of the next, less the
+/// bound.
 const MARGIN: u32 = 3 * 60_000 - BOUND as u32;
 
-/// A machine whose six axes move, each at its own rate.
+/// A machine with six moving axes, each at its own rate.
 fn moving() -> (Machine, Command) {
     let machine = Machine::armed();
     let mut command = machine.enabled_command();
@@ -35,7 +36,8 @@ fn moving() -> (Machine, Command) {
     (machine, command)
 }
 
-/// What was asked for is what was done: all axes at rest, every pulse the board tells of was at the pins.
+/// What was asked for is what was done: all axes at rest, every pulse the board tells of was at the
+/// pins.
 fn comes_to_rest(machine: &mut Machine, command: &mut Command) {
     for (rate, _) in &mut command.stepgen {
         *rate = StepRate(0);
@@ -211,7 +213,7 @@ fn the_owners_arp_comes_through_a_storm_and_a_guests_ping_does_when_it_is_over()
 }
 
 #[test]
-fn nobodys_board_is_acquired_through_a_storm_and_after_any_flood() {
+fn a_free_board_is_acquired_through_a_storm_and_after_any_flood() {
     let mut rng = Pcg64Mcg::seed_from_u64(seed());
     let mut report_of = Map::new();
     for kind in [
@@ -256,7 +258,7 @@ fn a_flood_on_a_frozen_cpu_changes_nothing_about_the_stop() {
     machine.freeze_cpu();
     for _ in 0..8 {
         let answer = machine.period_under(&mut command, Kind::Mix, &mut rng);
-        assert!(answer.is_none(), "nobody is there to answer");
+        assert!(answer.is_none(), "the CPU is frozen");
     }
     assert!(!machine.gate_open());
     assert_eq!(machine.outputs(), 0);

@@ -1,7 +1,8 @@
-//! Raw frames into the MAC of the Verilated board: everything a wire can carry and no stack would send. Nothing of it arms the
-//! machine, writes a register or costs the frame behind it, and every one of them is counted somewhere.
+//! Raw frames into the MAC of the Verilated board, including frames that no stack would send. None
+//! of them arms the machine, writes a register or costs the frame behind it, and every one of them
+//! is counted.
 
-use ferrocnc_tests::flood::{KINDS, Kind, bare, checksum, read_of};
+use ferrocnc_tests::flood::{INTRUDER_IP, KINDS, Kind, bare, checksum, read_of, tcp_segment};
 use ferrocnc_tests::{Machine, seed};
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
@@ -129,7 +130,7 @@ fn a_frame_that_lies_about_itself_is_not_answered_and_one_that_does_not_is() {
             with(&good, 0, &[2, 0, 0, 0, 0, 7]),
             0,
         ),
-        ("everybody's MAC address", with(&good, 0, &[0xff; 6]), 0),
+        ("the broadcast MAC address", with(&good, 0, &[0xff; 6]), 0),
         (
             "another board's IP address",
             sealed(with(&good, IP + 19, &[51])),
@@ -248,7 +249,8 @@ fn thousands_of_mutated_frames_arm_nothing_write_nothing_and_are_all_counted() {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let mut machine = Machine::start();
     let registers = machine.registers();
-    // What is known to be right, and would do something if it were from the owner: reads, a write, an exchange, ARP, ping, TCP.
+    // What is known to be right, and would do something if it were from the owner: reads, a write,
+    // an exchange, ARP, ping, TCP.
     let command = machine.enabled_command();
     let command = machine.command_bytes(&command);
     let mut originals = vec![machine.plain_read()];
@@ -325,4 +327,128 @@ fn a_preamble_is_seven_bytes_and_a_delimiter() {
             "and the frame behind it"
         );
     }
+}
+
+const SYN: u8 = 2;
+const RST: u8 = 4;
+const PSH: u8 = 8;
+const ACK: u8 = 16;
+
+/// A visitor of the console, segment by segment: its next number, and the board's.
+struct Visitor<'m> {
+    machine: &'m mut Machine,
+    seq: u32,
+    ack: u32,
+}
+
+impl Visitor<'_> {
+    const PORT: u16 = 4000;
+
+    fn frame(&mut self, flags: u8, seq: u32, ack: u32, data: &[u8]) -> Vec<u8> {
+        let segment = tcp_segment(Self::PORT, flags, seq, ack, data);
+        self.machine.ip(INTRUDER_IP, 6, 0, &segment)
+    }
+
+    /// Sends a frame as it is; flags, number, acknowledgement and data of what comes back.
+    fn hears(&mut self, frame: &[u8]) -> Vec<(u8, u32, u32, Vec<u8>)> {
+        self.machine.rig().take_frames();
+        self.machine.inject(gmii::encode(frame));
+        self.machine.run_clocks(120_000);
+        let word =
+            |frame: &[u8], at: usize| u32::from_be_bytes(frame[at..at + 4].try_into().unwrap());
+        let sent = self.machine.rig().take_frames().into_iter();
+        let to_us = |frame: &Vec<u8>| {
+            frame[12..14] == [8, 0] && frame[23] == 6 && frame[30..34] == INTRUDER_IP.octets()
+        };
+        sent.filter(to_us)
+            .map(|frame| {
+                let end = IP + usize::from(u16::from_be_bytes([frame[16], frame[17]]));
+                (
+                    frame[47],
+                    word(&frame, 38),
+                    word(&frame, 42),
+                    frame[54..end].to_vec(),
+                )
+            })
+            .collect()
+    }
+
+    /// Comes in.
+    fn enters(machine: &mut Machine) -> Visitor<'_> {
+        machine.rig().capture_frames();
+        let mut visitor = Visitor {
+            machine,
+            seq: 0x1234_5678,
+            ack: 0,
+        };
+        let knock = visitor.frame(SYN, visitor.seq, 0, b"");
+        let welcome = visitor.hears(&knock);
+        assert_eq!((welcome[0].0, welcome[0].2), (SYN | ACK, 0x1234_5679));
+        visitor.seq += 1;
+        visitor.ack = welcome[0].1 + 1;
+        assert_eq!(visitor.says(b""), "ferrocnc> ");
+        visitor
+    }
+
+    /// Says something as it should be said; the answer, which is acknowledged.
+    fn says(&mut self, text: &[u8]) -> String {
+        let frame = self.frame(PSH | ACK, self.seq, self.ack, text);
+        let mut heard = self.hears(&frame);
+        self.seq += text.len() as u32;
+        let mut answer = Vec::new();
+        while !heard.is_empty() {
+            for (_, seq, ack, data) in &heard {
+                if (*seq, *ack) == (self.ack, self.seq) {
+                    answer.extend(data);
+                    self.ack += data.len() as u32;
+                }
+            }
+            let frame = self.frame(ACK, self.seq, self.ack, b"");
+            heard = self.hears(&frame);
+        }
+        String::from_utf8(answer).expect("text")
+    }
+}
+
+#[test]
+fn forged_segments_do_not_harm_a_console_session_and_its_keepalives_are_answered() {
+    let mut machine = Machine::start();
+    let mut visitor = Visitor::enters(&mut machine);
+    let (seq, ack) = (visitor.seq, visitor.ack);
+    let keepalive = visitor.frame(ACK, seq - 1, ack, b"");
+    assert_eq!(visitor.hears(&keepalive), [(ACK, ack, seq, Vec::new())]);
+    let quit = visitor.frame(PSH | ACK, seq, ack, b"quit\n");
+    let forged = [
+        ("a reset one off", visitor.frame(RST, seq + 1, 0, b"")),
+        (
+            "a reset far off",
+            visitor.frame(RST | ACK, seq - 50_000, ack, b""),
+        ),
+        ("another SYN", visitor.frame(SYN, seq + 77, 0, b"")),
+        (
+            "an ACK of what was never sent",
+            visitor.frame(PSH | ACK, seq, ack + 1, b"quit\n"),
+        ),
+        ("no ACK", visitor.frame(PSH, seq, ack, b"quit\n")),
+        (
+            "data far off",
+            visitor.frame(PSH | ACK, seq + 5_000, ack, b"quit\n"),
+        ),
+        ("a wrong TCP checksum", with(&quit, 50, &[!quit[50]])),
+        ("a wrong IP checksum", with(&quit, 24, &[!quit[24]])),
+        ("a first fragment", sealed(with(&quit, 20, &[0x20, 0]))),
+        ("a last fragment", sealed(with(&quit, 20, &[0, 1]))),
+        ("a header of 60 bytes", with(&quit, 46, &[0xf0])),
+    ];
+    for (what, frame) in forged {
+        for (flags, from, expected, data) in visitor.hears(&frame) {
+            assert_eq!(
+                (flags, from, expected, data.len()),
+                (ACK, ack, seq, 0),
+                "{what}"
+            );
+        }
+    }
+    assert!(visitor.says(b"link\n").starts_with("link "));
+    assert!(visitor.says(b"quit\n").starts_with("bye"));
 }

@@ -1,16 +1,20 @@
-//! Jobs, drawn. The drawing of `tests/drawing` is prepared, planned and played, and the pen's path is rebuilt from the edges at the pins.
+//! Jobs from the drawing to the pins. The drawing of `tests/drawing` is prepared, planned and
+//! played, and the pen's path is rebuilt from the edges at the pins.
 //!
-//! `cargo xtask test jobs` builds what this needs. `FERROCNC_JOBS_CORES` is the folder of the Verilated cores of `tests/boards/jobs.toml`;
-//! pictures are left in `FERROCNC_REPORTS`, else in `target/reports`.
+//! `cargo xtask test jobs` builds what this needs. `FERROCNC_JOBS_CORES` is the folder of the
+//! Verilated cores of `tests/boards/jobs.toml`; pictures are left in `FERROCNC_REPORTS`, else in
+//! `target/reports`.
 
 use ferrocnc_tests::drawing::{self, TOLERANCE, Watch};
 use ferrocnc_tests::plotter::{Plotter, Scissors};
+use ferrocnc_tests::stops::{Job, Shape, Used, Way};
 use host::client::Client;
-use host::job::client::Board;
+use host::job::client::{self, Board};
 use host::job::pins::{self, Pin, Prediction};
 use host::job::program::{Dialect, Program};
 use host::job::stream::Streamer;
 use host::keys::Keys;
+use rand::Rng as _;
 use sim::model::board::pages;
 use sim::soc::{Cores, CoresPins};
 use std::collections::VecDeque;
@@ -22,7 +26,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 use wire::crc::crc32;
 use wire::exchange::{STATUS_HEAD, STATUS_STEPGEN, StateWord};
-use wire::jobs::{End, State};
+use wire::jobs::{Command as Code, End, State};
 use wire::{FaultReason, Refusal, map};
 
 const ARM: u32 = 0x4152_4d31;
@@ -33,7 +37,7 @@ const MASK: u32 = 21;
 const STATUS: u32 = 22;
 const START: u32 = 1;
 
-/// The bare cores, and somebody who writes a prediction's segments into them as they have room.
+/// Plays a prediction on the bare cores: writes its segments as they have room.
 fn play(told: &Prediction, timing: [u32; 4]) -> Vec<pins::Event> {
     let folder = std::env::var_os("FERROCNC_JOBS_CORES").map_or_else(
         || ferrocnc_tests::root().join("target/sim/cores-jobs"),
@@ -155,7 +159,8 @@ fn a_drawing_sent_to_the_twin_and_started_is_on_its_curves_and_every_edge_in_its
     draws(Plotter::twin(), "drawing.png");
 }
 
-/// So many times slower than real time: then a machine at work, too, is never late for the 64 segments a board has in hand.
+/// So many times slower than real time: then a machine at work, too, is never late for the 64
+/// segments a board has in hand.
 const SLOWER: u32 = 10;
 
 #[test]
@@ -163,8 +168,8 @@ fn a_drawing_streamed_to_a_board_without_sdram_is_on_its_curves_and_every_edge_i
     draws(Plotter::streamed(SLOWER, ""), "drawing-streamed.png");
 }
 
-/// As CAM programs go: a face in many passes, each a run of lines a third of a millimetre long over a wavy surface, arcs at its ends, the
-/// tool lifted between layers. `lines` lines of G-code.
+/// As CAM programs go: a face in many passes, each a run of lines a third of a millimetre long over
+/// a wavy surface, arcs at its ends, the tool lifted between layers. `lines` lines of G-code.
 fn cam(lines: usize) -> String {
     let mut text =
         String::from("%\n(made by the tests)\nN10 G21 G90 G17\nN20 G0 X10 Y10 Z2\nN30 M3\n");
@@ -359,7 +364,7 @@ fn a_job_that_was_sent_is_started_and_looked_at_from_the_console() {
 }
 
 #[test]
-fn a_start_whose_answer_is_lost_is_asked_again_and_acted_on_once() {
+fn a_start_with_a_lost_answer_is_asked_again_and_acted_on_once() {
     let machine = drawing::machine();
     let program = Program::from_gcode(b"G1 X3 F6000\nG1 Y2\nM2\n", Dialect::default().dwell)
         .unwrap_or_else(|error| panic!("{error}"));
@@ -388,6 +393,37 @@ fn a_start_whose_answer_is_lost_is_asked_again_and_acted_on_once() {
         5 * 80,
         "one line of 3 mm and one of 2, and no more"
     );
+}
+
+/// A job waits for the operator, and a client has the line and keeps it.
+fn stops_beside(plotter: Plotter) {
+    let program = Program::from_gcode(b"G1 X3 F6000\nM0\nG1 Y2\nM2\n", Dialect::default().dwell);
+    let program = program.unwrap_or_else(|error| panic!("{error}"));
+    let mut holder = plotter.board();
+    begin(&mut holder, "held", &program);
+    let report = |holder: &mut Board| holder.report().unwrap_or_else(|error| panic!("{error}"));
+    while report(&mut holder).state != State::Paused {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    for (code, state) in [(Code::Pause, State::Paused), (Code::Stop, State::Stopping)] {
+        let said = client::halt_within(plotter.jobs, code, Duration::from_secs(120));
+        let said = said.unwrap_or_else(|error| panic!("{code}: {error}"));
+        assert_eq!(said.state, state, "{said:?}");
+        // The other one is still there.
+        report(&mut holder);
+    }
+    assert_eq!(plotter.finish(&mut holder).end, End::Stopped);
+    // The line is free now, and it is the same.
+    holder.hang_up();
+    let said = client::halt_within(plotter.jobs, Code::Stop, Duration::from_secs(120));
+    assert_eq!(said.map(|said| said.state).ok(), Some(State::Stopped));
+    plotter.events();
+}
+
+#[test]
+fn stop_and_pause_are_taken_while_another_client_holds_the_line() {
+    stops_beside(Plotter::twin());
+    stops_beside(Plotter::streamed(SLOWER, ""));
 }
 
 /// `ferrocnc job serve`, as a program of its own.
@@ -424,7 +460,8 @@ impl Serving {
         board
     }
 
-    /// Lets the drawing come so far that all three axes and the pen have been at work, and 64 segments wait.
+    /// Lets the drawing come so far that all three axes and the pen have been at work, and 64
+    /// segments wait.
     fn draw_a_little(&self) {
         let mut board = self.start(&drawing::program(TOLERANCE));
         loop {
@@ -445,7 +482,8 @@ impl Drop for Serving {
     }
 }
 
-/// What the board says of itself once nothing moves, to somebody who owns nothing; its axes' steps, and when that was.
+/// The board's state once nothing moves, read without the session; its axes' steps, and when that
+/// was.
 fn at_rest(plotter: &Plotter) -> (StateWord, [i64; 3], u64) {
     let mut client = Client::open(&plotter.address()).expect("a socket");
     loop {
@@ -486,7 +524,8 @@ fn steps_at(events: &[pins::Event]) -> Vec<u64> {
     clocks.iter().map(|clock| clock - clocks[0]).collect()
 }
 
-/// How many edges were as predicted before the first that was not, and the clock of the last that was, from the first step on.
+/// How many edges were as predicted before the first that was not, and the clock of the last that
+/// was, from the first step on.
 fn as_told(told: &Prediction, emitted: &[pins::Event]) -> (usize, u64) {
     let (mut told, emitted) = (steps_at(&told.events), steps_at(emitted));
     told.sort_unstable();
@@ -601,12 +640,167 @@ fn a_wire_that_loses_doubles_and_reorders_datagrams_changes_no_edge_of_what_is_s
     );
 }
 
+/// What ends a job that is streamed over a network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Strikes {
+    /// The cable.
+    Pulled,
+    Frozen,
+    Reset,
+    Stop,
+    Pause,
+    /// The client that started it.
+    Silence,
+    CtrlC,
+}
+
+const STRIKES: [Strikes; 7] = [
+    Strikes::Pulled,
+    Strikes::Stop,
+    Strikes::Reset,
+    Strikes::Silence,
+    Strikes::Frozen,
+    Strikes::CtrlC,
+    Strikes::Pause,
+];
+/// Jobs, unless `FERROCNC_STOPS` says another number.
+const STREAMED: u64 = 2;
+/// So slow that a busy machine, too, has the whole line on the board when it is struck.
+const ANY: Shape = Shape {
+    takes: 0.004..0.1,
+    speed: 500.0..20_000.0,
+    lasts: 0.05,
+};
+
+impl Strikes {
+    fn way(self) -> Way {
+        match self {
+            Strikes::Pulled | Strikes::Frozen => Way::Own,
+            Strikes::Reset => Way::Cut,
+            Strikes::Stop | Strikes::Pause | Strikes::Silence | Strikes::CtrlC => Way::Path,
+        }
+    }
+
+    fn strike(self, plotter: &mut Plotter, board: &mut Board) {
+        match self {
+            Strikes::Pulled => drop(plotter.control("fault pull")),
+            Strikes::Frozen => drop(plotter.control("freeze-cpu 1")),
+            Strikes::Reset => drop(plotter.control("ext-reset 1")),
+            Strikes::Silence => {}
+            Strikes::CtrlC => plotter.end_streaming(),
+            Strikes::Stop => {
+                board.command(Code::Stop).expect("it is taken");
+            }
+            Strikes::Pause => {
+                // It may be over.
+                let _over = board.command(Code::Pause);
+            }
+        }
+    }
+
+    fn over(plotter: &Plotter) {
+        for command in ["fault plug", "freeze-cpu 0", "ext-reset 0"] {
+            plotter.control(command);
+        }
+    }
+}
+
+/// Until the pins have come to rest behind a closed gate, or in a pause.
+fn stood(plotter: &Plotter, board: &mut Board, strikes: Strikes) -> [i64; 3] {
+    if strikes == Strikes::Pause {
+        loop {
+            let report = board.report().unwrap_or_else(|error| panic!("{error}"));
+            if report.stands || report.state == State::Stopped {
+                return plotter.pins().0;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+    loop {
+        let (counts, open) = plotter.pins();
+        if !open {
+            return counts;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Until so many pulses were made, of all axes together, or something else was quicker.
+fn until_made(plotter: &Plotter, moment: i64) {
+    loop {
+        let (counts, open) = plotter.pins();
+        let made: i64 = counts.iter().map(|count| count.abs()).sum();
+        if made >= moment || made > 0 && !open {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// A random machine and a random moment, over real datagrams and through the host's own program;
+/// what was used of the way allowed.
+fn struck(seed: u64) -> (Strikes, f64) {
+    let mut random = rand_pcg::Pcg32::new(seed, 3);
+    let strikes = STRIKES[seed as usize % STRIKES.len()];
+    let job = Job::any(&mut random, &ANY);
+    let told = format!("FERROCNC_SEED={seed}: {strikes:?}, {:?}", job.axes);
+    let mut plotter = Plotter::streamed(SLOWER, "");
+    let mut board = plotter.board();
+    board
+        .put_machine(&job.machine.to_board())
+        .expect("a machine");
+    let entry = board.send("any", &job.program.to_job(), |_, _| ());
+    assert!(entry.expect("the job is taken").ready, "{told}");
+    let silence = (strikes == Strikes::Silence).then_some(Duration::from_millis(500));
+    board.start("any", silence).expect("it begins");
+    let most: i64 = job.told.steps.iter().map(|steps| steps.abs()).sum();
+    until_made(&plotter, random.random_range(most / 20..most * 9 / 10));
+    strikes.strike(&mut plotter, &mut board);
+    let counts = stood(&plotter, &mut board, strikes);
+    Strikes::over(&plotter);
+    if strikes == Strikes::Pause {
+        // A pause that came behind the end is refused.
+        let _over = board.command(Code::Stop);
+    }
+    // It may have been over before.
+    let cut = strikes == Strikes::Reset && counts != job.told.steps;
+    if strikes != Strikes::CtrlC {
+        let report = plotter.finish(&mut board);
+        assert_eq!(report.steps.map(i64::from), counts, "{told}: {report:?}");
+        assert!(!(report.known && cut), "{told}: cut off and known");
+        // With the cable out, the PC does not know what the board does.
+        let hidden = matches!(strikes, Strikes::Pulled | Strikes::Frozen | Strikes::Reset);
+        assert!(report.known || hidden, "{told}: not known, {report:?}");
+    }
+    let (state, steps, _) = at_rest(&plotter);
+    assert_eq!(steps, counts, "{told}: {state:?}");
+    assert!(!(state.position_trusted && cut), "{told}: {state:?}");
+    // A processor that was away may have missed the grace's end.
+    let doubtful = matches!(strikes, Strikes::Frozen | Strikes::Reset);
+    assert!(state.position_trusted || doubtful, "{told}: {state:?}");
+    drop(board);
+    let emitted = plotter.events();
+    assert_eq!(steps_of(&emitted), counts, "{told}: it moves again");
+    (strikes, job.stands_within(&emitted, strikes.way(), &told))
+}
+
+#[test]
+fn any_streamed_job_stops_each_axis_within_its_own_way_whatever_strikes() {
+    let first = ferrocnc_tests::from_environment("FERROCNC_SEED", 1);
+    let mut used = Used::default();
+    for seed in first..first + ferrocnc_tests::from_environment("FERROCNC_STOPS", STREAMED) {
+        let (strikes, part) = struck(seed);
+        used.see(strikes, part);
+    }
+    used.print("streamed over UDP");
+}
+
 #[test]
 fn a_board_that_executes_jobs_by_itself_refuses_the_window() {
     let plotter = Plotter::twin();
     let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
     let error = Streamer::open(&plotter.address(), Keys::default(), any);
-    let error = error.expect_err("it needs nobody").to_string();
+    let error = error.expect_err("it executes jobs itself").to_string();
     assert!(error.contains("executes jobs by itself (ready)"), "{error}");
 
     let patience = Duration::from_millis(300);
@@ -623,7 +817,7 @@ fn a_board_that_executes_jobs_by_itself_refuses_the_window() {
     assert!(count(&mut client) >= before + 2);
     let status = client.read(&[map::SEGMENTS + 4 * STATUS]);
     assert_eq!(
-        status.expect("everybody may read it")[0] & 0xff,
+        status.expect("every host may read it")[0] & 0xff,
         0,
         "nothing waits"
     );

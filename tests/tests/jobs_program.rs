@@ -1,23 +1,26 @@
-//! The jobs program on the Verilated board: the release image finds it behind the bitstream in the flash, puts it into the SDRAM
-//! and lets it answer on the port of jobs; and without it, or with a damaged one, everything else works as ever.
+//! The jobs program on the Verilated board: the release image finds it behind the bitstream in the
+//! flash, puts it into the SDRAM and lets it answer on the port of jobs; without it, or with a
+//! damaged one, everything else works.
 
 use ferrocnc_tests::Machine;
 use ferrocnc_tests::bench::Bench;
 use ferrocnc_tests::flash::{self, Boots};
 use ferrocnc_tests::wired::{golden, on_flash, program, setup};
 use sim::nor::{Part, Times};
+use sim::segment::Connection;
 use sim::soc::SdramLines;
 use wire::describe::{FEATURE_JOBS, JobsState};
 use wire::flash::{Running, Slot};
 use wire::images::{Role, Trailer};
-use wire::jobs::{Frame, Op, Request, Status, Welcome};
+use wire::jobs::{FRAME, Frame, Op, Request, Status, Welcome};
 use wire::map;
 
 /// Words of a header: the CRC, the interface, the register map.
 const INTERFACE_AT: usize = 4;
 const ABI_AT: usize = 8;
 
-/// A board with jobs, switched on with this behind the bitstream in its flash; its image runs from slot A.
+/// A board with jobs, switched on with this behind the bitstream in its flash; its image runs from
+/// slot A.
 fn board(behind: &[u8]) -> Machine {
     Machine::boot(setup(behind))
 }
@@ -28,23 +31,51 @@ fn state(machine: &mut Machine) -> JobsState {
     JobsState::of(features)
 }
 
-/// Connects to the port of jobs and says who is there.
-fn hello(machine: &mut Machine) -> Option<Welcome> {
-    let mut request = [0; wire::jobs::FRAME];
-    let length = Request::Hello { client: 7 }.emit(1, &mut request);
+/// Says all of these in one go; the answers, in their order.
+fn pipelined(
+    machine: &mut Machine,
+    visitor: Connection,
+    requests: &[Request],
+) -> Vec<(Op, Status, Vec<u8>)> {
+    let (mut said, mut out) = (Vec::new(), [0; FRAME]);
+    for (id, request) in (1..).zip(requests) {
+        let length = request.emit(id, &mut out);
+        said.extend(&out[..length]);
+    }
     let rig = machine.rig();
-    let visitor = rig.tcp_connect(wire::jobs::PORT).ok()?;
-    assert_eq!(rig.segment.send(visitor, &request[..length]), length);
-    let mut heard = Vec::new();
+    assert_eq!(rig.segment.send(visitor, &said), said.len());
+    let (mut heard, mut answers) = (Vec::new(), Vec::new());
     for _ in 0..50 {
         rig.run_ms(1);
         heard.extend(rig.segment.recv(visitor));
-        if let Ok(Some((frame, _))) = Frame::parse(&heard) {
-            assert_eq!(frame.answer(), Some((Op::Hello, Status::Normal)));
-            return Welcome::parse(frame.payload);
+        while let Ok(Some((frame, length))) = Frame::parse(&heard) {
+            let (op, status) = frame.answer().expect("an answer");
+            answers.push((op, status, frame.payload.to_vec()));
+            heard.drain(..length);
+        }
+        if answers.len() >= requests.len() {
+            break;
         }
     }
-    None
+    answers
+}
+
+/// Connects to the port of jobs and says Hello.
+fn hello(machine: &mut Machine) -> Option<(Connection, Welcome)> {
+    let visitor = machine.rig().tcp_connect(wire::jobs::PORT).ok()?;
+    let answers = pipelined(machine, visitor, &[Request::Hello { client: 7 }]);
+    let [(Op::Hello, Status::Normal, welcome)] = &answers[..] else {
+        return None;
+    };
+    Some((visitor, Welcome::parse(welcome)?))
+}
+
+/// A job that only ends, as bytes.
+fn empty_job() -> Vec<u8> {
+    let mut writer = motion::job::Writer::new("x");
+    let mut bytes = writer.header().to_vec();
+    writer.finish(|block| bytes.extend(block));
+    bytes
 }
 
 /// Words again behind a change: the CRC made right.
@@ -60,7 +91,7 @@ fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     bytes
 }
 
-/// The board without jobs is the board there always was.
+/// A board without jobs does everything else.
 fn works_otherwise(machine: &mut Machine) {
     assert!(
         machine.console("status\n").contains("disarmed"),
@@ -77,7 +108,7 @@ fn the_program_is_found_in_the_flash_and_answers_on_its_port() {
     let mut machine = board(&program());
     println!("started after {} clocks", machine.clock());
     assert_eq!(state(&mut machine), JobsState::Alive);
-    let welcome = hello(&mut machine).expect("a welcome");
+    let (visitor, welcome) = hello(&mut machine).expect("a welcome");
     assert_eq!((welcome.version, welcome.axes), (wire::jobs::VERSION, 3));
     assert_eq!(welcome.clock_hz, 60_000_000);
     let crc = welcome.program.to_le_bytes();
@@ -87,6 +118,42 @@ fn the_program_is_found_in_the_flash_and_answers_on_its_port() {
         "8 MiB less the program: {}",
         welcome.room
     );
+    // An upload of which no answer is waited for: the commit comes before the job was read through.
+    let (job, name) = (empty_job(), wire::Name::new("x").expect("a name"));
+    let upload = [
+        Request::Put {
+            total: job.len() as u32,
+            crc: wire::crc::crc32(&job),
+            name,
+        },
+        Request::Data {
+            offset: 0,
+            bytes: &job,
+        },
+        Request::Commit,
+        Request::Delete { name },
+    ];
+    let answers = pipelined(&mut machine, visitor, &upload);
+    let answers: Vec<_> = answers.iter().map(|answer| (answer.0, answer.1)).collect();
+    let normal = [Op::Put, Op::Data, Op::Commit, Op::Delete].map(|op| (op, Status::Normal));
+    assert_eq!(answers, normal);
+    // The line is taken, and stop is taken beside it.
+    let caller = machine.rig().tcp_connect(wire::jobs::PORT);
+    let caller = caller.expect("a connection at the door");
+    let stop = Request::Command {
+        code: wire::jobs::Command::Stop.code(),
+        flags: 0,
+        keepalive: 0,
+        name: wire::Name::EMPTY,
+    };
+    let answers = pipelined(&mut machine, caller, &[Request::Hello { client: 8 }, stop]);
+    let answers: Vec<_> = answers.iter().map(|answer| (answer.0, answer.1)).collect();
+    assert_eq!(
+        answers,
+        [(Op::Hello, Status::Busy), (Op::Command, Status::Normal)]
+    );
+    let answers = pipelined(&mut machine, visitor, &[Request::Report]);
+    assert_eq!(answers.len(), 1, "the other one is still there");
     let said = machine.console("job list\njob\nnet\n");
     let room = welcome.room;
     for line in [
@@ -134,7 +201,7 @@ fn without_a_whole_program_of_this_build_there_are_no_jobs_and_everything_else_w
             assert_eq!(state(&mut machine), *told, "{what}");
             assert!(
                 machine.rig().tcp_connect(wire::jobs::PORT).is_err(),
-                "{what}: nobody answers there"
+                "{what}: the port of jobs does not answer"
             );
             let said = machine.console("job stop\n");
             assert!(said.contains("no jobs here"), "{what}: {said}");
@@ -196,7 +263,7 @@ fn an_update_brings_the_jobs_program_of_its_image_along() {
     let mut machine = Machine::boot(on_flash(trailer, nor));
     assert_eq!(machine.read(map::FLASH_RUNNING), Running::B.code());
     assert_eq!(state(&mut machine), JobsState::Alive);
-    let welcome = hello(&mut machine).expect("a welcome");
+    let (_, welcome) = hello(&mut machine).expect("a welcome");
     assert_eq!(welcome.program.to_le_bytes(), program()[..4]);
     works_otherwise(&mut machine);
 }
@@ -207,7 +274,7 @@ fn a_card_with_half_the_sdram_has_half_the_room() {
     setup.shorted.row = 1 << 10;
     let mut machine = Machine::boot(setup);
     assert_eq!(state(&mut machine), JobsState::Alive);
-    let room = hello(&mut machine).expect("a welcome").room;
+    let room = hello(&mut machine).expect("a welcome").1.room;
     assert!((3 << 20..4 << 20).contains(&room), "{room} of 4 MiB");
     works_otherwise(&mut machine);
 }
@@ -229,7 +296,7 @@ fn an_sdram_with_a_line_shorted_to_ground_has_no_jobs_and_everything_else_works(
         assert_eq!(state(&mut machine), told, "{what}");
         assert!(
             machine.rig().tcp_connect(wire::jobs::PORT).is_err(),
-            "{what}: nobody answers there"
+            "{what}: the port of jobs does not answer"
         );
         works_otherwise(&mut machine);
     }

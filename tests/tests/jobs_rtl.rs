@@ -1,10 +1,12 @@
-//! Whole jobs on the Verilated board: real gateware, release image, the jobs program in SDRAM; sent and started over TCP by the tool's
-//! own client.
+//! Whole jobs on the Verilated board: real gateware, release image, the jobs program in SDRAM; sent
+//! and started over TCP by the tool's own client.
 //!
-//! `cargo xtask test jobs` builds what this needs. `FERROCNC_PROFILE=FILE` makes the dense arc write where the processor was while it
-//! planned: a line for each address, in hexadecimal, and how many looks found it there.
+//! `cargo xtask test jobs` builds what this needs. `FERROCNC_PROFILE=FILE` makes the dense arc
+//! write where the processor was while it planned: a line for each address, in hexadecimal, and how
+//! many looks found it there.
 
 use ferrocnc_tests::drawing::{self, TOLERANCE};
+use ferrocnc_tests::stops::{Job, Shape, Used, Way};
 use ferrocnc_tests::wired::Wired;
 use host::job::client::JobError;
 use host::job::machine::{Direction, Home, Level, Machine};
@@ -49,7 +51,7 @@ fn report(wired: &mut Wired) -> Report {
     report.unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// Two turns of a screw whose chords are so short that more than 1000 segments have to be made in a second.
+/// Two turns of a screw with so short chords that it needs more than 1000 segments a second.
 fn dense() -> (Program, Machine) {
     let mut machine = drawing::machine();
     machine.chord_tolerance = 0.001;
@@ -61,7 +63,8 @@ fn dense() -> (Program, Machine) {
     (gcode("dense", turns), machine)
 }
 
-/// Segments a second that a program has to have: of the tenth of a second in which they are densest.
+/// Segments a second that a program has to have: of the tenth of a second in which they are
+/// densest.
 fn asked(told: &Prediction, clock: u32) -> f64 {
     let window = u64::from(clock / 10);
     let begins: Vec<u64> = told.segments.iter().map(|(begin, _)| *begin).collect();
@@ -72,7 +75,8 @@ fn asked(told: &Prediction, clock: u32) -> f64 {
     most.max().unwrap_or(0) as f64 * 10.0
 }
 
-/// How fast it plans, seen from outside: every millisecond, what was pushed so far and what of it waits.
+/// How fast it plans, seen from outside: every millisecond, what was pushed so far and what of it
+/// waits.
 #[derive(Default)]
 struct Planning {
     looks: Vec<(u64, u32, u8)>,
@@ -107,17 +111,21 @@ impl Planning {
     }
 }
 
-/// The board of the tests in mid-job, for one of them after the other: to switch it on takes longer than such a job. Its axes are at home.
+/// The board of the tests in mid-job, for one of them after the other: to switch it on takes longer
+/// than such a job. Its axes are at home, and known: a test that ends otherwise has a board of its
+/// own.
 fn board() -> MutexGuard<'static, Wired> {
     static BOARD: LazyLock<Mutex<Wired>> = LazyLock::new(|| Mutex::new(Wired::boot()));
     let mut board = BOARD.lock().unwrap_or_else(|failed| {
-        // Nobody knows where a test that failed has left it.
+        // The position after a failed test is not known.
         BOARD.clear_poison();
         let mut board = failed.into_inner();
         *board = Wired::boot();
         board
     });
     board.events();
+    let left = board.with(|board| board.report()).expect("a report");
+    assert!(left.known || !left.machine, "a test left it so: {left:?}");
     board
 }
 
@@ -269,7 +277,8 @@ fn until(wired: &mut Wired, so: impl Fn(&Report) -> bool) -> Report {
     panic!("it never is: {:?}", report(wired));
 }
 
-/// The job is over, for this reason. Nothing moves any more, the pen is up, and the board has counted what left its pins since `began`.
+/// The job is over, for this reason. Nothing moves any more, the pen is up, and the board has
+/// counted what left its pins since `began`.
 fn ended(wired: &mut Wired, end: End, began: &Began) -> Report {
     let report = until(wired, |report| report.state == State::Stopped);
     assert_eq!(report.end, end, "{report:?}");
@@ -308,7 +317,8 @@ fn goes_on(wired: &mut Wired) {
     wired.events();
 }
 
-/// What a pause must not change: the pulses of each axis in their order, and where the axes are when the pen switches.
+/// What a pause must not change: the pulses of each axis in their order, and where the axes are
+/// when the pen switches.
 #[derive(Default, PartialEq)]
 struct Path {
     pulses: [Vec<bool>; 3],
@@ -389,7 +399,8 @@ fn an_e_stop_ends_the_pulses_in_its_clock_and_the_switch_has_to_be_found_again()
         timeout: 5.0,
         debounce: 10,
     });
-    let mut wired = board();
+    // Its axes without a switch stay unknown.
+    let mut wired = Wired::boot();
     let at = wired.machine.pulses(0) - 80;
     wired.machine.rig().board.plant.add_switch(Switch {
         stepgen: 0,
@@ -404,9 +415,10 @@ fn an_e_stop_ends_the_pulses_in_its_clock_and_the_switch_has_to_be_found_again()
         found.unwrap_or_else(|error| panic!("{error}"));
         let report = until(wired, |report| report.state == State::Stopped);
         assert_eq!(report.end, End::Done, "{report:?}");
-        assert!(report.known && report.steps[0] == 0, "{report:?}");
+        assert!(report.homed & 1 == 1 && report.steps[0] == 0, "{report:?}");
+        report.known
     };
-    find(&mut wired);
+    assert!(find(&mut wired));
     let began = began(&mut wired);
     under_way(&mut wired, "G1 X8 Y4 F9000\nG1 X0 Y0\nM2\n", &machine, None);
     let clocks = wired.machine.inputs_until_safe(ESTOP);
@@ -420,7 +432,8 @@ fn an_e_stop_ends_the_pulses_in_its_clock_and_the_switch_has_to_be_found_again()
     wired.machine.inputs(0);
     let refused = play(&mut wired, "home").0;
     assert_eq!((refused.end, refused.axis), (End::NotHomed, 0));
-    find(&mut wired);
+    // The axes without a switch are not known before the board restarts.
+    assert!(!find(&mut wired));
     goes_on(&mut wired);
 }
 
@@ -488,18 +501,196 @@ fn a_job_that_asks_for_more_than_the_planner_makes_brakes_and_says_underrun() {
     goes_on(&mut wired);
 }
 
+/// mm/s, and mm/s^2 that take an eighth of a second to stop from it: longer than the watchdog
+/// waits.
+const SPEED: f64 = 100.0;
+const HEAVY: f64 = 800.0;
+
 #[test]
-fn a_processor_that_hangs_is_stopped_by_the_watchdog_and_no_step_is_lost() {
+fn a_processor_that_hangs_is_stopped_by_the_watchdog_each_heavy_axis_in_its_own_way_and_no_step_is_lost()
+ {
+    let mut machine = brisk();
+    for axis in [&mut machine.x, &mut machine.y] {
+        (axis.speed, axis.acceleration) = (SPEED, HEAVY);
+    }
     let mut wired = board();
     let began = began(&mut wired);
-    under_way(&mut wired, LONG, &brisk(), None);
+    under_way(&mut wired, LONG, &machine, None);
     wired.machine.freeze_cpu();
-    wired.machine.rig().run(200 * MS);
-    assert!(!wired.machine.gate_open(), "the watchdog bites");
+    // It bites now at the latest.
+    wired.machine.rig().run(100 * MS);
+    let (from, scales) = (wired.steps(), machine.axes().map(|axis| axis.steps_per_mm));
+    let takes = SPEED / HEAVY * f64::from(machine.clock);
+    wired.machine.rig().run(takes as u64 + MS);
+    assert!(!wired.machine.gate_open(), "an axis moves on");
     let stood = wired.steps();
+    // Y has half the speed of X, and stops in half the time.
+    for (axis, speed) in [SPEED, SPEED / 2.0].into_iter().enumerate() {
+        let way = (stood[axis] - from[axis]) as f64 / scales[axis];
+        let allowed = speed * speed / (2.0 * HEAVY) + 2.0 / scales[axis];
+        println!("axis {axis}: {way:.2} mm of {allowed:.2}");
+        assert!(
+            way <= allowed,
+            "axis {axis}: {way} mm, {allowed} are allowed"
+        );
+    }
     wired.machine.rig().freeze_cpu(false);
     let report = ended(&mut wired, End::Watchdog, &began);
     assert_eq!(wired.steps(), stood);
     assert!(report.known, "{report:?}");
     goes_on(&mut wired);
+}
+
+// ---- any machine -------------------------------------------------------------------------------------------------------
+
+/// What ends a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Strikes {
+    Stop,
+    Frozen,
+    Silence,
+    EStop,
+    Reset,
+}
+
+/// By hand, with a board of their own: two of them leave it without a known position.
+const STRIKES: [Strikes; 5] = [
+    Strikes::Frozen,
+    Strikes::Stop,
+    Strikes::Silence,
+    Strikes::EStop,
+    Strikes::Reset,
+];
+
+impl Strikes {
+    /// Machines that are struck so. On the path a stop takes four times as long as each axis needs,
+    /// and a silence lasts 100 ms.
+    fn shape(self, asked: bool) -> Shape {
+        let (takes, lasts) = match self {
+            Strikes::Stop if !asked => (0.002..0.01, 0.0),
+            Strikes::Stop => (0.002..0.06, 0.0),
+            Strikes::Silence => (0.002..0.06, 0.12),
+            Strikes::Frozen => (0.02..0.3, 0.12),
+            Strikes::EStop | Strikes::Reset => (0.02..0.3, 0.0),
+        };
+        // Some 2000 steps at the most, because they have to be gone back.
+        let fastest = (1500.0f64 / (takes.end + lasts)).min(20_000.0);
+        Shape {
+            takes,
+            speed: 200.0..fastest,
+            lasts,
+        }
+    }
+
+    fn way(self) -> Way {
+        match self {
+            Strikes::Frozen => Way::Own,
+            Strikes::Stop | Strikes::Silence => Way::Path,
+            Strikes::EStop | Strikes::Reset => Way::Cut,
+        }
+    }
+
+    fn strike(self, wired: &mut Wired) {
+        match self {
+            // Nobody speaks to it until its keepalive is over.
+            Strikes::Silence => wired.run(110 * MS),
+            Strikes::Stop => command(wired, Command::Stop),
+            Strikes::EStop => {
+                assert!(wired.machine.inputs_until_safe(ESTOP) < 100);
+                wired.machine.inputs(0);
+            }
+            Strikes::Reset => {
+                assert!(wired.machine.external_reset_until_safe() <= 4);
+                wired.machine.rig().ext_reset(false);
+            }
+            Strikes::Frozen => {
+                wired.machine.freeze_cpu();
+                for _ in 0..1000 {
+                    if !wired.machine.gate_open() {
+                        break;
+                    }
+                    wired.machine.rig().run(MS);
+                }
+                wired.machine.rig().freeze_cpu(false);
+            }
+        }
+    }
+}
+
+/// Back home, as fast as the pins allow: the machines of the tests end anywhere.
+fn goes_home(wired: &mut Wired) {
+    let mut machine = brisk();
+    for axis in [&mut machine.x, &mut machine.y, &mut machine.z] {
+        axis.steps_per_mm = 80.0;
+        (axis.speed, axis.acceleration) = (1000.0, 100_000.0);
+        (axis.min, axis.max) = (-100.0, 100.0);
+    }
+    put(wired, &gcode("home", HOME), &machine);
+    let (report, _) = play(wired, "home");
+    assert_eq!((report.end, report.steps), (End::Done, [0; 3]));
+    wired.events();
+}
+
+/// A job on a random machine, struck at a random moment; what was used of the way allowed, and
+/// whether the position is known.
+fn struck(wired: &mut Wired, seed: u64, strikes: Strikes, asked: bool) -> (f64, bool) {
+    let mut random = rand_pcg::Pcg32::new(seed, 4);
+    let job = Job::any(&mut random, &strikes.shape(asked));
+    let told = format!("FERROCNC_SEED={seed}: {strikes:?}, {:?}", job.axes);
+    put(wired, &job.program, &job.machine);
+    let began = began(wired);
+    let keepalive = (strikes == Strikes::Silence).then_some(Duration::from_millis(100));
+    let started = wired.with(|board| board.start("any", keepalive));
+    started.unwrap_or_else(|error| panic!("{told}: {error}"));
+    for _ in 0..200 {
+        if wired.steps() != began.pins {
+            break;
+        }
+        wired.run(MS / 4);
+    }
+    if strikes != Strikes::Silence {
+        wired.run(random.random_range(0..job.told.clocks));
+    }
+    strikes.strike(wired);
+    let report = until(wired, |report| report.state == State::Stopped);
+    let stood = wired.steps();
+    let made = std::array::from_fn(|axis| stood[axis] - began.pins[axis] + began.told[axis]);
+    assert_eq!(report.steps.map(i64::from), made, "{told}: {report:?}");
+    wired.run(5 * MS);
+    assert_eq!(wired.steps(), stood, "{told}: moves on");
+    let used = job.stands_within(&wired.events(), strikes.way(), &told);
+    println!(
+        "{told}: {:?}, {used:.3}, known {}",
+        report.end, report.known
+    );
+    (used, report.known)
+}
+
+/// Every kind in turn. `FERROCNC_STOPS` is how many; one in the gate, on the board that all share.
+#[test]
+fn any_job_stops_each_axis_within_its_own_way_whatever_strikes() {
+    let first = ferrocnc_tests::from_environment("FERROCNC_SEED", 1);
+    let count = ferrocnc_tests::from_environment("FERROCNC_STOPS", 0);
+    let mut used = Used::default();
+    if count == 0 {
+        let mut wired = board();
+        let (_, known) = struck(&mut wired, first, Strikes::Stop, false);
+        assert!(known);
+        goes_home(&mut wired);
+        return;
+    }
+    let mut wired = Wired::boot();
+    // The axes have no switches: what was cut off once stays unknown until the board restarts.
+    let mut cut = false;
+    for seed in first..first + count {
+        let strikes = STRIKES[seed as usize % STRIKES.len()];
+        let (part, known) = struck(&mut wired, seed, strikes, true);
+        cut |= strikes.way() == Way::Cut;
+        // A processor that was away may have missed the grace's end.
+        cut |= strikes == Strikes::Frozen && !known;
+        assert_eq!(known, !cut, "FERROCNC_SEED={seed}: {strikes:?}");
+        used.see(strikes, part);
+        goes_home(&mut wired);
+    }
+    used.print("jobs on the RTL");
 }

@@ -1,7 +1,8 @@
-//! A board with a pre-shared key: the release image on the Verilated board, with the key in its flash.
+//! A board with a pre-shared key: the release image on the Verilated board, with the key in its
+//! flash.
 //!
-//! Judging is tested to the last case beside the firmware (`firmware/src/auth/tests.rs`); here it is held that the image on
-//! real wires makes challenges that differ, takes the key, and nothing else.
+//! `firmware/src/auth/tests.rs` tests every case of the check. These tests show that the image on
+//! real wires makes challenges that differ, and accepts the key and nothing else.
 
 use ferrocnc_tests::flash::{self, factory};
 use ferrocnc_tests::{to_bytes, to_words};
@@ -70,7 +71,8 @@ fn ask(rig: &mut Rig, port: u16, writes: &[(u32, &[u32])], reads: &[u32]) -> Opt
     send(rig, port, &to_bytes(request.words()))
 }
 
-/// Sent two milliseconds after whatever was before: while somebody owns the session one frame of others comes in each.
+/// Sends two milliseconds after the datagram before: while a host owns the session one frame of
+/// others comes in each.
 fn send(rig: &mut Rig, port: u16, datagram: &[u8]) -> Option<Vec<u32>> {
     rig.run_ms(PAUSE_MS);
     let reply = rig.request((HOST_IP, port), wire::DEFAULT_PORT, datagram)?;
@@ -94,16 +96,16 @@ fn acquisition(answer: [u32; 4], nonce: u32) -> Vec<u8> {
 }
 
 fn owner(rig: &mut Rig) -> u32 {
-    ask(rig, MALLORY, &[], &[map::SESSION_OWNER_PORT]).expect("everybody may read")[0]
+    ask(rig, MALLORY, &[], &[map::SESSION_OWNER_PORT]).expect("every host may read")[0]
 }
 
 fn refused(rig: &mut Rig) -> u32 {
     let counter = map::COUNTERS_REFUSED + 4 * Refusal::Key.index() as u32;
-    ask(rig, MALLORY, &[], &[counter]).expect("everybody may read")[0]
+    ask(rig, MALLORY, &[], &[counter]).expect("every host may read")[0]
 }
 
 #[test]
-fn a_board_with_a_key_refuses_who_has_it_not_takes_who_has_and_refuses_the_replay() {
+fn a_board_with_a_key_refuses_a_client_without_it_takes_one_with_it_and_refuses_the_replay() {
     let flash = locked_flash();
     let mut rig = power_up(&flash, false);
     let features = ask(
@@ -112,7 +114,7 @@ fn a_board_with_a_key_refuses_who_has_it_not_takes_who_has_and_refuses_the_repla
         &[],
         &[map::DESCRIBE + 4 * FEATURES_AT as u32],
     )
-    .expect("everybody may read")[0];
+    .expect("every host may read")[0];
     assert_eq!(features & FEATURE_KEY, FEATURE_KEY);
 
     // Without the key, and with another.
@@ -132,7 +134,8 @@ fn a_board_with_a_key_refuses_who_has_it_not_takes_who_has_and_refuses_the_repla
     assert_eq!(ask(&mut rig, MALLORY, &[restart], &[map::FLASH_OP]), None);
     assert_eq!((owner(&mut rig), refused(&mut rig)), (0, 4));
 
-    // With the key. What a challenge costs is told in clocks: nobody's exchange waits longer for a stranger.
+    // With the key. The cost of a challenge is printed in clocks: no exchange waits longer than
+    // that for a stranger.
     let began = rig.clock();
     let asked = challenge(&mut rig, ALICE);
     println!(
@@ -149,12 +152,13 @@ fn a_board_with_a_key_refuses_who_has_it_not_takes_who_has_and_refuses_the_repla
     assert_ne!(token, 0);
     assert_eq!(owner(&mut rig), u32::from(ALICE));
 
-    // The same datagram again: while it holds, after it is given back, from elsewhere, after the power was off.
+    // The same datagram again: while it holds, after it is given back, from elsewhere, after the
+    // power was off.
     assert_eq!(send(&mut rig, ALICE, &right), None, "while she owns it");
     assert_eq!(
         challenge(&mut rig, MALLORY),
         wire::auth::NONE,
-        "somebody drives"
+        "a host owns the session"
     );
     let release: (u32, &[u32]) = (map::SESSION_RELEASE, &[token]);
     ask(&mut rig, ALICE, &[release], &[map::SESSION_TOKEN]).expect("given back");
@@ -256,7 +260,7 @@ fn discovery_and_console_ask_for_the_key_too_and_the_factory_pin_opens_the_board
     let said = discover(&mut rig, &proven(&key(), challenge));
     assert_eq!(said, Some(Body::Done(OpResult::Ok)));
 
-    // The pin: no key, whoever asks.
+    // With the factory pin held no client needs a key.
     let mut rig = power_up(&flash, true);
     let features = ask(
         &mut rig,
@@ -264,7 +268,7 @@ fn discovery_and_console_ask_for_the_key_too_and_the_factory_pin_opens_the_board
         &[],
         &[map::DESCRIBE + 4 * FEATURES_AT as u32],
     )
-    .expect("everybody may read")[0];
+    .expect("every host may read")[0];
     assert_eq!(features & FEATURE_KEY, 0);
     let token = ask(
         &mut rig,

@@ -1,6 +1,7 @@
 //! Real LinuxCNC, our driver as `loadrt` finds it, the simulated board in lockstep.
 //!
-//! HAL exists once per machine, so these tests run one after the other and not beside a LinuxCNC session.
+//! HAL exists once per machine, so these tests run one after the other and not beside a LinuxCNC
+//! session.
 
 use ferrocnc_tests::Simulator;
 use ferrocnc_tests::hal::{halrun, out, root};
@@ -19,7 +20,7 @@ const PERIOD: u64 = 60_000;
 fn loadrt_says_in_one_sentence_what_is_wrong_with_its_parameters() {
     let said = halrun("malformed", "loadrt ferrocnc boards=not-an-address:99999\n");
     let sentence = said.lines().find(|line| line.contains("not-an-address"));
-    let sentence = sentence.unwrap_or_else(|| panic!("nobody named the address:\n{said}"));
+    let sentence = sentence.unwrap_or_else(|| panic!("no message named the address:\n{said}"));
     assert!(
         sentence.contains("boards"),
         "it should name the parameter: {sentence}"
@@ -30,7 +31,7 @@ fn loadrt_says_in_one_sentence_what_is_wrong_with_its_parameters() {
 fn loadrt_names_a_board_that_does_not_answer() {
     let said = halrun("unreachable", "loadrt ferrocnc boards=127.0.0.1:9\n");
     let sentence = said.lines().find(|line| line.contains("127.0.0.1:9"));
-    assert!(sentence.is_some(), "nobody named the board:\n{said}");
+    assert!(sentence.is_some(), "no message named the board:\n{said}");
 }
 
 #[test]

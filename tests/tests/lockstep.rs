@@ -1,7 +1,8 @@
-//! The cores in Verilog against their models in Rust, clock by clock, under random stimulus: every output pin, and every
-//! register as the bus reads it.
+//! The cores in Verilog against their models in Rust, clock by clock, under random stimulus: every
+//! output pin, and every register as the bus reads it.
 //!
-//! Run as `cargo test --release -p ferrocnc-tests --features board --test lockstep` after `sim/verilator/cores.sh mill6`.
+//! Run as `cargo test --release -p ferrocnc-tests --features board --test lockstep` after
+//! `sim/verilator/cores.sh mill6`.
 //!
 //! | variable | meaning | default |
 //! |---|---|---|
@@ -10,8 +11,8 @@
 //! | `FERROCNC_CLOCKS` | clocks to compare, in all | 12000000 |
 //! | `FERROCNC_SEED` | seed; printed | from the clock |
 //!
-//! The clocks are split over two threads with a seed each. What happened is counted per core, and a run in which too little
-//! did is refused. `target/reports/lockstep.json` has the figures.
+//! The clocks are split over two threads with a seed each. The events of each core are counted, and
+//! a run with too few of them fails. `target/reports/lockstep.json` has the figures.
 
 use ferrocnc_tests::{root, seed};
 use rand::{Rng, SeedableRng};
@@ -19,6 +20,7 @@ use rand_pcg::Pcg32;
 use sim::card::Card;
 use sim::model::Board;
 use sim::model::board::{Build, Bus, pages};
+use sim::pads::Pad;
 use sim::soc::{Cores, CoresPins, Pins};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
@@ -76,13 +78,14 @@ impl Stimulus {
         let mut registers: Vec<(u32, u32)> = Vec::new();
         for (page, words) in [
             (pages::IDENT, 8),
-            (pages::TIMEBASE, 9),
+            (pages::TIMEBASE, 10),
             (pages::WATCHDOG, 9),
             (pages::GPIO, 8),
             (pages::LED, 1),
             (pages::DEBOUNCE, 32),
             (pages::COMMAND, 52),
             (pages::STATUS, 120),
+            (pages::PADS, 4),
         ] {
             registers.extend((0..words).map(|word| (page, word)));
         }
@@ -286,7 +289,8 @@ impl Stimulus {
         }
     }
 
-    /// Arms and strobes as close together as the bus can carry them: what a rotation of the tallies has to sort out.
+    /// Arms and strobes as close together as the bus can carry them: what a rotation of the tallies
+    /// has to sort out.
     fn storm(&mut self) {
         for _ in 0..8 {
             let word = [0, 2, 3][self.below(3) as usize];
@@ -397,7 +401,28 @@ impl Stimulus {
             self.pins.ext_reset = 1;
             self.reset_left = 1 + self.below(20);
         }
+        // A short that comes and goes. It is seen, and what drives the pins does not know of it.
+        if self.one_in(3000) {
+            self.pins.pad_fault = self.below(4) as u8;
+            (self.pins.pad_at, self.pins.pad_to) = (self.pad(), self.pad());
+        }
         self.rst = self.one_in(self.noise * 5);
+    }
+
+    /// A pad that there is, by number.
+    fn pad(&mut self) -> u8 {
+        let c = self.channels;
+        let pads = match self.below(7) {
+            0 => (0..c.stepgens).map(Pad::Step).collect::<Vec<_>>(),
+            1 => (0..c.stepgens).map(Pad::Dir).collect(),
+            2 => (0..c.stepgens).map(Pad::StepN).collect(),
+            3 => (0..c.stepgens).map(Pad::DirN).collect(),
+            4 => (0..c.pwms).map(Pad::Pwm).collect(),
+            5 => (0..c.pwms).map(Pad::PwmDir).collect(),
+            _ => (0..c.outputs).map(Pad::Output).collect(),
+        };
+        let n = self.below(pads.len() as u32) as usize;
+        pads.get(n).map_or(0, |pad| pad.number())
     }
 
     /// The bus and the MAC in this clock.
@@ -421,6 +446,7 @@ impl Stimulus {
         if self.one_in(700) {
             bus.frame_done = Some(self.one_in(2));
         }
+        bus.beat = self.one_in(2);
         if self.one_in(300) {
             bus.frame_pending = Some(self.one_in(2));
         }
@@ -540,6 +566,7 @@ fn run(seed: u64, clocks: u64) -> Run {
         version: 0x00_0100,
         rom_words: card.words().len() as u32,
         jobs: 0,
+        readback: true,
     });
     let started = std::time::Instant::now();
     let mut stimulus = Stimulus::new(seed, &card);
@@ -558,6 +585,8 @@ fn run(seed: u64, clocks: u64) -> Run {
         pins.we = bus.write.is_some().into();
         pins.dat_w = bus.write.map_or(0, |(_, data)| data);
         pins.rst = bus.rst.into();
+        pins.eth_beat = bus.beat.into();
+        (pins.pad_fault, pins.pad_at, pins.pad_to) = (s.pad_fault, s.pad_at, s.pad_to);
         (pins.frame_done, pins.frame_slot) = bus.frame_done.map_or((0, 0), |slot| (1, slot.into()));
         (pins.frame_pending, pins.pending_slot) =
             bus.frame_pending.map_or((0, 0), |slot| (1, slot.into()));
@@ -571,7 +600,7 @@ fn run(seed: u64, clocks: u64) -> Run {
         cores.rise(&mut pins);
         reads += 1;
 
-        let m = board.pins();
+        let m = board.driven();
         let theirs = (
             pins.step,
             pins.dir,
@@ -599,6 +628,7 @@ fn run(seed: u64, clocks: u64) -> Run {
             pins.dat_r
         );
         tally.clock(m);
+        tally.add("pads: clocks with a short", u32::from(s.pad_fault != 0));
         if clock % 256 == 0 {
             tally.look(&board);
             for (n, was) in counts_were.iter_mut().enumerate() {
@@ -619,7 +649,7 @@ fn run(seed: u64, clocks: u64) -> Run {
     }
 }
 
-/// Less than this of anything, per million clocks, and the run has proven nothing about it.
+/// The least number of each event per million clocks; with fewer the run proves nothing about it.
 const LEAST_PER_MILLION: &[(&str, u64)] = &[
     ("stepgen: edges of STEP", 10_000),
     ("stepgen: edges of DIR", 2_000),
@@ -633,6 +663,7 @@ const LEAST_PER_MILLION: &[(&str, u64)] = &[
     ("pwm: edges of the second pin", 2_000),
     ("gpio: edges of outputs", 500),
     ("gpio: debounced changes", 100),
+    ("pads: clocks with a short", 100_000),
     ("timebase: samples", 200),
     ("timebase: timed commits seen waiting", 5),
     ("watchdog: openings", 10),

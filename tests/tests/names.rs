@@ -1,6 +1,7 @@
-//! A name written in a board file is the name everywhere: what the board says, what HAL has, what the drawing shows.
+//! A name in a board file is the same in the board's description, in HAL and in the drawing.
 //!
-//! The board file is read by its one reader; the board is a twin that knows only the blob made from it.
+//! The board file is read by its one reader; the board is a twin that knows only the blob made from
+//! it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

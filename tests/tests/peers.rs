@@ -1,7 +1,9 @@
-//! Defects found in the controllers that came before, each as a test that we do not have it, on the RTL board.
+//! Known defects of other controllers: for each a test on the RTL board that FerroCNC does not have
+//! it.
 //!
-//! Named after the peer and its defect (`PEER_DEFECT`). Those that concern a driver are in `host/tests/peers.rs`; those of
-//! the parser of LiteEth are in `soc.rs`; those of job executors wait for the jobs.
+//! Named after the peer and its defect (`PEER_DEFECT`). Those that concern a driver are in
+//! `host/tests/peers.rs`; those of the parser of LiteEth are in `soc.rs`; those of job executors
+//! are in `sim/tests/executor/peers.rs`.
 
 use ferrocnc_tests::Machine;
 use wire::describe::Channels;
@@ -15,7 +17,7 @@ fn stepgen(n: u32, word: StepgenConfig) -> u32 {
     map::CONFIG_STEPGEN + n * map::CONFIG_STRIDE + 4 * word as u32
 }
 
-/// A board whose first stepgen goes at `rate` steps/s and is in full swing.
+/// A board with its first stepgen at `rate` steps/s.
 fn turning(rate: f64) -> (Machine, wire::exchange::Command) {
     let mut machine = Machine::armed();
     let mut command = machine.enabled_command();
@@ -29,8 +31,8 @@ fn turning(rate: f64) -> (Machine, wire::exchange::Command) {
     (machine, command)
 }
 
-/// Lcnc: after a reversal the first step may come before DIR has been stable for the set-up time, and steps are given in the
-/// wrong direction while DIR is held.
+/// Lcnc: after a reversal the first step may come before DIR has been stable for the set-up time,
+/// and steps are given in the wrong direction while DIR is held.
 #[test]
 fn lcnc_steps_before_the_direction_is_set_up() {
     let (mut machine, mut command) = turning(450e3);
@@ -107,12 +109,14 @@ fn lcnc_a_bite_zeroes_the_counters() {
 #[test]
 fn lcnc_the_sixteenth_channel_is_missing() {
     assert!(Channels::from_words(16 | 16 << 8 | 16 << 16, 32 | 32 << 8).is_ok());
-    // The sixteenth has its settings and its latch; `boards/max.toml`, which is elaborated in the tests, has all of them.
+    // The sixteenth has its settings and its latch; `boards/max.toml`, which is elaborated in the
+    // tests, has all of them.
     const { assert!(map::CONFIG_STEPGEN + 16 * map::CONFIG_STRIDE <= map::CONFIG_PWM) };
     assert_eq!(Latch::Stepgen(15).code(), 31);
 }
 
-/// LiteX-CNC: the speed's fixed point is off by two, and the top octave wraps into the other direction.
+/// LiteX-CNC: the speed's fixed point is off by two, and the top octave wraps into the other
+/// direction.
 #[test]
 fn litexcnc_the_top_octave_wraps_its_sign() {
     let mut machine = Machine::start();
@@ -146,8 +150,8 @@ fn litexcnc_the_top_octave_wraps_its_sign() {
     }
 }
 
-/// LiteX-CNC: the direction's set-up time counts from the last step, so a DIR edge long after it is followed by a step one
-/// clock later.
+/// LiteX-CNC: the direction's set-up time counts from the last step, so a DIR edge long after it is
+/// followed by a step one clock later.
 #[test]
 fn litexcnc_the_direction_is_set_up_from_the_last_step() {
     let (mut machine, mut command) = turning(50e3);
@@ -198,7 +202,8 @@ fn litexcnc_enable_does_not_reach_the_stepgen() {
     );
 }
 
-/// LiteX-CNC: `index-enable` of a stepgen is never sent, and arming it corrupts the speed in reverse.
+/// LiteX-CNC: `index-enable` of a stepgen is never sent, and arming it corrupts the speed in
+/// reverse.
 #[test]
 fn litexcnc_arming_an_index_corrupts_the_speed_in_reverse() {
     let (mut machine, mut command) = turning(-100e3);
@@ -277,7 +282,8 @@ fn litexcnc_dither_does_nothing() {
     }
 }
 
-/// RIO: the rate is clock / integer, so the top of the range is coarse, and a shorter period cuts into the running one.
+/// RIO: the rate is clock / integer, so the top of the range is coarse, and a shorter period cuts
+/// into the running one.
 #[test]
 fn rio_the_rate_is_the_clock_by_an_integer() {
     let (mut machine, mut command) = turning(440e3);

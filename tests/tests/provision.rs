@@ -1,8 +1,10 @@
-//! A board's flash under the firmware: settings, images, discovery, and the plug pulled at every step of them.
+//! A board's flash under the firmware: settings, images, discovery, with power lost at every step
+//! of them.
 //!
-//! The firmware's library runs on the twin; its flash is the behavioural NOR, which can lose power in any byte of a program
-//! and any part of an erase. What runs after that is decided by what an ECP5 does at power-up. So each test here is of the
-//! form "prepare, pull the plug at step n, look", for every n there is, or for thousands drawn from a printed seed.
+//! The firmware's library runs on the twin; its flash is the behavioural NOR, which can lose power
+//! in any byte of a program and any part of an erase. A model of an ECP5 at power-up decides what
+//! runs after that. So each test here is of the form "prepare, cut the power at step n, look", for
+//! every n, or for thousands drawn from a printed seed.
 
 use std::ops::Range;
 
@@ -19,10 +21,10 @@ use wire::settings::{Settings, mac_of_uid};
 use wire::{Name, Refusal};
 
 const UID: u64 = 0xd162_0c8a_1b2c_3d4e;
-/// Build id of whatever is brought in.
+/// Build id of the updates.
 const SECOND: u32 = 0xbbbb_0002;
 
-/// The chips, in no hurry of their own: nobody waits 45 ms for an erase ten thousand times.
+/// The chips with short times, because ten thousand erases of 45 ms each would take too long.
 fn parts() -> [Part; 3] {
     Part::ALL.map(|part| part.with(Times::QUICK))
 }
@@ -40,8 +42,8 @@ fn settings(last_octet: u32, name: &str) -> Settings {
     }
 }
 
-/// All that can be compared after a save: the board numbers them itself, does not show the key, and makes a hardware address
-/// where none is given.
+/// All that can be compared after a save: the board numbers them itself, does not show the key, and
+/// makes a hardware address where none is given.
 fn seen(settings: &Settings) -> Settings {
     Settings {
         sequence: 0,
@@ -56,8 +58,8 @@ fn seen(settings: &Settings) -> Settings {
 
 // ---- the plug -----------------------------------------------------------------------------------------------------------
 
-/// Does `job` on copies of this flash, each time with the power failing one step later, in `seeds` ways each; hands what is
-/// left to `judge`. How many cuts there were.
+/// Does `job` on copies of this flash, each time with the power failing one step later, in `seeds`
+/// ways each; hands what is left to `judge`. How many cuts there were.
 fn cut_everywhere<R>(
     nor: &Nor,
     seeds: Range<u64>,
@@ -316,7 +318,8 @@ fn selecting_back_and_forth_wears_two_sectors_slowly() {
     }
 }
 
-/// Both slots hold images, and slot A or B is selected: what is seen before and after selection `n` of an alternating row.
+/// Both slots hold images, and slot A or B is selected: what is seen before and after selection `n`
+/// of an alternating row.
 fn turn(n: usize) -> (Slot, Boots, Boots) {
     let (a, b) = (Boots::Slot(Slot::A, FIRST), Boots::Slot(Slot::B, SECOND));
     match n % 2 {
@@ -325,10 +328,11 @@ fn turn(n: usize) -> (Slot, Boots, Boots) {
     }
 }
 
-/// One cut in thirty-two selections is different: the first stub sector is full, the live stub lies in the second, and the
-/// first is erased. While its cells rise from 0 to 1 any two of them may pass through a preamble, and the FPGA reads that
-/// sector first. Then it is the golden image that runs, which is what it is there for, and the old slot stays selected: here it
-/// is held that this happens in no other place, that the board says so, and that selecting again puts it right.
+/// One cut in thirty-two selections is different: the first stub sector is full, the live stub lies
+/// in the second, and the first is erased. While its cells rise from 0 to 1 any two of them may
+/// pass through a preamble, and the FPGA reads that sector first. Then it is the golden image that
+/// runs, which is what it is there for, and the old slot stays selected: the test shows that this
+/// happens nowhere else, that the board reports it, and that another selection repairs it.
 #[test]
 fn selecting_survives_the_plug_at_every_step_of_forty_selections() {
     let mut bench = two_images(parts()[0]);
@@ -597,7 +601,7 @@ fn an_image_that_is_not_whole_or_for_another_fpga_is_not_selected() {
 }
 
 #[test]
-fn settings_no_board_could_live_with_are_refused() {
+fn settings_that_no_board_can_use_are_refused() {
     let mut bench = board(parts()[0]);
     for bad in [
         Settings {
@@ -627,7 +631,7 @@ fn settings_no_board_could_live_with_are_refused() {
 }
 
 #[test]
-fn whoever_does_not_own_the_board_changes_nothing() {
+fn a_client_that_does_not_own_the_board_changes_nothing() {
     let mut bench = board(parts()[0]);
     bench.acquire();
     let refused = bench.op_from_a_stranger(Op::ForgetSettings);
@@ -763,7 +767,7 @@ fn three_boards_with_one_address_are_told_apart_and_named_one_by_one() {
     let expected: std::collections::HashSet<_> =
         uids.into_iter().map(halves).map(mac_of_uid).collect();
     assert_eq!(macs, expected, "each has a hardware address of its own");
-    // Each is told in turn, and everybody hears it.
+    // Each is told in turn, and every board receives it.
     for (n, uid) in (0u32..).zip(uids) {
         let new = settings(101 + n, &format!("axis {n}"));
         let set = Message {

@@ -1,4 +1,5 @@
-//! docs/safety.md promises tests; this holds it to that, and the fault table's tests to the document.
+//! Every test that docs/safety.md names exists, and every test of the fault table is in the
+//! document.
 
 use ferrocnc_tests::root;
 use std::collections::BTreeSet;

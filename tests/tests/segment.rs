@@ -1,8 +1,9 @@
-//! Boards out of the box on one Ethernet segment, all with the factory's address, and the real `ferrocnc` beside them.
+//! New boards on one Ethernet segment, all with the factory's address, and the real `ferrocnc`
+//! beside them.
 //!
-//! Each board is a twin that *is* a network interface ([`ferrocnc_tests::lan`]): it has the board's hardware address, hears
-//! broadcasts and takes another address when it is told to. Needs network namespaces, so root, or a kernel that lets users
-//! make them; the refusals need loopback only.
+//! Each board is a twin that *is* a network interface ([`ferrocnc_tests::lan`]): it has the board's
+//! hardware address, hears broadcasts and takes another address when it is told to. Needs network
+//! namespaces, so root, or a kernel that lets users make them; the refusals need loopback only.
 
 use std::collections::HashSet;
 use std::io::Write;
@@ -68,7 +69,7 @@ fn at_host(host: &Place, arguments: &[&str]) -> String {
     text(&said.stdout)
 }
 
-/// Who answers, by unique id.
+/// The boards that answer, by unique id.
 fn discover(host: &Place, arguments: &[&str]) -> Vec<Value> {
     let said = at_host(host, &[&["--json", "discover"], arguments].concat());
     let said: Value = serde_json::from_str(&said).unwrap_or_else(|e| panic!("{said}: {e}"));
@@ -87,7 +88,7 @@ fn values<'v>(boards: &'v [Value], key: &str) -> HashSet<&'v str> {
 }
 
 fn uid_text(uid: u64) -> String {
-    host::flash::uid_text([(uid >> 32) as u32, uid as u32])
+    host::uid::uid_text([(uid >> 32) as u32, uid as u32])
 }
 
 #[test]
@@ -137,7 +138,7 @@ fn three_boards_with_the_factory_address_are_found_named_and_told_apart() {
         assert_eq!(left.count(), 2 - n);
     }
 
-    // Each answers where it says, and is who it says.
+    // Each answers at the address it reports, with the id it reports.
     let told_apart = |host: &Place| {
         for (n, uid) in uids.iter().enumerate() {
             let said = at_host(
@@ -270,7 +271,7 @@ fn boots_from(path: &Path) -> Boots {
 }
 
 #[test]
-fn an_update_whose_board_loses_power_again_and_again_gets_there() {
+fn an_update_of_a_board_that_loses_power_again_and_again_succeeds() {
     let folder = folder("plug");
     let path = flash_file(&folder, UIDS[0]);
     let golden = std::fs::read(&path).expect("the flash")[0x30_0000..].to_vec();
@@ -310,7 +311,8 @@ fn an_update_whose_board_loses_power_again_and_again_gets_there() {
         let cells = std::fs::read(&path).expect("the flash");
         assert!(cells[0x30_0000..] == golden, "pull {pull}: golden");
         board = Simulator::at(&place, &path, UIDS[0]);
-        // Half of the times it is waited out by the tool, half of the times the operator gives up and starts again.
+        // Half of the times it is waited out by the tool, half of the times the operator gives up
+        // and starts again.
         if pull % 2 == 0 {
             let done = update.wait().expect("ferrocnc ends");
             println!("pull {pull}: the tool waited and ended with {done}");
@@ -374,7 +376,7 @@ fn a_file_that_is_not_for_this_board_changes_nothing() {
         ("damaged", &damaged, "CRC"),
         ("other-fpga", &other_fpga, "LFE5U-45F"),
         ("other-platform", &other_platform, "5a-75e-8.2"),
-        ("nothing", b"hello", "no ECP5 bitstream"),
+        ("nothing", b"hello", "not an ECP5 bitstream"),
     ] {
         let file = folder.join(format!("{name}.bit"));
         let mut out = std::fs::File::create(&file).expect("a file");

@@ -1,13 +1,15 @@
 //! The release image on the Verilated board: boot, exchange, malformed frames, faults at the pins.
 //!
-//! Everything goes through Ethernet frames; what the machine does is judged at the pins.
+//! All input goes through Ethernet frames; all checks are at the pins.
 
 use ferrocnc_tests::{Machine, STRANGER, hex, seed};
 use rand::{Rng, RngCore, SeedableRng};
 use rand_pcg::Pcg32;
+use sim::rig::RIG_PORT;
+use sim::segment::{BOARD_PORT, HOST_IP};
 use wire::exchange::{self, Command, Latch};
 use wire::state::{FaultReason, State};
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Clocks, StepRate};
 use wire::{Refusal, map};
 
 // ---- the golden vectors -----------------------------------------------------------------------------------------------
@@ -43,6 +45,26 @@ fn two_words_are_read_and_the_return_address_comes_back() {
         wire::board::MAGIC,
         "the board blob begins at 0x100"
     );
+}
+
+/// `ferrocnc selftest` measures the board's clock by these two words, without a session.
+#[test]
+fn the_stamp_read_through_the_service_window_is_that_of_the_frame_that_asks() {
+    let mut machine = Machine::start();
+    let [lo, hi] = [3, 4].map(|word| map::SERVICE + 9 * 0x800 + 4 * word);
+    for pause in [0, 777, 60_000] {
+        machine.run_clocks(pause);
+        let before = machine.clock();
+        let reply = machine.ask_words(&[0x4e6f_1044, 0, 0x000f_0002, 7, lo, hi]);
+        let after = machine.clock();
+        let reply = reply.expect("an answer");
+        let stamp = u64::from(reply[5]) << 32 | u64::from(reply[4]);
+        // The wall clock begins with the end of the reset, some clocks after the simulation.
+        assert!(
+            (before - 64..after).contains(&stamp),
+            "{before} {stamp} {after}"
+        );
+    }
 }
 
 #[test]
@@ -292,7 +314,8 @@ fn ten_thousand_random_datagrams_later_a_normal_exchange_still_works() {
     let before = machine.registers();
     for _ in 0..10_000 {
         let mut datagram = match random.random_range(0..4) {
-            // Noise, noise behind a good header, and good datagrams with a few bits or their end knocked off.
+            // Noise, noise behind a good header, and good datagrams with a few bits or their end
+            // knocked off.
             0 => vec![0; random.random_range(0..64)],
             1 => [
                 hex("4e6f1044 00000000"),
@@ -391,7 +414,8 @@ fn encoders_on_the_motors_count_what_the_motors_turn_and_latch_at_the_index() {
         let counted = i64::from(status.encoder[axis].count.0 as i32);
         assert_eq!(counted, machine.pulses(axis), "encoder {axis}");
     }
-    // The plant's encoders have an index every 4000 counts; axis 0 turned forward through the first of them.
+    // The plant's encoders have an index every 4000 counts; axis 0 turned forward through the first
+    // of them.
     assert_eq!(status.index_latched, 1, "only encoder 0 was armed");
     assert_eq!(status.latch.0, 4000, "its latch was selected");
     command.index_arm = 0;
@@ -445,6 +469,40 @@ fn a_duplicated_or_stale_exchange_changes_nothing() {
 }
 
 #[test]
+fn a_damaged_exchange_leaves_a_command_that_waits_for_its_time() {
+    let mut machine = Machine::armed();
+    let mut command = machine.enabled_command();
+    machine.exchange_and_wait(&mut command);
+    let mut timed = command;
+    timed.stepgen[0] = (
+        StepRate::from_hz(50e3, machine.clock_hz()),
+        Accel::UNLIMITED,
+    );
+    let apply = machine.clock() + 60_000;
+    timed.apply_at = Some(Clocks(apply));
+    machine.exchange(&mut timed);
+    // The same way back, with its last byte changed on the way: the checksum of UDP says so, that
+    // of Ethernet does not.
+    let mut back = command;
+    back.stepgen[0].0 = StepRate::from_hz(-50e3, machine.clock_hz());
+    let bytes = machine.next_command_bytes(&mut back);
+    let rig = machine.rig();
+    let mut frame = rig.segment.udp((HOST_IP, RIG_PORT), BOARD_PORT, &bytes);
+    if let Some(last) = frame.last_mut() {
+        *last ^= 1;
+    }
+    rig.inject_frame(&frame);
+    rig.run(8_000);
+    assert_eq!(machine.pulses(0), 0, "not before its time");
+    // 1 ms of 50 kHz, of a watchdog of five.
+    machine.run_clocks((apply + 60_000).saturating_sub(machine.clock()));
+    // Before anything is asked, which takes its time.
+    let pulses = machine.pulses(0);
+    assert!((49..=51).contains(&pulses), "{pulses}");
+    assert_eq!(machine.refusals(Refusal::Checksum), 1);
+}
+
+#[test]
 fn a_foreign_host_may_read_but_not_command() {
     let mut machine = Machine::armed();
     let mut command = machine.enabled_command();
@@ -460,10 +518,10 @@ fn a_foreign_host_may_read_but_not_command() {
         &hex("4e6f1044 00000000 000f0001 00000007 00000000"),
     );
     assert_eq!(
-        read.expect("everyone may read")[16..],
+        read.expect("every host may read")[16..],
         wire::describe::MAGIC.to_be_bytes()
     );
-    // One stranger's frame a millisecond comes in while somebody owns the session.
+    // One frame of another host a millisecond comes in while a host owns the session.
     machine.exchange_and_wait(&mut command);
     machine.exchange_and_wait(&mut command);
     let token = machine.ask_from(
@@ -490,7 +548,7 @@ fn settings_that_shape_pulses_are_refused_while_armed() {
 // ---- faults -----------------------------------------------------------------------------------------------------------
 
 #[test]
-fn outputs_are_safe_before_anybody_arms() {
+fn outputs_are_safe_before_the_machine_is_armed() {
     let mut machine = Machine::start();
     machine.acquire();
     let mut command = machine.enabled_command();
@@ -529,7 +587,7 @@ fn killing_the_host_mid_move_stops_the_steps_and_keeps_the_position() {
     machine.run_millis(30);
     assert!(!machine.gate_open(), "the gate must have closed");
     assert_eq!(machine.outputs(), 0, "outputs at their safe level");
-    // They end together: whoever takes longest says when.
+    // They end together: the slowest axis decides when.
     let each = (0..3).map(|axis| machine.soft_stop_clocks(&command, axis));
     let soft_stop = each.max().unwrap_or(0);
     for axis in 0..3 {
@@ -541,7 +599,8 @@ fn killing_the_host_mid_move_stops_the_steps_and_keeps_the_position() {
         );
     }
 
-    // The host comes back with the same wishes: nothing moves without a rising edge, and nothing jumps.
+    // The host comes back with the same wishes: nothing moves without a rising edge, and nothing
+    // jumps.
     let stopped_at: Vec<_> = (0..3).map(|axis| machine.pulses(axis)).collect();
     machine.acquire();
     command.enable_request = true;
@@ -589,7 +648,7 @@ fn a_frozen_cpu_leaves_the_outputs_safe() {
     let timeout = u64::from(machine.read(map::CONFIG_BOARD));
     let frozen_at = machine.clock();
     machine.freeze_cpu();
-    // Frames keep coming; nobody reads them.
+    // Frames keep coming; the CPU does not read them.
     let last_command = machine.clock();
     machine.run_millis(30);
     assert!(!machine.gate_open());

@@ -1,9 +1,11 @@
-//! Real LinuxCNC on the twin, in trouble: the cable is pulled in the middle of a G1, the board restarts, LinuxCNC's realtime process is
-//! killed, frames are lost. Whatever happens, the operator is told, the machine stops, nothing moves until somebody asks for it, and
-//! after homing again the same program ends at the same place.
+//! Real LinuxCNC on the twin, with faults: the cable is pulled in the middle of a G1, the board
+//! restarts, LinuxCNC's realtime process is killed, frames are lost. Each time the operator is
+//! told, the machine stops, nothing moves without a command of the operator, and after homing again
+//! the same program ends at the same place.
 //!
-//! Home is an index at the machine itself (`tests/linuxcnc/complete/plant.toml`), so "the same place" is a place at the pins and not
-//! what anybody believes. HAL exists once per machine, so these tests run one after the other.
+//! Home is an index at the machine itself (`tests/linuxcnc/complete/plant.toml`), so "the same
+//! place" is a place at the pins, not a position in software. HAL exists once per machine, so these
+//! tests run one after the other.
 
 use ferrocnc_tests::Simulator;
 use ferrocnc_tests::hal::{halrun, out, root};
@@ -31,6 +33,9 @@ const SOME_PERIODS: u64 = 8 * PERIOD;
 /// Where the indexes are: X to what pid leaves alone (0.003 mm), Z to the step.
 const X_HOME: i64 = 4000;
 const Z_HOME: i64 = -1600;
+/// A board in lockstep lives by the exchanges: a driver that waits for its answers depends on no
+/// scheduler.
+const PATIENT: &str = "setp ferrocnc.0.packet-read-timeout 2000000000\n";
 
 fn json_of(path: &Path) -> Value {
     let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{path:?}: {e}"));
@@ -54,8 +59,9 @@ impl Shop {
         let twin = Simulator::twin(&[
             "--mode",
             "lockstep",
+            // A host that is busy with other work must not count as dead.
             "--silence-ms",
-            "500",
+            "2000",
             "--control",
             &control.to_string(),
             "--plant",
@@ -72,7 +78,7 @@ impl Shop {
         }
     }
 
-    /// Runs LinuxCNC with the operator of `trouble.py`; what he saw.
+    /// Runs LinuxCNC with the operator of `trouble.py`; returns its result.
     fn operator(&self, run: &str, trouble: &str, mend: &str) -> Value {
         let out = self.folder.join(run);
         let config = out.join("machine");
@@ -90,11 +96,11 @@ impl Shop {
         let done = Command::new("python3")
             .arg(root().join("host/examples/mill/run.py"))
             .args(["--board", &self.twin.udp().to_string(), "--lockstep"])
-            // Long for an answer on this machine, short for five that do not come.
-            .args(["--read-timeout", "100000000", "--timeout", "170"])
+            // Long enough for an answer on a busy computer, short enough for five missing ones.
+            .args(["--read-timeout", "500000000", "--timeout", "300"])
             .arg("--config")
             .arg(&config)
-            .args(["--ini", "trouble.ini", "--patience", "40", "--program"])
+            .args(["--ini", "trouble.ini", "--patience", "60", "--program"])
             .arg(cases.join("trouble/trouble.ngc"))
             .arg("--out")
             .arg(&out)
@@ -106,7 +112,7 @@ impl Shop {
             .stderr(log)
             .status();
         let said = std::fs::read_to_string(out.join("run.log")).unwrap_or_default();
-        // LinuxCNC itself comes to no good end without its realtime process.
+        // LinuxCNC itself ends with an error without its realtime process.
         assert!(
             trouble == "kill" || done.is_ok_and(|status| status.success()),
             "{trouble}: the run failed:\n{}",
@@ -190,7 +196,10 @@ fn story(name: &str, trouble: &str, mend: &str, told: &[&str]) -> Value {
     stopped(&steps, happened, mark(&result, "mend"));
     assert_eq!(result["off"]["enabled"], "FALSE");
     assert_eq!(result["off"]["io-error"], "TRUE");
-    assert_eq!(result["back"]["enabled"], "FALSE", "nobody asked for it");
+    assert_eq!(
+        result["back"]["enabled"], "FALSE",
+        "the operator did not ask for it"
+    );
 
     let heard = ours(&result["heard"]);
     assert_eq!(heard.len(), told.len(), "{heard:?}");
@@ -254,7 +263,7 @@ fn a_realtime_process_killed_during_a_g1_stops_the_machine_and_the_next_start_en
     let result = shop.operator("second", "none", "");
     let (steps, report) = shop.end();
     stopped(&steps, mark(&killed, "trouble"), mark(&result, "enable"));
-    // The reason is there to be read, and nothing moved until somebody asked and homed.
+    // The reason can be read, and nothing moved until the operator enabled and homed.
     assert_eq!(result["back"]["fault-reason"], "1", "watchdog");
     assert_eq!(result["back"]["enabled"], "FALSE");
     let rest = mark(&killed, "trouble") + SOME_PERIODS + ((WATCHDOG + SOFT_STOP) * HZ) as u64;
@@ -268,7 +277,7 @@ fn a_realtime_process_killed_during_a_g1_stops_the_machine_and_the_next_start_en
 }
 
 #[test]
-fn a_second_linuxcnc_on_the_same_board_is_told_who_drives_it_and_disturbs_nobody() {
+fn a_second_linuxcnc_on_the_same_board_is_told_the_owner_and_does_not_disturb_it() {
     let twin = Simulator::twin(&["--mode", "lockstep"]);
     let address = address::parse(&twin.udp().to_string(), 1234).expect("an address");
     let mut first = Client::open(&address).expect("a socket");
@@ -278,7 +287,7 @@ fn a_second_linuxcnc_on_the_same_board_is_told_who_drives_it_and_disturbs_nobody
         &format!("loadrt ferrocnc boards={}\n", twin.udp()),
     );
     let sentence = said.lines().find(|line| line.contains("is driven by"));
-    let sentence = sentence.unwrap_or_else(|| panic!("nobody named the owner:\n{said}"));
+    let sentence = sentence.unwrap_or_else(|| panic!("no message named the owner:\n{said}"));
     // The simulated segment's address for this computer.
     assert!(sentence.contains("192.168.2.1:4"), "{sentence}");
     assert!(sentence.contains("stop LinuxCNC there"), "{sentence}");
@@ -288,19 +297,24 @@ fn a_second_linuxcnc_on_the_same_board_is_told_who_drives_it_and_disturbs_nobody
 
 #[test]
 fn what_is_loaded_or_added_twice_is_refused_and_the_first_goes_on() {
-    let twin = Simulator::twin(&["--mode", "free"]);
-    let load = format!("loadrt ferrocnc boards={}\n", twin.udp());
-    let begin = format!(
-        "loadrt threads name1=servo period1=1000000 fp1=1\n{load}addf ferrocnc.0.read servo\naddf ferrocnc.0.write servo\n"
-    );
+    // A board each: the first one's session ends with its time, which stands without exchanges.
+    let twins = [0, 1].map(|_| Simulator::twin(&["--mode", "lockstep"]));
+    let [first, second] = twins.each_ref().map(|twin| {
+        let load = format!("loadrt ferrocnc boards={}\n", twin.udp());
+        let begin = format!(
+            "loadrt threads name1=servo period1=1000000 fp1=1\n{load}{PATIENT}addf ferrocnc.0.read servo\naddf ferrocnc.0.write servo\n"
+        );
+        (begin, load)
+    });
     let said = halrun(
         "added-twice",
-        &format!("{begin}addf ferrocnc.0.write servo\n"),
+        &format!("{}addf ferrocnc.0.write servo\n", first.0),
     );
     assert!(
         said.contains("'ferrocnc.0.write' may only be added to one thread"),
         "{said}"
     );
+    let (begin, load) = second;
     let said = halrun(
         "loaded-twice",
         &format!("{begin}start\nloadusr -w sleep 1\n{load}"),
@@ -310,6 +324,97 @@ fn what_is_loaded_or_added_twice_is_refused_and_the_first_goes_on() {
         !said.contains("answers missing"),
         "the first one was disturbed:\n{said}"
     );
+}
+
+/// Unloads under the real rtapi; a thousand in `FERROCNC_UNLOADS`, which takes a while.
+const UNLOADS: u64 = 4;
+/// HAL's memory is never given back, so a session of it takes no more than some dozens.
+const UNLOADS_PER_SESSION: u64 = 20;
+
+#[test]
+fn a_driver_unloaded_while_armed_and_moving_leaves_its_threads_running_and_its_board_stopped() {
+    let mut left = ferrocnc_tests::from_environment("FERROCNC_UNLOADS", UNLOADS);
+    let mut done = 0;
+    while left > 0 {
+        let times = left.min(UNLOADS_PER_SESSION);
+        unload_often(times);
+        left -= times;
+        done += times;
+        println!("{done} unloaded while armed");
+    }
+}
+
+/// One session of HAL in which the driver is loaded, armed, moves an axis, and is unloaded, again
+/// and again; the thread runs all the while.
+fn unload_often(times: u64) {
+    let file = out("unloaded").join("sim.json");
+    let mut twin = Simulator::twin(&[
+        "--mode",
+        "lockstep",
+        "--silence-ms",
+        "500",
+        "--report",
+        &file.display().to_string(),
+    ]);
+    // Toggles `enable-request` until the board is armed; a period may take long.
+    let armed = root().join("tests/linuxcnc/trouble/armed.sh");
+    let mut hal = String::from("loadrt threads name1=servo period1=1000000 fp1=1\nstart\n");
+    for _ in 0..times {
+        hal += &format!("loadrt ferrocnc boards={}\n{PATIENT}", twin.udp());
+        hal += "addf ferrocnc.0.read servo\naddf ferrocnc.0.write servo\n";
+        hal +=
+            "setp ferrocnc.0.stepgen.x.maxaccel 100000\nsetp ferrocnc.0.stepgen.x.control-type 1\n";
+        hal += "setp ferrocnc.0.stepgen.x.velocity-cmd 5000\nsetp ferrocnc.0.stepgen.x.enable 1\n";
+        hal += "setp ferrocnc.0.enable 1\n";
+        hal += &format!("loadusr -w bash {}\n", armed.display());
+        hal += "getp ferrocnc.0.enabled\nunloadrt ferrocnc\n";
+    }
+    // The thread is still there, and runs.
+    hal += "loadusr -w sleep 0.1\nshow thread\n";
+    let said = halrun("unloaded", &hal);
+    let rest = at_rest(&twin);
+    twin.finish();
+    assert!(rest, "the board is released and not at rest:\n{said}");
+    let armed = said.lines().filter(|line| *line == "TRUE").count();
+    assert_eq!(armed as u64, times, "{said}");
+    assert!(said.contains("servo"), "the thread is gone:\n{said}");
+    for word in ["ERROR", "rror:", "ault", "answers missing", "internal"] {
+        assert!(!said.contains(word), "{word}:\n{said}");
+    }
+    let report = json_of(&file);
+    let x = &report["axes"][0];
+    assert!(
+        x["pulses_total"].as_i64() > Some(times as i64),
+        "it hardly moved: {x}"
+    );
+    assert_eq!(report["timing_violations"], 0);
+}
+
+/// Waits until the released board has closed its gate; in lockstep its time goes on by itself after
+/// some silence.
+fn at_rest(twin: &Simulator) -> bool {
+    let address = address::parse(&twin.udp().to_string(), 1234).expect("an address");
+    for _ in 0..40 {
+        let mut client = Client::open(&address).expect("a socket");
+        let state = client.identify().expect("a board").describe.state;
+        let owner = client.read(&[wire::map::SESSION_OWNER_IP]);
+        if !state.enabled && owner.is_ok_and(|owner| owner == [0]) {
+            return true;
+        }
+        std::thread::sleep(Duration::from_millis(250));
+    }
+    false
+}
+
+/// How long the driver waits for an answer, ns: the bucket overflows when this computer stands
+/// still for five times as long, and every lost frame costs as much. The fewer are lost, the longer
+/// it may be.
+fn patience(loss: &str) -> u64 {
+    match loss {
+        "0.01%" => 500_000_000,
+        "0.1%" => 150_000_000,
+        _ => 60_000_000,
+    }
 }
 
 /// The mill cuts `loss.ngc` while frames are lost with this probability each way; what came of it.
@@ -328,13 +433,8 @@ fn mill_losing(loss: &str) -> Value {
     let _ = Command::new("python3")
         .arg(root().join("host/examples/mill/run.py"))
         .args(["--board", &shop.twin.udp().to_string(), "--lockstep"])
-        .args([
-            "--read-timeout",
-            "30000000",
-            "--timeout",
-            "170",
-            "--program",
-        ])
+        .args(["--read-timeout", &patience(loss).to_string()])
+        .args(["--timeout", "300", "--program"])
         .arg(root().join("tests/linuxcnc/trouble/loss.ngc"))
         .arg("--out")
         .arg(&out)
@@ -365,8 +465,9 @@ fn mill_losing(loss: &str) -> Value {
     result
 }
 
-/// How far feedback may be from command on a lossy network, in steps: three of rounding and of a velocity held for a period too long,
-/// and a period's travel for every answer missing in a row beyond the first, which is bridged.
+/// How far feedback may be from command on a lossy network, in steps: three of rounding and of a
+/// velocity held for a period too long, and a period's travel for every answer missing in a row
+/// beyond the first, which is bridged.
 fn following_bound(axis: &Value, longest_gap: u64) -> f64 {
     let travel = axis["speed_max_steps_per_s"].as_f64().expect("a speed") / 1000.0;
     3.0 + travel * longest_gap.saturating_sub(1) as f64
@@ -467,8 +568,8 @@ fn at_one_frame_in_ten_thousand_nothing_stops_over_a_million_exchanges() {
     let say = hal.messenger();
     let mut driver = Driver::export(&mut hal, 0, address, &identity, link, say).expect("pins");
     let x = |pin: &str| format!("ferrocnc.0.stepgen.x.{pin}");
-    // 50 ms: whatever else this machine does, an answer that comes is there by then.
-    hal.set("ferrocnc.0.packet-read-timeout", 50_000_000);
+    // 100 ms: even on a busy computer one of five answers in a row has come by then.
+    hal.set("ferrocnc.0.packet-read-timeout", 100_000_000);
     hal.set(&x("position-scale"), 400.0);
     hal.set(&x("maxaccel"), 3000.0);
     hal.set("ferrocnc.0.enable", true);
@@ -481,7 +582,7 @@ fn at_one_frame_in_ten_thousand_nothing_stops_over_a_million_exchanges() {
     for n in 0..300 {
         hal.set("ferrocnc.0.enable-request", n > 200);
         period(&hal, 0.0);
-        // The session is asked for every 100 periods, and nobody waits for the answer.
+        // The session is asked for every 100 periods, without a wait for the answer.
         std::thread::sleep(Duration::from_millis(1));
     }
     assert!(hal.get::<bool>("ferrocnc.0.enabled"), "{:?}", hal.said());

@@ -1,8 +1,9 @@
-//! Real LinuxCNC on the twin: homing to an index, probing, a thread, loops closed through `pid`, the peers' HAL files, and
-//! four boards in one servo thread.
+//! Real LinuxCNC on the twin: homing to an index, probing, a thread, loops closed through `pid`,
+//! the peers' HAL files, and four boards in one servo thread.
 //!
-//! The twin is the firmware's library on the cores' bit-exact models: as the RTL board at the pins, and fast enough for
-//! programs of seconds. HAL exists once per machine, so these tests run one after the other.
+//! The twin is the firmware's library on the cores' bit-exact models: as the RTL board at the pins,
+//! and fast enough for programs of seconds. HAL exists once per machine, so these tests run one
+//! after the other.
 
 use ferrocnc_tests::Simulator;
 use ferrocnc_tests::hal::{halrun, out, root};
@@ -68,8 +69,9 @@ fn linuxcnc_homes_to_the_index_probes_threads_and_closes_its_loops() {
             .expect("pulses")
     };
 
-    // X homed to the encoder's index at 4000 counts, beyond the switch at 2000; Z to the stepgen's at -1600, below the switch
-    // at -1000. Back at zero both stand there: Z to the step, X within what pid leaves alone (0.003 mm, 1.2 counts).
+    // X homed to the encoder's index at 4000 counts, beyond the switch at 2000; Z to the stepgen's
+    // at -1600, below the switch at -1000. Back at zero both stand there: Z to the step, X within
+    // what pid leaves alone (0.003 mm, 1.2 counts).
     assert!(
         (steps(0) - 4000).abs() <= 2,
         "X stands at {} steps",
@@ -93,8 +95,8 @@ fn linuxcnc_homes_to_the_index_probes_threads_and_closes_its_loops() {
         assert!(worst < bound, "{axis}: {worst:.4} mm off on the way");
     }
 
-    // The contact closes at -4000 steps, 2400 below the index: -6.0 mm. LinuxCNC sees it a period or two late at 1 mm/s; the
-    // fabric's latch to the step.
+    // The contact closes at -4000 steps, 2400 below the index: -6.0 mm. LinuxCNC sees it a period
+    // or two late at 1 mm/s; the fabric's latch to the step.
     assert_eq!(result["probe_tripped"].as_bool(), Some(true));
     let probed = result["probed_z"].as_f64().expect("a probed position");
     println!(
@@ -143,16 +145,34 @@ fn pulses(report: &Path) -> Vec<i64> {
         .collect()
 }
 
-/// The mill with a HAL file in another driver's names, on the twin: what its display found, what its pins did, and all that was said.
+/// A twin's description of the board that an import of the example's JSON makes; its name.
+fn imported_from_litexcnc() -> String {
+    let name = "imported-from-litexcnc";
+    let file = root().join("host/examples/peers/litexcnc.json");
+    let text = std::fs::read_to_string(&file).expect("their JSON");
+    let platforms = ferrocnc_config::source::Folder::default();
+    let import = ferrocnc_config::import::litexcnc("litexcnc.json", &text, "mill", &platforms);
+    let board = import.unwrap_or_else(|error| panic!("{error}")).board;
+    let folder = root().join("target/sim").join(name);
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let blob = ferrocnc_config::blob::blob(&board).expect("a description");
+    std::fs::write(folder.join("board.bin"), blob).expect("the description");
+    let manifest = serde_json::json!({ "board": name, "sys_clk_hz": board.sys_clk_hz });
+    std::fs::write(folder.join("manifest.json"), manifest.to_string()).expect("its manifest");
+    name.to_owned()
+}
+
+/// The mill with a HAL file in another driver's names, on the twin: what its display found, what
+/// its pins did, and all that was said.
 fn mill_once(peer: &str) -> (Value, Value, String) {
     let folder = out(peer);
     let report = folder.join("sim.json");
-    let mut twin = Simulator::twin(&[
-        "--mode",
-        "lockstep",
-        "--report",
-        &report.display().to_string(),
-    ]);
+    let board = match peer {
+        "litexcnc" => imported_from_litexcnc(),
+        _ => "mill6".to_owned(),
+    };
+    let to = report.display().to_string();
+    let mut twin = Simulator::twin_of(&board, &["--mode", "lockstep", "--report", &to]);
     let log = std::fs::File::create(folder.join("run.log")).expect("a log");
     let _ = Command::new("python3")
         .arg(root().join("host/examples/mill/run.py"))
@@ -182,11 +202,14 @@ fn off_at_rest(result: &Value) -> Vec<i64> {
         .collect()
 }
 
-/// LinuxCNC waits for a move of its own that never comes, the machine is on, and every axis stands where it was sent.
+/// LinuxCNC waits for a move of its own that never comes, the machine is on, and every axis stands
+/// where it was sent.
 ///
-/// Debian 12's 2.9.0~pre1 is from before its task and its motion were kept from using one command buffer at the same time (LinuxCNC
+/// Debian 12's 2.9.0~pre1 is from before its task and its motion were kept from using one command
+/// buffer at the same time (LinuxCNC
 /// #2386, mended by #2479 in May 2023): a command that motion reads half-written is done wrong or not at all. Seen once in a gate,
-/// and not in 300 runs made to see it again. A program that does not end twice is our business.
+/// and not in 300 runs made to see it again. If the program does not end a second time, the test
+/// fails.
 fn waits_for_itself(result: &Value) -> bool {
     let text = result["text"].as_str().unwrap_or_default();
     let still = text.starts_with("nothing happened") && text.contains("the program ends");
@@ -258,7 +281,8 @@ fn four_boards_share_a_servo_thread_and_cost_little_more_than_one() {
     for function in ["read-request", "read", "write"] {
         hal += &each(&format!("addf ferrocnc.#.{function} servo"));
     }
-    // Every exchange is a period of the boards' time, however busy this machine is: wait for the answers.
+    // Every exchange is a period of the boards' time, so wait for the answers, even on a busy
+    // computer.
     hal += &each("setp ferrocnc.#.packet-read-timeout 2000000000");
     hal += &each("setp ferrocnc.#.stepgen.x.maxaccel 1000000");
     hal += &each("setp ferrocnc.#.stepgen.x.control-type 1");

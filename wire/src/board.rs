@@ -1,7 +1,7 @@
-//! The board information blob: the names behind the numbers.
+//! The board information blob: the names of a board's channels and pins.
 //!
-//! The gateware build writes it from `boards/*.toml` into a small ROM; the firmware hands it on
-//! unread; the host parses it here. Big-endian words:
+//! The gateware build writes it from `boards/*.toml` into a small ROM; the firmware passes it on
+//! without reading it; the host parses it here. Big-endian words:
 //!
 //! ```text
 //! word 0   "FBRD"
@@ -11,11 +11,12 @@
 //! then entries: kind u8, channel u8, length u8, 0, then `length` bytes, zero-padded to a word
 //! ```
 //!
-//! Kinds nobody knows are skipped, so a newer board still describes itself to an older driver.
+//! Unknown kinds are skipped, so an older driver can read a newer board's description.
 //!
-//! A large machine has more channels than 2 KiB has room for entries, so channels come as lists: an entry of kind
-//! [`LIST`] holds a class letter (`s e p i o`) and then a line per channel, the first of them `channel`, each a name and,
-//! behind a space, what [`Kind::Pins`] would say. [`Blob::entries`] takes lists apart, so readers see one form:
+//! 2 KiB have no room for one entry per channel of a large machine, so channels come as lists: an
+//! entry of kind [`LIST`] holds a class letter (`s e p i o`) and then a line per channel, the first
+//! of them `channel`. A line is a name, then a space and the text of [`Kind::Pins`].
+//! [`Blob::entries`] splits lists, so readers see one form:
 //!
 //! ```text
 //! 9 4 29 0 "oflood opin=j4:5\nbrake opin=j4:6"  ->  7 4 "flood", 8 4 "opin=j4:5", 7 5 "brake", 8 5 "opin=j4:6"
@@ -32,7 +33,7 @@ pub const LIST: u8 = 9;
 /// Bytes before the first entry.
 pub const HEADER_LEN: usize = 16;
 
-/// What an entry is about.
+/// What an entry describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Name of the PCB.
@@ -49,7 +50,7 @@ pub enum Kind {
     Input,
     /// An output's own name.
     Output,
-    /// Which header pins a channel uses; its first letter says the class (`s e p i o`).
+    /// The header pins a channel uses; the first letter is the class (`s e p i o`).
     Pins,
     /// Default MAC address, 6 bytes.
     Mac,
@@ -57,7 +58,7 @@ pub enum Kind {
     Ipv4,
     /// Default UDP port, 2 bytes, big-endian.
     Port,
-    /// The FPGA as its maker writes it, e.g. `LFE5U-25F-6BG256C` ([`crate::images::idcode_of`]).
+    /// The FPGA in its maker's notation, e.g. `LFE5U-25F-6BG256C` ([`crate::images::idcode_of`]).
     Fpga,
     /// File name of the platform, without its ending.
     Platform,
@@ -88,7 +89,7 @@ impl Kind {
 /// One fact from the blob.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry<'b> {
-    /// What it is about.
+    /// What it describes.
     pub kind: Kind,
     /// Which channel, where the kind has channels.
     pub channel: u8,
@@ -99,13 +100,13 @@ pub struct Entry<'b> {
 /// Why a blob cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BlobError {
-    /// Shorter than its header, or than it says.
+    /// Shorter than its header, or than the length in it.
     Truncated,
     /// Does not begin with "FBRD".
     Magic,
     /// Another layout.
     Version(u32),
-    /// The CRC does not fit the bytes.
+    /// The CRC does not match the bytes.
     Crc,
     /// An entry reaches past the end.
     Entry,
@@ -138,14 +139,14 @@ impl core::fmt::Display for BlobError {
 
 impl core::error::Error for BlobError {}
 
-/// A blob whose CRC and entries are all right.
+/// A blob with a right CRC and right entries.
 #[derive(Clone, Copy, Debug)]
 pub struct Blob<'b> {
     entries: &'b [u8],
 }
 
 impl<'b> Blob<'b> {
-    /// Checks header, CRC and the extent of every entry. Bytes behind the blob are ignored.
+    /// Checks header, CRC and the extent of every entry. Bytes after the blob are ignored.
     pub fn new_checked(bytes: &'b [u8]) -> Result<Self, BlobError> {
         let word = |at: usize| -> Result<u32, BlobError> {
             let bytes = bytes.get(at..at + 4).and_then(|b| b.first_chunk::<4>());
@@ -184,7 +185,7 @@ impl<'b> Blob<'b> {
         })
     }
 
-    /// As [`Blob::entries`], but for lists: what is to be known of the board itself.
+    /// Like [`Blob::entries`], but without the lists: the facts about the board itself.
     pub fn facts(&self) -> impl Iterator<Item = Entry<'b>> + use<'b> {
         self.raw().filter_map(|(code, channel, value)| {
             Some(Entry {
@@ -213,7 +214,7 @@ impl<'b> Blob<'b> {
     }
 }
 
-/// The channels of a list, each a name and what is said of its pins.
+/// The channels of a list, each with its name and its pins.
 fn channels_of(first: u8, list: &[u8]) -> impl Iterator<Item = Entry<'_>> {
     let (class, lines) = list.split_first().unwrap_or((&0, &[]));
     let class = match class {

@@ -1,6 +1,6 @@
-//! Enums that travel as a number and are read as words.
+//! Enums that are numbers on the wire and words in text.
 
-/// An enum with a wire code of the given type and a text for people per value; a code nobody knows is `None`.
+/// An enum with a wire code of the given type and a text per value; an unknown code is `None`.
 macro_rules! codes {
     ($(#[$meta:meta])* $name:ident: $code:ty { $($(#[doc = $doc:literal])+ $variant:ident = $value:literal, $text:literal;)+ }) => {
         $(#[$meta])*
@@ -22,7 +22,7 @@ macro_rules! codes {
                 self as $code
             }
 
-            /// The word for people.
+            /// Its text.
             pub const fn text(self) -> &'static str {
                 match self { $($name::$variant => $text),+ }
             }

@@ -1,7 +1,7 @@
-//! CRC-32 as Ethernet, zip and Python's `binascii.crc32` count it: the one everything here uses.
+//! The CRC-32 of Ethernet, zip and Python's `binascii.crc32`; the project uses no other.
 
-/// Half a byte at a time: 64 bytes of table, four times as fast as bit by bit. A whole image in flash is
-/// summed up by a softcore.
+/// Half a byte at a time: a table of 64 bytes, and four times as fast as bit by bit. A softcore has
+/// to compute it over a whole image in flash.
 const TABLE: [u32; 16] = {
     let mut table = [0; 16];
     let mut index = 0;
@@ -22,7 +22,7 @@ const TABLE: [u32; 16] = {
     table
 };
 
-/// A CRC being counted.
+/// A CRC in progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Crc32(u32);
 
@@ -33,12 +33,12 @@ impl Default for Crc32 {
 }
 
 impl Crc32 {
-    /// Of nothing yet.
+    /// The CRC of no bytes.
     pub const fn new() -> Self {
         Crc32(!0)
     }
 
-    /// Goes on with these bytes.
+    /// Adds these bytes.
     pub fn update(&mut self, bytes: &[u8]) {
         let step = |crc: u32| crc >> 4 ^ TABLE[crc as usize & 15];
         self.0 = bytes
@@ -46,7 +46,7 @@ impl Crc32 {
             .fold(self.0, |crc, byte| step(step(crc ^ u32::from(*byte))));
     }
 
-    /// Goes on with the big-endian bytes of these words.
+    /// Adds the big-endian bytes of these words.
     pub fn update_words(&mut self, words: &[u32]) {
         for word in words {
             self.update(&word.to_be_bytes());
@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_crc_is_the_one_everybody_else_computes() {
+    fn the_crc_is_the_standard_one() {
         assert_eq!(crc32(b"123456789"), 0xcbf4_3926);
         assert_eq!(crc32(b""), 0);
         assert_eq!(crc32_words(&[0x3132_3334, 0x3536_3738]), crc32(b"12345678"));

@@ -1,4 +1,4 @@
-//! How a board says what it is: the first words of the describe window.
+//! The description of a board: the first words of the describe window.
 //!
 //! ```text
 //!  0 magic "FCR1"            6 clock, Hz                       12 status block words
@@ -11,9 +11,10 @@
 //!                                                              64.. the board blob
 //! ```
 
+pub use crate::channels::Channels;
 use crate::codes::codes;
+use crate::exchange;
 use crate::state::{GateClose, ResetReason};
-use crate::{Refusal, exchange};
 
 /// "FCR1".
 pub const MAGIC: u32 = 0x4643_5231;
@@ -26,15 +27,19 @@ pub const BLOB_AT: usize = 64;
 
 /// Obstacle to arming: gateware and firmware were built from different register maps.
 pub const OBSTACLE_ABI: u32 = 1 << 0;
-/// Obstacle to arming: an operation of the flash is running; over within seconds.
+/// Obstacle to arming: a flash operation is running; it ends within seconds.
 pub const OBSTACLE_FLASH: u32 = 1 << 1;
 
-/// Feature: a key is set, and whoever wants to change something has to prove to have it ([`crate::auth`]). The bits below 16
-/// are the gateware's.
+/// Feature: a key is set, and a client has to prove that it has the key before it may change
+/// anything ([`crate::auth`]). The bits below 16 are the gateware's.
 pub const FEATURE_KEY: u32 = 1 << 31;
 
 /// A feature: the gateware plays segments, `ident.features` bit 0.
 pub const FEATURE_JOBS: u32 = 1;
+
+/// A feature: the gateware reads the pads it drives ([`crate::map::PADS`]) and counts the Ethernet
+/// clock ([`crate::map::ETH_BEATS`]), `ident.features` bit 1. 0 in gateware from before them.
+pub const FEATURE_READBACK: u32 = 1 << 1;
 
 codes! {
     /// Whether jobs can be executed without a PC: the feature bits from [`JobsState::AT`] on.
@@ -45,13 +50,14 @@ codes! {
         Alive = 1, "ready";
         /// The SDRAM does not keep what is written into it.
         Sdram = 2, "the SDRAM failed its test";
-        /// The image that runs has no jobs program: it was loaded by JTAG, or made without.
+        /// The image that runs has no jobs program: it was loaded by JTAG, or built without one.
         Missing = 3, "no program in flash";
         /// The program's CRC or length is wrong.
         Damaged = 4, "the program is damaged";
         /// The program was built for another register map or another ROM.
         Foreign = 5, "the program is of another build";
-        /// The board has no SDRAM and executes no job by itself; its owner may write the segments' registers.
+        /// The board has no SDRAM and executes no job by itself; its owner may write the segments'
+        /// registers.
         Streamed = 6, "a PC streams them (ferrocnc job serve)";
     }
 }
@@ -65,59 +71,13 @@ impl JobsState {
         features >> Self::AT & 7 == Self::Streamed as u32
     }
 
-    /// Out of the features; what is none of these counts as damaged.
+    /// From the features; an unknown code counts as damaged.
     pub fn of(features: u32) -> Self {
         Self::from_code(features >> Self::AT & 7).unwrap_or(Self::Damaged)
     }
 }
 
-/// How many channels of each kind a board has.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Channels {
-    /// Step generators, at most 16.
-    pub stepgens: u8,
-    /// Encoders, at most 16.
-    pub encoders: u8,
-    /// PWM outputs, at most 16.
-    pub pwms: u8,
-    /// Inputs, at most 32.
-    pub inputs: u8,
-    /// Outputs, at most 32.
-    pub outputs: u8,
-}
-
-impl Channels {
-    /// From the two `channels` words; refused when a count is beyond what any board can have.
-    pub const fn from_words(channels0: u32, channels1: u32) -> Result<Self, Refusal> {
-        let channels = Channels {
-            stepgens: channels0 as u8,
-            encoders: (channels0 >> 8) as u8,
-            pwms: (channels0 >> 16) as u8,
-            inputs: channels1 as u8,
-            outputs: (channels1 >> 8) as u8,
-        };
-        let most = exchange::MAX_CHANNELS as u8;
-        if channels.stepgens > most
-            || channels.encoders > most
-            || channels.pwms > most
-            || channels.inputs > 32
-            || channels.outputs > 32
-        {
-            return Err(Refusal::Value);
-        }
-        Ok(channels)
-    }
-
-    /// As the two `channels` words.
-    pub const fn to_words(self) -> [u32; 2] {
-        [
-            self.stepgens as u32 | (self.encoders as u32) << 8 | (self.pwms as u32) << 16,
-            self.inputs as u32 | (self.outputs as u32) << 8,
-        ]
-    }
-}
-
-/// What a board says of itself before anything else.
+/// The description of a board, which a client reads first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Describe {
     /// Version of this crate on the board.
@@ -134,7 +94,7 @@ pub struct Describe {
     pub clock_hz: u32,
     /// Channel counts.
     pub channels: Channels,
-    /// What is there besides the channels: [`FEATURE_KEY`], [`FEATURE_JOBS`].
+    /// Features besides the channels: [`FEATURE_KEY`], [`FEATURE_JOBS`].
     pub features: u32,
     /// Changes with every start of the firmware.
     pub boot_id: u32,
@@ -142,7 +102,7 @@ pub struct Describe {
     pub blob_words: u32,
     /// As the first word of a status block.
     pub state: exchange::StateWord,
-    /// Why the board will not arm at all ([`OBSTACLE_ABI`], [`OBSTACLE_FLASH`]); 0 if nothing is in the way.
+    /// Why the board will not arm at all ([`OBSTACLE_ABI`], [`OBSTACLE_FLASH`]); 0 if it can arm.
     pub obstacles: u32,
     /// Why the firmware started last.
     pub reset_reason: ResetReason,
@@ -150,7 +110,7 @@ pub struct Describe {
     pub gate_close: GateClose,
 }
 
-/// Why a describe block cannot be understood; it says what to do.
+/// Why a describe block cannot be understood; the text says what to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DescribeError {
     /// Not a FerroCNC board.

@@ -1,27 +1,29 @@
-//! Finding boards whatever their address is, and giving them one. UDP, port [`crate::DISCOVERY_PORT`].
+//! Finds boards at any address, and gives them an address. UDP, port [`crate::DISCOVERY_PORT`].
 //!
 //! ```text
 //! word 0 "FDIS"   1 version, 1   2 kind   3 nonce   4, 5 unique id hi, lo   6.. payload
 //!
-//! kind  who            payload
-//! 1     Who   host     none                 ids 0: any board answers; else only that one
-//! 2     Here  board    [`Here`], 32 words
-//! 3     Set   host     [`Settings`]         only the board with that unique id takes it
-//! 4     Done  board    [`OpResult`]         once the settings lie in flash, or why not
-//! 5     Prove  board   4 words              a board with a key was told to Set: the challenge ([`crate::auth`])
-//! 6     Proven host    [`Settings`], 4 words   the Set with the answer to it
+//! kind         sender   payload
+//! 1     Who    host     none                 ids 0: any board answers; else only that one
+//! 2     Here   board    [`Here`], 32 words
+//! 3     Set    host     [`Settings`]         only the board with that unique id takes it
+//! 4     Done   board    [`OpResult`]         once the settings are in flash, or why not
+//! 5     Prove  board    4 words              answer to a Set, if the board has a key: the challenge ([`crate::auth`])
+//! 6     Proven host     [`Settings`], 4 words   the Set with the answer to it
 //! ```
 //!
 //! Requests go to 255.255.255.255, a subnet's broadcast address or the board's own. Answers go to
-//! 255.255.255.255 and the sender's port, so they arrive whatever net board and host are in; the nonce says
-//! whose they are. What has not this form is counted and not answered; so is a request with a unique id that
-//! is not the board's, without being counted.
+//! 255.255.255.255 and the sender's port, so they arrive even if board and host are in different
+//! nets; the nonce tells which request an answer belongs to. A datagram of another form is counted
+//! and not answered. A request with another board's unique id is not answered either, and not
+//! counted.
 //!
-//! A board with a key answers a Set, and a Proven whose answer is not right, with Prove. A Proven is a Set in everything else.
+//! A board with a key answers Prove to a Set, and to a Proven with a wrong answer. In all other
+//! respects a Proven is a Set.
 //!
-//! A Set that was saved is in force after the next start, and the board starts anew by itself right behind
-//! its Done. A Set while the machine is armed or owned is answered [`OpResult::Armed`]. A Set that comes again
-//! (its Done was lost) is answered again; settings equal to those saved are not written twice.
+//! A saved Set is in force after the next start, and the board restarts by itself right after its
+//! Done. A Set while the machine is armed or owned is answered [`OpResult::Armed`]. A repeated Set
+//! (its Done was lost) is answered again; settings equal to the saved ones are not written twice.
 
 use crate::flash::{OpResult, Origin, Running};
 use crate::settings::{self, Settings, mac_from_words, mac_to_words};
@@ -52,32 +54,33 @@ const PROVEN: u32 = 6;
 /// A message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Message {
-    /// Comes back in the answer.
+    /// Repeated in the answer.
     pub nonce: u32,
-    /// The flash's unique id, hi and lo: whom it is for, or from. Zeros: any board, or one without.
+    /// The flash's unique id, hi and lo: of the board that is asked, or that answers. Zeros: any
+    /// board, or a board without one.
     pub uid: [u32; 2],
-    /// The rest.
+    /// The content.
     pub body: Body,
 }
 
-/// What a message is about.
+/// The content of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Body {
-    /// Who is there?
+    /// Which boards are there?
     Who,
-    /// I am.
+    /// This board is there.
     Here(Here),
     /// Take these settings.
     Set(Settings),
-    /// They are taken, or not.
+    /// The settings were taken, or not.
     Done(OpResult),
-    /// Not without the key: the answer to this challenge.
+    /// The key has to be proved first: with the answer to this challenge.
     Prove([u32; auth::WORDS]),
-    /// Take these settings, here is the answer.
+    /// Take these settings; this is the answer.
     Proven(Settings, [u32; auth::WORDS]),
 }
 
-/// What a board says of itself to whoever looks for boards.
+/// A board's answer to a host that looks for boards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Here {
     /// MAC address.
@@ -86,7 +89,7 @@ pub struct Here {
     pub ip: u32,
     /// UDP port of the Etherbone server.
     pub port: u16,
-    /// The address is a DHCP server's.
+    /// A DHCP server gave the address.
     pub dhcp: bool,
     /// The machine is not at rest.
     pub armed: bool,
@@ -94,11 +97,11 @@ pub struct Here {
     pub owned: bool,
     /// The board has a key.
     pub keyed: bool,
-    /// Which image runs.
+    /// The image that runs.
     pub running: Running,
     /// Where the settings are from.
     pub origin: Origin,
-    /// How fast the link is.
+    /// The link's speed.
     pub speed: LinkSpeed,
     /// Version of this crate on the board.
     pub wire_version: u32,
@@ -146,7 +149,7 @@ impl Here {
         words
     }
 
-    /// Reads and checks. Flags nobody knows are ignored: a newer board is found by an older host.
+    /// Reads and checks. Unknown flags are ignored, so that an older host finds a newer board.
     pub fn parse(words: &[u32; HERE_WORDS]) -> Result<Self, Refusal> {
         let [
             mac_hi,
@@ -202,7 +205,7 @@ impl Message {
         }
     }
 
-    /// Writes what boards say; nothing for what they do not.
+    /// Writes an answer of a board; nothing for a request.
     pub fn emit_answer<'b>(&self, buffer: &'b mut [u32; WORDS_MAX]) -> &'b [u32] {
         match &self.body {
             Body::Here(here) => self.emit_as(HERE, &here.to_words(), buffer),
@@ -226,13 +229,13 @@ impl Message {
         buffer.get(..HEAD + payload.len()).unwrap_or(&[])
     }
 
-    /// Reads and checks what a board may be asked: everything but other boards' answers, which are refused. A Proven is a
-    /// Set; its [`proof`] stands apart.
+    /// Reads and checks a request to a board. Answers of other boards are refused. A Proven is read
+    /// as a Set; [`proof`] reads its proof.
     pub fn parse_request(words: &[u32]) -> Result<Self, Refusal> {
         Self::parse_with(words, |_, _| Err(Refusal::Value))
     }
 
-    /// Reads and checks all of it.
+    /// Reads and checks a message of any kind.
     pub fn parse(words: &[u32]) -> Result<Self, Refusal> {
         let mut message = Self::parse_with(words, |kind, payload| match kind {
             HERE => Ok(Body::Here(Here::parse(exactly(payload)?)?)),
@@ -285,9 +288,9 @@ impl Message {
     }
 }
 
-/// What a Proven signs, and the tag it has for that; `None` for anything else.
+/// The words a Proven signs, and their tag; `None` for any other message.
 pub fn proof(words: &[u32]) -> Option<(&[u32], &[u32; auth::WORDS])> {
-    // Nothing else is that long.
+    // No other message has this length.
     words
         .split_last_chunk()
         .filter(|_| words.len() == WORDS_MAX)

@@ -1,4 +1,4 @@
-//! Etherbone packets: checked whole, then read as numbers.
+//! Etherbone packets: checked completely, then read as numbers.
 //!
 //! ```text
 //! word 0   4e6f | version 4 | - nr pr pf | 4 | 4       4e6f1044 normal, 4e6f1144 probe
@@ -14,9 +14,9 @@
 //! plain Etherbone has.
 //!
 //! Gateware Etherbone as LiteEth builds it executes while it parses: a truncated write makes later
-//! packets land in registers, padding writes 0 to address 0, too long a read hangs it until
-//! power-off. Here [`Packet::new_checked`] walks every record to the end of the datagram first, so
-//! there is nothing left to go wrong afterwards.
+//! packets land in registers, padding writes 0 to address 0, and too long a read hangs it until
+//! power-off. Here [`Packet::new_checked`] first walks every record to the end of the datagram, so
+//! no record can fail afterwards.
 
 use crate::{MAX_WORDS, Refusal};
 
@@ -29,17 +29,17 @@ pub const HEADER_PROBE_REPLY: u32 = 0x4e6f_1244;
 
 /// Words before the first record.
 pub const HEADER_WORDS: usize = 2;
-/// The only byte enable there is, in its place in a record header.
+/// The only valid byte enable, at its place in a record header.
 pub const BYTE_ENABLE: u32 = 0x000f_0000;
 
 const MAGIC: u32 = 0x4e6f;
 const FLAG_PROBE: u32 = 1 << 8;
 const FLAG_PROBE_REPLY: u32 = 1 << 9;
 const FLAG_NO_READS: u32 = 1 << 10;
-/// Record flags that ask for something else than plain memory: rca, rff, reserved, wca, wff, reserved.
+/// Record flags that ask for anything but plain memory: rca, rff, reserved, wca, wff, reserved.
 const FORBIDDEN_RECORD_FLAGS: u32 = 0b1110_1110 << 24;
 
-/// A packet whose every record lies inside its datagram.
+/// A packet with all its records inside its datagram.
 #[derive(Clone, Copy, Debug)]
 pub struct Packet<'w> {
     header: u32,
@@ -60,11 +60,11 @@ pub struct Record<'w> {
 }
 
 impl<'w> Packet<'w> {
-    /// Checks a whole datagram: header, then every record against the end of the datagram, then
-    /// the size of the answer. Says nothing about addresses; that is the server's.
+    /// Checks a whole datagram: header, then every record against the end of the datagram, then the
+    /// size of the answer. It does not check addresses; the server does.
     pub fn new_checked(words: &'w [u32]) -> Result<Self, Refusal> {
         let [header, _padding, body @ ..] = words else {
-            // Anything with a wrong first byte is foreign rather than short.
+            // A wrong first byte makes a packet foreign rather than short.
             return Err(match words.first() {
                 Some(first) if first >> 16 != MAGIC => Refusal::Magic,
                 _ => Refusal::Short,
@@ -114,17 +114,17 @@ impl<'w> Packet<'w> {
         Ok(packet)
     }
 
-    /// A probe asks whether anybody speaks Etherbone here; its payload is echoed.
+    /// Is this a probe? It asks whether there is an Etherbone server here; its payload is echoed.
     pub fn is_probe(&self) -> bool {
         self.header & FLAG_PROBE != 0
     }
 
-    /// "No reads": whatever is read, do not send it.
+    /// "No reads": do not send the words that are read.
     pub fn no_reads(&self) -> bool {
         self.header & FLAG_NO_READS != 0
     }
 
-    /// What follows the header: a probe's payload, or the records.
+    /// The words after the header: a probe's payload, or the records.
     pub fn body(&self) -> &'w [u32] {
         self.body
     }
@@ -147,7 +147,7 @@ impl<'w> Iterator for Records<'w> {
     type Item = Record<'w>;
 
     fn next(&mut self) -> Option<Record<'w>> {
-        // `new_checked` walked this very slice, so an error can only mean "done".
+        // `new_checked` walked this same slice, so an error can only mean the end.
         let (record, rest) = split_record(self.rest).ok()?;
         self.rest = rest;
         Some(record)
@@ -180,7 +180,7 @@ fn split_record(words: &[u32]) -> Result<(Record<'_>, &[u32]), Refusal> {
     ))
 }
 
-/// Splits off a base word and `count` words behind it; nothing at all when `count` is 0.
+/// Splits off a base word and the `count` words after it; nothing at all if `count` is 0.
 fn split_half(words: &[u32], count: usize) -> Result<(u32, &[u32], &[u32]), Refusal> {
     if count == 0 {
         return Ok((0, &[], words));
@@ -190,7 +190,7 @@ fn split_half(words: &[u32], count: usize) -> Result<(u32, &[u32], &[u32]), Refu
     Ok((base, body, rest))
 }
 
-/// Builds packets, requests and replies alike, into a word buffer. Every method says `false`
+/// Builds packets, both requests and replies, in a word buffer. Every method returns `false`
 /// instead of writing past the buffer's end.
 #[derive(Debug)]
 pub struct ReplyWriter<'b> {
@@ -232,7 +232,7 @@ impl<'b> ReplyWriter<'b> {
         self.push(BYTE_ENABLE | u32::from(count) << 8) && self.push(base)
     }
 
-    /// A whole record that reads `addresses` and wants them back under `return_base`.
+    /// A whole record that reads `addresses` and asks for the words under `return_base`.
     pub fn read_record(&mut self, return_base: u32, addresses: &[u32]) -> bool {
         let Ok(count) = u8::try_from(addresses.len()) else {
             return false;
@@ -364,6 +364,71 @@ mod tests {
     }
 
     #[test]
+    fn every_bit_of_a_packets_header_is_judged_for_itself() {
+        for bit in 0..32 {
+            let words = [HEADER ^ 1 << bit, 0, 0x000f_0100, 0x20, 7];
+            let wanted = match bit {
+                0..=7 => Some(Refusal::Width),
+                9 => Some(Refusal::ProbeReply),
+                12..=15 => Some(Refusal::Version),
+                16.. => Some(Refusal::Magic),
+                _ => None,
+            };
+            let packet = Packet::new_checked(&words);
+            assert_eq!(packet.map(drop).err(), wanted, "bit {bit}");
+            let flags = packet.map(|packet| (packet.is_probe(), packet.no_reads()));
+            assert!(wanted.is_some() || flags == Ok((bit == 8, bit == 10)));
+        }
+    }
+
+    #[test]
+    fn every_bit_of_a_records_header_is_judged_for_itself() {
+        for bit in 16..32 {
+            let words = [HEADER, 0, 0x000f_0100 ^ 1 << bit, 0x20, 7];
+            let wanted = match bit {
+                16..=23 => Some(Refusal::ByteEnable),
+                // CYC and similar flags: hints for the bus, not other address spaces.
+                24 | 28 => None,
+                _ => Some(Refusal::RecordFlags),
+            };
+            assert_eq!(Packet::new_checked(&words).map(drop).err(), wanted, "{bit}");
+        }
+    }
+
+    #[test]
+    fn the_longest_datagram_is_taken_and_its_answer_fits_and_a_word_more_is_not() {
+        // 255 reads and 104: with two records' overhead as long as a frame.
+        let mut words = std::vec![HEADER, 0, 0x000f_00ff];
+        words.resize(3 + 256, 0x100);
+        let left = MAX_WORDS - words.len() - 2;
+        words.push(0x000f_0000 | left as u32);
+        words.resize(MAX_WORDS, 0x100);
+        let packet = Packet::new_checked(&words).unwrap();
+        let mut reply = [0; MAX_WORDS];
+        let mut writer = ReplyWriter::new(&mut reply, HEADER);
+        for record in packet.records() {
+            assert!(writer.write_record(record.return_base, record.reads.len() as u8));
+            assert!(writer.extend(record.reads));
+        }
+        assert_eq!(writer.words().len(), MAX_WORDS);
+        words.push(0);
+        assert_eq!(refused(&words), Refusal::Oversized);
+    }
+
+    #[test]
+    fn a_record_of_reads_is_what_the_parser_takes() {
+        let mut buffer = [0; 7];
+        let mut writer = ReplyWriter::new(&mut buffer, HEADER);
+        assert!(!writer.read_record(9, &[0x100; 256]), "no byte says 256");
+        assert!(writer.read_record(9, &[0x100, 0x104]));
+        assert!(!writer.extend(&[1, 2, 3]));
+        let words = writer.words();
+        assert_eq!(words, [HEADER, 0, 0x000f_0002, 9, 0x100, 0x104]);
+        let record = Packet::new_checked(words).unwrap().records().next();
+        assert_eq!(record.unwrap().reads, [0x100, 0x104]);
+    }
+
+    #[test]
     fn a_good_first_record_does_not_save_a_bad_second_one() {
         let words = [HEADER, 0, 0x000f_0100, 0x20, 1, 0x000f_0300, 0x24, 2];
         assert_eq!(refused(&words), Refusal::Truncated);
@@ -371,7 +436,8 @@ mod tests {
 
     #[test]
     fn an_answer_that_would_not_fit_one_frame_is_refused() {
-        // The request of two full reads does not fit a frame either; the header check sees it first.
+        // The request of two full reads does not fit a frame either; the header check sees it
+        // first.
         let mut words = std::vec![HEADER, 0];
         for _ in 0..2 {
             words.push(0x000f_00ff);

@@ -1,9 +1,9 @@
 //! The exchange: one datagram each way per servo period.
 //!
-//! The host writes a whole [command block](Command) to [`crate::map::COMMAND`]; unlike every other
-//! write this one is answered: one record with the [status block](Status), its base write address
-//! carrying the command's sequence number. The board checks everything, commits every channel on one
-//! clock and samples every channel on one clock.
+//! The host writes a whole [command block](Command) to [`crate::map::COMMAND`]. Unlike every other
+//! write, this one is answered: with one record that holds the [status block](Status); its base
+//! write address is the command's sequence number. The board checks everything, commits every
+//! channel on one clock and samples every channel on one clock.
 //!
 //! ```text
 //!         command                                        status
@@ -29,18 +29,17 @@
 //!
 //! # Latches
 //!
-//! A channel has one latch, for the index or the probe, whichever is armed and comes first. Its flag in
-//! the status block says that it holds a value; flag and value stay until the arm bit that caught it
-//! falls. Values come one per exchange: a host that sees a flag selects that [`Latch`] in its
-//! next command and finds the value in the answer. A lost frame delays that and spoils nothing.
+//! A channel has one latch, for the index or the probe: the armed one that comes first sets it. Its
+//! flag in the status block says that it holds a value; flag and value stay until the arm bit that
+//! set it falls. One value comes per exchange: a host that sees a flag selects that [`Latch`] in
+//! its next command and finds the value in the answer. A lost frame only delays this.
 
-use crate::describe::Channels;
+use crate::channels::Channels;
 use crate::state::{FaultReason, LinkSpeed, State};
 use crate::units::{Accel, Clocks, Count, Position, StepRate};
 use crate::{Refusal, etherbone, map};
 
-/// Most stepgens, encoders and PWMs a board can have.
-pub const MAX_CHANNELS: usize = 16;
+pub use crate::channels::MAX_CHANNELS;
 
 /// Words before the first stepgen in a command block.
 pub const COMMAND_HEAD: usize = 9;
@@ -88,7 +87,7 @@ pub const PWM_DIRECTION: u32 = 1 << 31;
 /// Bits of an encoder's edge word that hold the time; the upper 8 count illegal transitions.
 pub const EDGE_TIME_BITS: u32 = 24;
 
-/// Whose latch the answer carries.
+/// The latch that an answer carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Latch {
     /// Encoder n: its count at the index or probe.
@@ -123,7 +122,7 @@ impl Latch {
     }
 }
 
-/// What the host wants of a whole board for the next servo period.
+/// The host's command for a whole board and the next servo period.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Command {
     /// Session token.
@@ -138,8 +137,8 @@ pub struct Command {
     pub apply_at: Option<Clocks>,
     /// One bit per stepgen.
     pub stepgen_enable: u16,
-    /// One bit per stepgen: it follows no path with the others (velocity mode). In a soft stop it brakes as configured,
-    /// while the others reach rest together.
+    /// One bit per stepgen: it shares no path with the others (velocity mode). In a soft stop it
+    /// brakes as configured, while the others reach rest together.
     pub stepgen_alone: u16,
     /// One bit per encoder: latch the count at the next index.
     pub index_arm: u16,
@@ -149,7 +148,7 @@ pub struct Command {
     pub stepgen_index_arm: u16,
     /// One bit per stepgen: latch the pulses when the probe trips.
     pub stepgen_probe_arm: u16,
-    /// Whose latch the answer shall carry.
+    /// The latch that the answer has to carry.
     pub latch: Latch,
     /// GPIO outputs.
     pub gpio_out: u32,
@@ -181,7 +180,7 @@ impl Default for Command {
     }
 }
 
-/// What a board says of itself once per servo period. Everything was sampled on one clock.
+/// The board's status, once per servo period. Everything was sampled on one clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Status {
     /// State, reason and flags.
@@ -257,11 +256,11 @@ pub struct StateWord {
     pub state: State,
     /// Why it stopped last.
     pub reason: FaultReason,
-    /// No step was lost or invented since the positions were last in step with the machine.
+    /// No step was lost or invented since the positions were last synchronised with the machine.
     pub position_trusted: bool,
     /// The gate is open: outputs are live.
     pub enabled: bool,
-    /// The session belongs to whoever this goes to.
+    /// The recipient of this answer owns the session.
     pub session_yours: bool,
     /// The watchdog's latched bite.
     pub bitten: bool,
@@ -273,16 +272,16 @@ pub struct StateWord {
     pub link: bool,
     /// An e-stop input has tripped; latched.
     pub estop: bool,
-    /// How fast the link is.
+    /// The link's speed.
     pub speed: LinkSpeed,
-    /// Frames the MAC threw away since power-up (CRC, preamble, no slot free), modulo 256.
+    /// Frames the MAC dropped since power-up (CRC, preamble, no slot free), modulo 256.
     pub link_errors: u8,
 }
 
 impl StateWord {
-    /// Where the link's speed lies: above the state, which never needs six bits.
+    /// Lowest bit of the link's speed: above the state, which never needs six bits.
     pub const SPEED_SHIFT: u32 = 6;
-    /// Where the count of errors lies.
+    /// Lowest bit of the count of errors.
     pub const ERRORS_SHIFT: u32 = 24;
 
     /// As a word.
@@ -301,7 +300,7 @@ impl StateWord {
             | (self.estop as u32) << 23
     }
 
-    /// From a word; refused when it names a state or reason this version does not know.
+    /// From a word; refused if it has a state or reason that this version does not know.
     pub const fn from_word(word: u32) -> Result<Self, Refusal> {
         let (Some(state), Some(reason), Some(speed)) = (
             State::from_code(word as u8 & 0x3f),
@@ -431,7 +430,7 @@ impl Command {
 
 impl Status {
     /// Writes the status block into `words` (the board's side, for models and tests; the firmware
-    /// copies registers straight into the frame). `None` when it does not fit.
+    /// copies registers directly into the frame). `None` if it does not fit.
     pub fn emit<'b>(&self, channels: Channels, words: &'b mut [u32]) -> Option<&'b [u32]> {
         let block = words.get_mut(..status_words(channels))?;
         let (head, rest) = block.split_first_chunk_mut::<STATUS_HEAD>()?;
@@ -506,7 +505,7 @@ impl Status {
         Ok(status)
     }
 
-    /// Reads a whole reply datagram: one record whose base is the sequence number.
+    /// Reads a whole reply datagram: one record with the sequence number as its base.
     pub fn parse_reply(words: &[u32], channels: Channels) -> Result<Self, Refusal> {
         let packet = etherbone::Packet::new_checked(words)?;
         let mut records = packet.records();
@@ -622,6 +621,138 @@ mod tests {
             Status::parse(status.emit(MOST, &mut words).unwrap(), MOST),
             Ok(status)
         );
+    }
+
+    #[test]
+    fn every_flag_of_the_state_word_has_its_bit() {
+        let nothing = StateWord::from_word(0).unwrap();
+        assert_eq!(
+            (nothing.state, nothing.reason),
+            (State::Boot, FaultReason::None)
+        );
+        type Set = fn(&mut StateWord);
+        let flags: [(u32, Set); 12] = [
+            (0, |word| word.state = State::Disarmed),
+            (6, |word| word.speed = LinkSpeed::M10),
+            (8, |word| word.reason = FaultReason::Watchdog),
+            (16, |word| word.position_trusted = true),
+            (17, |word| word.enabled = true),
+            (18, |word| word.session_yours = true),
+            (19, |word| word.bitten = true),
+            (20, |word| word.external_reset = true),
+            (21, |word| word.accepted = true),
+            (22, |word| word.link = true),
+            (23, |word| word.estop = true),
+            (24, |word| word.link_errors = 1),
+        ];
+        let mut all = nothing;
+        for (bit, set) in flags {
+            let mut word = nothing;
+            set(&mut word);
+            set(&mut all);
+            assert_eq!(word.to_word(), 1 << bit, "{word:?}");
+            assert_eq!(StateWord::from_word(1 << bit), Ok(word));
+        }
+        assert_eq!(all.to_word(), 0x01ff_0141);
+        assert_eq!(StateWord::from_word(0x01ff_0141), Ok(all));
+    }
+
+    #[test]
+    fn every_word_of_a_status_is_where_the_table_says() {
+        let mut words: [u32; STATUS_MAX] = core::array::from_fn(|at| 0x0101_0100 * at as u32 + 1);
+        words[0] = 0;
+        let status = Status::parse(&words[..status_words(SIX)], SIX).unwrap();
+        assert_eq!(
+            status.arrival,
+            Clocks(u64::from(words[3]) << 32 | u64::from(words[2]))
+        );
+        assert_eq!(
+            status.sample,
+            Clocks(u64::from(words[5]) << 32 | u64::from(words[4]))
+        );
+        assert_eq!(
+            (status.watchdog_left, status.refused),
+            (words[6], Count(words[7]))
+        );
+        let (position, rate) = status.stepgen[1];
+        assert_eq!(
+            (position, rate),
+            (
+                Position::from_words(words[18], words[19]),
+                StepRate(words[20] as i32)
+            )
+        );
+        let encoder = status.encoder[1];
+        assert_eq!(
+            (encoder.count, encoder.edge_time),
+            (Count(words[35]), words[36] & 0xff_ffff)
+        );
+        assert_eq!(encoder.errors, (words[36] >> 24) as u8);
+        assert_eq!(status.encoder[6], EncoderStatus::default(), "there are six");
+        let mut back = [0; STATUS_MAX];
+        assert_eq!(status.emit(SIX, &mut back), Some(&words[..45]));
+        assert_eq!(status.emit(SIX, &mut back[..44]), None);
+        for length in [44, 46] {
+            assert_eq!(
+                Status::parse(&words[..length], SIX),
+                Err(Refusal::BlockLength)
+            );
+        }
+    }
+
+    #[test]
+    fn every_word_of_a_command_is_where_the_table_says() {
+        let mut words: [u32; 27] = core::array::from_fn(|at| 0x0101_0100 * at as u32 + 1);
+        words[2] = FLAG_APPLY_TIME | 0xa55a << FLAG_ALONE_SHIFT;
+        words[8] &= 0x1f_ffff;
+        let command = Command::parse(&words, SIX).unwrap();
+        assert_eq!((command.enable, command.enable_request), (false, false));
+        assert_eq!(
+            command.apply_at,
+            Some(Clocks::from_words(words[3], words[4]))
+        );
+        assert_eq!(
+            command.stepgen[1],
+            (StepRate(words[11] as i32), Accel(words[12]))
+        );
+        assert_eq!((command.pwm[0], command.pwm[5]), (words[21], words[26]));
+        let mut back = [0; REQUEST_OVERHEAD + 27];
+        assert_eq!(
+            command.emit_request(SIX, &mut back[..REQUEST_OVERHEAD + 26]),
+            None
+        );
+        let request = command.emit_request(SIX, &mut back).unwrap();
+        assert_eq!(
+            request[..4],
+            [etherbone::HEADER, 0, 0x000f_1b00, map::COMMAND]
+        );
+        assert_eq!(request[4..], words);
+        for (flag, enable) in [(FLAG_ENABLE, true), (FLAG_ENABLE_REQUEST, false)] {
+            words[2] = flag;
+            let command = Command::parse(&words, SIX).unwrap();
+            assert_eq!((command.enable, command.enable_request), (enable, !enable));
+            assert_eq!(command.apply_at, None);
+            // Without an apply time, the words are 0 on the wire.
+            assert_eq!(
+                command.emit_request(SIX, &mut back).unwrap()[6..9],
+                [flag, 0, 0]
+            );
+        }
+    }
+
+    #[test]
+    fn an_answer_is_one_record_with_its_sequence_number_as_base() {
+        let mut words = [0; 4 + 45];
+        words[..4].copy_from_slice(&[etherbone::HEADER, 0, 0x000f_2d00, 77]);
+        words[5] = 77;
+        assert_eq!(Status::parse_reply(&words, SIX).unwrap().sequence, 77);
+        words[5] = 78;
+        assert_eq!(Status::parse_reply(&words, SIX), Err(Refusal::Value));
+        words[5] = 77;
+        let mut two = [0; 4 + 45 + 3];
+        two[..49].copy_from_slice(&words);
+        two[49] = 0x000f_0100;
+        assert_eq!(Status::parse_reply(&two, SIX), Err(Refusal::NotAlone));
     }
 
     #[test]

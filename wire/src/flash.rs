@@ -1,4 +1,5 @@
-//! What lies where in the board's SPI flash, and how the flash window ([`crate::map::FLASH`]) is spoken to.
+//! The layout of the board's SPI flash, and the operations of the flash window
+//! ([`crate::map::FLASH`]).
 //!
 //! ```text
 //!               4 MiB                     2 MiB
@@ -12,26 +13,27 @@
 //!
 //! # Operations
 //!
-//! Write the operands, then an [`Op`] to [`crate::map::FLASH_OP`], and read that word until
-//! [`OpWord::busy`] is gone: then [`OpWord::result`] says how it went. The write is refused as a datagram
-//! (`armed`, `not-owner`, `busy`, `value`) when nobody may ask now; what the operation itself finds wrong is
-//! its result. The operands and the operation may be one datagram: words take effect in order.
+//! Write the operands, then an [`Op`] to [`crate::map::FLASH_OP`]. Read that word until
+//! [`OpWord::busy`] is gone: then [`OpWord::result`] is the outcome. If the client may not start an
+//! operation now, its write is refused as a datagram (`armed`, `not-owner`, `busy`, `value`); an
+//! error that the operation itself finds is its result. The operands and the operation may be one
+//! datagram: words take effect in order.
 //!
-//! `Read` and `Crc` reach everything but the settings: the key is among them.
-//! `EraseSector`, `EraseBlock` and `Program` reach the slot that is not selected, and nothing else; everything
-//! else in the flash changes by `Select`, `SaveSettings`, `ForgetSettings` and `Protect` only.
+//! `Read` and `Crc` reach everything but the settings, which contain the key. `EraseSector`,
+//! `EraseBlock` and `Program` reach only the slot that is not selected. The rest of the flash
+//! changes only by `Select`, `SaveSettings`, `ForgetSettings` and `Protect`.
 
 use crate::codes::codes;
 
-/// The smallest thing that can be erased.
+/// The smallest part that can be erased.
 pub const SECTOR: u32 = 0x1000;
-/// The largest thing erased at once.
+/// The largest part that can be erased at once.
 pub const BLOCK: u32 = 0x1_0000;
-/// The largest thing programmed at once.
+/// The largest part that can be programmed at once.
 pub const PAGE: u32 = 0x100;
 
 codes! {
-    /// What the flash can be asked to do.
+    /// An operation of the flash.
     Op: u32 {
         /// `length` bytes (1..=256) from `address` into the buffer.
         Read = 1, "read";
@@ -39,37 +41,39 @@ codes! {
         EraseSector = 2, "erase a sector";
         /// Erase the 64 KiB block at `address`.
         EraseBlock = 3, "erase a block";
-        /// Program `length` bytes (1..=256) of the buffer to `address`, inside one page, and read them back.
+        /// Program `length` bytes (1..=256) of the buffer to `address`, inside one page, and read
+        /// them back.
         Program = 4, "program a page";
         /// CRC-32 of `length` bytes from `address`.
         Crc = 5, "sum up";
-        /// Load slot `address` ([`Slot`]) from the next power-up on, once its image proved whole.
+        /// Load slot `address` ([`Slot`]) from the next power-up on, after its image was found to
+        /// be whole.
         Select = 6, "select a slot";
         /// Save the [`crate::settings::Settings`] in the buffer; in force after the next start.
         SaveSettings = 7, "save settings";
         /// Forget all saved settings; built-in ones are in force after the next start.
         ForgetSettings = 8, "forget settings";
-        /// Have the flash protect the golden image, and nothing else.
+        /// Set the flash's own protection, to the golden image and nothing else.
         Protect = 9, "protect the golden image";
     }
 }
 
 codes! {
-    /// How an operation went.
+    /// The result of an operation.
     OpResult: u32 {
-        /// As asked.
+        /// Done.
         Ok = 0, "done";
-        /// Still running, or another one is.
+        /// It is still running, or another one is.
         Busy = 1, "still running";
         /// The machine is armed.
         Armed = 2, "refused: the machine is armed";
-        /// Outside the slots, in the selected slot, crooked, or past its end.
+        /// Outside the slots, in the selected slot, not aligned, or past its end.
         Address = 3, "refused: the address is not in the slot that may be written";
-        /// A length, slot or settings nobody can have.
+        /// A length, slot or settings out of range.
         Value = 4, "refused: a value is out of range";
-        /// The flash did not do it: timeout, protected, worn out, or of an unknown kind.
+        /// The flash did not obey: timeout, protected, worn out, or of an unknown kind.
         Flash = 5, "the flash did not take it: protected, worn out or of an unknown kind";
-        /// Meta page, CRC or FPGA of the image are not right.
+        /// Meta page, CRC or FPGA of the image are wrong.
         Image = 6, "the slot holds no whole image for this board";
         /// There is no flash.
         NoFlash = 7, "no flash answers";
@@ -97,7 +101,7 @@ impl Slot {
 }
 
 codes! {
-    /// Which image runs.
+    /// The image that runs.
     Running: u32 {
         /// Loaded by JTAG: none of those in flash.
         Volatile = 0, "volatile (loaded by JTAG)";
@@ -111,7 +115,7 @@ codes! {
 }
 
 codes! {
-    /// Where the settings in force are from.
+    /// The source of the settings in force.
     Origin: u32 {
         /// The board information in the bitstream: nothing valid is saved.
         BuiltIn = 0, "built in";
@@ -119,19 +123,19 @@ codes! {
         Copy0 = 1, "flash, copy 0";
         /// The second copy in flash.
         Copy1 = 2, "flash, copy 1";
-        /// The board information: the factory pin was active at start. What is saved is left alone.
+        /// The board information: the factory pin was active at start. The saved settings stay.
         FactoryPin = 3, "built in, factory pin held";
     }
 }
 
-/// [`crate::map::FLASH_OP`] as it reads.
+/// [`crate::map::FLASH_OP`] as read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OpWord {
-    /// It runs.
+    /// An operation runs.
     pub busy: bool,
-    /// How it went; [`OpResult::Busy`] while it runs.
+    /// Its result; [`OpResult::Busy`] while it runs.
     pub result: OpResult,
-    /// The last operation asked for; `None` before the first.
+    /// The last operation; `None` before the first.
     pub op: Option<Op>,
 }
 
@@ -152,7 +156,7 @@ impl OpWord {
         (self.busy as u32) << 31 | self.result.code() << 8 | op
     }
 
-    /// From a word; `None` when it makes no sense.
+    /// From a word; `None` if it is invalid.
     pub const fn from_word(word: u32) -> Option<Self> {
         let Some(result) = OpResult::from_code(word >> 8 & 0xff) else {
             return None;
@@ -174,9 +178,9 @@ impl OpWord {
 pub struct LinkWord {
     /// Speed; down if there is no link.
     pub speed: crate::LinkSpeed,
-    /// Both directions at once.
+    /// Full duplex.
     pub full_duplex: bool,
-    /// Frames the MAC threw away since power-up, modulo 2^24.
+    /// Frames the MAC dropped since power-up, modulo 2^24.
     pub errors: u32,
 }
 
@@ -191,7 +195,7 @@ impl LinkWord {
         LinkWord {
             speed: match crate::LinkSpeed::from_code(word as u8 & 3) {
                 Some(speed) => speed,
-                None => crate::LinkSpeed::Down, // two bits, four speeds
+                None => crate::LinkSpeed::Down, // unreachable: two bits, four speeds
             },
             full_duplex: word >> 2 & 1 != 0,
             errors: word >> 8,
@@ -209,7 +213,7 @@ pub struct Area {
 }
 
 impl Area {
-    /// Do these bytes, at least one, lie inside?
+    /// Are these bytes, at least one, all inside?
     pub const fn contains(self, address: u32, length: u32) -> bool {
         match address.checked_add(length) {
             Some(end) => length > 0 && address >= self.start && end <= self.end,
@@ -217,17 +221,17 @@ impl Area {
         }
     }
 
-    /// Bytes.
+    /// Size in bytes.
     pub const fn len(self) -> u32 {
         self.end - self.start
     }
 
-    /// Has it none? No area of a [`Layout`] is empty.
+    /// Is it empty? No area of a [`Layout`] is.
     pub const fn is_empty(self) -> bool {
         self.end == self.start
     }
 
-    /// Where an image's meta page lies: the first page of the last sector.
+    /// The address of an image's meta page: the first page of the last sector.
     pub const fn meta(self) -> u32 {
         self.end - SECTOR
     }
@@ -238,7 +242,7 @@ impl Area {
     }
 }
 
-/// What lies where in a flash of one size.
+/// The layout of a flash of one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     /// Bytes of the flash.
@@ -247,7 +251,7 @@ pub struct Layout {
     pub slot_a: Area,
     /// Slot B.
     pub slot_b: Area,
-    /// The settings' first sector; the second copy lies in the next.
+    /// The settings' first sector; the second copy is in the next.
     pub settings: u32,
     /// The golden image.
     pub golden: Area,
@@ -261,7 +265,7 @@ impl Layout {
     /// How many pages of stubs there are.
     pub const STUB_PAGES: u32 = Self::STUB_SECTORS * SECTOR / PAGE;
 
-    /// The layout of a flash of so many bytes, if it is a size boards have.
+    /// The layout of a flash of this many bytes, if boards have this size.
     pub const fn of(size: u32) -> Option<Layout> {
         match size {
             0x40_0000 => Some(Layout {
@@ -300,7 +304,7 @@ impl Layout {
         }
     }
 
-    /// The layout of the flash with this JEDEC id: its last byte is the size's logarithm.
+    /// The layout of the flash with this JEDEC id: its last byte is the logarithm of the size.
     pub const fn of_jedec(jedec: u32) -> Option<Layout> {
         match jedec & 0xff {
             exponent @ 1..=31 => Layout::of(1 << exponent),
@@ -326,7 +330,7 @@ impl Layout {
         Self::STUBS + n * PAGE
     }
 
-    /// What the FPGA runs when nothing at 0 loads.
+    /// The page from which the FPGA loads if there is no live stub at 0.
     pub const fn jump_page(&self) -> u32 {
         self.size - PAGE
     }
@@ -341,7 +345,8 @@ impl Layout {
         if self.size == 0x40_0000 { 0b101 } else { 0b100 }
     }
 
-    /// The one slot that may be erased and programmed: the one not selected; either if none is.
+    /// May these bytes be erased and programmed? Yes in the slot that is not selected, or in either
+    /// slot if none is.
     pub const fn writable(&self, selected: Option<Slot>, address: u32, length: u32) -> bool {
         let a = self.slot_a.contains(address, length);
         let b = self.slot_b.contains(address, length);

@@ -1,9 +1,10 @@
-//! Bitstreams in flash as plain data: what says that one is whole, and what says which one loads.
+//! Bitstreams in flash as plain data: which is whole, and which loads.
 //!
 //! **Meta page**, the first page of the last sector of a slot or of golden, written last: [`Meta`].
 //!
-//! **Stub**, a page of the first two sectors: a bitstream of nothing but the preamble and a JUMP to a slot
-//! ([`Stub`]). The FPGA reads from address 0 on until it meets a preamble, so the first live stub is what loads.
+//! **Stub**, a page of the first two sectors: a bitstream of nothing but the preamble and a JUMP to
+//! a slot ([`Stub`]). The FPGA reads from address 0 until it finds a preamble, so it loads the
+//! first live stub.
 //!
 //! ```text
 //!   offset 0    16 bytes ff          24   22 00 00 00 00 00 00 00   control register 0 := 0
@@ -12,13 +13,15 @@
 //!                                    40.. ff
 //! ```
 //!
-//! A stub is written but for its preamble, then gets that, its first byte last; a stub is broken by clearing
-//! that byte. Either is one byte, so whatever is cut short leaves it live or not, never something else.
+//! A stub is written without its preamble. Then the preamble is added, its first byte last. A stub
+//! is disabled by clearing that byte. Each of the two is one byte, so after an interruption a stub
+//! is either live or not, never anything else.
 //!
-//! **Jobs program**, behind the bitstream of a board with jobs: its last two words are its length in bytes and [`PROGRAM_MAGIC`],
-//! the image's last ones, each lowest byte first ([`program_length`]). The FPGA does not read that far.
+//! **Jobs program**, after the bitstream of a board with jobs. Its last two words are the last ones
+//! of the image: its length in bytes and [`PROGRAM_MAGIC`], each lowest byte first
+//! ([`program_length`]). The FPGA does not read that far.
 //!
-//! **Trailer**, the last four words of the firmware's ROM ([`Trailer`]): which build this is.
+//! **Trailer**, the last four words of the firmware's ROM ([`Trailer`]): the id of this build.
 
 use crate::crc::crc32_words;
 use crate::flash::{Area, Layout, PAGE, Running, Slot};
@@ -28,17 +31,18 @@ use crate::{Name, words_from_bytes, words_to_bytes};
 pub const MAGIC: u32 = 0x4649_4d47;
 /// Version of the meta page's layout.
 pub const VERSION: u32 = 1;
-/// Words of a meta page that mean something; the rest of the page is erased.
+/// Used words of a meta page; the rest of the page is erased.
 pub const META_WORDS: usize = 6 + 2 * Name::WORDS + 1;
 /// The same in bytes.
 pub const META_BYTES: usize = META_WORDS * 4;
 
 /// "FJOB".
 pub const PROGRAM_MAGIC: u32 = 0x424f_4a46;
-/// Longest jobs program: 512 KiB, what there is of SDRAM for it.
+/// Longest jobs program: 512 KiB, the part of the SDRAM for it.
 pub const PROGRAM_MAX: usize = 512 * 1024;
 
-/// Bytes of the jobs program at the end of an image whose last two words these are; `None` if there is none.
+/// Bytes of the jobs program at the end of an image, from the image's last two words; `None` if
+/// there is none.
 pub const fn program_length(last: [u32; 2]) -> Option<usize> {
     let [length, magic] = last;
     let right =
@@ -46,7 +50,7 @@ pub const fn program_length(last: [u32; 2]) -> Option<usize> {
     if right { Some(length as usize) } else { None }
 }
 
-/// What an image says of itself.
+/// The description of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Meta {
     /// Bytes of the image from the slot's start.
@@ -87,7 +91,7 @@ impl Meta {
         words
     }
 
-    /// Reads and checks; `None` when it is none, or its length is nothing an image can have in `area`.
+    /// Reads and checks; `None` if it is not a meta page, or if its length does not fit `area`.
     pub fn parse(words: &[u32; META_WORDS], area: Area) -> Option<Self> {
         let [magic, version, length, crc, build_id, idcode, names @ .., _] = words;
         let (configuration, platform) = names.split_first_chunk::<{ Name::WORDS }>()?;
@@ -128,16 +132,16 @@ fn sum(words: &[u32; META_WORDS]) -> u32 {
 /// A page that sends the FPGA to an address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stub {
-    /// Where to: the start of an image.
+    /// The target: the start of an image.
     pub target: u32,
 }
 
 impl Stub {
-    /// Where the preamble lies in its page.
+    /// Offset of the preamble in its page.
     pub const PREAMBLE_AT: usize = 16;
-    /// What the FPGA looks for; the two bytes before the last two only keep a distance.
+    /// The bytes the FPGA looks for; the first two only keep a distance.
     pub const PREAMBLE: [u8; 4] = [0xff, 0xff, 0xbd, 0xb3];
-    /// The byte that makes or breaks a stub: programmed last, cleared to break it.
+    /// The byte that enables a stub: programmed last, cleared to disable the stub.
     pub const SWITCH_AT: usize = Self::PREAMBLE_AT + 2;
     /// Bytes of the page that are not left erased.
     pub const BYTES: usize = 40;
@@ -149,8 +153,8 @@ impl Stub {
         let [p0, p1, p2, p3] = Self::PREAMBLE;
         let body = [
             p0, p1, p2, p3, 0xff, 0xff, 0xff,
-            0xff, // LSC_PROG_CNTRL0, three bytes nobody reads, the register
-            0x22, 0, 0, 0, 0, 0, 0, 0, // JUMP, three bytes nobody reads, SPI's slow read
+            0xff, // LSC_PROG_CNTRL0, three unused bytes, the register
+            0x22, 0, 0, 0, 0, 0, 0, 0, // JUMP, three unused bytes, SPI's slow read
             0x7e, 0, 0, 0, 0x03, a, b, c,
         ];
         for (place, byte) in page.iter_mut().skip(Self::PREAMBLE_AT).zip(body) {
@@ -159,7 +163,7 @@ impl Stub {
         page
     }
 
-    /// The stub in these first [`Stub::BYTES`] bytes of a page, if it is a live one.
+    /// The stub in the first [`Stub::BYTES`] bytes of a page, if it is live.
     pub fn from_page(page: &[u8]) -> Option<Self> {
         let page = page.first_chunk::<{ Self::BYTES }>()?;
         let [.., a, b, c] = *page;
@@ -169,7 +173,7 @@ impl Stub {
         stub.to_page().starts_with(page).then_some(stub)
     }
 
-    /// Would the FPGA take this page for a bitstream, whatever comes behind the preamble?
+    /// Would the FPGA take this page as a bitstream, whatever follows the preamble?
     pub fn has_preamble(page: &[u8]) -> bool {
         page.get(Self::SWITCH_AT..Self::SWITCH_AT + 2) == Some(&[0xbd, 0xb3])
     }
@@ -191,7 +195,7 @@ pub struct Trailer {
     pub role: Role,
 }
 
-/// What an image was packed as.
+/// How an image was packed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Role {
@@ -208,13 +212,13 @@ impl Trailer {
     pub const MAGIC: u32 = 0x4654_524c;
     /// Words at the end of the ROM: magic, build id, role, 0.
     pub const WORDS: usize = 4;
-    /// What a ROM without a trailer says.
+    /// The trailer of a ROM without one.
     pub const NONE: Trailer = Trailer {
         build_id: 0,
         role: Role::None,
     };
 
-    /// From the ROM's last words; what is none is [`Trailer::NONE`].
+    /// From the ROM's last words; [`Trailer::NONE`] if they are no trailer.
     pub const fn from_words([magic, build_id, role, _]: [u32; Self::WORDS]) -> Self {
         let role = match role {
             1 => Role::Image,
@@ -233,7 +237,7 @@ impl Trailer {
         [Self::MAGIC, self.build_id, self.role as u32, 0]
     }
 
-    /// Which image runs, given the selected slot and its meta page's build id.
+    /// The image that runs, given the selected slot and its meta page's build id.
     pub fn running(self, selected: Option<(Slot, u32)>) -> Running {
         match (self.role, selected) {
             (Role::Golden, _) => Running::Golden,
@@ -311,7 +315,8 @@ mod tests {
 
     #[test]
     fn a_stub_is_what_the_fpgas_own_tools_write() {
-        // Byte for byte what libtrellis' `generate_jump` (ecpmulti's jump page) emits for this address.
+        // Byte for byte what libtrellis' `generate_jump` (ecpmulti's jump page) emits for this
+        // address.
         let page = Stub { target: 0x30_0000 }.to_page();
         let tool = [
             0xff, 0xff, 0xbd, 0xb3, 0xff, 0xff, 0xff, 0xff, 0x22, 0, 0, 0, 0, 0, 0, 0, 0x7e, 0, 0,

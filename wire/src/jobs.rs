@@ -1,4 +1,4 @@
-//! Jobs over TCP: programs into the board's store, and what a plotter's operator says to it.
+//! Jobs over TCP: uploads into the board's store, and an operator's commands to a plotter.
 //!
 //! ```text
 //! request   op:u8        0:u8       id:u16  length:u16  0:u16  payload[length]  crc:u32        all little endian
@@ -6,13 +6,21 @@
 //! crc       CRC-32 (Ethernet's) of everything before it, beginning at op
 //! ```
 //!
-//! One connection at a time, at TCP port [`PORT`]; another is answered [`Status::Busy`] unasked and hung up on, and one that says
-//! nothing for [`SILENCE_SECONDS`] is, too. A frame that is none (CRC, reserved bytes, length) is the last of its connection: answered
-//! [`Status::Garbled`], hung up on, nothing done. Every other request has exactly one answer, in order.
+//! There is one connection at a time, at TCP port [`PORT`]. The board closes a connection that is
+//! silent for [`SILENCE_SECONDS`]. An invalid frame (CRC, reserved bytes, length) ends its
+//! connection: the answer is [`Status::Garbled`], and nothing is executed. Every other request has
+//! exactly one answer, in order; a client may send requests before earlier answers arrive.
 //!
-//! **Who asks** is the number of its [`Request::Hello`], the first request of a connection, not its address: who comes back over a new
-//! connection with its number is who it was. A request with the id of the same client's last one (and its op) is answered again with that
-//! one's answer, and not acted on again. The same request with another id is acted on, whatever the last one was.
+//! **At the door**: a connection that comes while there is another one gets [`Status::Busy`] as if
+//! it had sent a Hello. Then the board reads one request of it. [`Command::Stop`],
+//! [`Command::Pause`] and the STOP of Segment are executed and answered, with or without a Hello
+//! and the key; any other request gets [`Status::Busy`]. That is the end of the connection. The
+//! client need not wait for any answer: Hello and Stop in one packet are right in every case.
+//!
+//! **A client** is identified by the number in its [`Request::Hello`], the first request of a
+//! connection, and not by its address: the same number over a new connection is the same client. A
+//! request with the id and the op of the same client's last one is a repetition: it gets the same
+//! answer again and is not executed again. The same request with another id is executed.
 //!
 //! | op | request | answer |
 //! |---|---|---|
@@ -31,21 +39,27 @@
 //! | 13 Challenge | | 4 words, zeros without a key |
 //! | 14 Respond | 4 words | |
 //!
-//! **Upload**: Put names a job, its length and its CRC-32. The board answers how much of exactly that it has already: 0, or where an
-//! upload was cut, or all. Data follow in order from there; Commit compares the whole CRC and reads the job through. A job of that name
-//! that was there before is gone with the first Put of another content. A cut upload stays until it is gone on with, deleted, or the power is off.
+//! **Upload**: Put names a job, its length and its CRC-32. The board answers how much of exactly
+//! this job it already has: 0, the part before an interruption, or all. Data continue in order from
+//! there; Commit compares the whole CRC and checks the job. The first Put of another content
+//! deletes an older job of that name. An unfinished upload stays until it is continued or deleted,
+//! or the power goes off.
 //!
-//! **Machine**: a job needs one; it is what the planner and the drives have to know ([`Machine`]). It is kept until the power is off.
+//! **Machine**: a job needs one; it holds what the planner and the drives have to know
+//! ([`Machine`]). It is kept until the power goes off.
 //!
-//! **Command** takes XYPenPlotter's codes ([`Command`]); others are refused. Stop is right in every state. Codes that do not fit the state are
-//! [`Status::NotNow`]. A Start is answered before the job is looked through: what is found then is the [`End`] of a [`Report`], with axis and line.
-//! A command that is refused is answered without a report.
+//! **Command** takes XYPenPlotter's codes ([`Command`]); others are refused. Stop is valid in every
+//! state. A code that does not fit the state gets [`Status::NotNow`]. A Start is answered before
+//! the job is checked: the check's result is the [`End`] of a [`Report`], with axis and line. A
+//! refused command is answered without a report.
 //!
-//! **The key**: on a board with a key a connection that has not proven it may look, and stop, and nothing else ([`Status::Key`]). It proves it with
-//! the answer ([`crate::auth`], to acquire, its nonce the client's number) to the last Challenge, which can be had while nobody owns the session.
+//! **The key**: on a board with a key, a connection that has not proved it may only read and stop
+//! ([`Status::Key`]). It proves the key with the answer ([`crate::auth`], to acquire, its nonce the
+//! client's number) to the last Challenge, which the board gives while the session has no owner.
 //!
-//! **Segment** is FPGA G's protocol (`motion::fpgag`): one of its commands and, for GCODE, words of one instruction or of several. The answer
-//! is its status word: 0 normal, bit 0 FULL, bit 1 DISPATCHERROR. Words refused changed nothing; START and STOP need what a start needs.
+//! **Segment** is FPGA G's protocol (`motion::fpgag`): one of its commands and, for GCODE, words of
+//! one or several instructions. The answer is its status word: 0 normal, bit 0 FULL, bit 1
+//! DISPATCHERROR. Refused words change nothing; START and STOP need what a start needs.
 
 use crate::Name;
 use crate::codes::codes;
@@ -57,64 +71,64 @@ mod report;
 pub use machine::{AXES, Axis, Field, Home, Machine};
 pub use report::{End, Report, State};
 
-/// TCP port of jobs: not assigned to anybody, and below those a host gives to its own ends.
+/// TCP port of jobs: not registered, and below the ports a host uses for its own connections.
 pub const PORT: u16 = 724;
 
-/// Version of this module. Unequal versions do not speak.
+/// Version of this module. Both sides must have the same.
 pub const VERSION: u16 = 1;
 
-/// Bytes of a payload, at most.
+/// Longest payload, in bytes.
 pub const PAYLOAD: usize = 1024;
 
-/// Bytes round a payload.
+/// Bytes around a payload.
 pub const OVERHEAD: usize = HEAD + 4;
 
-/// Bytes of a frame, at most.
+/// Longest frame, in bytes.
 pub const FRAME: usize = PAYLOAD + OVERHEAD;
 
-/// Bytes of a job in a Data request, at most.
+/// Largest number of bytes of a job in a Data request.
 pub const DATA: usize = PAYLOAD - 4;
 
-/// Bytes of a job's name, at most; at least one.
+/// Longest name of a job, in bytes; the shortest is 1.
 pub const NAME: usize = 31;
 
-/// Words in a Segment request, at most.
+/// Largest number of words in a Segment request.
 pub const WORDS: usize = PAYLOAD / 4 - 1;
 
-/// 10 s without a request: who is there asks for a report more often than that.
+/// 10 s without a request: a live client asks for a report more often.
 pub const SILENCE_SECONDS: u32 = 10;
 
 const HEAD: usize = 8;
 const ANSWER: u8 = 0x80;
 
 codes! {
-    /// What is asked for.
+    /// The kind of a request.
     Op: u8 {
-        /// Who is there, and who asks.
+        /// Identifies the client, and asks for the board.
         Hello = 1, "hello";
-        /// Begin or go on with an upload.
+        /// Begin or continue an upload.
         Put = 2, "put";
         /// Bytes of it.
         Data = 3, "data";
         /// It is complete.
         Commit = 4, "commit";
-        /// What is in the store.
+        /// Read an entry of the store.
         List = 5, "list";
-        /// Take a job out of the store.
+        /// Delete a job.
         Delete = 6, "delete";
-        /// The machine.
+        /// Read the machine.
         GetMachine = 7, "get machine";
-        /// Another machine.
+        /// Set the machine.
         PutMachine = 8, "put machine";
         /// One of XYPenPlotter's codes.
         Command = 9, "command";
-        /// How it goes.
+        /// Read the report.
         Report = 10, "report";
         /// FPGA G's protocol.
         Segment = 11, "segment";
-        /// How fast.
+        /// Set the feed.
         Feed = 12, "feed";
-        /// What has to be answered to prove the key.
+        /// Ask for the challenge to prove the key.
         Challenge = 13, "challenge";
         /// The answer.
         Respond = 14, "respond";
@@ -122,33 +136,34 @@ codes! {
 }
 
 codes! {
-    /// What became of a request. Zero is normal; after any other nothing has changed.
+    /// The outcome of a request. 0 is normal; any other value means that nothing has changed.
     Status: u8 {
         /// Done.
         Normal = 0, "normal";
-        /// Somebody else is connected.
-        Busy = 1, "somebody else is connected to the board's jobs: try again";
+        /// Another client is connected.
+        Busy = 1, "another client is connected to the board's jobs: try again";
         /// The frame's CRC, length or reserved bytes are wrong; the connection is over.
         Garbled = 2, "the frame arrived garbled";
         /// No such op.
         UnknownOp = 3, "the board does not know this request: its firmware is older than this program";
-        /// The payload is not one of this op.
+        /// The payload does not fit this op.
         Malformed = 4, "the request's payload is not what belongs there";
-        /// The first request of a connection is Hello.
+        /// The first request of a connection must be Hello.
         NoHello = 5, "the connection did not begin with Hello";
-        /// No job of this name, or no upload to go on with.
+        /// No job of this name, or no upload to continue.
         NoSuchJob = 6, "the board has no such job";
         /// The store has no room; payload: bytes that are free.
         Full = 7, "the board's store is full: delete a job";
-        /// These are not the bytes that come next; payload: the offset of those.
+        /// These bytes are not the next ones; payload: the offset of the next.
         Offset = 8, "these bytes of the job are not the next ones";
-        /// The upload's CRC is not what Put said; it begins anew.
+        /// The upload's CRC is not the one in Put; the upload starts again.
         Crc = 9, "the job arrived garbled: send it again";
-        /// The upload is not complete; payload: how much there is.
+        /// The upload is not complete; payload: the bytes received.
         Incomplete = 10, "the job is not complete: send the rest";
-        /// It is complete, and it is no job this board can read; payload: offset of the block.
+        /// The upload is complete, but it is not a job that this board can read; payload: offset of
+        /// the block.
         NoJob = 11, "this is no job of a version the board can read: prepare it anew";
-        /// No machine was put.
+        /// No machine was set.
         NoMachine = 12, "the board does not know its machine: send a machine description first";
         /// The machine is impossible; payload: [`Field`], axis.
         Machine = 13, "the machine description is not possible";
@@ -156,17 +171,19 @@ codes! {
         UnknownCode = 14, "there is no command with this code";
         /// Not in this state.
         NotNow = 15, "not now: the state of the board does not allow that";
-        /// Somebody, LinuxCNC perhaps, owns the session.
-        Owned = 16, "the board is owned by a session: stop LinuxCNC, or whoever holds it";
+        /// Another client, perhaps LinuxCNC, owns the session.
+        Owned = 16, "the board is owned by a session: stop LinuxCNC or the client that owns it";
         /// An axis that is to be homed has no switch, or none of them has.
         NoSwitch = 19, "this axis has no switch";
+        /// An axis that is declared to be at 0 has a switch, or all axes have one.
+        HasSwitch = 25, "this axis has a switch: home it";
         /// The name is empty, too long or not printable.
         Name = 20, "a job's name has 1 to 31 printable bytes";
         /// The gateware has no segments core, or the memory failed its test.
         NoJobs = 22, "this board cannot execute jobs";
-        /// A value out of its range.
+        /// A value is out of its range.
         Value = 23, "a value is out of its range";
-        /// The connection has not proven the board's key.
+        /// The connection has not proved the board's key.
         Key = 24, "the board has a key, and this is not its holder: --key FILE";
     }
 }
@@ -174,48 +191,53 @@ codes! {
 codes! {
     /// XYPenPlotter's codes.
     Command: u8 {
-        /// End what is going on, along the path.
+        /// End the current work, along the path.
         Stop = 0, "stop";
-        /// Go on after a pause.
+        /// Continue after a pause.
         Continue = 1, "continue";
         /// Execute the job of this name.
         Start = 2, "start";
-        /// Go on after a pause; another word for Continue.
+        /// Continue after a pause; a synonym of Continue.
         Unpause = 9, "unpause";
         /// Stand still on the path.
         Pause = 10, "pause";
-        /// Find the switches: of the axes whose bit is set in `flags`, of all that have one if none is.
+        /// Home the axes: those with a bit in `flags`, or all that have a switch if there is no
+        /// bit.
         Calibrate = 11, "calibrate";
-        /// Are you there.
+        /// Ask whether the board is there.
         Welcome = 12, "welcome";
+        /// Declare the axes to be at 0: those with a bit in `flags`, which have no switch, or all
+        /// without a switch if there is no bit. This code is not one of XYPenPlotter's.
+        Here = 13, "here";
     }
 }
 
-/// Flag of a Start: goes on when nobody asks any more. Without it, `keepalive` is how long the client that started may be silent.
+/// Flag of a Start: the job continues if the client stops asking. Without it, `keepalive` is how
+/// long the client that started it may be silent.
 pub const UNATTENDED: u8 = 1 << 7;
 
 /// The shortest and the longest keepalive, in milliseconds.
 pub const KEEPALIVE_MS: core::ops::RangeInclusive<u16> = 100..=60_000;
 
-/// A frame whose CRC is right, of either direction.
+/// A frame with a right CRC, a request or an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
     /// An op, plus 0x80 in an answer.
     pub op: u8,
-    /// Of an answer.
+    /// The status, in an answer.
     pub status: u8,
-    /// As the client numbered it.
+    /// The client's number for the request.
     pub id: u16,
-    /// What belongs to the op.
+    /// The payload of the op.
     pub payload: &'a [u8],
 }
 
-/// Bytes that are no frame.
+/// Bytes that are not a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Garbled;
 
 impl<'a> Frame<'a> {
-    /// The frame at the beginning of `bytes`; `None`: not all of it is there. How long it is comes with it.
+    /// The frame at the beginning of `bytes`, and its length; `None`: some of it is still missing.
     pub fn parse(bytes: &'a [u8]) -> Result<Option<(Frame<'a>, usize)>, Garbled> {
         let Some(&[op, status, id0, id1, len0, len1, zero0, zero1]) = bytes.first_chunk::<HEAD>()
         else {
@@ -243,7 +265,8 @@ impl<'a> Frame<'a> {
         Ok(Some((frame, OVERHEAD + length)))
     }
 
-    /// How many bytes [`Frame::parse`] needs, as far as these bytes tell: [`Frame::parse`] on fewer says `None`.
+    /// The number of bytes [`Frame::parse`] needs, as far as these bytes tell: with fewer it
+    /// returns `None`.
     pub fn needs(bytes: &[u8]) -> usize {
         match bytes.first_chunk::<HEAD>() {
             Some(&[.., len0, len1, _, _]) => {
@@ -253,19 +276,19 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// Of an answer: which request it answers, and what became of it.
+    /// For an answer: the request it answers, and the status.
     pub fn answer(&self) -> Option<(Op, Status)> {
         let op = Op::from_code(self.op.checked_sub(ANSWER)?)?;
         Some((op, Status::from_code(self.status)?))
     }
 }
 
-/// Puts a request into `out`; how long it is. Its payload is what `fill` writes.
+/// Writes a request to `out`; returns its length. `fill` writes the payload.
 pub fn request(op: Op, id: u16, out: &mut [u8; FRAME], fill: impl FnOnce(&mut Writer)) -> usize {
     emit(op.code(), 0, id, out, fill)
 }
 
-/// Puts an answer to op `op` (as it came) into `out`; how long it is.
+/// Writes an answer to op `op` (as it came) to `out`; returns its length.
 pub fn answer(
     op: u8,
     status: Status,
@@ -290,7 +313,7 @@ fn emit(
         used: 0,
     };
     fill(&mut writer);
-    // The writer sees to that; said once more, so that what follows needs no check.
+    // The writer ensures this already; repeated here, so that no check is needed below.
     let length = writer.used.min(PAYLOAD);
     let ([id0, id1], [len0, len1]) = (id.to_le_bytes(), (length as u16).to_le_bytes());
     head.copy_from_slice(&[op, status, id0, id1, len0, len1, 0, 0]);
@@ -299,7 +322,7 @@ fn emit(
     OVERHEAD + length
 }
 
-/// A payload being written. What does not fit is left out.
+/// A payload being written. Data that does not fit is left out.
 #[derive(Debug)]
 pub struct Writer<'a> {
     bytes: &'a mut [u8],
@@ -408,12 +431,12 @@ impl<'a> Reader<'a> {
         Some([self.u32()?, self.u32()?, self.u32()?, self.u32()?])
     }
 
-    /// Everything that is left.
+    /// All remaining bytes.
     pub fn rest(&mut self) -> &'a [u8] {
         core::mem::take(&mut self.0)
     }
 
-    /// Nothing is left: the value, or none.
+    /// The value if no byte is left, otherwise `None`.
     pub fn end<T>(&self, value: T) -> Option<T> {
         self.0.is_empty().then_some(value)
     }
@@ -425,51 +448,52 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// A request, taken apart.
+/// A parsed request.
 #[expect(
     clippy::large_enum_variant,
     reason = "there is one at a time, and nowhere to put a box"
 )]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request<'a> {
-    /// Who asks.
+    /// Identifies the client.
     Hello {
         /// Its number, never 0.
         client: u32,
     },
-    /// Begins or goes on with an upload.
+    /// Begins or continues an upload.
     Put {
         /// Bytes of the whole job.
         total: u32,
-        /// CRC-32 of all of them.
+        /// CRC-32 of all its bytes.
         crc: u32,
         /// Its name.
         name: Name,
     },
-    /// The next bytes of it.
+    /// The next bytes of the upload.
     Data {
-        /// Of the first of them.
+        /// Offset of the first of them.
         offset: u32,
         /// At least one.
         bytes: &'a [u8],
     },
-    /// It is complete.
+    /// The upload is complete.
     Commit,
-    /// What is in the store.
+    /// Reads an entry of the store.
     List {
         /// From 0.
         index: u8,
     },
-    /// Takes a job, or a part of one, out of the store.
+    /// Deletes a job, or a part of one.
     Delete {
         /// Its name.
         name: Name,
     },
-    /// The machine?
+    /// Reads the machine.
     GetMachine,
-    /// This is the machine.
+    /// Sets the machine.
     PutMachine(Machine),
-    /// XYPenPlotter's code. Which codes there are is asked of it afterwards, so that an unknown one can be told from a malformed request.
+    /// XYPenPlotter's code. The code is checked later, so that an unknown code and a malformed
+    /// request have different answers.
     Command {
         /// [`Command`].
         code: u8,
@@ -477,30 +501,30 @@ pub enum Request<'a> {
         flags: u8,
         /// Milliseconds the client may be silent.
         keepalive: u16,
-        /// Of a job to be started, else empty.
+        /// Name of the job to be started, else empty.
         name: Name,
     },
-    /// How it goes.
+    /// Reads the report.
     Report,
     /// FPGA G's command.
     Segment {
         /// Its code.
         command: u8,
-        /// 0 the 14 bytes of the description, 1 the final revision.
+        /// 0: the 14 bytes of the description; 1: the final revision.
         form: u8,
         /// The words, as bytes.
         words: Words<'a>,
     },
-    /// How fast.
+    /// Sets the feed.
     Feed {
-        /// Of what the job says.
+        /// Percent of the job's feed.
         percent: u16,
     },
-    /// The challenge?
+    /// Asks for the challenge.
     Challenge,
-    /// This is the answer.
+    /// Answers the challenge.
     Respond {
-        /// To the last challenge.
+        /// The answer to the last challenge.
         words: [u32; 4],
     },
 }
@@ -517,7 +541,7 @@ impl Words<'_> {
 }
 
 impl<'a> Request<'a> {
-    /// From a frame; refused with what the answer has to say.
+    /// From a frame; an error is the status to answer with.
     pub fn parse(frame: &Frame<'a>) -> Result<Request<'a>, Status> {
         let op = Op::from_code(frame.op).ok_or(Status::UnknownOp)?;
         if op == Op::PutMachine {
@@ -586,7 +610,7 @@ impl<'a> Request<'a> {
         })
     }
 
-    /// What asks for it.
+    /// Its op.
     pub const fn op(&self) -> Op {
         match self {
             Request::Hello { .. } => Op::Hello,
@@ -606,7 +630,8 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// As a frame; how long it is. More bytes or words than fit are left out, so give it at most [`DATA`] and [`WORDS`].
+    /// As a frame; returns its length. Bytes or words that do not fit are left out, so pass at most
+    /// [`DATA`] and [`WORDS`].
     pub fn emit(&self, id: u16, out: &mut [u8; FRAME]) -> usize {
         request(self.op(), id, out, |payload| {
             match self {
@@ -661,7 +686,7 @@ pub struct Welcome {
     pub boot_id: u32,
     /// Bytes of its store.
     pub room: u32,
-    /// Those that are free.
+    /// Free bytes of the store.
     pub free: u32,
     /// CRC-32 of the program that executes jobs.
     pub program: u32,
@@ -697,17 +722,17 @@ impl Welcome {
 /// A job in the store.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Entry {
-    /// Jobs in the store, this one and the others.
+    /// Number of jobs in the store.
     pub count: u8,
-    /// It can be started: all of it is there and can be read.
+    /// It can be started: it is complete and can be read.
     pub ready: bool,
-    /// Bytes of it.
+    /// Its length in bytes.
     pub total: u32,
     /// Bytes that have arrived.
     pub have: u32,
     /// CRC-32 of all of it.
     pub crc: u32,
-    /// How many it has, once it is ready.
+    /// Its number of instructions, once it is ready.
     pub instructions: u32,
     /// Its name.
     pub name: Name,
@@ -739,7 +764,7 @@ impl Entry {
     }
 }
 
-/// One word: an offset, what is free, FPGA G's status.
+/// A payload of one word: an offset, free bytes, FPGA G's status.
 pub fn word(payload: &[u8]) -> Option<u32> {
     let mut reader = Reader(payload);
     let word = reader.u32()?;

@@ -1,37 +1,40 @@
-//! The FerroCNC protocol: Etherbone over UDP that cannot hurt you.
+//! The FerroCNC protocol: Etherbone over UDP, safe against malformed datagrams.
 //!
-//! This crate is linked by both ends, the firmware on the softcore and the driver in LinuxCNC, so a
-//! fact about the wire is written once and its rustdoc is the specification. It knows no sockets,
-//! no registers and no clocks; it has no dependencies, allocates nothing, and after a `new_checked`
-//! has said yes nothing in here can panic.
+//! Both ends link this crate, the firmware on the softcore and the driver in LinuxCNC. So a fact
+//! about the wire is written once, and this rustdoc is the specification. The crate knows no
+//! sockets, no registers and no clocks; it has no dependencies, allocates nothing, and after a
+//! successful `new_checked` no function of it can panic.
 //!
-//! | module | what it says |
+//! | module | content |
 //! |---|---|
 //! | [`etherbone`] | packet and record layout; the whole datagram is checked before anything runs |
-//! | [`map`] | which address window means what |
-//! | [`describe`] | how a board says what it is |
-//! | [`board`] | the names behind it: the board information blob |
+//! | [`map`] | the meaning of the address windows |
+//! | [`channels`] | the channel counts of a board |
+//! | [`describe`] | the description of a board |
+//! | [`board`] | the names of its channels: the board information blob |
 //! | [`exchange`] | one command block out, one status block back, once per servo period |
-//! | [`state`] | the words for what the machine is doing and why it stopped |
-//! | [`flash`] | where what lies in the SPI flash, and the operations of the flash window |
-//! | [`auth`] | the pre-shared key: what is signed, by whom, for what |
+//! | [`state`] | the states of the machine, and why it stopped |
+//! | [`flash`] | the layout of the SPI flash, and the operations of the flash window |
+//! | [`auth`] | the pre-shared key: challenges and what is signed |
 //! | [`settings`] | the settings of a board that outlive a power cycle |
 //! | [`images`] | bitstreams in flash: meta page, stub pages, the trailer of the ROM |
-//! | [`discovery`] | finding boards whatever their address, and giving them one |
-//! | [`jobs`] | over TCP: programs the board executes by itself, and what their operator says |
+//! | [`discovery`] | finding boards at any address, and giving them an address |
+//! | [`jobs`] | over TCP: programs the board executes by itself, and its operator's commands |
 //! | [`name`] | names of 32 bytes |
-//! | [`crc`] | the one CRC |
-//! | [`refusal`] | every reason for which a datagram is dropped, each with its own counter |
+//! | [`crc`] | the CRC of the whole project |
+//! | [`refusal`] | every reason why a datagram is dropped, each with its own counter |
+//! | [`layout`] | the layout of the exchange as text, for the ABI number |
 //! | [`units`] | step rate, acceleration, position and counts as types |
 //!
-//! Everything on the wire but [`jobs`] is big-endian 32-bit words. Inside, words are `u32` in the machine's own
-//! order: a transport converts once ([`words_from_bytes`], [`words_to_bytes`]), everyone else
-//! reads numbers.
+//! Everything on the wire except [`jobs`] is big-endian 32-bit words. In memory, words are `u32` in
+//! the machine's own order: a transport converts once ([`words_from_bytes`], [`words_to_bytes`]),
+//! all other code reads numbers.
 #![no_std]
 #![forbid(unsafe_code)]
 
 pub mod auth;
 pub mod board;
+pub mod channels;
 mod codes;
 pub mod crc;
 pub mod describe;
@@ -41,6 +44,7 @@ pub mod exchange;
 pub mod flash;
 pub mod images;
 pub mod jobs;
+pub mod layout;
 pub mod map;
 pub mod name;
 pub mod refusal;
@@ -53,7 +57,8 @@ pub use name::Name;
 pub use refusal::Refusal;
 pub use state::{FaultReason, GateClose, LinkSpeed, ResetReason, State};
 
-/// Version of everything in this crate. Host and board must agree; unequal versions never arm.
+/// Version of everything in this crate. Host and board must agree; unequal versions never arm. It
+/// is part of the ABI number ([`layout`]), so that gateware, firmware and host use the same one.
 pub const WIRE_VERSION: u32 = 4;
 
 /// UDP port of the Etherbone server. LiteX's and Lcnc's default (CERN's would be 60368).
@@ -71,15 +76,16 @@ pub const MAX_PAYLOAD: usize = 1472;
 /// The same in 32-bit words.
 pub const MAX_WORDS: usize = MAX_PAYLOAD / 4;
 
-/// Longest datagram of whoever does not own an armed machine, in 32-bit words: [`GUEST_READS`] in one record. A word read is
-/// some 250 clocks of the board's, and the owner's next exchange may have to wait for all of them.
+/// Longest datagram of a client that does not own an armed machine, in 32-bit words:
+/// [`GUEST_READS`] in one record. A word takes about 250 of the board's clocks, and the owner's
+/// next exchange may have to wait for all of them.
 pub const GUEST_WORDS: usize = GUEST_READS + 4;
 
-/// Words that can be read at once while somebody else's machine is armed.
+/// Words that another client can read at once while the machine is armed.
 pub const GUEST_READS: usize = 16;
 
-/// Converts a UDP payload into words. Refuses an empty, ragged (not whole words) or oversized one
-/// before looking at a single byte of it.
+/// Converts a UDP payload into words. An empty, ragged (not whole words) or oversized payload is
+/// refused before any byte is read.
 pub fn words_from_bytes<'w>(bytes: &[u8], words: &'w mut [u32]) -> Result<&'w [u32], Refusal> {
     if bytes.len() > MAX_PAYLOAD || bytes.len() / 4 > words.len() {
         return Err(Refusal::Oversized);
@@ -94,8 +100,8 @@ pub fn words_from_bytes<'w>(bytes: &[u8], words: &'w mut [u32]) -> Result<&'w [u
     words.get(..chunks.len()).ok_or(Refusal::Oversized)
 }
 
-/// Converts words into the bytes of a UDP payload; returns how many bytes were written. Words that
-/// do not fit are left out, so give it `4 * words.len()` bytes.
+/// Converts words into the bytes of a UDP payload; returns the number of bytes. Words that do not
+/// fit are left out, so pass `4 * words.len()` bytes.
 pub fn words_to_bytes(words: &[u32], bytes: &mut [u8]) -> usize {
     let (chunks, _) = bytes.as_chunks_mut::<4>();
     let mut written = 0;

@@ -2,49 +2,52 @@
 //!
 //! ```text
 //! 0x0000_0000  describe   read    what this board is                       see `describe`
-//! 0x0001_0000  session    rw      who owns the motion
+//! 0x0001_0000  session    rw      the owner of the motion
 //! 0x0002_0000  config     rw      timings, modes, limits; refused while armed unless live-safe
 //! 0x0003_0000  command    write   the exchange: one command block          see `exchange`
 //! 0x0004_0000  status     read    the last status block, and counters; reading changes nothing
 //! 0x0005_0000  log        read    the defmt ring
-//! 0x0006_0000  panic      read    what the firmware last died of
+//! 0x0006_0000  panic      read    the reason of the firmware's last crash
 //! 0x0007_0000  flash      rw      the SPI flash: images, settings         see `flash`
 //! 0xf000_0000  service    rw      raw CSRs: reads always, writes only disarmed and by the owner
-//! 0xf002_1000    segments rw      among them; where a PC streams jobs the owner writes these at any time
+//! 0xf002_1000    segments rw      part of them; if a PC streams jobs, the owner may always write these
 //! ```
 
-/// What the board is. Words as [`crate::describe::Describe`], then the board blob.
+/// The description of the board. Words as in [`crate::describe::Describe`], then the board blob.
 pub const DESCRIBE: u32 = 0x0000_0000;
 /// Length of the describe window in bytes.
 pub const DESCRIBE_LEN: u32 = 0x2000;
 /// The board information blob ([`crate::board`]).
 pub const DESCRIBE_BLOB: u32 = DESCRIBE + 0x100;
 
-/// Who owns the motion.
+/// The owner of the motion.
 pub const SESSION: u32 = 0x0001_0000;
-/// Write a non-zero nonce to become the owner. Refused (`not-owner`) while somebody else is, and (`key`) without the
-/// right [`SESSION_RESPONSE`] in front of it in the same datagram if the board has a key.
+/// Write a non-zero nonce to become the owner. Refused (`not-owner`) while another client is the
+/// owner. Refused (`key`) on a board with a key, unless the right [`SESSION_RESPONSE`] precedes it
+/// in the same datagram.
 pub const SESSION_ACQUIRE: u32 = SESSION;
-/// Reads as the session token for its owner, as 0 for everyone else.
+/// Reads as the session token for its owner, as 0 for all other clients.
 pub const SESSION_TOKEN: u32 = SESSION + 0x4;
 /// IPv4 address of the owner, 0 if none.
 pub const SESSION_OWNER_IP: u32 = SESSION + 0x8;
 /// UDP port of the owner, 0 if none.
 pub const SESSION_OWNER_PORT: u32 = SESSION + 0xc;
-/// Write the token to give the session back.
+/// Write the token to release the session.
 pub const SESSION_RELEASE: u32 = SESSION + 0x10;
 /// The last accepted sequence number.
 pub const SESSION_LAST_SEQ: u32 = SESSION + 0x14;
-/// Write [`REBOOT_KEY`] to restart the firmware; only disarmed, only the owner or, without a key, if nobody owns.
+/// Write [`REBOOT_KEY`] to restart the firmware; only disarmed, and only as the owner or, on a
+/// board without a key, while there is no owner.
 pub const SESSION_REBOOT: u32 = SESSION + 0x18;
-/// Write the number behind the last one in front of what you write to [`SEGMENTS`] in the same datagram: so one that comes twice, or
-/// late, is refused (`stale`). Reads as the last one; a session begins with any.
+/// Write the last number plus one before the words for [`SEGMENTS`] in the same datagram: so a
+/// repeated or late datagram is refused (`stale`). Reads as the last number; a session begins with
+/// any.
 pub const SESSION_SEGMENTS: u32 = SESSION + 0x1c;
-/// 4 words, read in order: what the reader has to answer to acquire ([`crate::auth`]). Zeros if there is no key, and for everybody but
-/// the owner while there is one.
+/// 4 words, read in order: the challenge to answer in order to acquire ([`crate::auth`]). Zeros
+/// without a key; while there is an owner, zeros for all other clients.
 pub const SESSION_CHALLENGE: u32 = SESSION + 0x20;
-/// 4 words, written as one record: the answer, for an acquisition behind it in the same datagram. Kept no longer; ignored
-/// without a key.
+/// 4 words, written as one record: the answer, for an acquisition after it in the same datagram. It
+/// is not kept for later; without a key it is ignored.
 pub const SESSION_RESPONSE: u32 = SESSION + 0x30;
 /// Length of the session window in bytes.
 pub const SESSION_LEN: u32 = 0x40;
@@ -84,6 +87,9 @@ pub enum StepgenConfig {
     Mode = 5,
 }
 
+/// 10 s: the longest timeout and the longest grace of a watchdog. A longer one would not protect.
+pub const WATCHDOG_SECONDS_MAX: u64 = 10;
+
 /// Longest steplen and stepspace: 13 bits, 136 us at 60 MHz.
 pub const STEP_CLOCKS_MAX: u32 = (1 << 13) - 1;
 /// Longest dirsetup and dirhold: 16 bits, 1.09 ms at 60 MHz.
@@ -98,7 +104,7 @@ pub const STEPGEN_TYPE_SHIFT: u32 = 2;
 /// Stepgen mode: the index pin is active low.
 pub const STEPGEN_INDEX_INVERT: u32 = 1 << 4;
 
-/// How a stepgen speaks at its two pins; LinuxCNC's and hostmot2's numbers.
+/// The signals at a stepgen's two pins; the numbers of LinuxCNC and hostmot2.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u32)]
 pub enum StepType {
@@ -230,14 +236,15 @@ pub const DEBOUNCE_CLOCKS: u32 = 32;
 /// Longest debounce, in looks: 35 ms at 60 MHz.
 pub const DEBOUNCE_MAX: u32 = (1 << 16) - 1;
 
-/// The exchange: a command block goes here, whole ([`crate::exchange`]).
+/// The exchange: a whole command block is written here ([`crate::exchange`]).
 pub const COMMAND: u32 = 0x0003_0000;
 
 /// The last status block.
 pub const STATUS: u32 = 0x0004_0000;
 /// Frames received, frames sent, exchanges executed, then [`COUNTERS_REFUSED`].
 pub const COUNTERS: u32 = 0x0004_1000;
-/// One counter per [`crate::Refusal`], in its order.
+/// One counter per [`crate::Refusal`], in its order; behind them how often pulses may have been cut
+/// off since the start.
 pub const COUNTERS_REFUSED: u32 = COUNTERS + 0xc;
 
 /// The log: +0 head (absolute index of the byte after the newest), +4 ring size, +8 boot id.
@@ -245,15 +252,16 @@ pub const LOG: u32 = 0x0005_0000;
 /// The ring itself; byte `i` of the log lies at `i % size`, bytes packed big-endian into words.
 pub const LOG_RING: u32 = 0x0005_1000;
 
-/// The last panic: +0 how many since power-up, +4 length, then the text from [`PANIC_TEXT`].
+/// The last panic: +0 number since power-up, +4 length, then the text from [`PANIC_TEXT`].
 pub const PANIC: u32 = 0x0006_0000;
 /// Text of the last panic, [`PANIC_TEXT_LEN`] bytes, packed big-endian into words.
 pub const PANIC_TEXT: u32 = PANIC + 0x10;
 /// Longest panic text kept.
 pub const PANIC_TEXT_LEN: u32 = 256;
 
-/// The SPI flash ([`crate::flash`]). Everything may be read; written may be [`FLASH_OP`], its operands and the
-/// buffer, disarmed, by the owner or, on a board without a key, if nobody owns.
+/// The SPI flash ([`crate::flash`]). Every word may be read. [`FLASH_OP`], its operands and the
+/// buffer may be written, while disarmed, by the owner or, on a board without a key, while there is
+/// no owner.
 pub const FLASH: u32 = 0x0007_0000;
 /// Write an [`crate::flash::Op`] to start it; reads as an [`crate::flash::OpWord`].
 pub const FLASH_OP: u32 = FLASH;
@@ -261,7 +269,7 @@ pub const FLASH_OP: u32 = FLASH;
 pub const FLASH_ADDRESS: u32 = FLASH + 0x4;
 /// Operand: bytes.
 pub const FLASH_OP_LENGTH: u32 = FLASH + 0x8;
-/// What `Crc` found.
+/// The result of `Crc`.
 pub const FLASH_CRC: u32 = FLASH + 0xc;
 /// JEDEC id: manufacturer << 16 | type << 8 | capacity; 0 if no flash answers.
 pub const FLASH_JEDEC: u32 = FLASH + 0x10;
@@ -269,15 +277,16 @@ pub const FLASH_JEDEC: u32 = FLASH + 0x10;
 pub const FLASH_UID_HI: u32 = FLASH + 0x14;
 /// The lower half.
 pub const FLASH_UID_LO: u32 = FLASH + 0x18;
-/// Bytes of the flash; 0 if it is none this version knows the layout of.
+/// Bytes of the flash; 0 if this version does not know its layout.
 pub const FLASH_SIZE: u32 = FLASH + 0x1c;
-/// Which image runs ([`crate::flash::Running`]).
+/// The image that runs ([`crate::flash::Running`]).
 pub const FLASH_RUNNING: u32 = FLASH + 0x20;
-/// Which slot loads at the next power-up: 0 none (the golden image does), or a [`crate::flash::Slot`].
+/// Which slot loads at the next power-up: 0 none (the golden image does), or a
+/// [`crate::flash::Slot`].
 pub const FLASH_SELECTED: u32 = FLASH + 0x24;
-/// Build id of what runs, 0 if it was never packed.
+/// Build id of the running image, 0 if it was never packed.
 pub const FLASH_BUILD_ID: u32 = FLASH + 0x28;
-/// Where the settings in force are from ([`crate::flash::Origin`]).
+/// Source of the settings in force ([`crate::flash::Origin`]).
 pub const FLASH_ORIGIN: u32 = FLASH + 0x2c;
 /// The link ([`crate::flash::LinkWord`]).
 pub const FLASH_LINK: u32 = FLASH + 0x30;
@@ -297,9 +306,37 @@ pub const FLASH_LEN: u32 = 0x300;
 /// Raw CSRs at the address they have on the board's own bus.
 pub const SERVICE: u32 = 0xf000_0000;
 
-/// The registers of the segments core, at their place among the raw ones (docs/cores/segments.md). On a board whose jobs a PC
-/// streams ([`crate::describe::JobsState::Streamed`]) its owner may write the first [`SEGMENTS_WRITABLE`] at any time, behind
-/// [`SESSION_SEGMENTS`].
+/// Levels at the pads the board drives: STEP and DIR, their inverted copies, PWMs, outputs. Each of
+/// the first three words has first pins in its low half and second pins in its high one.
+pub const PADS: u32 = SERVICE + 67 * 0x800;
+/// Words there.
+pub const PADS_WORDS: u32 = 4;
+/// The wall clock as caught last, low word; the Ethernet clock's count in [`ETH_BEATS`] is of that
+/// moment.
+pub const TIMEBASE_NOW: u32 = SERVICE + 9 * 0x800;
+/// The Ethernet receive clock, in units of [`ETH_BEAT_CLOCKS`] of its clocks.
+pub const ETH_BEATS: u32 = SERVICE + 9 * 0x800 + 4 * 9;
+/// Clocks of a beat.
+pub const ETH_BEAT_CLOCKS: u32 = 4;
+
+/// The registers of the segments core, at their place among the raw ones (docs/cores/segments.md).
+/// On a board whose jobs a PC streams ([`crate::describe::JobsState::Streamed`]) its owner may
+/// write the first [`SEGMENTS_WRITABLE`] at any time, behind [`SESSION_SEGMENTS`].
 pub const SEGMENTS: u32 = SERVICE + 66 * 0x800;
 /// The words of a segment, push, control, pace, slew, beam, mask.
 pub const SEGMENTS_WRITABLE: u32 = 22;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_type_of_a_channel_has_its_code_and_other_codes_are_none() {
+        for code in 0..16 {
+            let step = StepType::from_code(code).map(|kind| kind as u32);
+            assert_eq!(step, (code < 3).then_some(code));
+            let count = CountMode::from_code(code).map(|mode| mode as u32);
+            assert_eq!(count, (code < 6).then_some(code));
+        }
+    }
+}

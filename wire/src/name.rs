@@ -14,7 +14,7 @@ impl Name {
     /// No name.
     pub const EMPTY: Name = Name([0; Self::LEN]);
 
-    /// Refused (`value`) when too long, or when it holds a control character.
+    /// Refused (`value`) if it is too long or contains a control character.
     pub fn new(text: &str) -> Result<Self, Refusal> {
         let mut bytes = [0; Self::LEN];
         bytes
@@ -24,7 +24,7 @@ impl Name {
         Self::from_bytes(bytes)
     }
 
-    /// The beginning of a text that may be too long, or nothing when it holds a control character.
+    /// The beginning of a text that may be too long; empty if it contains a control character.
     pub fn cut(text: &str) -> Self {
         let end = (0..=text.len().min(Self::LEN))
             .rev()
@@ -40,7 +40,7 @@ impl Name {
             .split_at_checked(end.unwrap_or(Self::LEN))
             .ok_or(Refusal::Value)?;
         let text = core::str::from_utf8(text).map_err(|_| Refusal::Value)?;
-        // C0, DEL and C1: what could upset a terminal.
+        // C0, DEL and C1: characters that could disturb a terminal.
         let control = |c: char| (c as u32) < 0x20 || (0x7f..0xa0).contains(&(c as u32));
         if text.chars().any(control) || padding.iter().any(|byte| *byte != 0) {
             return Err(Refusal::Value);
@@ -65,10 +65,10 @@ impl Name {
     pub fn text(&self) -> &str {
         let end = self.0.iter().position(|byte| *byte == 0);
         let text = self.0.get(..end.unwrap_or(Self::LEN)).unwrap_or(&[]);
-        core::str::from_utf8(text).unwrap_or("") // `from_bytes` asked
+        core::str::from_utf8(text).unwrap_or("") // `from_bytes` checked
     }
 
-    /// Is there none?
+    /// Is it empty?
     pub fn is_empty(&self) -> bool {
         self.0[0] == 0
     }

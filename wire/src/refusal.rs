@@ -1,4 +1,4 @@
-//! Every reason for which the board drops a datagram. A refused datagram changes nothing.
+//! Every reason why the board drops a datagram. A refused datagram changes nothing.
 
 macro_rules! refusals {
     ($($(#[doc = $doc:literal])+ $name:ident = $key:literal, $text:literal;)+) => {
@@ -28,7 +28,8 @@ macro_rules! refusals {
 refusals! {
     /// Shorter than a packet header, or a probe without payload.
     Short = "short", "the datagram ends before its header does";
-    /// More than [`crate::MAX_PAYLOAD`] bytes, or than [`crate::GUEST_WORDS`] from anybody but the owner while the machine is armed.
+    /// More than [`crate::MAX_PAYLOAD`] bytes, or more than [`crate::GUEST_WORDS`] from another
+    /// client than the owner while the machine is armed.
     Oversized = "oversized", "the datagram is longer than one frame, or than a guest of an armed machine may send";
     /// Not a whole number of 32-bit words.
     Ragged = "ragged", "the datagram is not a whole number of 32-bit words";
@@ -38,25 +39,26 @@ refusals! {
     Version = "version", "the Etherbone version is not 1";
     /// Address or port width other than 32 bits.
     Width = "width", "address or port width is not 32 bits";
-    /// A probe reply: something answers us as if we had asked.
+    /// A probe reply: the sender answers a question that was not asked.
     ProbeReply = "probe-reply", "a probe reply arrived, but the board never probes";
-    /// A record promises more words than the datagram holds.
+    /// A record is longer than the datagram.
     Truncated = "truncated", "a record is longer than the datagram";
     /// A record that neither writes nor reads: padding, or an empty packet.
     Padded = "padded", "the datagram holds an empty record or padding";
     /// Byte enable other than `0x0f`.
     ByteEnable = "byte-enable", "only whole 32-bit words can be accessed";
-    /// A record flag other than `cyc` or `bca`: configuration space and FIFO accesses do not exist here.
+    /// A record flag other than `cyc` or `bca`: configuration space and FIFO accesses do not exist
+    /// here.
     RecordFlags = "record-flags", "the record asks for configuration space or FIFO access";
     /// The answer would not fit one frame.
     ReplyTooLong = "reply-too-long", "the answer would not fit one frame";
     /// Address bits 1:0 are not zero.
     Alignment = "alignment", "an address is not a multiple of 4";
-    /// Nothing lives there.
+    /// The address belongs to no window.
     Unmapped = "unmapped", "an address belongs to no window";
     /// A write to something that can only be read.
     ReadOnly = "read-only", "a write goes to a read-only address";
-    /// A command block that is not exactly as long as this board's.
+    /// A command block with another length than this board's.
     BlockLength = "block-length", "the command block has not this board's length";
     /// Mixed with an exchange, or an exchange that is not alone in its datagram.
     NotAlone = "not-alone", "an exchange must be alone in its datagram";
@@ -74,8 +76,8 @@ refusals! {
     Checksum = "checksum", "a checksum is wrong";
     /// An operation of the flash is running; ask again when it is done.
     Busy = "busy", "a flash operation is still running";
-    /// The board has a key, and the sender has not shown that it has it, too: no answer to the challenge, a wrong one, one
-    /// that was used before, or too late.
+    /// The board has a key, and the sender has not proved that it has it, too: no answer to the
+    /// challenge, a wrong or a used one, or a late one.
     Key = "key", "the board has a key and the sender has not proved to have it";
 }
 
@@ -96,3 +98,18 @@ impl core::fmt::Display for Refusal {
 }
 
 impl core::error::Error for Refusal {}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use std::string::ToString;
+
+    #[test]
+    fn every_refusal_has_its_own_counter_and_says_its_sentence() {
+        for (place, why) in Refusal::ALL.iter().enumerate() {
+            assert_eq!(why.index(), place, "{}", why.key());
+            assert_eq!(why.to_string(), why.text());
+        }
+    }
+}

@@ -1,4 +1,4 @@
-//! The settings of a board that outlive a power cycle: who it is on the network.
+//! The settings of a board that survive a power cycle: its name, its addresses and its key.
 //!
 //! ```text
 //! word  0 "FSET"          4 IPv4 address        8 MAC, lower 32 bits     18..21 key
@@ -7,11 +7,13 @@
 //!       3 flags           7 MAC, upper 16
 //! ```
 //!
-//! Two copies lie in flash, a sector each. The newest whole one is in force; saving goes to the other, so a
-//! power cut at any moment leaves the old or the new. The board numbers the sequence itself.
+//! There are two copies in flash, a sector each. The newest whole one is in force; a save writes
+//! the other one, so a power cut at any moment leaves the old or the new. The board numbers the
+//! sequence itself.
 //!
-//! The key ([`crate::auth`]) is never read back: the flash window shows zeros in its place and `Read` does not reach the
-//! settings' sectors; [`Settings::keep_key`] saves everything else and leaves the key as it is.
+//! The key ([`crate::auth`]) cannot be read back: the flash window shows zeros in its place, and
+//! `Read` does not reach the settings' sectors. [`Settings::keep_key`] saves all other settings and
+//! keeps the key.
 
 use crate::crc::crc32_words;
 use crate::{DEFAULT_PORT, DISCOVERY_PORT, Name};
@@ -23,9 +25,9 @@ pub const VERSION: u32 = 1;
 /// Words.
 pub const WORDS: usize = 32;
 
-/// Flag: ask a DHCP server for the address; `ip` is what the board falls back to.
+/// Flag: ask a DHCP server for the address; `ip` is the fallback.
 pub const FLAG_DHCP: u32 = 1 << 0;
-/// Flag, only in what is to be saved: keep the key that is saved already.
+/// Flag, only in settings to be saved: keep the saved key.
 pub const FLAG_KEEP_KEY: u32 = 1 << 1;
 
 /// A board's settings.
@@ -35,7 +37,7 @@ pub struct Settings {
     pub sequence: u32,
     /// Ask a DHCP server; `ip` is the fallback.
     pub dhcp: bool,
-    /// Save with the key that is saved already. Not kept in flash.
+    /// Save with the key that is already saved. Not kept in flash.
     pub keep_key: bool,
     /// IPv4 address.
     pub ip: u32,
@@ -60,7 +62,8 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Of a board whose bitstream names none: 192.168.2.50, as Lcnc, a MAC of its own.
+    /// The default, if the bitstream names no settings: 192.168.2.50, as Lcnc, and a MAC derived
+    /// from the unique id.
     pub const BUILT_IN: Settings = Settings {
         sequence: 0,
         dhcp: false,
@@ -75,7 +78,7 @@ impl Settings {
     };
 }
 
-/// Why words are no settings.
+/// Why words are not valid settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SettingsError {
     /// Does not begin with "FSET": erased, or something else.
@@ -84,7 +87,7 @@ pub enum SettingsError {
     Version(u32),
     /// The CRC does not fit.
     Crc,
-    /// A value no board can have; its word.
+    /// A value out of range; its word.
     Value(usize),
 }
 
@@ -193,7 +196,7 @@ impl Settings {
         Ok(settings)
     }
 
-    /// Could a board live with these? [`Settings::parse`] asked already.
+    /// Are these settings usable? [`Settings::parse`] has checked that.
     pub fn check(&self) -> Result<(), SettingsError> {
         if !matches!(self.prefix, 1..=30) {
             return Err(SettingsError::Value(5));
@@ -205,7 +208,7 @@ impl Settings {
             return Err(SettingsError::Value(6));
         }
         if self.mac[0] & 1 != 0 {
-            return Err(SettingsError::Value(7)); // a group's
+            return Err(SettingsError::Value(7)); // a multicast address
         }
         if self.port == 0 || self.port == DISCOVERY_PORT {
             return Err(SettingsError::Value(9));
@@ -213,13 +216,13 @@ impl Settings {
         Ok(())
     }
 
-    /// The same without the key: as everybody may read them.
+    /// The settings without the key, for any client.
     pub fn blanked(mut self) -> Self {
         self.key = [0; 4];
         self
     }
 
-    /// Is this copy newer than the other? Right across the wrap of the sequence.
+    /// Is this copy newer than the other? It works across the wrap of the sequence.
     pub fn newer_than(&self, other: &Settings) -> bool {
         self.sequence.wrapping_sub(other.sequence) as i32 > 0
     }
@@ -231,19 +234,19 @@ fn sum(words: &[u32; WORDS]) -> u32 {
     crc32_words(body)
 }
 
-/// An address one host can have: not of a loop, a group, or nobody.
+/// Can one host have this address? Not a loopback, a multicast or the zero address.
 pub const fn unicast(ip: u32) -> bool {
     let first = ip >> 24;
     first != 0 && first != 127 && first < 224
 }
 
-/// An address one host of its net can have: neither the net's nor its broadcast address.
+/// Can one host of its net have this address? Not the net's own or its broadcast address.
 pub const fn host_address(ip: u32, prefix: u8) -> bool {
     let host = ip & !netmask(prefix);
     unicast(ip) && host != 0 && host != !netmask(prefix)
 }
 
-/// The netmask with so many bits.
+/// The netmask with this many bits.
 pub const fn netmask(prefix: u8) -> u32 {
     match u32::MAX.checked_shr(prefix as u32) {
         Some(host) => !host,
@@ -268,8 +271,8 @@ pub const fn mac_to_words([a, b, c, d, e, f]: [u8; 6]) -> [u32; 2] {
     ]
 }
 
-/// A board's own MAC address: locally administered, the rest a hash of the flash's unique id, so that boards
-/// fresh from the shop do not share one.
+/// A board's own MAC address: locally administered, the rest a hash of the flash's unique id, so
+/// that new boards have different ones.
 pub fn mac_of_uid([hi, lo]: [u32; 2]) -> [u8; 6] {
     let first = crc32_words(&[hi, lo]);
     let second = crc32_words(&[lo, hi, first]);
@@ -324,19 +327,19 @@ mod tests {
     }
 
     #[test]
-    fn a_board_nobody_could_reach_is_refused_even_with_a_right_crc() {
+    fn a_board_that_no_host_could_reach_is_refused_even_with_a_right_crc() {
         for (word, value) in [
-            (3, 4),           // a flag nobody knows
-            (4, 0),           // nobody
+            (3, 4),           // an unknown flag
+            (4, 0),           // no address
             (4, 0x7f00_0001), // itself
-            (4, 0xe000_0001), // a group
-            (4, 0xc0a8_02ff), // everybody
+            (4, 0xe000_0001), // multicast
+            (4, 0xc0a8_02ff), // broadcast
             (4, 0xc0a8_0200), // the net
             (5, 0),
             (5, 31),
             (5, 280),
             (6, 0xffff_ffff),
-            (7, 0x0100), // a group's MAC
+            (7, 0x0100), // a multicast MAC
             (7, 0x1_0200),
             (9, 0),
             (9, 51234),

@@ -1,9 +1,10 @@
-//! What the machine is doing and why it stopped: the words host, firmware and operator share.
+//! The states of the machine and why it stopped: words for host, firmware and operator.
 
 use crate::codes::codes;
 
 codes! {
-    /// The safety state machine's states (`Boot -> Disarmed -> Armed -> Stopping -> Faulted -> Disarmed`).
+    /// The safety state machine's states (`Boot -> Disarmed -> Armed -> Stopping -> Faulted ->
+    /// Disarmed`).
     State: u8 {
         /// Firmware has not finished starting.
         Boot = 0, "boot";
@@ -13,7 +14,7 @@ codes! {
         Armed = 2, "armed";
         /// A soft stop is running; then Disarmed or Faulted.
         Stopping = 3, "stopping";
-        /// Outputs safe, reason latched; leaves by a full resync and a new rising edge only.
+        /// Outputs safe, reason latched; only a full resync and a new rising edge end it.
         Faulted = 4, "faulted";
     }
 }
@@ -21,13 +22,13 @@ codes! {
 codes! {
     /// Why the machine stopped.
     FaultReason: u8 {
-        /// It did not.
+        /// It did not stop.
         None = 0, "none";
         /// No accepted command within the watchdog's timeout.
         Watchdog = 1, "watchdog: no accepted command within the timeout";
         /// The external reset pin was high.
         ExternalReset = 2, "external reset pin";
-        /// The host took `enable` away.
+        /// The host cleared `enable`.
         HostDisable = 3, "host disabled";
         /// The session was released or taken over.
         SessionLost = 4, "session lost";
@@ -45,23 +46,23 @@ codes! {
 }
 
 codes! {
-    /// Why the firmware started last.
+    /// Why the firmware started.
     ResetReason: u8 {
         /// The board was switched on, or its bitstream loaded.
         PowerUp = 0, "power-up";
-        /// Somebody asked for it.
+        /// A client asked for it.
         Requested = 1, "reboot requested";
         /// The firmware panicked; the text is in the panic window.
         Panic = 2, "firmware panic";
         /// The processor trapped; the text is in the panic window.
         Trap = 3, "processor trap";
-        /// It started without leaving a word.
+        /// It restarted without recording a reason.
         Unknown = 4, "unknown";
     }
 }
 
 codes! {
-    /// Why the gate closed last, as the gateware remembers it through every restart of the firmware.
+    /// Why the gate closed last; the gateware remembers it through every restart of the firmware.
     GateClose: u8 {
         /// It has not been open since power-up.
         Never = 0, "never opened";
@@ -71,7 +72,7 @@ codes! {
         ExternalReset = 2, "external reset pin";
         /// The firmware closed it.
         Order = 3, "closed by order";
-        /// A soft stop the firmware asked for is over.
+        /// A soft stop that the firmware commanded is over.
         SoftStop = 4, "soft stop";
         /// An e-stop input.
         EStop = 5, "e-stop input";
@@ -81,7 +82,7 @@ codes! {
 }
 
 codes! {
-    /// How fast the Ethernet link is; what the PHY says in band.
+    /// The speed of the Ethernet link, reported by the PHY in band.
     LinkSpeed: u8 {
         /// Down, or not known yet.
         Down = 0, "down";
@@ -102,6 +103,18 @@ impl LinkSpeed {
             LinkSpeed::M10 => 10,
             LinkSpeed::M100 => 100,
             LinkSpeed::M1000 => 1000,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_is_as_fast_as_it_is_called() {
+        for (speed, mbit) in LinkSpeed::ALL.iter().zip([0, 10, 100, 1000]) {
+            assert_eq!(speed.mbit(), mbit, "{speed}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Numbers with units. Raw integers live here and in registers only.
+//! Numbers with units. Raw integers appear only here and in registers.
 
 /// A signed step rate as the gateware counts it: one unit is `f_clk / 2^32` steps per second
 /// (0.014 steps/s at 60 MHz). Full scale is half the clock: a step every second clock.
@@ -15,7 +15,7 @@ pub struct Accel(pub u32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Position(pub i64);
 
-/// A free-running 32-bit counter. It wraps, and nobody but [`Count::since`] subtracts.
+/// A free-running 32-bit counter. It wraps, and only [`Count::since`] may subtract.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Count(pub u32);
 
@@ -29,7 +29,7 @@ const TWO_32: f64 = 4_294_967_296.0;
 const TWO_56: f64 = 72_057_594_037_927_936.0;
 
 impl StepRate {
-    /// The fastest a stepgen is asked to go: just under half the clock.
+    /// The largest rate of a stepgen: just under half the clock.
     pub const MAX: StepRate = StepRate(i32::MAX);
 
     /// From steps per second, saturating at +-[`StepRate::MAX`]; NaN is 0.
@@ -69,7 +69,7 @@ impl Accel {
 }
 
 impl Position {
-    /// Where every stepgen wakes up: no pulses, half a step.
+    /// The position of every stepgen at power-up: no pulses, half a step.
     pub const ZERO: Position = Position(0x8000_0000);
 
     /// From the two halves a status block carries.
@@ -82,21 +82,21 @@ impl Position {
         self.0 >> 32
     }
 
-    /// Where the DDS stands, in steps, without the half-step bias.
+    /// The DDS's position, in steps, without the half-step bias.
     pub fn steps(self) -> f64 {
         // Split, so that a position beyond 2^52 still keeps its fraction's upper bits.
         self.pulses() as f64 + (f64::from(self.0 as u32) / TWO_32 - 0.5)
     }
 
-    /// How far this is from an earlier position, in steps; exact across the 2^63 wrap.
+    /// The way from an earlier position, in steps; exact across the 2^63 wrap.
     pub fn since(self, earlier: Position) -> f64 {
         self.0.wrapping_sub(earlier.0) as f64 / TWO_32
     }
 }
 
 impl Count {
-    /// How far the counter moved since `earlier`, right across its wrap as long as it moved less
-    /// than 2^31.
+    /// How far the counter moved since `earlier`. It is right across the wrap if the counter moved
+    /// by less than 2^31.
     pub const fn since(self, earlier: Count) -> i32 {
         self.0.wrapping_sub(earlier.0) as i32
     }
@@ -138,6 +138,37 @@ mod tests {
     }
 
     #[test]
+    fn the_units_are_those_of_the_clock() {
+        // 2^24 of 2^32 of 60 MHz; 2^24 of 2^56 of its square.
+        assert_eq!(StepRate(1 << 24).to_hz(CLOCK), 234_375.0);
+        assert_eq!(StepRate::from_hz(-234_375.0, CLOCK), StepRate(-(1 << 24)));
+        let steps = 60e6 * 60e6 / TWO_32;
+        assert_eq!(Accel(1 << 24).to_steps(CLOCK), Some(steps));
+        assert_eq!(Accel::from_steps(steps, CLOCK), Accel(1 << 24));
+        assert_eq!(Clocks(90_000_000).to_seconds(CLOCK), 1.5);
+    }
+
+    #[test]
+    fn rates_and_limits_are_rounded_to_the_nearest_unit() {
+        let unit = StepRate(1).to_hz(CLOCK);
+        for (units, rounded) in [(2.4, 2), (2.6, 3), (-2.4, -2), (-2.6, -3), (-0.4, 0)] {
+            assert_eq!(StepRate::from_hz(units * unit, CLOCK), StepRate(rounded));
+        }
+        let unit = Accel(1).to_steps(CLOCK).unwrap();
+        for (units, rounded) in [(2.4, 2), (2.6, 3), (0.1, 1)] {
+            assert_eq!(Accel::from_steps(units * unit, CLOCK), Accel(rounded));
+        }
+    }
+
+    #[test]
+    fn no_limit_is_what_is_not_above_zero() {
+        for nothing in [0.0, -0.0, -1e6, f64::NEG_INFINITY, f64::NAN] {
+            assert_eq!(Accel::from_steps(nothing, CLOCK), Accel::UNLIMITED);
+        }
+        assert_eq!(Accel::UNLIMITED.to_steps(CLOCK), None);
+    }
+
+    #[test]
     fn a_rate_beyond_half_the_clock_saturates_and_keeps_its_sign() {
         assert_eq!(StepRate::from_hz(1e9, CLOCK), StepRate::MAX);
         assert_eq!(StepRate::from_hz(-1e9, CLOCK), StepRate(-i32::MAX));
@@ -172,6 +203,10 @@ mod tests {
         let back = Position::from_words(0x8000_0000, 0xffff_ffff);
         assert_eq!((back.pulses(), back.steps()), (-1, -1.0));
         assert_eq!(Position(i64::MIN).since(Position(i64::MAX)), 1.0 / TWO_32);
+        let place = Position::from_words(0xc000_0000, 3);
+        assert_eq!(place, Position(3 << 32 | 0xc000_0000));
+        assert_eq!((place.pulses(), place.steps()), (3, 3.25));
+        assert_eq!(place.since(Position::ZERO), 3.25);
     }
 
     #[test]
@@ -187,5 +222,10 @@ mod tests {
         assert_eq!(Clocks::from_nanos_ceil(1_000, 60_000_000), Clocks(60));
         assert_eq!(Clocks::from_nanos_ceil(1_001, 60_000_000), Clocks(61));
         assert_eq!(Clocks::from_nanos_ceil(0, 60_000_000), Clocks(0));
+        assert_eq!(
+            Clocks::from_nanos_ceil(u64::MAX, u32::MAX),
+            Clocks(u64::MAX)
+        );
+        assert_eq!(Clocks::from_words(5, 7), Clocks(7 << 32 | 5));
     }
 }

@@ -10,14 +10,18 @@ use std::process::Command;
 pub enum What {
     /// Turnaround of the exchange on the simulated board, in clock cycles; size of the image.
     Exchange,
-    /// LUTs, flip-flops and memories per core and per board, beside the peers'; writes docs/size.md.
+    /// LUTs, flip-flops and memories per core and per board, beside the peers'; writes
+    /// docs/size.md.
     Gateware,
-    /// What loss on the cable costs a program: real driver, twin, a million exchanges (--exchanges).
+    /// What loss on the cable costs a program: real driver, twin, a million exchanges
+    /// (--exchanges).
     Loss,
-    /// A drawing as a job on the Verilated board, edge by edge at the pins: how many are not where they are predicted, how far the path
-    /// is from the drawing; how fast the board plans; writes docs/img/job.png.
+    /// A drawing as a job on the Verilated board, edge by edge at the pins: how many are not where
+    /// they are predicted, how far the path is from the drawing; how fast the board plans; writes
+    /// docs/img/job.png.
     Jobs,
-    /// A day of the board's time on the twin: counters that drift, or do not come round as they should (--hours).
+    /// A day of the board's time on the twin: counters that drift, or do not come round as they
+    /// should (--hours).
     Soak,
 }
 
@@ -80,7 +84,8 @@ pub fn exchange(parts: &build::Parts) -> Result<()> {
     Ok(())
 }
 
-/// The drawing, sent to the Verilated board and started there: figures, and the picture in the README. On the cores and the twin, too.
+/// The drawing, sent to the Verilated board and started there: figures, and the picture in the
+/// README. On the cores and the twin, too.
 fn jobs() -> Result<()> {
     setup::run(setup::Need::Everything)?;
     build::firmware()?;
@@ -90,9 +95,8 @@ fn jobs() -> Result<()> {
     step::heading("bench: jobs");
     std::fs::create_dir_all(target("reports"))?;
     let mut bench = Command::new("cargo");
-    bench.args(["test", "--release", "--package", "ferrocnc-tests"]);
-    bench.args(["--features", "board", "--test", "jobs"]);
-    bench.args(["--test", "jobs_rtl", "--"]);
+    bench.arg("test").args(build::BOARD_TESTS);
+    bench.args(["--test", "jobs", "--test", "jobs_rtl", "--"]);
     bench.args(["a_drawing", "a_dense_arc", "--nocapture"]);
     bench.env("FERROCNC_SOC", build::soc(build::BOARD));
     bench.env("FERROCNC_FIRMWARE", build::image());

@@ -1,5 +1,6 @@
-//! Bitstreams: a board file in, `NAME.bit`, `NAME-golden.bit`, `NAME.svf` and `NAME.flash` out, below `target/bitstream`.
-//! What is built how is known by `gateware/ferrocnc/build.py`; here is what it is told and how long it may take.
+//! Bitstreams: a board file in, `NAME.bit`, `NAME-golden.bit`, `NAME.svf` and `NAME.flash` out,
+//! below `target/bitstream`. `gateware/ferrocnc/build.py` knows the build steps. This module passes
+//! the options and prints the expected time.
 
 use crate::{build, root, setup, step, target};
 use anyhow::{Context, Result, bail};
@@ -49,13 +50,14 @@ pub struct Options {
     /// Tools running at once, half a gigabyte each; one per core if not said.
     #[arg(long)]
     jobs: Option<u32>,
-    /// A configuration that has no pins for all it names, such as boards/max.toml, too; it gets no images.
+    /// A configuration that has no pins for all it names, such as boards/max.toml, too; it gets no
+    /// images.
     #[arg(long)]
     without_pins: bool,
     /// Per cent of its frequency every clock must have to spare.
     #[arg(long, default_value_t = 5.0)]
     slack: f32,
-    /// Put new firmware into the routed design that is there, whatever has changed in the gateware since.
+    /// Put new firmware into the existing routed design, even if the gateware has changed since.
     #[arg(long)]
     firmware_only: bool,
 }
@@ -111,6 +113,11 @@ pub fn prove() -> Result<Vec<String>> {
         bail!("nothing was proven; see target/logs/bitstream.log");
     }
     Ok(proven)
+}
+
+/// Builds the smallest configuration.
+pub fn smallest() -> Result<()> {
+    images(&[file(SMALLEST)], &[]).map(drop)
 }
 
 /// Where a board's files go.

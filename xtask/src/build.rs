@@ -90,7 +90,8 @@ pub fn simulated_board(board: &str) -> Result<PathBuf> {
 /// `tests/boards/NAME.toml`: what a job needs.
 pub const CORES_BOARD: &str = "jobs";
 
-/// Verilates the cores and banks of a board without the processor, for the comparison with their models.
+/// Verilates the cores and banks of a board without the processor, for the comparison with their
+/// models.
 pub fn simulated_cores(board: &str) -> Result<()> {
     let mut build = Command::new("bash");
     build.args(["sim/verilator/cores.sh", board]);
@@ -120,6 +121,29 @@ pub fn host() -> Result<()> {
         &mut build,
     )
 }
+
+/// Every program of the `tests` crate, in one call of cargo: both cores have work while the crate
+/// is built.
+pub fn test_programs() -> Result<()> {
+    let mut build = Command::new("cargo");
+    build.args(["test", "--no-run"]).args(BOARD_TESTS);
+    step::run(
+        "test-programs",
+        "build the tests against the simulated board (Rust)",
+        "5 min",
+        &mut build,
+    )
+}
+
+/// What cargo is told of the `tests` crate.
+pub const BOARD_TESTS: [&str; 6] = [
+    "--profile",
+    "tests",
+    "--package",
+    "ferrocnc-tests",
+    "--features",
+    "board",
+];
 
 /// The router crowded boards need (decision 11). Returns where it is.
 pub fn router() -> Result<PathBuf> {

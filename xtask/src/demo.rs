@@ -58,7 +58,7 @@ pub fn run(options: &Options) -> Result<()> {
     println!("\npicture: {}", picture.display());
     println!("figures: {}", target("reports/demo.json").display());
     if !options.no_open && std::env::var_os("DISPLAY").is_some() {
-        // Nobody is hurt when there is no viewer.
+        // A missing viewer is not an error.
         let _ = Command::new("xdg-open").arg(&picture).spawn();
     }
     Ok(())

@@ -1,6 +1,8 @@
-//! The fault table: runs its tests, and says of each row of docs/safety.md at which level it was shown.
+//! Runs the tests of the fault table, and prints for each row of docs/safety.md the level that
+//! shows it.
 //!
-//! The table is the document's. A row names its tests as `binary::name`; what this level ran of them decides.
+//! The table is in the document. A row names its tests as `binary::name`; the results of this level
+//! count.
 
 use crate::{bitstream, build, root, step, target};
 use anyhow::{Context, Result, bail};
@@ -62,21 +64,15 @@ pub fn run() -> Result<usize> {
 /// `cargo test` of the tests crate with what its simulated boards are made of.
 fn tests() -> Command {
     let mut cargo = Command::new("cargo");
-    cargo.args([
-        "test",
-        "--release",
-        "--package",
-        "ferrocnc-tests",
-        "--features",
-        "board",
-    ]);
+    cargo.arg("test").args(build::BOARD_TESTS);
     cargo.env("FERROCNC_SOC", build::soc(build::BOARD));
     cargo.env("FERROCNC_FIRMWARE", build::image());
     cargo.env("FERROCNC_BITSTREAM", bitstream::folder(bitstream::SMALLEST));
     cargo
 }
 
-/// A figure that takes long: the test of this name with this in its environment. Its report is `target/reports/NAME.json`.
+/// A figure that takes long: the test of this name with this in its environment. Its report is
+/// `target/reports/NAME.json`.
 pub fn measure(name: &str, test: &str, expect: &str, variable: &str, value: u64) -> Result<()> {
     step::heading(&format!("bench: {name}"));
     let mut cargo = tests();
@@ -114,7 +110,8 @@ fn results(log: &str) -> HashMap<String, bool> {
     results
 }
 
-/// The rows of the document's first table that this level has tests for, each with a line per level.
+/// The rows of the document's first table that this level has tests for, each with a line per
+/// level.
 fn rows(document: &str, results: &HashMap<String, bool>) -> Vec<Value> {
     let table = document
         .lines()

@@ -1,10 +1,12 @@
-//! `cargo xtask fuzz`: libFuzzer on what comes from outside, with the stable toolchain.
+//! `cargo xtask fuzz`: libFuzzer on every parser of outside input, with the stable toolchain.
 //!
-//! The coverage that libFuzzer steers by is a pass of LLVM that any rustc runs when it is asked to ([`INSTRUMENT`]), and
-//! libFuzzer itself comes as C++ sources in `libfuzzer-sys`: a C++ compiler is all there has to be. `cargo fuzz run TARGET`
-//! does the same with a nightly toolchain and an address sanitizer.
+//! The coverage that libFuzzer steers by is a pass of LLVM that any rustc runs when it is asked to
+//! ([`INSTRUMENT`]), and libFuzzer itself comes as C++ sources in `libfuzzer-sys`: so a C++
+//! compiler is enough. `cargo fuzz run TARGET` does the same with a nightly toolchain and an
+//! address sanitizer.
 //!
-//! What is found goes to `target/fuzz/findings`, what libFuzzer learns to `target/fuzz/corpus`: the next run begins there.
+//! Findings go to `target/fuzz/findings`, the corpus of libFuzzer to `target/fuzz/corpus`, where
+//! the next run begins.
 
 use crate::{root, setup, step, target};
 use anyhow::{Context, Result, bail};
@@ -39,7 +41,7 @@ pub struct Options {
     /// Targets at once.
     #[arg(long, default_value_t = 2)]
     jobs: usize,
-    /// Run one input and say everything that happens; its folder says for which target.
+    /// Run one input and print every step; the name of its folder is the target.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["targets", "seconds", "jobs"])]
     replay: Option<PathBuf>,
 }
@@ -75,7 +77,8 @@ pub fn targets() -> Result<Vec<String>> {
     Ok(names)
 }
 
-/// Builds the targets and runs them, `jobs` at once; says how many found nothing. A finding is an error.
+/// Builds the targets and runs them, `jobs` at once; says how many found nothing. A finding is an
+/// error.
 pub fn fuzz(names: &[String], seconds: u32, jobs: usize) -> Result<usize> {
     let binaries = build()?;
     step::heading(&format!("fuzz: {} targets, {seconds} s each", names.len()));
@@ -181,11 +184,11 @@ impl Run {
             .arg(format!("-artifact_prefix={}/", findings.display()))
             .arg(&corpus)
             .args(committed(name))
-            .current_dir(root())
+            .current_dir(root());
+        let child = step::at_priority(&command)
             .stdin(Stdio::null())
             .stdout(out.try_clone()?)
-            .stderr(out);
-        let child = command
+            .stderr(out)
             .spawn()
             .with_context(|| format!("cannot start {name}"))?;
         let bar = screen.add(ProgressBar::new(seconds.into()));
@@ -368,7 +371,7 @@ impl Outcome {
             self.name
         );
         println!(
-            "    and then   cargo test -p ferrocnc-fuzz-targets: red until it is mended, green ever after"
+            "    and then   cargo test -p ferrocnc-fuzz-targets: it fails until the defect is fixed"
         );
         Ok(())
     }
@@ -416,7 +419,7 @@ fn report(done: &[Outcome], seconds: u32) -> Result<()> {
     fs::write(&file, format!("{report:#}\n")).with_context(|| format!("no {}", file.display()))
 }
 
-/// One input through the body of its target, with the story of what happened.
+/// One input through the body of its target, with a print of every step.
 fn replay(input: &Path) -> Result<()> {
     let input = fs::canonicalize(input).with_context(|| format!("no {}", input.display()))?;
     let folder = input.parent().and_then(Path::file_name).unwrap_or_default();

@@ -1,12 +1,17 @@
-//! `cargo xtask`: sets a fresh machine up, builds the parts in their order, runs the demo and the
-//! tests. It starts other people's tools and says what they did; every decision lives elsewhere.
+//! `cargo xtask`: sets up a fresh machine, builds the parts in their order, runs the demo and the
+//! tests. It starts other tools and prints their results.
 
 mod bench;
 mod bitstream;
 mod build;
 mod demo;
+mod docs;
 mod faults;
+mod figures;
 mod fuzz;
+mod lint;
+mod mutants;
+mod netlist;
 mod regen;
 mod setup;
 mod step;
@@ -15,7 +20,7 @@ mod test;
 use clap::{Parser, Subcommand};
 use std::path::{Path, PathBuf};
 
-/// FerroCNC's workshop: one command per thing you want done.
+/// Build, test and measure FerroCNC: one command per task.
 #[derive(Parser)]
 #[command(name = "cargo xtask", version)]
 struct Cli {
@@ -37,8 +42,12 @@ enum Task {
         #[arg(long)]
         check: bool,
     },
-    /// Build the bitstreams of a board configuration, or of all. A clock that misses its constraint fails.
+    /// Build the bitstreams of a board configuration, or of all. A clock that misses its constraint
+    /// fails.
     Bitstream(bitstream::Options),
+    /// Simulate what nextpnr made of the smallest board beside its RTL: the same pins in every
+    /// clock.
+    Netlist(netlist::Options),
     /// Measure something and print the figures.
     Bench {
         /// What to measure.
@@ -51,8 +60,18 @@ enum Task {
         #[arg(long, value_name = "N", default_value_t = 24)]
         hours: u64,
     },
-    /// Feed what comes from outside with inputs nobody would think of: 60 s per target, or as long as said.
+    /// Build the documentation site into target/book, after a check of all links.
+    Docs,
+    /// Write docs/figures.md and the marked places of other pages from docs/figures.json.
+    Figures(figures::Options),
+    /// Feed what comes from outside with inputs nobody would think of: 60 s per target, or as long
+    /// as said.
     Fuzz(fuzz::Options),
+    /// Mutation tests: change the code in one place at a time, and list each change that no test
+    /// notices. All areas take hours; `--list` names them.
+    Mutants(mutants::Options),
+    /// Check format, clippy, Python, SystemVerilog and licences; change nothing.
+    Lint,
     /// What the gate runs: the same as `test`.
     Ci,
 }
@@ -65,12 +84,17 @@ fn main() -> std::process::ExitCode {
         Task::Test(options) => test::run(&options),
         Task::Regen { check } => regen::run(check),
         Task::Bitstream(options) => bitstream::run(&options),
+        Task::Netlist(options) => netlist::run(&options),
         Task::Bench {
             what,
             exchanges,
             hours,
         } => bench::run(what, exchanges, hours),
+        Task::Docs => docs::run(),
+        Task::Figures(options) => figures::run(&options),
         Task::Fuzz(options) => fuzz::run(&options),
+        Task::Lint => lint::run(),
+        Task::Mutants(options) => mutants::run(&options),
         Task::Ci => test::run(&test::Options::default()),
     };
     match done {
@@ -82,7 +106,7 @@ fn main() -> std::process::ExitCode {
     }
 }
 
-/// The root of the checkout, wherever it lies.
+/// The root of the checkout.
 pub fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()

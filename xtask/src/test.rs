@@ -1,9 +1,12 @@
-//! The test pyramid, one line per level. Lower levels need nothing but Rust.
+//! The test pyramid, one line per level. Lower levels need Rust only.
 
-use crate::{bitstream, build, faults, fuzz, regen, setup, step, target};
-use anyhow::{Result, bail};
+use crate::{bitstream, build, faults, fuzz, lint, netlist as gates, regen, setup, step, target};
+use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
+use serde_json::json;
+use std::collections::VecDeque;
 use std::process::Command;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 /// Which levels to run.
@@ -17,6 +20,8 @@ pub struct Options {
 /// A level of the pyramid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Level {
+    /// Format, clippy, Python, SystemVerilog, licences.
+    Lint,
     /// Arithmetic, parsing, every state and event: plain `cargo test`.
     Unit,
     /// The committed generated files are the ones the generators write.
@@ -27,33 +32,38 @@ enum Level {
     Core,
     /// Every core against its bit-exact model, clock by clock.
     Lockstep,
-    /// A drawing as a job: the path rebuilt from the pins' edges, over the drawing. Jobs on the whole Verilated board, and how they end.
+    /// A drawing as a job: the path rebuilt from the pins' edges, over the drawing. Jobs on the
+    /// whole Verilated board, and how they end.
     Jobs,
     /// The Verilated board with the release image: boot, exchange, malformed frames, faults.
     Soc,
-    /// The fault table: every row with the real driver against the twin, the gateware's rows on the RTL with the CPU stopped.
+    /// The fault table: every row with the real driver against the twin, the gateware's rows on the
+    /// RTL with the CPU stopped.
     Faults,
-    /// Defects of the controllers before us, each shown not to be ours.
+    /// Known defects of other controllers; for each a test that FerroCNC does not have it.
     Peers,
-    /// Flash, settings, discovery and updates with the plug pulled everywhere; real `ferrocnc` on a segment of boards.
+    /// Flash, settings, discovery and updates with power lost at every step; real `ferrocnc` on a
+    /// segment of boards.
     Provision,
     /// LiteX's own client, ping and a console session.
     Clients,
-    /// Real LinuxCNC, our driver, the twin: homing, probing, threading, four boards, other drivers' HAL files; cables pulled,
-    /// boards restarted, processes killed, frames lost.
+    /// Real LinuxCNC, our driver, the twin: homing, probing, threading, four boards, other drivers'
+    /// HAL files; cables pulled, boards restarted, processes killed, frames lost.
     Twin,
     /// Real LinuxCNC, our driver, the simulated board.
     Linuxcnc,
-    /// Everything that comes from outside, 60 s of inputs nobody would think of for each parser.
+    /// Everything that comes from outside, 30 s of random inputs for each parser.
     Fuzz,
-    /// The smallest configuration as bitstream: every clock met, the release firmware inside, files the host and an ECP5 take.
+    /// The smallest configuration as bitstream: every clock met, the release firmware inside, files
+    /// the host and an ECP5 take; its routed netlist, simulated, is the RTL clock by clock.
     Bitstream,
 }
 
 /// An hour is `cargo xtask fuzz --seconds 3600`.
-const FUZZ_SECONDS: u32 = 60;
+const FUZZ_SECONDS: u32 = 30;
 
 const ALL: &[Level] = &[
+    Level::Lint,
     Level::Unit,
     Level::Generated,
     Level::Formal,
@@ -78,8 +88,13 @@ pub fn run(options: &Options) -> Result<()> {
     } else {
         &options.levels
     };
-    if levels.iter().any(|level| *level != Level::Unit) {
+    if levels
+        .iter()
+        .any(|level| !matches!(level, Level::Lint | Level::Unit))
+    {
         setup::run(setup::Need::Everything)?;
+    } else if levels.contains(&Level::Lint) {
+        setup::run(setup::Need::Gateware)?;
     }
     let needs_board = |level: &Level| {
         matches!(
@@ -104,38 +119,31 @@ pub fn run(options: &Options) -> Result<()> {
     if levels.contains(&Level::Provision) || levels.contains(&Level::Jobs) {
         build::host()?;
     }
-    let needs_driver = |level: &Level| matches!(level, Level::Twin | Level::Linuxcnc);
-    if levels.iter().any(needs_driver) {
+    if levels.iter().any(|level| level.runs_linuxcnc()) {
         build::host()?;
         build::install_driver()?;
     }
-    let mut lines = Vec::new();
+    if levels.iter().any(|level| level.takes_boards()) {
+        build::test_programs()?;
+    }
+    let outcomes = side_by_side(levels);
+    report(&outcomes)?;
+    step::heading("the pyramid");
     let (mut passed, mut failed) = (0, 0);
-    for level in levels {
-        step::heading(&format!("test: {}", level.title()));
-        let begun = Instant::now();
-        let outcome = level.run();
-        let seconds = begun.elapsed().as_secs_f32();
-        match outcome {
+    for outcome in &outcomes {
+        let (title, seconds) = (outcome.level.title(), outcome.seconds);
+        match &outcome.result {
             Ok(count) => {
                 passed += count;
-                lines.push(format!(
-                    "  ok      {:<60} {count:>5} tests  {seconds:>6.1} s",
-                    level.title()
-                ));
+                println!("  ok      {title:<60} {count:>5} tests  {seconds:>6.1} s");
             }
             Err(error) => {
                 failed += 1;
-                lines.push(format!(
-                    "  FAILED  {:<60}        {seconds:>9.1} s\n          {error:#}",
-                    level.title()
-                ));
+                println!("  FAILED  {title:<60}        {seconds:>9.1} s\n          {error:#}");
             }
         }
     }
-    step::heading("the pyramid");
-    println!("{}\n", lines.join("\n"));
-    println!("{passed} passed, {failed} failed");
+    println!("\n{passed} passed, {failed} failed");
     if failed > 0 {
         bail!(
             "{failed} of {} levels failed; their logs are in target/logs",
@@ -145,9 +153,100 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
+/// What a level came to.
+struct Outcome {
+    level: Level,
+    seconds: f32,
+    result: Result<usize>,
+}
+
+/// Runs the levels in two lanes, because most levels keep one core busy and wait for it. The first
+/// lane begins with the levels that run LinuxCNC, which is one per machine, and then helps the
+/// second. The second lane runs at low priority: LinuxCNC keeps its pace beside it. One level
+/// alone, or one core, makes one lane.
+fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
+    let (linuxcnc, others): (VecDeque<Level>, VecDeque<Level>) =
+        levels.iter().partition(|level| level.runs_linuxcnc());
+    let waiting = Mutex::new((linuxcnc, others));
+    let done = Mutex::new(Vec::new());
+    let lane = |first: bool| {
+        loop {
+            let level = {
+                let mut waiting = waiting.lock().unwrap_or_else(PoisonError::into_inner);
+                let (linuxcnc, others) = &mut *waiting;
+                match first {
+                    true => linuxcnc.pop_front().or_else(|| others.pop_back()),
+                    false => others.pop_front(),
+                }
+            };
+            let Some(level) = level else { break };
+            step::heading(&format!("test: {}", level.title()));
+            let begun = Instant::now();
+            let result = level.run();
+            let seconds = begun.elapsed().as_secs_f32();
+            let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
+            done.push(Outcome {
+                level,
+                seconds,
+                result,
+            });
+        }
+    };
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        if levels.len() > 1 && cores > 1 {
+            scope.spawn(|| {
+                step::stand_back();
+                lane(false);
+            });
+        }
+        lane(true);
+    });
+    let mut outcomes = done.into_inner().unwrap_or_else(PoisonError::into_inner);
+    outcomes.sort_by_key(|outcome| ALL.iter().position(|level| *level == outcome.level));
+    outcomes
+}
+
+/// Writes target/reports/pyramid.json.
+fn report(outcomes: &[Outcome]) -> Result<()> {
+    let levels: Vec<_> = outcomes
+        .iter()
+        .map(|outcome| {
+            json!({
+                "name": outcome.level.to_possible_value().map(|value| value.get_name().to_owned()),
+                "tests": outcome.result.as_ref().ok(),
+                "seconds": outcome.seconds.round(),
+            })
+        })
+        .collect();
+    let path = target("reports/pyramid.json");
+    std::fs::create_dir_all(target("reports"))?;
+    std::fs::write(&path, format!("{:#}\n", json!({ "levels": levels })))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
 impl Level {
+    /// LinuxCNC's HAL is one per machine.
+    fn runs_linuxcnc(self) -> bool {
+        matches!(self, Level::Twin | Level::Linuxcnc)
+    }
+
+    /// Its tests are programs of the `tests` crate.
+    fn takes_boards(self) -> bool {
+        !matches!(
+            self,
+            Level::Lint
+                | Level::Unit
+                | Level::Generated
+                | Level::Formal
+                | Level::Core
+                | Level::Fuzz
+        )
+    }
+
     fn title(self) -> &'static str {
         match self {
+            Level::Lint => "lint: format, clippy, Python, SystemVerilog, licences",
             Level::Unit => "unit: arithmetic, parsing, every (state, event)",
             Level::Generated => "generated: registers, memory map and PAC are fresh",
             Level::Formal => "formal: pulse, count and watchdog promises, proven",
@@ -157,18 +256,19 @@ impl Level {
             Level::Soc => "soc: Verilated board, release image, frames and faults",
             Level::Faults => "faults: every row of the fault table, at the pins",
             Level::Peers => "peers: defects of others, on the RTL board",
-            Level::Provision => "provision: flash and network, the plug pulled everywhere",
+            Level::Provision => "provision: flash and network, power lost at every step",
             Level::Clients => "clients: LiteX RemoteClient, ping, console",
             Level::Twin => "twin: real LinuxCNC, our driver, the cores' models",
             Level::Linuxcnc => "linuxcnc: real LinuxCNC, our driver, simulated board",
-            Level::Fuzz => "fuzz: datagrams, frames and files nobody would think of",
-            Level::Bitstream => "bitstream: clocks met, release firmware inside, files taken",
+            Level::Fuzz => "fuzz: random datagrams, frames and files",
+            Level::Bitstream => "bitstream: clocks met, firmware inside, netlist runs",
         }
     }
 
     /// Runs the level; says how many tests passed.
     fn run(self) -> Result<usize> {
         match self {
+            Level::Lint => lint::check(),
             Level::Unit => {
                 cargo_tests("test-unit", "cargo test", "3 min", &["test", "--workspace"])
             }
@@ -194,7 +294,8 @@ impl Level {
                 // Two runs with a seed each, side by side.
                 Ok(board_tests("lockstep", "3 min", "2")? + jobs()?)
             }
-            // The drawing and the dense arc have a board of their own, the rest of the second's tests share one.
+            // The drawing and the dense arc have a board of their own, the rest of the second's
+            // tests share one.
             Level::Jobs => {
                 Ok(board_tests("jobs", "3 min", "2")? + board_tests("jobs_rtl", "7 min", "2")?)
             }
@@ -209,6 +310,7 @@ impl Level {
             Level::Faults => faults::run(),
             Level::Peers => board_tests("peers", "3 min", "2"),
             Level::Provision => Ok(board_tests("provision", "1 min", "2")?
+                + board_tests("selftest", "5 min", "2")?
                 + board_tests("segment", "2 min", "2")?
                 + board_tests("names", "1 min", "1")?),
             Level::Clients => board_tests("clients", "2 min", "1"),
@@ -223,7 +325,8 @@ impl Level {
                 for line in &proven {
                     println!("    {line}");
                 }
-                Ok(proven.len() + board_tests("bitstream", "1 min", "2")?)
+                let files = board_tests("bitstream", "1 min", "2")?;
+                Ok(proven.len() + files + gates::compare(1, None)?)
             }
         }
     }
@@ -265,7 +368,8 @@ fn abi_guard() -> Result<()> {
     )
 }
 
-/// The register map holds for the largest board there can be: 16 stepgens, encoders and PWMs, 32 inputs and outputs.
+/// The register map holds for the largest board there can be: 16 stepgens, encoders and PWMs, 32
+/// inputs and outputs.
 fn maximum_board() -> Result<()> {
     let mut elaborate = build::gateware("elaborate");
     elaborate
@@ -279,22 +383,12 @@ fn maximum_board() -> Result<()> {
     )
 }
 
-/// A test binary of the `tests` crate that needs a simulated board, so many tests at once: with LinuxCNC
-/// one, for its HAL is one per machine.
+/// A test binary of the `tests` crate that needs a simulated board, so many tests at once: with
+/// LinuxCNC one, for its HAL is one per machine.
 fn board_tests(name: &str, expect: &str, threads: &str) -> Result<usize> {
-    let arguments = [
-        "test",
-        "--release",
-        "--package",
-        "ferrocnc-tests",
-        "--features",
-        "board",
-        "--test",
-        name,
-        "--",
-        "--test-threads",
-        threads,
-    ];
+    let mut arguments = vec!["test"];
+    arguments.extend(build::BOARD_TESTS);
+    arguments.extend(["--test", name, "--", "--test-threads", threads]);
     cargo_tests(
         &format!("test-{name}"),
         &format!("tests against the simulated board: {name}"),
@@ -307,7 +401,8 @@ fn board_tests(name: &str, expect: &str, threads: &str) -> Result<usize> {
 fn jobs() -> Result<usize> {
     let arguments = [
         "test",
-        "--release",
+        "--profile",
+        "tests",
         "--package",
         "ferrocnc-sim",
         "--features",
@@ -328,12 +423,32 @@ fn jobs() -> Result<usize> {
     )
 }
 
+/// The routed netlist beside the RTL, told where both are.
+pub fn netlist(more: &[(&str, String)]) -> Result<usize> {
+    let mut arguments = vec!["test"];
+    arguments.extend(build::BOARD_TESTS);
+    arguments.extend(["--test", "netlist", "--", "--nocapture"]);
+    let title = "what nextpnr made beside the RTL, clock by clock";
+    cargo_tests_with("test-netlist", title, "20 s", &arguments, more)
+}
+
 fn cargo_tests(name: &str, title: &str, expect: &str, arguments: &[&str]) -> Result<usize> {
+    cargo_tests_with(name, title, expect, arguments, &[])
+}
+
+fn cargo_tests_with(
+    name: &str,
+    title: &str,
+    expect: &str,
+    arguments: &[&str],
+    more: &[(&str, String)],
+) -> Result<usize> {
     let mut cargo = Command::new("cargo");
     cargo.args(arguments);
     cargo.env("FERROCNC_SOC", build::soc(build::BOARD));
     cargo.env("FERROCNC_FIRMWARE", build::image());
     cargo.env("FERROCNC_BITSTREAM", bitstream::folder(bitstream::SMALLEST));
+    cargo.envs(more.iter().map(|(name, value)| (name, value)));
     let printed = step::run_quietly(name, title, expect, &mut cargo)?;
     let count = printed
         .lines()

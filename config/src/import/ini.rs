@@ -1,5 +1,5 @@
-//! INI as Python's configparser writes it, with the line of everything. The crates for it keep no places and take a key given
-//! twice for one.
+//! INI as Python's configparser writes it, with the line number of every section and key. The
+//! crates for INI keep no line numbers and accept a key that is given twice.
 
 use crate::error::{Error, Place, Report};
 

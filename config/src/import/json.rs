@@ -1,4 +1,5 @@
-//! JSON as a tree with places: serde_json parses, and each value's slice of the text tells where it stands.
+//! JSON as a tree with places: serde_json parses, and each value's slice of the text tells where it
+//! stands.
 
 use crate::error::{Error, Place, Report};
 use crate::tree::{Node, Value};

@@ -116,7 +116,7 @@ pub fn lcnc(
                 "phy",
                 phy,
                 "is neither 0 nor 1".to_owned(),
-                "write the one whose jack you use".to_owned(),
+                "write the number of the jack you use".to_owned(),
             ));
         }
     };
@@ -309,7 +309,7 @@ impl<'t> Hardware<'_, 't> {
                 entry.place,
                 &format!("[Hardware] {}", entry.key),
                 "",
-                format!("is a key nobody knows here{near}"),
+                format!("is not a known key{near}"),
                 format!("the keys are {}", HARDWARE.join(", ")),
             ))
         })

@@ -1,5 +1,5 @@
-//! LiteX-CNC's JSON, of both generations: `ethphy`, `etherbone`, `watchdog.pin` and one-pin PWMs until 1.2, `connection`,
-//! watchdog functions, e-stops and PWM types from there on.
+//! LiteX-CNC's JSON, of both generations: `ethphy`, `etherbone`, `watchdog.pin` and one-pin PWMs
+//! until 1.2, `connection`, watchdog functions, e-stops and PWM types from there on.
 
 use super::json::parse;
 use super::{Draft, Imported, mac};
@@ -252,7 +252,7 @@ pub fn litexcnc(
     let at = At::new(file, "", &tree, BOARD)?;
     let board_type = at.text("board_type").unwrap_or_default();
     let platform = match board_type {
-        // The same PCB as far as anybody can tell (chubby75).
+        // The same PCB as far as is known (chubby75).
         "5A-75E v8.0" => "5a-75e-6.0".to_owned(),
         other => other.to_lowercase().replace(" v", "-"),
     };
@@ -267,12 +267,18 @@ pub fn litexcnc(
     if let Some(watchdog) = at.table("watchdog")? {
         self::watchdog(&mut draft, &watchdog)?;
     }
+    // Their HAL numbers inputs and outputs in one row, in the order of the file; e-stops and the
+    // watchdog's pins are not in it.
+    let mut row = 0;
     for module in at.tables("modules")? {
         let nodes = module.nodes("instances")?;
         for (n, node) in nodes.iter().enumerate() {
             let path = format!("{}[{n}]", module.key("instances"));
             match module.text("module_type") {
-                Some("gpio") => gpio(&mut draft, &At::new(file, &path, node, GPIO)?)?,
+                Some("gpio") => {
+                    gpio(&mut draft, &At::new(file, &path, node, GPIO)?, row)?;
+                    row += 1;
+                }
                 Some("pwm") => pwm(&mut draft, &At::new(file, &path, node, PWM)?)?,
                 Some("encoder") => encoder(&mut draft, &At::new(file, &path, node, ENCODER)?)?,
                 _ => stepgen(&mut draft, &At::new(file, &path, node, STEPGEN)?)?,
@@ -300,7 +306,7 @@ pub fn litexcnc(
             ));
         }
     }
-    draft.notes.push("There is no external reset pin in such a file, so there is none: write `ext_reset` if the machine shall have one.".to_owned());
+    draft.notes.push("Such a file has no external reset pin, so the board file has none: write `ext_reset` if the machine has one.".to_owned());
     let head = format!(
         "Imported from LiteX-CNC. `names=litexcnc:{board_name}` gives the channels their old HAL names (docs/migration.md)."
     );
@@ -446,7 +452,7 @@ fn watchdog(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
     Ok(())
 }
 
-fn gpio(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
+fn gpio(draft: &mut Draft<'_>, at: &At<'_>, row: usize) -> Result<(), Error> {
     let class = if at.text("direction") == Some("in") {
         Class::Input
     } else {
@@ -457,6 +463,8 @@ fn gpio(draft: &mut Draft<'_>, at: &At<'_>) -> Result<(), Error> {
         String::new(),
         vec![("pin", pin(at, "pin", at.text("pin").unwrap_or_default())?)],
     );
+    // More than 64 are refused behind this by their count.
+    one.litexcnc = u8::try_from(row).ok();
     match (class, at.flag("safe_state")) {
         (Class::Input, Some(_)) => {
             return Err(at.error(

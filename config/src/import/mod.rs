@@ -1,8 +1,8 @@
-//! Configurations of the projects before us, as ours.
+//! Imports configurations of other projects as board files.
 //!
-//! What such a file says becomes a board file, which is then read as any other: a pin used twice is refused here too, by the
-//! name it has in the file it came from. What has no counterpart is said in a note, never dropped silently; what nobody
-//! knows is refused.
+//! The imported board file is then read as any other: a pin that is used twice is refused here too.
+//! The message names the pin as the imported file does. A key without a counterpart gets a note and
+//! is never dropped silently; an unknown key is refused.
 
 mod ini;
 mod json;
@@ -70,7 +70,7 @@ impl<'p> Draft<'p> {
             },
             jobs: 0,
             sdram: false,
-            // The button has no other use in anybody's configuration, unless it has one: then `finish` takes this away.
+            // The button is the factory pin. If the configuration uses it, `finish` removes this.
             factory: Some(Line {
                 pin: Some("key".to_owned()),
                 active: Level::Low,
@@ -91,7 +91,8 @@ impl<'p> Draft<'p> {
         })
     }
 
-    /// Adds a channel. A name HAL cannot have is changed, and said so; without a name it gets its number.
+    /// Adds a channel. A name HAL cannot have is changed, and said so; without a name it gets its
+    /// number.
     fn push(
         &mut self,
         class: Class,
@@ -132,7 +133,7 @@ impl<'p> Draft<'p> {
             .push((ours.to_owned(), theirs.to_owned(), place));
     }
 
-    /// Declares the headers modified whose pins are read: without that nobody could have read them.
+    /// Declares each header with an input pin as modified: an unmodified header has only outputs.
     fn modify(&mut self) {
         let inputs = |class: Class| {
             class

@@ -1,7 +1,7 @@
-//! A board's headers with what is on every pin: the sheet a person solders by, on paper and in the terminal.
+//! A board's headers with the use of every pin: the wiring sheet, on paper and in the terminal.
 //!
-//! Each header is drawn as one looks at it: two rows of eight, pin 1 marked. A pin has its number as board files count it,
-//! from 0, and as the silk screen does, from 1. A line all headers share is drawn on all of them.
+//! Each header is drawn as seen from above: two rows of eight, pin 1 marked. A pin has two numbers:
+//! the board files' from 0, and the silk screen's from 1. A shared line is drawn on every header.
 
 mod svg;
 mod terminal;
@@ -65,7 +65,7 @@ impl Use {
         }
     }
 
-    /// One letter, for those who print without colour.
+    /// One letter, for a print without colour.
     pub const fn letter(self) -> char {
         match self {
             Use::Stepgen => 'S',
@@ -90,7 +90,7 @@ pub struct Pin {
     pub panel: &'static str,
     /// What it is for.
     pub usage: Use,
-    /// Who has it, as in `x step`; empty when nobody does.
+    /// The channel and its pin, as in `x step`; empty when the pin is free.
     pub label: String,
     /// Every header has this line.
     pub shared: bool,
@@ -254,7 +254,7 @@ fn described(modified: &Modified, header: &str) -> String {
     }
 }
 
-/// Pin -> its use and who has it.
+/// Pin -> its use and its label.
 fn holders(board: &Board) -> BTreeMap<String, (Use, String)> {
     let mut holders: BTreeMap<String, (Use, String)> = BTreeMap::new();
     let mut add = |pin: &str, usage: Use, label: String| {

@@ -1,4 +1,5 @@
-//! The drawing for paper and browsers. Plain SVG 1.1, no script, no outside font: it prints, and any program shows it.
+//! The drawing for paper and browsers. Plain SVG 1.1, no script, no outside font: it prints, and
+//! any program shows it.
 
 use super::{Header, Pin, Pinout, Use};
 use std::fmt::Write;
@@ -14,7 +15,8 @@ const ROW: f64 = 29.0;
 /// Where a card's first row of pins is.
 const FIRST: f64 = 64.0;
 
-/// Fill and ink of a pin. The palette is Okabe and Ito's, told apart by everybody; the letters are for black and white.
+/// Fill and ink of a pin. The palette is Okabe and Ito's, which colour-blind readers can tell
+/// apart. The letters are for prints in black and white.
 fn colours(usage: Use) -> (&'static str, &'static str) {
     match usage {
         Use::Stepgen => ("#0072b2", "#ffffff"),

@@ -1,4 +1,5 @@
-//! The drawing for the terminal: a header of eight rows, two headers beside each other where there is room.
+//! The drawing for the terminal: a header of eight rows, two headers beside each other where there
+//! is room.
 
 use super::{Header, Pin, Pinout, Use};
 use std::fmt::Write;

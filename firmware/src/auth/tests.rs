@@ -48,7 +48,7 @@ fn locked() -> Auth {
 }
 
 #[test]
-fn without_a_key_there_is_no_challenge_and_everybody_may() {
+fn without_a_key_there_is_no_challenge_and_every_client_is_trusted() {
     let mut auth = Auth::new(9);
     assert_eq!(*auth.challenge(ALICE), NONE);
     assert_eq!(auth.prove(ALICE, Purpose::Acquire, &[7], None), Ok(()));
@@ -80,7 +80,7 @@ fn no_challenge_comes_twice_whatever_stands_still() {
         for clock in arrivals {
             auth.stir(clock);
         }
-        // Without another arrival, again and again: the number tells them apart.
+        // The same without another arrival, many times: the number makes the challenges differ.
         for _ in 0..100 {
             let challenge = *auth.challenge(ALICE);
             assert!(!seen.contains(&challenge), "after {}", seen.len());
@@ -101,6 +101,29 @@ fn one_arrival_a_clock_later_makes_another_challenge() {
         *auth.challenge(ALICE)
     };
     assert_ne!(with(1_000_000), with(1_000_001));
+}
+
+#[test]
+fn both_halves_of_the_pool_go_into_a_challenge() {
+    let stirred = |clocks: [u32; 2]| {
+        let mut auth = locked();
+        clocks.into_iter().for_each(|clock| auth.stir(clock));
+        (auth.pool, *auth.challenge(ALICE))
+    };
+    // The second arrival undoes in the lower half what the first did there.
+    let low = |clock: u32| clock.wrapping_mul(0x1b3);
+    let (a, b) = (0x1234_5678, 0x9abc_def0);
+    let (one, other) = (stirred([a, 7]), stirred([b, 7 ^ low(a) ^ low(b)]));
+    assert_eq!(one.0 as u32, other.0 as u32);
+    assert_ne!(one.0, other.0);
+    assert_ne!(one.1, other.1);
+}
+
+#[test]
+fn a_challenge_for_a_port_is_that_ports() {
+    let mut auth = locked();
+    let ports = [0, 7, wire::CONSOLE_PORT].map(|port| *auth.challenge(by_port(port)));
+    assert!(ports[0] != ports[1] && ports[1] != ports[2] && ports[0] != ports[2]);
 }
 
 #[test]
@@ -144,7 +167,7 @@ impl Rig {
         acquiring(key, self.challenge(peer), nonce)
     }
 
-    /// Acquires with the key; the datagram that did it.
+    /// Acquires with the key; returns the datagram that did it.
     fn unlock(&mut self, peer: Peer) -> Vec<u32> {
         let answer = self.answer(peer, &KEY, 7);
         let words = acquisition(7, answer);
@@ -167,7 +190,7 @@ impl Rig {
 const FEATURES: u32 = map::DESCRIBE + 4 * wire::describe::FEATURES_AT as u32;
 
 #[test]
-fn a_board_with_a_key_says_so_and_gives_its_session_to_who_has_it() {
+fn a_board_with_a_key_says_so_and_gives_its_session_to_a_client_with_the_key() {
     let mut rig = Rig::new();
     assert_eq!(rig.read(FEATURES), Ok(0));
     rig.server.auth.lock(KEY);
@@ -179,7 +202,7 @@ fn a_board_with_a_key_says_so_and_gives_its_session_to_who_has_it() {
 }
 
 #[test]
-fn who_has_not_the_key_gets_nothing_and_is_counted() {
+fn a_client_without_the_key_gets_nothing_and_is_counted() {
     let mut rig = Rig::locked();
     let (wrong, right) = (rig.answer(ALICE, &WRONG, 7), rig.answer(ALICE, &KEY, 7));
     let bobs = rig.answer(BOB, &KEY, 7);
@@ -201,7 +224,7 @@ fn who_has_not_the_key_gets_nothing_and_is_counted() {
     }
     assert_eq!(rig.refused_for_key(), 6);
     assert_eq!(rig.server.session().owner(), None);
-    // None of that used up the right one: nobody can keep Alice out by guessing.
+    // No attempt used up the right answer: guessing cannot keep Alice out.
     assert!(rig.send(&acquisition(7, right)).is_ok());
 }
 
@@ -221,7 +244,7 @@ fn an_answer_is_whole_and_in_front_of_the_nonce_or_there_is_none() {
     assert_eq!(sent, Err(Refusal::ReadOnly));
     let sent = rig.send(&packet(&[nonce.clone(), whole.clone()]));
     assert_eq!(sent, Err(Refusal::Key));
-    // In a datagram of its own it is forgotten at once.
+    // In a datagram of its own the answer is discarded at once.
     assert_eq!(rig.send(&packet(core::slice::from_ref(&whole))), Ok(vec![]));
     assert_eq!(
         rig.send(&packet(core::slice::from_ref(&nonce))),
@@ -254,7 +277,7 @@ fn a_right_answer_is_used_up_even_if_its_datagram_is_refused_for_something_else(
 }
 
 #[test]
-fn while_somebody_drives_strangers_get_no_challenge_and_cost_nothing() {
+fn while_a_session_has_an_owner_other_clients_get_no_challenge_and_cost_nothing() {
     let mut rig = Rig::locked();
     let kept = acquisition(7, rig.answer(BOB, &KEY, 7));
     rig.unlock(ALICE);
@@ -304,7 +327,7 @@ fn flash_and_restart_are_the_owners_alone_on_a_board_with_a_key() {
 }
 
 #[test]
-fn a_token_under_a_key_cannot_be_worked_out_from_what_everybody_may_read() {
+fn a_token_under_a_key_cannot_be_computed_from_public_words() {
     let mut rig = Rig::locked();
     rig.unlock(ALICE);
     let mut session = crate::session::Session::new();
@@ -316,16 +339,16 @@ fn a_token_under_a_key_cannot_be_worked_out_from_what_everybody_may_read() {
 
 // ---- Replay ------------------------------------------------------------------------------------------
 
-/// What hosts and time do.
+/// The actions of hosts, and the passing of time.
 #[derive(Clone, Copy, Debug)]
 enum Deed {
-    /// Acquires, with the key or another one, as one of three senders; the datagram may get lost on its way.
+    /// Acquires as one of three senders, with the key or another one; the datagram may get lost.
     Acquire { who: usize, right: bool, lost: bool },
     /// The owner gives the session back.
     Release,
-    /// The owner falls silent, or a moment passes.
+    /// The owner is silent, or a moment passes.
     Time { seconds: u64 },
-    /// The firmware starts anew, at this clock or later.
+    /// The firmware restarts, at this clock or later.
     Restart,
 }
 
@@ -351,8 +374,9 @@ const WHO: [Peer; 3] = [
 proptest! {
     // A tag is 4 compressions, slow without optimisation, and this makes thousands.
     #![proptest_config(ProptestConfig::with_cases(64))]
-    /// Everything that arrived is sent again: from the same address and every other, in order and backwards, at once and
-    /// after each later deed. Nobody ever becomes the owner by it.
+    /// Every datagram that arrived is sent again: from the same address and from every other, in
+    /// order and in reverse, at once and after each later action. None of them ever makes its
+    /// sender the owner.
     #[test]
     fn no_recorded_exchange_of_datagrams_opens_a_board_again(deeds in proptest::collection::vec(deed(), 1..14)) {
         let mut rig = Rig::locked();
@@ -411,13 +435,17 @@ fn asked(auth: &mut Auth) -> Words {
 fn the_console_knows_a_friend_by_a_fresh_answer_only() {
     let mut auth = locked();
     assert!(!auth.trusted());
-    assert_eq!(auth.login(&NONE), Err(Refusal::Key), "nobody asked");
+    assert_eq!(
+        auth.login(&NONE),
+        Err(Refusal::Key),
+        "no challenge was asked for"
+    );
     let right = asked(&mut auth);
     assert_eq!(auth.login(&NONE), Err(Refusal::Key));
     assert_eq!(auth.login(&right), Ok(()));
     assert!(auth.trusted());
     assert_eq!(auth.login(&right), Err(Refusal::Key), "a replay");
-    assert!(!auth.trusted(), "and whoever replays is no friend");
+    assert!(!auth.trusted(), "a replayed answer proves nothing");
     let late = asked(&mut auth);
     (0..LIFE_SECONDS).for_each(|_| auth.tick());
     assert_eq!(auth.login(&late), Err(Refusal::Key));

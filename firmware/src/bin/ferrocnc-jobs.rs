@@ -1,4 +1,5 @@
-//! The jobs program: what the ROM has no room for, in SDRAM. What it is to the ROM stands in [`firmware::jobs::abi`].
+//! The jobs program: the functions the ROM has no room for, in SDRAM. Its interface to the ROM is
+//! in [`firmware::jobs::abi`].
 #![no_std]
 #![no_main]
 
@@ -17,7 +18,9 @@ use wire::jobs::PORT;
 
 const _: () = assert!(abi::SDRAM_BASE == 0x4000_0000 && firmware::jobs::abi::ROOM == 512 * 1024);
 
-// The ROM's stack ends here: the caller's is put by, and the program's own taken.
+global_asm!(include_str!("../saves.s"));
+
+// The ROM's stack pointer is saved here, and the program's own stack is used.
 global_asm!(
     ".section .text.jobs_entry",
     ".global jobs_entry",
@@ -48,14 +51,14 @@ static JOBS_HEADER: Header = Header {
     entry: jobs_entry,
 };
 
-/// All there is; in `.bss`, and something from [`START`] on.
+/// The program's state; in `.bss`, and initialised from [`START`] on.
 static mut JOBS: MaybeUninit<Jobs<'static>> = MaybeUninit::uninit();
 
-/// On the program's own stack, as [`firmware::jobs::abi::Entry`] has it.
+/// Runs on the program's own stack; its contract is [`firmware::jobs::abi::Entry`].
 #[unsafe(no_mangle)]
 extern "C" fn jobs_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
     let mut rom = Calls(rom);
-    // SAFETY: the ROM calls once at a time, and what is called back does not call again.
+    // SAFETY: the ROM makes one call at a time, and the callbacks do not call again.
     let place = unsafe { &mut *(&raw mut JOBS) };
     if frame.is_null() && length == START {
         return match start(&mut rom) {
@@ -66,11 +69,11 @@ extern "C" fn jobs_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
             None => FAILED,
         };
     }
-    // SAFETY: the ROM calls nothing before START, and nothing behind one that FAILED.
+    // SAFETY: the ROM makes no call before START, and none after a START that FAILED.
     let jobs = unsafe { place.assume_init_mut() };
     if length & LINE != 0 {
-        // SAFETY: the ROM says how long its line is, and does not touch it while it waits. Nothing is sent meanwhile, so nobody else
-        // writes where the answer goes.
+        // SAFETY: the ROM gives the line's length, and does not touch the line while it waits.
+        // Nothing is sent meanwhile, so no other code writes to the answer's place.
         let (line, room) = unsafe {
             (
                 slice::from_raw_parts(frame, length % LINE),
@@ -83,7 +86,7 @@ extern "C" fn jobs_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
     }
     let mut answer = 0;
     if !frame.is_null() {
-        // SAFETY: the ROM says how long its frame is. It is not where an answer is written to.
+        // SAFETY: the ROM gives the frame's length. An answer is written to another place.
         let frame = unsafe { slice::from_raw_parts(frame, length) };
         if !ours(frame) {
             return 0;
@@ -97,23 +100,23 @@ extern "C" fn jobs_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
     answer
 }
 
-/// `None` if the SDRAM is not what it should be, or the board is none with jobs.
+/// `None` if the SDRAM has an error, or the board has no jobs.
 fn start(rom: &mut Calls) -> Option<Jobs<'static>> {
     clear();
-    // SAFETY: the first word is the image's CRC, which was right. The test below takes its place.
+    // SAFETY: the first word is the image's CRC, which was right. The test below overwrites it.
     let program = unsafe { (abi::SDRAM_BASE as *const u32).read_volatile() };
     let used = (&raw const __jobs_bss_end) as usize - abi::SDRAM_BASE;
     let memory = memory::size(&mut Sdram, used, abi::SDRAM_SIZE)?.checked_sub(ROOM)?;
-    // SAFETY: behind the program, to the SDRAM's end: nobody else's.
+    // SAFETY: from the end of the program to the SDRAM's end; no other code uses it.
     let memory = unsafe { slice::from_raw_parts_mut((abi::SDRAM_BASE + ROOM) as *mut u8, memory) };
     Jobs::new(memory, program, rom)
 }
 
-/// Everything that is not in the image is zero.
+/// Clears all memory that is not in the image.
 fn clear() {
     let (mut at, end) = (&raw mut __jobs_bss, &raw mut __jobs_bss_end);
     while at < end {
-        // SAFETY: the linker's bounds of `.bss`, which nobody uses yet.
+        // SAFETY: the linker's bounds of `.bss`, which is not in use yet.
         unsafe {
             at.write_volatile(0);
             at = at.add(1);
@@ -121,12 +124,13 @@ fn clear() {
     }
 }
 
-/// The SDRAM behind the program: it is nobody's yet.
+/// The SDRAM after the program; it is not in use yet.
 struct Sdram;
 
 impl Cells for Sdram {
     fn write(&mut self, at: usize, value: u32) {
-        // SAFETY: aligned, inside the SDRAM's window, and behind everything that is used but the first word, which nobody needs any more.
+        // SAFETY: aligned, inside the SDRAM's window, and after all memory in use except for the
+        // first word, which is not needed any more.
         unsafe { ((abi::SDRAM_BASE + at) as *mut u32).write_volatile(value) }
     }
 
@@ -136,7 +140,7 @@ impl Cells for Sdram {
     }
 }
 
-/// The board, as the ROM lets it be reached.
+/// The board, through the ROM's callbacks.
 struct Calls<'a>(&'a Rom);
 
 impl Outside for Calls<'_> {
@@ -146,7 +150,7 @@ impl Outside for Calls<'_> {
     }
 
     fn send_frame(&mut self, frame: &[u8]) {
-        // SAFETY: the ROM's, and nobody else's while it waits.
+        // SAFETY: the ROM's buffer, which no other code uses while the ROM waits.
         let room = unsafe { &mut *self.0.output };
         if let Some(room) = room.get_mut(..frame.len()) {
             room.copy_from_slice(frame);
@@ -155,12 +159,12 @@ impl Outside for Calls<'_> {
     }
 
     fn read_segments(&mut self, word: usize) -> u32 {
-        // SAFETY: a page of registers, whatever the word; reading changes nothing.
+        // SAFETY: a page of registers, for every word; a read changes nothing.
         unsafe { segments(word).read_volatile() }
     }
 
     fn write_segments(&mut self, word: usize, value: u32) {
-        // SAFETY: a page of registers, whatever the word; only this program writes them.
+        // SAFETY: a page of registers, for every word; only this program writes them.
         unsafe { segments(word).write_volatile(value) }
     }
 
@@ -182,18 +186,18 @@ fn segments(word: usize) -> *mut u32 {
     (abi::CSR_SEGMENTS + word % (abi::CSR_PAGE / 4) * 4) as *mut u32
 }
 
-/// Is this TCP, to the port of jobs?
+/// Is this a TCP frame to the port of jobs?
 fn ours(frame: &[u8]) -> bool {
     let ip = frame.get(12..14) == Some(&[8, 0]) && frame.get(23) == Some(&6);
     let header = frame.get(14).map_or(0, |byte| usize::from(byte & 15) * 4);
     ip && frame.get(14 + header + 2..14 + header + 4) == Some(&PORT.to_be_bytes())
 }
 
-/// Into the ROM's trap handler, which leaves a record and starts the board anew, its gate closed.
+/// Traps into the ROM's handler, which writes a record and restarts the board with its gate closed.
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo) -> ! {
     loop {
-        // SAFETY: an instruction there is not.
+        // SAFETY: an illegal instruction; it traps and does nothing else.
         unsafe { core::arch::asm!("unimp") };
     }
 }

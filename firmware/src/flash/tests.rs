@@ -12,13 +12,13 @@ fn started(chip: &mut Chip) -> Flash {
     flash
 }
 
-/// Runs what was started to its end.
+/// Runs the started operation to its end.
 fn finish(flash: &mut Flash, chip: &mut Chip) -> OpResult {
     let mut slices = 0;
     while flash.busy() {
         flash.poll(chip, slices * 60_000, CLOCK);
         slices += 1;
-        assert!(slices < 100_000, "it never ends");
+        assert!(slices < 100_000, "the operation does not end");
     }
     flash.word().result
 }
@@ -41,7 +41,7 @@ fn save(flash: &mut Flash, chip: &mut Chip, settings: &Settings) -> OpResult {
     run(flash, chip, Op::SaveSettings, 0, 0)
 }
 
-/// An image of so many bytes in a slot.
+/// An image of this many bytes in a slot.
 fn image(chip: &mut Chip, slot: Slot, length: u32, build_id: u32) {
     let layout = Layout::of(chip.cells.len() as u32).unwrap();
     let area = layout.slot(slot);
@@ -58,7 +58,7 @@ fn image(chip: &mut Chip, slot: Slot, length: u32, build_id: u32) {
     chip.put(area.meta(), &meta.to_page());
 }
 
-/// The slot the FPGA loads: it takes the first preamble there is.
+/// The slot that the FPGA loads: it takes the first preamble.
 fn loads(chip: &Chip) -> Option<u32> {
     let stubs = &chip.cells[..2 * SECTOR as usize];
     let at = stubs.windows(2).position(|pair| pair == [0xbd, 0xb3])?;
@@ -199,7 +199,7 @@ fn nothing_but_the_slot_that_is_not_selected_can_be_erased_or_programmed() {
         run(&mut flash, &mut chip, Op::Crc, 0x3f_ffff, 2),
         OpResult::Address
     );
-    // The key lies among the settings.
+    // The key is among the settings.
     let settings = flash.layout().unwrap().settings;
     for (address, length) in [
         (settings, 1),
@@ -369,7 +369,7 @@ fn forgotten_settings_are_gone_and_a_held_factory_pin_only_ignores_them() {
 fn the_golden_image_can_be_protected_and_that_is_seen() {
     for size in [0x20_0000, 0x40_0000] {
         let mut chip = Chip::new(size);
-        chip.status = 0x1c; // as some boards come: all of it
+        chip.status = 0x1c; // some boards are delivered like this: all of it
         let mut flash = started(&mut chip);
         assert!(!flash.protected());
         assert_eq!(run(&mut flash, &mut chip, Op::Protect, 0, 0), OpResult::Ok);
@@ -440,7 +440,7 @@ fn at_every_step_of_a_hundred_selections_the_old_slot_or_the_new_one_loads() {
             let now = loads(&chip).expect("something loads");
             switched |= now == target;
             assert_eq!(now, if switched { target } else { old }, "selection {n}");
-            // Whoever starts now sees the same.
+            // A firmware that starts now sees the same.
             let seen = started(&mut chip.clone()).selected();
             assert_eq!(seen.map(|slot| layout.slot(slot).start), Some(now));
         }
@@ -486,7 +486,7 @@ fn what_runs_is_told_from_the_trailer_and_the_selected_slot() {
 proptest::proptest! {
     #![proptest_config(proptest::prelude::ProptestConfig::with_cases(64))]
 
-    /// Reads, erases, programs and sums of anything anywhere, with polls in between or not.
+    /// Reads, erases, programs and CRCs at any place, with polls in between or not.
     #[test]
     fn no_raw_operation_reaches_what_must_survive(
         asked in proptest::collection::vec((1u32..6, 0u32..1100, 0u32..0x1_0000, 0u32..600), 1..30),
@@ -504,7 +504,7 @@ proptest::proptest! {
         }
         let before = chip.cells.clone();
         for (op, block, offset, length) in asked {
-            // Crooked addresses are a quarter of them.
+            // A quarter of the addresses are not aligned.
             let offset = if offset & 3 == 0 { offset & !0xfff } else { offset };
             let address = (block << 12).wrapping_add(offset);
             run(&mut flash, &mut chip, Op::from_code(op).unwrap(), address, length);
@@ -540,7 +540,7 @@ fn settle(rig: &mut Rig) {
 }
 
 #[test]
-fn anybody_may_look_and_operate_while_nobody_owns_the_board() {
+fn any_client_may_look_and_operate_while_the_board_has_no_owner() {
     let mut rig = rig();
     assert_eq!(rig.read(map::FLASH_JEDEC), Ok(0xef_4016));
     rig.write(map::FLASH_ADDRESS, 0x1_0000).unwrap();

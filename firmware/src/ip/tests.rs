@@ -16,7 +16,7 @@ const US: Us = Us {
     port: 1234,
 };
 
-/// Says every line back in capitals, hangs up at "quit".
+/// Repeats every line in capitals, and hangs up at "quit".
 #[derive(Default)]
 struct Echo(Vec<u8>);
 
@@ -41,7 +41,7 @@ impl Taker for Echo {
     }
 }
 
-/// A wire that loses what the dice say.
+/// A wire that loses frames as the dice say.
 #[derive(Default)]
 struct Wire {
     to_us: VecDeque<Vec<u8>>,
@@ -96,7 +96,7 @@ impl Device for Wire {
     }
 }
 
-/// The stack and somebody else's, on one wire.
+/// Our stack and an independent one, on one wire.
 struct Bench {
     ip: Ip,
     echo: Echo,
@@ -163,7 +163,7 @@ impl Bench {
         self.sockets.get_mut(handle)
     }
 
-    /// Says something and hears what comes within so many seconds, until so many bytes came.
+    /// Sends text, and returns what comes within this many seconds, until this many bytes came.
     fn talk(&mut self, handle: SocketHandle, say: &[u8], wanted: usize, seconds: u32) -> Vec<u8> {
         let (mut said, mut heard) = (0, Vec::new());
         let end = self.ms + seconds * 1000;
@@ -219,11 +219,11 @@ fn one_visitor_after_the_other_and_never_two() {
 }
 
 #[test]
-fn whoever_dies_is_forgotten() {
+fn a_dead_peer_is_forgotten() {
     let mut bench = Bench::new(Vec::new());
     let handle = bench.connect(4000);
     assert_eq!(bench.talk(handle, b"a\n", 4, 2), b"> A\n");
-    // The cable is out while an answer is on its way.
+    // The cable is unplugged while an answer is on its way.
     let socket = bench.socket(handle);
     socket.send_slice(b"b\n").unwrap();
     bench.step();

@@ -1,18 +1,21 @@
-//! Between the ROM and the jobs program: as narrow as it can be.
+//! The interface between the ROM and the jobs program; it is as narrow as possible.
 //!
-//! The program is a second link unit of this crate (`src/bin/ferrocnc-jobs.rs`), linked to the beginning of the SDRAM. It lies
-//! behind the bitstream in its slot of the flash, its last byte being the image's last:
+//! The program is a second link unit of this crate (`src/bin/ferrocnc-jobs.rs`), linked to the
+//! beginning of the SDRAM. In its slot of the flash it follows the bitstream, and its last byte is
+//! the image's last:
 //!
 //! ```text
-//!   0 CRC-32 of all words behind it   1 interface   2 ABI number   3 entry
+//!   0 CRC-32 of all words after it   1 interface   2 ABI number   3 entry
 //!   ... code and data ...
 //!   the last two words: length in bytes, magic "FJOB"
 //! ```
 //!
-//! Words are the softcore's own, the lowest byte first; the CRC takes them as everybody's CRC of words does, the highest first. The ROM copies it, checks it ([`check`]) and calls its entry ([`Entry`])
-//! from the frame loop, never between a request and its answer: with a frame nobody else wants, and now and then
-//! without one. The program switches to a stack of its own. It calls back through [`Rom`], and that is all there is between them:
-//! what it wants of the board it asks for with the datagrams a host would send, as the peer [`crate::session::Peer::INSIDE`].
+//! Words have the softcore's byte order, lowest byte first; the CRC takes the highest byte first,
+//! as usual. The ROM copies the program, checks it ([`check`]) and calls its entry ([`Entry`]) from
+//! the frame loop, never between a request and its answer: with a frame that no other code needs,
+//! and from time to time without one. The program switches to a stack of its own. It calls back
+//! through [`Rom`], and that is the whole interface: it asks the board with the same datagrams as a
+//! host, as the peer [`crate::session::Peer::INSIDE`].
 
 use crate::console::{ANSWER_MAX, PROMPT};
 use crate::net::Us;
@@ -22,68 +25,72 @@ use wire::crc::crc32_words;
 use wire::describe::JobsState;
 use wire::images::PROGRAM_MAX;
 
-/// Version of this module. Unequal ones do not start.
+/// Version of this interface. The program starts only if both sides have the same.
 pub const INTERFACE: u32 = 2;
-/// Bytes at the beginning of the SDRAM for the program: code, data and stack. What is behind them is the jobs'.
+/// Bytes at the beginning of the SDRAM for the program: code, data and stack. The jobs get the
+/// rest.
 pub const ROOM: usize = PROGRAM_MAX;
 
 /// The header.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub struct Header {
-    /// CRC-32 of everything behind this word. Put in behind the linker.
+    /// CRC-32 of all words after this one. Inserted after linking.
     pub crc: u32,
     /// [`INTERFACE`].
     pub interface: u32,
-    /// The register map it was built for.
+    /// The register map the program was built for.
     pub abi: u32,
-    /// What to call.
+    /// The function to call.
     pub entry: Entry,
 }
 
-/// What the ROM calls: something may have come (`frame` and so many bytes), or it is just time (null, [`POLL`]). First of all, once,
-/// null and [`START`]. What comes back are [`RESTLESS`] and [`TAKEN`]. Somebody at the debug console said something about jobs: his line
-/// in the frame's place, [`LINE`] beside its length; [`TEXT`] has how long the answer is.
+/// The ROM's call. With a frame: `frame` and its length. Without: null and [`POLL`]; the first call
+/// of all is null and [`START`]. The result contains [`RESTLESS`] and [`TAKEN`]. A line about jobs
+/// from the debug console comes in the frame's place, with [`LINE`] added to its length; [`TEXT`]
+/// then gives the answer's length.
 pub type Entry = extern "C" fn(rom: &Rom, frame: *const u8, length: usize) -> u32;
 
-/// Length without a frame: it is time.
+/// Length of a call without a frame: time has passed.
 pub const POLL: usize = 0;
-/// Length without a frame: it begins.
+/// Length of the first call, without a frame.
 pub const START: usize = 1;
-/// Beside a length: these are not a frame's bytes but a line of the debug console, ASCII, its first word `job`.
+/// Added to a length: the bytes are not a frame but a line of the debug console, ASCII, its first
+/// word `job`.
 pub const LINE: usize = 1 << 16;
-/// Beside [`LINE`]: whoever says it has the board's key, or there is none.
+/// Added to [`LINE`]: the console's client has proved the board's key, or there is no key.
 pub const TRUSTED: usize = 1 << 17;
-/// Answer: call again in the next turn of the loop. Otherwise 10 ms will do.
+/// Result: call again in the next turn of the loop. Otherwise 10 ms are soon enough.
 pub const RESTLESS: u32 = 1;
-/// Answer: the frame was mine.
+/// Result: the frame was for this program.
 pub const TAKEN: u32 = 2;
 
-/// Answer to [`START`]: the SDRAM is not what it should be, and the program is not to be called again.
+/// Result of [`START`]: the SDRAM has an error, and the program must not be called again.
 pub const FAILED: u32 = 4;
 
-/// Answer to a [`LINE`]: from this bit on, how many bytes of [`Rom::output`] are text for whoever said it.
+/// Result of a [`LINE`]: from this bit on, the number of bytes of [`Rom::output`] that are text for
+/// the client.
 pub const TEXT: u32 = 8;
-/// Bytes of that text, at most: the console's longest answer, less the prompt behind it.
+/// Longest such text: the console's longest answer without the prompt after it.
 pub const TEXT_MAX: usize = ANSWER_MAX - PROMPT.len();
 
-/// What the program may use, valid for one call.
+/// The functions and data the program may use; valid for one call.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub struct Rom {
-    /// For the functions below.
+    /// Argument of the functions below.
     pub context: *mut c_void,
-    /// A datagram to this board's own server: so many words, and room for its answer. Words of that, or -1 less the code of
-    /// the [`wire::Refusal`].
+    /// Executes a datagram of `words` words on this board's own server, with room for its answer.
+    /// Returns the answer's words, or -1 less the code of the [`wire::Refusal`].
     pub datagram: extern "C" fn(
         context: *mut c_void,
         request: *const u32,
         words: usize,
         reply: &mut [u32; MAX_WORDS],
     ) -> isize,
-    /// Sends so many bytes of `output` as an Ethernet frame, without its FCS.
+    /// Sends this many bytes of `output` as an Ethernet frame, without its FCS.
     pub send: extern "C" fn(context: *mut c_void, length: usize),
-    /// Room for a frame to be sent. It may be the place of the frame that came, and of nothing that is kept.
+    /// Room for a frame to be sent. It may overlap the received frame, but no data that is kept.
     pub output: *mut [u8; FRAME_MAX],
     /// The board's addresses.
     pub us: *const Us,
@@ -94,7 +101,8 @@ pub const FRAME_MAX: usize = 1514;
 
 const _: () = assert!(FRAME_MAX < LINE && TEXT_MAX <= FRAME_MAX);
 
-/// Is this a program for this ROM? `words` is what lies in the SDRAM, as long as its last words said it is.
+/// Is this a program for this ROM? `words` is the SDRAM's content, with the length that its last
+/// words give.
 pub fn check(words: &[u32], abi: u32) -> JobsState {
     let [crc, rest @ ..] = words else {
         return JobsState::Missing;
@@ -115,7 +123,7 @@ mod tests {
 
     const ABI: u32 = 0x1234_5678;
 
-    /// A program of nothing but data.
+    /// A program that consists of data only.
     fn program() -> Vec<u32> {
         let mut words = vec![0, INTERFACE, ABI, 0x4000_0020];
         words.extend((0..100).map(|n| n * 0x0101_0101));

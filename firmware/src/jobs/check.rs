@@ -1,28 +1,29 @@
-//! Looks a job through before anything moves: is every place within the limits, was every axis found, how long does it take.
+//! Checks a whole job before it moves anything: the limits, the homed axes, and how long it takes.
 //!
-//! The time is nominal: lengths by speeds, nothing for speeding up and slowing down. Progress is the part of it that is done, so
-//! it is by the path's time and not by lines; what is missing in it is made up for by how long the part that is done has taken.
+//! The time is nominal: lengths divided by speeds, without accelerations. Progress is the part of
+//! this time that is done, so it follows the path's time and not the lines. The remaining time is
+//! corrected by the time that the finished part has really taken.
 
 use motion::circle::Chords;
 use motion::instruction::{Arc, Feed, Instruction, Place};
 use motion::segment::AXES;
 use wire::jobs::{End, Machine};
 
-/// Chords looked at in a call.
+/// Chords checked in a call.
 const CHORDS: usize = 16;
 
-/// What is wrong with a job.
+/// An error in a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Trouble {
     /// [`End::Limits`] or [`End::NotHomed`].
     pub end: End,
-    /// Of which axis.
+    /// The axis.
     pub axis: u8,
-    /// In which line.
+    /// The line.
     pub line: u32,
 }
 
-/// A job looked at.
+/// The check of a job.
 #[derive(Debug)]
 pub struct Check {
     at: Place,
@@ -34,7 +35,7 @@ pub struct Check {
 }
 
 impl Check {
-    /// From the beginning, with these axes where they are known to be.
+    /// From the beginning of a job, with these axes homed.
     pub fn new(homed: [bool; AXES]) -> Self {
         Check {
             at: [0; AXES],
@@ -45,7 +46,7 @@ impl Check {
         }
     }
 
-    /// There is still something of the last instruction to look at: [`Check::go_on`].
+    /// A part of the last instruction is still to be checked: [`Check::go_on`].
     pub fn busy(&self) -> bool {
         self.chords.is_some()
     }
@@ -58,7 +59,8 @@ impl Check {
         machine: &Machine,
     ) -> Result<(), Trouble> {
         self.line = line;
-        self.micros += nominal(&self.at, instruction, machine);
+        let micros = nominal(&self.at, instruction, machine);
+        self.micros = self.micros.saturating_add(micros);
         match *instruction {
             Instruction::Line { to, .. } => {
                 self.moves(&to, machine)?;
@@ -96,7 +98,7 @@ impl Check {
         Ok(())
     }
 
-    /// Some more of the chords of an arc.
+    /// Checks some more chords of an arc.
     pub fn go_on(&mut self, machine: &Machine) -> Result<(), Trouble> {
         for _ in 0..CHORDS {
             match self.chords.as_mut().and_then(Iterator::next) {
@@ -107,7 +109,7 @@ impl Check {
         Ok(())
     }
 
-    /// Every axis has been found before the first line, and the line ends within the limits.
+    /// Are all axes homed before the first line, and does this line end within the limits?
     fn moves(&self, to: &Place, machine: &Machine) -> Result<(), Trouble> {
         match self.homed.iter().position(|homed| !homed) {
             Some(axis) => Err(self.trouble(End::NotHomed, axis)),
@@ -132,7 +134,8 @@ impl Check {
     }
 }
 
-/// The whole circle lies within the limits, so no part of it can be outside. (Where it begins and ends was asked before.)
+/// Is the whole circle within the limits? Then every part of it is. (Its start and end were checked
+/// before.)
 fn contains(arc: &Arc, radius: i64, machine: &Machine) -> bool {
     let inside = |(axis, center): (&wire::jobs::Axis, &i64)| {
         center - radius >= axis.lowest && center + radius <= axis.highest
@@ -140,7 +143,8 @@ fn contains(arc: &Arc, radius: i64, machine: &Machine) -> bool {
     machine.axes.iter().zip(&arc.center).all(inside)
 }
 
-/// How long an instruction takes that begins there, in microseconds, if nothing had to be sped up.
+/// The nominal time of an instruction that begins at `from`, in microseconds, without
+/// accelerations.
 pub fn nominal(from: &Place, instruction: &Instruction, machine: &Machine) -> u64 {
     let along = |length_nm: u64, to: &Place, feed: Feed| {
         let fed = match feed {

@@ -1,7 +1,8 @@
-//! What the debug console's `job` says and does: for whoever has no PC with the tool at hand.
+//! The debug console's `job` commands: for clients without the `ferrocnc` tool.
 //!
-//! It asks the store and the executor as [`super::desk`] does, and refuses what that refuses, in the same words. What differs: a human
-//! at a console cannot promise to go on asking, so what is started here goes on unattended.
+//! They ask the store and the executor as [`super::desk`] does, and refuse with the same words. One
+//! difference: a console cannot promise to keep asking, so a job that is started here runs
+//! unattended.
 
 use super::Outside;
 use super::executor::Executor;
@@ -11,23 +12,25 @@ use motion::segment::AXES;
 use wire::Name;
 use wire::jobs::{Command, End, Entry, NAME, Report, Status, UNATTENDED};
 
-const HELP: &str = "job status        how it goes\r\n\
-    job list          what is in the store\r\n\
-    job start NAME    execute it, whoever watches\r\n\
+const HELP: &str = "job status        the state of the job\r\n\
+    job list          the jobs in the store\r\n\
+    job start NAME    execute it, unattended\r\n\
     job pause         stand still on the path\r\n\
-    job continue      go on\r\n\
+    job continue      resume\r\n\
     job stop          end it, softly\r\n\
-    job home [AXES]   find the switches (of x, z, xy, ...)\r\n\
-    job feed PERCENT  of what the job says\r\n\
-    job delete NAME   take it out of the store\r\n";
+    job home [AXES]   home the axes (x, z, xy, ...)\r\n\
+    job here [AXES]   these axes, without a switch, are at 0\r\n\
+    job feed PERCENT  percent of the job's own feed\r\n\
+    job delete NAME   delete it from the store\r\n";
 
-/// Bytes of an entry's line, at most.
+/// Longest line of an entry, in bytes.
 const ENTRY: usize = 100;
 
-/// Nobody of the desk has this number: he who started it is not waited for.
+/// No client of the desk has this number: the executor does not wait for the client that started
+/// this job.
 const CLIENT: u32 = 0;
 
-/// What a line asks for.
+/// The request of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Ask {
     Help,
@@ -35,12 +38,12 @@ enum Ask {
     List,
     Delete(Name),
     Feed(u16),
-    /// With flags, and a name if it is a start.
+    /// A command with flags, and with a name if it is a start.
     Do(Command, u8, Name),
 }
 
 impl Ask {
-    /// Reads a line, `job` in front; `None`: it is not understood.
+    /// Reads a line that begins with `job`; `None` if it is not understood.
     fn parse(line: &str) -> Option<Result<Ask, Status>> {
         let (_, line) = word(line);
         let (verb, rest) = word(line);
@@ -58,6 +61,7 @@ impl Ask {
                 let flags = UNATTENDED | axes(rest)?;
                 Ok(Ask::Do(Command::Calibrate, flags, Name::EMPTY))
             }
+            "here" => Ok(Ask::Do(Command::Here, axes(rest)?, Name::EMPTY)),
             _ if !alone => return None,
             "" | "status" => Ok(Ask::Status),
             "list" => Ok(Ask::List),
@@ -69,7 +73,7 @@ impl Ask {
         })
     }
 
-    /// Only looks, or stops: that is everybody's, key or not.
+    /// Only reads, or stops: every client may, with a key or without.
     fn harmless(self) -> bool {
         match self {
             Ask::Help | Ask::Status | Ask::List => true,
@@ -79,7 +83,7 @@ impl Ask {
     }
 }
 
-/// The first word, and what is behind it.
+/// The first word, and the rest.
 fn word(text: &str) -> (&str, &str) {
     let text = text.trim();
     let (word, rest) = text.split_once(' ').unwrap_or((text, ""));
@@ -94,7 +98,7 @@ fn axes(text: &str) -> Option<u8> {
     })
 }
 
-/// Where the answer goes; what does not fit is lost.
+/// Buffer for the answer; what does not fit is lost.
 #[derive(Debug)]
 pub struct Paper<'a> {
     bytes: &'a mut [u8],
@@ -102,12 +106,12 @@ pub struct Paper<'a> {
 }
 
 impl<'a> Paper<'a> {
-    /// Nothing on it.
+    /// An empty buffer.
     pub fn new(bytes: &'a mut [u8]) -> Self {
         Paper { bytes, used: 0 }
     }
 
-    /// Bytes on it.
+    /// Bytes used.
     pub fn used(&self) -> usize {
         self.used
     }
@@ -126,20 +130,20 @@ impl Sink for Paper<'_> {
     }
 }
 
-/// Somebody at the console.
+/// One line from a client of the console.
 pub struct Visit<'a, 'm> {
     /// The store.
     pub store: &'a mut Store<'m>,
     /// The executor.
     pub executor: &'a mut Executor,
-    /// What time it is.
+    /// The time.
     pub now: u64,
-    /// He has the key, or there is none.
+    /// The client has proved the key, or there is none.
     pub trusted: bool,
 }
 
 impl Visit<'_, '_> {
-    /// Does what the line says, and answers.
+    /// Executes the line, and answers.
     pub fn answer(&mut self, line: &str, paper: &mut Paper, out: &mut impl Outside) {
         let ask = match Ask::parse(line) {
             None => return Out(paper).text("? try job help").end(),
@@ -189,7 +193,7 @@ impl Visit<'_, '_> {
     fn list(&self, paper: &mut Paper) {
         let mut count = 0;
         while let Some(entry) = self.store.entry(count) {
-            // This one, those that are left, and what is free.
+            // Room for this line, the number of further ones, and the free bytes.
             if paper.room() < 3 * ENTRY {
                 let left = entry.count - count;
                 let mut out = Out(paper);
@@ -249,7 +253,7 @@ fn status(report: &Report, out: &mut Out) {
     }
 }
 
-/// As far as it matters: 3.4 s, 5 min 06 s, 2 h 15 min.
+/// A duration with useful precision: 3.4 s, 5 min 06 s, 2 h 15 min.
 fn duration(millis: u32, out: &mut Out) {
     let seconds = millis / 1000;
     let (minutes, hours) = (seconds / 60 % 60, seconds / 3600);

@@ -1,24 +1,26 @@
-//! The segments core's registers, as verbs. docs/cores/segments.md says what they do.
+//! The segments core's registers, as operations. docs/cores/segments.md describes them.
 
 use super::Outside;
 use motion::segment::{AXES, Segment};
 
-/// Register, by its word: the words before it are a segment, whole.
+/// Register, by its word: a write pushes the segment in the words before it.
 pub const PUSH: usize = 16;
 const CONTROL: usize = 17;
-const PACE: usize = 18;
+/// Register: how much of a clock the path's time passes in one, 65536ths.
+pub const PACE: usize = 18;
 const SLEW: usize = 19;
 const BEAM: usize = 20;
-const MASK: usize = 21;
+/// Register: the outputs that belong to the job.
+pub const MASK: usize = 21;
 /// Register: [`State`].
 pub const STATUS: usize = 22;
 /// Register: segments begun since power-up.
 pub const BEGUN: usize = 23;
-/// Register: clocks left of the present one, less 1.
+/// Register: clocks left of the current segment, less 1.
 pub const LEFT: usize = 24;
-/// Register: outputs as they are.
+/// Register: the outputs' state.
 pub const CURRENT: usize = 25;
-/// Register: how many axes, and room for how many segments.
+/// Register: number of axes, and number of segments that fit.
 pub const SHAPE: usize = 27;
 
 const START: u32 = 1;
@@ -26,17 +28,17 @@ const QUIT: u32 = 2;
 const CLEAR: u32 = 3;
 const PACE_ONE: u32 = 1 << 16;
 
-/// What it does, in one word.
+/// The core's status word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct State(u32);
 
-/// Why it ended.
+/// The reasons of an end.
 pub mod reason {
     /// No segment left, at rest.
     pub const DONE: u8 = 1;
-    /// No segment in time, not at rest.
+    /// No segment in time, while moving.
     pub const UNDERRUN: u8 = 2;
-    /// Told to.
+    /// Commanded.
     pub const QUIT: u8 = 3;
     /// The watchdog's soft stop.
     pub const HALTED: u8 = 4;
@@ -45,27 +47,27 @@ pub mod reason {
 }
 
 impl State {
-    /// Segments that wait.
+    /// Segments waiting.
     pub fn level(self) -> u8 {
         self.0 as u8
     }
 
-    /// It plays nothing.
+    /// No segment is being played.
     pub fn idle(self) -> bool {
         self.0 >> 8 & 3 == 0
     }
 
-    /// Why it ended.
+    /// The reason of the last end.
     pub fn reason(self) -> u8 {
         (self.0 >> 12 & 7) as u8
     }
 
-    /// It ended, and not because all was done: it takes nothing before it is cleared.
+    /// It ended early: it takes no segment before it is cleared.
     pub fn failed(self) -> bool {
         self.reason() > reason::DONE
     }
 
-    /// The path's time stands.
+    /// Path time is stopped.
     pub fn stands(self) -> bool {
         self.0 >> 24 & 1 == 1
     }
@@ -78,14 +80,16 @@ pub struct Core {
 }
 
 impl Core {
-    /// `None`: there is none, or it has other axes.
+    /// `None`: there is no such core, or it has another number of axes.
     pub fn new(out: &mut impl Outside) -> Option<Self> {
         let shape = out.read_segments(SHAPE);
         let [axes, room, ..] = shape.to_le_bytes();
+        // A restart in the middle of a job leaves it set.
+        out.write_segments(MASK, 0);
         (usize::from(axes) == AXES && room > 0).then_some(Core { room })
     }
 
-    /// What it does.
+    /// The core's status.
     pub fn state(self, out: &mut impl Outside) -> State {
         State(out.read_segments(STATUS))
     }
@@ -95,7 +99,7 @@ impl Core {
         state.level() < self.room
     }
 
-    /// A segment, whole. There must be room.
+    /// Pushes a whole segment. There must be room.
     pub fn push(self, segment: &Segment, out: &mut impl Outside) {
         for (at, word) in segment.words().iter().enumerate() {
             out.write_segments(at, *word);
@@ -103,36 +107,37 @@ impl Core {
         out.write_segments(PUSH, 0);
     }
 
-    /// Plays what was pushed.
+    /// Plays the pushed segments.
     pub fn start(self, out: &mut impl Outside) {
         out.write_segments(CONTROL, START);
     }
 
-    /// Brings everything to rest, and forgets what was pushed.
+    /// Brings all axes to rest, and discards the pushed segments.
     pub fn quit(self, out: &mut impl Outside) {
         out.write_segments(CONTROL, QUIT);
     }
 
-    /// Forgets why it ended.
+    /// Clears the reason of the last end.
     pub fn clear(self, out: &mut impl Outside) {
         out.write_segments(CONTROL, CLEAR);
     }
 
-    /// Path time passes, or stands.
+    /// Lets path time pass, or stops it.
     pub fn pass(self, passes: bool, out: &mut impl Outside) {
         out.write_segments(PACE, if passes { PACE_ONE } else { 0 });
     }
 
-    /// How fast the pace changes, and which outputs are the job's.
+    /// Sets the rate at which the pace changes, and the outputs that belong to the job.
     pub fn set(self, slew: u32, beam: u16, mask: u32, out: &mut impl Outside) {
         out.write_segments(SLEW, slew);
         out.write_segments(BEAM, beam.into());
         out.write_segments(MASK, mask);
     }
 
-    /// Segments begun, and clocks left of the present one.
+    /// Segments begun, and clocks left of the current one.
     pub fn progress(self, out: &mut impl Outside) -> (u32, u32) {
-        // The count once more: a segment that begins in between has another rest.
+        // Reads the count once more: a segment that begins in between has another number of clocks
+        // left.
         let mut begun = out.read_segments(BEGUN);
         loop {
             let left = out.read_segments(LEFT).wrapping_add(1);
@@ -143,7 +148,7 @@ impl Core {
         }
     }
 
-    /// Outputs as they are.
+    /// The outputs' state.
     pub fn outputs(self, out: &mut impl Outside) -> u16 {
         out.read_segments(CURRENT) as u16
     }

@@ -1,8 +1,10 @@
-//! What clients say, and what they are answered: `wire::jobs`.
+//! Answers clients' requests: `wire::jobs`.
 //!
-//! Requests come as bytes in any pieces; each is answered before the next is looked at. A request that comes again, with the same client's last
-//! id, gets the same bytes again. Two things are kept waiting: a commit until the job was read through, and whoever comes while somebody is
-//! there, who is told so by [`Door`].
+//! Requests come as bytes in pieces of any size; each is answered before the next is read. A
+//! request that is repeated with the same client's last id gets the same bytes again. A commit
+//! waits until the upload has been read through: its last byte is not taken before, so the
+//! connection keeps asking. A client that comes while another one is connected goes to the
+//! [`Door`], where every client may say Stop and Pause, and anything else is answered with busy.
 
 use super::Outside;
 use super::executor::Executor;
@@ -11,12 +13,13 @@ use super::words;
 use crate::ip::{Taker, Text};
 use crate::text::Sink as _;
 use motion::segment::AXES;
+use wire::Name;
 use wire::describe::{Describe, FEATURE_KEY};
 use wire::jobs::{
     self, Command, FRAME, Frame, Op, Request, SILENCE_SECONDS, Status, VERSION, Welcome, Writer,
 };
 
-/// What belongs to the connection, and to the client.
+/// The state of the connection and of its client.
 #[derive(Debug)]
 pub struct Desk {
     clock_hz: u32,
@@ -25,12 +28,14 @@ pub struct Desk {
     key: bool,
     request: [u8; FRAME],
     have: usize,
-    /// Who spoke last, over this connection or the one before.
+    /// The current request waits for its answer, and was counted as heard before.
+    waits: bool,
+    /// The client that spoke last, over this connection or an earlier one.
     client: u32,
-    /// This connection said who it is.
+    /// This connection has sent its Hello.
     known: bool,
     proven: bool,
-    /// The answer to the client's last request, and what that was.
+    /// The answer to the client's last request, and that request's id.
     answer: [u8; FRAME],
     length: usize,
     last: Option<(u32, u8, u16)>,
@@ -38,17 +43,17 @@ pub struct Desk {
     refused: u16,
 }
 
-/// Writes an answer: its status, and what is in it.
+/// Writes an answer: its status and its content.
 type Tell<'t> = dyn FnMut(Status, &mut dyn FnMut(&mut Writer)) -> Outcome + 't;
 
-/// What came of a request.
+/// The outcome of a request.
 enum Outcome {
     Now(Status),
     Later,
 }
 
 impl Desk {
-    /// Of this board.
+    /// For this board.
     pub fn new(board: &Describe, program: u32) -> Self {
         Desk {
             clock_hz: board.clock_hz,
@@ -57,6 +62,7 @@ impl Desk {
             key: board.features & FEATURE_KEY != 0,
             request: [0; FRAME],
             have: 0,
+            waits: false,
             client: 0,
             known: false,
             proven: false,
@@ -68,42 +74,44 @@ impl Desk {
         }
     }
 
-    /// Nobody has said anything for too long.
+    /// The client has been silent for too long.
     pub fn silent(&self, now: u64) -> bool {
         now.wrapping_sub(self.heard) >= u64::from(SILENCE_SECONDS) * u64::from(self.clock_hz)
     }
 
     /// A new connection.
     pub fn visit(&mut self, now: u64) {
-        (self.have, self.known, self.proven) = (0, false, false);
+        (self.have, self.waits) = (0, false);
+        (self.known, self.proven) = (false, false);
         self.heard = now;
-    }
-
-    /// Takes bytes of a request; how many, and whether it is complete.
-    fn collect(&mut self, bytes: &[u8]) -> (usize, bool) {
-        let mut taken = 0;
-        loop {
-            let known = self.request.get(..self.have).unwrap_or(&[]);
-            let needs = Frame::needs(known);
-            if self.have >= needs {
-                return (taken, true);
-            }
-            let rest = bytes.get(taken..).unwrap_or(&[]);
-            let count = rest.len().min(needs - self.have);
-            if count == 0 {
-                return (taken, false);
-            }
-            let place = self.request.get_mut(self.have..self.have + count);
-            if let (Some(place), Some(rest)) = (place, rest.get(..count)) {
-                place.copy_from_slice(rest);
-            }
-            self.have += count;
-            taken += count;
-        }
     }
 }
 
-/// Everything a request is about, for as long as it is.
+/// Takes bytes of a request into `place`. Returns how many, and whether the request is complete, or
+/// longer than `place`.
+fn collect(place: &mut [u8], have: &mut usize, bytes: &[u8]) -> (usize, bool) {
+    let mut taken = 0;
+    loop {
+        let known = place.get(..*have).unwrap_or(&[]);
+        let needs = Frame::needs(known).min(place.len());
+        if *have >= needs {
+            return (taken, true);
+        }
+        let rest = bytes.get(taken..).unwrap_or(&[]);
+        let count = rest.len().min(needs - *have);
+        if count == 0 {
+            return (taken, false);
+        }
+        let room = place.get_mut(*have..*have + count);
+        if let (Some(room), Some(rest)) = (room, rest.get(..count)) {
+            room.copy_from_slice(rest);
+        }
+        *have += count;
+        taken += count;
+    }
+}
+
+/// Everything that handling a request needs.
 pub struct Counter<'a, 'm, O: Outside> {
     /// The desk.
     pub desk: &'a mut Desk,
@@ -113,9 +121,9 @@ pub struct Counter<'a, 'm, O: Outside> {
     pub executor: &'a mut Executor,
     /// The board.
     pub out: &'a mut O,
-    /// What time it is.
+    /// The time.
     pub now: u64,
-    /// So many requests may be answered.
+    /// The number of requests that may be answered in this call.
     pub budget: u8,
 }
 
@@ -128,18 +136,26 @@ impl<O: Outside> Taker for Counter<'_, '_, O> {
         if self.budget == 0 {
             return 0;
         }
-        let (taken, complete) = self.desk.collect(bytes);
-        if complete {
-            self.budget -= 1;
-            self.serve(out);
+        let Desk { request, have, .. } = &mut *self.desk;
+        let (taken, complete) = collect(request, have, bytes);
+        if !complete {
+            return taken;
         }
-        taken
+        self.budget -= 1;
+        self.desk.waits = !self.serve(out);
+        if !self.desk.waits {
+            return taken;
+        }
+        // The request's last byte is not taken: so the request comes again, and the connection
+        // stays open until it is answered.
+        self.desk.have -= 1;
+        taken.saturating_sub(1)
     }
 }
 
 impl<O: Outside> Counter<'_, '_, O> {
-    /// Answers the request that is complete; one that has to wait stays there.
-    fn serve(&mut self, out: &mut Text) {
+    /// Answers a complete request. False: it has to wait.
+    fn serve(&mut self, out: &mut Text) -> bool {
         let bytes = self.desk.request;
         self.desk.heard = self.now;
         let Ok(Some((frame, _))) = Frame::parse(bytes.get(..self.desk.have).unwrap_or(&[])) else {
@@ -147,13 +163,14 @@ impl<O: Outside> Counter<'_, '_, O> {
             self.desk.last = None;
             out.put(self.desk.answer.get(..self.desk.length).unwrap_or(&[]));
             out.close = true;
-            return;
+            return true;
         };
-        if self.desk.known {
+        // A waiting request is not a new sign of life of its client.
+        if self.desk.known && !self.desk.waits {
             self.executor.heard(self.desk.client, self.now);
         }
         let number = (self.desk.client, frame.op, frame.id);
-        // What a new connection begins with is not the request that may come again over it.
+        // A new connection's first request is not the one that may be repeated over it.
         let greets = matches!(
             Op::from_code(frame.op),
             Some(Op::Hello | Op::Challenge | Op::Respond)
@@ -164,22 +181,36 @@ impl<O: Outside> Counter<'_, '_, O> {
             let mut length = 0;
             let outcome = self.answer(&frame, &mut answer, &mut length);
             let status = match outcome {
-                Outcome::Later => return,
+                Outcome::Later => return false,
                 Outcome::Now(status) => status,
             };
             if status != Status::Normal {
                 self.desk.refused = self.desk.refused.wrapping_add(1);
             }
-            if greets {
+            if greets || self.passes(&frame) {
                 self.desk.have = 0;
                 out.put(answer.get(..length).unwrap_or(&[]));
-                return;
+                return true;
             }
             (self.desk.answer, self.desk.length) = (answer, length);
             self.desk.last = Some((self.desk.client, frame.op, frame.id));
         }
         self.desk.have = 0;
         out.put(self.desk.answer.get(..self.desk.length).unwrap_or(&[]));
+        true
+    }
+
+    /// A client that only looks or halts, while the request of another one may come again: that one
+    /// stays the last, or its start would be acted on twice, behind a stop.
+    fn passes(&self, frame: &Frame) -> bool {
+        let anothers = |(client, ..): (u32, u8, u16)| client != self.desk.client;
+        let harmless = match Request::parse(frame) {
+            Ok(Request::Report | Request::List { .. } | Request::GetMachine) => true,
+            Ok(Request::Command { code, .. }) => Command::from_code(code).is_some_and(halts),
+            Ok(Request::Segment { command, .. }) => words::halts(command),
+            Ok(_) | Err(_) => false,
+        };
+        harmless && self.desk.last.is_some_and(anothers)
     }
 
     fn answer(&mut self, frame: &Frame, answer: &mut [u8; FRAME], length: &mut usize) -> Outcome {
@@ -334,11 +365,11 @@ impl<O: Outside> Counter<'_, '_, O> {
         tell(status, &mut |payload| report.emit(payload))
     }
 
-    /// Hello first; and with a key, who has not proven it may look and stop.
+    /// Hello first; and with a key, a client that has not proved it may only look and stop.
     fn may(&self, request: &Request) -> Result<(), Status> {
         let stop = |code: u8| {
-            let harmless = [Command::Stop, Command::Welcome, Command::Pause];
-            Command::from_code(code).is_none_or(|command| harmless.contains(&command))
+            let command = Command::from_code(code);
+            command.is_none_or(|command| command == Command::Welcome || halts(command))
         };
         match request {
             Request::Hello { .. } => Ok(()),
@@ -363,20 +394,128 @@ impl<O: Outside> Counter<'_, '_, O> {
     }
 }
 
-/// Tells whoever comes while somebody is there.
-#[derive(Clone, Copy, Debug)]
-pub struct Door;
+/// Commands that every client may give: they bring the machine to a stand.
+fn halts(command: Command) -> bool {
+    matches!(command, Command::Stop | Command::Pause)
+}
 
-impl Taker for Door {
+/// Bytes of the longest request at the door: a command with a name.
+const AT_DOOR: usize = 64;
+
+/// A client that comes while another one is connected: one request of it is read. Stop and Pause
+/// are executed, without a Hello and without a key, because standing is safe. All other requests
+/// get [`Status::Busy`].
+#[derive(Clone, Copy, Debug)]
+pub struct Door {
+    request: [u8; AT_DOOR],
+    have: usize,
+}
+
+impl Default for Door {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Door {
+    /// Before the first byte.
+    pub const fn new() -> Self {
+        Door {
+            request: [0; AT_DOOR],
+            have: 0,
+        }
+    }
+}
+
+/// Everything that handling a request at the door needs.
+pub struct Caller<'a, 'm, O: Outside> {
+    /// The bytes received so far.
+    pub door: &'a mut Door,
+    /// The desk, which has another client.
+    pub desk: &'a Desk,
+    /// The store.
+    pub store: &'a Store<'m>,
+    /// The executor.
+    pub executor: &'a mut Executor,
+    /// The board.
+    pub out: &'a mut O,
+    /// The time.
+    pub now: u64,
+}
+
+impl<O: Outside> Taker for Caller<'_, '_, O> {
     fn greet(&mut self, out: &mut Text) {
+        *self.door = Door::new();
         let mut answer = [0; FRAME];
         let op = Op::Hello.code();
         let length = jobs::answer(op, Status::Busy, 0, &mut answer, |_| {});
         out.put(answer.get(..length).unwrap_or(&[]));
+    }
+
+    fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize {
+        let Door { request, have } = &mut *self.door;
+        let (taken, complete) = collect(request, have, bytes);
+        if complete {
+            self.serve(out);
+        }
+        taken
+    }
+}
+
+impl<O: Outside> Caller<'_, '_, O> {
+    fn serve(&mut self, out: &mut Text) {
+        let request = self.door.request;
+        let have = ::core::mem::take(&mut self.door.have);
+        let mut answer = [0; FRAME];
+        let said = request.get(..have).unwrap_or(&[]);
+        let length = match Frame::parse(said) {
+            // The door has already answered Busy.
+            Ok(Some((frame, _))) if frame.op == Op::Hello.code() => return,
+            Ok(Some((frame, _))) => self.answer(&frame, &mut answer),
+            // Too long for the door.
+            Ok(None) => {
+                let [op, _, id0, id1, ..] = request;
+                let id = u16::from_le_bytes([id0, id1]);
+                jobs::answer(op, Status::Busy, id, &mut answer, |_| {})
+            }
+            Err(_) => jobs::answer(0, Status::Garbled, 0, &mut answer, |_| {}),
+        };
+        out.put(answer.get(..length).unwrap_or(&[]));
         out.close = true;
     }
 
-    fn take(&mut self, bytes: &[u8], _: &mut Text) -> usize {
-        bytes.len()
+    fn answer(&mut self, frame: &Frame, answer: &mut [u8; FRAME]) -> usize {
+        let (op, id) = (frame.op, frame.id);
+        let halt = match Request::parse(frame) {
+            Ok(Request::Command { code, .. }) => Command::from_code(code).filter(|c| halts(*c)),
+            Ok(Request::Segment { command, words, .. }) if words::halts(command) => {
+                let done = self
+                    .executor
+                    .words((command, 0), words, 0, self.now, self.out);
+                let (status, word) = match done {
+                    Ok(word) => (Status::Normal, word),
+                    Err(status) => (status, words::NOT_NOW),
+                };
+                return jobs::answer(op, status, id, answer, |payload| {
+                    payload.u32(word);
+                });
+            }
+            Ok(_) | Err(_) => None,
+        };
+        let Some(halt) = halt else {
+            return jobs::answer(op, Status::Busy, id, answer, |_| {});
+        };
+        let code = (halt.code(), 0, 0);
+        let done = self
+            .executor
+            .command(code, &Name::EMPTY, 0, self.store, self.now, self.out);
+        if let Err(status) = done {
+            return jobs::answer(op, status, id, answer, |_| {});
+        }
+        let mut report = self.executor.report(self.out);
+        report.refused = self.desk.refused;
+        jobs::answer(op, Status::Normal, id, answer, |payload| {
+            report.emit(payload);
+        })
     }
 }

@@ -1,4 +1,4 @@
-//! What is executed, and how it ends.
+//! Executes jobs, and decides how they end.
 //!
 //! ```text
 //!            start             within limits       armed              done
@@ -11,17 +11,21 @@
 //!
 //! | what happens | the axes | the end | afterwards |
 //! |---|---|---|---|
-//! | the program is over | stand on whole steps | done | position known |
+//! | the program ends | stand on whole steps | done | position known |
 //! | stop | slow down on the path, stand | stopped | known |
-//! | the starter is silent for longer than it said (attended) | the same | host lost | known |
+//! | the client that started it is silent for too long (attended) | the same | host lost | known |
 //! | no segment in time | each brakes | underrun | known |
-//! | this program hangs, or is not called | each brakes | watchdog | known |
-//! | e-stop, external reset | pulses end on that clock | e-stop, external reset | not known: switches have to be found |
+//! | this program hangs or is not called | each brakes | watchdog | known |
+//! | a stop outlasts its grace, or may have | each brakes, then pulses end | as it was | not known |
+//! | e-stop, external reset | pulses end on that clock | e-stop, external reset | not known |
 //! | the link goes down | nothing by itself: attended jobs end as host lost | | known |
 //! | the firmware restarts | each brakes, or pulses end | the board restarted | not known |
-//! | pause | slow down on the path, stand | none: continue goes on exactly there | known |
+//! | pause | slow down on the path, stand | none: continue resumes exactly there | known |
 //!
-//! Positions are counted by the step generators and never set; a switch that was found gives an axis an offset, a whole number of steps.
+//! The step generators count positions, and no command sets them. A switch that was found gives an
+//! axis an offset, a whole number of steps. An unknown position becomes known again when the axis
+//! finds its switch. On an axis without a switch it becomes known when a client says that the axis
+//! is at 0, or when the board restarts: the axis is at 0 then.
 
 use super::Outside;
 use super::check::{Check, Trouble, nominal};
@@ -44,20 +48,21 @@ use wire::jobs::{
 use wire::units::Position;
 use wire::{FaultReason, Name, ResetReason};
 
-/// Chords planned in a call: the first of an arc fill the look-ahead, and all in one call that is 11 ms in which nobody else is served.
+/// Chords planned in a call. The first chords of an arc fill the look-ahead; all of them in one
+/// call take 11 ms, in which no client is served.
 const CHORDS: usize = 4;
 
-/// Lines the planner looks ahead: as the host does when it predicts a job.
+/// Lines the planner looks ahead; the host uses the same number when it predicts a job.
 pub const LOOK_AHEAD: usize = 32;
 
-/// 5 s: who sends words sends the next long before that.
+/// 5 s: a client that sends words sends the next ones long before that.
 const WORDS_KEEPALIVE_MS: u16 = 5000;
 
-/// 5 ms: a twentieth of the watchdog's patience.
+/// 5 ms: a twentieth of the watchdog's timeout.
 const EXCHANGES_PER_SECOND: u64 = 200;
-/// 1 ms while a switch is looked for: what it can be off at the slow speed.
+/// 1 ms during homing: the position error is the way in that time at the slow speed.
 const LOOKS_PER_SECOND: u64 = 1000;
-/// 100 ms to arm: three exchanges do it.
+/// 100 ms to arm: three exchanges are enough.
 const ARMING: u8 = 20;
 /// 250 ms to disarm: the board ends a stop with its grace.
 const DISARMING: u32 = 400;
@@ -67,29 +72,29 @@ const _: () = assert!(AXES == wire::jobs::AXES);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     Idle,
-    /// Looks the job through.
+    /// Checks the job.
     Check,
-    /// Takes the board: so many steps of that are done.
+    /// Takes the board: this many steps of that are done.
     Open(u8),
-    /// Plans, feeds the FIFO.
+    /// Plans, and fills the FIFO.
     Play,
     /// The job waits for the operator.
     Held,
-    /// Lifts the tool, before switches are looked for.
+    /// Lifts the tool before homing.
     Lift,
-    /// Finds switches.
+    /// Homes the axes.
     Home,
-    /// An axis that looked for its switch comes to rest.
+    /// The axis that was homing comes to rest.
     Rest,
-    /// The path's time comes to a stand.
+    /// Path time is slowed down to a stand.
     Brake,
-    /// The core comes to its end.
+    /// The core ends.
     Quit,
-    /// The board is given back: so many exchanges ago.
+    /// Gives the board back: this many exchanges have been made for it.
     Close(u32),
 }
 
-/// Who started it, and for how long he may be silent.
+/// The client that started the job, and how long it may be silent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Starter {
     client: u32,
@@ -106,23 +111,23 @@ pub struct Executor {
     clock_hz: u32,
     channels: Channels,
     phase: Phase,
-    /// How what is going on will end.
+    /// How the current work will end.
     ending: End,
-    /// How it ended last.
+    /// How the last work ended.
     end: End,
     trouble: (u8, Option<u32>),
     machine: Option<Machine>,
     planner: Option<Planner<LOOK_AHEAD>>,
     program: Program,
     calibrates: bool,
-    /// FPGA G's words, and whether they are what is executed.
+    /// FPGA G's words, and whether they are being executed.
     words: Option<Words>,
     streams: bool,
     job: Option<Id>,
     name: Name,
     instruction: Option<(Instruction, u32)>,
     from: Place,
-    /// The planner's number of the instruction pushed last, and nominal time up to its end.
+    /// The planner's number of the last instruction pushed, and the nominal time up to its end.
     micros: u64,
     total: u64,
     check: Check,
@@ -138,20 +143,26 @@ pub struct Executor {
     percent: u16,
     offset: [i64; AXES],
     homed: [bool; AXES],
+    /// Pulses may have been cut off while the axis moved, and its switch has not been found since.
+    cut: [bool; AXES],
+    /// The board's last answer said that no pulses were cut off since it was armed.
+    trusted: bool,
+    /// How often they were, as far as is known of.
+    cuts: u32,
     /// Integrators at the last exchange.
     positions: [i64; AXES],
     at_rest: bool,
-    /// The board ended it.
+    /// The board ended the job.
     torn: bool,
     board: u32,
     exchanged: u64,
-    /// What had begun and was left then.
+    /// Segments begun and clocks left at that time.
     progress: (u32, u32),
 }
 
 impl Executor {
-    /// For this board.
-    pub fn new(inside: Inside, board: &Describe, core: Core) -> Self {
+    /// For this board, whose axes are where they belong though it has seen so many cuts.
+    pub fn new(inside: Inside, board: &Describe, core: Core, cuts: u32) -> Self {
         Executor {
             inside,
             core,
@@ -195,6 +206,9 @@ impl Executor {
             percent: 100,
             offset: [0; AXES],
             homed: [false; AXES],
+            cut: [false; AXES],
+            trusted: false,
+            cuts,
             positions: [Position::ZERO.0; AXES],
             at_rest: true,
             torn: false,
@@ -204,7 +218,7 @@ impl Executor {
         }
     }
 
-    /// Something is going on.
+    /// Work is in progress.
     pub fn busy(&self) -> bool {
         self.phase != Phase::Idle
     }
@@ -224,19 +238,19 @@ impl Executor {
         self.machine.as_ref()
     }
 
-    /// This client said something.
+    /// This client sent a request.
     pub fn heard(&mut self, client: u32, now: u64) {
         if client == self.starter.client {
             self.starter.heard = now;
         }
     }
 
-    /// This job is being executed.
+    /// Is this job being executed?
     pub fn executes(&self, store: &Store, name: &Name) -> bool {
         self.busy() && self.job.is_some_and(|id| store.is(id, name))
     }
 
-    /// Another machine. Where its axes are is not known any more.
+    /// Sets another machine. The positions of its axes are unknown afterwards.
     pub fn set_machine(&mut self, machine: Machine) -> Result<(), (Status, Field, u8)> {
         if self.busy() {
             return Err((Status::NotNow, Field::Format, 0));
@@ -264,7 +278,7 @@ impl Executor {
         Ok(())
     }
 
-    /// Percent of the feed.
+    /// Sets the feed in percent.
     pub fn feed(&mut self, percent: u16) -> Result<(), Status> {
         if !(1..=200).contains(&percent) {
             return Err(Status::Value);
@@ -278,7 +292,7 @@ impl Executor {
 
     // ---- commands ------------------------------------------------------------------------------------------------
 
-    /// One of XYPenPlotter's codes.
+    /// Executes one of XYPenPlotter's commands.
     pub fn command(
         &mut self,
         (code, flags, keepalive): (u8, u8, u16),
@@ -300,8 +314,8 @@ impl Executor {
             Command::Start => {
                 let job = store.get(name)?;
                 let starter = self.starter(client, flags, keepalive, now)?;
-                let homed = self.homed;
                 self.may_begin(out)?;
+                let homed = self.homed;
                 self.begin(starter, Phase::Check);
                 self.program.job(store, job);
                 (self.job, self.name, self.calibrates) = (Some(job), *name, false);
@@ -310,13 +324,49 @@ impl Executor {
             }
             Command::Calibrate => {
                 let starter = self.starter(client, flags, keepalive, now)?;
-                let axes = self.switches(flags)?;
+                let axes = self.asked(flags, Status::NoSwitch, |axis| axis.home.is_some())?;
                 self.may_begin(out)?;
                 self.begin(starter, Phase::Open(0));
                 self.program.only(Instruction::Home { axes });
                 (self.job, self.name, self.calibrates) = (None, Name::EMPTY, true);
                 Ok(())
             }
+            Command::Here => {
+                let axes = self.asked(flags, Status::HasSwitch, |axis| axis.home.is_none())?;
+                self.may_begin(out)?;
+                self.here(axes, out)
+            }
+        }
+    }
+
+    /// Declares that these axes are at 0.
+    fn here(&mut self, axes: [bool; AXES], out: &mut impl Outside) -> Result<(), Status> {
+        let (state, positions) = self.inside.look(out).ok_or(Status::NotNow)?;
+        if state.enabled {
+            // The axis may still be on its way to rest.
+            return Err(Status::NotNow);
+        }
+        self.positions = positions;
+        let chosen = axes.into_iter().enumerate().filter(|(_, chosen)| *chosen);
+        for (axis, _) in chosen {
+            if let Some(position) = positions.get(axis) {
+                self.zero(axis, *position);
+            }
+        }
+        self.settle();
+        Ok(())
+    }
+
+    /// This axis is at 0 where its integrator is at `position`.
+    fn zero(&mut self, axis: usize, position: i64) {
+        if let (Some(offset), Some(homed), Some(cut)) = (
+            self.offset.get_mut(axis),
+            self.homed.get_mut(axis),
+            self.cut.get_mut(axis),
+        ) {
+            // Whole steps: the offset has no fraction, the integrator keeps its own.
+            *offset = position & !0xffff_ffff;
+            (*homed, *cut) = (true, false);
         }
     }
 
@@ -333,22 +383,26 @@ impl Executor {
         })
     }
 
-    /// Those asked for, or all that have a switch.
-    fn switches(&self, flags: u8) -> Result<[bool; AXES], Status> {
+    /// The axes a command names, all of which have to be suitable; or all suitable ones if it names
+    /// none.
+    fn asked(
+        &self,
+        flags: u8,
+        refusal: Status,
+        fit: impl Fn(&jobs::Axis) -> bool,
+    ) -> Result<[bool; AXES], Status> {
         let machine = self.machine.as_ref().ok_or(Status::NoMachine)?;
-        let has = machine.axes.map(|axis| axis.home.is_some());
+        let fit = machine.axes.each_ref().map(fit);
         let asked = flags & !UNATTENDED;
         if asked >> AXES != 0 {
             return Err(Status::Value);
         }
         let axes: [bool; AXES] = ::core::array::from_fn(|axis| asked >> axis & 1 == 1);
-        match (
-            asked,
-            axes.iter().zip(has).any(|(asked, has)| *asked && !has),
-        ) {
-            (0, _) if has == [false; AXES] => Err(Status::NoSwitch),
-            (0, _) => Ok(has),
-            (_, true) => Err(Status::NoSwitch),
+        let refused = axes.iter().zip(fit).any(|(asked, fit)| *asked && !fit);
+        match (asked, refused) {
+            (0, _) if fit == [false; AXES] => Err(refusal),
+            (0, _) => Ok(fit),
+            (_, true) => Err(refusal),
             (_, false) => Ok(axes),
         }
     }
@@ -361,11 +415,30 @@ impl Executor {
         } else if self.inside.owned(out) {
             Err(Status::Owned)
         } else {
+            self.look_for_cuts(out);
             Ok(())
         }
     }
 
-    /// FPGA G's protocol: the status word.
+    /// Another client may have driven the axes.
+    fn look_for_cuts(&mut self, out: &mut impl Outside) {
+        if let Some(state) = self.inside.state(out) {
+            self.seen(state);
+        }
+        self.count_cuts(out);
+    }
+
+    /// It may have armed again behind a stop that was cut off, and then the state says nothing of
+    /// that.
+    fn count_cuts(&mut self, out: &mut impl Outside) {
+        if let Some(cuts) = self.inside.cuts(out)
+            && ::core::mem::replace(&mut self.cuts, cuts) != cuts
+        {
+            self.forget();
+        }
+    }
+
+    /// FPGA G's protocol; returns the status word.
     pub fn words(
         &mut self,
         (command, form): (u8, u8),
@@ -396,13 +469,16 @@ impl Executor {
                     self.words = Some(Words::new(limits, self.places()));
                 }
                 let queue = self.words.as_mut().ok_or(Status::NotNow)?;
-                Ok(queue.gcode(form, words.iter()))
+                // The machine may have been changed since the first words came.
+                queue.set_limits(limits);
+                Ok(queue.gcode(client, form, words.iter()))
             }
             fpgag::Command::Start => {
                 if let (true, Some(words)) = (self.busy(), &mut self.words) {
                     words.executes = true;
                     return Ok(0);
                 }
+                self.look_for_cuts(out);
                 if self.homed != [true; AXES] {
                     return Err(Status::NotNow);
                 }
@@ -480,13 +556,17 @@ impl Executor {
         }
     }
 
-    /// Ends what is going on, along the path.
+    /// Ends the current work, along the path.
     fn stop(&mut self, why: End, out: &mut impl Outside) {
         match self.phase {
             Phase::Idle | Phase::Brake | Phase::Quit | Phase::Rest | Phase::Close(_) => return,
             Phase::Check | Phase::Open(0) => self.phase = Phase::Idle,
             Phase::Open(_) | Phase::Held => self.phase = Phase::Close(0),
             Phase::Play | Phase::Lift => {
+                if self.phase == Phase::Lift {
+                    // What the program does behind the switches is not to begin.
+                    self.waiting = Some(Output::End);
+                }
                 self.core.pass(false, out);
                 self.phase = Phase::Brake;
             }
@@ -511,7 +591,7 @@ impl Executor {
 
     // ---- work ----------------------------------------------------------------------------------------------------
 
-    /// Does the next thing; false when there is none to do.
+    /// Does the next piece of work; false if there is none.
     pub fn poll(&mut self, store: &mut Store, now: u64, out: &mut impl Outside) -> bool {
         if self.phase == Phase::Idle {
             return false;
@@ -545,8 +625,10 @@ impl Executor {
                 if state.stands() || state.idle() {
                     self.core.quit(out);
                     self.phase = Phase::Quit;
+                    return false;
                 }
-                false
+                // The way to rest may be longer than what the core has.
+                (self.segment.is_some() || self.waiting.is_none()) && self.play(store, out)
             }
             Phase::Quit => {
                 if self.core.state(out).idle() {
@@ -566,7 +648,7 @@ impl Executor {
         now.wrapping_sub(self.exchanged) >= u64::from(self.clock_hz) / per_second
     }
 
-    /// An instruction, or some chords of it.
+    /// Checks an instruction, or some chords of it.
     fn look_through(&mut self, store: &Store) {
         let Some(machine) = &self.machine else {
             return self.over(End::Broken);
@@ -596,10 +678,10 @@ impl Executor {
         }
     }
 
-    /// It ended before it began.
+    /// The work ended before the motion began.
     fn over(&mut self, why: End) {
         if self.streams {
-            // What was not executed is not executed later.
+            // What was not executed now must not be executed later.
             self.words = None;
         }
         (self.end, self.ending) = (why, why);
@@ -614,9 +696,19 @@ impl Executor {
             if !self.inside.acquire(out) {
                 return self.over(End::NotArmed);
             }
+            let homed = self.homed;
+            self.look_for_cuts(out);
+            if !self.calibrates && self.homed != homed {
+                // While the job was looked through, which was with switches found.
+                self.inside.release(out);
+                return self.over(End::NotHomed);
+            }
         } else {
             let limits = self.limits();
-            self.inside.configure(machine, &limits, out);
+            if !self.inside.configure(machine, &limits, out) {
+                self.inside.release(out);
+                return self.over(End::NotArmed);
+            }
             self.core.set(
                 slew(machine, self.clock_hz),
                 machine.beam,
@@ -630,7 +722,7 @@ impl Executor {
         self.phase = Phase::Open(done + 1);
     }
 
-    /// Speaks to the board: to feed its watchdog, if there is a reason to, and to see how it is.
+    /// Exchanges with the board: feeds its watchdog if there is a reason to, and reads its state.
     fn exchange(&mut self, now: u64, out: &mut impl Outside) {
         if self.phase == Phase::Play && !self.goes_on(out) {
             return;
@@ -650,6 +742,7 @@ impl Executor {
             return self.lost(state, out);
         };
         self.board = status.state.to_word();
+        self.seen(status.state);
         for (place, (position, _)) in self.positions.iter_mut().zip(&status.stepgen) {
             *place = position.0;
         }
@@ -681,15 +774,21 @@ impl Executor {
     }
 
     fn closed(&mut self, out: &mut impl Outside) {
-        if ::core::mem::take(&mut self.torn) {
+        if self.torn {
             let state = self.inside.state(out);
+            if state.is_some_and(|state| state.state == wire::State::Stopping) {
+                // Whether pulses are cut off is known only when the axes stand, or when the grace
+                // is over.
+                return;
+            }
+            self.torn = false;
             self.explain(state);
         }
         self.inside.release(out);
         self.over(self.ending);
     }
 
-    /// The watchdog is to be fed: something has moved on, or nothing shall move.
+    /// Is the watchdog to be fed? Yes if work has progressed, or if no motion is due.
     fn goes_on(&mut self, out: &mut impl Outside) -> bool {
         let state = self.core.state(out);
         let now = self.core.progress(out);
@@ -707,20 +806,21 @@ impl Executor {
             let machine = self.machine.as_ref();
             let limits = machine.map(|machine| limits(machine, &self.limits(), self.clock_hz));
             match (&mut self.words, limits) {
-                (Some(words), _) => {
-                    // Somebody may have moved the axes since the first words came.
-                    if words.begin(at).is_err() {
+                (Some(words), Some(limits)) => {
+                    // The axes may have been moved since the first words came, and another machine
+                    // sent.
+                    if words.begin(limits, at).is_err() {
                         self.ending = End::Limits;
                         self.phase = Phase::Close(0);
                     }
                 }
                 (None, Some(limits)) => self.words = Some(Words::new(limits, at)),
-                (None, None) => {}
+                (_, None) => {}
             }
         }
     }
 
-    /// Integrators as planner and words have them: 0 is home.
+    /// Positions as planner and words use them: 0 is home.
     fn places(&self) -> [i64; AXES] {
         ::core::array::from_fn(|axis| {
             let offset = self.offset.get(axis).copied().unwrap_or(0);
@@ -729,7 +829,7 @@ impl Executor {
         })
     }
 
-    /// The planner goes on from where the axes are.
+    /// The planner starts from the axes' current positions.
     fn settle(&mut self) {
         let at = self.places();
         if let Some(planner) = &mut self.planner {
@@ -737,7 +837,7 @@ impl Executor {
         }
     }
 
-    /// The board took its outputs away, or the session.
+    /// The board closed its gate, or ended the session.
     fn lost(&mut self, state: Option<StateWord>, out: &mut impl Outside) {
         let underrun = self.core.state(out).reason() == reason::UNDERRUN;
         self.ending = if underrun {
@@ -751,7 +851,8 @@ impl Executor {
         self.phase = Phase::Quit;
     }
 
-    /// Why that was. The gateware is quicker than the firmware's state machine, so this is asked once more in the end.
+    /// Records the reason. The gateware is faster than the firmware's state machine, so this runs
+    /// once more at the end.
     fn explain(&mut self, state: Option<StateWord>) {
         self.ending = match state.map_or(FaultReason::None, |state| state.reason) {
             FaultReason::EStop => End::EStop,
@@ -765,13 +866,24 @@ impl Executor {
             | FaultReason::JobUnderrun
             | FaultReason::AbiMismatch => self.ending,
         };
-        if state.is_none_or(|state| !state.position_trusted) {
+        match state {
+            Some(state) => self.seen(state),
+            None => self.forget(),
+        }
+    }
+
+    /// Takes the board's word on whether pulses may have been cut off since it was armed. From a
+    /// restart to the first arming that is in doubt, and the board's counts have started again.
+    fn seen(&mut self, state: StateWord) {
+        let trusted = ::core::mem::replace(&mut self.trusted, state.position_trusted);
+        if trusted && !state.position_trusted {
             self.forget();
         }
     }
 
-    /// Where the axes are is not known.
+    /// Marks all positions as unknown.
     fn forget(&mut self) {
+        self.cut = [true; AXES];
         if let Some(machine) = &self.machine {
             for (homed, axis) in self.homed.iter_mut().zip(&machine.axes) {
                 *homed &= axis.home.is_none();
@@ -779,7 +891,7 @@ impl Executor {
         }
     }
 
-    /// Plans, or feeds. False when the FIFO is full, or what waits has to wait.
+    /// Plans, or fills the FIFO. False when the FIFO is full, or the next output has to wait.
     fn play(&mut self, store: &Store, out: &mut impl Outside) -> bool {
         let state = self.core.state(out);
         if state.failed() {
@@ -800,7 +912,8 @@ impl Executor {
             if self.streams {
                 return true;
             }
-            // The next one in the same call: a turn of the ROM's loop in between takes as long as half of the planning.
+            // The next one in the same call: a turn of the ROM's loop in between takes half as long
+            // as the planning.
         }
         if let Some(output) = self.waiting {
             if !state.idle() {
@@ -867,7 +980,8 @@ impl Executor {
             if !planner.push(&instruction, number) {
                 return self.broken();
             }
-            self.micros += nominal(&self.from, &instruction, machine);
+            let micros = nominal(&self.from, &instruction, machine);
+            self.micros = self.micros.saturating_add(micros);
             self.from = match instruction {
                 Instruction::Line { to, .. } => to,
                 Instruction::Arc(arc) => arc.to,
@@ -893,13 +1007,13 @@ impl Executor {
         }
     }
 
-    /// The job in the store is not what it was: what is planned is drawn to where it can stop.
+    /// The job in the store has changed: the planned part is drawn up to where it can stop.
     fn broken(&mut self) {
         self.ending = End::Broken;
         self.phase = Phase::Brake;
     }
 
-    /// Everything stands, and this is next.
+    /// All axes stand, and this output is next.
     fn arrived(&mut self, output: Output) {
         match output {
             Output::Segment(segment) => self.segment = Some(segment),
@@ -912,7 +1026,7 @@ impl Executor {
                     .as_ref()
                     .map_or(0, |machine| machine.tool_delay);
                 let clocks = u64::from(delay) * u64::from(self.clock_hz) / 1_000_000;
-                // The tool is lifted, and has the time it takes.
+                // The tool is lifted, and gets the time it needs.
                 self.segment = Some(Segment {
                     clocks: clocks.clamp(MIN_CLOCKS.into(), u32::MAX.into()) as u32,
                     ..Segment::default()
@@ -953,19 +1067,14 @@ impl Executor {
         }
     }
 
-    /// Where switches opened is 0 now, and that is where the axes go.
+    /// Each switch's opening position becomes 0, and the axes go there.
     fn found(&mut self) {
         self.rates = self.rest();
         let mut to = [0; AXES];
-        for (axis, found) in self.homing.found.iter().enumerate() {
-            let (Some(found), Some(offset), Some(homed)) =
-                (found, self.offset.get_mut(axis), self.homed.get_mut(axis))
-            else {
-                continue;
-            };
-            // Whole steps: the fraction stays what the integrator has.
-            *offset = found & !0xffff_ffff;
-            *homed = true;
+        for (axis, found) in self.homing.found.into_iter().enumerate() {
+            if let Some(found) = found {
+                self.zero(axis, found);
+            }
         }
         let tool = self
             .planner
@@ -988,7 +1097,7 @@ impl Executor {
 
     // ---- how it goes ---------------------------------------------------------------------------------------------
 
-    /// What is going on.
+    /// The current state.
     pub fn state(&self) -> State {
         match self.phase {
             Phase::Idle => State::Stopped,
@@ -1002,7 +1111,7 @@ impl Executor {
         }
     }
 
-    /// All of it.
+    /// The complete report.
     pub fn report(&mut self, out: &mut impl Outside) -> Report {
         let (begun, left) = self.core.progress(out);
         let segments = begun.wrapping_sub(self.base);
@@ -1015,6 +1124,8 @@ impl Executor {
             && let Some((state, positions)) = self.inside.look(out)
         {
             (self.board, self.positions) = (state.to_word(), positions);
+            self.seen(state);
+            self.count_cuts(out);
             self.at_rest = true;
         }
         let state = self.core.state(out);
@@ -1024,25 +1135,32 @@ impl Executor {
         };
         let elapsed = millis(clocks);
         let done = mark.micros.min(self.total);
-        let progress = match done * 100 / self.total.max(1) {
+        // At a feed of 1 nm/s sums can get very large.
+        let percent = u128::from(done) * 100 / u128::from(self.total.max(1));
+        let progress = match percent {
             _ if self.end == End::Done && !self.busy() => 100,
             percent => percent.min(99) as u8,
         };
         let rest = (self.total - done) / 1000 * 100 / u64::from(self.percent.max(1));
-        // What has taken longer than it should will go on doing so.
+        // If the job has taken longer than planned, the rest will, too.
         let ratio = u64::from(elapsed) * u64::from(self.percent) * 10 / (done / 1000).max(1);
         let ratio = if done < 1_000_000 {
             1000
         } else {
             ratio.max(1000)
         };
-        let remaining = if self.busy() { rest * ratio / 1000 } else { 0 };
+        let remaining = if self.busy() {
+            rest.saturating_mul(ratio) / 1000
+        } else {
+            0
+        };
         let steps = ::core::array::from_fn(|axis| {
             let position = self.positions.get(axis).copied().unwrap_or(0);
             let offset = self.offset.get(axis).copied().unwrap_or(0);
             (position.wrapping_sub(offset) >> 32) as i32
         });
-        let known = self.machine.is_some() && self.homed == [true; AXES];
+        let known =
+            self.machine.is_some() && self.homed == [true; AXES] && self.cut == [false; AXES];
         let bits = self.homed.iter().rev();
         let (axis, line) = self.trouble;
         Report {
@@ -1077,7 +1195,7 @@ impl Executor {
     }
 }
 
-/// The planner's.
+/// The planner's settings.
 fn setup(machine: &Machine, clock_hz: u32) -> Setup {
     Setup {
         clock_hz,
@@ -1092,11 +1210,14 @@ fn setup(machine: &Machine, clock_hz: u32) -> Setup {
     }
 }
 
-/// What the words may ask for.
+/// The limits of the words.
 fn limits(machine: &Machine, accel: &[u32; AXES], clock_hz: u32) -> motion::words::Limits {
     let steps = |nm: i64, per_km: u64| {
         (i128::from(nm) * i128::from(per_km)).div_euclid(1_000_000_000_000) as i64
     };
+    // The lowest step is the first one inside the lower limit, the highest the last inside the
+    // upper one.
+    let lowest = |nm: i64, per_km: u64| -steps(-nm, per_km);
     motion::words::Limits {
         clock_hz,
         accel: *accel,
@@ -1105,13 +1226,13 @@ fn limits(machine: &Machine, accel: &[u32; AXES], clock_hz: u32) -> motion::word
             .map(|axis| steps(axis.max_speed.into(), axis.steps_per_km) as u32),
         bounds: machine.axes.map(|axis| {
             let per_km = axis.steps_per_km;
-            (steps(axis.lowest, per_km), steps(axis.highest, per_km))
+            (lowest(axis.lowest, per_km), steps(axis.highest, per_km))
         }),
     }
 }
 
-/// How fast the path's time comes to a stand: so that at full speed it adds a quarter of the acceleration, of the axis that can
-/// bear the least.
+/// How fast path time comes to a stand: at full speed this adds a quarter of the acceleration of
+/// the weakest axis.
 fn slew(machine: &Machine, clock_hz: u32) -> u32 {
     let per_second = machine
         .axes

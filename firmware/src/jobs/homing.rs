@@ -1,4 +1,4 @@
-//! Finds switches, one axis after the other.
+//! Homes the axes: finds their switches, one axis after the other.
 //!
 //! ```text
 //!   seek     fast towards the switch, until it closes          (not if it is closed to begin with)
@@ -7,8 +7,10 @@
 //!   leave    slow off it, until it opens: that place is 0
 //! ```
 //!
-//! Between two of these the axis comes to rest. Velocities go with the exchange that reads the switch and the position of the same clock, so
-//! the place is as exact as the slow speed in a millisecond. Every way and the time are limited; whoever ends it lets the axis come to rest.
+//! Between two of these steps the axis comes to rest. The exchange that commands a velocity reads
+//! the switch and the position of one clock, so the error of the position is the way in a
+//! millisecond at the slow speed. Each way and the time are limited. A caller that ends homing lets
+//! the axis come to rest.
 
 use super::inside::Rates;
 use motion::segment::AXES;
@@ -16,10 +18,10 @@ use wire::exchange::Status;
 use wire::jobs::{End, Home, Machine};
 use wire::units::{Accel, StepRate};
 
-/// What an axis is at.
+/// The state of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
-    /// Looks at the switch.
+    /// Reads the switch.
     Begin,
     Seek,
     Off,
@@ -27,36 +29,36 @@ enum Step {
     Leave,
 }
 
-/// How it goes on.
+/// What the caller does next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
-    /// With this velocity.
+    /// Moves on with this velocity.
     Go,
     /// It failed at this axis; it may still move.
     Failed(End, u8),
-    /// All were found.
+    /// All axes were homed.
     Done,
 }
 
-/// Finding switches.
+/// The homing of some axes.
 #[derive(Clone, Copy, Debug)]
 pub struct Homing {
     left: [bool; AXES],
     axis: Option<usize>,
     step: Step,
-    /// This step has done what it had to: the axis comes to rest.
+    /// This step is complete: the axis comes to rest.
     stops: bool,
     opened: bool,
     from: i64,
     since: u64,
     /// Where each switch opened.
     pub found: [Option<i64>; AXES],
-    /// What the next exchange says.
+    /// The rates for the next exchange.
     pub rates: Rates,
 }
 
 impl Homing {
-    /// Of these axes; all of them have switches.
+    /// For these axes; all of them have switches.
     pub fn new(axes: [bool; AXES], rest: Rates) -> Self {
         Homing {
             left: axes,
@@ -71,12 +73,12 @@ impl Homing {
         }
     }
 
-    /// Which axis is at it.
+    /// The axis that is being homed.
     pub fn axis(&self) -> u8 {
         self.axis.map_or(0xff, |axis| axis as u8)
     }
 
-    /// What follows from what the last exchange said.
+    /// Takes the last exchange's status and decides.
     pub fn step(&mut self, machine: &Machine, clock_hz: u32, status: &Status, now: u64) -> Next {
         let Some(axis) = self.axis.or_else(|| self.next(machine, now)) else {
             return Next::Done;
@@ -109,7 +111,7 @@ impl Homing {
         let far = way > steps(home.travel);
         match self.step {
             Step::Begin => {
-                // As if the last step had just been done.
+                // The same state as if the step before had just ended.
                 self.step = if closed { Step::Seek } else { Step::Begin };
                 self.begin(axis, &home, setup, clock_hz, position);
             }
@@ -136,7 +138,7 @@ impl Homing {
         Next::Go
     }
 
-    /// The next axis: the lowest order, then X before Y.
+    /// The next axis: the lowest order first, then X before Y.
     fn next(&mut self, machine: &Machine, now: u64) -> Option<usize> {
         let order = |axis: &usize| {
             let home = machine.axes.get(*axis).and_then(|axis| axis.home);
@@ -152,7 +154,7 @@ impl Homing {
         Some(axis)
     }
 
-    /// The step behind the one that is done.
+    /// Begins the step after the one that is done.
     fn begin(
         &mut self,
         axis: usize,
@@ -189,7 +191,7 @@ impl Homing {
     }
 }
 
-/// An integrator's way.
+/// A length in an integrator's units.
 fn steps(nm: u32, steps_per_km: u64) -> u64 {
     let steps = ((u128::from(nm) * u128::from(steps_per_km)) << 32) / 1_000_000_000_000;
     u64::try_from(steps).unwrap_or(u64::MAX)
@@ -202,7 +204,7 @@ fn rate(nm_per_s: u32, steps_per_km: u64, clock_hz: u32) -> i32 {
     i32::try_from(rate).unwrap_or(i32::MAX).max(1)
 }
 
-/// No velocity, reached with these accelerations.
+/// Velocity 0, reached with these accelerations.
 pub fn rest(limits: &[u32; AXES]) -> Rates {
     limits.map(|limit| (StepRate(0), Accel(limit)))
 }

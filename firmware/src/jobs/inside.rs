@@ -1,6 +1,8 @@
-//! The executor as a client of its own board: the words a host would send, and what comes back.
+//! The executor as a client of its own board: it sends the same words as a host, and reads the
+//! answers.
 
 use super::Outside;
+use crate::server::COUNTERS_CUTS;
 use motion::segment::AXES;
 use wire::describe::{self, Channels, Describe};
 use wire::exchange::{
@@ -10,8 +12,10 @@ use wire::jobs::Machine;
 use wire::units::{Accel, StepRate};
 use wire::{MAX_WORDS, Refusal, etherbone, map};
 
-/// 100 ms: the executor exchanges every 5 ms, and a loop that hangs is no program.
+/// 100 ms: the executor exchanges every 5 ms, and a loop that takes longer hangs.
 const WATCHDOG_PER_SECOND: u32 = 10;
+/// Largest number of settings in one write.
+const SETTINGS: usize = 6;
 /// Step generators of a job.
 const STEPGENS: u16 = (1 << AXES) - 1;
 
@@ -24,14 +28,14 @@ pub struct Inside {
     sequence: u32,
 }
 
-/// Rate and acceleration of each axis, where no segments are played.
+/// Rate and acceleration of each axis, for motion without segments.
 pub type Rates = [(StepRate, Accel); AXES];
 
 /// No rates.
 pub const REST: Rates = [(StepRate(0), Accel(0)); AXES];
 
 impl Inside {
-    /// Asks the board who it is.
+    /// Asks the board for its description.
     pub fn new(out: &mut impl Outside) -> Option<(Inside, Describe)> {
         let mut reply = [0; MAX_WORDS];
         let mut request = [0; 4 + describe::WORDS];
@@ -52,7 +56,7 @@ impl Inside {
         Some((inside, board))
     }
 
-    /// One word; `None` when it was refused.
+    /// Reads one word; `None` if it was refused.
     fn read(&self, address: u32, out: &mut impl Outside) -> Option<u32> {
         let mut reply = [0; MAX_WORDS];
         let request = [etherbone::HEADER, 0, record(0, 1), 0, address];
@@ -60,13 +64,19 @@ impl Inside {
         reply.get(..length)?.get(4).copied()
     }
 
-    /// The board's state, to whoever looks.
+    /// The board's state; it needs no session.
     pub fn state(&self, out: &mut impl Outside) -> Option<StateWord> {
         let word = self.read(map::STATUS, out)?;
         StateWord::from_word(word).ok()
     }
 
-    /// How the board is, and where the integrators were at its last sample: for whoever owns nothing.
+    /// How often pulses may have been cut off since the board's start, in any session.
+    pub fn cuts(&self, out: &mut impl Outside) -> Option<u32> {
+        self.read(COUNTERS_CUTS, out)
+    }
+
+    /// How the board is, and where the integrators were at its last sample: for whoever owns
+    /// nothing.
     pub fn look(&self, out: &mut impl Outside) -> Option<(StateWord, [i64; AXES])> {
         const WORDS: usize = 1 + 2 * AXES;
         let mut reply = [0; MAX_WORDS];
@@ -90,7 +100,7 @@ impl Inside {
         Some((StateWord::from_word(*state).ok()?, places))
     }
 
-    /// Takes the session. False: somebody else has it.
+    /// Takes the session. False: another client has it.
     #[must_use]
     pub fn acquire(&mut self, out: &mut impl Outside) -> bool {
         let nonce = (out.now() as u32) | 1;
@@ -114,7 +124,8 @@ impl Inside {
         self.token != 0
     }
 
-    /// Proves somebody else's key: takes the session with the answer he gave, and gives it back.
+    /// Checks another client's proof of the key: takes the session with that answer, and releases
+    /// it.
     #[must_use]
     pub fn prove(&mut self, nonce: u32, answer: [u32; 4], out: &mut impl Outside) -> bool {
         let mut reply = [0; MAX_WORDS];
@@ -145,7 +156,7 @@ impl Inside {
         proven
     }
 
-    /// What has to be answered for [`Inside::prove`].
+    /// The challenge to be answered for [`Inside::prove`].
     pub fn challenge(&self, out: &mut impl Outside) -> [u32; 4] {
         ::core::array::from_fn(|n| {
             self.read(map::SESSION_CHALLENGE + 4 * n as u32, out)
@@ -153,7 +164,7 @@ impl Inside {
         })
     }
 
-    /// Somebody else has the session.
+    /// Does another client have the session?
     pub fn owned(&self, out: &mut impl Outside) -> bool {
         self.token == 0
             && (self.read(map::SESSION_OWNER_IP, out) != Some(0)
@@ -176,51 +187,40 @@ impl Inside {
         }
     }
 
-    /// Makes the board this machine. It has to be disarmed, and the session ours.
-    pub fn configure(&self, machine: &Machine, stop: &[u32; AXES], out: &mut impl Outside) {
-        let mut reply = [0; MAX_WORDS];
+    /// Configures the board for this machine, whatever the last session left. The board has to be
+    /// disarmed, and the session ours. False: the board is not configured, and must not be armed.
+    ///
+    /// All settings that an axis of a job depends on are written: timings, deceleration, kind and
+    /// polarity, the switches' inputs, the watchdog's timeout and grace, the outputs. Everything
+    /// else ended with the last session: the firmware commits zeros and discards a timed command
+    /// before it takes the first word. Nothing is restored after a job, because the next session
+    /// configures the board, too.
+    #[must_use]
+    pub fn configure(&self, machine: &Machine, stop: &[u32; AXES], out: &mut impl Outside) -> bool {
+        let mut taken = true;
         for ((n, axis), stop) in (0..).zip(&machine.axes).zip(stop) {
             let [steplen, stepspace, dirsetup, dirhold] = axis.timings(self.clock_hz);
             let invert = |set: bool, bit: u32| if set { bit } else { 0 };
             let mode = invert(axis.step_invert, map::STEPGEN_STEP_INVERT)
                 | invert(axis.dir_invert, map::STEPGEN_DIR_INVERT);
             let base = map::CONFIG_STEPGEN + n * map::CONFIG_STRIDE;
-            let request = [
-                etherbone::HEADER,
-                0,
-                record(6, 0),
-                base,
-                steplen,
-                stepspace,
-                dirsetup,
-                dirhold,
-                *stop,
-                mode,
-            ];
-            out.datagram(&request, &mut reply);
+            let words = [steplen, stepspace, dirsetup, dirhold, *stop, mode];
+            taken &= set(base, words, out);
             if let Some(home) = axis.home {
                 let looks = u64::from(home.debounce) * u64::from(self.clock_hz)
                     / (1_000_000 * u64::from(map::DEBOUNCE_CLOCKS));
                 let looks = looks.min(map::DEBOUNCE_MAX.into()) as u32;
                 let at = map::CONFIG_DEBOUNCE + 4 * u32::from(home.input);
-                out.datagram(&[etherbone::HEADER, 0, record(1, 0), at, looks], &mut reply);
+                taken &= set(at, [looks], out);
             }
         }
-        let request = [
-            etherbone::HEADER,
-            0,
-            record(1, 0),
-            map::CONFIG_BOARD,
-            self.clock_hz / WATCHDOG_PER_SECOND,
-            record(2, 0),
-            map::CONFIG_BOARD + 8,
-            machine.safe,
-            machine.invert,
-        ];
-        out.datagram(&request, &mut reply);
+        let timeout = self.clock_hz / WATCHDOG_PER_SECOND;
+        let grace = machine.grace(self.clock_hz);
+        let board = [timeout, grace, machine.safe, machine.invert];
+        taken && set(map::CONFIG_BOARD, board, out)
     }
 
-    /// The exchange. `None`: refused, so the session is somebody else's or nobody's.
+    /// The exchange. `None`: it was refused, so the session has another owner or none.
     pub fn exchange(
         &mut self,
         enable: bool,
@@ -250,7 +250,26 @@ impl Inside {
     }
 }
 
-/// A record's header: so many words to write, so many to read.
+/// Writes adjacent settings, and reads them back. False: the board does not have them.
+fn set<const N: usize>(base: u32, words: [u32; N], out: &mut impl Outside) -> bool {
+    // Header and padding; the record's header, its base, its words; the answer's base, the
+    // addresses.
+    let mut request = [0; 5 + 2 * SETTINGS];
+    let mut reply = [0; MAX_WORDS];
+    let addresses = (base..).step_by(4).take(N);
+    let head = [etherbone::HEADER, 0, record(N as u32, N), base];
+    let all = head.into_iter().chain(words).chain([0]).chain(addresses);
+    let mut length = 0;
+    for (place, word) in request.iter_mut().zip(all) {
+        *place = word;
+        length += 1;
+    }
+    let answered = out.datagram(request.get(..length).unwrap_or(&[]), &mut reply);
+    let there = reply.get(..answered).and_then(|reply| reply.get(4..));
+    there == Some(&words[..])
+}
+
+/// A record's header for this many writes and reads.
 const fn record(writes: u32, reads: usize) -> u32 {
     etherbone::BYTE_ENABLE | writes << 8 | reads as u32
 }

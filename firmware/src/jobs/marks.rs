@@ -1,11 +1,12 @@
-//! Which instruction a segment is of, and how far the path's time was at its end: two rings, longer than planner and FIFO are.
+//! Maps segments to instructions and path times: two rings, each longer than what planner and FIFO
+//! hold.
 
 /// More than the planner looks ahead.
 const INSTRUCTIONS: usize = 128;
 /// More than the FIFO holds.
 const SEGMENTS: usize = 128;
 
-/// Where an instruction is in its program.
+/// An instruction's place in its program.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mark {
     /// Its line.
@@ -36,12 +37,12 @@ impl Marks {
         }
     }
 
-    /// Forgets all of it.
+    /// Empties both rings.
     pub fn clear(&mut self) {
         (self.count, self.pushed, self.clocks) = (0, 0, 0);
     }
 
-    /// The number of the next instruction, which is this.
+    /// Gives this instruction the next number.
     pub fn instruction(&mut self, mark: Mark) -> u32 {
         let number = self.count;
         if let Some(place) = self.instructions.get_mut(number as usize % INSTRUCTIONS) {
@@ -60,12 +61,13 @@ impl Marks {
         self.pushed = self.pushed.wrapping_add(1);
     }
 
-    /// Segments pushed.
+    /// Number of segments pushed.
     pub fn pushed(&self) -> u32 {
         self.pushed
     }
 
-    /// After so many segments have begun, and with so many clocks of the last one left: what is being drawn, and clocks that have passed.
+    /// The instruction that is being drawn and the clocks that have passed, after `begun` segments
+    /// have begun and with `left` clocks of the last one left.
     pub fn at(&self, begun: u32, left: u32) -> (Mark, u64) {
         let Some(last) = begun.checked_sub(1) else {
             return (Mark::default(), 0);

@@ -1,17 +1,17 @@
-//! How much SDRAM there is, and whether it holds what it is given.
+//! Tests the SDRAM: its size, and whether it stores data correctly.
 
-/// Words that can be written and read, whatever becomes of them.
+/// Words that can be written and read, with any effect.
 pub trait Cells {
-    /// A word, by its place in bytes.
+    /// A word, by its byte offset.
     fn write(&mut self, at: usize, value: u32);
     /// See [`Cells::write`].
     fn read(&mut self, at: usize) -> u32;
 }
 
-/// Bytes of the data cache: a word so much farther on takes the place of one there.
+/// Bytes of the data cache: a word this far away replaces another one in it.
 const CACHE: usize = 0x1000;
 
-/// Each of the 32 data lines has bits of its own in these words, so that two that are tied to each other are told apart.
+/// Each of the 32 data lines has its own bits in these words, so that two connected lines differ.
 const CODES: [u32; 5] = [
     0xaaaa_aaaa,
     0xcccc_cccc,
@@ -19,10 +19,12 @@ const CODES: [u32; 5] = [
     0xff00_ff00,
     0xffff_0000,
 ];
-/// How many of the bits of a line's number are 1, odd or even: differs where any one of the words above does.
+/// Numbers with an odd count of 1s in their binary form; it differs where any of the words above
+/// differs.
 const ZERO: u32 = 0x9669_6996;
 
-/// What is written at the place of this address line, or at 0. No two of ten lines in a row have the same.
+/// The pattern for the place of this address line, or for 0. No two of ten lines in a row have the
+/// same.
 fn pattern(at: usize) -> u32 {
     let line = at.trailing_zeros() as usize;
     let code = CODES.get(line % CODES.len()).copied().unwrap_or(0);
@@ -33,9 +35,11 @@ fn pattern(at: usize) -> u32 {
     }
 }
 
-/// Writes a word for each address line beyond the first `used` bytes, other bits to each, and reads them all back; then the same with every bit
-/// turned over. The lines before are as good as what lies there, which is known to be right. How many bytes there are, if they hold what
-/// they are given: the `window`, or on a card with half as much, half of it, which is seen twice then. The first word is lost.
+/// Writes a word for each address line above the first `used` bytes, each with other bits, and
+/// reads them all back; then the same with all bits inverted. The lower lines are known to work,
+/// because the data there is right. Returns the number of bytes if they work: the `window`, or half
+/// of it on a card with half as much, where the window shows the memory twice. The first word is
+/// overwritten.
 pub fn size(cells: &mut impl Cells, used: usize, window: usize) -> Option<usize> {
     let lines = (2..window.ilog2())
         .map(|line| 1usize << line)
@@ -47,9 +51,9 @@ pub fn size(cells: &mut impl Cells, used: usize, window: usize) -> Option<usize>
         for at in lines.clone() {
             cells.write(at, pattern(at));
         }
-        // On a card with half as much this is the word half-way up the window, too.
+        // On a card with half as much memory this is also the word in the middle of the window.
         cells.write(0, pattern(0));
-        // Each of these lies at a multiple of the cache's size, and so is read from the SDRAM.
+        // Each of these is at a multiple of the cache's size, and so is read from the SDRAM.
         cells.read(CACHE);
         let size = if cells.read(half) == pattern(0) {
             half
@@ -74,10 +78,10 @@ mod tests {
     use std::collections::BTreeMap;
 
     const WINDOW: usize = 8 << 20;
-    /// What the program takes, more or less.
+    /// About the size of the program.
     const USED: usize = 200 * 1024;
 
-    /// A chip whose lines are what `address` and `data` make of them.
+    /// A chip with faults in its lines: `address` and `data` say what the lines become.
     struct Chip<A, D> {
         words: BTreeMap<usize, u32>,
         address: A,
@@ -152,7 +156,7 @@ mod tests {
     #[test]
     fn an_address_line_that_is_stuck_or_tied_to_another_is_found() {
         let beyond = |line: &u32| 1usize << line > USED;
-        // The last one is missing on a card with half as much.
+        // The last line is missing on a card with half as much memory.
         for line in (2..WINDOW.ilog2() - 1).filter(beyond) {
             assert_eq!(
                 found(|at| at & !(1 << line), |word| word),

@@ -1,4 +1,5 @@
-//! Where instructions come from: a job in the store, or the few that find the switches. Some may be put in front.
+//! The source of instructions: a job in the store, or the few instructions of homing. Some can be
+//! inserted in front.
 
 use super::store::{Id, Store, Tape};
 use motion::instruction::Instruction;
@@ -18,7 +19,7 @@ pub struct Program {
 }
 
 impl Program {
-    /// Nothing but the end.
+    /// An empty program: only its end.
     pub fn nothing() -> Self {
         Program {
             tape: None,
@@ -28,7 +29,7 @@ impl Program {
         }
     }
 
-    /// Begins with a job of the store.
+    /// Starts with a job of the store.
     pub fn job(&mut self, store: &Store, id: Id) {
         self.tape = Some(store.tape(id));
         self.pull = Pull::default();
@@ -36,7 +37,7 @@ impl Program {
         self.line = 0;
     }
 
-    /// Nothing but this, and the end.
+    /// This one instruction, then the end.
     pub fn only(&mut self, instruction: Instruction) {
         self.tape = None;
         self.line = 0;
@@ -44,13 +45,13 @@ impl Program {
         self.insert(instruction);
     }
 
-    /// To come before everything else, behind what was inserted before.
+    /// Inserts before everything else, but after what was inserted before.
     pub fn insert(&mut self, instruction: Instruction) {
-        // Four are enough for a way back and a tool.
+        // Four are enough for a way back and a tool change.
         let _ = self.first.push_back(instruction);
     }
 
-    /// The next instruction and its line; `None`: none this time.
+    /// The next instruction and its line; `None`: none in this call.
     pub fn next(&mut self, store: &Store) -> Result<Option<(Instruction, u32)>, Broken> {
         if let Some(instruction) = self.first.pop_front() {
             return Ok(Some((instruction, self.line)));

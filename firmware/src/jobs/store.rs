@@ -1,11 +1,13 @@
-//! Jobs in memory: several, by name, in pieces of 4 KiB, so that one that is deleted leaves no hole nobody fits into.
+//! Jobs in memory: several, by name, in pieces of 4 KiB, so that a deleted job leaves no unusable
+//! hole.
 //!
 //! ```text
 //!   memory   next piece of piece 0, 1, 2 .. (u16 each)     piece 0    piece 1    piece 2   ...
 //! ```
 //!
-//! What comes in is read through behind its arrival, block by block ([`Store::poll`]): by the time the last byte is there nearly all
-//! of it has been seen, and a job is ready only when its CRC is the one that was said and every block of it can be read.
+//! An upload is checked while it arrives, block by block ([`Store::poll`]): when the last byte
+//! comes, nearly all of it has been checked. A job is ready only when its CRC is the announced one
+//! and every block can be read.
 
 use motion::job::{self, Reader};
 use wire::Name;
@@ -14,12 +16,12 @@ use wire::jobs::{Entry, Status};
 
 /// Bytes of a piece.
 pub const PIECE: usize = 4096;
-/// Jobs, at most.
+/// Largest number of jobs.
 pub const JOBS: usize = 32;
-/// No piece behind this one.
+/// No piece follows.
 const LAST: u16 = u16::MAX;
 
-/// A place in a job: how far, and where that is.
+/// A place in a job: the offset, and where that is in memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Place {
     offset: u32,
@@ -33,31 +35,31 @@ struct Job {
     total: u32,
     crc: u32,
     first: u16,
-    /// Where the next byte goes.
+    /// The place of the next byte.
     end: Place,
     ready: bool,
     instructions: u32,
 }
 
-/// Which job: its place in the directory, and how many jobs were put there before it.
+/// Identifies a job: its place in the directory, and how many jobs had that place before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Id {
     index: u8,
     age: u32,
 }
 
-/// Reads an upload through.
+/// The check of an upload.
 #[derive(Debug)]
 struct Reading {
     index: u8,
     at: Place,
     reader: Reader,
     crc: Crc32,
-    /// Of the block, counted into `crc` already.
+    /// Bytes of this block that `crc` already includes.
     block: [u8; job::BLOCK + job::FRAME],
     loaded: usize,
     instructions: u32,
-    /// Where a block begins that is none.
+    /// The offset of the first invalid block.
     broken: Option<u32>,
 }
 
@@ -75,7 +77,7 @@ pub struct Store<'m> {
 }
 
 impl<'m> Store<'m> {
-    /// In this memory, whatever is in it.
+    /// A store in this memory; its old content does not matter.
     pub fn new(memory: &'m mut [u8]) -> Self {
         let count = (memory.len() / (PIECE + 2)).min(usize::from(LAST));
         let (next, rest) = memory.split_at_mut(2 * count);
@@ -108,12 +110,12 @@ impl<'m> Store<'m> {
         store
     }
 
-    /// Bytes of it.
+    /// Size in bytes.
     pub fn room(&self) -> u32 {
         self.pieces.len() as u32
     }
 
-    /// Bytes that are free.
+    /// Free bytes.
     pub fn free(&self) -> u32 {
         u32::from(self.free_count) * PIECE as u32
     }
@@ -156,7 +158,7 @@ impl<'m> Store<'m> {
         }
     }
 
-    /// The job with this number, counted from 0.
+    /// The job with this number, from 0.
     pub fn entry(&self, number: u8) -> Option<Entry> {
         let job = self.jobs.iter().flatten().nth(number.into())?;
         Some(self.entry_of(job))
@@ -174,7 +176,7 @@ impl<'m> Store<'m> {
         }
     }
 
-    /// Is it this one?
+    /// Does this id belong to that name?
     pub fn is(&self, id: Id, name: &Name) -> bool {
         self.job(id).is_some_and(|job| job.name == *name)
     }
@@ -185,13 +187,13 @@ impl<'m> Store<'m> {
         (*age == id.age).then_some(job)
     }
 
-    /// Is the job of this name exactly that?
+    /// Does the job of this name have this length and CRC?
     pub fn same(&self, name: &Name, total: u32, crc: u32) -> bool {
         let mut jobs = self.jobs.iter().flatten();
         jobs.any(|job| job.name == *name && (job.total, job.crc) == (total, crc))
     }
 
-    /// Begins an upload, or goes on with it: from where.
+    /// Begins an upload, or continues it; returns the offset to continue from.
     pub fn put(&mut self, name: Name, total: u32, crc: u32) -> Result<u32, Status> {
         let known = self.find(&name);
         if let Some(index) = known
@@ -204,7 +206,8 @@ impl<'m> Store<'m> {
             }
             return Ok(have);
         }
-        // Parts of jobs that were cut are room that was promised; the job that this one is instead of makes room.
+        // Unfinished uploads have a promise of room; the job that this upload replaces gives room
+        // back.
         let (mut free, mut promised) = (u32::from(self.free_count), 0);
         for (index, job) in self.jobs.iter().enumerate() {
             match job {
@@ -239,7 +242,7 @@ impl<'m> Store<'m> {
         Ok(0)
     }
 
-    /// Reads it through from its beginning.
+    /// Starts the check of a job from its beginning.
     fn begin(&mut self, index: u8) {
         let first = match self.jobs.get(usize::from(index)) {
             Some(Some(job)) => job.first,
@@ -262,7 +265,8 @@ impl<'m> Store<'m> {
         Some((index, self.jobs.get(index)?.as_ref()?))
     }
 
-    /// The next bytes of the upload: the offset of those behind them. An error says the offset they should have had, or what is free.
+    /// Takes the next bytes of the upload; returns the offset after them. An error contains the
+    /// right offset, or the free bytes.
     pub fn data(&mut self, offset: u32, bytes: &[u8]) -> Result<u32, (Status, u32)> {
         let Some((index, job)) = self.uploading() else {
             return Err((Status::NoSuchJob, 0));
@@ -307,7 +311,8 @@ impl<'m> Store<'m> {
         }
     }
 
-    /// All of it is there. `None`: it is still being read through, ask again. A job that is wrong begins anew.
+    /// Ends an upload. `None`: the check is not finished, ask again. The upload of an invalid job
+    /// starts again.
     pub fn commit(&mut self) -> Option<Result<Entry, (Status, u32)>> {
         let Some((index, job)) = self.uploading() else {
             return Some(Err((Status::NoSuchJob, 0)));
@@ -343,7 +348,7 @@ impl<'m> Store<'m> {
         Some(Ok(self.entry_of(&job)))
     }
 
-    /// Takes a job out.
+    /// Deletes a job.
     pub fn delete(&mut self, name: &Name) -> Result<(), Status> {
         let index = self.find(name).ok_or(Status::NoSuchJob)?;
         self.remove(index);
@@ -368,7 +373,7 @@ impl<'m> Store<'m> {
         }
     }
 
-    /// There is something to be read through.
+    /// Is there anything left to check?
     pub fn reads(&self) -> bool {
         let Some((_, job)) = self.uploading() else {
             return false;
@@ -379,7 +384,7 @@ impl<'m> Store<'m> {
         !job.ready && (enough || waits > 0 && job.end.offset == job.total)
     }
 
-    /// Reads the next block through, if it is there. Behind one that is none only the CRC is counted.
+    /// Checks the next block, if it is there. After an invalid block only the CRC is computed.
     pub fn poll(&mut self) {
         if !self.reads() {
             return;
@@ -400,13 +405,14 @@ impl<'m> Store<'m> {
         reading.crc.update(place);
         reading.loaded += wanted;
         reading.block();
-        // Nothing more comes behind the last blocks, which may be short. (Where the upload has come to, more does.)
+        // No more bytes follow the last blocks, which may be short. (In an unfinished upload more
+        // bytes follow.)
         while reading.at.offset == total && reading.loaded > 0 {
             reading.block();
         }
     }
 
-    /// Begins to read a job.
+    /// Starts reading a job.
     pub fn tape(&self, id: Id) -> Tape {
         Tape {
             id,
@@ -417,7 +423,7 @@ impl<'m> Store<'m> {
         }
     }
 
-    /// The next bytes of it, as many as there are; `None` when the job is gone.
+    /// Reads its next bytes, as many as there are; `None` if the job is gone.
     pub fn read(&self, tape: &mut Tape, out: &mut [u8]) -> Option<usize> {
         let job = self.job(tape.id)?;
         let left = (job.end.offset - tape.at.offset) as usize;
@@ -428,7 +434,7 @@ impl<'m> Store<'m> {
 }
 
 impl Reading {
-    /// The block in front of what is loaded.
+    /// Checks the block at the front of the loaded bytes.
     fn block(&mut self) {
         let known = self.block.get(..self.loaded).unwrap_or(&[]);
         let mut count = 0;
@@ -455,7 +461,7 @@ fn after(next: &[u8], piece: u16) -> u16 {
     bytes.map_or(LAST, |bytes| u16::from_le_bytes(*bytes))
 }
 
-/// Copies what is there from this place on; the place behind it.
+/// Copies the bytes from this place on; returns the place after them.
 fn copy(next: &[u8], pieces: &[u8], mut at: Place, mut out: &mut [u8]) -> Place {
     while !out.is_empty() {
         let within = at.offset as usize % PIECE;
@@ -474,7 +480,7 @@ fn copy(next: &[u8], pieces: &[u8], mut at: Place, mut out: &mut [u8]) -> Place 
     at
 }
 
-/// How far a job has been read.
+/// The position of a reader in a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tape {
     id: Id,
@@ -482,7 +488,7 @@ pub struct Tape {
 }
 
 impl Tape {
-    /// Which job.
+    /// The job's id.
     pub fn id(&self) -> Id {
         self.id
     }

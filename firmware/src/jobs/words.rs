@@ -1,13 +1,19 @@
-//! FPGA G's protocol: words into instructions, instructions into the queue, and its status word.
+//! FPGA G's protocol: turns words into instructions, puts instructions into the queue, and makes
+//! the status word.
 //!
-//! An instruction counts when its last word has come, as there; words may come one by one or many at once. Those of one that is refused are
-//! gone, those that came behind them in the same request, too.
+//! An instruction counts when its last word has come, as there; words may come one by one or many
+//! at once. Those of one that is refused are gone, those that came behind them in the same request,
+//! too.
+//!
+//! An instruction is of one client and in one form. Words of another client, or in the other form,
+//! do not complete it: it is dropped, and both clients are told by a parse error, the one that
+//! comes now and the one that began it when it goes on.
 
 use motion::fpgag::{CURVE_WORDS, Command, Curve, Error, Move, WORDS, status};
 use motion::segment::AXES;
 use motion::words::{Limits, Player, Word};
 
-/// Instructions that wait.
+/// Largest number of waiting instructions.
 const DEPTH: usize = 64;
 
 /// The status word of a request that was refused for another reason: nothing was executed.
@@ -21,43 +27,60 @@ pub fn harmless(command: u8) -> bool {
     )
 }
 
-/// What a client of this protocol has sent.
+/// A command that ends motion.
+pub fn halts(command: u8) -> bool {
+    Command::from_code(command) == Some(Command::Stop)
+}
+
+/// The words a client of this protocol has sent.
 #[derive(Debug)]
 pub struct Words {
     player: Player<DEPTH>,
     form: u8,
+    /// The client whose instruction `words` begin.
+    client: u32,
     words: heapless::Vec<u32, CURVE_WORDS>,
+    /// The client whose half instruction was dropped for another's words, and that has not been
+    /// told.
+    torn: Option<u32>,
     /// Instructions are begun.
     pub executes: bool,
 }
 
 impl Words {
-    /// Of motors that are there.
+    /// For motors at these positions.
     pub fn new(limits: Limits, positions: [i64; AXES]) -> Self {
         Words {
             player: Player::new(limits, positions),
             form: 0,
+            client: 0,
+            torn: None,
             words: heapless::Vec::new(),
             executes: true,
         }
     }
 
-    /// Its instructions.
+    /// The queue of instructions.
     pub fn player(&mut self) -> &mut Player<DEPTH> {
         &mut self.player
     }
 
-    /// It begins, with the motors there; what waits is refused if that is beyond the limits now.
-    pub fn begin(&mut self, positions: [i64; AXES]) -> Result<(), Error> {
-        self.executes = true;
-        self.player.begin_at(positions)
+    /// Sets the limits for new instructions; a waiting one is checked again when it begins.
+    pub fn set_limits(&mut self, limits: Limits) {
+        self.player.set_limits(limits);
     }
 
-    /// Words of instructions in this form; the status word.
-    pub fn gcode(&mut self, form: u8, words: impl Iterator<Item = u32>) -> u32 {
-        if form != self.form {
-            self.words.clear();
-            self.form = form;
+    /// Begins, with the motors at these positions and these limits; refuses the waiting
+    /// instructions if they exceed them.
+    pub fn begin(&mut self, limits: Limits, positions: [i64; AXES]) -> Result<(), Error> {
+        self.executes = true;
+        self.player.begin_at(limits, positions)
+    }
+
+    /// Words of this client's instructions in this form; the status word.
+    pub fn gcode(&mut self, client: u32, form: u8, words: impl Iterator<Item = u32>) -> u32 {
+        if self.tears(client, form) {
+            return status::PARSE_ERROR;
         }
         let length = match form {
             0 => WORDS,
@@ -83,6 +106,24 @@ impl Words {
             }
         }
         0
+    }
+
+    /// These words come in the middle of another instruction, or are the rest of one that was
+    /// dropped.
+    fn tears(&mut self, client: u32, form: u8) -> bool {
+        let told = self.torn == Some(client);
+        if told {
+            self.torn = None;
+        }
+        let torn = !self.words.is_empty() && (client, form) != (self.client, self.form);
+        if torn && client != self.client {
+            self.torn = Some(self.client);
+        }
+        if torn {
+            self.words.clear();
+        }
+        (self.client, self.form) = (client, form);
+        torn || told
     }
 
     /// The status word.

@@ -1,9 +1,9 @@
 use super::*;
-use crate::exchange::{Reply as _, SlotReply};
+use crate::exchange::{FLAGS_WORD, FRAME_FLAGS, Reply as _, SlotReply};
 use crate::fake::{ALICE, Notebook, Rig, SIX};
 use proptest::prelude::*;
 use wire::exchange::{Command as Block, Status};
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Clocks, StepRate};
 
 const US: Us = Us {
     mac: [0x10, 0xe2, 0xd5, 0, 0, 1],
@@ -17,10 +17,10 @@ struct Bytes(Vec<u8>);
 
 impl Frame for Bytes {
     fn word(&self, index: usize) -> u32 {
-        // Behind the frame lies whatever an older frame left there.
+        // After the frame there are bytes of an older frame.
         let byte = |at: usize| match at.checked_sub(2) {
             Some(at) => self.0.get(at).copied().unwrap_or(0xa5),
-            None => 0x5a, // the two bytes in front are nobody's
+            None => 0x5a, // the two bytes in front are not part of the frame
         };
         u32::from_be_bytes([0, 1, 2, 3].map(|at| byte(4 * index + at)))
     }
@@ -39,7 +39,7 @@ impl Slot for Words {
 }
 
 impl Words {
-    /// As they go out: without the two bytes in front.
+    /// The bytes as sent: without the two bytes in front.
     fn bytes(&self) -> Vec<u8> {
         let bytes = self.0.iter().flat_map(|word| word.to_be_bytes());
         bytes.skip(2).collect()
@@ -57,7 +57,7 @@ fn checksum(bytes: &[u8]) -> u16 {
     !(sum as u16)
 }
 
-/// The textbook way, byte by byte, sharing nothing with the code under test.
+/// A textbook implementation, byte by byte, that shares no code with the tested one.
 fn udp_frame(payload: &[u8], with_checksum: bool) -> Vec<u8> {
     let udp_length = (8 + payload.len()) as u16;
     let mut ip = vec![0x45, 0, 0, 0, 0x12, 0x34, 0x40, 0, 63, 17, 0, 0];
@@ -101,7 +101,7 @@ fn with(at: usize, value: u8) -> Vec<u8> {
     frame
 }
 
-/// Puts the IP header's checksum right again after a change.
+/// Corrects the IP header's checksum after a change.
 fn rechecked(mut frame: Vec<u8>) -> Vec<u8> {
     frame[24..26].fill(0);
     let sum = checksum(&frame[14..34]);
@@ -184,7 +184,7 @@ fn discovery_and_dhcp_are_taken_whatever_address_they_are_sent_to() {
 }
 
 #[test]
-fn what_is_told_to_everybody_is_addressed_to_everybody() {
+fn a_broadcast_is_addressed_to_all() {
     let mut slot = Words::default();
     let us = Us {
         ip: 0,
@@ -246,7 +246,7 @@ fn ip_options_are_stepped_over() {
         let mut frame = udp_frame(&payload, true);
         frame[14] = 0x45 + options as u8;
         frame[17] += 4 * options as u8;
-        // Eight no-operations, an end of list, and rubbish behind it.
+        // Eight no-operations, an end of list, and random bytes after it.
         frame.splice(
             34..34,
             (0..4 * options).map(|at| [1, 1, 1, 1, 1, 1, 1, 1, 0, 0xee][at.min(9)]),
@@ -331,7 +331,7 @@ fn lane() -> Lane {
     Lane::new(&US, datagram, 27)
 }
 
-/// Runs a frame down the lane as the firmware does; the answer's payload if there was one.
+/// Runs a frame down the lane as the firmware does; returns the answer's payload, if there is one.
 fn down_the_lane(rig: &mut Rig, frame: Vec<u8>) -> Option<Result<Vec<u32>, Refusal>> {
     let lane = lane();
     let length = frame.len();
@@ -392,7 +392,8 @@ fn a_damaged_exchange_is_refused_before_anything_takes_effect() {
     let command = block(&mut rig);
     let before = rig.board.changes();
     let frame = udp_frame(&request(&command), true);
-    // Token, sequence, flags and the bits behind the latch's number are judged before the sum is known.
+    // Token, sequence, flags and the bits above the latch's number are judged before the checksum
+    // is known.
     for at in (58 + 12..frame.len()).filter(|at| *at != 58 + 32) {
         let mut bad = frame.clone();
         bad[at] ^= 0x10;
@@ -404,11 +405,38 @@ fn a_damaged_exchange_is_refused_before_anything_takes_effect() {
 }
 
 #[test]
+fn a_damaged_exchange_leaves_a_command_that_waits_for_its_time() {
+    let mut rig = Rig::armed();
+    let timed = Block {
+        apply_at: Some(Clocks(0x5_0000_0007)),
+        ..block(&mut rig)
+    };
+    assert!(down_the_lane(&mut rig, udp_frame(&request(&timed), true)).is_some_and(|r| r.is_ok()));
+    assert_eq!(rig.board.commit_at, 0x5_0000_0007);
+    let waits = rig.board.staged;
+    let mut command = rig.command(true, true);
+    command.stepgen[3] = (StepRate(99), Accel(99));
+    let frame = udp_frame(&request(&command), true);
+    for at in 58..frame.len() {
+        let mut bad = frame.clone();
+        bad[at] ^= 0x10;
+        let refused = down_the_lane(&mut rig, bad).is_none_or(|answer| answer.is_err());
+        assert!(refused, "byte {at}");
+        assert_eq!(rig.board.commit_at, 0x5_0000_0007, "byte {at}");
+        assert_eq!(rig.board.staged, waits, "byte {at}");
+    }
+    // An intact command replaces it.
+    assert!(down_the_lane(&mut rig, frame).unwrap().is_ok());
+    assert_eq!(rig.board.commit_at, u64::MAX);
+    assert_ne!(rig.board.live, waits);
+}
+
+#[test]
 fn whatever_is_not_exactly_an_exchange_of_this_host_goes_the_long_way() {
     let mut rig = Rig::armed();
     let command = block(&mut rig);
     let frame = udp_frame(&request(&command), true);
-    // TOS, IP identification and TTL may differ, and the checksums with them: see the next test.
+    // TOS, IP identification and TTL may differ, and with them the checksums: see the next test.
     let free = [15, 18, 19, 22, 24, 25, 40, 41];
     for at in (0..58).filter(|at| !free.contains(at) && !(46..50).contains(at)) {
         let mut other = frame.clone();
@@ -439,7 +467,22 @@ fn service_class_identification_and_ttl_are_the_senders_business() {
     }
 }
 
-/// A frame nobody sent.
+#[test]
+fn the_flags_of_an_exchange_lie_where_the_image_looks_for_them() {
+    let command = Block {
+        enable_request: true,
+        stepgen_alone: 0x8001,
+        ..Block::default()
+    };
+    let mut buffer = [0; 64];
+    let request = command.emit_request(SIX, &mut buffer).unwrap();
+    let bytes: Vec<u8> = request.iter().flat_map(|word| word.to_be_bytes()).collect();
+    let frame = Bytes(udp_frame(&bytes, true));
+    assert_eq!(frame.word(FRAME_FLAGS), 0x8001_0002);
+    assert_eq!(request[4 + FLAGS_WORD], 0x8001_0002);
+}
+
+/// A frame that was never sent.
 struct MadeUp([u32; REHEARSAL_WORDS]);
 
 impl Frame for MadeUp {
@@ -470,7 +513,7 @@ fn a_rehearsal_walks_to_the_end_and_does_nothing() {
     assert_eq!(
         slot.0.len(),
         PAYLOAD_WORD + 4 + 45,
-        "it did not get to the end"
+        "it did not run to the end"
     );
     assert_eq!(rig.board.changes(), before);
     assert_eq!(*rig.server.session(), session);

@@ -6,7 +6,7 @@ use wire::exchange::Command;
 use wire::map;
 use wire::units::{Accel, StepRate};
 
-/// Clocks until an axis of this speed stands, braking by this much.
+/// Clocks until an axis of this speed stands with this deceleration.
 fn clocks_to_rest(speed: u32, accel: u32) -> f64 {
     f64::from(speed) * f64::from(1 << FRACTION) / f64::from(accel)
 }
@@ -48,6 +48,24 @@ proptest! {
                 prop_assert!(f64::from(share) <= exact + slack, "{} for {}", share, exact);
             }
         }
+    }
+
+    #[test]
+    fn beside_an_axis_that_brakes_as_hard_as_can_be_said_none_is_late_by_a_single_unit(
+        accel in 1u32 << 31..=u32::MAX, speed in 1u32..=1 << 31, shift in 0u32..7, part in 0u32..=1000
+    ) {
+        let slowest = (speed >> shift).max(1);
+        let speed = (u64::from(slowest) * u64::from(part) / 1000) as u32;
+        prop_assume!(speed > 0 && u64::from(speed) * u64::from(accel) <= u64::from(slowest) * u64::from(u32::MAX));
+        let [first, share] = shares(&[(slowest, accel), (speed, u32::MAX)])[..] else {
+            unreachable!()
+        };
+        prop_assert_eq!(first, accel);
+        // share / speed >= accel / slowest, in whole numbers.
+        let (have, need) = (u128::from(share) * u128::from(slowest), u128::from(speed) * u128::from(accel));
+        prop_assert!(have >= need, "{} for {}", share, need / u128::from(slowest));
+        let most = need / u128::from(slowest) + 2 + ((need / u128::from(slowest)) >> 27);
+        prop_assert!(u128::from(share) <= most.max(u128::from(u32::MAX >> FLOOR_SHIFT)), "{} of {}", share, most);
     }
 
     #[test]
@@ -102,7 +120,10 @@ const CONFIGURED: [u32; 3] = [80_000, 80_000, 40_000];
 
 /// Armed, three axes configured.
 fn armed() -> Rig {
-    let mut rig = Rig::new();
+    armed_of(Rig::new())
+}
+
+fn armed_of(mut rig: Rig) -> Rig {
     rig.board
         .set(Setting::Board(BoardConfig::WatchdogTimeout), 300_000);
     rig.acquire();
@@ -117,12 +138,12 @@ fn address(n: u32) -> u32 {
     map::CONFIG_STEPGEN + n * map::CONFIG_STRIDE + 4 * StepgenConfig::StopAccel as u32
 }
 
-/// What is in the cores.
+/// The decelerations in the cores.
 fn cores(rig: &mut Rig) -> [u32; 3] {
     [0, 1, 2].map(|n| rig.board.setting(stop_accel(n)))
 }
 
-/// A command that moves the three axes at these rates, which they have already.
+/// A command that moves the three axes at these rates, which they already have.
 fn moving(rig: &mut Rig, rates: [i32; 3]) -> Command {
     let mut command = rig.command(true, true);
     for (n, rate) in rates.into_iter().enumerate() {
@@ -163,7 +184,7 @@ fn it_is_done_once_for_a_command_and_never_for_a_refused_one() {
 }
 
 #[test]
-fn who_is_alone_or_disabled_keeps_what_was_configured_and_holds_nobody_up() {
+fn an_axis_alone_or_disabled_keeps_its_configuration_and_delays_no_other() {
     let mut rig = armed();
     let mut command = moving(&mut rig, [1_000_000, -500_000, 20_000_000]);
     command.stepgen_alone = 0b100;
@@ -176,7 +197,7 @@ fn who_is_alone_or_disabled_keeps_what_was_configured_and_holds_nobody_up() {
 }
 
 #[test]
-fn who_was_configured_to_stop_at_once_does_and_holds_nobody_up() {
+fn an_axis_configured_to_stop_at_once_does_and_delays_no_other() {
     let mut rig = Rig::new();
     rig.acquire();
     rig.write(address(0), 0).unwrap();
@@ -197,6 +218,33 @@ fn an_axis_that_brakes_towards_zero_is_not_taken_for_one_that_stands() {
     let [x, y, _] = cores(&mut rig);
     assert_eq!(x, 80_000, "{y}");
     assert!((5_000..=5_002).contains(&y), "{y}");
+}
+
+#[test]
+fn an_axis_that_a_stop_may_meet_at_speed_is_not_taken_for_as_slow_as_it_will_be() {
+    let mut rig = armed();
+    let mut command = moving(&mut rig, [1_000_000, 500_000, 0]);
+    // Y stands nearly at the bite, and still has its old speed if the host stops now.
+    command.stepgen[1] = (StepRate(1), Accel::UNLIMITED);
+    exchange(&mut rig, &command);
+    assert_eq!(cores(&mut rig), [80_000, 40_001, 40_000]);
+}
+
+#[test]
+fn while_segments_play_every_axis_keeps_what_was_configured() {
+    const SEEN: [i32; 3] = [1_000_000, -500_000, 3];
+    for state in 1..4 {
+        let mut rig = armed_of(Rig::with_segments());
+        let mut command = moving(&mut rig, SEEN);
+        exchange(&mut rig, &command);
+        assert_ne!(cores(&mut rig), CONFIGURED, "as the session left it");
+        // The executor's command in a job: no rates.
+        rig.board.segments = state << 8;
+        command = moving(&mut rig, SEEN);
+        command.stepgen = [(StepRate(0), Accel(500)); 16];
+        exchange(&mut rig, &command);
+        assert_eq!(cores(&mut rig), CONFIGURED, "state {state}");
+    }
 }
 
 #[test]
@@ -241,6 +289,30 @@ fn a_setting_written_as_soon_as_the_machine_rests_is_not_undone() {
     rig.server.poll(&mut rig.board);
     assert_eq!(cores(&mut rig), [CONFIGURED[0], 1234, CONFIGURED[2]]);
     assert_eq!(rig.read(address(1)), Ok(1234));
+}
+
+#[test]
+fn each_axis_is_taken_as_fast_as_its_own_command_makes_it_by_the_bite() {
+    let from_rest = |commands: [(i32, u32); 3]| {
+        let mut rig = armed();
+        let mut command = moving(&mut rig, [0, 0, 0]);
+        for (n, (rate, accel)) in commands.into_iter().enumerate() {
+            command.stepgen[n] = (StepRate(rate), Accel(accel));
+        }
+        exchange(&mut rig, &command);
+        cores(&mut rig)
+    };
+    // At 50 000 000 a clock X has 894 069 units after the 300 000 clocks to the bite; Y has half,
+    // Z a quarter of it.
+    let far = 2_000_000;
+    let ramping = from_rest([(far, 50_000_000), (-far, 25_000_000), (far, 12_500_000)]);
+    // Without a limit each has its target.
+    let jumping = from_rest([(1_000_000, 0), (-500_000, 0), (250_000, 0)]);
+    for [x, y, z] in [ramping, jumping] {
+        assert_eq!(x, 80_000);
+        assert!((40_000..=40_002).contains(&y), "{y}");
+        assert!((20_000..=20_002).contains(&z), "{z}");
+    }
 }
 
 #[test]

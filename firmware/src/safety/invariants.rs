@@ -1,10 +1,11 @@
-//! What must hold of every step of the state machine from anywhere, one sentence each.
+//! The invariants of the state machine: what must hold in every step from every state, one sentence
+//! each.
 
 use super::{Effects, Event, Request, Safety};
 use crate::cores::Control;
 use wire::{FaultReason, State};
 
-/// Does the step from `before` to `after` keep every promise? If not, which one is broken.
+/// Does the step from `before` to `after` keep all invariants? If not, the error is the broken one.
 pub(super) fn hold(
     before: &Safety,
     event: Event,
@@ -43,7 +44,7 @@ pub(super) fn hold(
         )?;
         keep(before.session, "arming needs a session")?;
         keep(before.abi_fits, "arming needs an ABI that fits")?;
-        keep(!before.held, "what is held is not armed")?;
+        keep(!before.held, "a held machine is not armed")?;
         keep(
             enable && request,
             "arming needs enable and the request still high",
@@ -54,7 +55,7 @@ pub(super) fn hold(
         )?;
         keep(
             !gate.open() && !gate.latched() && !gate.pinned(),
-            "nothing arms over what is latched, a pin, or an open gate",
+            "no arming with a latch set, an active pin or an open gate",
         )?;
     }
 
@@ -62,16 +63,16 @@ pub(super) fn hold(
     if after.state == State::Armed {
         keep(
             after.session && after.abi_fits,
-            "Armed is with a session and an ABI that fits",
+            "Armed needs a session and an ABI that fits",
         )?;
         keep(
             after.reason == FaultReason::None,
-            "Armed has no reason to have stopped",
+            "Armed has no fault reason",
         )?;
         if let Some(gate) = gate.filter(|_| !arms) {
             keep(
                 gate.open() && !gate.pinned() && !gate.bitten(),
-                "Armed does not outlive what the gate says",
+                "Armed ends when the gate is not live",
             )?;
         }
     }
@@ -83,27 +84,24 @@ pub(super) fn hold(
     // Out of Faulted.
     if faulted(before) && !faulted(after) {
         let Event::Command { request, gate, .. } = event else {
-            return Err("a fault is left by a command");
+            return Err("only a command ends a fault");
         };
-        keep(
-            after.state == State::Disarmed,
-            "a fault is left for Disarmed",
-        )?;
+        keep(after.state == State::Disarmed, "a fault ends in Disarmed")?;
         keep(
             request && before.request == Request::Low,
-            "a fault is left by a rising edge",
+            "only a rising edge ends a fault",
         )?;
         keep(
             before.session && before.resynced,
-            "a fault is left after a full resync",
+            "a fault ends only after a full resync",
         )?;
         keep(
             before.abi_fits && !gate.open() && !gate.pinned_now(),
-            "a fault is left when its cause is gone",
+            "a fault ends only when its cause is gone",
         )?;
         keep(
             effects.order == Some(Control::Clear),
-            "leaving a fault clears what is latched",
+            "the end of a fault clears the latches",
         )?;
     }
     keep(
@@ -127,7 +125,7 @@ pub(super) fn hold(
     };
     keep(
         !strikes(after) || strikes(before) || !after.resynced || event == Event::Acquired,
-        "what was known before a fault counts no more",
+        "a fault invalidates earlier knowledge",
     )?;
 
     // Ways between states.
@@ -140,7 +138,7 @@ pub(super) fn hold(
         }
         State::Faulted => [State::Faulted, State::Disarmed].contains(&after.state),
     };
-    keep(may, "there is no such way between states")?;
+    keep(may, "this transition does not exist")?;
     keep(
         before.state != State::Boot
             || after.state == State::Boot
@@ -151,7 +149,7 @@ pub(super) fn hold(
         before.state != State::Stopping
             || after.state != State::Disarmed
             || before.reason == FaultReason::HostDisable,
-        "a stop that ends in Disarmed was the host's wish",
+        "only a stop that the host asked for ends in Disarmed",
     )?;
 
     // The gate's orders.
@@ -165,7 +163,7 @@ pub(super) fn hold(
     if let Some(gate) = gate {
         keep(
             order != Some(Control::Clear) || !gate.open(),
-            "nothing is cleared behind an open gate",
+            "nothing is cleared while the gate is open",
         )?;
         keep(
             !before.at_rest() || !gate.open() || order == Some(Control::Close),
@@ -183,10 +181,14 @@ pub(super) fn hold(
         "an ended session is gone",
     )?;
     keep(
+        !before.session || after.session || effects.end_session || event == Event::Lost,
+        "a session that ends here is ended for its owner too",
+    )?;
+    keep(
         before.session || !after.session || event == Event::Acquired,
         "only acquiring makes a session",
     )?;
-    keep(before.held == after.held, "no event holds or lets go")?;
+    keep(before.held == after.held, "no event changes the hold")?;
     keep(
         before.abi_fits == after.abi_fits || matches!(event, Event::Booted { .. }),
         "the ABI is compared once",
@@ -199,7 +201,7 @@ pub(super) fn hold(
         let moving = matches!(before.state, State::Armed | State::Stopping);
         keep(
             moving || before.state == State::Boot,
-            "what stands cannot lose steps",
+            "a machine at rest cannot lose steps",
         )?;
     }
     Ok(())

@@ -22,7 +22,8 @@ fn command(enable: bool, request: bool, gate: Gate) -> Event {
     }
 }
 
-/// A step, and what the server does behind it when it opens the gate. Every step is held against the invariants.
+/// A step, and the server's reaction when it opens the gate. Every step is checked against the
+/// invariants.
 fn step(machine: Safety, event: Event, now: u64) -> (Safety, Effects) {
     let (mut after, effects) = machine.step(event, now);
     if effects.order == Some(Control::Arm) {
@@ -70,7 +71,7 @@ fn armed() -> Safety {
 /// Longer than any stop.
 const LONG: u64 = GRACE as u64 + STOP_SLACK_CLOCKS as u64;
 
-/// One machine for every way to be in a state, found by walking.
+/// One machine for each possible combination of state and flags, found by a search.
 fn reachable() -> &'static [Safety] {
     static FOUND: OnceLock<Vec<Safety>> = OnceLock::new();
     FOUND.get_or_init(walk)
@@ -85,7 +86,7 @@ fn walk() -> Vec<Safety> {
         for event in all_events() {
             for now in [0, u64::from(GRACE), LONG] {
                 let (mut after, _) = step(machine, event, now);
-                // Time is not part of where one can be.
+                // Times do not distinguish states.
                 (after.stop_since, after.seen, after.grace) = (0, 0, GRACE);
                 for held in [false, true] {
                     after.hold(held);
@@ -99,7 +100,7 @@ fn walk() -> Vec<Safety> {
     found
 }
 
-/// Everything of a machine but its times.
+/// Everything of a machine except its times.
 fn place(machine: &Safety) -> [u8; 9] {
     [
         machine.state as u8,
@@ -156,7 +157,7 @@ fn every_state_meets_every_event_and_no_invariant_breaks() {
     for &machine in machines {
         for event in all_events() {
             for now in [0, 1, u64::from(GRACE), LONG, u64::MAX] {
-                let _ = machine.step(event, now); // which panics where an invariant breaks
+                let _ = machine.step(event, now); // it panics if an invariant breaks
             }
         }
     }
@@ -295,7 +296,11 @@ fn a_bite_ends_the_session_and_commands_without_a_resync_do_nothing() {
     for level in [false, true, true] {
         machine = machine.step(command(true, level, BITTEN), 2).0;
     }
-    assert_eq!(machine.state(), State::Faulted, "a pet cleared a bite");
+    assert_eq!(
+        machine.state(),
+        State::Faulted,
+        "a watchdog feed cleared a bite"
+    );
 }
 
 #[test]
@@ -341,7 +346,7 @@ fn an_external_reset_faults_at_once_and_holds_until_the_pin_is_low() {
     assert_eq!(machine.state(), State::Armed);
     assert!(
         machine.position_trusted(),
-        "arming is the host's word that it took note"
+        "only arming shows that the host took note"
     );
 }
 
@@ -383,7 +388,7 @@ fn a_stop_that_never_ends_is_ended() {
 fn an_e_stop_stops_hard_and_holds_until_the_input_is_idle_and_an_edge_clears_it() {
     let (mut machine, effects) = armed().step(Event::Gate(ESTOP_ACTIVE), 0);
     assert_eq!(effects.order, Some(Control::Close));
-    assert!(!effects.end_session, "the host shall tell its operator");
+    assert!(!effects.end_session, "the host has to tell its operator");
     assert_eq!(
         (machine.state(), machine.reason()),
         (State::Faulted, FaultReason::EStop)
@@ -435,8 +440,8 @@ fn after_a_restart_the_machine_goes_on_where_the_gate_closed() {
     for (reset, close, reason, trusted) in [
         (Reset::PowerUp, GateClose::Never, Why::None, true),
         (Reset::Requested, GateClose::SoftStop, Why::None, true),
-        (Reset::Unknown, GateClose::Order, Why::None, true),
-        (Reset::Unknown, GateClose::Bite, Why::Watchdog, true),
+        (Reset::Requested, GateClose::Bite, Why::Watchdog, true),
+        (Reset::Unknown, GateClose::Never, Why::None, true),
         (
             Reset::Unknown,
             GateClose::ExternalReset,
@@ -472,9 +477,32 @@ fn after_a_restart_the_machine_goes_on_where_the_gate_closed() {
     }
 }
 
+#[test]
+fn a_start_that_was_not_asked_for_may_have_cut_pulses_off() {
+    use FaultReason as Why;
+    // A jump to where the firmware begins leaves no word, or has spoilt the record: then it looks
+    // like power-up.
+    for reset in [ResetReason::Unknown, ResetReason::PowerUp] {
+        for (close, reason) in [
+            // The start closed the gate itself, on axes that moved, for all that is known.
+            (GateClose::Order, Why::FirmwareFault),
+            (GateClose::SoftStop, Why::FirmwareFault),
+            // And a bite stays the reason when the start has cut its stop short.
+            (GateClose::Bite, Why::Watchdog),
+        ] {
+            let machine = booted(reset, close);
+            assert_eq!(
+                (machine.state(), machine.reason()),
+                (State::Faulted, reason)
+            );
+            assert!(!machine.position_trusted(), "{reset}, {close}");
+        }
+    }
+}
+
 // ---- resync --------------------------------------------------------------------------------------------------------
 
-/// Request low, high, high: arms where nothing is in the way.
+/// Request low, high, high: arms if nothing prevents it.
 fn ask(mut machine: Safety, gate: Gate) -> Safety {
     for level in [false, true, true] {
         machine = step(machine, command(true, level, gate), 0).0;
@@ -606,8 +634,9 @@ fn a_soft_stop_that_the_grace_may_have_ended_does_not() {
 #[test]
 fn a_bite_that_was_faster_than_our_order_counts_from_before_it() {
     let ordered = step(seen(), command(false, true, LIVE), 600).0;
-    let stopping = step(ordered, Event::Gate(BITTEN_STOPPING), 601).0;
+    let (stopping, effects) = step(ordered, Event::Gate(BITTEN_STOPPING), 601);
     assert_eq!(stopping.reason(), FaultReason::Watchdog);
+    assert!(effects.end_session);
     let closed = step(stopping, Event::Gate(BITTEN), 100 + u64::from(GRACE)).0;
     assert!(!closed.position_trusted());
 }
@@ -638,4 +667,53 @@ fn an_edge_in_the_very_command_that_finds_it_at_rest_has_to_be_asked_again() {
     let machine = step(machine, command(true, true, CLOSED), 5).0;
     assert_eq!(machine.state(), State::Faulted, "it has to be seen there");
     assert_eq!(ask(machine, CLOSED).state(), State::Armed);
+}
+
+#[test]
+fn an_edge_while_it_still_stops_has_to_be_asked_again() {
+    let machine = step(armed(), command(false, true, LIVE), 0).0;
+    let machine = step(machine, command(true, false, LIVE), 1).0;
+    let machine = step(machine, command(true, true, LIVE), 2).0;
+    let machine = step(machine, Event::Gate(CLOSED), 3).0;
+    let machine = step(machine, command(true, true, CLOSED), 4).0;
+    assert_eq!(machine.state(), State::Disarmed, "not asked for at rest");
+    assert_eq!(ask(machine, CLOSED).state(), State::Armed);
+}
+
+#[test]
+fn a_request_that_is_low_while_it_still_stops_may_rise_as_soon_as_it_rests() {
+    let machine = step(armed(), command(false, true, LIVE), 0).0;
+    let machine = step(machine, command(true, false, LIVE), 1).0;
+    let machine = step(machine, Event::Gate(CLOSED), 2).0;
+    let machine = step(machine, command(true, true, CLOSED), 3).0;
+    let machine = step(machine, command(true, true, CLOSED), 4).0;
+    assert_eq!(machine.state(), State::Armed);
+}
+
+#[test]
+fn what_is_held_is_not_armed_and_asks_again_when_it_is_let_go() {
+    let mut machine = run(&ready());
+    machine.hold(true);
+    let mut machine = step(machine, command(true, true, CLOSED), 0).0;
+    assert_eq!(machine.state(), State::Disarmed);
+    machine.hold(false);
+    let machine = step(machine, command(true, true, CLOSED), 1).0;
+    assert_eq!(machine.state(), State::Disarmed, "the edge is used up");
+    assert_eq!(ask(machine, CLOSED).state(), State::Armed);
+}
+
+#[test]
+fn a_pin_is_the_reason_whether_it_is_still_active_or_was_for_a_moment() {
+    use FaultReason::{EStop, ExternalReset};
+    for (gate, reason) in [
+        (0b0000_1000, ExternalReset),
+        (0b0001_0000, ExternalReset),
+        (0b0001_1000, ExternalReset),
+        (0b0100_0000, EStop),
+        (0b1000_0000, EStop),
+        (0b1100_0000, EStop),
+    ] {
+        let machine = step(armed(), Event::Gate(Gate(gate)), 0).0;
+        assert_eq!(machine.reason(), reason, "{gate:08b}");
+    }
 }

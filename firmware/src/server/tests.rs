@@ -2,9 +2,10 @@ use super::*;
 use crate::cores::{STAGE_WORDS, STROBE_COMMIT_AT, Setting};
 use crate::fake::*;
 use proptest::prelude::*;
-use wire::exchange::{Command, Latch, PWM_ENABLE, Status};
+use wire::describe::Channels;
+use wire::exchange::{Command, Latch, PWM_ENABLE, STATUS_MAX, Status};
 use wire::map::{BoardConfig, StepgenConfig};
-use wire::units::{Accel, Clocks, Count, StepRate};
+use wire::units::{Accel, Clocks, Count, Position, StepRate};
 use wire::{FaultReason, State};
 
 const HEADER: u32 = 0x4e6f_1044;
@@ -71,7 +72,7 @@ fn an_empty_record_is_refused_and_harmless() {
 
 #[test]
 fn the_answer_depends_on_no_port() {
-    // The transport answers to `peer`; the server must not care which port that is.
+    // The transport answers to `peer`; the port must not matter to the server.
     for port in [1, 1234, 65_535] {
         assert!(Rig::new().read_as(Peer { port, ..BOB }, 0).is_ok());
     }
@@ -306,7 +307,8 @@ fn one_datagram_may_acquire_and_configure() {
     assert_eq!(reply.unwrap().last(), Some(&60));
 }
 
-// ---- Who may what --------------------------------------------------------------------------------------
+// ---- Permissions
+// ---------------------------------------------------------------------------------------
 
 #[test]
 fn a_stranger_reads_everything_and_changes_nothing() {
@@ -366,12 +368,12 @@ fn while_the_machine_is_armed_a_guest_asks_for_little_at_once() {
     assert_eq!(
         read(&mut Rig::new(), BOB, 200),
         Ok(204),
-        "nobody waits for a machine at rest"
+        "a machine at rest has time for any client"
     );
 }
 
 #[test]
-fn without_a_session_nobody_configures() {
+fn without_a_session_no_client_configures() {
     assert_eq!(
         Rig::new().write(map::CONFIG_STEPGEN, 60),
         Err(Refusal::NotOwner)
@@ -395,7 +397,7 @@ fn a_wrong_token_releases_nothing() {
 }
 
 #[test]
-fn nobody_takes_over_a_machine_in_any_state_while_its_owner_is_there() {
+fn no_client_takes_over_a_machine_in_any_state_while_its_owner_is_there() {
     let disarmed = || {
         let mut rig = Rig::new();
         rig.acquire();
@@ -431,14 +433,18 @@ fn nobody_takes_over_a_machine_in_any_state_while_its_owner_is_there() {
             let refused = rig.write_as(stranger, map::SESSION_RELEASE, token);
             assert_eq!(refused, Err(Refusal::NotOwner), "{state}");
         }
-        assert_eq!(rig.board.changes(), before, "{state}: nothing was done");
+        assert_eq!(
+            rig.board.changes(),
+            before,
+            "{state}: the board was changed"
+        );
         assert_eq!(rig.read(map::SESSION_TOKEN), Ok(token), "{state}");
         assert_eq!(rig.server.safety().state(), state);
     }
 }
 
 #[test]
-fn a_token_of_an_earlier_session_is_nobodys_and_feeds_nothing() {
+fn a_token_of_an_earlier_session_is_invalid_and_feeds_nothing() {
     let mut rig = Rig::armed();
     let first = rig.read(map::SESSION_TOKEN).unwrap();
     rig.board.bite();
@@ -448,7 +454,7 @@ fn a_token_of_an_earlier_session_is_nobodys_and_feeds_nothing() {
         rig.board.done.iter().filter(feeds).count()
     };
     let before = fed(&rig);
-    // Nobody's, then her own again, then somebody else's.
+    // Without a session, then with her own new one, then with another client's.
     for owner in [None, Some(ALICE), Some(BOB)] {
         if let Some(owner) = owner {
             rig.server.session = crate::session::Session::new();
@@ -483,9 +489,34 @@ fn the_same_nonce_again_gives_another_token() {
 }
 
 #[test]
-fn everybody_sees_who_owns_it() {
+fn a_token_is_made_of_the_boot_id_and_of_what_only_the_owner_proved() {
+    for key in [None, Some([0xfeed_0001, 2, 3, 4])] {
+        let mut rig = Rig::new();
+        rig.server.auth.lock(key.unwrap_or_default());
+        let challenge = *rig.server.auth.challenge(ALICE);
+        let head = Purpose::Acquire.head(challenge);
+        let answer = key.map(|key| crate::auth::tag(&key, &head, &[7]));
+        let mut words = vec![HEADER, 0, 0x000f_0400, map::SESSION_RESPONSE];
+        words.extend(answer.unwrap_or_default());
+        words.extend([0x000f_0100, map::SESSION_ACQUIRE, 7]);
+        assert_eq!(rig.send(&words), Ok(vec![]));
+        let [secret, ..] = answer.unwrap_or_default();
+        let mut wanted = Session::new();
+        wanted
+            .acquire(ALICE, 7, BOOT.id ^ secret, rig.board.now)
+            .unwrap();
+        let token = rig.read(map::SESSION_TOKEN);
+        assert_eq!(token, Ok(wanted.token_for(ALICE)), "{key:?}");
+    }
+}
+
+#[test]
+fn everybody_sees_who_owns_it_and_its_last_command() {
     let mut rig = Rig::new();
     rig.acquire();
+    rig.exchange(true, false).unwrap();
+    rig.exchange(true, false).unwrap();
+    assert_eq!(rig.read_as(BOB, map::SESSION_LAST_SEQ), Ok(2));
     assert_eq!(rig.read_as(BOB, map::SESSION_OWNER_IP), Ok(ALICE.ip));
     assert_eq!(
         rig.read_as(BOB, map::SESSION_OWNER_PORT),
@@ -523,7 +554,7 @@ fn an_owner_that_keeps_talking_keeps_it() {
 }
 
 #[test]
-fn a_restart_is_the_owners_or_nobodys_and_never_while_armed() {
+fn a_restart_needs_the_owner_or_no_owner_and_is_refused_while_armed() {
     let mut rig = Rig::armed();
     assert_eq!(
         rig.write(map::SESSION_REBOOT, map::REBOOT_KEY),
@@ -621,13 +652,39 @@ fn raw_registers_are_readable_by_all_and_the_scratch_one_writable_by_the_owner()
 
 // ---- Segments ---------------------------------------------------------------------------------------------
 
-/// A board whose jobs a PC streams, armed by Alice, and the number her next datagram has.
+/// A board with jobs streamed by a PC, armed by Alice, and the number of her next datagram.
 fn streamed() -> (Rig, u32) {
     let mut rig = Rig::new();
     rig.server.jobs(JobsState::Streamed);
     rig.arm();
     let last = rig.read(map::SESSION_SEGMENTS).unwrap();
     (rig, last.wrapping_add(1))
+}
+
+/// A whole session, with an exchange in motion, until the machine is at rest; whether the segments
+/// core was read, and written.
+fn meets_segments(mut rig: Rig) -> (bool, bool) {
+    let page = |address: u32| (map::SEGMENTS..map::SEGMENTS + 0x800).contains(&address);
+    rig.arm();
+    rig.exchange(true, true).unwrap();
+    rig.server.hold_path(&mut rig.board);
+    let owner = rig.server.session().token_for(ALICE);
+    rig.write(map::SESSION_RELEASE, owner).unwrap();
+    rig.board.gate = 0;
+    rig.server.poll(&mut rig.board);
+    assert!(rig.server.safety().at_rest());
+    let written = |change: &Change| matches!(change, Change::Csr(address, _) if page(*address));
+    let (asked, done) = (&rig.board.asked, &rig.board.done);
+    (
+        asked.iter().any(|address| page(*address)),
+        done.iter().any(written),
+    )
+}
+
+#[test]
+fn a_board_without_the_segments_core_is_neither_asked_for_it_nor_told_anything() {
+    assert_eq!(meets_segments(Rig::new()), (false, false));
+    assert_eq!(meets_segments(Rig::with_segments()), (true, true));
 }
 
 /// Two segments' words, a push behind each, and what is wanted to be known then.
@@ -679,7 +736,7 @@ fn words_for_the_segments_without_a_number_in_front_of_them_are_refused() {
     let (mut rig, number) = streamed();
     written(&mut rig);
     assert_eq!(rig.write(map::SEGMENTS, 6000), Err(Refusal::ReadOnly));
-    // The number behind what it stands for.
+    // The number after the words it belongs to.
     let words = [
         HEADER,
         0,
@@ -717,7 +774,7 @@ fn what_the_segments_say_is_no_more_writable_than_other_registers() {
 }
 
 #[test]
-fn nobody_but_the_owner_writes_segments_and_everybody_reads_them() {
+fn only_the_owner_writes_segments_and_every_client_reads_them() {
     let (mut rig, number) = streamed();
     written(&mut rig);
     assert_eq!(
@@ -731,7 +788,7 @@ fn nobody_but_the_owner_writes_segments_and_everybody_reads_them() {
     let status = map::SEGMENTS + 88;
     assert_eq!(rig.read_as(BOB, status), Ok(status ^ 0x5555_0000));
     assert_eq!(written(&mut rig), []);
-    // What was on its way when the session ended is of no other.
+    // Datagrams on their way when the session ended do not belong to the next one.
     rig.board.bite();
     rig.server.poll(&mut rig.board);
     assert_eq!(rig.send(&two_segments(number)), Err(Refusal::NotOwner));
@@ -743,7 +800,7 @@ fn nobody_but_the_owner_writes_segments_and_everybody_reads_them() {
 }
 
 #[test]
-fn a_board_that_executes_jobs_by_itself_or_none_takes_no_segments_from_anybody() {
+fn a_board_that_executes_jobs_by_itself_or_none_takes_no_segments() {
     for state in JobsState::ALL
         .iter()
         .filter(|state| **state != JobsState::Streamed)
@@ -817,6 +874,50 @@ fn an_exchange_commits_samples_feeds_and_answers() {
 }
 
 #[test]
+fn with_any_number_of_channels_every_word_is_staged_and_answered_where_it_belongs() {
+    for n in 0..=16u8 {
+        let channels = Channels {
+            stepgens: n,
+            encoders: 16 - n,
+            pwms: (n * 5) % 17,
+            ..SIX
+        };
+        let mut rig = Rig::with_channels(channels);
+        rig.arm();
+        let mut command = rig.command(true, true);
+        for channel in 0..16 {
+            let word = channel as i32;
+            command.stepgen[channel] = (StepRate(-1 - word), Accel(100 + channel as u32));
+            command.pwm[channel] = 200 + channel as u32;
+        }
+        let status = rig.exchange_as(ALICE, &command).unwrap();
+        for channel in 0..16 {
+            let (rate, accel) = command.stepgen[channel];
+            let there = channel < usize::from(channels.stepgens);
+            let staged = &rig.board.live[4 + 2 * channel..][..2];
+            let wanted = [rate.0 as u32, accel.0].map(|word| if there { word } else { 0 });
+            assert_eq!(staged, wanted, "stepgen {channel}, {channels:?}");
+            let word = 0x1000 + 8 + 3 * channel as u32;
+            let position = Position::from_words(word, word + 1);
+            let wanted = (position, StepRate(word as i32 + 2));
+            assert!(!there || status.stepgen[channel] == wanted, "{channels:?}");
+
+            let there = channel < usize::from(channels.pwms);
+            let wanted = if there { command.pwm[channel] } else { 0 };
+            assert_eq!(rig.board.live[36 + channel], wanted, "pwm, {channels:?}");
+
+            let there = channel < usize::from(channels.encoders);
+            let word = 0x1000 + 56 + 2 * channel as u32;
+            let encoder = status.encoder[channel];
+            assert!(
+                !there || (encoder.count, encoder.edge_time) == (Count(word), word + 1),
+                "encoder {channel}, {channels:?}"
+            );
+        }
+    }
+}
+
+#[test]
 fn a_command_block_of_another_length_is_refused() {
     let mut rig = Rig::armed();
     let before = rig.board.changes();
@@ -830,7 +931,24 @@ fn a_command_block_of_another_length_is_refused() {
     assert_eq!(rig.send(&words), Err(Refusal::BlockLength));
     words[3] = map::COMMAND - 4;
     assert_eq!(rig.send(&words), Err(Refusal::BlockLength));
+    // Its last word alone reaches the window.
+    words[3] = map::COMMAND - 4 * 26;
+    assert_eq!(rig.send(&words), Err(Refusal::BlockLength));
     assert_eq!(rig.board.changes(), before);
+}
+
+#[test]
+fn what_ends_before_the_command_window_or_begins_behind_it_is_no_exchange() {
+    let mut rig = Rig::armed();
+    let mut words = vec![HEADER, 0, 0x000f_0100, 0, 1];
+    for address in [map::COMMAND - 4, map::COMMAND + 0x1000] {
+        words[3] = address;
+        assert_eq!(rig.send(&words), Err(Refusal::Unmapped), "{address:#x}");
+    }
+    for address in [map::COMMAND, map::COMMAND + 0xffc] {
+        words[3] = address;
+        assert_eq!(rig.send(&words), Err(Refusal::BlockLength), "{address:#x}");
+    }
 }
 
 #[test]
@@ -886,17 +1004,45 @@ fn a_gap_in_the_sequence_is_fine_and_so_is_its_wrap() {
     }
 }
 
-#[test]
-fn unknown_flags_are_refused() {
+/// The result of a command with these bits of words of its datagram inverted.
+fn with_bits(bits: &[(usize, u32)]) -> Result<(), Refusal> {
     let mut rig = Rig::armed();
     let command = rig.command(true, true);
     let mut buffer = [0; 64];
     let mut request = command.emit_request(SIX, &mut buffer).unwrap().to_vec();
-    request[6] |= 1 << 3;
-    assert_eq!(rig.send(&request), Err(Refusal::Value));
-    request[6] &= !(1 << 3);
-    request[12] |= 1 << 21;
-    assert_eq!(rig.send(&request), Err(Refusal::Value), "behind the latch");
+    for (word, bit) in bits {
+        request[*word] ^= 1 << bit;
+    }
+    rig.send(&request).map(drop)
+}
+
+#[test]
+fn every_unknown_flag_is_refused_and_every_known_one_is_not() {
+    for bit in 0..32 {
+        let known = matches!(bit, 0..=2 | 16..=31);
+        let wanted = if known { Ok(()) } else { Err(Refusal::Value) };
+        assert_eq!(with_bits(&[(6, bit)]), wanted, "flag {bit}");
+    }
+    for bit in 0..32 {
+        let wanted = if bit <= 20 {
+            Ok(())
+        } else {
+            Err(Refusal::Value)
+        };
+        assert_eq!(
+            with_bits(&[(12, bit)]),
+            wanted,
+            "bit {bit} behind the latch"
+        );
+    }
+    for bit in 3..=10 {
+        let both = [(6, bit), (12, 21 + bit)];
+        assert_eq!(
+            with_bits(&both),
+            Err(Refusal::Value),
+            "flag {bit} and another"
+        );
+    }
 }
 
 #[test]
@@ -996,6 +1142,62 @@ fn an_apply_time_is_set_before_the_strobe_and_the_next_command_replaces_it() {
 }
 
 #[test]
+fn nothing_is_rehearsed_while_a_timed_commit_waits() {
+    let mut rig = Rig::armed();
+    assert!(rig.server.may_rehearse());
+    let command = Command {
+        apply_at: Some(Clocks(0x5_0000_0007)),
+        ..rig.command(true, true)
+    };
+    rig.exchange_as(ALICE, &command).unwrap();
+    assert!(!rig.server.may_rehearse());
+    rig.exchange(true, true).unwrap();
+    assert!(rig.server.may_rehearse());
+}
+
+#[test]
+fn a_setting_that_may_change_while_armed_leaves_the_command_as_it_is() {
+    let mut rig = Rig::armed();
+    let mut command = rig.command(true, true);
+    command.stepgen[0].0 = StepRate(1000);
+    rig.exchange_as(ALICE, &command).unwrap();
+    rig.board.done.clear();
+    rig.write(map::CONFIG_PWM, 2_000).unwrap();
+    let set = Change::Set(Setting::PwmPeriod(0), 2_000);
+    assert_eq!(rig.board.done, [set], "and commits nothing");
+    assert_eq!(rig.board.live[4], 1000);
+}
+
+#[test]
+fn an_apply_time_waits_for_nothing_unless_the_machine_is_armed_already() {
+    let mut rig = Rig::new();
+    rig.acquire();
+    let at = rig.board.commit_at;
+    for (request, done) in [
+        (false, &[Change::Strobe(STROBE_SAMPLE)][..]),
+        (true, &[Change::Strobe(STROBE_SAMPLE)]),
+        (
+            true,
+            &[
+                Change::Strobe(STROBE_COMMIT),
+                Change::Order(Control::Arm),
+                Change::Strobe(STROBE_COMMIT | STROBE_SAMPLE),
+            ],
+        ),
+    ] {
+        rig.board.done.clear();
+        let command = Command {
+            apply_at: Some(Clocks(0x5_0000_0007)),
+            ..rig.command(true, request)
+        };
+        rig.exchange_as(ALICE, &command).unwrap();
+        assert_eq!(rig.board.done[..done.len()], *done);
+        assert_eq!(rig.board.done.len(), done.len() + 1, "and feeds");
+        assert_eq!(rig.board.commit_at, at);
+    }
+}
+
+#[test]
 fn looking_at_the_status_changes_nothing_and_shows_the_last_exchange() {
     let mut rig = Rig::armed();
     let before = rig.board.done.len();
@@ -1049,6 +1251,26 @@ fn a_bite_kills_the_session_and_recovery_needs_resync_and_edge() {
 }
 
 #[test]
+fn the_trust_after_a_bite_counts_from_the_last_look_at_the_running_machine() {
+    const GRACE: u32 = 1_000;
+    for looked in [false, true] {
+        let mut rig = Rig::new();
+        rig.board
+            .set(Setting::Board(BoardConfig::WatchdogGrace), GRACE);
+        rig.arm();
+        rig.board.now += 1_000_000;
+        if looked {
+            rig.server.poll(&mut rig.board);
+        }
+        rig.board.now += u64::from(GRACE) - 1;
+        rig.board.bite();
+        rig.server.poll(&mut rig.board);
+        assert_eq!(rig.server.safety().state(), State::Faulted);
+        assert_eq!(rig.server.safety().position_trusted(), looked);
+    }
+}
+
+#[test]
 fn after_a_bite_another_host_may_take_over() {
     let mut rig = Rig::armed();
     rig.board.bite();
@@ -1058,16 +1280,22 @@ fn after_a_bite_another_host_may_take_over() {
 
 #[test]
 fn at_rest_nothing_stale_waits_behind_the_gate() {
-    let mut rig = Rig::armed();
+    let mut rig = Rig::with_segments();
+    rig.arm();
     let mut command = rig.command(true, true);
     command.stepgen[0].0 = StepRate(1000);
     rig.exchange_as(ALICE, &command).unwrap();
     rig.server.poll(&mut rig.board);
     assert_eq!(rig.board.live[4], 1000);
     rig.board.bite();
+    rig.board.done.clear();
     rig.server.poll(&mut rig.board);
     rig.server.poll(&mut rig.board);
     assert_eq!(rig.board.live, [0; STAGE_WORDS]);
+    // Word 21 of the segments core: no output follows a job any more.
+    let mask = Change::Csr(map::SEGMENTS + 84, 0);
+    let done = rig.board.done.iter();
+    assert_eq!(done.filter(|change| **change == mask).count(), 1);
 }
 
 #[test]
@@ -1093,6 +1321,7 @@ fn a_board_of_another_abi_describes_itself_and_never_arms() {
     }
     assert_eq!(rig.read(4 * 2), Ok(ABI));
     assert_eq!(rig.read(4 * 3), Ok(1));
+    assert_eq!((rig.server.abi(), rig.server.ident().abi), (ABI, 1));
     assert_eq!(rig.read(4 * 15), Ok(wire::describe::OBSTACLE_ABI));
 }
 
@@ -1118,6 +1347,101 @@ fn the_short_way_to_a_state_word_says_what_the_long_one_says() {
 // ---- Windows --------------------------------------------------------------------------------------------
 
 #[test]
+fn every_window_ends_where_the_map_says() {
+    let mut rig = Rig::new();
+    let windows = [
+        (map::DESCRIBE, 0x2000),
+        (map::SESSION, 0x40),
+        (map::CONFIG, 0x1000),
+        (map::COMMAND, 0x1000),
+        (map::STATUS, 0x400),
+        (map::COUNTERS, 0x1000),
+        (map::LOG, map::LOG_RING + 0x1000 - map::LOG),
+        (
+            map::PANIC,
+            map::PANIC_TEXT + map::PANIC_TEXT_LEN - map::PANIC,
+        ),
+        (map::FLASH, map::FLASH_LEN),
+    ];
+    let inside = |address: u32| {
+        let mut each = windows.iter();
+        each.any(|(start, length)| (*start..start + length).contains(&address))
+    };
+    for (start, length) in windows {
+        let end = start + length;
+        for address in [start, start + 4, end - 4, end, end + 4] {
+            let readable = rig.read_as(BOB, address).map(drop);
+            let wanted = if inside(address) {
+                Ok(())
+            } else {
+                Err(Refusal::Unmapped)
+            };
+            assert_eq!(readable, wanted, "{address:#x}");
+            assert_eq!(rig.read_as(BOB, address + 2), Err(Refusal::Alignment));
+        }
+    }
+}
+
+#[test]
+fn an_onlooker_finds_every_word_of_the_status_where_the_owner_does() {
+    for n in [0u8, 1, 6, 15, 16] {
+        let channels = Channels {
+            stepgens: n,
+            encoders: 16 - n,
+            ..SIX
+        };
+        let mut rig = Rig::with_channels(channels);
+        rig.arm();
+        rig.board.now = 0x1_2345_6789;
+        assert_eq!(rig.send(&[]), Err(Refusal::Short));
+        let mut status = rig.exchange(true, true).unwrap();
+        assert_eq!(status.refused, Count(1));
+        (status.state.accepted, status.state.session_yours) = (false, false);
+        let mut words = [0; STATUS_MAX];
+        let words = status.emit(channels, &mut words).unwrap();
+        for (word, wanted) in (0u32..).zip(words) {
+            let seen = rig.read_as(BOB, map::STATUS + 4 * word);
+            assert_eq!(seen, Ok(*wanted), "word {word}, {channels:?}");
+        }
+        for behind in words.len() as u32..words.len() as u32 + 3 {
+            assert_eq!(rig.read_as(BOB, map::STATUS + 4 * behind), Ok(0));
+        }
+    }
+}
+
+#[test]
+fn the_counters_window_has_a_word_for_each_counter_and_zeros_behind() {
+    let mut rig = Rig::new();
+    rig.server.counters = Counters {
+        frames_rx: 11,
+        frames_tx: 12,
+        exchanges: 13,
+        refused_total: 14,
+        cuts: 77,
+        refused: core::array::from_fn(|reason| 100 + reason as u32),
+    };
+    let count = 3 + Refusal::COUNT as u32;
+    for word in 0..count + 3 {
+        let wanted = match word {
+            0..3 => 11 + word,
+            _ if word < count => 100 + word - 3,
+            _ if word == count => 77,
+            _ => 0,
+        };
+        assert_eq!(rig.read_as(BOB, map::COUNTERS + 4 * word), Ok(wanted));
+    }
+}
+
+#[test]
+fn the_blob_is_as_long_as_the_gateware_says() {
+    let mut rig = Rig::new();
+    for word in 0..5 {
+        let wanted = if word < 3 { 0xb10b_0000 + word } else { 0 };
+        assert_eq!(rig.read_as(BOB, map::DESCRIBE_BLOB + 4 * word), Ok(wanted));
+    }
+}
+
+#[test]
 fn the_description_is_one_the_host_understands() {
     let mut rig = Rig::new();
     rig.acquire();
@@ -1141,6 +1465,23 @@ fn the_description_is_one_the_host_understands() {
 }
 
 #[test]
+fn the_flash_window_says_what_the_link_and_the_address_are() {
+    let mut rig = Rig::new();
+    rig.server.ip = 0xc0a8_02aa;
+    rig.board.link = crate::cores::Link {
+        status: 0b1011,
+        errors: 0x1234,
+    };
+    for _ in 0..4 {
+        rig.server.look_at_link(&mut rig.board);
+    }
+    let link = rig.server.link().word();
+    assert_eq!((link.speed, link.errors), (wire::LinkSpeed::M100, 0x1234));
+    assert_eq!(rig.read_as(BOB, map::FLASH_LINK), Ok(link.to_word()));
+    assert_eq!(rig.read_as(BOB, map::FLASH_IP), Ok(0xc0a8_02aa));
+}
+
+#[test]
 fn counters_count() {
     let mut rig = Rig::armed();
     assert_eq!(rig.read(map::COUNTERS + 8), Ok(3));
@@ -1152,21 +1493,68 @@ fn counters_count() {
 #[test]
 fn log_and_obituary_can_be_read() {
     let mut rig = Rig::new();
-    rig.board.ring.push(b"hello");
+    rig.board.ring.push(b"hello, machine");
     let _ = rig.board.record.boot(0);
     rig.board.record.die(wire::ResetReason::Panic, |out| {
         out.text("boom");
     });
-    assert_eq!(rig.read(map::LOG), Ok(5));
+    assert_eq!(rig.read(map::LOG), Ok(14));
     assert_eq!(rig.read(map::LOG + 4), Ok(64));
     assert_eq!(rig.read(map::LOG + 8), Ok(9));
-    assert_eq!(rig.read(map::LOG_RING).map(u32::to_be_bytes), Ok(*b"hell"));
+    for (word, text) in (0..).zip([b"hell", b"o, m", b"achi"]) {
+        let seen = rig.read(map::LOG_RING + 4 * word);
+        assert_eq!(seen.map(u32::to_be_bytes), Ok(*text));
+    }
     assert_eq!(rig.read(map::PANIC), Ok(1));
     assert_eq!(rig.read(map::PANIC + 4), Ok(4));
     assert_eq!(
         rig.read(map::PANIC_TEXT).map(u32::to_be_bytes),
         Ok(*b"boom")
     );
+}
+
+#[test]
+fn a_board_without_an_owner_is_sampled_a_hundred_times_a_second_and_one_with_an_owner_is_not() {
+    let mut rig = Rig::new();
+    let period = u64::from(CLOCK / 100);
+    let sampled = |rig: &mut Rig, now: u64| {
+        rig.board.now = now;
+        rig.board.done.clear();
+        rig.server.poll(&mut rig.board);
+        rig.board.done.contains(&Change::Strobe(STROBE_SAMPLE))
+    };
+    assert!(!sampled(&mut rig, period - 1));
+    assert!(sampled(&mut rig, period));
+    assert!(!sampled(&mut rig, period + 1));
+    assert!(!sampled(&mut rig, 2 * period - 1));
+    assert!(sampled(&mut rig, 2 * period));
+    rig.acquire();
+    assert!(!sampled(&mut rig, 4 * period));
+}
+
+#[test]
+fn a_link_that_goes_down_stops_a_host_and_not_a_job() {
+    for (owner, state) in [(ALICE, State::Stopping), (Peer::INSIDE, State::Armed)] {
+        let mut rig = Rig::new();
+        rig.write_as(owner, map::SESSION_ACQUIRE, 7).unwrap();
+        for (sequence, request) in [(1, false), (2, true), (3, true)] {
+            let command = Command {
+                token: rig.server.session().token_for(owner),
+                sequence,
+                ..rig.command(true, request)
+            };
+            rig.exchange_as(owner, &command).unwrap();
+        }
+        for _ in 0..4 {
+            rig.server.look_at_link(&mut rig.board);
+        }
+        assert_eq!(rig.server.safety().state(), State::Armed, "the link is up");
+        rig.board.link.status = 0;
+        for _ in 0..4 {
+            rig.server.look_at_link(&mut rig.board);
+        }
+        assert_eq!(rig.server.safety().state(), state, "{owner:?}");
+    }
 }
 
 #[test]
@@ -1179,7 +1567,9 @@ fn the_led_tells_the_states_apart() {
     shows(&mut rig, Led::Heartbeat);
     rig.server.counters_mut().frames_rx += 1;
     shows(&mut rig, Led::Slow);
-    rig.board.now += 3 * u64::from(CLOCK);
+    rig.board.now += 3 * u64::from(CLOCK) - 1;
+    shows(&mut rig, Led::Slow);
+    rig.board.now += 1;
     shows(&mut rig, Led::Heartbeat);
     rig.server.counters_mut().frames_rx += 1;
     shows(&mut rig, Led::Slow);

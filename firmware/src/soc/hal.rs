@@ -1,4 +1,4 @@
-//! Drivers with embedded-hal's faces, for whatever is a driver in its sense.
+//! Drivers with embedded-hal's traits, for the devices that have one.
 
 use super::Soc;
 use core::convert::Infallible;
@@ -7,11 +7,11 @@ use embedded_hal::digital::{ErrorType, OutputPin, StatefulOutputPin};
 use embedded_hal::spi::{self, Operation, SpiDevice};
 use firmware::cores::{Board as _, Led};
 
-/// The status LED: a pin when one wants a pin, patterns otherwise.
+/// The status LED: as a pin through the trait, with patterns otherwise.
 pub struct StatusLed<'r>(&'r litex_pac::Led);
 
 impl<'r> StatusLed<'r> {
-    /// The one on the board.
+    /// The board's LED.
     pub fn new(regs: &'r litex_pac::Led) -> Self {
         StatusLed(regs)
     }
@@ -51,11 +51,13 @@ impl StatefulOutputPin for StatusLed<'_> {
     }
 }
 
-/// The flash the FPGA was loaded from. A transfer is up to 32 bits: a word where there is one, bytes at the end.
+/// The flash the FPGA was loaded from. A transfer has up to 32 bits: whole words, then single bytes
+/// at the end.
 pub struct FlashSpi(litex_pac::Flash);
 
 impl FlashSpi {
-    /// The one on the board. Chip select survives a restart of the firmware: it is put where it belongs.
+    /// The board's flash. Chip select survives a restart of the firmware, so it is set to its idle
+    /// level.
     pub fn new(regs: litex_pac::Flash) -> Self {
         let mut spi = FlashSpi(regs);
         spi.select(false);
@@ -71,7 +73,7 @@ impl FlashSpi {
         self.0.control().write(|w| w.select().bit(on));
     }
 
-    /// Shifts out the upper bits of a word; what came in is at its lower end.
+    /// Shifts out the upper bits of a word; the received bits are in the lower end of the result.
     #[inline(never)]
     fn shift(&mut self, bits: u32, word: u32) -> u32 {
         // SAFETY: 8 or 32, and any word.
@@ -107,7 +109,8 @@ impl spi::ErrorType for FlashSpi {
 }
 
 impl SpiDevice for FlashSpi {
-    /// Reads and writes only: nobody here sends and receives at once, or waits with the chip selected.
+    /// Reads and writes only: no caller sends and receives at once, or waits with the chip
+    /// selected.
     fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Infallible> {
         self.select(true);
         for operation in operations {
@@ -124,7 +127,7 @@ impl SpiDevice for FlashSpi {
 }
 
 impl DelayNs for Soc {
-    /// Waits by the wall clock; at least as long as asked.
+    /// Waits by the wall clock, at least the given time.
     fn delay_ns(&mut self, ns: u32) {
         let per_us = u64::from(self.ident().clock_hz / 1_000_000);
         let clocks = (u64::from(ns) * per_us).div_ceil(1000);

@@ -1,5 +1,5 @@
-//! Starts the SDRAM, and finds, copies and checks the jobs program. Whether all of the SDRAM holds what it is given the program
-//! finds out: here is no room for that, and that the program is whole says as much of the memory it lies in.
+//! Starts the SDRAM; finds, copies and checks the jobs program. The program tests the rest of the
+//! SDRAM: the ROM has no room for that, and a right CRC shows that the program's own memory works.
 
 use super::{ABI, Soc};
 use firmware::cores::Board as _;
@@ -20,11 +20,11 @@ const MODE: u32 = 0b1111;
 const ALL: u32 = 1 << 10;
 /// Mode register: bursts of one word, two clocks from column to data.
 const CL_2: u32 = 2 << 4;
-/// Clock enable; the clock has been running for long.
+/// Clock enable; the clock has been running for a long time.
 const BY_HAND: u32 = 0b1110;
 /// The controller does the rest.
 const BY_HARDWARE: u32 = 1;
-/// More refreshes than any data sheet asks for.
+/// More refreshes than any data sheet requires.
 const REFRESHES: u32 = 8;
 /// Clocks: 200 us at up to 125 MHz.
 const REST: u32 = 25_000;
@@ -34,12 +34,12 @@ struct Room([u32; abi::ROOM / 4]);
 
 impl Room {
     fn bytes(&mut self, count: usize) -> &mut [u8] {
-        // SAFETY: the same memory, as much as there is of it.
+        // SAFETY: the same memory, with the same size.
         unsafe { core::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), count.min(abi::ROOM)) }
     }
 }
 
-/// Everything there is to do at start: the jobs program's entry, if there is one, and what is to be said of it.
+/// All work at start: returns the jobs program's entry, or the state to report.
 #[inline(never)]
 pub fn load(machine: &mut Machine<Soc>) -> Result<abi::Entry, JobsState> {
     if machine.server.ident().features & wire::describe::FEATURE_JOBS == 0 {
@@ -53,7 +53,7 @@ pub fn load(machine: &mut Machine<Soc>) -> Result<abi::Entry, JobsState> {
         return Err(JobsState::Missing);
     };
     let (mut nor, end) = (Nor(spi), start + length);
-    // SAFETY: the SDRAM is nobody else's yet, there is this much of it, and it is aligned.
+    // SAFETY: no other code uses the SDRAM yet, it is at least this large, and it is aligned.
     let room = unsafe { &mut *(map::SDRAM_BASE as *mut Room) };
     let _ = nor.read(end.wrapping_sub(8), room.bytes(8));
     let [first, second, ..] = room.0;
@@ -64,8 +64,8 @@ pub fn load(machine: &mut Machine<Soc>) -> Result<abi::Entry, JobsState> {
     let words = room.0.get(..length / 4).unwrap_or(&[]);
     match abi::check(words, ABI) {
         JobsState::Alive => {
-            // SAFETY: forgets instructions from before, if there were any. The words are a whole header of a program linked to this
-            // address.
+            // SAFETY: discards cached instructions, if there are any. The words are the complete
+            // header of a program linked to this address.
             unsafe {
                 core::arch::asm!("fence.i");
                 Ok((*(map::SDRAM_BASE as *const Header)).entry)
@@ -75,15 +75,16 @@ pub fn load(machine: &mut Machine<Soc>) -> Result<abi::Entry, JobsState> {
     }
 }
 
-/// The SDRAM's start, as its data sheets have it. False: there is no controller, its page reads 0.
+/// Starts the SDRAM as its data sheets require. False: there is no controller, its page reads 0.
 #[inline(never)]
 fn wake(board: &mut Soc) -> bool {
-    // SAFETY: nobody else touches these registers; every value below is one of a command's.
+    // SAFETY: no other code touches these registers; every value below is a valid command.
     let regs = unsafe { Sdram::steal() };
     regs.dfii_control().write(|w| unsafe { w.bits(BY_HAND) });
     regs.dfii_pi0_baddress().write(|w| unsafe { w.bits(0) });
     for step in 0..=REFRESHES + 2 {
-        // The first command wants a rest of 200 us before it; between the others a few clocks would do.
+        // The first command requires 200 us of rest before it; between the others a few clocks
+        // would be enough.
         let start = board.now_lo();
         while board.now_lo().wrapping_sub(start) < REST {}
         let (address, command) = match step {

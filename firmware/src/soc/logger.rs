@@ -1,12 +1,12 @@
 //! defmt's sink: encoded frames go into a ring in RAM that survives a restart, and `ferrocnc log`
-//! fetches it over the network. Nothing ever waits for a reader.
+//! fetches them over the network. The firmware never waits for a reader.
 
 use core::mem::MaybeUninit;
 use firmware::log::{Read, Ring};
 
-/// 2 KiB: some two hundred events, a fault with everything before it.
+/// 2 KiB: about two hundred events, enough for a fault and the events before it.
 const SIZE: usize = 2048;
-/// "FLOG": tells a ring from what power-up left.
+/// "FLOG": tells a ring from the content after power-up.
 const VALID: u32 = 0x464c_4f47;
 
 struct Store {
@@ -22,8 +22,8 @@ static mut BUSY: bool = false;
 #[defmt::global_logger]
 struct Logger;
 
-// SAFETY: one hart, no interrupts, and the trap handler never returns into what it interrupted: there is
-// nobody to interleave with. A panic inside a log statement finds BUSY set and stays silent.
+// SAFETY: one hart, no interrupts, and the trap handler never returns to the code it interrupted:
+// no other code can interleave. A panic inside a log statement finds BUSY set and logs nothing.
 unsafe impl defmt::Logger for Logger {
     fn acquire() {
         // SAFETY: see the impl.
@@ -50,8 +50,8 @@ unsafe impl defmt::Logger for Logger {
 }
 
 fn store() -> &'static mut Store {
-    // SAFETY: any bit pattern is a `Store` (words and bytes), initialised or not it is RAM; one hart, and
-    // no caller keeps the reference.
+    // SAFETY: any bit pattern is a `Store` (words and bytes), and it is RAM, initialised or not;
+    // one hart, and no caller keeps the reference.
     unsafe {
         let store = (*(&raw mut STORE)).assume_init_mut();
         if core::ptr::read_volatile(&store.valid) != VALID {
@@ -66,7 +66,7 @@ fn push(bytes: &[u8]) {
     store().ring.push(bytes);
 }
 
-/// Is a log statement under way? Then a panic must not start another.
+/// Is a log statement running? Then a panic must not start another.
 pub fn busy() -> bool {
     // SAFETY: a read of a bool; one hart.
     unsafe { BUSY }

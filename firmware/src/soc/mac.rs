@@ -1,13 +1,15 @@
-//! LiteEth's MAC: two receive slots, two transmit slots, one frame at a time each.
+//! LiteEth's MAC: two receive slots and two transmit slots, each for one frame.
 //!
-//! The slots hold frames in network order, two bytes in: a 32-bit load yields a big-endian word, and
-//! everything behind the Ethernet header lies on words, so the exchange swaps and shifts nothing. The
-//! IP stack, which thinks in bytes, gets its frames copied.
+//! The slots hold frames in network order, at an offset of two bytes: a 32-bit load yields a
+//! big-endian word, and everything after the Ethernet header is aligned, so the exchange swaps and
+//! shifts nothing. The IP stack works on bytes and gets its frames copied.
 //!
-//! Transmit slot 0 belongs to the fast lane alone, its headers stay in it; slot 1 is everybody's.
+//! Transmit slot 0 belongs to the fast lane alone, and its headers stay in it. All other frames use
+//! slot 1.
 //!
-//! At the receive slots' door stands `guest.sv`. Nobody's board lets in what is for it alone, and of the rest one
-//! frame at a time; somebody's lets in the owner's frames, and one other for each call of [`Mac::admit`].
+//! The filter `guest.sv` is in front of the receive slots. Without a session owner the board admits
+//! all frames addressed to it alone, and of all others one at a time. With an owner it admits the
+//! owner's frames, and one other frame for each call of [`Mac::admit`].
 
 use core::ptr::{read_volatile, write_volatile};
 use firmware::net::{Frame, Lane, REHEARSAL_WORDS, Slot};
@@ -28,8 +30,8 @@ pub struct RxFrame(*const u32);
 impl Frame for RxFrame {
     #[inline(always)]
     fn word(&self, index: usize) -> u32 {
-        // SAFETY: the lib reads words of frames whose length the MAC told, at most one word beyond;
-        // a slot is 512 words, a frame 379.
+        // SAFETY: the lib reads words of frames with the length that the MAC reported, at most one
+        // word beyond; a slot has 512 words, a frame 379.
         unsafe { read_volatile(self.0.add(index)) }
     }
 
@@ -48,7 +50,7 @@ pub struct TxSlot(*mut u32);
 impl Slot for TxSlot {
     #[inline(always)]
     fn put(&mut self, index: usize, word: u32) {
-        // SAFETY: as `RxFrame`: no answer is longer than a frame.
+        // SAFETY: as in `RxFrame`: no answer is longer than a frame.
         unsafe { write_volatile(self.0.add(index), word) }
     }
 }
@@ -62,7 +64,7 @@ impl Buffer {
         const { assert!(FRAME_MAX >= MAX_WORDS * 4) };
         match self.0.first_chunk_mut() {
             Some(words) => words,
-            None => unreachable!(), // asserted above
+            None => unreachable!(), // the assertion above excludes it
         }
     }
 
@@ -72,9 +74,11 @@ impl Buffer {
         unsafe { core::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), FRAME_MAX) }
     }
 
-    /// Sends so many of these bytes as a frame, from the common slot; drops them if nothing leaves the board.
+    /// Sends this many of these bytes as a frame, from the common slot; drops them if no frame
+    /// leaves the board.
     pub fn send(&self, length: usize) {
-        // SAFETY: the MAC's registers, as `Mac` uses them; one hart, and nobody holds a slot over this call.
+        // SAFETY: the MAC's registers, as `Mac` uses them; one hart, and no caller holds a slot
+        // over this call.
         let regs = unsafe { Ethmac::steal() };
         if !drained(&regs) {
             return;
@@ -92,23 +96,24 @@ impl Buffer {
     }
 }
 
-/// Looks at the MAC until it counts as stuck: at least 5 clocks each, so 5 ms or more at 60 MHz, and both slots have left in 2.5 ms
-/// at 10 Mbit/s. A PHY without a cable may stop the clock the MAC sends by; the loop must go on and find that out.
+/// Looks at the MAC before it counts as stuck: at least 5 clocks each, so 5 ms or more at 60 MHz;
+/// both slots are sent in 2.5 ms at 10 Mbit/s. A PHY without a cable may stop the transmit clock;
+/// the loop must go on and detect that.
 const DRAIN_LOOKS: u32 = 60_000;
 
-/// Waits until nothing is queued for sending. False if it does not get less.
+/// Waits until the transmit queue is empty. False if it does not shrink.
 fn drained(regs: &Ethmac) -> bool {
     (0..DRAIN_LOOKS).any(|_| regs.sram_reader_level().read().bits() == 0)
 }
 
-/// What the next start sends.
+/// Sets the slot and the length of the next start.
 fn aim(regs: &Ethmac, slot: u32, length: u32) {
     regs.sram_reader_slot().write(|w| unsafe { w.bits(slot) });
     regs.sram_reader_length()
         .write(|w| unsafe { w.bits(length) });
 }
 
-/// Sends the common slot, and aims at the lane's again: that one has no time for it.
+/// Sends the common slot, then selects the lane's slot again: the lane has no time for that.
 fn start_common(regs: &Ethmac, length: usize) {
     let slot = regs.sram_reader_slot().read().bits();
     let lane = regs.sram_reader_length().read().bits();
@@ -121,11 +126,11 @@ fn start_common(regs: &Ethmac, length: usize) {
 pub struct Mac {
     regs: Ethmac,
     door: Guest,
-    /// Nobody owns the board: the next guest may come as soon as the last has given its slot back.
+    /// The session has no owner: the next guest may come as soon as the last one's slot is free.
     open: bool,
-    /// What came in and does not fit the lane.
+    /// Received data that does not fit the lane.
     pub input: &'static mut Buffer,
-    /// What goes out of the server or the IP stack.
+    /// Data to be sent by the server or the IP stack.
     pub output: &'static mut Buffer,
 }
 
@@ -133,9 +138,10 @@ static mut INPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
 static mut OUTPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
 
 impl Mac {
-    /// The one MAC there is.
+    /// The board's only MAC.
     pub fn new() -> Self {
-        // SAFETY: `super::start` calls this once; nobody else touches the MAC, its door or the buffers.
+        // SAFETY: `super::start` calls this once; no other code touches the MAC, its filter or the
+        // buffers.
         let (regs, door, input, output) = unsafe {
             (
                 Ethmac::steal(),
@@ -153,20 +159,21 @@ impl Mac {
         }
     }
 
-    /// Our address. Whoever is not for it waits for a ticket, now and whenever nobody owns the board.
+    /// Sets our address. A frame that is not for it needs a ticket, now and whenever the session
+    /// has no owner.
     pub fn address(&mut self, ours: [u32; 2]) {
         self.mark([(0, ours[0]), (1, ours[1])]);
         self.open();
     }
 
-    /// Whoever is not the owner waits for a ticket.
+    /// A frame that is not the owner's needs a ticket.
     pub fn guard(&mut self, lane: &Lane) {
         self.mark(lane.marks());
         self.door.mode().write(|w| w.select().owner());
         self.open = false;
     }
 
-    /// Nobody owns the board any more.
+    /// The session has no owner any more.
     pub fn open(&mut self) {
         self.door.mode().write(|w| w.select().ours());
         self.open = true;
@@ -175,12 +182,12 @@ impl Mac {
 
     fn mark<const N: usize>(&mut self, header: [(usize, u32); N]) {
         for (index, word) in header {
-            // SAFETY: ten words of a header are the first of this page; no mark is of another.
+            // SAFETY: this page begins with ten words of a header, and no mark has a higher number.
             unsafe { write_volatile((abi::CSR_GUEST as *mut u32).add(index), word) }
         }
     }
 
-    /// Hands out a ticket for one more guest, if the last one is used up.
+    /// Issues a ticket for one more guest, if the last one is used up.
     #[inline(always)]
     pub fn admit(&self) {
         self.door.admit().write(|w| unsafe { w.bits(1) });
@@ -201,7 +208,8 @@ impl Mac {
         (RxFrame(base as *const u32), length)
     }
 
-    /// The frame in `input`, made up by [`firmware::net::Lane::rehearse`], and a slot nobody sends.
+    /// The frame in `input`, made up by [`firmware::net::Lane::rehearse`], and a slot that is not
+    /// sent.
     pub fn rehearsal(&mut self) -> (RxFrame, TxSlot) {
         (
             RxFrame(self.input.0.as_ptr()),
@@ -209,7 +217,7 @@ impl Mac {
         )
     }
 
-    /// Where to make up a rehearsal.
+    /// The place for a warm-up frame.
     pub fn rehearsal_words(&mut self) -> Option<&mut [u32; REHEARSAL_WORDS]> {
         self.input.0.first_chunk_mut()
     }
@@ -230,14 +238,14 @@ impl Mac {
         }
     }
 
-    /// Has everything left, the lane's slot among it?
+    /// Have all frames been sent, the lane's slot included?
     #[inline(always)]
     pub fn lane_idle(&self) -> bool {
         self.regs.sram_reader_level().read().bits() == 0
     }
 
-    /// Waits until the lane's slot may be written: 12 us for the longest frame on the wire, 1.2 ms at 10 Mbit/s.
-    /// False if nothing leaves the board.
+    /// Waits until the lane's slot may be written: 12 us for the longest frame on the wire, 1.2 ms
+    /// at 10 Mbit/s. False if no frame leaves the board.
     pub fn wait_lane(&self) -> bool {
         drained(&self.regs)
     }
@@ -248,12 +256,12 @@ impl Mac {
         Self::tx(LANE)
     }
 
-    /// From now on [`Mac::send_lane`] sends so many bytes.
+    /// From now on [`Mac::send_lane`] sends this many bytes.
     pub fn aim(&mut self, length: usize) {
         aim(&self.regs, LANE as u32, (length + PAD) as u32);
     }
 
-    /// Sends the lane's slot: the MAC is still aimed at it.
+    /// Sends the lane's slot, which is still selected.
     #[inline(always)]
     pub fn send_lane(&mut self) {
         self.regs
@@ -261,7 +269,7 @@ impl Mac {
             .write(|w| unsafe { w.bits(1) });
     }
 
-    /// The common slot, as soon as it may be written; none if nothing leaves the board.
+    /// The common slot, as soon as it may be written; `None` if no frame leaves the board.
     pub fn slot(&self) -> Option<TxSlot> {
         self.wait_lane().then(|| Self::tx(COMMON))
     }
@@ -271,11 +279,11 @@ impl Mac {
         start_common(&self.regs, length);
     }
 
-    /// Copies the frame out of its slot as bytes, and gives the slot back. Says how many there are.
+    /// Copies the frame out of its slot as bytes, and frees the slot. Returns the number of bytes.
     pub fn take_bytes(&mut self) -> usize {
         let (frame, length) = self.frame();
         let length = length.min(FRAME_MAX);
-        // Two slot words make a word of bytes in their order.
+        // Two slot words make a word of bytes in the right order.
         let mut carry = frame.word(0);
         for (index, word) in self.input.0.iter_mut().take(length.div_ceil(4)).enumerate() {
             let next = frame.word(index + 1);

@@ -26,7 +26,7 @@ use wire::map::{BoardConfig, StepgenConfig};
 /// The register map this image was built for.
 pub const ABI: u32 = abi::ABI;
 
-// The lib numbers the words of two pages by itself, because it must not know this crate.
+// The lib has its own word numbers for two pages, because it must not depend on this crate.
 const _: () = {
     assert!(abi::COMMAND_ENABLES == cores::STAGE_ENABLES);
     assert!(abi::COMMAND_GPIO_OUT == cores::STAGE_OUTPUTS);
@@ -63,7 +63,7 @@ pub struct Parts {
     pub mac: Mac,
     /// Buffers.
     pub memory: &'static mut Memory,
-    /// Boot id, and why this start was one.
+    /// Boot id, and the reason of this start.
     pub boot: record::Boot,
     /// The gateware's identity.
     pub ident: Ident,
@@ -77,10 +77,11 @@ pub struct Soc {
 
 static mut MEMORY: Memory = Memory::new();
 
-/// Brings the machine into a safe state, then finds out where it is. Called once, first thing.
+/// Brings the machine into a safe state, then reads the board's identity. Called once, before
+/// anything else.
 pub fn start() -> Parts {
-    // SAFETY: called once, from the entry point, before anybody else exists; the panic handler and the
-    // trap handler steal what they need again, and never come back.
+    // SAFETY: called once, from the entry point, before any other code runs; the panic handler and
+    // the trap handler steal what they need again, and never return.
     let mut soc = Soc {
         p: unsafe { Peripherals::steal() },
         spi: hal::FlashSpi::new(unsafe { litex_pac::Flash::steal() }),
@@ -89,7 +90,7 @@ pub fn start() -> Parts {
     stack::paint();
     let boot = postmortem::boot(soc.now_lo());
     let ident = soc.ident();
-    // SAFETY: as above; the only reference to MEMORY there ever is.
+    // SAFETY: as above; this is the only reference to MEMORY.
     let memory = unsafe { &mut *(&raw mut MEMORY) };
     Parts {
         soc,
@@ -127,7 +128,7 @@ impl Soc {
             },
             version: ident.gateware_version().read().bits(),
             clock_hz: ident.sys_clk_hz().read().bits(),
-            // Counts no board can have: describe none, so that nobody drives them.
+            // Impossible counts: describe no channels, so that no host drives them.
             channels: Channels::from_words(channels0, channels1).unwrap_or_default(),
             features: ident.features().read().bits(),
             blob_words: ident.board_rom_words().read().bits(),
@@ -171,7 +172,8 @@ impl Board for Soc {
     }
 
     fn trailer(&mut self) -> [u32; 4] {
-        // SAFETY: the last words of the ROM, aligned; the linker leaves them alone, so the compiler knows nothing of them.
+        // SAFETY: the last words of the ROM, aligned; the linker does not use them, so the compiler
+        // cannot know their values.
         unsafe { read_volatile(abi::ROM_TRAILER as *const [u32; 4]) }
     }
 
@@ -211,26 +213,26 @@ impl Board for Soc {
 
     #[inline(always)]
     fn stage(&mut self, word: usize, value: u32) {
-        // SAFETY: the lib counts words of the command page, whose layout is asserted above; nothing
-        // behind it is a register.
+        // SAFETY: the lib counts words of the command page, with the layout asserted above; no
+        // register follows it.
         unsafe { write_volatile((abi::CSR_COMMAND as *mut u32).add(word), value) }
     }
 
     #[inline(always)]
     fn staged(&mut self, word: usize) -> u32 {
-        // SAFETY: as `stage`; reading has no side effect.
+        // SAFETY: as in `stage`; a read has no side effect.
         unsafe { read_volatile((abi::CSR_COMMAND as *const u32).add(word)) }
     }
 
     #[inline(always)]
     fn latched(&mut self, word: usize) -> u32 {
-        // SAFETY: as `stage`, for the status page; reading has no side effect.
+        // SAFETY: as in `stage`, for the status page; a read has no side effect.
         unsafe { read_volatile((abi::CSR_STATUS as *const u32).add(word)) }
     }
 
     fn commit_at(&mut self, at: u64) {
         let timebase = &self.p.timebase;
-        // Never first, so that no half of an old time and half of a new one can be due.
+        // Set to "never" first, so that no mixture of an old and a new time can be due.
         timebase
             .commit_at_hi()
             .write(|w| unsafe { w.bits(u32::MAX) });
@@ -280,7 +282,7 @@ impl Board for Soc {
     }
 
     fn setting(&mut self, which: Setting) -> u32 {
-        // SAFETY: a register of the map, aligned; reading has no side effect.
+        // SAFETY: a register of the map, aligned; a read has no side effect.
         unsafe { read_volatile(Self::setting_address(which) as *const u32) }
     }
 
@@ -303,7 +305,7 @@ impl Board for Soc {
     }
 
     fn csr_write(&mut self, address: u32, value: u32) {
-        // SAFETY: `service::check_write` said this register may be written by whoever asked.
+        // SAFETY: `service::check_write` allowed this write for this sender.
         unsafe { write_volatile(address as usize as *mut u32, value) }
     }
 

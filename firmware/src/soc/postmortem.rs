@@ -1,6 +1,6 @@
-//! Dying well: close the gate, write down why, start again.
+//! The end of a crashed firmware: close the gate, record the reason, restart.
 //!
-//! The gate goes first, by one store, before anything that could fail a second time.
+//! The gate is closed first, with one store, before anything that could fail a second time.
 
 use super::logger;
 use core::arch::asm;
@@ -17,8 +17,8 @@ use wire::ResetReason;
 static mut RECORD: MaybeUninit<Record> = MaybeUninit::uninit();
 
 fn record() -> &'static mut Record {
-    // SAFETY: any bit pattern is a `Record`; its checksum says whether it is one. One hart, and no caller
-    // keeps the reference.
+    // SAFETY: any bit pattern is a `Record`; its checksum says whether it is valid. One hart, and
+    // no caller keeps the reference.
     unsafe { (*(&raw mut RECORD)).assume_init_mut() }
 }
 
@@ -27,7 +27,7 @@ pub fn boot(seed: u32) -> Boot {
     record().boot(seed)
 }
 
-/// Another number for this start.
+/// Derives another number for this start.
 pub fn rename(seed: u32) -> u32 {
     record().rename(seed)
 }
@@ -39,7 +39,7 @@ pub fn word(offset: u32) -> u32 {
 
 /// Microseconds since power-up, for log stamps.
 pub fn microseconds() -> u64 {
-    // SAFETY: reads, and a snapshot that everybody who wants the time takes anew.
+    // SAFETY: reads, and a snapshot that every reader of the time takes again.
     let (timebase, ident) = unsafe { (Timebase::steal(), Ident::steal()) };
     timebase.snapshot().write(|w| unsafe { w.bits(1) });
     let now = u64::from(timebase.now_hi().read().bits()) << 32
@@ -47,7 +47,7 @@ pub fn microseconds() -> u64 {
     divide(now, ident.sys_clk_hz().read().bits() / 1_000_000)
 }
 
-/// Somebody asked for it.
+/// Restarts on request.
 pub fn restart() -> ! {
     record().part(ResetReason::Requested);
     again()
@@ -56,27 +56,28 @@ pub fn restart() -> ! {
 /// Starts the firmware again. The gateware keeps its positions and its clock.
 fn again() -> ! {
     close_gate();
-    // SAFETY: the reset vector; everything is initialised anew from there. Interrupts were never enabled.
+    // SAFETY: the reset vector; everything is initialised again from there. Interrupts were never
+    // enabled.
     unsafe { asm!("fence.i", "jr zero", options(noreturn)) }
 }
 
 fn close_gate() {
-    // SAFETY: one store to a register that only ever closes the gate with this key.
+    // SAFETY: one store to a register that can only close the gate with this key.
     let watchdog = unsafe { Watchdog::steal() };
     watchdog
         .control()
         .write(|w| unsafe { w.bits(abi::KEY_STOP) });
 }
 
-/// Where a panic happened; the trap handler finds it there.
+/// The location of a panic, for the trap handler.
 static mut PANIC_AT: *const Location<'static> = null();
 
-/// A panic takes a trap's road: one obituary writer is enough. This little is small enough to be inlined
-/// where a panic begins, so the optimiser sees that nobody reads the message, and all of `core::fmt`
-/// stays out of the image, 3 KiB (see `build.sh`); file and line say which panic it was.
+/// A panic traps, so that there is one writer of crash reports. This function is small enough to be
+/// inlined where a panic begins. So the optimiser sees that the message is not read, and all of
+/// `core::fmt` stays out of the image, 3 KiB (see `build.sh`); file and line identify the panic.
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
-    // SAFETY: one hart; only the trap handler reads it, and nobody comes back. `ebreak` traps.
+    // SAFETY: one hart; only the trap handler reads it, and this never returns. `ebreak` traps.
     unsafe {
         PANIC_AT = info.location().map_or(null(), |at| (&raw const *at).cast());
         asm!("ebreak", options(noreturn, nostack))
@@ -110,7 +111,7 @@ fn die() -> ! {
             return;
         }
         let cause = mcause::read();
-        // No interrupt is ever enabled; if one comes all the same, say so.
+        // No interrupt is ever enabled; if one comes anyway, report it.
         out.either(cause.is_interrupt(), "interrupt ", "trap: cause ");
         out.number(cause.code() as u32);
         out.text(" at 0x").hex(mepc::read() as u32);

@@ -1,10 +1,11 @@
-//! How deep the stack went: painted at start, looked at later.
+//! Measures the stack: it is filled with a pattern at start, and checked later.
 
 use core::arch::asm;
 use core::ptr::{read_volatile, write_volatile};
 
 const PAINT: u32 = 0x5afe_57ac;
-/// Words at the bottom that must never be touched; below them lies what must survive a restart.
+/// Words at the bottom that must never be used; below them is the memory that must survive a
+/// restart.
 const GUARD: usize = 8;
 
 unsafe extern "C" {
@@ -17,16 +18,16 @@ fn bounds() -> (*mut u32, *mut u32) {
     (&raw mut __estack, &raw mut __sstack)
 }
 
-/// Paints everything below the present frame.
+/// Fills everything below the current frame.
 pub fn paint() {
     let (low, _) = bounds();
     let sp: usize;
     // SAFETY: reads a register.
     unsafe { asm!("mv {}, sp", out(reg) sp, options(nomem, nostack)) };
     let mut at = low;
-    // 128 bytes of respect for this function's own frame.
+    // 128 bytes are left free for this function's own frame.
     while (at as usize) < sp - 128 {
-        // SAFETY: between the end of all variables and the stack pointer: nobody's.
+        // SAFETY: between the end of all variables and the stack pointer: not in use.
         unsafe {
             write_volatile(at, PAINT);
             at = at.add(1);
@@ -34,7 +35,7 @@ pub fn paint() {
     }
 }
 
-/// Bytes ever used, and bytes there are.
+/// Bytes ever used, and the stack's size.
 pub fn used() -> (u32, u32) {
     let (low, high) = bounds();
     let mut at = low;
@@ -48,7 +49,7 @@ pub fn used() -> (u32, u32) {
     )
 }
 
-/// Panics when the stack came too close to its end: rather a restart than a corrupted record.
+/// Panics when the stack came too close to its end: a restart is better than a corrupted record.
 #[inline]
 pub fn check() {
     let (low, _) = bounds();

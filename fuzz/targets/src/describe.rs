@@ -1,4 +1,4 @@
-//! What a host makes of a board's description, however wrong: words, names, pins in HAL.
+//! A host reads a board's description, however wrong: words, names, pins in HAL.
 
 use crate::tape::Tape;
 use host::address::Address;
@@ -16,7 +16,7 @@ use wire::exchange::{command_words, status_words};
 /// HAL's own limit.
 const NAME_MAX: usize = 41;
 
-/// Words of a description, and the names behind it.
+/// The words of a description, and the names after them.
 pub fn describe(data: &[u8]) {
     let mut tape = Tape(data);
     let mode = tape.byte();
@@ -43,7 +43,7 @@ pub fn describe(data: &[u8]) {
     }
 }
 
-/// Makes the words agree with each other, whatever they say.
+/// Makes the words consistent, whatever their values.
 fn fitting(words: &mut [u32; WORDS]) {
     words[0] = wire::describe::MAGIC;
     words[1] = wire::WIRE_VERSION;
@@ -72,7 +72,7 @@ fn fitting(words: &mut [u32; WORDS]) {
     words[17] %= 4;
 }
 
-/// Puts a header in front that says what is behind it.
+/// Adds a header that fits the bytes after it.
 fn seal(blob: &mut Vec<u8>) {
     blob.resize(blob.len().max(HEADER_LEN), 0);
     let crc = wire::board::crc32(&blob[HEADER_LEN..]);
@@ -103,11 +103,11 @@ fn names(bytes: &[u8]) {
 }
 
 thread_local! {
-    /// Nothing is sent; the driver wants one.
+    /// A socket that sends nothing, because the driver needs one.
     static SOCKET: UdpSocket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket");
 }
 
-/// Loads a driver for it, with this or that scheme of names.
+/// Loads a driver for it, with different schemes of names.
 fn load(identity: &Identity, scheme: u8) {
     let socket = SOCKET.with(UdpSocket::try_clone).expect("a socket");
     let link = Link::new(socket).expect("a socket that does not block");
@@ -127,7 +127,7 @@ fn load(identity: &Identity, scheme: u8) {
     };
     if let Some(scheme) = &scheme {
         scheme.prefix(0, identity);
-        // A scheme may refuse a board; the driver goes on without it or says why.
+        // A scheme may refuse a board; the driver continues without it or says why.
         if let Err(error) = names::export(scheme, &mut hal, 0, identity, &driver) {
             assert!(!error.to_string().is_empty());
         }
@@ -138,9 +138,9 @@ fn load(identity: &Identity, scheme: u8) {
         assert!(name.len() <= NAME_MAX, "{name} is too long for HAL");
         assert!(
             name.bytes().all(|b| b.is_ascii_graphic()),
-            "{name:?} is no name in HAL"
+            "{name:?} is not a valid name in HAL"
         );
-        assert!(seen.insert(name), "{name} is there twice");
+        assert!(seen.insert(name), "{name} appears twice");
     }
     for channel in 0..16 {
         identity.step_type(channel);

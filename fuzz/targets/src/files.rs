@@ -1,4 +1,5 @@
-//! Files people give us: read whole or refused with a sentence that helps, and what was read can be used.
+//! Files from users: they are read completely or refused with a helpful message, and the result can
+//! be used.
 
 use crate::tape::Tape;
 use ferrocnc_config::import::{Imported, lcnc, litexcnc};
@@ -10,7 +11,7 @@ use host::image::{self, Image};
 use wire::flash::{Layout, Slot};
 use wire::images::{Meta, Stub, Trailer};
 
-/// The name a file gives itself: it has to be the file's own, and nobody guesses that.
+/// The name inside a file: it has to match the file's own name, which a fuzzer does not guess.
 fn stem(text: &str) -> String {
     let line = text.lines().find_map(|line| {
         let (key, value) = line.split_once('=')?;
@@ -19,7 +20,7 @@ fn stem(text: &str) -> String {
     line.unwrap_or_else(|| "board".to_owned())
 }
 
-/// An error says what to do, and names a place that the file has.
+/// An error says what to do, and names a place that exists in the file.
 fn helps(error: &Error, file: &str, text: &str) {
     let said = error.to_string();
     assert!(
@@ -35,7 +36,7 @@ fn helps(error: &Error, file: &str, text: &str) {
     }
 }
 
-/// A board that was read can be shown, drawn, built and written.
+/// A board that was read can be printed, drawn, built and written.
 fn usable(board: &Board) {
     show::show(board);
     let pinout = Pinout::of_board(board);
@@ -50,7 +51,7 @@ fn usable(board: &Board) {
         assert_eq!(named, Some(board.name.as_str()));
     }
     if built.is_ok() {
-        export::export(board).expect("what has a blob can be built");
+        export::export(board).expect("a board with a blob can be built");
     }
     let text = write::to_toml(board, &["a note".to_owned()]);
     let again = Board::read("again.toml", &board.name, &text, &Folder::default());
@@ -63,7 +64,7 @@ fn usable(board: &Board) {
             );
             assert_eq!(write::to_toml(&again, &["a note".to_owned()]), text);
         }
-        Err(error) => panic!("written and not read: {error}\n{text}"),
+        Err(error) => panic!("written, but not readable: {error}\n{text}"),
     }
 }
 
@@ -81,7 +82,10 @@ pub fn board_toml(data: &[u8]) {
         Ok(platform) => {
             svg(&Pinout::of_platform(&platform));
             for (name, _) in platform.pins() {
-                assert!(platform.pin(&name).is_some(), "{name} is a pin and is none");
+                assert!(
+                    platform.pin(&name).is_some(),
+                    "{name} is listed but is not a pin"
+                );
             }
         }
         Err(error) => helps(&error, "platform.toml", text),
@@ -121,12 +125,12 @@ pub fn litexcnc_json(data: &[u8]) {
     }
 }
 
-/// Bitstreams, flash images, and the pages that say what lies where.
+/// Bitstreams, flash images, and their meta pages.
 pub fn image(data: &[u8]) {
     let mut tape = Tape(data);
     match tape.byte() & 3 {
         0 => bitstream(tape.0),
-        // A header that fits whatever is behind it, so that the bytes themselves are looked at.
+        // A header that fits the bytes after it, so that the bytes themselves are read.
         1 => {
             let build = tape.word();
             let idcode = tape.word();
@@ -146,7 +150,7 @@ fn bitstream(file: &[u8]) {
             assert_eq!(image::idcode(&image.bytes), Some(image.idcode));
             let meta = image.meta();
             let area = Layout::of(0x20_0000).expect("a layout").slot(Slot::A);
-            // What a slot has room for, its page says as well.
+            // If an image fits a slot, its meta page is valid.
             let fits = image.bytes.len() <= (area.meta() - area.start) as usize;
             let read = Meta::from_page(&meta.to_page(), area);
             assert!(!fits || read == Some(meta), "{meta:?} reads as {read:?}");
@@ -157,7 +161,7 @@ fn bitstream(file: &[u8]) {
 }
 
 thread_local! {
-    /// A flash as built; made once, for it is most of the work.
+    /// A flash as built; made only once, because that takes most of the time.
     static FLASH: Vec<u8> = {
         let sample = |build| {
             let file = image::sample::file("board", "platform", build, 600);
@@ -167,7 +171,8 @@ thread_local! {
     };
 }
 
-/// A whole flash with bytes changed here and there; the places are pages, so that they can be met.
+/// A whole flash with some bytes changed; the changes are at pages, so that a fuzzer can hit the
+/// same ones.
 fn flash(tape: &mut Tape) {
     let layout = Layout::of(0x20_0000).expect("a layout");
     let places = [
@@ -192,7 +197,7 @@ fn flash(tape: &mut Tape) {
     if let Ok(file) = FlashFile::parse(bytes) {
         assert_eq!(file.len(), 0x20_0000);
         assert_eq!(file.image.idcode, file.golden.idcode);
-        // What differs from a flash as built is named by its piece, and by a place in that piece.
+        // A difference from a flash as built is reported with its area and an offset in that area.
         let differ = FLASH.with(|flash| file.compare(flash));
         assert!(differ.len() <= 4, "{differ:?}");
         assert!(differ.iter().all(|(_, at)| (*at as usize) < file.len()));

@@ -1,8 +1,10 @@
-//! A board on a wire with mad neighbours: whole Ethernet frames, as `firmware::app` deals with them.
+//! A board on a wire with faulty neighbours: whole Ethernet frames, as `firmware::app` handles
+//! them.
 //!
-//! The input is a script of frames: raw ones, and ones whose check sums are made right because nobody guesses these. What the
-//! board sends is looked at as a neighbour's stack would: lengths, check sums, addresses. Frames that are not a datagram of
-//! ours do nothing to the board, and what the fast lane takes for an exchange is one by the long way, too.
+//! The input is a script of frames: raw ones, and ones with corrected check sums, which a fuzzer
+//! does not guess. The board's frames are checked as a neighbour's stack would: lengths, check
+//! sums, addresses. Frames that are not a datagram of ours do not change the board. A frame that
+//! the fast lane takes as an exchange is an exchange for the full check, too.
 
 use crate::server::Bench;
 use crate::tape::Tape;
@@ -17,10 +19,10 @@ use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
 
 /// Longest frame without its FCS.
 const FRAME_MAX: usize = 1514;
-/// Longer scripts say nothing new.
+/// Longer scripts add nothing.
 const FRAMES: usize = 64;
 
-/// A frame as the MAC's slots deliver it; behind it lies what an older one left there.
+/// A frame as the MAC's slots deliver it; after it there are bytes of an older one.
 struct Received<'f>(&'f [u8]);
 
 impl Frame for Received<'_> {
@@ -61,7 +63,7 @@ impl Sent {
     }
 }
 
-/// Somebody at the console.
+/// A client of the console.
 struct Visitor<'a> {
     machine: &'a mut Machine<Watched>,
     line: &'a mut console::Line,
@@ -97,20 +99,20 @@ struct Station {
     line: console::Line,
     lane: Option<Lane>,
     ms: u32,
-    /// What the board's TCP said last: next sequence number of theirs it expects, of its own.
+    /// The board's last TCP numbers: the next sequence number it expects, and its own next one.
     expected: u32,
     next: u32,
     outcome: Outcome,
 }
 
-/// What came of a script.
+/// The result of a script.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outcome {
     /// Frames the board sent.
     pub sent: u32,
     /// Exchanges the fast lane executed, and those it refused.
     pub lane: [u32; 2],
-    /// Somebody is connected to the console.
+    /// A client is connected to the console.
     pub visited: bool,
 }
 
@@ -119,7 +121,7 @@ pub fn frames(data: &[u8]) {
     script(data);
 }
 
-/// Runs a script of frames and says what came of it.
+/// Runs a script of frames and returns its result.
 pub fn script(data: &[u8]) -> Outcome {
     let mut station = Station {
         bench: Bench::new(),
@@ -168,7 +170,7 @@ fn segment_sum(source: [u8; 4], destination: [u8; 4], protocol: u8, segment: &[u
     ones(segment, ones(&pseudo, 0))
 }
 
-/// What is not as usual in a packet that is made: bits of a byte of the script.
+/// The deviations of a packet that is built: bits of a byte of the script.
 struct Oddities(u8);
 
 impl Oddities {
@@ -311,7 +313,7 @@ impl Station {
         }
     }
 
-    /// The payload of the owner's next command, with this or that wrong.
+    /// The payload of the owner's next command, with different errors.
     fn exchange(&self, tape: &mut Tape) -> Vec<u8> {
         use wire::exchange::{COMMAND_MAX, Command, REQUEST_OVERHEAD};
         let flags = tape.byte();
@@ -337,7 +339,7 @@ impl Station {
         payload
     }
 
-    /// A frame, as `firmware::app` takes it.
+    /// Handles a frame as `firmware::app` does.
     fn receive(&mut self, bytes: &[u8]) {
         let frame = Received(bytes);
         let length = bytes.len();
@@ -386,7 +388,7 @@ impl Station {
                 self.talk(Some(bytes));
                 self.untouched("a frame for the IP stack");
             }
-            Class::Nothing => self.untouched("somebody else's frame"),
+            Class::Nothing => self.untouched("a frame to another station"),
         }
     }
 
@@ -411,14 +413,19 @@ impl Station {
         let whole = command.intact();
         match class {
             Class::Ours(datagram) => {
-                assert!(whole, "the lane finds damage where the long way finds none");
+                assert!(
+                    whole,
+                    "the lane finds damage where the full check finds none"
+                );
                 assert_eq!((datagram.peer, datagram.options), (lane.datagram.peer, 0));
                 let long: Vec<u32> = (4..4 + shape.command)
                     .map(|index| net::payload_word(frame, 0, index))
                     .collect();
                 assert_eq!(words, long);
             }
-            Class::Refused(_) => assert!(!whole, "the lane takes what is refused: {class:?}"),
+            Class::Refused(_) => {
+                assert!(!whole, "the lane takes a frame that is refused: {class:?}")
+            }
             Class::Discovery(_) | Class::Dhcp(_) | Class::Other | Class::Nothing => {
                 panic!("the lane takes {class:?}")
             }
@@ -531,7 +538,7 @@ fn payload(frame: &Received, datagram: &Datagram, bytes: &[u8]) -> Vec<u32> {
         .collect()
 }
 
-/// Sends words, and looks at the frame.
+/// Sends words, and checks the frame.
 fn send(us: &Us, to: &Datagram, words: &[u32]) {
     let mut slot = Sent::default();
     net::emit_headers(&mut slot, us, to, words.len() * 4);
@@ -541,16 +548,20 @@ fn send(us: &Us, to: &Datagram, words: &[u32]) {
     check(&slot.frame(length), us);
 }
 
-/// What a neighbour's stack would say of a frame of ours.
+/// Checks one of our frames as a neighbour's stack would.
 fn check(frame: &[u8], us: &Us) {
     assert!(
         (42..=FRAME_MAX).contains(&frame.len()),
         "{} bytes",
         frame.len()
     );
-    assert_eq!(frame[6..12], us.mac, "whose frame is it?");
+    assert_eq!(frame[6..12], us.mac, "the sender's address is wrong");
     match frame[12..14] {
-        [8, 6] => assert_eq!(frame[20..22], [0, 2], "we answer ARP and ask nothing"),
+        [8, 6] => assert_eq!(
+            frame[20..22],
+            [0, 2],
+            "the board answers ARP but does not ask"
+        ),
         [8, 0] => {
             assert_eq!(frame[14], 0x45);
             let total = usize::from(u16::from_be_bytes([frame[16], frame[17]]));

@@ -1,5 +1,5 @@
-//! Programs (G-code, the job file, XYPenPlotter's binary): read to their end or refused with a place, and what was read is motion
-//! the machine can make.
+//! Programs (G-code, the job file, XYPenPlotter's binary): they are read to their end or refused
+//! with a place, and the result is motion that the machine can make.
 
 use crate::tape::Tape;
 use motion::gcode::{DwellUnit, Options, Reader};
@@ -10,12 +10,12 @@ use motion::segment::{AXES, MAX_CLOCKS, MIN_CLOCKS};
 use motion::xypen::{self, Quirks, Record};
 use wire::crc::Crc32;
 
-/// A circle of ten metres has more chords than a fuzzer has time.
+/// A circle of ten metres has too many chords for a fuzzer.
 const OUTPUTS: u32 = 20_000;
-/// As many lines as the board looks ahead.
+/// The number of lines the board looks ahead.
 const DEPTH: usize = 16;
 
-/// A plotter's: 80 steps/mm, 100 mm/s, 1 m/s^2 in the plane, slower in Z.
+/// A plotter: 80 steps/mm, 100 mm/s, 1 m/s^2 in the plane, slower in Z.
 const PLOTTER: Setup = Setup {
     clock_hz: 60_000_000,
     axes: [
@@ -40,7 +40,7 @@ const PLOTTER: Setup = Setup {
     aux_settle: 1_000,
 };
 
-/// G-code: what a line asks for, and the segments that come of it.
+/// G-code: the instructions of a line, and their segments.
 pub fn gcode(data: &[u8]) {
     let mut tape = Tape(data);
     let [mode, percent] = tape.array();
@@ -72,12 +72,12 @@ pub fn gcode(data: &[u8]) {
             Err(error) => {
                 assert!(error.line == lines + 1 && error.column >= 1, "{error:?}");
                 assert!(!error.to_string().is_empty());
-                // Nobody begins a program that is refused.
+                // A refused program is never started.
                 return;
             }
         };
         for instruction in instructions {
-            assert!(!ended, "{instruction:?} behind the end");
+            assert!(!ended, "{instruction:?} after the end");
             possible(&instruction);
             bench.execute(&instruction, reader.line_number());
             if bench.outputs >= OUTPUTS {
@@ -88,8 +88,8 @@ pub fn gcode(data: &[u8]) {
     bench.execute(&Instruction::End, reader.line_number());
 }
 
-/// The job file. With the first bit of the first byte the input is the file; without, it is what blocks with a right CRC hold, so
-/// that a fuzzer comes behind it.
+/// The job file. With the first bit of the first byte the input is the file; without it, the input
+/// is the content of blocks with a right CRC, so that a fuzzer gets past the CRC.
 pub fn job(data: &[u8]) {
     let mut tape = Tape(data);
     let [mode] = tape.array();
@@ -123,7 +123,7 @@ pub fn job(data: &[u8]) {
     written_it_reads_the_same(&read);
 }
 
-/// Blocks of the input: how long, then its bytes.
+/// Blocks of the input: a length, then that many bytes.
 fn in_blocks(tape: &mut Tape) -> Vec<u8> {
     let mut file = Vec::new();
     let mut before = block(&mut file, Kind::Header, b"\x01fuzz", 0);
@@ -135,7 +135,7 @@ fn in_blocks(tape: &mut Tape) -> Vec<u8> {
     file
 }
 
-/// A block as the writer frames it; says its CRC.
+/// A block with the writer's frame; returns its CRC.
 fn block(file: &mut Vec<u8>, kind: Kind, payload: &[u8], before: u32) -> u32 {
     let begin = file.len();
     let code = match kind {
@@ -186,7 +186,7 @@ pub fn xypen(data: &[u8]) {
             feed => Feed::Rate(1_000_000 * u32::from(feed)),
         },
     };
-    // Without the flag the count is right, so that a fuzzer comes behind it.
+    // Without the flag the count is right, so that a fuzzer gets past it.
     let mut file = tape.0.to_vec();
     if flags & 4 == 0 {
         let whole = file.len() / (4 * xypen::FIELDS) * xypen::FIELDS;
@@ -225,7 +225,7 @@ pub fn xypen(data: &[u8]) {
         .map(|instruction| writer.record(instruction))
         .map(|record| {
             record
-                .expect("what the format said it can say")
+                .expect("the format can represent it")
                 .expect("no end")
         })
         .collect();
@@ -235,7 +235,7 @@ pub fn xypen(data: &[u8]) {
     assert_eq!(read.count(), program.len());
 }
 
-/// An instruction a machine can be asked for.
+/// An instruction that a machine can execute.
 fn possible(instruction: &Instruction) {
     let near = |place: &Place| {
         place
@@ -252,7 +252,7 @@ fn possible(instruction: &Instruction) {
         | Instruction::End => return,
     };
     assert!(near(to), "{instruction:?} is too far");
-    assert!(*feed != Feed::Rate(0), "{instruction:?} never comes there");
+    assert!(*feed != Feed::Rate(0), "{instruction:?} never arrives");
 }
 
 struct Bench {
@@ -276,12 +276,12 @@ impl Bench {
         }
         assert!(
             self.planner.push(instruction, line),
-            "read and not taken: {instruction:?}"
+            "read, but not accepted: {instruction:?}"
         );
         while self.output() {}
     }
 
-    /// What comes next; false when nothing does.
+    /// The next output; false if there is none.
     fn output(&mut self) -> bool {
         if self.outputs >= OUTPUTS {
             return false;
@@ -315,7 +315,7 @@ impl Bench {
         true
     }
 
-    /// At rest the machine is where the program says, to the step.
+    /// At rest the machine is at the program's position, to the step.
     fn arrived(&self) {
         let (steps, target) = (self.planner.machine().steps(), self.planner.target());
         for (axis, (steps, nm)) in steps.into_iter().zip(target).enumerate() {

@@ -1,13 +1,16 @@
-//! The port of jobs, from its bytes to the pins: what clients say, in any order and any pieces, to the desk with the store and the executor
-//! behind it, on the firmware's library and the models of the cores.
+//! The port of jobs, from its bytes to the pins: clients' requests, in any order and in pieces of
+//! any size, to the desk with the store and the executor, on the firmware's library and the models
+//! of the cores.
 //!
-//! The input is a script of steps, one byte that says what, and as many as it needs behind it. What must hold:
+//! The input is a script of steps: one byte for the kind, then the bytes the step needs. What must
+//! hold:
 //!
-//! * every answer is a frame, answers the request that was asked, and its payload is what belongs there;
-//! * nothing but a Hello is done on a connection that has not begun with one;
-//! * what is refused has changed nothing (a Commit of what arrived garbled begins anew, and says so);
-//! * a request that comes again has the same answer, to the byte, and is not acted on again;
-//! * the console's answers fit their place and upset no terminal;
+//! * every answer is a frame, answers the request that was asked, and has the right payload;
+//! * no request but a Hello is executed on a connection that has not begun with one;
+//! * a refused request has changed nothing (a Commit of a garbled upload starts it again, and says
+//!   so);
+//! * a repeated request has the same answer, to the byte, and is not executed again;
+//! * the console's answers fit their buffer and do not disturb a terminal;
 //! * the machine is armed only while the executor is busy, and no pulse leaves while it is not.
 
 use crate::tape::Tape;
@@ -34,24 +37,24 @@ use wire::jobs::{
 };
 use wire::{Name, State};
 
-/// Longer scripts say nothing new.
+/// Longer scripts add nothing.
 const STEPS: usize = 120;
-/// Slower than any board: the models go clock by clock while axes move.
+/// Slower than any board, because the models go clock by clock while axes move.
 const CLOCK: u32 = 4_000_000;
-/// Half a simulated second: time is what costs here.
+/// Half a simulated second: simulated time is expensive here.
 const CLOCKS: u64 = 2_000_000;
 /// Clocks of a turn of the firmware's loop.
 const TURN: u64 = 400;
-/// For jobs: a few, so that it is full soon.
+/// Memory for jobs: little, so that it is full soon.
 const ROOM: usize = 40 * 1024;
-/// What stops everything, high.
+/// The input that stops all axes, active high.
 const ESTOP_INPUT: u32 = 1 << 3;
 
 thread_local! {
     static FLASH: RefCell<Option<Shared>> = const { RefCell::new(None) };
 }
 
-/// What a client can ask about, and a refusal must not change.
+/// The state that a client can read, and that a refusal must not change.
 #[derive(Debug, PartialEq)]
 struct Shot {
     list: String,
@@ -62,13 +65,13 @@ struct Shot {
 struct Bench<'m> {
     machine: Machine<Desk>,
     jobs: Jobs<'m>,
-    /// Said, and not read yet; read, and not answered yet.
+    /// Bytes sent and not read yet; requests read and not answered yet.
     ahead: Vec<u8>,
     reading: Vec<u8>,
     /// This connection has begun with a Hello.
     known: bool,
     id: u16,
-    /// The last request and its answer, if asking again must have the same.
+    /// The last request and its answer, if a repetition must get the same.
     last: Option<(Vec<u8>, Vec<u8>)>,
     story: Vec<String>,
 }
@@ -78,7 +81,7 @@ pub fn jobs(data: &[u8]) {
     script(data);
 }
 
-/// Runs a script; how things stand in the end, as the console says it.
+/// Runs a script; returns the final state as the console prints it.
 pub fn script(data: &[u8]) -> String {
     let mut memory = vec![0xa5; ROOM];
     let mut machine = board();
@@ -178,7 +181,7 @@ pub(crate) fn machine(switches: bool) -> jobs::Machine {
     }
 }
 
-/// A job file of what the tape says.
+/// A job file from the tape.
 fn file(tape: &mut Tape) -> Vec<u8> {
     let mut writer = Writer::new("fuzz");
     let mut bytes = writer.header().to_vec();
@@ -249,7 +252,7 @@ impl Bench<'_> {
                 let [code, flags, keepalive] = tape.array();
                 let name = name(tape);
                 self.ask(&Request::Command {
-                    code: if code < 128 { code % 13 } else { code },
+                    code: if code < 128 { code % 14 } else { code },
                     flags,
                     keepalive: u16::from(keepalive) * 20,
                     name,
@@ -267,7 +270,7 @@ impl Bench<'_> {
                 });
             }
             6 => self.say(tape.many()),
-            // A machine with a byte turned over.
+            // A machine with an inverted byte.
             7 => {
                 let (at, bits) = (tape.byte(), tape.byte());
                 let request = Request::PutMachine(machine(bits & 1 != 0));
@@ -313,7 +316,7 @@ impl Bench<'_> {
                 };
                 self.ask(&request);
             }
-            // A request in two pieces, time in between.
+            // A request in two pieces, with a pause in between.
             _ => {
                 let mut out = [0; FRAME];
                 let length = Request::Report.emit(self.id, &mut out);
@@ -325,7 +328,12 @@ impl Bench<'_> {
         }
         self.holds();
         if let Some(pulses) = idle.filter(|_| !asked && !self.jobs.executor().busy()) {
-            assert_eq!(self.pulses(), pulses, "nothing goes on\n{:#?}", self.story);
+            assert_eq!(
+                self.pulses(),
+                pulses,
+                "pulses without work\n{:#?}",
+                self.story
+            );
         }
     }
 
@@ -342,7 +350,7 @@ impl Bench<'_> {
     fn holds(&self) {
         let armed = self.machine.server.safety().state() == State::Armed;
         let busy = self.jobs.executor().busy();
-        assert!(!armed || busy, "armed, and nobody is\n{:#?}", self.story);
+        assert!(!armed || busy, "armed without work\n{:#?}", self.story);
     }
 
     fn visit(&mut self) {
@@ -353,7 +361,7 @@ impl Bench<'_> {
         self.tell(|| "a new connection".to_owned());
     }
 
-    /// So many turns of the loop.
+    /// This many turns of the loop.
     fn pass(&mut self, turns: u32) {
         for _ in 0..turns {
             self.serve();
@@ -378,7 +386,7 @@ impl Bench<'_> {
     fn frame(&mut self, op: u8, fill: impl FnOnce(&mut jobs::Writer)) {
         self.id = self.id.wrapping_add(1);
         let mut out = [0; FRAME];
-        // An answer's op less its bit, and a status of 0: a request.
+        // An answer's op without its bit, and a status of 0: a request.
         let length = jobs::answer(op, Status::Normal, self.id, &mut out, fill);
         out[0] = op;
         let crc = crc32(&out[..length - 4]).to_le_bytes();
@@ -391,7 +399,7 @@ impl Bench<'_> {
         while self.serve() {}
     }
 
-    /// The desk takes what it takes; whether that was anything, or it answered.
+    /// The desk takes some bytes; true if it took any, or if it answered.
     fn serve(&mut self) -> bool {
         if self.ahead.is_empty() && self.reading.is_empty() {
             return false;
@@ -439,7 +447,7 @@ impl Bench<'_> {
         );
         let op = Op::from_code(asked.op);
         if status == Status::Normal {
-            let op = op.expect("an op nobody knows was done");
+            let op = op.expect("an unknown op was executed");
             assert!(self.known || op == Op::Hello, "without a Hello\n{story:#?}");
             self.known = true;
             assert!(payload(op, frame.payload), "{op:?} {:?}", frame.payload);
@@ -457,7 +465,7 @@ impl Bench<'_> {
         self.last = repeats.then(|| (request.to_vec(), answer.to_vec()));
     }
 
-    /// The last request once more.
+    /// Repeats the last request.
     fn again(&mut self) {
         let Some((request, answer)) = self.last.clone() else {
             return;
@@ -470,7 +478,7 @@ impl Bench<'_> {
         let mut outer = Outer(&mut self.machine);
         let taken = self.jobs.said(&request, &mut text, &mut outer);
         assert_eq!((taken, text.bytes()), (request.len(), &answer[..]));
-        assert_eq!(self.shot(), before, "acted on twice\n{:#?}", self.story);
+        assert_eq!(self.shot(), before, "executed twice\n{:#?}", self.story);
     }
 
     fn upload(&mut self, bytes: &[u8], tape: &mut Tape) {
@@ -499,7 +507,7 @@ impl Bench<'_> {
             Some(verb) => format!("job {verb}"),
             None => format!("job {said}"),
         };
-        // Without the key nothing begins.
+        // Without the key no work begins.
         let busy = self.jobs.executor().busy();
         self.line(&line, how & 1 != 0);
         let begun = !busy && self.jobs.executor().busy();
@@ -529,7 +537,7 @@ impl Bench<'_> {
     }
 }
 
-/// Is this what belongs to the answer of that op?
+/// Is this the right payload for the answer to that op?
 fn payload(op: Op, bytes: &[u8]) -> bool {
     match op {
         Op::Hello => Welcome::parse(bytes).is_some(),

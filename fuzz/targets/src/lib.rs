@@ -1,8 +1,8 @@
-//! What the fuzz targets do with an input, one function each: libFuzzer calls them (`fuzz/fuzz_targets`), and plain
+//! The fuzz targets, one function each: libFuzzer calls them (`fuzz/fuzz_targets`), and plain
 //! `cargo test` calls them with every committed input (`fuzz/corpus`, `fuzz/regressions`).
 //!
-//! A target panics when something is not as it has to be; that is a finding. The rest of a target is judgement: what is
-//! true of every input, however mad.
+//! A target panics when a property does not hold; that is a finding. The properties hold for every
+//! input, however wrong.
 //!
 //! | module | targets |
 //! |---|---|
@@ -14,8 +14,8 @@
 //! | [`job`] | `gcode`, `job`, `xypen` |
 //! | [`mod@jobs`] | `jobs` |
 //!
-//! A new target is a function here, a line in [`TARGETS`], a file in `fuzz/fuzz_targets` with its `[[bin]]`, and a few inputs in
-//! `fuzz/corpus`; the tests say which of these is missing.
+//! A new target is a function here, a line in [`TARGETS`], a file in `fuzz/fuzz_targets` with its
+//! `[[bin]]`, and a few inputs in `fuzz/corpus`; the tests say which of these is missing.
 
 pub mod describe;
 pub mod files;
@@ -30,13 +30,14 @@ pub mod watched;
 
 use std::sync::atomic::AtomicBool;
 
-/// Targets that run scripts write down what happened, for the message of a failure. It takes longer than the script.
+/// A target that runs scripts can record its steps, for the message of a failure. Recording takes
+/// longer than the script.
 pub static EXPLAIN: AtomicBool = AtomicBool::new(false);
 
-/// A target: its name, what it does with an input.
+/// A target: its name and its function.
 pub type Target = (&'static str, fn(&[u8]));
 
-/// All there are.
+/// All targets.
 pub const TARGETS: &[Target] = &[
     ("board_toml", files::board_toml),
     ("console", server::console),

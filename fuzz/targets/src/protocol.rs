@@ -1,4 +1,5 @@
-//! The protocol: what a datagram may be, and that what was understood is what was said.
+//! The protocol: which datagrams are valid, and that emitting what was parsed gives the same
+//! datagram.
 
 use crate::tape::{Tape, bytes, words};
 use std::net::Ipv4Addr;
@@ -11,7 +12,7 @@ use wire::exchange::{
 use wire::settings::{self, Settings};
 use wire::{MAX_PAYLOAD, MAX_WORDS, Name};
 
-/// A UDP payload: a packet whose records are the datagram and nothing else, or a refusal.
+/// A UDP payload: a packet with records that are the whole datagram, or a refusal.
 pub fn etherbone(data: &[u8]) {
     let mut buffer = [0; MAX_WORDS];
     let Ok(words) = wire::words_from_bytes(data, &mut buffer) else {
@@ -120,7 +121,7 @@ pub fn exchange(data: &[u8]) {
     }
 }
 
-/// Datagrams of discovery, and the settings in them: what both ends understand, what a board would keep.
+/// Datagrams of discovery, and the settings in them: both ends agree on what is valid.
 pub fn discovery(data: &[u8]) {
     let mut tape = Tape(data);
     let mode = tape.byte();
@@ -131,7 +132,7 @@ pub fn discovery(data: &[u8]) {
     let parsed = Message::parse(&message);
     let question = Message::parse_request(&message);
     if let Ok(question) = &question {
-        // To a board a Proven is a Set, and its proof stands apart.
+        // A board reads a Proven as a Set, and its proof separately.
         let plain = parsed.map(|message| match message.body {
             Body::Proven(settings, _) => Message {
                 body: Body::Set(settings),
@@ -158,29 +159,33 @@ pub fn discovery(data: &[u8]) {
                 uid: understood.uid,
                 here,
             };
-            let text = host::flash::uid_text(found.uid);
-            assert_eq!(host::flash::uid_parse(&text), Some(found.uid), "{text}");
+            let text = host::uid::uid_text(found.uid);
+            assert_eq!(host::uid::uid_parse(&text), Some(found.uid), "{text}");
             found.socket();
             change(&mut tape, &host::provision::settings_of(&found));
         }
         Body::Set(settings) | Body::Proven(settings, _) => {
-            assert_eq!(settings.check(), Ok(()), "parsed, and no board can be that");
+            assert_eq!(
+                settings.check(),
+                Ok(()),
+                "parsed, but not valid for a board"
+            );
             let again = Settings::parse(&settings.to_words());
             assert_eq!(again, Ok(settings));
-            assert_eq!(settings.blanked().key, [0; 4], "a key goes to nobody");
+            assert_eq!(settings.blanked().key, [0; 4], "the key is never sent");
             change(&mut tape, &settings);
         }
     }
 }
 
-/// Puts the check sum of settings right.
+/// Corrects the check sum of settings.
 fn seal(message: &mut [u32]) {
     if let Some([body @ .., crc]) = message.first_chunk_mut::<{ settings::WORDS }>() {
         *crc = wire::crc::crc32_words(body);
     }
 }
 
-/// What a person changes is a board's settings or a refusal.
+/// A user's change gives a board's settings or a refusal.
 fn change(tape: &mut Tape, settings: &Settings) {
     let which = tape.byte();
     let (ip, prefix, gateway, port) = (tape.word(), tape.byte(), tape.word(), tape.half());
@@ -198,7 +203,7 @@ fn change(tape: &mut Tape, settings: &Settings) {
     }
 }
 
-/// A DHCP server that means no good: its lease is an address a host can have, or there is none.
+/// A malicious DHCP server: its lease is an address a host can have, or there is none.
 pub fn dhcp(data: &[u8]) {
     use firmware::dhcp::{Client, WORDS};
     const MAC: [u8; 6] = [0x12, 0xe2, 0xd5, 0, 0, 1];

@@ -1,6 +1,7 @@
-//! The committed inputs that are not somebody's files: each says what it means, and is written from here.
+//! The committed inputs that are not taken from users' files: each is described and written here.
 //!
-//! `FERROCNC_WRITE_SEEDS=1 cargo test -p ferrocnc-fuzz-targets` writes them into `fuzz/corpus`; without it the test compares.
+//! `FERROCNC_WRITE_SEEDS=1 cargo test -p ferrocnc-fuzz-targets` writes them into `fuzz/corpus`;
+//! without it the test compares.
 
 use crate::tape::bytes;
 use firmware::net::{Datagram, Slot, Us, emit_headers, emit_payload};
@@ -15,7 +16,7 @@ use wire::flash::{OpResult, Origin, Running};
 use wire::settings::Settings;
 use wire::{FaultReason, GateClose, LinkSpeed, Name, ResetReason, State, etherbone, map};
 
-/// An input: its target, what it is, its bytes.
+/// An input: its target, its name, its bytes.
 pub type Seed = (&'static str, &'static str, Vec<u8>);
 
 /// All of them.
@@ -333,7 +334,7 @@ fn console_seeds() -> Vec<Seed> {
     ]
 }
 
-/// A step of `server`: what, by whom, and what it needs.
+/// A step of `server`: its kind, its sender, and its bytes.
 fn by(peer: u8, what: u8, needs: &[u8]) -> Vec<u8> {
     [&[peer << 4 | what][..], needs].concat()
 }
@@ -570,7 +571,7 @@ impl Slot for Bytes {
     }
 }
 
-/// A raw frame of `frames`: as another board would send it, but to ours.
+/// A raw frame of `frames`: from another board, addressed to ours.
 fn frame(payload: &[u32]) -> Vec<u8> {
     let us = Us {
         mac: [2, 3, 4, 5, 6, 7],
@@ -752,7 +753,7 @@ fn gcode_seeds() -> Vec<Seed> {
     ]
 }
 
-/// Job files whole, and what their blocks hold.
+/// Whole job files, and the content of their blocks.
 fn job_seeds() -> Vec<Seed> {
     let to = |x: i64, y: i64| [1_000_000 * x, 1_000_000 * y, 0];
     let line = |x, y| Instruction::Line {
@@ -821,7 +822,8 @@ fn job_seeds() -> Vec<Seed> {
                 file.extend(full);
             });
         }
-        // The last block is the end, which says how much there was: a fuzzer's blocks have none.
+        // The last block is the end, with the count of instructions: a fuzzer's blocks do not have
+        // it.
         let mut last = Vec::new();
         writer.finish(|full| last.push(full.to_vec()));
         for block in &last[..last.len() - 1] {

@@ -1,11 +1,12 @@
-//! A whole board and what hosts, good and bad, send it: datagrams, time, and hands at its pins.
+//! A whole board with datagrams of good and bad hosts, time, and changes at its pins.
 //!
-//! The input is a script of steps, one byte that says what, and as many as it needs behind it. After every step:
+//! The input is a script of steps: one byte for the kind, then the bytes the step needs. After
+//! every step:
 //!
 //! * a refused datagram has changed nothing, and neither has one that only reads;
-//! * the machine is armed by the one legal way only: session, `enable`, an edge of `enable-request` seen low before, a fresh
-//!   command behind it, no pin in the way;
-//! * while the gate is closed no pulse leaves;
+//! * the machine is armed only in the one legal way: session, `enable`, an edge of `enable-request`
+//!   after it was seen low, a fresh command after that, no active pin;
+//! * no pulse leaves while the gate is closed;
 //! * the gate is open only while the machine is armed or stops;
 //! * answers are packets.
 
@@ -21,9 +22,9 @@ use wire::exchange::{Command, REQUEST_OVERHEAD, Status};
 use wire::units::{Accel, StepRate};
 use wire::{MAX_WORDS, Packet, State, etherbone, map};
 
-/// Longer scripts say nothing new.
+/// Longer scripts add nothing.
 const STEPS: usize = 200;
-/// A third of a simulated second at most: time is what costs here.
+/// At most a third of a simulated second: simulated time is expensive here.
 const CLOCKS: u64 = 20_000_000;
 
 /// The host, another program on it, and another host.
@@ -42,7 +43,7 @@ const PEERS: [Peer; 3] = [
     },
 ];
 
-/// What was seen of `enable-request` in this session, as the design words it.
+/// The phases of `enable-request` in this session, in the words of the design.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Seen {
     Nothing,
@@ -68,7 +69,7 @@ pub fn server(data: &[u8]) {
     script(data);
 }
 
-/// Runs a script; the board is as it left it.
+/// Runs a script; returns the board in its final state.
 pub fn script(data: &[u8]) -> Bench {
     let mut bench = Bench::new();
     let mut tape = Tape(data);
@@ -216,7 +217,7 @@ impl Bench {
         self.datagram(peer, &packet);
     }
 
-    /// A command block as a host would write it, with this or that wrong.
+    /// A command block like a host's, with different errors.
     fn exchange(&mut self, peer: Peer, tape: &mut Tape) {
         let [flags, ahead, rates] = tape.array();
         let session = self.machine.server.session();
@@ -240,7 +241,7 @@ impl Bench {
                 self.machine.board.now() + u64::from(tape.half()) * 16,
             ));
         }
-        // At most 14 kHz: pulses cost, too.
+        // At most 14 kHz: pulses are expensive, too.
         command.stepgen = [(StepRate(i32::from(rates as i8) << 13), Accel::UNLIMITED); 16];
         let channels = watched::ident(&self.machine).channels;
         let mut buffer = [0; REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX];
@@ -258,13 +259,13 @@ impl Bench {
         self.datagram(peer, &request);
     }
 
-    /// One datagram, and what must be true behind it.
+    /// One datagram, and the properties that must hold after it.
     pub fn datagram(&mut self, peer: Peer, words: &[u32]) {
         let words = &words[..words.len().min(MAX_WORDS)];
         let machine = &mut self.machine;
         let channels = watched::ident(machine).channels;
         let mut owner = machine.server.session().owner();
-        // A bite is noticed when somebody looks at the gate, which may be this datagram.
+        // A bite is noticed at the next look at the gate, which may be in this datagram.
         let undisturbed = machine.server.safety().running(machine.board.gate());
         let before = machine.server.safety().state();
         let refusals = machine.server.counters().refused_total;
@@ -295,11 +296,11 @@ impl Bench {
             Err(why) => {
                 assert!(
                     !deeds.took_effect(),
-                    "refused for {why:?}, and {deeds:?}\n{story:#?}"
+                    "refused for {why:?}, but {deeds:?}\n{story:#?}"
                 );
                 assert!(
                     state == before || !undisturbed,
-                    "refused, and {before:?} became {state:?}\n{story:#?}"
+                    "refused, but {before:?} became {state:?}\n{story:#?}"
                 );
             }
             Ok(reply) => {
@@ -315,12 +316,13 @@ impl Bench {
                     assert!(answer.is_ok(), "the answer is {answer:?}\n{story:#?}");
                 }
                 if writes && owner.is_none_or(|owner| owner != peer) {
-                    // A stranger's datagram that does anything has acquired before.
+                    // Another client's datagram that has an effect must have acquired the session
+                    // first.
                     let acquires = packet
                         .records()
                         .any(|record| writes_to(&record, map::SESSION_ACQUIRE));
                     let free = owner.is_none();
-                    assert!(free, "a stranger's write was taken\n{story:#?}");
+                    assert!(free, "another client's write was executed\n{story:#?}");
                     if acquires {
                         owner = Some(peer);
                     }
@@ -349,7 +351,7 @@ impl Bench {
                 assert_eq!(
                     owner,
                     Some(peer),
-                    "a stranger's command was executed\n{story:#?}"
+                    "another client's command was executed\n{story:#?}"
                 );
                 self.commanded(&command, before, state);
             }
@@ -359,7 +361,7 @@ impl Bench {
                     "armed without a command\n{story:#?}"
                 );
                 assert_eq!(deeds.armed, 0, "armed without a command\n{story:#?}");
-                // Acquired, or given back: what was seen before no longer counts.
+                // Acquired, or released: an earlier low level does not count any more.
                 if served.is_ok() && words.len() > 2 && rewrote_session(words) {
                     self.seen = Seen::Nothing;
                 }
@@ -382,17 +384,14 @@ impl Bench {
                 command.enable && command.enable_request,
                 "armed by {command:?}\n{story:#?}"
             );
-            assert!(
-                !pins.pinned_now(),
-                "armed with a pin in the way\n{story:#?}"
-            );
+            assert!(!pins.pinned_now(), "armed with an active pin\n{story:#?}");
             assert_eq!(before, State::Disarmed, "{story:#?}");
         }
         let stopped = before == State::Armed && state != State::Armed;
         self.seen = match (self.seen, command.enable_request) {
             (_, _) if stopped => Seen::Nothing,
             (_, false) => Seen::Low,
-            // An edge counts where arming is possible: at rest.
+            // An edge counts only where arming is possible: at rest.
             (Seen::Low, true) if state == State::Disarmed => Seen::Edge,
             (Seen::Low | Seen::Edge | Seen::Used, true) => Seen::Used,
             (Seen::Nothing, true) => Seen::Nothing,
@@ -416,7 +415,7 @@ impl Bench {
         let deeds = self.machine.board.take();
         assert!(
             !(owned && deeds.took_effect()),
-            "an owned board was told {message:x?}: {deeds:?}"
+            "an owned board executed {message:x?}: {deeds:?}"
         );
         self.tell(|| format!("discovery {message:x?}: {deeds:?}"));
     }
@@ -474,7 +473,7 @@ impl Bench {
         self.machine.board.take();
     }
 
-    /// What holds always.
+    /// The properties that always hold.
     fn holds(&mut self) {
         let story = &self.story;
         let machine = &mut self.machine;
@@ -491,7 +490,7 @@ impl Bench {
         let owner = machine.server.session().owner();
         assert!(
             state != State::Armed || owner.is_some(),
-            "armed, and nobody owns it\n{story:#?}"
+            "armed without an owner\n{story:#?}"
         );
         if owner.is_none() {
             self.seen = Seen::Nothing;
@@ -499,13 +498,13 @@ impl Bench {
     }
 }
 
-/// Is there a word for this address in it?
+/// Does it contain a word for this address?
 fn writes_to(record: &Record, address: u32) -> bool {
     (0..record.writes.len() as u32).any(|n| record.write_base.wrapping_add(4 * n) == address)
 }
 
-/// Did this change who owns the session? Whatever else lies in the session's bank does not: a response that nobody
-/// asked for is taken and means nothing.
+/// Did this change the session's owner? Other words in the session's bank do not: a response
+/// without a challenge is accepted and ignored.
 fn rewrote_session(words: &[u32]) -> bool {
     Packet::new_checked(words).is_ok_and(|packet| {
         packet.records().any(|record| {
@@ -525,7 +524,7 @@ impl firmware::text::Sink for Paper {
 }
 
 impl Paper {
-    /// It fits its place, and upsets no terminal.
+    /// It fits its buffer, and does not disturb a terminal.
     pub fn judge(&self) {
         let text = String::from_utf8_lossy(&self.0);
         assert!(
@@ -542,9 +541,10 @@ thread_local! {
     static CONSOLE: std::cell::RefCell<Option<Bench>> = const { std::cell::RefCell::new(None) };
 }
 
-/// Bytes of somebody at the console: lines or telnet's own, answers that fit, and nothing that touches the board.
+/// Bytes of a client of the console: lines or telnet's own bytes, answers that fit, and no effect
+/// on the board.
 pub fn console(data: &[u8]) {
-    // Nobody at the console changes anything, which is asserted: so one board does for all inputs.
+    // No console line changes the board, which is asserted: so one board is enough for all inputs.
     let mut bench = CONSOLE.take().unwrap_or_default();
     let mut line = firmware::console::Line::default();
     for byte in data {

@@ -1,11 +1,11 @@
-//! An input as a tape that is read to its end; behind the end are zeros, so that every input is one.
+//! An input as a tape that is read to its end; zeros follow the end, so that every input is valid.
 
 /// The rest of an input.
 #[derive(Clone, Copy, Debug)]
 pub struct Tape<'d>(pub &'d [u8]);
 
 impl<'d> Tape<'d> {
-    /// Is everything read?
+    /// Has everything been read?
     pub fn is_over(&self) -> bool {
         self.0.is_empty()
     }
@@ -16,7 +16,7 @@ impl<'d> Tape<'d> {
         byte
     }
 
-    /// The next two, the larger first.
+    /// The next two, the most significant first.
     pub fn half(&mut self) -> u16 {
         u16::from_be_bytes(self.array())
     }
@@ -26,26 +26,26 @@ impl<'d> Tape<'d> {
         u32::from_be_bytes(self.array())
     }
 
-    /// At most so many bytes.
+    /// At most this many bytes.
     pub fn take(&mut self, most: usize) -> &'d [u8] {
         let (head, rest) = self.0.split_at(most.min(self.0.len()));
         self.0 = rest;
         head
     }
 
-    /// A byte that says how many, and as many.
+    /// A byte with a length, and that many bytes.
     pub fn some(&mut self) -> &'d [u8] {
         let count = self.byte();
         self.take(count.into())
     }
 
-    /// A half that says how many, and as many.
+    /// Two bytes with a length, and that many bytes.
     pub fn many(&mut self) -> &'d [u8] {
         let count = self.half();
         self.take(count.into())
     }
 
-    /// So many bytes.
+    /// This many bytes.
     pub fn array<const N: usize>(&mut self) -> [u8; N] {
         let mut bytes = [0; N];
         let head = self.take(N);

@@ -1,4 +1,4 @@
-//! The firmware on the model board, with somebody who writes down what it does to it.
+//! The firmware on the model board, with a recorder of its effects.
 
 use firmware::cores::{
     Board, Control, Gate, Ident, Led, Link, STROBE_COMMIT, STROBE_COMMIT_AT, Setting,
@@ -12,12 +12,15 @@ use sim::plant::Plant;
 use sim::twin::{Desk, Setup};
 use std::cell::RefCell;
 
-/// What was done to the board.
+/// The segments core's mask of outputs.
+const OUTPUTS_OF_A_JOB: u32 = wire::map::SEGMENTS + 4 * firmware::jobs::core::MASK as u32;
+
+/// The effects on the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Deeds {
-    /// Words staged; nothing takes effect by that.
+    /// Words staged; that alone has no effect.
     pub staged: u32,
-    /// Samples; nobody feels one.
+    /// Samples; they have no effect.
     pub samples: u32,
     /// Commits, now or later.
     pub commits: u32,
@@ -25,16 +28,16 @@ pub struct Deeds {
     pub fed: u32,
     /// Settings and raw registers written.
     pub written: u32,
-    /// The flash was spoken to.
+    /// The flash was accessed.
     pub flash: u32,
     /// Orders to arm.
     pub armed: u32,
-    /// Orders to the gate but for that.
+    /// Other orders to the gate.
     pub closed: u32,
 }
 
 impl Deeds {
-    /// Did anything take effect? What closes the gate is the gate's own affair.
+    /// Did anything take effect? Orders that close the gate do not count.
     pub fn took_effect(&self) -> bool {
         let Deeds {
             staged: _,
@@ -50,7 +53,7 @@ impl Deeds {
     }
 }
 
-/// The model board, watched.
+/// The model board, with its recorder.
 #[derive(Debug)]
 pub struct Watched {
     /// The board.
@@ -60,7 +63,7 @@ pub struct Watched {
 }
 
 impl Watched {
-    /// What was done since this was last asked.
+    /// The effects since the last call.
     pub fn take(&mut self) -> Deeds {
         std::mem::take(&mut self.deeds)
     }
@@ -105,7 +108,7 @@ impl Board for Watched {
         self.desk.latched(word)
     }
     fn commit_at(&mut self, at: u64) {
-        // Never is no commit.
+        // "Never" is not a commit.
         self.deeds.commits += u32::from(at != u64::MAX);
         self.desk.commit_at(at);
     }
@@ -149,7 +152,11 @@ impl Board for Watched {
         self.desk.csr_read(address)
     }
     fn csr_write(&mut self, address: u32, value: u32) {
-        self.deeds.written += 1;
+        // At rest the outputs of a job follow the commands again: this is the only write that
+        // happens by itself.
+        if (address, value) != (OUTPUTS_OF_A_JOB, 0) {
+            self.deeds.written += 1;
+        }
         self.desk.csr_write(address, value);
     }
     fn blob(&mut self, word: usize) -> u32 {
@@ -170,12 +177,13 @@ impl Board for Watched {
 }
 
 thread_local! {
-    /// A chip that nobody has written to yet: erasing megabytes for every input would be most of the work.
+    /// A chip that was never written: to erase megabytes for every input would take most of the
+    /// time.
     static BLANK: RefCell<Option<Shared>> = const { RefCell::new(None) };
     static CARD: Card = Card::named("mill6").expect("a committed board");
 }
 
-/// A board that was just switched on, with a new flash.
+/// A board after power-up, with a new flash.
 pub fn start() -> Machine<Watched> {
     let blank = BLANK.take().filter(|flash| {
         let chip = flash.chip();
@@ -187,12 +195,8 @@ pub fn start() -> Machine<Watched> {
     });
     BLANK.set(Some(flash.clone()));
     let setup = Setup {
-        card: CARD.with(Card::clone),
-        plant: Plant::direct(3),
         flash,
-        factory: false,
-        abi: litex_pac::abi::ABI,
-        wall_clock: 0,
+        ..Setup::new(CARD.with(Card::clone), Plant::direct(3))
     };
     let (mut desk, ident) = Desk::power_up(setup);
     let boot = desk.boot();
@@ -202,12 +206,12 @@ pub fn start() -> Machine<Watched> {
     machine
 }
 
-/// What the firmware was built for.
+/// The firmware's register map.
 pub fn ident(machine: &Machine<Watched>) -> &Ident {
     machine.server.ident()
 }
 
-/// Lets so many clocks pass, in so many looks at the chores.
+/// Lets this many clocks pass, with this many runs of the housekeeping.
 pub fn pass(machine: &mut Machine<Watched>, clocks: u64, looks: u64) {
     for _ in 0..looks.max(1) {
         let until = machine.board.desk.clock() + clocks / looks.max(1);

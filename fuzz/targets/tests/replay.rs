@@ -1,4 +1,5 @@
-//! Every committed input through its target, without libFuzzer: the corpora, and what was ever found.
+//! Runs every committed input through its target, without libFuzzer: the corpora, and all earlier
+//! findings.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -21,7 +22,7 @@ fn names(folder: &Path) -> BTreeSet<String> {
         .collect()
 }
 
-/// What libFuzzer finds by itself is called by a SHA-1 and is nobody's but the finder's.
+/// libFuzzer names its own findings by a SHA-1; those are not committed.
 fn is_committed(name: &str) -> bool {
     name.len() != 40
 }

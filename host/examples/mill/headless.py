@@ -94,7 +94,7 @@ class Machine:
         )
 
     def where(self):
-        """What LinuxCNC believes it is doing, for whoever has to find out why it does not go on."""
+        """LinuxCNC's own view of its state, to find out why it does not go on."""
         stat = self.stat
         names = ("interp_state", "exec_state", "inpos", "queue", "motion_line", "read_line", "echo_serial_number", "paused")
         return ", ".join(f"{name} {getattr(stat, name)}" for name in names)
@@ -118,7 +118,7 @@ class Machine:
                 seen, since = now, time.time()
             if time.time() - since > PATIENCE:
                 raise GiveUp(3, f"the board's time stood still for {PATIENCE:.0f} s while waiting until {what}")
-            if periods() - change > MOST_PERIODS and time.time() - change_at > 30:
+            if periods() - change > MOST_PERIODS and time.time() - change_at > PATIENCE:
                 raise GiveUp(
                     3,
                     f"nothing happened for {MOST_PERIODS} servo periods while waiting until {what}; {self.where()}",
@@ -188,7 +188,7 @@ class Machine:
 
     def rest(self):
         """Until the recording shows STILL_PERIODS of standing still."""
-        last, since = None, None
+        last = None
         deadline = time.time() + PATIENCE
         while time.time() < deadline:
             self.poll()
@@ -235,9 +235,9 @@ def last_rows(count):
     return [row for row in map(parse, lines) if row][-count:]
 
 
-def ini_scales():
+def ini_joints(key):
     ini = linuxcnc.ini(sys.argv[sys.argv.index("-ini") + 1])
-    return [float(ini.find(f"JOINT_{joint}", "SCALE")) for joint in range(3)]
+    return [float(ini.find(f"JOINT_{joint}", key)) for joint in range(3)]
 
 
 def getp(name):
@@ -245,7 +245,7 @@ def getp(name):
     return done.stdout.strip()
 
 
-def analyse(scales):
+def analyse(scales, accels, maxaccels):
     """Writes samples.csv and says how far apart command, feedback and pulses were."""
     with open(SAMPLES) as raw:
         rows = [row for row in map(parse, raw) if row]
@@ -253,7 +253,10 @@ def analyse(scales):
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         writer.writerows(rows)
-    column = lambda name: [int(row[COLUMNS.index(name)]) for row in rows]
+
+    def column(name):
+        return [int(row[COLUMNS.index(name)]) for row in rows]
+
     moved = [i for i in range(1, len(rows)) if rows[i][1:4] != rows[i - 1][1:4]]
     axes = []
     for n, axis in enumerate(AXES):
@@ -265,18 +268,18 @@ def analyse(scales):
         first, last = (moved[0], moved[-1]) if moved else (0, 0)
         span = range(first, min(last + 200, len(rows) - 2))
         off = [abs(counts[k + 2] - commands[k]) for k in span]
-        allowed = [1 + abs(commands[k] - commands[k - 1]) for k in span]
         follow = [abs(feedback[k + 1] - commands[k]) for k in span]
         worst = max(range(len(off)), key=lambda k: off[k], default=None)
         axes.append(
             {
                 "name": axis,
                 "scale": scale,
+                "accel_steps": accels[n] * abs(scale),
+                "maxaccel_steps": maxaccels[n] * abs(scale),
                 "commanded_steps_at_rest": round(commands[-1]) if rows else None,
                 "counts_at_rest": counts[-1] if rows else None,
                 "deviation_at_rest_steps": counts[-1] - round(commands[-1]) if rows else None,
                 "deviation_max_steps": off[worst] if worst is not None else 0,
-                "deviation_over_allowed_max": max((o / a for o, a in zip(off, allowed)), default=0),
                 "following_error_max_steps": max(follow, default=0),
                 "speed_max_steps_per_s": max((abs(commands[k] - commands[k - 1]) for k in span), default=0) * 1000,
             }
@@ -315,7 +318,7 @@ def main():
         recorder.wait(5)
     except subprocess.TimeoutExpired:
         recorder.kill()
-    result.update(analyse(ini_scales()))
+    result.update(analyse(*map(ini_joints, ("SCALE", "MAX_ACCELERATION", "STEPGEN_MAXACCEL"))))
     for key, pin in (
         ("refused_total", "ferrocnc.0.refused-total"),
         ("fault_reason", "ferrocnc.0.fault-reason"),

@@ -1,12 +1,12 @@
 //! `enable-request`: one rising edge at the pin becomes one rising edge on the wire.
 //!
 //! An edge is an event and a datagram may be lost, so the request stays up until the board has
-//! accepted a command that carried it and the one after, which is what arms. Then it is over, however
-//! long the pin stays high. A pin that is high already, at load or when a session comes back, is no
-//! edge: nothing is ever re-armed silently.
+//! accepted a command that carried it and the one after, which is what arms. Then the request is
+//! over, even if the pin stays high. A pin that is already high at load or when a session comes
+//! back is not an edge: the machine never re-arms silently.
 
-/// Commands from the first that carried the request to the one whose acceptance ends it: the edge,
-/// the command that arms, one in reserve.
+/// The request ends when the board accepts this many commands after the first one that carried it:
+/// the edge, the command that arms, one in reserve.
 const COMMANDS: u32 = 2;
 
 /// The request on its way to the board.
@@ -32,8 +32,8 @@ impl Default for ArmRequest {
 
 impl ArmRequest {
     /// The wire's `enable-request` for the command with this sequence number. Without `ready` (the
-    /// configuration is still on its way, or `enable` is false) a request waits as long as the pin is
-    /// held; one that was under way ends.
+    /// configuration is still on its way, or `enable` is false) a request waits as long as the pin
+    /// is held; one that was under way ends.
     pub fn flag(&mut self, pin: bool, ready: bool, sequence: u32) -> bool {
         if pin && !self.pin {
             self.asking = true;
@@ -59,7 +59,7 @@ impl ArmRequest {
         }
     }
 
-    /// A request that cannot be granted is over, however long the pin is held; `true` when it has just come.
+    /// A request that cannot be granted is over, even if the pin stays high; `true` if it is new.
     pub fn refuse(&mut self, pin: bool) -> bool {
         let edge = pin && !self.pin;
         self.pin = pin;
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_request_nobody_could_hear_ends_with_the_pin() {
+    fn a_request_that_no_board_could_receive_ends_with_the_pin() {
         let mut request = ArmRequest::default();
         request.flag(false, false, 1);
         request.flag(true, false, 2);

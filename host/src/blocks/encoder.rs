@@ -29,7 +29,8 @@
 //! has no quantisation at low speed; without a new edge it decays as one count over the time since.
 
 use super::latch::{Latching, Sight, Source};
-use super::{Period, nanos_to_register, scale_or_one};
+use super::{Period, nanos_to_register};
+use crate::hal::checked::{Checked, Rule};
 use crate::hal::{ExportError, Exporter, In, Io, Out, Param};
 use wire::exchange::{EDGE_TIME_BITS, EncoderStatus};
 use wire::map::{
@@ -37,6 +38,9 @@ use wire::map::{
     ENCODER_MASK_INVERT,
 };
 use wire::units::Clocks;
+
+/// As [`CountMode`] numbers them.
+const MODES: Rule = Rule::Whole(0, 5);
 
 /// One encoder.
 #[derive(Debug)]
@@ -55,10 +59,10 @@ pub struct Encoder {
     quad_error: Out<bool>,
     quad_error_enable: In<bool>,
     quad_errors: Out<u32>,
-    scale: Param<f64>,
-    vel_timeout: Param<f64>,
-    filter: Param<u32>,
-    mode: Param<u32>,
+    scale: Checked<f64>,
+    vel_timeout: Checked<f64>,
+    filter: Checked<u32>,
+    mode: Checked<u32>,
     counter_mode: Param<bool>,
     index_invert: Param<bool>,
     index_mask: Param<bool>,
@@ -91,10 +95,10 @@ impl Encoder {
             quad_error: hal.output("quad-error")?,
             quad_error_enable: hal.input("quad-error-enable")?,
             quad_errors: hal.output("quad-errors")?,
-            scale: hal.param("scale", 1.0)?,
-            vel_timeout: hal.param("vel-timeout", 0.5)?,
-            filter: hal.param("filter-ns", 100)?,
-            mode: hal.param("mode", CountMode::X4 as u32)?,
+            scale: hal.setting("scale", 1.0, Rule::Divisor)?,
+            vel_timeout: hal.setting("vel-timeout", 0.5, Rule::NotNegative)?,
+            filter: hal.setting("filter-ns", 100, Rule::Any)?,
+            mode: hal.setting("mode", CountMode::X4 as u32, MODES)?,
             counter_mode: hal.param("counter-mode", false)?,
             index_invert: hal.param("index-invert", false)?,
             index_mask: hal.param("index-mask", false)?,
@@ -114,7 +118,6 @@ impl Encoder {
         let counting = if self.counter_mode.get() {
             CountMode::Counter
         } else {
-            // A number that means nothing is the default, not whatever the gateware makes of it.
             CountMode::from_code(self.mode.get()).unwrap_or_default()
         };
         let bit = |parameter: &Param<bool>, bit: u32| u32::from(parameter.get()) * bit;
@@ -138,7 +141,7 @@ impl Encoder {
         let last = self.last.replace(*status);
         let moved = last.map_or(0, |last| i64::from(status.count.since(last.count)));
         self.total += moved;
-        let scale = scale_or_one(self.scale.get());
+        let scale = self.scale.get();
         if let Some((source, value)) = self.latch.answered(sight) {
             let at = self.total - i64::from(status.count.since(value));
             self.count_latched.set((at - self.zero) as i32);
@@ -174,8 +177,8 @@ impl Encoder {
         self.position_interp.set((counts as f64 + beyond) / scale);
     }
 
-    /// Counts illegal transitions. The board's own count is 8 bits and says how many, its flag says that
-    /// there were some even if 256 of them look like none.
+    /// Counts illegal transitions. The board's own count is 8 bits and says how many, its flag says
+    /// that there were some even if 256 of them look like none.
     fn judge(&mut self, last: Option<EncoderStatus>, status: &EncoderStatus, illegal: bool) {
         let fresh = last.map_or(0, |last| status.errors.wrapping_sub(last.errors));
         let fresh = u32::from(fresh).max(u32::from(illegal && last.is_some()));
@@ -188,7 +191,7 @@ impl Encoder {
         }
     }
 
-    /// The fabric was reset: it counts from nothing, the axis stands where it stood.
+    /// The fabric was reset: it counts from 0 again, but the axis has not moved.
     pub fn rebase(&mut self) {
         self.last = None;
         self.speed = Speed::default();
@@ -241,7 +244,7 @@ impl Speed {
                 Some(last) if edge > last => {
                     moved as f64 / Clocks(edge.0 - last.0).to_seconds(clock_hz)
                 }
-                // The first edge after standing still: when the movement began is not known.
+                // The first edge after standstill: the start of the movement is not known.
                 Some(_) | None => 0.0,
             };
             self.edge = Some(edge);
@@ -250,7 +253,7 @@ impl Speed {
             if idle > timeout {
                 *self = Speed::default();
             } else if idle > 0.0 {
-                // It would have shown an edge by now if it were faster than this.
+                // At a higher velocity there would have been an edge by now.
                 let most = 1.0 / idle;
                 self.per_second = self.per_second.clamp(-most, most);
             }
@@ -441,8 +444,9 @@ mod tests {
         bench.hal.set("e.counter-mode", true);
         assert_eq!(bench.encoder.configure(60e6)[0], 0x73);
         bench.hal.set("e.counter-mode", false);
+        // There is no such mode: the last good one stays.
         bench.hal.set("e.mode", 99u32);
-        assert_eq!(bench.encoder.configure(60e6)[0], 0x70);
+        assert_eq!(bench.encoder.configure(60e6)[0], 0x72);
     }
 
     #[test]

@@ -6,7 +6,8 @@
 //! | `link.speed` | s32 out | Mbit/s: 10, 100, 1000; 0 while it is down |
 //! | `link.errors` | u32 out | frames the board's MAC threw away since load: wrong CRC or preamble, no room |
 //!
-//! A gigabit board at 100 Mbit/s works; it says that a cable has two pairs only, or that a switch is an old one.
+//! A gigabit board at 100 Mbit/s works; the reason is a cable with two pairs only, or an old
+//! switch.
 
 use crate::hal::{ExportError, Exporter, Out};
 use wire::exchange::StateWord;
@@ -33,8 +34,8 @@ impl Ethernet {
         })
     }
 
-    /// Takes what an answer says. Fewer than 256 errors lie between two answers: an answer takes longer than a
-    /// frame, and 256 frames thrown away between two would be 256 lost periods.
+    /// Takes what an answer says. Fewer than 256 errors lie between two answers: an answer takes
+    /// longer than a frame, and 256 frames thrown away between two would be 256 lost periods.
     pub fn sampled(&mut self, word: &StateWord) {
         self.up.set(word.link);
         self.speed.set(word.speed.mbit() as i32);
@@ -51,7 +52,7 @@ impl Ethernet {
         self.speed.set(0);
     }
 
-    /// It has started anew, and counts from wherever it does.
+    /// The board has restarted; its error count may begin anywhere.
     pub fn forget(&mut self) {
         self.last = None;
     }

@@ -1,13 +1,15 @@
 //! `gpio.<nn>`: inputs and outputs, each numbered from 00 or by the board's name for it.
 //!
-//! An input has `in` and `in-not` (bit out) and the parameter `debounce-ns` (u32): a change must last that
-//! long to be believed, up to 35 ms at 60 MHz. One that the board file calls an e-stop input has `estop`
-//! (bit out) besides: it has tripped; latched by the gateware until the machine is armed again. An output
-//! has `out` (bit in) and the parameter `invert`, which begins as the board file has it. Parameters reach the
-//! board while it is disarmed. (hostmot2 says `invert_output`; that would leave a name like `spindle-reverse` no room in the 41
-//! characters old HALs have.) While the gate is closed the pin carries the board file's safe level, whatever
-//! `out` and `invert` say.
+//! An input has `in` and `in-not` (bit out) and the parameter `debounce-ns` (u32): a change must
+//! last that long to count, up to 35 ms at 60 MHz. One that the board file calls an e-stop input
+//! has `estop` (bit out) besides: it has tripped; latched by the gateware until the machine is
+//! armed again. An output has `out` (bit in) and the parameter `invert`, which begins as the board
+//! file has it. Parameters reach the board while it is disarmed. (hostmot2 says `invert_output`;
+//! that would leave a name like `spindle-reverse` no room in the 41 characters old HALs have.)
+//! While the gate is closed the pin carries the board file's safe level, for any values of `out`
+//! and `invert`.
 
+use crate::hal::checked::{Checked, Rule};
 use crate::hal::{ExportError, Exporter, In, Out, Param};
 use wire::map::{DEBOUNCE_CLOCKS, DEBOUNCE_MAX};
 use wire::units::Clocks;
@@ -18,7 +20,7 @@ pub struct Input {
     value: Out<bool>,
     inverse: Out<bool>,
     estop: Option<Out<bool>>,
-    debounce: Param<u32>,
+    debounce: Checked<u32>,
 }
 
 impl Input {
@@ -32,7 +34,7 @@ impl Input {
             } else {
                 None
             },
-            debounce: hal.param("debounce-ns", 0)?,
+            debounce: hal.setting("debounce-ns", 0, Rule::Any)?,
         })
     }
 
@@ -82,8 +84,8 @@ impl Output {
         self.invert.get()
     }
 
-    /// What the board's safe register has to hold, which is before inversion, so that the pin is at the board
-    /// file's level whatever HAL says of its polarity.
+    /// The value of the board's safe register. It is before inversion, so that the pin is at the
+    /// board file's level with any polarity that HAL sets.
     pub fn safe(&self) -> bool {
         self.safe != self.inverted()
     }

@@ -1,4 +1,4 @@
-//! `index-enable` and `probe-enable` of one channel: a wish in, exactly one latched value out.
+//! `index-enable` and `probe-enable` of one channel: a request in, exactly one latched value out.
 //!
 //! The board's latch and this block shake hands over a network that may lose any datagram:
 //!
@@ -10,12 +10,13 @@
 //! value answered _________________________v_________
 //! ```
 //!
-//! Nothing is believed that the board has not confirmed. The arm bit rises only after an answer to a
-//! command that carried it low said that the flag is low, so a flag left over from the last time is never
-//! taken for a new one; a value counts only when the answer that carries it was selected for this channel
-//! *and* says that the flag is up. A lost datagram costs a period and never a wrong home.
+//! Only confirmed states count. The arm bit rises only after an answer to a command that carried it
+//! low said that the flag is low, so a flag left over from the last time is never taken for a new
+//! one; a value counts only when the answer that carries it was selected for this channel *and*
+//! says that the flag is up. A lost datagram costs a period, but never gives a wrong home position.
 //!
-//! The board commits arm bits only while its outputs are live, so a wish waits until the machine is armed.
+//! The board commits arm bits only while its outputs are live, so a request waits until the machine
+//! is armed.
 
 use wire::units::Count;
 
@@ -105,7 +106,7 @@ impl Latching {
         self.fetching
     }
 
-    /// Takes an answer; what was caught and where, once it is certain.
+    /// Takes an answer; returns the source and the latched value once they are certain.
     #[must_use]
     pub fn answered(&mut self, sight: &Sight) -> Option<(Source, Count)> {
         if !sight.live {
@@ -129,7 +130,7 @@ impl Latching {
         }
     }
 
-    /// The board may have forgotten: begin at the beginning.
+    /// The board may have forgotten the latch: begin again.
     pub fn forget(&mut self) {
         *self = Latching::default();
     }
@@ -219,7 +220,7 @@ mod tests {
     }
 
     impl Board {
-        /// One period of an axis at `count` whose index is up while `count % 100 < 3`.
+        /// One period of an axis at `count`; its index is up while `count % 100 < 3`.
         fn turn(&mut self, count: u32) {
             let index = count % 100 < 3;
             if self.arm && self.value.is_none() && index && self.seen_low {
@@ -232,8 +233,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(400))]
 
-        /// Any loss of commands and answers, any moment of wishing: every value taken is the first index
-        /// after a wish that was still standing, and the pin falls with it.
+        /// With any loss of commands and answers and any moment of a request, every value taken is
+        /// the first index after a pending request, and the pin falls with it.
         #[test]
         fn whatever_is_lost_only_true_values_are_taken(
             lost in proptest::collection::vec(0u8..8, 400),
@@ -266,7 +267,7 @@ mod tests {
                     continue;
                 }
                 if let Some((_, value)) = latch.answered(&answer) {
-                    prop_assert!(pin, "nobody wished");
+                    prop_assert!(pin, "there was no request");
                     prop_assert!(value.0 % 100 < 3 && value.0 >= wished_at, "{} before {wished_at}", value.0);
                     prop_assert!(count - value.0 < 100, "an old index");
                     pin = false;

@@ -1,6 +1,6 @@
 //! One function block per file, each with the same verbs: `export` its pins, `configure` the board,
-//! take what was sampled, make the next command. A block knows units and policy of its kind and no
-//! socket.
+//! take what was sampled, make the next command. A block knows the units and rules of its kind; it
+//! knows no socket.
 
 pub mod arming;
 pub mod encoder;
@@ -27,7 +27,7 @@ pub struct Period {
 }
 
 impl Period {
-    /// From what HAL passes to a function. Never 0, whatever HAL passes.
+    /// From what HAL passes to a function. Never 0, for any value from HAL.
     pub fn new(nanos: i64, clock_hz: u32) -> Self {
         let nanos = nanos.clamp(1_000, 10_000_000_000);
         Period {
@@ -41,7 +41,8 @@ impl Period {
 /// What the board does between a sample and the next one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outlook {
-    /// It goes on with the command before for `lead`, then executes the one the sample answered for `ahead`.
+    /// It goes on with the command before for `lead`, then executes the one the sample answered for
+    /// `ahead`.
     Commanded {
         /// From the sample to the apply time, 0 if it was applied at once.
         lead: Clocks,
@@ -66,15 +67,6 @@ pub enum Feedback {
     Bridged,
     /// More than one is missing; feedback is frozen.
     Frozen,
-}
-
-/// A division that cannot be one by zero: scales this small are a missing `setp`, not a machine.
-pub(crate) fn scale_or_one(scale: f64) -> f64 {
-    if scale.is_nan() || scale.abs() < 1e-20 {
-        1.0
-    } else {
-        scale
-    }
 }
 
 /// A time parameter as a register, between the least and the most it can hold.

@@ -6,13 +6,19 @@
 //! | `packet-error-level` | s32 out | rises by `-increment` per period with a missing answer, falls by `-decrement` per period without |
 //! | `packet-error-exceeded` | bit out | the level has reached `packet-error-limit`: the board is given up until it answers again |
 //! | `packet-error-total` | u32 out | periods with a missing answer since load |
+//! | `packet-discarded-total` | u32 out | datagrams thrown away unread since load: behind more than a board sends |
 //! | `packet-read-timeout` | s32 param | 0 or less: 80 % of the period; below 100: percent of the period; else ns. Never below 100 us |
 //!
-//! Increment and decrement below 1 count as 1, as in hostmot2: a bucket that cannot fill is no bucket. The timeout counts from
-//! `read-request` where there is one, or else from the first board's `read`.
+//! Limit, increment and decrement of 0 count as 1, as in hostmot2: the bucket must be able to fill.
+//! Negative ones are refused. The timeout counts from `read-request` where there is one, or else
+//! from the first board's `read`.
 
-use crate::hal::{ExportError, Exporter, Out, Param};
+use crate::hal::checked::{Checked, Rule};
+use crate::hal::{ExportError, Exporter, Out};
 use std::time::Duration;
+
+/// 0 counts as 1.
+const LEVELS: Rule = Rule::Whole(0, i32::MAX);
 
 /// The counters and their parameters.
 #[derive(Debug)]
@@ -21,10 +27,11 @@ pub struct Packets {
     level: Out<i32>,
     exceeded: Out<bool>,
     total: Out<u32>,
-    limit: Param<i32>,
-    increment: Param<i32>,
-    decrement: Param<i32>,
-    read_timeout: Param<i32>,
+    discarded: Out<u32>,
+    limit: Checked<i32>,
+    increment: Checked<i32>,
+    decrement: Checked<i32>,
+    read_timeout: Checked<i32>,
 }
 
 impl Packets {
@@ -35,10 +42,11 @@ impl Packets {
             level: hal.output("packet-error-level")?,
             exceeded: hal.output("packet-error-exceeded")?,
             total: hal.output("packet-error-total")?,
-            limit: hal.param("packet-error-limit", 10)?,
-            increment: hal.param("packet-error-increment", 2)?,
-            decrement: hal.param("packet-error-decrement", 1)?,
-            read_timeout: hal.param("packet-read-timeout", 80)?,
+            discarded: hal.output("packet-discarded-total")?,
+            limit: hal.setting("packet-error-limit", 10, LEVELS)?,
+            increment: hal.setting("packet-error-increment", 2, LEVELS)?,
+            decrement: hal.setting("packet-error-decrement", 1, LEVELS)?,
+            read_timeout: hal.setting("packet-read-timeout", 80, Rule::Any)?,
         })
     }
 
@@ -49,7 +57,7 @@ impl Packets {
         self.level.set(level.max(0));
     }
 
-    /// An answer is missing; `true` when that was one too many.
+    /// An answer is missing; `true` if the level has reached the limit.
     #[must_use]
     pub fn missing(&self) -> bool {
         self.error.set(true);
@@ -62,6 +70,12 @@ impl Packets {
             self.exceeded.set(true);
         }
         exceeded
+    }
+
+    /// So many datagrams were thrown away unread.
+    pub fn discarded(&self, unread: u32) {
+        self.discarded
+            .set(self.discarded.get().wrapping_add(unread));
     }
 
     /// The board answers again: start with an empty bucket.

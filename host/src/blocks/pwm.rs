@@ -14,36 +14,41 @@
 //!
 //! | parameter | | |
 //! |---|---|---|
-//! | `output-type` | u32 | the board file's `type` if nobody sets it; hostmot2's numbers: 1 PWM and direction, 2 up/down, 3 PDM and direction, 4 direction and PWM |
+//! | `output-type` | u32 | the board file's `type` until HAL sets it; hostmot2's numbers: 1 PWM and direction, 2 up/down, 3 PDM and direction, 4 direction and PWM |
 //! | `dither` | bit | spread 1/256 clocks over periods; the average is exact over 256 of them |
 //! | `invert-output` | bit | active low |
 //!
-//! Parameters are taken over while disarmed. A channel with a direction pin takes the sign of the duty from
-//! it; one without stands still for a negative one, and its types 2 and 4 are type 1.
+//! Parameters are taken over while disarmed. A channel with a direction pin shows the sign of the
+//! duty there. A channel without one has duty 0 for a negative value, and its types 2 and 4 act as
+//! type 1.
 
-use crate::hal::{ExportError, Exporter, In, Io, Out, Param};
+use crate::hal::checked::{Checked, Rule};
+use crate::hal::{ExportError, Exporter, In, Out, Param};
 use wire::exchange::{PWM_DIRECTION, PWM_ENABLE, PWM_FRACTION, PWM_PERIOD_MAX, PWM_WIDTH_MASK};
 use wire::map::{PWM_DITHER, PWM_INVERT, PWM_SWAP, PWM_TYPE_SHIFT, PwmType};
 
 /// A PDM density of 1, in the unit of a PWM's width.
 const PDM_FULL: f64 = 65_536.0 * (1u32 << PWM_FRACTION) as f64;
 
+/// hostmot2's numbers.
+const OUTPUT_TYPES: Rule = Rule::Whole(1, 4);
+
 /// One PWM.
 #[derive(Debug)]
 pub struct Pwm {
-    value: In<f64>,
+    value: Checked<f64>,
     enable: In<bool>,
-    scale: Io<f64>,
-    offset: Io<f64>,
-    frequency: Io<f64>,
-    min_dc: Io<f64>,
-    max_dc: Io<f64>,
+    scale: Checked<f64>,
+    offset: Checked<f64>,
+    frequency: Checked<f64>,
+    min_dc: Checked<f64>,
+    max_dc: Checked<f64>,
     curr_dc: Out<f64>,
     curr_frequency: Out<f64>,
     curr_period: Out<u32>,
     curr_width: Out<u32>,
     direction: Out<bool>,
-    output_type: Param<u32>,
+    output_type: Checked<u32>,
     dither: Param<bool>,
     invert: Param<bool>,
     has_direction: bool,
@@ -60,19 +65,19 @@ impl Pwm {
         kind: PwmType,
     ) -> Result<Self, ExportError> {
         Ok(Pwm {
-            value: hal.input("value")?,
+            value: hal.command("value")?,
             enable: hal.input("enable")?,
-            scale: hal.both("scale", 1.0)?,
-            offset: hal.both("offset", 0.0)?,
-            frequency: hal.both("pwm-freq", 1000.0)?,
-            min_dc: hal.both("min-dc", 0.0)?,
-            max_dc: hal.both("max-dc", 1.0)?,
+            scale: hal.setting_pin("scale", 1.0, Rule::Divisor)?,
+            offset: hal.setting_pin("offset", 0.0, Rule::Number)?,
+            frequency: hal.setting_pin("pwm-freq", 1000.0, Rule::Positive)?,
+            min_dc: hal.setting_pin("min-dc", 0.0, Rule::NotNegative)?,
+            max_dc: hal.setting_pin("max-dc", 1.0, Rule::NotNegative)?,
             curr_dc: hal.output("curr-dc")?,
             curr_frequency: hal.output("curr-pwm-freq")?,
             curr_period: hal.output("curr-period")?,
             curr_width: hal.output("curr-width")?,
             direction: hal.output("direction")?,
-            output_type: hal.param("output-type", number(kind))?,
+            output_type: hal.setting("output-type", number(kind), OUTPUT_TYPES)?,
             dither: hal.param("dither", false)?,
             invert: hal.param("invert-output", false)?,
             has_direction,
@@ -95,7 +100,8 @@ impl Pwm {
 
     /// The period register, in clocks.
     pub fn period(&self, clock_hz: f64) -> u32 {
-        // `as` saturates, and makes a NaN frequency the slowest rather than the fastest.
+        // `as` saturates. Faster than the clock is 0 clocks, which is the slowest rather than the
+        // fastest.
         let clocks = (clock_hz / self.frequency.get()).round() as u32;
         match (clocks, self.kind.0) {
             (0, _) => PWM_PERIOD_MAX,
@@ -104,9 +110,9 @@ impl Pwm {
         }
     }
 
-    /// This channel's word of the command block. `period` is what the board has; it and `self.period` differ
-    /// while a new frequency is on its way, and the shorter one decides, so that the duty is never more than
-    /// asked.
+    /// This channel's word of the command block. `period` is what the board has; it and
+    /// `self.period` differ while a new frequency is on its way, and the shorter one decides, so
+    /// that the duty is never more than asked.
     pub fn command(&self, period: u32, clock_hz: f64) -> u32 {
         let period = period.min(self.period(clock_hz));
         self.curr_period.set(period);
@@ -148,11 +154,13 @@ impl Pwm {
     }
 
     fn duty(&self) -> f64 {
-        let scale = super::scale_or_one(self.scale.get());
-        let asked = self.value.get() / scale + self.offset.get();
-        let most = clean(self.max_dc.get(), 1.0).clamp(0.0, 1.0);
-        let least = clean(self.min_dc.get(), 0.0).clamp(0.0, most);
-        let asked = clean(asked, 0.0);
+        // A command that is not a number means duty 0, without the offset.
+        let Some(value) = self.value.now() else {
+            return 0.0;
+        };
+        let asked = value / self.scale.get() + self.offset.get();
+        let most = self.max_dc.get().min(1.0);
+        let least = self.min_dc.get().min(most);
         if asked < 0.0 {
             if self.has_direction {
                 -(-asked).clamp(least, most)
@@ -165,17 +173,13 @@ impl Pwm {
     }
 }
 
-/// hostmot2's number for it.
+/// hostmot2's number for the type.
 const fn number(kind: PwmType) -> u32 {
     match kind {
         PwmType::Pwm => 1,
         PwmType::UpDown => 2,
         PwmType::Pdm => 3,
     }
-}
-
-fn clean(value: f64, otherwise: f64) -> f64 {
-    if value.is_nan() { otherwise } else { value }
 }
 
 #[cfg(test)]
@@ -275,8 +279,10 @@ mod tests {
             (2, 1 << PWM_TYPE_SHIFT),
             (3, 2 << PWM_TYPE_SHIFT),
             (4, PWM_SWAP),
-            (0, 0),
-            (77, 0),
+            // There are no such types: the last good one stays.
+            (0, PWM_SWAP),
+            (77, PWM_SWAP),
+            (1, 0),
         ] {
             hal.set("p.output-type", number);
             assert_eq!(pwm.configure(), mode, "{number}");
@@ -322,8 +328,11 @@ mod tests {
             (20_000.0, 3_000),
             (1e8, 2),
             (1e12, PWM_PERIOD_MAX),
-            (0.0, PWM_PERIOD_MAX),
-            (f64::NAN, PWM_PERIOD_MAX),
+            (500.0, 120_000),
+            // No frequencies: the last good one stays.
+            (0.0, 120_000),
+            (-1000.0, 120_000),
+            (f64::NAN, 120_000),
         ] {
             hal.set("p.pwm-freq", frequency);
             assert_eq!(pwm.period(CLOCK), clocks, "{frequency} Hz");

@@ -1,9 +1,9 @@
-//! `wallclock.*`: the board's own 64-bit clock, and what it reads beside this computer's.
+//! `wallclock.*`: the board's own 64-bit clock, compared with this computer's.
 //!
 //! `ticks-msb`, `ticks-lsb` (u32 out): clocks since power-up at the last sample.
 //! `interval` (float out): seconds from the sample before to the last one, by the board's clock.
-//! `offset-ns` (float out): what the board's clock is ahead of this computer's monotonic one, ns.
-//! `drift-ppm` (float out): how much faster it runs.
+//! `offset-ns` (float out): how far the board's clock is ahead of this computer's monotonic clock,
+//! ns. `drift-ppm` (float out): how much faster it runs.
 
 use crate::hal::{ExportError, Exporter, Out};
 use wire::units::Clocks;

@@ -1,4 +1,4 @@
-//! What goes to the board every period: settings it lacks, and the command.
+//! What goes to the board every period: missing settings, and the command.
 
 use super::Driver;
 use super::tell::Event;
@@ -24,7 +24,7 @@ impl Driver {
         }
         let tag = self.next_tag();
         if let Some(request) = self.periods.due(&periods, self.channels, tag, &mut words) {
-            // Unsent is unanswered: it is due again.
+            // A datagram that was not sent gets no answer, so it is due again.
             let _ = self.link.send(request);
         }
         let at_rest = match self.state {
@@ -122,11 +122,12 @@ impl Driver {
         }
         let now = self.time.now();
         let moment = self.time.writes.of(&mut self.write_moment, now);
-        // Longer than a period and the next command would replace it before its time.
+        // With a delay longer than a period the next command would replace this one before its
+        // time.
         let delay = i64::from(delay).min((period.seconds * 1e9) as i64);
         let at = self.clock.board_at(moment + delay)?;
-        // However wrong the clocks are compared, a command must not wait for its successor. Half a period of
-        // jitter is forgiven; what comes too early here is applied on arrival.
+        // Even with a wrong clock comparison a command must not wait for its successor. Half a
+        // period of jitter is allowed; a command with an earlier time is applied on arrival.
         let delay = Clocks((delay as f64 * 1e-9 * period.clock_hz) as u64);
         let latest = self.arrival?.0 + period.clocks.0 * 3 / 2 + delay.0;
         Some(at.min(Clocks(latest)))
@@ -185,7 +186,8 @@ impl Driver {
         command
     }
 
-    /// Whose latch to ask for: the next after the last one that has something, so that nobody waits for ever.
+    /// The latch to ask for: the next one with a value after the last one asked, so that no channel
+    /// waits for ever.
     pub(super) fn next_latch(&self) -> Latch {
         let last = self.last.map_or(0, |last| last.latch.code());
         let wants = |latch: &Latch| match *latch {

@@ -1,4 +1,4 @@
-//! Everything a board has, as pins and parameters under its own names.
+//! Exports the channels and states of a board as pins and parameters under its own names.
 
 use super::tell::Voice;
 use super::{Driver, Phase};
@@ -14,13 +14,17 @@ use crate::blocks::wallclock::Wallclock;
 use crate::blocks::watchdog::Watchdog;
 use crate::client::Identity;
 use crate::clock::{BoardClock, Timebase};
+use crate::glue::Glue;
 use crate::group::Group;
+use crate::hal::checked::{Checked, Rule, Watch};
 use crate::hal::{Backend, Catalogue, ExportError, Exporter, In, Messenger, Out, Param};
-use crate::link::Link;
-use crate::names::Glue;
-use crate::settings::Sync;
+use crate::link::{Flood, Link};
+use crate::settings::{INPUTS, Sync};
 use wire::board::Kind;
 use wire::exchange::MAX_CHANNELS;
+
+/// None, or one of those a board can have.
+const PROBE_INPUTS: Rule = Rule::Whole(-1, INPUTS as i32 - 1);
 
 /// The board-wide pins.
 #[derive(Debug)]
@@ -37,14 +41,14 @@ pub(super) struct Pins {
     pub(super) gate_close: Out<u32>,
     pub(super) io_error: Param<bool>,
     pub(super) stop_group: Param<bool>,
-    pub(super) probe_input: Param<i32>,
+    pub(super) probe_input: Checked<i32>,
     pub(super) probe_invert: Param<bool>,
-    pub(super) apply_delay: Param<u32>,
+    pub(super) apply_delay: Checked<u32>,
 }
 
 impl Driver {
-    /// Exports everything this board has as `ferrocnc.<index>.*`. The link must be the one whose
-    /// port owns the session.
+    /// Exports everything this board has as `ferrocnc.<index>.*`. The port of the link must own the
+    /// session.
     pub fn export(
         backend: &mut dyn Backend,
         index: usize,
@@ -75,9 +79,9 @@ impl Driver {
             gate_close: hal.output("last-gate-close")?,
             io_error: hal.param("io-error", false)?,
             stop_group: hal.param("stop-group", true)?,
-            probe_input: hal.param("probe-input", -1)?,
+            probe_input: hal.setting("probe-input", -1, PROBE_INPUTS)?,
             probe_invert: hal.param("probe-invert", false)?,
-            apply_delay: hal.param("apply-delay-ns", 0)?,
+            apply_delay: hal.setting("apply-delay-ns", 0, Rule::Any)?,
         };
         pins.reset_reason
             .set(u32::from(describe.reset_reason.code()));
@@ -128,11 +132,13 @@ impl Driver {
                 gpio::Output::export(hal, said("safe", "high"), said("invert", "true"))
             },
         )?;
+        let watches = catalogue.iter().filter_map(Watch::of).collect();
         let voice = Voice::new(say, format!("board {index} ({})", address.text));
         Ok(Driver {
             index,
             address,
             link,
+            flood: Flood::default(),
             channels,
             clock_hz: describe.clock_hz,
             boot_id: describe.boot_id,
@@ -148,7 +154,8 @@ impl Driver {
             pwms,
             inputs,
             outputs,
-            // Loading took seconds, longer than an idle session lives: begin by asking again.
+            // Loading took seconds, longer than an idle session lasts: ask for the session again
+            // first.
             phase: Phase::Acquiring { wait: 0, tag: 0 },
             arm: ArmRequest::default(),
             disarmed_settings: Sync::default(),
@@ -164,7 +171,7 @@ impl Driver {
             missing: 0,
             answered: false,
             state: describe.state.state,
-            // What it stopped for before us is the board's past, not an event.
+            // A stop before this session is not a new event.
             reason: describe.state.reason,
             live: false,
             halted: false,
@@ -190,6 +197,7 @@ impl Driver {
             waited: 0,
             held_up: 0,
             catalogue,
+            watches,
             glue: Glue::default(),
         })
     }

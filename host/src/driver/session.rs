@@ -1,4 +1,4 @@
-//! Asking for the session, and what is learnt from the answers.
+//! Requests for the session, and the evaluation of the answers.
 
 use super::tell::Event;
 use super::{Driver, Phase};
@@ -8,7 +8,7 @@ use crate::keys::Key;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use wire::{ReplyWriter, ResetReason, etherbone, map};
 
-/// Our token, then who owns the board: what `Driver::owned` understands.
+/// Our token, then the owner of the board: the input of `Driver::owned`.
 const OWNER_WORDS: [u32; 3] = [
     map::SESSION_TOKEN,
     map::SESSION_OWNER_IP,
@@ -35,9 +35,10 @@ impl Driver {
             Some(_) => request.read_record(tag, &CHALLENGE_WORDS),
         };
         debug_assert!(fits, "an acquisition is 13 words");
-        // Unsent is unanswered: it is due again in a moment.
+        // A datagram that was not sent gets no answer, so it is due again in a moment.
         let _ = self.link.send(request.words());
-        // Refused is unanswered, too. Reads are always answered, and tell the two apart.
+        // A refused request gets no answer either. Reads are always answered, so they tell refusal
+        // from silence.
         let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
         if request.read_record(tag, &OWNER_WORDS) {
             let _ = self.link.send(request.words());
@@ -61,7 +62,7 @@ impl Driver {
     }
 
     pub(super) fn acquired(&mut self, session: Option<Session>) {
-        // No token: the answer to the question for the owner will say why.
+        // No token: the answer about the owner gives the reason.
         let Some(session) = session else { return };
         if session.wire_version != wire::WIRE_VERSION
             || session.channels != self.channels.to_words()
@@ -105,7 +106,7 @@ impl Driver {
         self.tell_group();
     }
 
-    /// The firmware started anew since: what it was told is gone, and so may be what it counted.
+    /// The firmware has restarted since: its settings are gone, and its counts may be, too.
     fn follow_restart(&mut self, session: &Session) {
         let why =
             ResetReason::from_code(session.reset_reason as u8).unwrap_or(ResetReason::Unknown);
@@ -126,7 +127,7 @@ impl Driver {
         );
     }
 
-    /// Who owns the board after we asked for it: if not us, the operator should know.
+    /// The owner of the board after our request: if it is not us, the operator is told.
     pub(super) fn owned(&mut self, token: u32, ip: u32, port: u32) {
         if token != 0 || ip == 0 {
             return;
@@ -142,7 +143,7 @@ impl Driver {
         );
         self.voice.once(
             Event::Owned,
-            format_args!("the board is driven by {there} now; stop LinuxCNC there to have it back"),
+            format_args!("the board is driven by {there} now; stop LinuxCNC there to take it back"),
         );
     }
 }

@@ -1,14 +1,14 @@
-//! What the operator is told: every event once.
+//! Messages to the operator: every event once.
 //!
-//! A cable that is half out makes a board come and go many times a second, and each time it would be true that
-//! five answers are missing. To the operator it is one event. So what was told is remembered until the machine is
-//! armed again, or the board has answered for [`STEADY_NS`] without a gap; until then the same is not said twice.
+//! With a loose plug a board comes and goes many times a second, and each time five answers are
+//! missing. For the operator this is one event. So a message is not repeated until the machine is
+//! armed again, or the board has answered for [`STEADY_NS`] without a gap.
 
 use crate::hal::{Level, Line, Messenger};
 use core::fmt::Arguments;
 use wire::FaultReason;
 
-/// 10 s: longer than anybody needs to push a plug in, shorter than it takes to forget the last message.
+/// 10 s: enough time to push a plug in, and the operator still remembers the last message.
 const STEADY_NS: i64 = 10_000_000_000;
 
 /// What may happen.
@@ -22,12 +22,16 @@ pub(super) enum Event {
     Restarted,
     /// Something else answers at its address.
     Stranger,
-    /// Somebody else drives it.
+    /// Another host drives it.
     Owned,
     /// It refuses its settings.
     Settings,
     /// `write` is called without `read`.
     Unread,
+    /// Functions of one board are in two threads.
+    Collided,
+    /// Datagrams without end.
+    Flooded,
     /// It stopped by itself.
     Stopped(FaultReason),
 }
@@ -42,16 +46,18 @@ impl Event {
             Event::Owned => 4,
             Event::Settings => 5,
             Event::Unread => 6,
+            Event::Collided => 7,
+            Event::Flooded => 31,
             Event::Stopped(reason) => 8 + reason.code(),
         };
         1 << place
     }
 }
 
-/// A board's voice.
+/// The messages of one board.
 pub(super) struct Voice {
     say: Messenger,
-    /// Which board, as every message begins.
+    /// The board's name, at the beginning of every message.
     who: String,
     /// Events told since the machine was in order.
     told: u32,
@@ -69,7 +75,7 @@ impl Voice {
         }
     }
 
-    /// Tells of an event, unless that was done.
+    /// Tells of an event, unless it was already told.
     pub(super) fn once(&mut self, event: Event, what: Arguments<'_>) {
         if !self.has_told(event) {
             self.told |= event.bit();
@@ -77,18 +83,18 @@ impl Voice {
         }
     }
 
-    /// Whether the operator knows.
+    /// Whether the operator was told.
     pub(super) fn has_told(&self, event: Event) -> bool {
         self.told & event.bit() != 0
     }
 
-    /// Says something whenever it is asked to.
+    /// Gives a message, even repeatedly.
     pub(super) fn tell(&self, level: Level, what: Arguments<'_>) {
         let line = Line::format(format_args!("{}: {what}", self.who));
         (self.say)(level, line.as_c_str());
     }
 
-    /// The machine was armed: whatever it was is over.
+    /// The machine was armed: the trouble is over.
     pub(super) fn armed(&mut self) {
         self.told = 0;
     }
@@ -149,6 +155,8 @@ mod tests {
             Event::Owned,
             Event::Settings,
             Event::Unread,
+            Event::Collided,
+            Event::Flooded,
         ];
         let bits: Vec<u32> = stopped.chain(others).map(Event::bit).collect();
         let all = bits.iter().fold(0, |all, bit| all | bit);

@@ -1,5 +1,5 @@
-//! What happens when answers stay away, the thread comes late, another board of the group has stopped, or somebody
-//! touches `io-error`.
+//! The reaction to missing answers, a late thread, a stop of another board of the group, and a
+//! change of `io-error` by hand.
 
 use super::tell::Event;
 use super::{Driver, Phase};
@@ -26,7 +26,8 @@ impl Driver {
         }
     }
 
-    /// The bucket is full. Nobody who is not answered for this long may believe the machine is still driven.
+    /// The bucket is full. After so many missing answers the driver must assume that the machine is
+    /// no longer driven.
     pub(super) fn give_up(&mut self) {
         self.ethernet.lost();
         self.pins.position_trusted.set(false);
@@ -80,20 +81,21 @@ impl Driver {
         self.phase = Phase::Acquiring { wait: 0, tag: 0 };
     }
 
-    /// It stopped, whatever the board says next.
+    /// It counts as stopped, even if the board reports otherwise.
     fn no_longer_live(&mut self) {
         self.live = false;
         self.pins.enabled.set(false);
     }
 
-    /// Nothing but `enable` false is sent until an answer to that says that the board is not armed.
+    /// Only `enable` false is sent until an answer to such a command says that the board is not
+    /// armed.
     fn stop(&mut self) {
         self.halting = Some(self.sequence);
         self.arm.forget();
         self.no_longer_live();
     }
 
-    /// Whether other boards' trouble is this one's.
+    /// Whether this board stops with the others of its group.
     pub(super) fn grouped(&self) -> bool {
         self.several && self.pins.stop_group.get()
     }
@@ -107,7 +109,7 @@ impl Driver {
         }
     }
 
-    /// Whether this board answers, if that concerns the others.
+    /// Tells the group whether this board answers, if it is in the group.
     pub(super) fn tell_group(&self) {
         let lost = self.grouped() && self.packets.exceeded();
         self.group.answers(self.index, !lost);
@@ -130,8 +132,8 @@ impl Driver {
         self.publish_reason();
     }
 
-    /// `io-error` belongs to the operator as well: cleared, a silent board is asked at once, and if it answers the bucket is
-    /// empty; set, the machine stops as if the bucket were full.
+    /// `io-error` belongs to the operator as well: cleared, a silent board is asked at once, and if
+    /// it answers the bucket is empty; set, the machine stops as if the bucket were full.
     pub(super) fn follow_io_error(&mut self) {
         let now = self.pins.io_error.get();
         if core::mem::replace(&mut self.io_error, now) == now {
@@ -159,7 +161,8 @@ impl Driver {
         self.pins.io_error.set(false);
     }
 
-    /// Another board of the group does not answer: an edge of `enable-request` is used up and says so.
+    /// Another board of the group does not answer: an edge of `enable-request` is used up and says
+    /// so.
     pub(super) fn refuse_alone(&mut self, pin: bool) -> bool {
         let lost = match self.group.lost_beside(self.index) {
             Some(lost) if self.grouped() => lost,
@@ -174,12 +177,12 @@ impl Driver {
         true
     }
 
-    /// How late `write` is called, beside what `read` waited for itself.
+    /// How late `write` is called, without the time that `read` waited.
     pub(super) fn mind_the_time(&mut self) {
         let now = self.time.now();
         let before = self.wrote.replace(now);
         let waited = core::mem::take(&mut self.waited);
-        // Once commands go unanswered, later ones prove nothing.
+        // Once commands stay without answers, later ones prove nothing.
         if let Some(before) = before
             && self.missing == 0
         {
@@ -205,15 +208,16 @@ impl Driver {
             self.stopped_by = None;
             self.restarted = false;
         }
-        // When the command that armed arrived the watchdog was still asleep: what it had left means
-        // something from the next one on.
+        // The watchdog was still asleep when the command that armed arrived: its margin is valid
+        // from the next command on.
         let awake = armed && self.live;
         self.watchdog
             .sampled(word.bitten, status.watchdog_left, awake, clock_hz);
         let fell = self.live && !armed && self.halting.is_none();
         self.live = armed;
         if word.state == State::Faulted && self.state != State::Faulted {
-            // The board lets nobody out of a fault who has not resynchronised since; it goes on telling why until then.
+            // The board stays in its fault until the driver acquires the session again; it reports
+            // the reason until then.
             self.phase = Phase::Acquiring { wait: 0, tag: 0 };
         }
         self.state = word.state;
@@ -250,11 +254,11 @@ impl Driver {
         let known = match reason {
             FaultReason::None => return,
             FaultReason::HostDisable => true,
-            // What silence looks like from the other end.
+            // The board's view of the silence.
             FaultReason::Watchdog | FaultReason::SessionLost | FaultReason::LinkDown => {
                 self.voice.has_told(Event::Silent) || self.voice.has_told(Event::HeldUp)
             }
-            // It has just been said why the board started anew.
+            // The reason of the restart has just been told.
             FaultReason::FirmwareFault => self.voice.has_told(Event::Restarted),
             FaultReason::ExternalReset
             | FaultReason::JobUnderrun

@@ -57,7 +57,7 @@ impl FakeHal {
     /// The value of a pin or parameter.
     ///
     /// # Panics
-    /// When there is none of that name and type: in a test that is a failure.
+    /// If there is no pin or parameter of that name and type.
     #[track_caller]
     pub fn get<T: Value>(&self, name: &str) -> T {
         let value = self.find(name, T::TYPE).value;
@@ -92,7 +92,7 @@ impl FakeHal {
         unsafe { entry.slot.write_volatile(fresh) };
     }
 
-    /// A messenger whose messages [`FakeHal::said`] returns.
+    /// A messenger; [`FakeHal::said`] returns its messages.
     pub fn messenger(&self) -> Messenger {
         let said = Arc::clone(&self.said);
         Box::new(move |level, text| {

@@ -1,10 +1,10 @@
-//! The part of `hal.h` and `rtapi.h` a driver needs, by hand.
+//! Hand-written bindings for the part of `hal.h` and `rtapi.h` that a driver needs.
 //!
 //! Nothing is linked. LinuxCNC loads `hal_lib.so` globally and exports `rtapi_*` from `rtapi_app`
-//! before it loads us, so [`Api::load`] asks the dynamic linker once, at load time. The tool and the
-//! tests contain the same code and link everywhere; only calling [`Api::load`] outside `rtapi_app`
-//! fails, with the name of what is missing. `host/abi/abi.c` holds types and constants against the
-//! real headers.
+//! before it loads us, so [`Api::load`] asks the dynamic linker once, at load time. The tool and
+//! the tests contain the same code and link everywhere; only calling [`Api::load`] outside
+//! `rtapi_app` fails, with the name of what is missing. `host/abi/abi.c` checks types and constants
+//! against the real headers.
 
 use core::ffi::{CStr, c_char, c_int, c_long, c_void};
 

@@ -1,22 +1,25 @@
 //! HAL with types: pins and parameters that know their value, direction and name.
 //!
-//! HAL keeps a *pointer* per pin in shared memory and re-points it whenever a signal is linked, so a
-//! pin's slot is read again at every access. Other processes write those values while we look:
+//! HAL keeps a *pointer* per pin in shared memory and re-points it whenever a signal is linked, so
+//! a pin's slot is read again at every access. Other processes write those values while we look:
 //! every access is volatile and a `bit` is read as a byte, never as a Rust `bool`.
 //!
-//! Where HAL comes from is a [`Backend`]: the real one ([`ffi`]) or a `Vec` ([`fake`]).
+//! Where HAL comes from is a [`Backend`]: the real one ([`ffi`]) or a `Vec` ([`fake`]). Numbers
+//! that come from it are [`checked`].
 
+pub mod checked;
 pub mod fake;
 pub mod ffi;
 pub mod real;
 
+use checked::{Checked, Number, Rule, Source};
 use core::ffi::{CStr, c_void};
 use core::marker::PhantomData;
 use core::ptr::NonNull;
 use std::ffi::CString;
 
 /// The longest name we give anything: HAL_NAME_LEN (47) less the `.tmax-increased` and similar
-/// suffixes HAL itself appends to functions, and what design.md promises.
+/// suffixes HAL itself appends to functions, and what LinuxCNC's manual promises.
 pub const NAME_MAX: usize = 41;
 
 /// Types of values, with HAL's codes (`hal_type_t`).
@@ -96,7 +99,7 @@ pub trait Backend {
         direction: Direction,
         slot: *mut *mut c_void,
     ) -> i32;
-    /// Makes a parameter whose value is `value`.
+    /// Makes a parameter; `value` points to its value.
     ///
     /// # Safety
     /// `value` must come from this backend's [`Backend::allocate`], with room for a `ty`.
@@ -234,7 +237,7 @@ unsafe impl<T: Value, D> Send for Pin<T, D> {}
 // SAFETY: as above.
 unsafe impl<T: Value> Send for Param<T> {}
 
-/// Where a value lives, whatever its type: what glue between pins needs.
+/// The place of a value of any type, for the glue between pins.
 #[derive(Clone, Copy, Debug)]
 pub struct Handle {
     ty: Type,
@@ -252,7 +255,8 @@ enum Place {
 impl Handle {
     fn address(&self) -> *mut c_void {
         match self.place {
-            // SAFETY: the slot lies in backend memory that outlives us, and HAL keeps a valid pointer in it.
+            // SAFETY: the slot lies in backend memory that outlives us, and HAL keeps a valid
+            // pointer in it.
             Place::Pin(slot) => unsafe { slot.as_ptr().read_volatile() },
             Place::Param(value) => value.as_ptr(),
         }
@@ -300,7 +304,7 @@ unsafe impl Send for Handle {}
 /// Something exported, and how to find it again.
 #[derive(Clone, Debug)]
 pub struct Exported {
-    /// Class, number, pin: `stepgen.0.position-cmd` whatever the board calls its channel 0.
+    /// Class, number, pin: `stepgen.0.position-cmd`, even if the board has a name for channel 0.
     pub logical: String,
     /// What HAL knows it by.
     pub name: CString,
@@ -308,9 +312,11 @@ pub struct Exported {
     pub direction: Direction,
     /// The value.
     pub handle: Handle,
+    /// The same, checked: of every number that comes from HAL.
+    pub source: Option<Source>,
 }
 
-/// Everything exported for one board, by logical name: for those who build other names on top of it.
+/// Everything exported for one board, by logical name, as the base of other drivers' names.
 #[derive(Clone, Debug, Default)]
 pub struct Catalogue(Vec<Exported>);
 
@@ -318,6 +324,11 @@ impl Catalogue {
     /// The pin or parameter of this logical name.
     pub fn find(&self, logical: &str) -> Option<&Exported> {
         self.0.iter().find(|exported| exported.logical == logical)
+    }
+
+    /// All of it.
+    pub fn iter(&self) -> impl Iterator<Item = &Exported> {
+        self.0.iter()
     }
 }
 
@@ -352,7 +363,7 @@ impl<'b> Exporter<'b> {
         self
     }
 
-    /// Names may be as long as HAL takes them: somebody else chose them.
+    /// Names may be as long as HAL allows: another driver chose them.
     #[must_use]
     pub fn with_foreign_names(mut self) -> Self {
         self.limit = ffi::HAL_NAME_LEN;
@@ -371,8 +382,7 @@ impl<'b> Exporter<'b> {
         }
     }
 
-    /// A channel: `class.name`, and `class.number` for those of its pins whose names would become too
-    /// long.
+    /// A channel: `class.name`, or `class.number` for a pin with a name that would be too long.
     pub fn channel(&mut self, class: &str, name: &str, number: usize) -> Exporter<'_> {
         Exporter {
             backend: self.backend,
@@ -384,8 +394,8 @@ impl<'b> Exporter<'b> {
         }
     }
 
-    /// A pin we read.
-    pub fn input<T: Value>(&mut self, name: &str) -> Result<In<T>, ExportError> {
+    /// A pin we read. Numbers are [`Exporter::command`]s.
+    pub fn input(&mut self, name: &str) -> Result<In<bool>, ExportError> {
         self.pin(name, Direction::In)
     }
 
@@ -394,16 +404,63 @@ impl<'b> Exporter<'b> {
         self.pin(name, Direction::Out)
     }
 
-    /// A pin both sides write, with the value it begins with.
-    pub fn both<T: Value>(&mut self, name: &str, initial: T) -> Result<Io<T>, ExportError> {
-        let pin: Io<T> = self.pin(name, Direction::Io)?;
+    /// A pin both sides write, with the value it begins with. Numbers are
+    /// [`Exporter::setting_pin`]s.
+    pub fn both(&mut self, name: &str, initial: bool) -> Result<Io<bool>, ExportError> {
+        let pin: Io<bool> = self.pin(name, Direction::Io)?;
         pin.set(initial);
         Ok(pin)
     }
 
-    /// A parameter the user sets, with its default.
-    pub fn param<T: Value>(&mut self, name: &str, initial: T) -> Result<Param<T>, ExportError> {
+    /// A parameter the user sets, with its default. Numbers are [`Exporter::setting`]s.
+    pub fn param(&mut self, name: &str, initial: bool) -> Result<Param<bool>, ExportError> {
         self.parameter(name, Direction::ReadWrite, initial)
+    }
+
+    /// A parameter that is a number, with its default, which has to be a good one.
+    pub fn setting<T: Number>(
+        &mut self,
+        name: &str,
+        initial: T,
+        rule: Rule,
+    ) -> Result<Checked<T>, ExportError> {
+        let direction = Direction::ReadWrite;
+        self.checked(name, T::TYPE, direction, initial.number(), rule)
+            .map(Checked::new)
+    }
+
+    /// The same as a pin.
+    pub fn setting_pin<T: Number>(
+        &mut self,
+        name: &str,
+        initial: T,
+        rule: Rule,
+    ) -> Result<Checked<T>, ExportError> {
+        self.checked(name, T::TYPE, Direction::Io, initial.number(), rule)
+            .map(Checked::new)
+    }
+
+    /// A pin that says where to go or how fast.
+    pub fn command(&mut self, name: &str) -> Result<Checked<f64>, ExportError> {
+        self.checked(name, Type::Float, Direction::In, 0.0, Rule::Command)
+            .map(Checked::new)
+    }
+
+    /// A number that comes from HAL, of a type and direction known at run time only.
+    pub fn checked(
+        &mut self,
+        name: &str,
+        ty: Type,
+        direction: Direction,
+        initial: f64,
+        rule: Rule,
+    ) -> Result<Source, ExportError> {
+        let handle = self.export(name, ty, direction, initial)?;
+        let source = Source::new(handle, rule);
+        if let Some(listed) = self.catalogue.as_mut().and_then(|all| all.0.last_mut()) {
+            listed.source = Some(source.clone());
+        }
+        Ok(source)
     }
 
     /// A parameter only we set.
@@ -519,6 +576,7 @@ impl<'b> Exporter<'b> {
                 name: full,
                 direction,
                 handle: Handle { ty, place },
+                source: None,
             });
         }
     }
@@ -578,7 +636,7 @@ impl Line {
         line
     }
 
-    /// As C likes it.
+    /// As a C string.
     pub fn as_c_str(&self) -> &CStr {
         CStr::from_bytes_until_nul(&self.bytes).unwrap_or(c"")
     }
@@ -605,7 +663,7 @@ mod tests {
         let mut hal = FakeHal::new();
         let mut exporter = Exporter::new(&mut hal, "ferrocnc.0");
         let refused = exporter
-            .output::<bool>("stepgen.a-name-nobody-would-give-a-channel.position-fb")
+            .output::<bool>("stepgen.a-name-much-too-long-for-a-channel.position-fb")
             .unwrap_err();
         assert_eq!(refused.errno, -libc::ENAMETOOLONG);
     }
@@ -634,7 +692,7 @@ mod tests {
         let mut hal = FakeHal::new();
         let mut catalogue = Catalogue::default();
         let mut exporter = Exporter::new(&mut hal, "ferrocnc.0").listed(&mut catalogue);
-        let pin: In<f64> = exporter.input("velocity-cmd").unwrap();
+        let pin = exporter.command("velocity-cmd").unwrap();
         let exported = catalogue.find("velocity-cmd").unwrap();
         let mut theirs = Exporter::new(&mut hal, "Lcnc.00");
         theirs.alias(exported, "vel-cmd").unwrap();
@@ -651,7 +709,7 @@ mod tests {
     #[test]
     fn a_pin_follows_hal_when_it_is_linked_to_a_signal() {
         let mut hal = FakeHal::new();
-        let pin: In<f64> = Exporter::new(&mut hal, "x").input("y").unwrap();
+        let pin = Exporter::new(&mut hal, "x").command("y").unwrap();
         hal.relink("x.y");
         hal.set("x.y", 2.5);
         assert_eq!(pin.get(), 2.5);

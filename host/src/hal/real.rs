@@ -101,8 +101,8 @@ impl Backend for Component {
     }
 }
 
-/// Prints through RTAPI: lock-free from the servo thread, and on the operator's screen when LinuxCNC
-/// runs.
+/// Prints through RTAPI: lock-free from the servo thread, and on the operator's screen when
+/// LinuxCNC runs.
 pub fn print(api: &Api, level: Level, text: &CStr) {
     // SAFETY: the format takes one string, and gets one.
     unsafe { (api.rtapi_print_msg)(level as i32, c"ferrocnc: %s\n".as_ptr(), text.as_ptr()) };

@@ -1,8 +1,9 @@
-//! Jobs on a board: [`wire::jobs`] over TCP, with what a network does to it.
+//! Jobs on a board: [`wire::jobs`] over TCP, with retries after network errors.
 //!
-//! A connection that breaks is made again and the request that had no answer repeated under its own id, which the board acts on once. An
-//! upload goes on where it was cut. The board has one line for one client, so nobody holds it for longer than he talks:
-//! [`Board::hang_up`] between two looks, so that somebody else can say stop.
+//! After a broken connection the client connects again and repeats the unanswered request under its
+//! old id; the board acts on it once. An interrupted upload continues where it stopped. The board
+//! has one connection for one client, so a client closes it when it has nothing to say:
+//! [`Board::hang_up`] between two looks. Stop and Pause are taken without the line: [`halt`].
 
 use crate::address::Address;
 use crate::client::{Client, ClientError};
@@ -19,9 +20,9 @@ use wire::{DEFAULT_PORT, Name};
 
 /// A board answers in milliseconds, a simulated one in seconds.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// So many times is asked before patience is over.
+/// A request is sent so many times within [`PATIENCE`].
 const TRIES: u32 = 4;
-/// Between two tries of a connection that is refused, or that somebody else has.
+/// Between two tries of a connection that is refused, or that another client has.
 const AGAIN: Duration = Duration::from_millis(50);
 /// A healthy board hangs up within a round trip.
 const FAREWELL: Duration = Duration::from_secs(1);
@@ -33,7 +34,7 @@ pub enum JobError {
     Line(SocketAddrV4, io::Error),
     /// It is connected and says nothing.
     Silent(SocketAddrV4, Op),
-    /// It answers something that is none of our answers.
+    /// Its answer is not a valid one.
     Strange(SocketAddrV4, Op),
     /// Of another version.
     Version(SocketAddrV4, u16),
@@ -45,9 +46,9 @@ pub enum JobError {
     Long(usize),
     /// It has a key, and we have none that fits.
     Key(KeyError),
-    /// It has a key, and could not be asked whose it is.
+    /// It has a key, and its unique id could not be read.
     Uid(ClientError),
-    /// The board restarted while we were at it.
+    /// The board restarted meanwhile.
     Restarted,
 }
 
@@ -100,7 +101,7 @@ impl std::fmt::Display for JobError {
             ),
             JobError::Strange(at, op) => write!(
                 f,
-                "{at} answered {op} with something else; update the board or this program"
+                "{at} answered {op} with an unknown message; update the board or this program"
             ),
             JobError::Version(at, theirs) => write!(
                 f,
@@ -125,7 +126,7 @@ impl std::fmt::Display for JobError {
             JobError::Key(error) => error.fmt(f),
             JobError::Uid(error) => write!(
                 f,
-                "the board has a key, and did not say whose it is ({error}); name the file: --key FILE"
+                "the board has a key, but its unique id cannot be read ({error}); name the key's file: --key FILE"
             ),
             JobError::Restarted => f.write_str(
                 "the board restarted: its store and its machine are gone; send both again",
@@ -136,7 +137,7 @@ impl std::fmt::Display for JobError {
 
 impl std::error::Error for JobError {}
 
-/// What came back: the payload of an answer that refuses nothing.
+/// The payload of an answer without a refusal.
 type Payload = Vec<u8>;
 
 /// A board that executes jobs, and the line to it while there is one.
@@ -195,12 +196,13 @@ impl Board {
         &self.welcome
     }
 
-    /// Lets somebody else have the line. The next request makes a new one.
+    /// Closes the connection, so that another client can connect. The next request makes a new one.
     pub fn hang_up(&mut self) {
         let Some(line) = self.line.take() else {
             return;
         };
-        // We close first, and see the board close, so that it is free for the next one. A farewell that fails harms nobody.
+        // We close first and wait until the board closes, so that it is free for the next client.
+        // An error here does no harm.
         let _ = line.stream.shutdown(Shutdown::Write);
         let _ = line.stream.set_read_timeout(Some(FAREWELL));
         let mut rest = [0; 256];
@@ -256,8 +258,38 @@ impl Board {
         }
     }
 
-    /// Shows the board the key it asked for. Not before: what was asked last has to stay what was asked last.
+    /// Shows the board the key it asked for, every one it may have in turn. Only then, because the
+    /// last request must stay the last one.
     fn prove(&mut self) -> Result<(), JobError> {
+        let mut uid = [0; 2];
+        let mut left = None;
+        let mut tried = Vec::new();
+        loop {
+            let challenge = self.challenge()?;
+            if left.is_none() {
+                uid = match self.keys {
+                    Keys::File(_) => [0; 2],
+                    Keys::ByBoard => self.uid()?,
+                };
+                left = Some(self.keys.find(uid).map_err(JobError::Key)?.into_iter());
+            }
+            let Some((key, path)) = left.as_mut().and_then(Iterator::next) else {
+                return Err(JobError::Key(KeyError::Wrong(tried)));
+            };
+            let words = key.acquire(challenge, self.client);
+            self.id = self.id.wrapping_add(1);
+            match self.exchange(&Request::Respond { words }, self.id) {
+                Ok((Status::Normal, _)) => {
+                    self.keys.accepted(uid, &path);
+                    return Ok(());
+                }
+                Ok(_) => tried.push(path),
+                Err(_) => return Err(JobError::Silent(self.at, Op::Respond)),
+            }
+        }
+    }
+
+    fn challenge(&mut self) -> Result<[u32; wire::auth::WORDS], JobError> {
         self.id = self.id.wrapping_add(1);
         let asked = self.exchange(&Request::Challenge, self.id);
         let challenge = match asked {
@@ -265,22 +297,10 @@ impl Board {
             Ok((status, _)) => return Err(JobError::Refused(Op::Challenge, status, None)),
             Err(_) => return Err(JobError::Silent(self.at, Op::Challenge)),
         };
-        let Some(challenge) = challenge.filter(|words| *words != wire::auth::NONE) else {
-            // While somebody owns the session there is none.
-            return Err(JobError::Refused(Op::Challenge, Status::Owned, None));
-        };
-        let uid = match self.keys {
-            Keys::File(_) => [0; 2],
-            Keys::ByBoard => self.uid()?,
-        };
-        let (key, path) = self.keys.find(uid).map_err(JobError::Key)?;
-        let words = key.acquire(challenge, self.client);
-        self.id = self.id.wrapping_add(1);
-        match self.exchange(&Request::Respond { words }, self.id) {
-            Ok((Status::Normal, _)) => Ok(()),
-            Ok(_) => Err(JobError::Key(KeyError::Wrong(path))),
-            Err(_) => Err(JobError::Silent(self.at, Op::Respond)),
-        }
+        // While the session has an owner the board gives no challenge.
+        challenge
+            .filter(|words| *words != wire::auth::NONE)
+            .ok_or(JobError::Refused(Op::Challenge, Status::Owned, None))
     }
 
     fn uid(&self) -> Result<[u32; 2], JobError> {
@@ -308,7 +328,7 @@ impl Board {
                 .ok()
                 .flatten()
                 .ok_or(Broken::Strange)?;
-            // Said to whoever has no business here, whatever he asked.
+            // While another client is connected the board answers any request with this status.
             if Status::from_code(frame.status) == Some(Status::Busy) {
                 return Ok((Status::Busy, Vec::new()));
             }
@@ -357,7 +377,7 @@ impl Board {
                 });
             }
             proven = false;
-            // Its Hello is not this client's last request for the board: that is the one which is repeated.
+            // For the board the Hello is not this client's last request; the repeated one is.
             self.connect()?;
             if self.welcome.boot_id != boot {
                 return Err(JobError::Restarted);
@@ -369,7 +389,8 @@ impl Board {
         JobError::Strange(self.at, op)
     }
 
-    /// Puts a job into the store; what was cut goes on where it was cut. `shown` is told bytes there and bytes in all.
+    /// Puts a job into the store; what was cut goes on where it was cut. `shown` is told bytes
+    /// there and bytes in all.
     pub fn send(
         &mut self,
         name: &str,
@@ -394,7 +415,7 @@ impl Board {
             };
             offset = match self.offset(&data) {
                 Ok(offset) => offset,
-                // Somebody came between, or an answer was lost: the board knows how far it is.
+                // Another client came between, or an answer was lost: the board knows the offset.
                 Err(JobError::Refused(
                     _,
                     Status::Offset | Status::NoSuchJob | Status::NoHello,
@@ -448,7 +469,7 @@ impl Board {
         self.ask(&Request::PutMachine(*machine)).map(drop)
     }
 
-    /// How it goes.
+    /// The board's report.
     pub fn report(&mut self) -> Result<Report, JobError> {
         let payload = self.ask(&Request::Report)?;
         Report::parse(&payload).ok_or_else(|| self.strange(Op::Report))
@@ -472,9 +493,13 @@ impl Board {
         keepalive: Option<Duration>,
     ) -> Result<Report, JobError> {
         let (flags, millis) = attendance(keepalive);
-        let bits = (0..).zip(axes).filter(|(_, homed)| *homed);
-        let bits = bits.fold(0, |bits, (axis, _)| bits | 1 << axis);
-        self.commanded(Command::Calibrate, flags | bits, millis, Name::EMPTY)
+        self.commanded(Command::Calibrate, flags | bits(axes), millis, Name::EMPTY)
+    }
+
+    /// These axes, which have no switch, are at 0 where they stand; of none: all that have no
+    /// switch.
+    pub fn here(&mut self, axes: [bool; wire::jobs::AXES]) -> Result<Report, JobError> {
+        self.commanded(Command::Here, bits(axes), 0, Name::EMPTY)
     }
 
     /// How fast, in percent of what the job says.
@@ -497,6 +522,88 @@ impl Board {
             name,
         })?;
         Report::parse(&payload).ok_or_else(|| self.strange(Op::Command))
+    }
+}
+
+/// Stops or pauses whatever the board executes, also while another client has the line, and without
+/// a key.
+pub fn halt(at: SocketAddrV4, code: Command) -> Result<Report, JobError> {
+    halt_within(at, code, PATIENCE)
+}
+
+/// As [`halt`], giving up after this long.
+pub fn halt_within(
+    at: SocketAddrV4,
+    code: Command,
+    patience: Duration,
+) -> Result<Report, JobError> {
+    let began = Instant::now();
+    loop {
+        let broken = match try_to_halt(at, code, patience / TRIES) {
+            Ok(answered) => return answered,
+            Err(broken) => broken,
+        };
+        let late = began.elapsed() >= patience;
+        match broken {
+            Broken::Io(error) if late || error.kind() == io::ErrorKind::ConnectionRefused => {
+                return Err(JobError::Line(at, error));
+            }
+            Broken::Busy if late => {
+                return Err(JobError::Refused(Op::Command, Status::Busy, None));
+            }
+            Broken::Silent if late => return Err(JobError::Silent(at, Op::Command)),
+            Broken::Strange => return Err(JobError::Strange(at, Op::Command)),
+            Broken::Io(_) | Broken::Busy | Broken::Silent => std::thread::sleep(AGAIN),
+        }
+    }
+}
+
+/// Says Hello and the command in one go: the command is heard, whichever client has the line.
+fn try_to_halt(
+    at: SocketAddrV4,
+    code: Command,
+    patience: Duration,
+) -> Result<Result<Report, JobError>, Broken> {
+    let stream = TcpStream::connect_timeout(&SocketAddr::V4(at), patience).map_err(Broken::Io)?;
+    stream.set_nodelay(true).map_err(Broken::Io)?;
+    let requests = [
+        Request::Hello { client: number() },
+        Request::Command {
+            code: code.code(),
+            flags: 0,
+            keepalive: 0,
+            name: Name::EMPTY,
+        },
+    ];
+    let (mut said, mut frame) = (Vec::new(), [0; FRAME]);
+    for (id, request) in (1..).zip(requests) {
+        let length = request.emit(id, &mut frame);
+        said.extend_from_slice(&frame[..length]);
+    }
+    let mut line = Line {
+        stream,
+        heard: Vec::new(),
+    };
+    line.stream.write_all(&said).map_err(Broken::Io)?;
+    let until = Instant::now() + patience;
+    let mut busy = false;
+    loop {
+        let answer = match line.frame(until) {
+            // A board of before said no more than that.
+            Err(Broken::Io(_)) if busy => return Err(Broken::Busy),
+            answer => answer?,
+        };
+        let parsed = Frame::parse(&answer).ok().flatten();
+        let (frame, _) = parsed.ok_or(Broken::Strange)?;
+        match frame.answer().ok_or(Broken::Strange)? {
+            (Op::Hello, status) => busy = status == Status::Busy,
+            (Op::Command, Status::Normal) => {
+                let report = Report::parse(frame.payload);
+                return Ok(report.ok_or(JobError::Strange(at, Op::Command)));
+            }
+            (Op::Command, Status::Busy) => return Err(Broken::Busy),
+            (op, status) => return Ok(Err(JobError::Refused(op, status, None))),
+        }
     }
 }
 
@@ -547,6 +654,12 @@ fn attendance(keepalive: Option<Duration>) -> (u8, u16) {
     }
 }
 
+/// A bit for each of them.
+fn bits(axes: [bool; wire::jobs::AXES]) -> u8 {
+    let bits = (0..).zip(axes).filter(|(_, named)| *named);
+    bits.fold(0, |bits, (axis, _)| bits | 1 << axis)
+}
+
 fn four(payload: &[u8]) -> Option<[u32; 4]> {
     let (words, rest) = payload.as_chunks::<4>();
     let words: &[[u8; 4]; 4] = words.try_into().ok()?;
@@ -560,10 +673,10 @@ pub fn name(text: &str) -> Result<Name, JobError> {
     Name::new(text).ok().filter(|_| fits).ok_or_else(wrong)
 }
 
-/// Who we are: random, so that no two are one; never 0.
+/// The client's number: random, so that no two clients share one; never 0.
 fn number() -> u32 {
     let mut bytes = [0; 4];
-    // Without random numbers the process and the time will do.
+    // Without random numbers the process id and the time are used.
     if getrandom::fill(&mut bytes).is_err() {
         bytes = std::process::id().to_le_bytes();
     }

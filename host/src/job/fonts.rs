@@ -4,7 +4,7 @@ use resvg::usvg::fontdb::{Database, Family, Query};
 use resvg::usvg::{FontFamily, Options, TextChunk};
 use std::path::PathBuf;
 
-/// Taken for a generic family, the first that is there; then whatever is there.
+/// Fonts for a generic family: the first of these that is installed, else any font.
 const COMMON: [&str; 4] = ["DejaVu Sans", "Liberation Sans", "Noto Sans", "FreeSans"];
 
 /// Options with the system's fonts and these files'.

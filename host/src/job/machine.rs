@@ -1,4 +1,4 @@
-//! The machine a job is for: a TOML file. Everything in it must be said; nothing has a default.
+//! The machine a job is for: a TOML file. Every value must be given; there are no defaults.
 
 use motion::plan::{AxisSetup, Planner, Setup};
 use motion::segment::AXES;
@@ -136,10 +136,10 @@ impl Machine {
         ];
         for (name, pins, end) in pins {
             if let Some(pin) = pins.iter().find(|pin| **pin >= end) {
-                return Err(format!("{name}: {pin} is none of 0 to {}", end - 1));
+                return Err(format!("{name}: {pin} is not one of 0 to {}", end - 1));
             }
         }
-        // What depends on the board's pins is for the board to say.
+        // The board itself checks the values that depend on its pins.
         let board = machine.to_board();
         board
             .check(machine.clock, 32, 32)

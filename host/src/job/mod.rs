@@ -1,12 +1,16 @@
-//! Jobs on the PC: drawings and programs become job files, are looked at and checked. No board is needed.
+//! Jobs on the PC: makes job files of drawings and programs, draws and checks them. No board is
+//! needed.
 //!
-//! [`program`] reads and writes them, [`svg`] makes one of a drawing, [`machine`] knows what will execute it, [`trace`] executes it with
-//! the planner and the integer model the board has, [`preview`] draws what came out; [`pins`] holds what a
-//! board did against it; [`client`] speaks to boards, [`stream`] executes jobs for one that has no room for them; [`fonts`] finds letters for both. Docs: `docs/jobs.md`.
+//! [`program`] reads and writes them, [`svg`] makes one of a drawing, [`machine`] describes the
+//! machine, [`trace`] executes a job with the planner and the integer model of the board,
+//! [`preview`] draws the result; [`pins`] compares the edges of a board with it; [`client`] talks
+//! to boards, [`stream`] executes jobs for a board without SDRAM; [`fonts`] finds the fonts. Docs:
+//! `docs/jobs.md`.
 
 pub mod client;
 pub mod fonts;
 pub mod machine;
+mod order;
 pub mod pins;
 pub mod preview;
 pub mod program;

@@ -1,7 +1,8 @@
-//! What the pins of a board did, held against the program: where every step and every change of the tool is due, and how far the
-//! path they drew is from the one that was programmed.
+//! Compares the pins of a board with the program: the clock of every step and of every change of
+//! the tool, and the distance of the drawn path from the programmed one.
 //!
-//! It believes nothing but edges: an axis is where its pulses add up to, and the tool is down while its output is high.
+//! It uses edges only: the position of an axis is the sum of its pulses, and the tool is down while
+//! its output is high.
 
 use crate::job::machine::Machine;
 use crate::job::preview;
@@ -29,7 +30,7 @@ pub enum Pin {
 /// When, in clocks, and what.
 pub type Event = (u64, Pin);
 
-/// A job before anybody has played it.
+/// The prediction of a job.
 #[derive(Clone, Debug, Default)]
 pub struct Prediction {
     /// Its segments, and the clocks in which they begin.
@@ -42,7 +43,8 @@ pub struct Prediction {
     pub steps: [i64; AXES],
 }
 
-/// The planner's segments for a program, and all that they will do. One that homes or pauses waits for others, and has no prediction.
+/// The planner's segments for a program, and every edge they will make. A program that homes or
+/// pauses depends on inputs and has no prediction.
 pub fn predict(program: &Program, machine: &Machine) -> Result<Prediction, String> {
     let mut planner =
         Planner::<LOOK_AHEAD>::new(&machine.setup()).map_err(|error| error.to_string())?;
@@ -97,7 +99,7 @@ impl Prediction {
         self.clocks += u64::from(segment.clocks);
     }
 
-    /// Holds what was emitted against it. Both are counted from their first step.
+    /// Compares emitted events with it. Both are counted from their first step.
     pub fn compare(&self, emitted: &[Event]) -> Difference {
         let steps = |events: &[Event]| -> [Vec<(u64, bool)>; AXES] {
             let mut steps: [Vec<(u64, bool)>; AXES] = Default::default();
@@ -150,7 +152,8 @@ pub struct Difference {
     pub wrong: u64,
     /// Changes of the tool's output.
     pub switches: u64,
-    /// By how many clocks a change is off its segment's first at most; `None`: there are more or fewer than predicted.
+    /// By how many clocks a change is off its segment's first at most; `None`: there are more or
+    /// fewer than predicted.
     pub late: Option<i64>,
 }
 
@@ -167,8 +170,8 @@ pub struct Drawn {
     pub steps: [i64; AXES],
 }
 
-/// Rebuilds the path from events, and measures it against a program (the one played, or a finer one of the same drawing). The axes began
-/// at 0 with the tool up.
+/// Rebuilds the path from events, and measures it against a program (the one played, or a finer one
+/// of the same drawing). The axes began at 0 with the tool up.
 pub fn drawn(program: &Program, machine: &Machine, emitted: &[Event]) -> Result<Drawn, String> {
     let wanted = wanted(program, machine);
     let mut pins = Walk::new(machine);
@@ -241,7 +244,7 @@ fn farthest(points: &[Point], path: &[Point]) -> f64 {
     for point in points {
         let (mut best, mut at) = (f64::MAX, hint);
         for away in 0..lines {
-            // Outwards from the hint; whatever is good enough not to be the worst ends the search.
+            // Searches outwards from the hint, until the distance is below the worst one so far.
             for line in [hint.checked_sub(away), Some(hint + away)]
                 .into_iter()
                 .flatten()
@@ -322,7 +325,8 @@ impl Walk {
     }
 }
 
-/// What the pins drew over the drawing it was made from: an SVG `height` mm high, as it lies on the page when nothing scales it.
+/// What the pins drew over the drawing it was made from: an SVG `height` mm high, as it lies on the
+/// page when nothing scales it.
 pub fn over(name: &str, drawing: &str, height: f64, drawn: &Drawn) -> String {
     let below = drawing.find("<svg").map_or(drawing, |at| &drawing[at..]);
     // 96 pixels are an inch: that is what its millimetres become inside of another.

@@ -1,4 +1,4 @@
-//! A picture of a program: what is drawn, what is travelled, how large, how long.
+//! A picture of a program with its drawn and travel moves, its size and its time.
 
 use crate::job::fonts;
 use crate::job::trace::{Planned, Stroke, Trace};
@@ -103,7 +103,7 @@ fn path(stroke: &Stroke, least: f64) -> String {
 
 fn title(name: &str, trace: &Trace) -> String {
     let [low, high] = trace.extents;
-    // Without the sign of what rounds to 0.
+    // No minus sign on a value that rounds to 0.
     let short = |mm: f64| (mm * 100.0).round() / 100.0 + 0.0;
     let axis = |axis: usize| format!("{:.2} .. {:.2}", short(low[axis]), short(high[axis]));
     format!("{name}: X {}, Y {}, Z {} mm", axis(0), axis(1), axis(2))

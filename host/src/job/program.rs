@@ -1,4 +1,4 @@
-//! A program in memory: instructions with the lines they come from, whatever file they were in.
+//! A program in memory: instructions with their source lines, from any kind of file.
 
 use motion::gcode::{self, DwellUnit};
 use motion::instruction::Instruction;
@@ -15,7 +15,7 @@ pub struct Program {
     pub instructions: Vec<(Instruction, u32)>,
 }
 
-/// What files cannot say of themselves.
+/// What a file does not say.
 #[derive(Clone, Copy, Debug)]
 pub struct Dialect {
     /// What `G4 P` counts.
@@ -34,7 +34,8 @@ impl Default for Dialect {
 }
 
 impl Program {
-    /// From a job (`.job`), XYPenPlotter's binary (`.bin`) or G-code (anything else). The message begins with the file's name.
+    /// From a job (`.job`), XYPenPlotter's binary (`.bin`) or G-code (anything else). The message
+    /// begins with the file's name.
     pub fn read(file: &Path, dialect: &Dialect) -> Result<Program, String> {
         let shown = file.display();
         let bytes = std::fs::read(file).map_err(|error| format!("{shown}: {error}"))?;

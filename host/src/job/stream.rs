@@ -1,22 +1,26 @@
-//! Jobs of a board without SDRAM: the program that executes them runs here, and streams their segments.
+//! Jobs of a board without SDRAM: the program that executes them runs here, and streams their
+//! segments.
 //!
 //! ```text
 //!   ferrocnc job send|start|.. --TCP--> Streamer: firmware::jobs --> Far --UDP--> the board's server, and its segments core
 //! ```
 //!
-//! It is the program other boards have in their SDRAM, to the last line; what it asks of its board goes over the wire here. The
-//! gateware's 64 segments are the board's room: their level is the flow control, none in time is an underrun, which is a soft stop,
-//! and a PC that falls silent is what it is under LinuxCNC, a watchdog that bites.
+//! The executor is the same program that other boards run in their SDRAM; here its accesses to the
+//! board go over the network. The gateware's FIFO holds 64 segments. Its level is the flow control,
+//! an empty FIFO is an underrun with a soft stop, and a silent PC makes the watchdog bite, as under
+//! LinuxCNC.
 //!
-//! A datagram may be lost, late, or come twice. What is written to the segments carries a number the board takes once, an
-//! exchange its sequence; everything else can be repeated. What could not be written leaves a hole in the path, so nothing is written
-//! behind it and the watchdog is not fed any more: the executor then ends the job as it does when the board takes its outputs away.
+//! A datagram may be lost, late, or come twice. A write to the segments carries a number that the
+//! board takes once, an exchange carries its sequence number; everything else can be repeated. A
+//! failed write leaves a hole in the path, so nothing is written behind it and the watchdog is not
+//! fed any more. The executor then ends the job as it does when the board closes its outputs.
 
 use crate::address::Address;
 use crate::client::{Client, ClientError};
 use crate::keys::Keys;
 use firmware::ip::Text;
 use firmware::jobs::core::{BEGUN, CURRENT, LEFT, PUSH, SHAPE, STATUS};
+use firmware::jobs::desk::Door;
 use firmware::jobs::{AHEAD, Jobs, Outside};
 use firmware::net::Us;
 use std::io::{self, Read, Write};
@@ -28,28 +32,32 @@ use wire::exchange::status_words;
 use wire::jobs::{Command, FRAME, Op, Request, SILENCE_SECONDS, State, Status};
 use wire::{MAX_WORDS, Name, Packet, ReplyWriter, etherbone, map};
 
-/// 10 ms: a board answers within one, and its watchdog waits for 100.
+/// 10 ms: a board answers within 1 ms, and its watchdog waits for 100 ms.
 const TRY: Duration = Duration::from_millis(10);
-/// Who has not been answered for as long has no armed board any more: its watchdog bit long ago.
+/// After 1 s without an answer the board is no longer armed: its watchdog has bitten long before.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// 64 MiB for jobs; a board with SDRAM has 7.5.
 const ROOM: usize = 64 << 20;
-/// What the program is known by; on a board its own CRC.
+/// The id of the program; on a board it is the program's CRC.
 const PROGRAM: u32 = 0x686f_7374;
-/// 1 ms: as old as what the segments said may be. A FIFO lasts for some 10 of these at the least.
+/// 1 ms: the most the last status of the segments may be old. A full FIFO lasts for at least 10 ms
+/// or so.
 const FRESH: Duration = Duration::from_millis(1);
 /// Segments in a datagram.
 const BATCH: usize = 8;
 /// Turns of the program between two looks at the network.
 const TURNS: usize = 64;
-/// Between two looks while there is nothing to be planned.
+/// Between two looks while there is nothing to plan.
 const NAP: Duration = Duration::from_micros(250);
-/// The same while nobody is there and nothing is executed.
+/// The same without a client and without a job.
 const SLEEP: Duration = Duration::from_millis(2);
-/// As long as the axes may take to come to rest when this program is told to end.
+/// Clients beside the guest; one more, and the first of them has to go.
+const CALLERS: usize = 16;
+/// The time the axes may take to come to rest when this program is told to end.
 const FAREWELL: Duration = Duration::from_secs(10);
 
-/// What is read at once. What is left belongs to a segment: the count is asked in front of it and behind it.
+/// What is read at once. What is left belongs to a segment: the count is asked in front of it and
+/// behind it.
 const READS: [usize; 6] = [BEGUN, LEFT, BEGUN, STATUS, CURRENT, SHAPE];
 
 /// Why it does not begin.
@@ -59,9 +67,9 @@ pub enum StreamError {
     Client(ClientError),
     /// It has no segments.
     None(Address),
-    /// It needs nobody to do this.
+    /// It executes jobs by itself.
     Executes(Address, JobsState),
-    /// The place where the jobs were to be.
+    /// The address to listen at.
     Door(SocketAddr, io::Error),
 }
 
@@ -96,7 +104,7 @@ impl From<ClientError> for StreamError {
     }
 }
 
-/// Executes jobs for a board, and answers whoever asks for them.
+/// Executes jobs for a board, and answers the clients.
 #[derive(Debug)]
 pub struct Streamer {
     jobs: Jobs<'static>,
@@ -104,6 +112,8 @@ pub struct Streamer {
     door: TcpListener,
     at: SocketAddr,
     guest: Option<Guest>,
+    /// They came while the guest was there.
+    callers: Vec<Caller>,
 }
 
 impl Streamer {
@@ -140,7 +150,7 @@ impl Streamer {
             hole: false,
             wrote: false,
         };
-        // Given back never: one program, one board.
+        // Never freed: there is one program for one board.
         let jobs = Jobs::new(vec![0; ROOM].leak(), PROGRAM, &mut far);
         Ok(Streamer {
             jobs: jobs.ok_or_else(|| StreamError::None(board.clone()))?,
@@ -148,6 +158,7 @@ impl Streamer {
             door,
             at,
             guest: None,
+            callers: Vec::new(),
         })
     }
 
@@ -160,6 +171,7 @@ impl Streamer {
     pub fn run(&mut self, stop: &AtomicBool) {
         while !stop.load(Ordering::Relaxed) {
             self.look_for_guests();
+            self.look_at_door();
             self.go_on();
         }
         self.guest = None;
@@ -170,7 +182,7 @@ impl Streamer {
         }
     }
 
-    /// Some turns of the program, and a rest if it had nothing to do.
+    /// Some turns of the program, then a pause if it had nothing to do.
     fn go_on(&mut self) {
         let mut lively = false;
         for _ in 0..TURNS {
@@ -187,7 +199,7 @@ impl Streamer {
         }
     }
 
-    /// Ends what is executed as an operator would: along the path.
+    /// Stops the job along the path, as an operator's stop does.
     fn stop(&mut self) {
         let mut frame = [0; FRAME];
         let requests = [
@@ -210,7 +222,15 @@ impl Streamer {
         }
     }
 
-    /// Lets somebody in; one at a time.
+    /// Reads the clients that connected while another one was there: they may send a stop.
+    fn look_at_door(&mut self) {
+        let Streamer {
+            jobs, far, callers, ..
+        } = self;
+        callers.retain_mut(|caller| caller.hear(jobs, far));
+    }
+
+    /// Accepts a client; one at a time.
     fn look_for_guests(&mut self) {
         if let Some(guest) = &mut self.guest
             && !guest.hear()
@@ -223,8 +243,18 @@ impl Streamer {
         if self.guest.is_some() {
             let mut frame = [0; FRAME];
             let length = wire::jobs::answer(Op::Hello.code(), Status::Busy, 0, &mut frame, |_| {});
-            // If he is gone he needs no answer.
+            // A client that is gone needs no answer.
             let _ = stream.write_all(&frame[..length]);
+            if stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok() {
+                if self.callers.len() >= CALLERS {
+                    self.callers.remove(0);
+                }
+                self.callers.push(Caller {
+                    stream,
+                    door: Door::new(),
+                    came: Instant::now(),
+                });
+            }
         } else if stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok() {
             self.jobs.visit(&mut self.far);
             self.guest = Some(Guest {
@@ -238,20 +268,52 @@ impl Streamer {
     }
 }
 
-/// Who is at the desk.
+/// A client that came while another one was there.
+#[derive(Debug)]
+struct Caller {
+    stream: TcpStream,
+    door: Door,
+    came: Instant,
+}
+
+impl Caller {
+    /// Reads its requests. False: the client is done.
+    fn hear(&mut self, jobs: &mut Jobs<'static>, far: &mut Far) -> bool {
+        let mut buffer = [0; AHEAD];
+        let mut rest = match self.stream.read(&mut buffer) {
+            Ok(0) => return false,
+            Ok(count) => &buffer[..count],
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                return self.came.elapsed() < Duration::from_secs(SILENCE_SECONDS.into());
+            }
+            Err(_) => return false,
+        };
+        let mut text = Text::new();
+        while !rest.is_empty() && !text.close {
+            let taken = jobs.knock(&mut self.door, rest, &mut text, far);
+            rest = &rest[taken..];
+        }
+        // A hundred bytes, the first it is sent but for the greeting: the computer has room for
+        // them.
+        let told = self.stream.write_all(text.bytes()).is_ok();
+        told && !text.close
+    }
+}
+
+/// The client of the jobs.
 #[derive(Debug)]
 struct Guest {
     stream: TcpStream,
-    /// What he said and nobody has read yet.
+    /// Received bytes that are not yet read.
     ahead: Vec<u8>,
-    /// What he has not been told yet.
+    /// Answers that are not yet sent.
     answers: Vec<u8>,
     heard: Instant,
     leaves: bool,
 }
 
 impl Guest {
-    /// Both ways over the network, as far as it takes it. False: he is gone.
+    /// Receives and sends what the network takes. False: the client is gone.
     fn hear(&mut self) -> bool {
         while !self.answers.is_empty() {
             match self.stream.write(&self.answers) {
@@ -280,7 +342,7 @@ impl Guest {
         }
     }
 
-    /// A request, if there is a whole one. Whether there was anything.
+    /// Serves a request, if a whole one is there. True if there was one.
     fn serve(&mut self, jobs: &mut Jobs<'static>, far: &mut Far) -> bool {
         let mut text = Text::new();
         let taken = jobs.said(&self.ahead, &mut text, far);
@@ -288,7 +350,7 @@ impl Guest {
         self.answers.extend_from_slice(text.bytes());
         self.leaves |= text.close;
         if !text.bytes().is_empty() {
-            // He waits for it, and so does what he says next.
+            // The client waits for the answer before its next request.
             let _alive = self.hear();
         }
         taken > 0 || !text.bytes().is_empty()
@@ -343,7 +405,7 @@ impl Outside for Far {
 
     fn write_segments(&mut self, word: usize, value: u32) {
         self.wrote = true;
-        // Behind a hole orders are taken, segments are not. And nobody moves what is not his.
+        // Behind a hole orders are taken, segments are not. Without the session nothing is written.
         if !self.owns || self.hole && word <= PUSH {
             return;
         }
@@ -435,7 +497,8 @@ impl Far {
         let _gone = self.client.once(request.words(), tag..=tag, 1);
     }
 
-    /// Each try has a sequence number of its own: one that was executed is not executed again, and feeds nothing.
+    /// Each try has a sequence number of its own: one that was executed is not executed again, and
+    /// feeds nothing.
     fn exchange(&mut self, block: &[u32]) -> Option<(u32, Vec<u32>)> {
         if !self.waiting.is_empty() && self.settle().is_none() {
             self.failed();
@@ -516,7 +579,7 @@ impl Far {
                 self.number = Some(number);
                 return Some(said);
             }
-            // Lost on its way, or on the way back?
+            // Was the request lost, or its answer?
             match self.client.read(&[map::SESSION_SEGMENTS]).ok()?.first() {
                 Some(there) if *there == number => {
                     self.number = Some(number);

@@ -1,15 +1,19 @@
-//! A drawing as a program: every visible path, text included, as lines within a tolerance; in an order that travels little.
+//! Makes a program of a drawing: every visible path, text included, as lines within a tolerance, in
+//! an order with short travel.
 //!
-//! The outlines of what is filled are drawn like strokes; there is no hatching. Clips, masks and pictures are left out, and said.
+//! The outlines of what is filled are drawn like strokes; there is no hatching. Clips, masks and
+//! pictures are left out; a note says so.
 
 use crate::job::fonts;
+use crate::job::order::{self, Point, Tell, distance};
 use crate::job::program::Program;
 use kurbo::PathEl;
 use motion::instruction::{AUX_TOOL, Feed, Instruction, Place};
-use resvg::tiny_skia::PathSegment;
+use resvg::tiny_skia::{Path as Outline, PathSegment};
 use resvg::usvg::fontdb::Database;
-use resvg::usvg::{Group, Node, Tree};
+use resvg::usvg::{self, Group, ImageHrefResolver, ImageKind, Node, Tree, roxmltree};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// How the tool is put down and lifted.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,7 +32,8 @@ pub enum Tool {
 /// What to make of a drawing.
 #[derive(Clone, Debug)]
 pub struct Wish {
-    /// Width and height in mm to fit it on, scaled and centred; none: its own size, its lower left corner at 0.
+    /// Width and height in mm to fit it on, scaled and centred; none: its own size, its lower left
+    /// corner at 0.
     pub page: Option<[f64; 2]>,
     /// mm to keep free at the page's edges.
     pub margin: f64,
@@ -57,18 +62,30 @@ pub struct Prepared {
     pub travel: [f64; 2],
 }
 
-type Point = [f64; 2];
+/// Points a drawing may have as lines: a day of drawing at 100 lines a second, and some hundred MB
+/// while it is made.
+const MOST_POINTS: usize = 10_000_000;
 
-/// Of an SVG's text.
-pub fn prepare(name: &str, text: &[u8], wish: &Wish) -> Result<Prepared, String> {
+/// Bytes of a drawing that takes long enough to be told of: a second or so.
+const LARGE: usize = 1_000_000;
+
+const TOO_MANY: &str = "with every <use> put in its place it has more than a million elements, or they lie more than 1024 deep, or one contains itself; draw it in parts, or ungroup it";
+
+/// Of an SVG's text. What takes long is told.
+pub fn prepare(name: &str, text: &[u8], wish: &Wish, tell: Tell<'_>) -> Result<Prepared, String> {
+    if text.len() > LARGE {
+        tell("reading", 0.0);
+    }
     let options = fonts::options(&wish.fonts)?;
-    let tree = Tree::from_data(text, &options).map_err(|error| error.to_string())?;
+    let tree = tree(text, options)?;
     let frame = Frame::new(&tree, wish)?;
     let mut found = Found {
         fonts: tree.fontdb(),
         frame,
         tolerance: wish.tolerance,
         strokes: Vec::new(),
+        paths: 0,
+        points: 0,
         notes: Vec::new(),
     };
     found.group(tree.root())?;
@@ -78,7 +95,7 @@ pub fn prepare(name: &str, text: &[u8], wish: &Wish) -> Result<Prepared, String>
     }
     let mut travel = [travelled(&strokes); 2];
     if wish.order {
-        let ordered = ordered(&strokes);
+        let ordered = order::nearest_next(&strokes, tell).0;
         let length = travelled(&ordered);
         // The nearest next path is mostly, not always, better.
         if length < travel[0] {
@@ -95,6 +112,84 @@ pub fn prepare(name: &str, text: &[u8], wish: &Wish) -> Result<Prepared, String>
         travel,
     })
 }
+
+/// The drawing with everything put in its place. A drawing that would need too much memory is
+/// refused first.
+fn tree(text: &[u8], mut options: usvg::Options<'_>) -> Result<Tree, String> {
+    // Pictures are not drawn, so none is read: neither other files nor drawings within this one.
+    let pixel = || Some(ImageKind::PNG(Arc::new(PIXEL.to_vec())));
+    options.image_href_resolver = ImageHrefResolver {
+        resolve_data: Box::new(move |_, _, _| pixel()),
+        resolve_string: Box::new(move |_, _| pixel()),
+    };
+    if text.starts_with(&[0x1f, 0x8b]) {
+        return Err(
+            "is compressed, and may be of any size: uncompress it first (gunzip)".to_owned(),
+        );
+    }
+    let text = std::str::from_utf8(text).map_err(|_| "is not UTF-8 text".to_owned())?;
+    let reading = roxmltree::ParsingOptions {
+        allow_dtd: true,
+        ..Default::default()
+    };
+    let xml = roxmltree::Document::parse_with_options(text, reading);
+    let xml = xml.map_err(|error| error.to_string())?;
+    markers(&xml)?;
+    Tree::from_xmltree(&xml, &options).map_err(|error| match error {
+        usvg::Error::ElementsLimitReached => TOO_MANY.to_owned(),
+        usvg::Error::ParsingFailed(error) if error.to_string().contains("limit") => {
+            TOO_MANY.to_owned()
+        }
+        error => error.to_string(),
+    })
+}
+
+/// A marker is put at every point of a path: 20 kB of text can be 20 million elements, and a
+/// marker's own paths may have markers. Refuses what that would be if every path had the largest
+/// one.
+fn markers(xml: &roxmltree::Document<'_>) -> Result<(), String> {
+    let points = |node: roxmltree::Node<'_, '_>| -> usize {
+        let numbers = |text: &str| text.split(|c: char| !"0123456789.eE".contains(c)).count();
+        let told = ["d", "points"]
+            .into_iter()
+            .filter_map(|key| node.attribute(key));
+        told.map(|text| numbers(text) / 2 + 1).sum()
+    };
+    let all: usize = xml.descendants().map(points).sum();
+    let is =
+        |name: &'static str| move |node: &roxmltree::Node<'_, '_>| node.tag_name().name() == name;
+    let speaks = |node: roxmltree::Node<'_, '_>| {
+        let mut told = node.attributes();
+        told.any(|told| {
+            told.name().starts_with("marker-")
+                || told.name() == "marker"
+                || told.value().contains("marker")
+        })
+    };
+    let mut sheets = xml.descendants().filter(is("style"));
+    let sheet = sheets.any(|sheet| sheet.text().is_some_and(|text| text.contains("marker")));
+    for marker in xml.descendants().filter(is("marker")) {
+        let elements = marker
+            .descendants()
+            .filter(roxmltree::Node::is_element)
+            .count();
+        let within = marker.descendants().skip(1).any(speaks) || sheet;
+        let again: usize = match within {
+            true => marker.descendants().map(points).sum::<usize>() + 1,
+            false => 1,
+        };
+        if all.saturating_mul(elements).saturating_mul(again) > MOST_POINTS / 10 {
+            return Err(format!(
+                "marker {:?} has {elements} elements and the drawing up to {all} points to put them at, which is more than memory may hold; make the marker simpler, or take it out",
+                marker.attribute("id").unwrap_or_default()
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// A PNG of one pixel, in place of every picture.
+const PIXEL: &[u8] = b"\x89\x50\x4e\x47\x0d\x0a\x1a\x0a\x00\x00\x00\x0d\x49\x48\x44\x52\x00\x00\x00\x01\x00\x00\x00\x01\x08\x00\x00\x00\x00\x3a\x7e\x9b\x55\x00\x00\x00\x0a\x49\x44\x41\x54\x78\x9c\x63\x60\x00\x00\x00\x02\x00\x01\x48\xaf\xa4\x71\x00\x00\x00\x00\x49\x45\x4e\x44\xae\x42\x60\x82";
 
 /// From the drawing's pixels to the machine's millimetres.
 #[derive(Clone, Copy, Debug)]
@@ -122,6 +217,12 @@ impl Frame {
             return Err("the margins leave no room on the page".to_owned());
         }
         let scale = (room[0] / size[0]).min(room[1] / size[1]);
+        if !(scale.is_finite() && scale > 0.0) {
+            return Err(format!(
+                "a drawing of {} x {} mm cannot be scaled to a page; correct its width, height or viewBox",
+                size[0], size[1]
+            ));
+        }
         Ok(Frame {
             scale: pixel * scale,
             left: (page[0] - size[0] * scale) / 2.0,
@@ -143,6 +244,9 @@ struct Found<'a> {
     frame: Frame,
     tolerance: f64,
     strokes: Vec<Vec<Point>>,
+    /// Paths seen, and points of the strokes made of them.
+    paths: usize,
+    points: usize,
     notes: Vec<String>,
 }
 
@@ -161,8 +265,15 @@ impl Found<'_> {
             match node {
                 Node::Group(group) => self.group(group)?,
                 Node::Path(path) if path.is_visible() => {
-                    let path = path.data().clone().transform(path.abs_transform());
-                    self.path(path.ok_or("a path beyond all bounds")?.segments());
+                    self.paths += 1;
+                    let whole = self.within(path)?;
+                    self.path(whole.segments());
+                    if self.points > MOST_POINTS {
+                        return Err(format!(
+                            "{}: the drawing has more than {MOST_POINTS} lines up to here; a larger --tolerance needs fewer, or prepare it in parts",
+                            self.called(path)
+                        ));
+                    }
                 }
                 Node::Path(_) => {}
                 Node::Image(_) => self.note("pictures made of pixels are not drawn"),
@@ -189,6 +300,56 @@ impl Found<'_> {
         Ok(())
     }
 
+    /// The element's name for a message.
+    fn called(&self, path: &usvg::Path) -> String {
+        match path.id() {
+            "" => format!("path {} of the drawing, which has no id", self.paths),
+            id => format!("path \"{id}\""),
+        }
+    }
+
+    /// The path where it is drawn. Refused before a curve is made into lines: a curve with a huge
+    /// coordinate would need more lines than fit into memory.
+    fn within(&self, path: &usvg::Path) -> Result<Outline, String> {
+        let farthest = motion::instruction::FARTHEST as f64 / 1e6;
+        let too_far = |at: Point, why: String| {
+            format!(
+                "{}: the point {}, {} {why}; a job reaches {} m. Correct this coordinate or its transform in the drawing, or take the path out",
+                self.called(path),
+                at[0],
+                at[1],
+                farthest / 1e3
+            )
+        };
+        let own = path.data();
+        let points = || {
+            own.points()
+                .iter()
+                .map(|p| [f64::from(p.x), f64::from(p.y)])
+        };
+        let Some(whole) = own.clone().transform(path.abs_transform()) else {
+            let far = |p: &Point| p[0].abs().max(p[1].abs());
+            let most = points().max_by(|a, b| far(a).total_cmp(&far(b)));
+            return Err(too_far(
+                most.unwrap_or_default(),
+                "is not finite".to_owned(),
+            ));
+        };
+        for (at, drawn) in points().zip(whole.points()) {
+            let drawn = self
+                .frame
+                .place(kurbo::Point::new(drawn.x.into(), drawn.y.into()));
+            // A value that is not a number is not within the limits.
+            if !drawn.iter().all(|mm| mm.abs() <= farthest) {
+                return Err(too_far(
+                    at,
+                    format!("would be drawn at {:.3e}, {:.3e} mm", drawn[0], drawn[1]),
+                ));
+            }
+        }
+        Ok(whole)
+    }
+
     fn path(&mut self, segments: impl Iterator<Item = PathSegment>) {
         let point = |p: resvg::tiny_skia::Point| kurbo::Point::new(p.x.into(), p.y.into());
         let elements = segments.map(|segment| match segment {
@@ -199,9 +360,10 @@ impl Found<'_> {
             PathSegment::Close => PathEl::ClosePath,
         });
         let (frame, mut stroke) = (self.frame, Vec::new());
-        let strokes = &mut self.strokes;
+        let (strokes, count) = (&mut self.strokes, &mut self.points);
         let mut end = |stroke: &mut Vec<Point>| {
             if stroke.len() > 1 {
+                *count += stroke.len();
                 strokes.push(std::mem::take(stroke));
             }
             stroke.clear();
@@ -219,7 +381,7 @@ impl Found<'_> {
                     let first = stroke.first().copied();
                     stroke.extend(first);
                     end(&mut stroke);
-                    // What follows without a move begins where the path began.
+                    // A line after a close without a move begins at the start of the path.
                     stroke.extend(first);
                 }
                 PathEl::QuadTo(..) | PathEl::CurveTo(..) => {}
@@ -227,10 +389,6 @@ impl Found<'_> {
         );
         end(&mut stroke);
     }
-}
-
-fn distance(a: Point, b: Point) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 /// From home, between the strokes, and home again.
@@ -241,41 +399,6 @@ fn travelled(strokes: &[Vec<Point>]) -> f64 {
         at = stroke[stroke.len() - 1];
     }
     length + distance(at, [0.0; 2])
-}
-
-/// Always the nearest end next; an open path may be drawn from either, a closed one from any of its points.
-fn ordered(strokes: &[Vec<Point>]) -> Vec<Vec<Point>> {
-    let mut left: Vec<&Vec<Point>> = strokes.iter().collect();
-    let (mut at, mut done) = ([0.0; 2], Vec::with_capacity(strokes.len()));
-    while !left.is_empty() {
-        let near =
-            |stroke: &[Point]| distance(at, stroke[0]).min(distance(at, stroke[stroke.len() - 1]));
-        let nearest = left.iter().map(|stroke| near(stroke)).enumerate();
-        let (index, _) = nearest.fold(
-            (0, f64::MAX),
-            |best, this| if this.1 < best.1 { this } else { best },
-        );
-        let mut stroke = left.swap_remove(index).clone();
-        let last = stroke.len() - 1;
-        if stroke[0] == stroke[last] {
-            let points = stroke[..last]
-                .iter()
-                .map(|point| distance(at, *point))
-                .enumerate();
-            let (start, _) = points.fold(
-                (0, f64::MAX),
-                |best, this| if this.1 < best.1 { this } else { best },
-            );
-            stroke.pop();
-            stroke.rotate_left(start);
-            stroke.push(stroke[0]);
-        } else if distance(at, stroke[last]) < distance(at, stroke[0]) {
-            stroke.reverse();
-        }
-        at = stroke[stroke.len() - 1];
-        done.push(stroke);
-    }
-    done
 }
 
 fn instructions(strokes: &[Vec<Point>], wish: &Wish) -> Result<Vec<(Instruction, u32)>, String> {

@@ -1,4 +1,5 @@
-//! A program executed on paper: by its geometry alone, or by the planner and the integer model the board has.
+//! A simulated execution of a program: by its geometry alone, or by the planner and the integer
+//! model of the board.
 
 use crate::job::machine::Machine;
 use crate::job::program::Program;
@@ -33,7 +34,7 @@ pub struct Trace {
     pub drawn: f64,
     /// mm with and without the tool.
     pub travelled: f64,
-    /// What only the machine knows.
+    /// What the planner adds, if there is a machine.
     pub planned: Option<Planned>,
 }
 
@@ -91,7 +92,8 @@ impl Trace {
     }
 }
 
-/// Whether an instruction only travels: a rapid, or any motion without the tool in a program that switches it.
+/// Whether an instruction only travels: a rapid, or any motion without the tool in a program that
+/// switches it.
 struct Travels {
     switches: bool,
     tool: bool,
@@ -293,7 +295,8 @@ impl Shapes {
         self.0.get(index).is_none_or(|shape| shape.travel)
     }
 
-    /// To the instruction being executed or one near it: corners are rounded, and lines of less than half a step share one.
+    /// To the instruction being executed or one near it: corners are rounded, and lines of less
+    /// than half a step share one.
     fn distance(&self, index: usize, place: [f64; AXES]) -> f64 {
         let end = self.0.len().min(index.saturating_add(9));
         let near = &self.0[index.saturating_sub(8).min(end)..end];

@@ -1,7 +1,7 @@
-//! The fake board's flash, and the port boards are found at.
+//! The fake board's flash, and its discovery port.
 //!
-//! The flash programs by clearing bits, erases whole sectors, and does what the protocol says an operation does;
-//! stubs are not in it, the selected slot is a fact of its own.
+//! The flash programs by clearing bits, erases whole sectors, and executes the operations of the
+//! protocol. It has no stubs; the selected slot is a variable.
 #![allow(dead_code)]
 
 use ferrocnc::keys::Key;
@@ -37,10 +37,14 @@ pub struct FakeFlash {
     pub done: Vec<(Op, u32)>,
     /// An operation is seen running so many times.
     pub looks: u32,
+    /// The cable is out from the datagram with the next save on, which is lost.
+    pub lose_save: bool,
     /// Fall silent after so many more operations.
     pub silent_after: Option<u32>,
     /// Flip a bit of this byte whenever it is programmed.
     pub weak: Option<u32>,
+    /// Answer this to a save, and save nothing.
+    pub refuse: Option<OpResult>,
     left: u32,
     word: OpWord,
     address: u32,
@@ -63,8 +67,10 @@ impl Default for FakeFlash {
             origin: Origin::BuiltIn,
             done: Vec::new(),
             looks: 1,
+            lose_save: false,
             silent_after: None,
             weak: None,
+            refuse: None,
             left: 0,
             word: OpWord::IDLE,
             address: 0,
@@ -98,6 +104,13 @@ impl FakeFlash {
 
     pub fn busy(&self) -> bool {
         self.word.busy
+    }
+
+    /// The operation that runs is done now.
+    pub fn end(&mut self) {
+        if self.word.busy {
+            self.finish();
+        }
     }
 
     pub fn count(&self, op: Op) -> usize {
@@ -231,6 +244,9 @@ impl FakeFlash {
                 }
                 self.selected = Some(slot);
             }
+            Op::SaveSettings if self.refuse.is_some() => {
+                return self.refuse.expect("it is there");
+            }
             Op::SaveSettings => {
                 let words = *self.buffer.first_chunk::<{ settings::WORDS }>().unwrap();
                 self.buffer.fill(u32::MAX);
@@ -275,7 +291,7 @@ impl FakeFlash {
         }
     }
 
-    /// What it says of itself to everybody.
+    /// Its answer to discovery.
     pub fn here(&self, armed: bool) -> Here {
         Here {
             mac: self.mac(),
@@ -298,7 +314,8 @@ impl FakeFlash {
     }
 }
 
-/// Boards on a segment of their own: everyone hears every question, the answers go to the asker.
+/// Boards on a segment of their own: every board receives every question, and the answers go to the
+/// sender.
 pub struct Segment {
     pub address: SocketAddrV4,
     boards: Arc<Mutex<Vec<Neighbour>>>,

@@ -1,8 +1,8 @@
 //! A board made of `wire` and `motion` behind a real UDP socket on loopback.
 //!
-//! It knows the session, the state machine's outline, the watchdog and exact ramps; it has no timing
-//! of pulses and no gateware. Enough to drive the driver and whole LinuxCNC, and, being a program, able to
-//! lie: every knob in [`Knobs`] is a way a real board or network goes wrong.
+//! It knows the session, the state machine's outline, the watchdog and exact ramps; it has no
+//! timing of pulses and no gateware. That is enough for the driver and for LinuxCNC. It can also
+//! give wrong answers: every knob in [`Knobs`] is a fault of a real board or network.
 //!
 //! Time is either the wall clock or, in lockstep, one servo period per exchange.
 #![allow(dead_code)]
@@ -80,6 +80,19 @@ pub const MILL6: &[(u8, u8, &str)] = &[
     (8, 11, "ipin=bus:7 estop=high"),
 ];
 
+/// What an import of LiteX-CNC's would say of this board: outputs and inputs in turn.
+pub const MILL6_ROW: &[(u8, u8, &str)] = &[
+    (8, 0, "ogpio=0"),
+    (8, 0, "igpio=1"),
+    (8, 1, "ogpio=2"),
+    (8, 1, "igpio=3"),
+    (8, 2, "ogpio=4"),
+    (8, 3, "ogpio=5"),
+    (8, 2, "igpio=6"),
+    (8, 6, "igpio=7"),
+    (8, 4, "ogpio=8"),
+];
+
 /// Where the board's time comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Time {
@@ -87,7 +100,7 @@ pub enum Time {
     Wall,
     /// So many clocks pass from one exchange to the next, whatever the wall says.
     Lockstep(u64),
-    /// What [`Script`] makes of the time a test says.
+    /// The time of the test, converted by [`Script`].
     Scripted,
 }
 
@@ -134,6 +147,8 @@ pub struct Knobs {
     pub drop_replies: u32,
     /// Answer every exchange twice.
     pub duplicate_replies: bool,
+    /// Send so many datagrams without a meaning before and after every answer.
+    pub flood: (u32, u32),
     /// Hold every answer back by one exchange.
     pub late_by_one: bool,
     /// Answer this long after execution.
@@ -166,7 +181,7 @@ pub struct Knobs {
     pub magic: Option<u32>,
     /// Damage the board information.
     pub bad_blob: bool,
-    /// Somebody who does not let go.
+    /// Another client that keeps the session.
     pub foreign_owner: Option<SocketAddrV4>,
 }
 
@@ -244,7 +259,7 @@ impl FakeLatch {
     }
 }
 
-/// The board's mind. Tests look at it through [`FakeBoard::look`].
+/// The board's state. Tests look at it through [`FakeBoard::look`].
 #[derive(Debug)]
 pub struct Mind {
     pub knobs: Knobs,
@@ -292,7 +307,9 @@ pub struct Mind {
     pub script: Option<Script>,
     pub flash: flash::FakeFlash,
     held_back: Option<Vec<u32>>,
-    names: Vec<(u8, u8, String)>,
+    pub names: Vec<(u8, u8, String)>,
+    /// A whole description in place of what is made of the names.
+    pub described: Option<Vec<u8>>,
     last_status: Status,
 }
 
@@ -341,6 +358,7 @@ impl Mind {
                 .iter()
                 .map(|(kind, channel, text)| (*kind, *channel, (*text).to_owned()))
                 .collect(),
+            described: None,
             last_status,
         }
     }
@@ -526,7 +544,7 @@ impl Mind {
         Ok((used > etherbone::HEADER_WORDS).then_some(buffer))
     }
 
-    /// Never the same: what was answered is counted in.
+    /// Never the same twice: the number of answers is part of it.
     fn challenge(&self, from: SocketAddr) -> [u32; 4] {
         let free = self.owner.is_none_or(|owner| owner == from);
         match self.key {
@@ -669,7 +687,7 @@ impl Mind {
         encoder[0].count = Count(counted as u32);
         encoder[0].errors = self.knobs.quad_errors;
         let lag = self.knobs.encoder_lag;
-        // Upwards the last one passed; downwards nobody tests.
+        // Upwards: the last index that was passed. No test goes downwards.
         let index_at = |here: i32| match self.knobs.index_every {
             Some(every) => Some(here.div_euclid(every) * every),
             None => self.knobs.index_at,
@@ -679,7 +697,7 @@ impl Mind {
         self.latches[0].turn(counted, index_0, probe_at.map(|at| at - lag));
         self.latches[1].turn(here, index_1, probe_at);
         let [encoder_flags, stepgen_flags] = self.latches.map(|latch| latch.flags());
-        // A channel that was not asked for says something, too.
+        // A channel that was not selected gives a value, too.
         let latch = match command.latch {
             Latch::Encoder(0) => self.latches[0].caught.map_or(-1, |(_, at)| at),
             Latch::Stepgen(0) => self.latches[1].caught.map_or(-1, |(_, at)| at),
@@ -729,7 +747,7 @@ impl Mind {
         Ok(buffer)
     }
 
-    /// The firmware's rules: seen low, then high, then one more command.
+    /// The firmware's rule for arming: seen low, then high, then one more command.
     fn decide(&mut self, command: &Command) {
         let edge = self.request == Some(false) && command.enable_request;
         self.request = match (self.request, command.enable_request) {
@@ -810,6 +828,9 @@ impl Mind {
     }
 
     fn blob(&self) -> Vec<u8> {
+        if let Some(blob) = &self.described {
+            return blob.clone();
+        }
         let mut body = Vec::new();
         for (kind, channel, text) in &self.names {
             body.extend([*kind, *channel, text.len() as u8, 0]);
@@ -864,6 +885,16 @@ impl FakeBoard {
         Self::of(address, channels, time)
     }
 
+    /// `mill6` with these entries added to its description.
+    pub fn saying(more: &[(u8, u8, &str)]) -> Self {
+        let board = Self::mill6(Time::Lockstep(60_000));
+        let owned = more
+            .iter()
+            .map(|(kind, channel, text)| (*kind, *channel, (*text).to_owned()));
+        board.look().names.extend(owned);
+        board
+    }
+
     /// One with as many channels as asked.
     pub fn of(address: &str, channels: Channels, time: Time) -> Self {
         let socket = UdpSocket::bind(address).expect("a free UDP port");
@@ -884,7 +915,7 @@ impl FakeBoard {
         }
     }
 
-    /// The board's mind, to look at or to tamper with.
+    /// The board's state, to look at or to tamper with.
     pub fn look(&self) -> MutexGuard<'_, Mind> {
         self.mind.lock().expect("the board's thread is well")
     }
@@ -902,6 +933,18 @@ impl Drop for FakeBoard {
             let _ = thread.join();
         }
     }
+}
+
+/// Does this datagram order to save settings?
+fn is_save(bytes: &[u8]) -> bool {
+    let mut words = [0; MAX_WORDS];
+    let packet = wire::words_from_bytes(bytes, &mut words).and_then(Packet::new_checked);
+    packet.is_ok_and(|packet| {
+        packet.records().any(|record| {
+            record.write_base == map::FLASH_OP
+                && record.writes == [wire::flash::Op::SaveSettings.code()]
+        })
+    })
 }
 
 fn run(socket: &UdpSocket, mind: &Mutex<Mind>, stop: &AtomicBool) {
@@ -922,6 +965,9 @@ fn run(socket: &UdpSocket, mind: &Mutex<Mind>, stop: &AtomicBool) {
         let mut mind = mind.lock().expect("the test is well");
         if mind.flash.silent_after == Some(0) {
             mind.flash.silent_after = None;
+            mind.knobs.unplugged = true;
+        }
+        if mind.flash.lose_save && is_save(&bytes[..length]) {
             mind.knobs.unplugged = true;
         }
         if mind.knobs.unplugged {
@@ -958,12 +1004,21 @@ fn run(socket: &UdpSocket, mind: &Mutex<Mind>, stop: &AtomicBool) {
             copies += usize::from(mind.knobs.duplicate_replies);
         }
         let delay = mind.knobs.delay;
+        let (before, after) = mind.knobs.flood;
         drop(mind);
+        let flood = |count| {
+            // Not even whole words.
+            for _ in 0..count {
+                let _ = socket.send_to(b"flood", from);
+            }
+        };
         std::thread::sleep(delay);
         let mut out = [0; MAX_PAYLOAD];
         let length = wire::words_to_bytes(&reply, &mut out);
+        flood(before);
         for _ in 0..copies {
             let _ = socket.send_to(&out[..length], from);
         }
+        flood(after);
     }
 }

@@ -26,7 +26,8 @@ impl Rig {
         let board = FakeBoard::mill6(LOCKSTEP);
         let mut hal = FakeHal::new();
         let driver = load(&board, &mut hal);
-        // A test that loses an answer waits for it: keep that short, but never too short.
+        // A test that loses an answer waits for this time: short, but long enough for a slow
+        // computer.
         hal.set("ferrocnc.0.packet-read-timeout", 200_000_000);
         hal.set("ferrocnc.0.stepgen.x.position-scale", 800.0);
         hal.set("ferrocnc.0.stepgen.x.maxaccel", 1000.0);
@@ -89,7 +90,7 @@ impl Rig {
                 (board.datagrams, board.knobs.unplugged)
             };
             self.driver.write(PERIOD_NS);
-            // A knob turned before the board has seen this command would hit the wrong one.
+            // A knob set before the board has seen this command would affect the wrong command.
             for _ in 0..if unplugged { 0 } else { 100 } {
                 if self.board.look().datagrams != seen {
                     break;

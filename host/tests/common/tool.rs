@@ -1,6 +1,7 @@
-//! The tool `ferrocnc`, run as a person runs it.
+//! Runs the tool `ferrocnc` as a process.
 //!
-//! Not a part of `common`: only a test's build knows where the program is, and the fake board is an example as well.
+//! It is not in `common`, because only a test's build knows the path of the program, and an example
+//! uses the fake board, too.
 
 use std::process::{Command, Output};
 

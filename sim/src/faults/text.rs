@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use super::{Direction, Ends, Kind, Plan, Rule};
 
-/// Every word there is, for `--help` and for whoever mistyped one.
+/// All words of a plan, for `--help` and for error messages.
 pub const WORDS: &str = "loss=P drop=N dup=P reorder=P delay=TIME[..TIME] corrupt=P truncate=P rate=BITS pull plug host-pause freeze reboot power \
                          off seed=N; P as 0.01 or 1%, TIME as 2s, 1.5ms or 20us, BITS as 10Mbit; in front to-board: or \
                          from-board:, behind @TIME or @TIME..TIME";
 
-/// Why a plan is none.
+/// Why a plan is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{word:?}: {why}")]
 pub struct Rejected {
@@ -116,7 +116,7 @@ fn kind(name: &str, value: Option<&str>) -> Result<Kind, String> {
             };
             if value.is_some() {
                 return Err(format!(
-                    "{name} takes no value; when it happens is said as {name}@2s..4s"
+                    "{name} takes no value; give its time as {name}@2s..4s"
                 ));
             }
             kind

@@ -1,9 +1,10 @@
 //! All cores of one board behind the register map, as `gateware/ferrocnc/banks.py` wires them.
 //!
-//! Time passes in one of two ways, with the same bits. [`Board::clock`] makes one rising edge of everything, with the register
-//! bus as it stands before it. [`Board::run`] goes from event to event: every channel is a *lane* that knows until when it is
-//! quiet, and is left alone until then. What all lanes share (gate, stop, probe, strobes) changes seldom; when it does, one
-//! edge of everything is made.
+//! Time passes in one of two ways, with the same bits. [`Board::clock`] makes one rising edge of
+//! everything, with the register bus as it stands before it. [`Board::run`] goes from event to
+//! event: every channel is a *lane* that knows until when it is quiet, and is left alone until
+//! then. What all lanes share (gate, stop, probe, strobes) changes seldom; when it does, one edge
+//! of everything is made.
 
 use wire::describe::Channels;
 use wire::exchange::PWM_PERIOD_MAX;
@@ -22,6 +23,7 @@ use super::stepgen::{self, Stepgen};
 use super::tally::{ROTATION, Tally};
 use super::timebase::{self, Timebase};
 use super::watchdog::{self, Watchdog};
+use crate::pads;
 use crate::soc::Pins;
 
 const fn page(address: usize) -> u32 {
@@ -31,7 +33,7 @@ const fn page(address: usize) -> u32 {
 /// Pages of the map.
 pub mod pages {
     use super::{abi, page};
-    /// Who the gateware is.
+    /// Identity of the gateware.
     pub const IDENT: u32 = page(abi::CSR_IDENT);
     /// Wall clock and strobes.
     pub const TIMEBASE: u32 = page(abi::CSR_TIMEBASE);
@@ -49,6 +51,8 @@ pub mod pages {
     pub const STATUS: u32 = page(abi::CSR_STATUS);
     /// Motion segments.
     pub const SEGMENTS: u32 = page(abi::CSR_SEGMENTS);
+    /// The pads' own levels.
+    pub const PADS: u32 = page(abi::CSR_PADS);
     /// Settings of stepgen 0.
     pub const STEPGEN: u32 = page(abi::CSR_STEPGEN0);
     /// Settings of encoder 0.
@@ -78,6 +82,8 @@ pub struct Build {
     pub rom_words: u32,
     /// Axes of a job; 0: no segments.
     pub jobs: u8,
+    /// It reads its pads back and counts the PHY's clock. Gateware from before that does not.
+    pub readback: bool,
 }
 
 /// The register bus and the MAC's signals before an edge.
@@ -91,6 +97,8 @@ pub struct Bus {
     pub frame_done: Option<bool>,
     /// The frame in this slot is presented.
     pub frame_pending: Option<bool>,
+    /// The PHY's clock has made another beat.
+    pub beat: bool,
 }
 
 /// What all lanes see alike.
@@ -113,7 +121,7 @@ struct Strobes {
     now: u64,
 }
 
-/// Registers that are nobody's state but what was written.
+/// Registers that only hold the value that was written.
 #[derive(Clone, Debug)]
 struct Regs {
     timeout: u32,
@@ -145,7 +153,7 @@ struct Regs {
     slew: u32,
     beam: u16,
     mask: u32,
-    /// What the segments say of the outputs.
+    /// The outputs of the segments.
     aux: u32,
 }
 
@@ -159,8 +167,8 @@ struct StepLane {
     meta: bool,
     index: bool,
     waited: bool,
-    /// Fraction and velocity as the strobe has caught them; as read; and the clock in which the one becomes the other: the
-    /// channels hand them on to LUT RAM, one a clock.
+    /// Fraction and velocity as the strobe has caught them; as read; and the clock in which the one
+    /// becomes the other: the channels hand them on to LUT RAM, one a clock.
     caught: [u32; 2],
     sampled: [u32; 2],
     handed_on: Option<u64>,
@@ -216,6 +224,9 @@ pub struct Board {
     /// A bus write on its way to the registers.
     write: Option<(u32, u32)>,
     now_caught: u64,
+    /// Beats of the PHY's clock, and as they were then.
+    beats: u32,
+    beats_caught: u32,
     slot_time: [u64; 2],
     arrival: u64,
     sample: u64,
@@ -223,6 +234,9 @@ pub struct Board {
     estop_caught: u32,
     flags_caught: [u32; 3],
     out: Pins,
+    /// The same at the pads, and their registers since which clock: now, before, and before that.
+    at_pads: Pins,
+    seen: [(u64, [u32; 4]); 3],
 }
 
 fn bit(word: u32, n: usize) -> bool {
@@ -425,7 +439,7 @@ impl Hub {
 }
 
 impl Board {
-    /// A board whose wall clock shows `clock`: as after so many clocks in which nothing happened.
+    /// A board with its wall clock at `clock`: as after so many clocks in which nothing happened.
     pub fn at(build: Build, clock: u64) -> Self {
         let mut board = Self::new(build);
         board.clock = clock;
@@ -446,7 +460,8 @@ impl Board {
         board
     }
 
-    /// As if a stepgen had emitted, and an encoder counted, this much. For counters that are to pass their ends.
+    /// As if a stepgen had emitted, and an encoder counted, this much. For counters that are to
+    /// pass their ends.
     pub fn preset(&mut self, n: usize, pulses: i32, count: i32) {
         if let Some(lane) = self.steps.get_mut(n) {
             lane.core.preset(pulses);
@@ -476,6 +491,12 @@ impl Board {
             inputs: 0,
             reset: false,
         };
+        // Wires, not registers: they are there before the first clock.
+        let copies = pads::registers(&Pins {
+            step_n: ((1u32 << c.stepgens) - 1) as u16,
+            dir_n: ((1u32 << c.stepgens) - 1) as u16,
+            ..Pins::default()
+        });
         let lanes = usize::from(c.stepgens) + usize::from(c.encoders) + usize::from(c.pwms);
         Board {
             clock: 0,
@@ -520,6 +541,8 @@ impl Board {
             pwms: vec![PwmLane::default(); c.pwms.into()],
             write: None,
             now_caught: 0,
+            beats: 0,
+            beats_caught: 0,
             slot_time: [0; 2],
             arrival: 0,
             sample: 0,
@@ -527,6 +550,8 @@ impl Board {
             estop_caught: 0,
             flags_caught: [0; 3],
             out: Pins::default(),
+            at_pads: Pins::default(),
+            seen: [(0, copies); 3],
             build,
         }
     }
@@ -547,8 +572,13 @@ impl Board {
         self.clock
     }
 
-    /// The output pins.
+    /// The output pins, at their pads.
     pub fn pins(&self) -> &Pins {
+        &self.at_pads
+    }
+
+    /// What drives them.
+    pub fn driven(&self) -> &Pins {
         &self.out
     }
 
@@ -595,6 +625,40 @@ impl Board {
         self.out.enc_mask = pins.enc_mask;
         self.out.step_index = pins.step_index;
         self.out.ext_reset = pins.ext_reset;
+        let wrong = (pins.pad_fault, pins.pad_at, pins.pad_to);
+        if (self.out.pad_fault, self.out.pad_at, self.out.pad_to) != wrong {
+            (self.out.pad_fault, self.out.pad_at, self.out.pad_to) = wrong;
+            self.settle();
+        }
+    }
+
+    /// The driven pins have changed, or what is wrong with their pads: how those are now, and how
+    /// they were.
+    fn settle(&mut self) {
+        self.at_pads = pads::levels(&self.out);
+        let now = (self.clock, pads::registers(&self.at_pads));
+        if self.seen[0].0 == now.0 {
+            self.seen[0] = now;
+        } else if self.seen[0].1 != now.1 {
+            self.seen = [now, self.seen[0], self.seen[1]];
+        }
+    }
+
+    /// What two flip-flops have made of a word of the pads: as it was two clocks ago.
+    fn pads(&self, word: usize) -> u32 {
+        let Some(then) = self.clock.checked_sub(2) else {
+            return 0;
+        };
+        let known = self.seen.iter().find(|(since, _)| *since <= then);
+        let levels = known.unwrap_or(&self.seen[2]).1;
+        let c = self.build.channels;
+        let mask = |count: u8| ((1u64 << count) - 1) as u32;
+        let masks = [c.stepgens, c.stepgens, c.pwms].map(|count| mask(count) * 0x1_0001);
+        match word {
+            0..3 => levels[word] & masks[word],
+            3 => levels[3] & mask(c.outputs),
+            _ => 0,
+        }
     }
 
     fn common_now(&self) -> Common {
@@ -635,7 +699,7 @@ impl Board {
     /// One rising edge of everything.
     pub fn clock(&mut self, bus: &Bus) {
         self.edge(bus);
-        // Nobody has asked yet how quiet it is: [`Board::run`] begins with an edge of everything.
+        // The quiet clocks are not yet known: [`Board::run`] begins with an edge of everything.
         self.full = self.clock + 1;
     }
 
@@ -692,7 +756,9 @@ impl Board {
         }
         if snapshot {
             self.now_caught = now;
+            self.beats_caught = self.beats;
         }
+        self.beats = self.beats.wrapping_add(bus.beat.into());
         if let Some(slot) = bus.frame_pending {
             self.arrival = self.slot_time[usize::from(slot)];
         }
@@ -771,6 +837,7 @@ impl Board {
         self.shine();
         self.write = bus.write.filter(|_| !bus.rst);
         self.show_all();
+        self.settle();
     }
 
     /// What the segments are told in this clock.
@@ -922,12 +989,16 @@ impl Board {
             (pages::IDENT, 3) => self.build.clock_hz,
             (pages::IDENT, 4) => u32::from_le_bytes([c.stepgens, c.encoders, c.pwms, 0]),
             (pages::IDENT, 5) => u32::from_le_bytes([c.inputs, c.outputs, 0, 0]),
-            (pages::IDENT, 6) => u32::from(self.build.jobs != 0),
+            (pages::IDENT, 6) => {
+                u32::from(self.build.jobs != 0) | u32::from(self.build.readback) << 1
+            }
             (pages::IDENT, 7) => self.build.rom_words,
             (pages::TIMEBASE, 0 | 1) => half(self.now_caught, word),
             (pages::TIMEBASE, 3 | 4) => half(self.arrival, word - 3),
             (pages::TIMEBASE, 5 | 6) => regs.commit_at[at - 5],
             (pages::TIMEBASE, 8) => hub.timebase.pending().into(),
+            (pages::TIMEBASE, 9) if self.build.readback => self.beats_caught,
+            (pages::PADS, _) if self.build.readback => self.pads(at),
             (pages::WATCHDOG, 0) => regs.timeout,
             (pages::WATCHDOG, 1) => regs.grace,
             (pages::WATCHDOG, 4) => hub.watchdog.status(hub.extreset.active(), hub.gpio.estop()),
@@ -1092,7 +1163,7 @@ impl Board {
         };
     }
 
-    /// The next edge is one of a stepgen that plays segments: whether it waits is everybody's affair.
+    /// The next edge is one of a stepgen that plays segments: if it waits, all lanes are affected.
     fn is_of_a_job(&self, edge: u64) -> bool {
         let lanes = self.next.get(1..=self.regs.jobs).unwrap_or(&[]);
         self.common.job.busy && lanes.contains(&edge)
@@ -1126,10 +1197,12 @@ impl Board {
         }
     }
 
-    /// Runs to the edge `until`, but not past one in which an output pin changed. True when one did.
+    /// Runs to the edge `until`, but not past one in which an output pin changed. True when one
+    /// did.
     pub fn run(&mut self, until: u64) -> bool {
         while self.clock < until {
-            // With an edge of everything to come, the lanes have not been asked when they want theirs.
+            // With an edge of everything to come, the lanes have not been asked when they want
+            // theirs.
             let next = if self.full == self.clock + 1 {
                 self.full
             } else {
@@ -1140,14 +1213,14 @@ impl Board {
                 return false;
             }
             self.clock = next - 1;
-            let before = self.out;
+            let before = self.at_pads;
             if self.full == next || self.is_of_a_job(next) {
                 self.edge(&Bus::default());
                 self.plan_all();
             } else {
                 self.events(next);
             }
-            if self.out != before {
+            if self.at_pads != before {
                 return true;
             }
         }
@@ -1160,7 +1233,7 @@ impl Board {
             now: edge - 1,
             ..Strobes::default()
         };
-        // The commit of a timebase that comes due is everybody's.
+        // A timed commit affects all lanes.
         if self.next[0] == edge {
             self.hub.catch_up(edge - 1, &self.regs);
             if self.hub.timebase.due(false) {
@@ -1208,10 +1281,11 @@ impl Board {
                 self.show_pwm(n);
             }
         }
+        self.settle();
         self.plan_common();
     }
 
-    /// One edge of what is not a channel, nobody writing anything.
+    /// One edge of everything but the channels, without a bus write.
     fn hub_clock(&mut self) {
         let (regs, common, hub) = (&self.regs, &self.common, &mut self.hub);
         let pins = hub.gpio_input(regs, common);
@@ -1234,8 +1308,8 @@ impl Board {
         hub.at += 1;
     }
 
-    /// Writes a register without the bus and its clocks: the next edge sees it. Pulses (strobes, keys, tokens) go by
-    /// [`Board::order`].
+    /// Writes a register without the bus and its clocks: the next edge sees it. Pulses (strobes,
+    /// keys, tokens) go by [`Board::order`].
     pub fn set(&mut self, page: u32, word: u32, data: u32) {
         if page != pages::COMMAND {
             self.catch_up();
@@ -1260,6 +1334,12 @@ impl Board {
     pub fn order(&mut self, page: u32, word: u32, data: u32) {
         self.write = Some((page << 9 | word, data));
         self.full = self.clock + 1;
+    }
+
+    /// As a write to the snapshot register, at once and without the bus: the wall clock and the
+    /// PHY's beats of this moment.
+    pub fn snapshot(&mut self, beats: u32) {
+        (self.now_caught, self.beats, self.beats_caught) = (self.now(), beats, beats);
     }
 
     /// The frame being dealt with arrived now.
@@ -1293,6 +1373,7 @@ mod tests {
         version: 2,
         rom_words: 3,
         jobs: 2,
+        readback: true,
     };
 
     /// Something a host, a firmware or a machine does, and how many clocks go by before it.
@@ -1369,6 +1450,7 @@ mod tests {
     fn registers() -> impl Iterator<Item = (u32, u32)> {
         let wide = (8..16).flat_map(|page| (0..120).map(move |word| (page, word)));
         let wide = wide.chain((0..30).map(|word| (pages::SEGMENTS, word)));
+        let wide = wide.chain((0..4).map(|word| (pages::PADS, word)));
         wide.chain((16..64).flat_map(|page| (0..6).map(move |word| (page, word))))
     }
 

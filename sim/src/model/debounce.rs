@@ -1,4 +1,5 @@
-//! `debounce.sv`: believes a group of lines together, once all of them have stood still long enough.
+//! `debounce.sv`: takes the levels of a group of lines together, once all of them have been stable
+//! long enough.
 
 /// A group of lines, one bit each.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -10,7 +11,7 @@ pub struct Debounce {
 }
 
 impl Debounce {
-    /// What is believed.
+    /// The debounced levels.
     pub fn level(&self) -> u8 {
         self.level
     }
@@ -39,7 +40,7 @@ impl Debounce {
         filter.wrapping_sub(self.still).into()
     }
 
-    /// Clocks in which nothing new is believed.
+    /// Clocks in which the debounced levels do not change.
     pub fn quiet(&self, lines: u8, filter: u8) -> u64 {
         if lines != self.was {
             0

@@ -1,10 +1,12 @@
-//! `encoder.sv` with its channel of `edges.sv`: filters the pins, counts in one of six modes, tells the index and the time.
+//! `encoder.sv` with its channel of `edges.sv`: filters the pins, counts in one of six modes, tells
+//! the index and the time.
 
 use super::debounce::Debounce;
 use wire::exchange::EDGE_TIME_BITS;
 use wire::map;
 
-/// One channel. `count` is the tally's total with its delta: the count as a sample in this clock would see it.
+/// One channel. `count` is the tally's total with its delta: the count as a sample in this clock
+/// would see it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Encoder {
     meta: [bool; 4],
@@ -39,7 +41,7 @@ impl Default for Encoder {
     }
 }
 
-/// What it is told in a clock.
+/// Its inputs in a clock.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input {
     /// Pins: A, B, index, mask.
@@ -87,7 +89,8 @@ impl Encoder {
         self.count = count;
     }
 
-    /// The edge word: errors and the time of the last counted edge. Errors within one rotation count once.
+    /// The edge word: errors and the time of the last counted edge. Errors within one rotation
+    /// count once.
     pub fn edge(&self) -> u32 {
         let errors = self.errors.wrapping_add(self.wrong.into());
         u32::from(errors) << EDGE_TIME_BITS | self.edge_time

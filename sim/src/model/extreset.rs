@@ -1,6 +1,6 @@
 //! `extreset.sv`: the external reset pin, two flip-flops later.
 
-/// The synchroniser; the pin is active high here, whatever the board's polarity.
+/// The synchroniser; the pin is active high here, for either polarity of the board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Extreset {
     meta: bool,

@@ -23,7 +23,7 @@ pub struct Gpio {
     out: u32,
 }
 
-/// What it is told in a clock.
+/// Its inputs in a clock.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input {
     /// Outputs are live.

@@ -1,4 +1,5 @@
-//! `latch.sv`: decides in which clock a count is latched: the first index or probe edge after its arming.
+//! `latch.sv`: decides in which clock a count is latched: the first index or probe edge after its
+//! arming.
 
 /// The flags of one channel.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,7 +25,7 @@ impl Default for Latch {
     }
 }
 
-/// What it is told in a clock.
+/// Its inputs in a clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Input {
     /// The index may latch.
@@ -48,7 +49,8 @@ impl Latch {
         ]
     }
 
-    /// The index rises in this clock, armed or just disarmed: what a clearing channel takes for its index.
+    /// The index rises in this clock, armed or just disarmed: what a clearing channel takes for its
+    /// index.
     pub fn index_rises(&self, i: &Input) -> bool {
         i.index && !self.index_was
     }

@@ -1,11 +1,13 @@
 //! The cores in Rust, bit for bit: one file per core of `gateware/rtl`, named after it.
 //!
-//! Each has `clock`, one rising edge with the inputs as they stand before it, written to be read beside its `.sv`. What the
-//! twin needs to be fast it has twice: `quiet` says how many clocks to come change no pin and nothing anybody asks for, `skip`
-//! makes that many at once. [`board::Board`] puts the cores behind the register map, as `gateware/ferrocnc/banks.py` does.
+//! Each has `clock`, one rising edge with the inputs as they stand before it, written to be read
+//! beside its `.sv`. Two more functions make the twin fast: `quiet` returns how many of the next
+//! clocks change no pin and no visible register, `skip` makes that many at once. [`board::Board`]
+//! puts the cores behind the register map, as `gateware/ferrocnc/banks.py` does.
 //!
-//! Two proofs keep them honest: `tests/tests/lockstep.rs` compares every pin and register with the Verilated gateware for
-//! millions of clocks, and the tests here compare `skip` with as many calls of `clock`.
+//! Two tests check them: `tests/tests/lockstep.rs` compares every pin and register with the
+//! Verilated gateware for millions of clocks, and the tests here compare `skip` with as many calls
+//! of `clock`.
 
 pub mod board;
 pub mod debounce;

@@ -22,7 +22,7 @@ pub struct Pwm {
     pins: [bool; 2],
 }
 
-/// What it is told in a clock.
+/// Its inputs in a clock.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input {
     /// Outputs are live.

@@ -1,5 +1,6 @@
-//! `segments.sv`: plays segments into the first stepgens. What it says in a clock depends on whether a pulse waits in that
-//! clock, so it is asked in two steps: [`Segments::tells`] before the stepgens' edge, [`Segments::clock`] with it.
+//! `segments.sv`: plays segments into the first stepgens. Its outputs in a clock depend on whether
+//! a pulse waits in that clock, so they are computed in two steps: [`Segments::tells`] before the
+//! stepgens' edge, [`Segments::clock`] with it.
 
 use litex_pac::abi;
 
@@ -61,11 +62,11 @@ pub enum Order {
     Start,
     /// Stop.
     Quit,
-    /// Forget what went wrong.
+    /// Clear the end and its reason.
     Clear,
 }
 
-/// What it is told in a clock.
+/// Its inputs in a clock.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input {
     /// Outputs are live.
@@ -90,14 +91,14 @@ pub struct Input {
     pub stopped: bool,
 }
 
-/// What it tells its stepgens in a clock.
+/// Its outputs to the stepgens in a clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Told {
     /// Path time stands.
     pub still: bool,
     /// Come to rest.
     pub stop: bool,
-    /// They are its.
+    /// It owns the stepgens.
     pub busy: bool,
     /// Take the staged command.
     pub commit: bool,
@@ -428,8 +429,8 @@ impl Segments {
         }
     }
 
-    /// Clocks in which it does nothing by itself but count: its phase, and a segment's clocks at full pace. As long as none of its stepgens
-    /// waits, and nobody says anything.
+    /// Clocks in which it does nothing by itself but count: its phase, and a segment's clocks at
+    /// full pace. This holds as long as none of its stepgens waits and there is no bus write.
     pub fn quiet(&self, gate: bool, pace: u32) -> u64 {
         let dead = self.dead(gate);
         if self.state == State::Play {
@@ -463,7 +464,7 @@ impl Segments {
         let sum = (before & 0xffff) as u32 + self.pace_now();
         self.tick = sum >> 16 != 0;
         self.phase = sum & 0xffff;
-        // It counts to its end even when nobody plays it any more.
+        // It counts to its end even after the job has ended.
         self.left = (self.left - clocks as i64).max(-1);
         self.out = self.memory[self.tail * self.slot + self.at];
     }
@@ -497,6 +498,7 @@ mod tests {
             version: 0,
             rom_words: 0,
             jobs: AXES as u8,
+            readback: true,
         });
         for n in 0..3 {
             for (word, time) in (0..).zip(times) {
@@ -560,8 +562,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(4) })]
 
-        /// What the planner says, pushed as words and played by the cores' models: every axis on the exact step and the exact
-        /// fraction of it, at rest, whatever the pins' times (they hold the path's time) and however often it was paused.
+        /// A plan, pushed as words and played by the cores' models, ends at rest with every axis on
+        /// the exact step and the exact fraction of it. This holds for any step timing (which may
+        /// hold path time) and any number of pauses.
         #[test]
         fn a_planned_job_ends_exactly_where_the_planner_says(
             places in proptest::collection::vec((-1_000_000..1_000_000i64, -1_000_000..1_000_000i64, -200_000..200_000i64), 1..6),
@@ -662,7 +665,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(48) })]
 
-        /// [`Board::run`], which leaves out what is quiet, and clock by clock: the same pins and registers wherever one looks.
+        /// [`Board::run`], which skips quiet clocks, and clock by clock: the same pins and
+        /// registers at every look.
         #[test]
         fn many_clocks_of_a_segment_at_once_are_those_clocks_one_by_one(
             rates in proptest::collection::vec((64..5000u32, -(1i32 << 28)..1 << 28, -(1i32 << 26)..1 << 26, 0..4u16), 1..12),

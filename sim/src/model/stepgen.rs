@@ -1,10 +1,12 @@
-//! `stepgen.sv`: velocity in, pulses out. The ramp is [`motion::ramp`]'s; this adds the commit, the pins and their timing.
+//! `stepgen.sv`: velocity in, pulses out. The ramp is [`motion::ramp`]'s; this adds the commit, the
+//! pins and their timing.
 
 use motion::ramp::{Ramp, VELOCITY_FRACTION};
 use wire::map::{DIR_CLOCKS_MAX, STEP_CLOCKS_MAX, StepType};
 use wire::units::{Accel, StepRate};
 
-/// One channel. `pulses` is the tally's total with its delta: the count as a sample in this clock would see it.
+/// One channel. `pulses` is the tally's total with its delta: the count as a sample in this clock
+/// would see it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stepgen {
     halted: bool,
@@ -53,7 +55,8 @@ impl Default for Stepgen {
     }
 }
 
-/// Counts up from an event; a time is over from the clock on in which they are equal. Times of 0 and 1 are over at once.
+/// Counts up from an event; a time is over from the clock on in which they are equal. Times of 0
+/// and 1 are over at once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Timer<const MASK: u32> {
     clock: u32,
@@ -119,7 +122,7 @@ impl Settings {
     }
 }
 
-/// What it is told in a clock.
+/// Its inputs in a clock.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input {
     /// Outputs are live.
@@ -249,7 +252,8 @@ impl Stepgen {
         let pause = self.fresh || take || (halt && !self.halted);
         let holds = pause || (i.still && !self.braking);
 
-        // Velocity. In the clock after a new target the adder tries a move upwards, and only its comparison is used.
+        // Velocity. In the clock after a new target the adder tries a move upwards, and only its
+        // comparison is used.
         let reach = i64::from(self.reach(set));
         let down = !self.up && !self.fresh;
         let moved = if down { self.v - reach } else { self.v + reach };
@@ -342,7 +346,8 @@ impl Stepgen {
         }
     }
 
-    /// Clocks (a lower bound) in which no pin changes, no pulse is due and `stopped` stays, the inputs being as they are.
+    /// Clocks (a lower bound) in which no pin changes, no pulse is due and `stopped` stays, the
+    /// inputs being as they are.
     pub fn quiet(&self, i: &Input) -> u64 {
         let set = &i.set;
         let halt = i.stop || !i.gate;

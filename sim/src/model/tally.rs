@@ -1,7 +1,8 @@
-//! `tally.sv` as far as it can be seen: what is caught in a clock can be read after the channel's next turn.
+//! The visible behaviour of `tally.sv`: a value caught in a clock can be read after the channel's
+//! next turn.
 //!
-//! The wide totals and the five-bit deltas are one number here, which the channel keeps itself: at the pins and registers they
-//! cannot be told apart, and the lock-step test says so.
+//! The wide totals and the five-bit deltas are one number here, which the channel keeps itself: at
+//! the pins and registers they cannot be told apart, and the lock-step test says so.
 
 /// Clocks in a rotation.
 pub const ROTATION: u64 = 16;

@@ -20,7 +20,7 @@ impl Default for Timebase {
     }
 }
 
-/// What it is told in a clock.
+/// Its inputs in a clock.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input {
     /// Reset: forgets a pending commit.

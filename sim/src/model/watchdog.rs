@@ -1,4 +1,4 @@
-//! `watchdog.sv`: the gate, and who closes it.
+//! `watchdog.sv`: the gate, and everything that closes it.
 
 /// Why the gate closed last, as the gateware numbers it.
 mod close {
@@ -25,7 +25,7 @@ pub struct Watchdog {
     bites: u32,
 }
 
-/// What it is told in a clock.
+/// Its inputs in a clock.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input {
     /// System reset.
@@ -168,3 +168,6 @@ impl Watchdog {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

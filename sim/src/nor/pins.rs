@@ -70,7 +70,8 @@ impl Wires {
             self.count = 0;
         }
         self.sck = sck;
-        // A falling clock has put the next bit out; a rising one leaves the one the master is taking.
+        // A falling clock has put the next bit out; a rising one leaves the one the master is
+        // taking.
         let bit = if sck {
             self.count.saturating_sub(1)
         } else {

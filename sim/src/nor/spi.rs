@@ -50,7 +50,7 @@ impl SpiDevice for Nor {
     }
 }
 
-/// A chip that a board owns and a test looks into.
+/// A chip that a board and a test share.
 #[derive(Clone, Debug)]
 pub struct Shared(Arc<Mutex<Nor>>);
 
@@ -60,9 +60,9 @@ impl Shared {
         Shared(Arc::new(Mutex::new(nor)))
     }
 
-    /// The chip, for as long as nobody else needs it.
+    /// Locks the chip.
     pub fn chip(&self) -> MutexGuard<'_, Nor> {
-        // A test that panicked while holding it has said what it had to say.
+        // If a test panicked with the lock held, its panic message is enough.
         self.0
             .lock()
             .unwrap_or_else(|poisoned| poisoned.into_inner())

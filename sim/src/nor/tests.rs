@@ -113,7 +113,7 @@ fn it_is_busy_for_as_long_as_its_data_sheet_says_and_deaf_meanwhile() {
     assert_eq!(
         talk(&mut nor, &[0x9f], 3),
         [0xff; 3],
-        "nobody drives the line"
+        "no chip drives the line"
     );
     nor.pass(44_000_000);
     assert!(nor.busy());
@@ -377,7 +377,7 @@ proptest! {
         prop_assert_eq!(by_bytes.registers(), by_wires.registers());
     }
 
-    /// Whatever comes, nothing panics and nothing protected changes.
+    /// With any input nothing panics and nothing protected changes.
     #[test]
     fn noise_hurts_nothing_that_is_protected(
         talks in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 1..60),

@@ -66,7 +66,7 @@ fn a_job_is_listed_started_paused_stopped_and_deleted() {
 }
 
 #[test]
-fn what_is_started_at_the_console_is_drawn_to_its_end_though_nobody_says_anything() {
+fn a_job_started_at_the_console_is_drawn_to_its_end_without_further_input() {
     let mut rig = Rig::plotter();
     let program = program("G1 X5 Y3 F6000\nM2\n");
     rig.send("x", &file(&program));

@@ -1,6 +1,8 @@
-//! Every way a job can end leaves a known position, a reason, and a board that can do the next one.
+//! After every kind of end of a job the position is known, the reason is reported, and the board
+//! can execute the next job.
 
 use crate::rig::*;
+use firmware::cores::Board as _;
 use wire::FaultReason;
 use wire::exchange::StateWord;
 use wire::jobs::{End, Request, State, Status, UNATTENDED};
@@ -56,6 +58,30 @@ fn stop_comes_to_rest_on_the_path() {
 }
 
 #[test]
+fn a_heavy_machine_comes_to_rest_on_the_path_of_a_dense_job_too() {
+    let mut rig = Rig::plotter();
+    let mut machine = plotter();
+    for axis in &mut machine.axes {
+        axis.max_accel = 500_000_000;
+    }
+    rig.ok(&Request::PutMachine(machine));
+    // Half a millimetre at a time: what the core has been given is shorter than the way to rest.
+    let lines =
+        (1..=500).map(|n| format!("G1 X{} Y{} F9000\n", f64::from(n) / 2.0, f64::from(n) / 4.0));
+    rig.start(&format!("{}M2\n", lines.collect::<String>()));
+    while rig.pins()[0] < 6000 {
+        rig.run(MS);
+    }
+    assert_eq!(rig.command(0), Status::Normal);
+    let report = rig.finish();
+    assert_eq!(report.end, End::Stopped, "{report:?}");
+    let [x, y, _] = rig.pins();
+    println!("stands at {x}, {y}");
+    assert!(x < 20_000, "it was drawn to its end");
+    assert!((x - 2 * y).abs() <= 2, "{x} {y} is off the line");
+}
+
+#[test]
 fn stop_is_right_in_a_pause_in_a_program_stop_and_when_nothing_is_going_on() {
     let mut rig = Rig::plotter();
     assert_eq!(rig.command(0), Status::Normal);
@@ -72,6 +98,43 @@ fn stop_is_right_in_a_pause_in_a_program_stop_and_when_nothing_is_going_on() {
     assert_eq!(rig.command(0), Status::Normal);
     let report = rig.finish();
     assert_eq!((report.end, report.steps), (End::Stopped, [1600, 1600, 0]));
+}
+
+#[test]
+fn a_job_stopped_before_it_has_begun_never_arms() {
+    let mut rig = Rig::plotter();
+    // While it is looked through, and with the board taken but not armed.
+    for turns in [0, 20, 40, 60] {
+        rig.start("G1 X20 Y20 F9000\nM2\n");
+        for _ in 0..turns {
+            rig.turn();
+        }
+        assert!(rig.jobs.executor().busy(), "after {turns} turns");
+        assert_eq!(rig.command(0), Status::Normal);
+        let report = rig.finish();
+        assert_eq!((report.end, report.steps), (End::Stopped, [0; 3]));
+        assert_eq!(rig.pins(), [0; 3]);
+        assert!(rig.machine.server.session().owner().is_none());
+    }
+    goes_on(&mut rig);
+}
+
+#[test]
+fn a_pause_before_the_first_step_holds_it() {
+    for turns in [0, 20, 60] {
+        let mut rig = Rig::plotter();
+        rig.start("G1 X20 Y20 F9000\nM2\n");
+        for _ in 0..turns {
+            rig.turn();
+        }
+        assert_eq!(rig.command(10), Status::Normal);
+        rig.run(400 * MS);
+        assert_eq!(rig.report().state, State::Paused);
+        assert_eq!(rig.pins(), [0; 3], "after {turns} turns");
+        assert_eq!(rig.command(1), Status::Normal);
+        let report = rig.finish();
+        assert_eq!((report.end, report.steps), (End::Done, [1600, 1600, 0]));
+    }
 }
 
 #[test]
@@ -161,6 +224,22 @@ fn a_program_that_hangs_is_stopped_by_the_watchdog_or_the_empty_queue() {
     rig.hangs = false;
     ended(&mut rig, End::Watchdog);
     assert_eq!(rig.pins(), stood);
+    goes_on(&mut rig);
+}
+
+#[test]
+fn a_path_that_stands_though_it_should_pass_is_ended_by_the_watchdog() {
+    let mut rig = Rig::plotter();
+    rig.start(LONG);
+    rig.underway();
+    // Not by a pause: something is wrong with the core. The program runs, but feeds nothing that
+    // does not go on.
+    let pace = litex_pac::abi::CSR_SEGMENTS + 4 * firmware::jobs::core::PACE;
+    rig.machine.board.csr_write(pace as u32, 0);
+    rig.run(600 * MS);
+    let gate = rig.machine.board.gate();
+    assert!(gate.stopping() || !gate.open(), "the watchdog is fed");
+    ended(&mut rig, End::Watchdog);
     goes_on(&mut rig);
 }
 

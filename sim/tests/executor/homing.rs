@@ -1,10 +1,11 @@
-//! Switches are found: fast, off, slow, off again; and every way that can go wrong ends.
+//! Homing to switches: fast, off, slow, off again; every failure of it ends with a reason.
 
 use crate::rig::*;
 use sim::plant::{Plant, Switch};
 use wire::jobs::{End, Request, State, Status, UNATTENDED};
 
-/// Where the switches of [`switched`] are, to a step: X and Y are pressed at -500 and below, Z at 800 and above.
+/// Where the switches of [`switched`] are, to a step: X and Y are pressed at -500 and below, Z at
+/// 800 and above.
 const SWITCHES: [i64; 3] = [-500, -500, 800];
 
 fn home(rig: &mut Rig, axes: u8) {
@@ -56,7 +57,7 @@ fn a_switch_that_is_closed_at_the_start_is_left_first() {
     let mut rig = Rig::switched();
     home(&mut rig, 0);
     rig.finish();
-    // Two steps into X's switch, by hand, as it were: a machine whose home is elsewhere.
+    // Moves X two steps into its switch with a machine that has its home elsewhere.
     let mut machine = with_switches();
     machine.axes[0].lowest = -400_000_000;
     rig.ok(&Request::PutMachine(machine));
@@ -163,4 +164,38 @@ fn a_job_may_find_the_switches_itself_and_its_pen_comes_back() {
         (End::Done, [160, 320, 0]),
         "{report:?}"
     );
+}
+
+/// A tool that takes 100 ms to lift, about to be lifted before the switches are looked for.
+fn slow_tool() -> Rig {
+    let mut rig = Rig::new(switched());
+    let mut machine = with_switches();
+    machine.tool_delay = 100_000;
+    rig.ok(&Request::PutMachine(machine));
+    home(&mut rig, 0);
+    rig
+}
+
+#[test]
+fn the_tool_has_its_time_to_lift_before_a_switch_is_looked_for() {
+    let mut rig = slow_tool();
+    rig.run(100 * MS);
+    assert_eq!(rig.pins(), [0; 3]);
+    assert_eq!(rig.report().state, State::Calibrating);
+    // To arm takes some exchanges, a velocity one more.
+    rig.run(60 * MS);
+    assert_ne!(rig.pins(), [0; 3]);
+    assert_eq!(rig.finish().end, End::Done);
+}
+
+#[test]
+fn stop_is_right_while_the_tool_is_lifted() {
+    let mut rig = slow_tool();
+    rig.run(60 * MS);
+    assert_eq!(rig.command(0), Status::Normal);
+    assert_eq!(rig.report().state, State::Stopping);
+    let report = rig.finish();
+    assert_eq!((report.end, rig.pins()), (End::Stopped, [0; 3]));
+    home(&mut rig, 0);
+    assert_eq!(rig.finish().end, End::Done);
 }

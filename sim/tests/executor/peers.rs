@@ -1,4 +1,4 @@
-//! What XYPenPlotter got wrong, one by one (what it does instead is in `motion/src/xypen.rs`).
+//! Defects of XYPenPlotter, one test each (`motion/src/xypen.rs` describes its behaviour).
 
 use crate::rig::*;
 use motion::instruction::{Arc, Feed, Instruction};
@@ -65,7 +65,8 @@ fn arcs_of_two_degrees_and_less_are_arcs() {
             let [x, y, _] = rig.pins().map(|steps| steps as f64 * 1000.0);
             off = off.max((x.hypot(y - radius) - radius).abs());
         }
-        // Tolerance, rounding of the corners and a step each way; the chord alone would miss by 30 um at 2 degrees.
+        // Tolerance, rounding of the corners and a step each way; the chord alone would miss by 30
+        // um at 2 degrees.
         assert!(off <= 1000.0 + 1000.0 + 1500.0, "{degrees}: {off} nm off");
         assert_eq!(rig.finish().end, End::Done);
     }
@@ -146,6 +147,32 @@ fn a_command_is_acted_on_again_under_a_new_id_and_not_under_the_old_one() {
 }
 
 #[test]
+fn a_start_that_comes_again_behind_another_clients_stop_starts_nothing() {
+    let mut rig = Rig::plotter();
+    rig.send("job", &file(&program("G1 X50 F6000\nM2\n")));
+    let start = Request::Command {
+        code: 2,
+        flags: UNATTENDED,
+        keepalive: 0,
+        name: Name::new("job").unwrap(),
+    };
+    let first = rig.ask_as(900, &start);
+    assert_eq!(first.0, Status::Normal);
+    rig.run(200 * MS);
+    // The answer is lost with its connection. Meanwhile another client looks, stops the job, and
+    // looks again.
+    let owner = std::mem::replace(&mut rig.client, 8);
+    rig.connect();
+    assert_eq!(rig.report().state, State::Running);
+    assert_eq!(rig.command(0), Status::Normal);
+    assert_eq!(rig.finish().end, End::Stopped);
+    rig.client = owner;
+    rig.connect();
+    assert_eq!(rig.ask_as(900, &start), first, "acted on once, long ago");
+    assert!(!rig.jobs.executor().busy(), "it was stopped");
+}
+
+#[test]
 fn the_last_instructions_are_executed_once() {
     let mut rig = Rig::plotter();
     rig.start("G91\nG1 X1 F6000\nG1 X1\nG1 X1\nM2\n");
@@ -156,11 +183,11 @@ fn the_last_instructions_are_executed_once() {
 }
 
 #[test]
-fn a_code_nobody_knows_is_refused_and_changes_nothing() {
+fn an_unknown_code_is_refused_and_changes_nothing() {
     let mut rig = Rig::plotter();
     rig.start("G1 X50 F6000\nM2\n");
     rig.underway();
-    for code in (3..9).chain(13..=255) {
+    for code in (3..9).chain(14..=255) {
         assert_eq!(rig.command(code), Status::UnknownCode, "{code}");
     }
     assert_eq!(rig.report().state, State::Running);
@@ -178,7 +205,7 @@ fn codes_that_do_not_fit_the_state_are_refused() {
     assert_eq!(
         rig.command_with(2, 0, 99, "x"),
         Status::Value,
-        "a keepalive nobody can keep"
+        "a keepalive that no client can keep"
     );
     for code in [1, 9, 10] {
         assert_eq!(rig.command(code), Status::NotNow, "{code}");
@@ -215,7 +242,7 @@ fn a_place_beyond_the_limits_is_found_before_anything_moves() {
         );
         assert_eq!(rig.pins(), [0; 3]);
     }
-    // A circle that fits is none of that.
+    // A circle that fits is accepted.
     let mut rig = Rig::plotter();
     rig.start("G1 X295 F12000\nG2 X295 Y-10 I0 J-5\nM2\n");
     assert_eq!(rig.finish().end, End::Done);

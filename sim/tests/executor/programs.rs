@@ -1,8 +1,11 @@
-//! Programs, to the exact step.
+//! Programs are executed to the exact step.
 
 use crate::rig::*;
+use motion::instruction::{DWELL_LONGEST, Feed, Instruction};
 use proptest::prelude::*;
 use sim::plant::Plant;
+use wire::Name;
+use wire::crc::crc32;
 use wire::jobs::{End, Request, State, Status, UNATTENDED};
 
 const ALL: &str = "G21 G90\nM3\nG1 X10 Y5 F6000\nG2 X20 Y5 I5 J0\nG3 X20 Y5 I-3 J0\nG4 P0.02\nM5\nG0 X3 Y-2 Z1\nG91\nG1 X1.5 Y1 F3000\nG20\nG1 X0.1\nG90 G21\nG3 X0 Y0 R30 F9000\nM2\n";
@@ -123,7 +126,8 @@ fn a_job_of_100_000_lines_streams_without_loss() {
     }
     rig.ok(&Request::PutMachine(machine));
     rig.turn = 100;
-    // As a slicer writes it: short lines round and round, relative, with a rounding that does not close.
+    // As a slicer writes it: short lines round and round, relative, with a rounding that does not
+    // close.
     let mut text = String::from("G91\nG1 F120000\n");
     for n in 0..100_000u32 {
         let angle = f64::from(n) * 0.01;
@@ -178,4 +182,64 @@ proptest! {
         let (_, steps) = predict(&program, &rig.machine_of());
         prop_assert_eq!(rig.pins(), steps);
     }
+}
+
+#[test]
+fn a_dwell_of_any_length_is_refused_or_waited_for() {
+    let mut rig = Rig::plotter();
+    let dwell = |micros| [(Instruction::Dwell { micros }, 1), (Instruction::End, 2)];
+    for micros in [DWELL_LONGEST + 1, u64::MAX / 60, u64::MAX] {
+        let bytes = file(&dwell(micros));
+        let total = bytes.len() as u32;
+        let put = Request::Put {
+            total,
+            crc: crc32(&bytes),
+            name: Name::new("long").unwrap(),
+        };
+        rig.ok(&put);
+        let (offset, bytes) = (0, &bytes[..]);
+        rig.ok(&Request::Data { offset, bytes });
+        assert_eq!(rig.status(&Request::Commit), Status::NoJob, "{micros}");
+    }
+    // A week of it, and the operator does not want to wait.
+    rig.begin(&dwell(DWELL_LONGEST));
+    rig.run(500 * MS);
+    let report = rig.report();
+    assert_eq!((report.state, report.progress), (State::Running, 0));
+    assert!(report.remaining > 6 * 24 * 3600 * 1000, "{report:?}");
+    rig.ok(&Request::Command {
+        code: 0,
+        flags: 0,
+        keepalive: 0,
+        name: Name::EMPTY,
+    });
+    assert_eq!(rig.finish().end, End::Stopped);
+}
+
+#[test]
+fn a_program_that_would_take_longer_than_there_is_time_is_at_its_beginning() {
+    let mut rig = Rig::new(Plant::direct(0));
+    let mut machine = plotter();
+    for axis in &mut machine.axes {
+        (axis.lowest, axis.highest) = (-10_000_000_000, 10_000_000_000);
+    }
+    rig.ok(&Request::PutMachine(machine));
+    // 600 years each at 1 nm/s, 2^64 microseconds after 922 of them.
+    let lines = (0..2000).map(|n| {
+        let x = if n % 2 == 0 {
+            10_000_000_000
+        } else {
+            -10_000_000_000
+        };
+        let (to, feed) = ([x, 0, 0], Feed::Rate(1));
+        (Instruction::Line { to, feed }, n)
+    });
+    let program: Vec<_> = lines.chain([(Instruction::End, 2000)]).collect();
+    rig.begin(&program);
+    rig.run(1000 * MS);
+    let report = rig.report();
+    assert_eq!((report.state, report.progress), (State::Running, 0));
+    assert_eq!(report.remaining, u32::MAX);
+    assert_eq!(rig.command(0), Status::Normal);
+    assert_eq!(rig.finish().end, End::Stopped);
 }

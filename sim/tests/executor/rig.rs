@@ -1,4 +1,4 @@
-//! A board that executes jobs, and a client at its desk.
+//! A board that executes jobs, and a client.
 
 use firmware::cores::Board as _;
 use firmware::ip::Text;
@@ -40,7 +40,7 @@ pub struct Outer<'a> {
 
 impl Outside for Outer<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
-        let answer = self.machine.inside(request, reply);
+        let answer = self.machine.inside(request, reply, Machine::hold_path);
         answer.map_or(0, <[u32]>::len)
     }
     fn send_frame(&mut self, frame: &[u8]) {
@@ -69,13 +69,14 @@ pub struct Rig {
     text: Text,
     pub client: u32,
     pub id: u16,
-    /// The program is called no more: it hangs.
+    /// The program hangs: it is not called any more.
     pub hangs: bool,
     pub unattended: bool,
     pub turn: u64,
 }
 
-/// Switches at -500 steps of X and Y and at 800 of Z, which is normally closed; nothing else is wired.
+/// Switches at -500 steps of X and Y and at 800 of Z, which is normally closed; nothing else is
+/// wired.
 pub fn switched() -> Plant {
     let mut plant = Plant::direct(0);
     for (stepgen, at, above, inverted) in [
@@ -167,12 +168,9 @@ pub fn file(program: &[(Instruction, u32)]) -> Vec<u8> {
     bytes
 }
 
-/// What the planner says it is, from home: its segments, and the steps of each axis at its end.
-pub fn predict(
-    program: &[(Instruction, u32)],
-    machine: &jobs::Machine,
-) -> (Vec<Segment>, [i64; 3]) {
-    let setup = Planned {
+/// The machine as the planner knows it.
+pub fn planned(machine: &jobs::Machine) -> Planned {
+    Planned {
         clock_hz: CLOCK as u32,
         axes: machine.axes.map(|axis| AxisSetup {
             steps_per_km: axis.steps_per_km,
@@ -182,7 +180,15 @@ pub fn predict(
         chord_tolerance: machine.chord_tolerance,
         junction_deviation: machine.junction_deviation,
         aux_settle: machine.tool_delay,
-    };
+    }
+}
+
+/// What the planner says it is, from home: its segments, and the steps of each axis at its end.
+pub fn predict(
+    program: &[(Instruction, u32)],
+    machine: &jobs::Machine,
+) -> (Vec<Segment>, [i64; 3]) {
+    let setup = planned(machine);
     let mut planner = Planner::<32>::new(&setup).unwrap();
     let mut rest = program.iter().map(|(instruction, _)| *instruction);
     let mut segments = Vec::new();
@@ -204,12 +210,26 @@ impl Rig {
     }
 
     pub fn with_room(plant: Plant, room: usize) -> Self {
-        Rig::built(plant, room, false)
+        Rig::built(plant, room, false, 4)
+    }
+
+    /// With so many step generators, of which a job has the first three.
+    pub fn with_stepgens(stepgens: u8) -> Self {
+        Rig::built(Plant::direct(0), 1 << 20, false, stepgens)
     }
 
     /// A board with the example's key.
     pub fn keyed(plant: Plant) -> Self {
-        Rig::built(plant, 1 << 20, true)
+        Rig::built(plant, 1 << 20, true, 4)
+    }
+
+    /// This connection shows that it has the example's key.
+    pub fn prove(&mut self) {
+        let payload = self.ok(&Request::Challenge);
+        let challenge = jobs::Reader::new(&payload).words().unwrap();
+        let head = wire::auth::Purpose::Acquire.head(challenge);
+        let words = firmware::auth::tag(&wire::auth::EXAMPLE_KEY, &head, &[self.client]);
+        self.ok(&Request::Respond { words });
     }
 
     /// The connection is over; another comes, and says nothing.
@@ -221,9 +241,9 @@ impl Rig {
         self.jobs.visit(&mut outer);
     }
 
-    fn built(plant: Plant, room: usize, keyed: bool) -> Self {
+    fn built(plant: Plant, room: usize, keyed: bool, stepgens: u8) -> Self {
         let channels = Channels {
-            stepgens: 4,
+            stepgens,
             encoders: 0,
             pwms: 0,
             inputs: 4,
@@ -298,6 +318,15 @@ impl Rig {
         rig
     }
 
+    /// The firmware of a board that a PC streams to starts anew; the PC's program runs on.
+    pub fn restart_streamed(mut self) -> Self {
+        let ident = *self.machine.server.ident();
+        let mut desk = self.machine.board;
+        let boot = desk.boot();
+        self.machine = Machine::start(desk, ident, abi::ABI, boot);
+        self
+    }
+
     pub fn now(&self) -> u64 {
         self.machine.board.clock()
     }
@@ -337,7 +366,7 @@ impl Rig {
         Welcome::parse(&payload).unwrap()
     }
 
-    /// A line of the debug console, `job` in front; what is answered.
+    /// A line of the debug console that begins with `job`; returns the answer.
     pub fn say(&mut self, line: &str, trusted: bool) -> String {
         let mut room = [0; firmware::jobs::abi::TEXT_MAX];
         let mut outer = Outer {

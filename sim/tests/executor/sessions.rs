@@ -1,8 +1,9 @@
-//! A job and LinuxCNC exclude each other, and the key is asked for.
+//! A job and LinuxCNC exclude each other, and a board with a key asks for it.
 
 use crate::rig::*;
+use crate::stops::client::Client;
 use sim::plant::Plant;
-use wire::jobs::{End, Request, Status, UNATTENDED};
+use wire::jobs::{End, Request, State, Status, UNATTENDED};
 use wire::{Name, jobs};
 
 #[test]
@@ -11,7 +12,7 @@ fn a_session_keeps_jobs_out() {
     rig.send("x", &file(&program("G1 X9 F6000\nM2\n")));
     assert!(rig.linuxcnc());
     assert_eq!(rig.command_with(2, UNATTENDED, 0, "x"), Status::Owned);
-    // Uploads and questions do not disturb anybody.
+    // Uploads and questions do not disturb the session.
     rig.send("y", &file(&program("G1 X8 F6000\nM2\n")));
     rig.run(3500 * MS);
     // It fell silent at rest, so its session is over.
@@ -118,4 +119,71 @@ fn words(payload: &[u8]) -> [u32; 4] {
 fn answer(challenge: [u32; 4], nonce: u32) -> [u32; 4] {
     let head = wire::auth::Purpose::Acquire.head(challenge);
     firmware::auth::tag(&wire::auth::EXAMPLE_KEY, &head, &[nonce])
+}
+
+/// A host drives the axes, its stop is cut off, and it goes on as after any e-stop: it acquires
+/// anew, arms and gives the session back.
+fn cut_off_and_armed_again(rig: &mut Rig) {
+    let mut client = Client::of(rig);
+    client.arm(rig, 7);
+    rig.estop(true);
+    rig.run(5 * MS);
+    rig.estop(false);
+    client.acquire(rig);
+    client.command.enable = true;
+    for request in [false, true, true, false, true, true] {
+        client.command.enable_request = request;
+        client.exchange(rig).expect("the session is ours");
+    }
+    let safety = *rig.machine.server.safety();
+    assert_eq!(safety.state(), wire::State::Armed);
+    assert!(safety.position_trusted(), "nothing was cut off since");
+    client.release(rig);
+    rig.run(5 * MS);
+}
+
+#[test]
+fn a_stop_that_was_cut_off_is_not_forgotten_when_its_host_arms_again() {
+    let mut rig = Rig::switched();
+    assert_eq!(rig.command_with(11, UNATTENDED, 0, ""), Status::Normal);
+    assert!(rig.finish().known);
+    cut_off_and_armed_again(&mut rig);
+    rig.start("G1 X10 Y10 F9000\nM2\n");
+    let report = rig.finish();
+    assert!(report.end == End::NotHomed && !report.known, "{report:?}");
+    // The switches make it known, for good.
+    assert_eq!(rig.command_with(11, UNATTENDED, 0, ""), Status::Normal);
+    assert!(rig.finish().known);
+    rig.start("G1 X10 Y10 F9000\nM2\n");
+    let report = rig.finish();
+    assert!(report.end == End::Done && report.known, "{report:?}");
+    // The same without switches: what was driven is said not to be known.
+    let mut rig = Rig::plotter();
+    rig.draw("G1 X5 F6000\nM2\n");
+    assert!(rig.report().known);
+    cut_off_and_armed_again(&mut rig);
+    assert!(!rig.report().known);
+}
+
+#[test]
+fn a_stop_that_was_cut_off_while_a_job_is_looked_through_ends_the_job_before_it_moves() {
+    let mut rig = Rig::switched();
+    assert_eq!(rig.command_with(11, UNATTENDED, 0, ""), Status::Normal);
+    assert!(rig.finish().known);
+    // Its lines take some time to be looked through.
+    let lines = (0..400).map(|n| format!("G1 X{} Y{} F6000\n", n % 7, n % 5));
+    rig.start(&format!("{}M2\n", lines.collect::<String>()));
+    assert_eq!(rig.report().state, State::Checking);
+    let from = rig.pins();
+    let mut client = Client::of(&mut rig);
+    client.arm(&mut rig, 7);
+    rig.estop(true);
+    rig.machine.board.pass(rig.now() + 100);
+    rig.machine.chores();
+    rig.estop(false);
+    client.release(&mut rig);
+    assert_eq!(rig.report().state, State::Checking);
+    let report = rig.finish();
+    assert!(report.end == End::NotHomed && !report.known, "{report:?}");
+    assert_eq!(rig.pins(), from);
 }

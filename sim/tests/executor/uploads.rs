@@ -1,4 +1,4 @@
-//! Jobs come whole or not at all, are kept by name, and can be gone on with.
+//! Jobs are stored whole or not at all, by name, and an interrupted upload can be continued.
 
 use crate::rig::*;
 use proptest::prelude::*;
@@ -236,7 +236,7 @@ fn a_frame_that_is_garbled_is_the_last_of_its_connection() {
 }
 
 #[test]
-fn who_has_not_said_hello_is_asked_to() {
+fn a_client_without_a_hello_is_asked_for_one() {
     let mut rig = Rig::plotter();
     rig.hang_up();
     assert_eq!(rig.status(&Request::Report), Status::NoHello);
@@ -245,7 +245,8 @@ fn who_has_not_said_hello_is_asked_to() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(6) })]
 
-    /// Whatever the pieces, and however often it is cut: what is drawn is what was sent.
+    /// With any sizes of pieces and any number of interruptions the stored job equals the one that
+    /// was sent.
     #[test]
     fn an_upload_in_any_pieces_is_byte_identical(sizes in proptest::collection::vec(1..=jobs::DATA, 5..40), cuts in proptest::collection::vec(0..60usize, 0..4)) {
         let mut rig = Rig::plotter();

@@ -38,7 +38,7 @@ fn settle(rig: &mut Rig) {
     let mut last = rig.pins();
     for _ in 0..1000 {
         rig.run(50 * MS);
-        // Who is silent has gone.
+        // A silent client counts as gone.
         rig.report();
         if rig.pins() == last {
             return;
@@ -181,10 +181,60 @@ fn refused_words_change_nothing_and_say_why() {
     assert_eq!(say(&mut rig, STATUS, 0, &[]), 0);
 }
 
+/// Another client takes the line, or the same one comes again.
+fn comes(rig: &mut Rig, client: u32) {
+    rig.client = client;
+    rig.connect();
+}
+
+#[test]
+fn half_an_instruction_is_completed_by_the_client_that_began_it_and_by_no_other() {
+    let [first, second] = [there(300, false), there(40, false)];
+    let mut rig = Rig::plotter();
+    comes(&mut rig, 7);
+    assert_eq!(say(&mut rig, GCODE, 0, &first.words()[..2]), 0);
+    // The other half of an instruction of its own, as that client believes.
+    comes(&mut rig, 8);
+    assert_eq!(
+        say(&mut rig, GCODE, 0, &second.words()[2..]),
+        status::PARSE_ERROR
+    );
+    // Told once; and what comes then is whole.
+    assert_eq!(say(&mut rig, GCODE, 0, &second.words()), 0);
+    // The first one hears that its half is gone, too.
+    comes(&mut rig, 7);
+    assert_eq!(
+        say(&mut rig, GCODE, 0, &first.words()[2..]),
+        status::PARSE_ERROR
+    );
+    // Its own half, over another connection, is its own.
+    assert_eq!(say(&mut rig, GCODE, 0, &first.words()[..2]), 0);
+    comes(&mut rig, 7);
+    assert_eq!(say(&mut rig, GCODE, 0, &first.words()[2..]), 0);
+    say(&mut rig, START, 0, &[]);
+    settle(&mut rig);
+    assert_eq!(rig.pins(), [180 + 700, 0, 0]);
+}
+
+#[test]
+fn half_an_instruction_in_one_form_is_not_dropped_for_the_other_form_without_a_word() {
+    let mut rig = Rig::plotter();
+    let curve = Curve {
+        aux: 1,
+        ticks: 100,
+        motors: [[0; 3]; 3],
+    };
+    assert_eq!(say(&mut rig, GCODE, 0, &there(40, false).words()[..3]), 0);
+    assert_eq!(say(&mut rig, GCODE, 1, &curve.words()), status::PARSE_ERROR);
+    assert_eq!(say(&mut rig, GCODE, 1, &curve.words()), 0);
+    assert_eq!(say(&mut rig, GCODE, 0, &there(40, false).words()), 0);
+}
+
 #[test]
 fn curves_of_the_final_revision_are_drawn() {
     let mut rig = Rig::plotter();
-    // Velocities in 2^-31 steps a tick: 0, 30 000 by a parabola, 158 000, 286 000, and back again: 0.295 steps.
+    // Velocities in 2^-31 steps a tick: 0, 30 000 by a parabola, 158 000, 286 000, and back again:
+    // 0.295 steps.
     let bits = |ticks, motor: [i32; 3]| Curve {
         aux: 1,
         ticks,
@@ -237,7 +287,101 @@ fn a_job_and_words_do_not_mix() {
         rig.command_with(2, jobs::UNATTENDED, 0, "job"),
         Status::NotNow
     );
-    // Nobody sends any more: its session is over after 5 s.
+    // No client sends any more: the session is over after 5 s.
     rig.run(6000 * MS);
     assert_eq!(rig.report().end, End::HostLost);
+}
+
+/// The plotter with X up to so many steps from home.
+fn up_to(steps: i64) -> jobs::Machine {
+    let mut machine = plotter();
+    // 80 steps/mm.
+    machine.axes[0].highest = steps * 12_500;
+    machine
+}
+
+#[test]
+fn a_machine_sent_behind_the_first_words_is_the_one_that_counts() {
+    // 700 steps wait; with the machine that comes then 80 are allowed.
+    let mut rig = Rig::plotter();
+    assert_eq!(say(&mut rig, GCODE, 0, &there(300, false).words()), 0);
+    rig.ok(&Request::PutMachine(up_to(80)));
+    assert_eq!(
+        say(&mut rig, GCODE, 0, &there(30, false).words()),
+        status::PARSE_ERROR
+    );
+    say(&mut rig, START, 0, &[]);
+    settle(&mut rig);
+    assert_eq!(rig.pins(), [0; 3]);
+    assert_eq!(rig.finish().end, End::Limits);
+
+    // The same for a machine that is slower: 4400 steps/s, of 1600 allowed.
+    let mut rig = Rig::plotter();
+    assert_eq!(say(&mut rig, GCODE, 0, &there(300, false).words()), 0);
+    let mut slow = plotter();
+    slow.axes[0].max_speed = 20_000_000;
+    rig.ok(&Request::PutMachine(slow));
+    say(&mut rig, START, 0, &[]);
+    settle(&mut rig);
+    assert_eq!(rig.pins(), [0; 3]);
+    assert_eq!(rig.finish().end, End::Limits);
+
+    // And a wider machine is one, too: what it allows is done.
+    let mut rig = Rig::new(sim::plant::Plant::direct(0));
+    rig.ok(&Request::PutMachine(up_to(80)));
+    assert_eq!(
+        say(&mut rig, GCODE, 0, &there(300, false).words()),
+        status::PARSE_ERROR
+    );
+    rig.ok(&Request::PutMachine(plotter()));
+    assert_eq!(say(&mut rig, GCODE, 0, &there(300, false).words()), 0);
+    say(&mut rig, START, 0, &[]);
+    settle(&mut rig);
+    assert_eq!(rig.pins(), [700, 0, 0]);
+}
+
+#[test]
+fn words_that_could_not_stop_within_the_limits_are_refused() {
+    let mut rig = Rig::new(sim::plant::Plant::direct(0));
+    rig.ok(&Request::PutMachine(up_to(800)));
+    // 4381 steps/s at its end, which takes 30 steps to stop from.
+    let dry = |travel| Move {
+        loops_travel: travel,
+        loops_decel: 0,
+        ..there(300, false)
+    };
+    for travel in [475, 500] {
+        let words = dry(travel).words();
+        assert_eq!(say(&mut rig, GCODE, 0, &words), status::PARSE_ERROR);
+    }
+    assert_eq!(say(&mut rig, GCODE, 0, &dry(465).words()), 0);
+    say(&mut rig, START, 0, &[]);
+    settle(&mut rig);
+    let x = rig.pins()[0];
+    assert!((785..=800).contains(&x), "{x}");
+    assert_eq!(rig.finish().end, End::Underrun);
+}
+
+#[test]
+fn a_limit_between_two_steps_is_not_passed_by_the_one_behind_it() {
+    let mut rig = Rig::new(sim::plant::Plant::direct(0));
+    let mut machine = up_to(1000);
+    // 160.5 steps below home.
+    machine.axes[0].lowest = -160 * 12_500 - 6250;
+    rig.ok(&Request::PutMachine(machine));
+    // Until positions were sampled.
+    rig.run(30 * MS);
+    let beyond = Move {
+        loops_travel: 61,
+        ..there(50, true)
+    };
+    assert_eq!(
+        say(&mut rig, GCODE, 0, &beyond.words()),
+        status::PARSE_ERROR
+    );
+    let within = Move {
+        loops_travel: 60,
+        ..beyond
+    };
+    assert_eq!(say(&mut rig, GCODE, 0, &within.words()), 0);
 }

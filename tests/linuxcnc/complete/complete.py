@@ -43,10 +43,11 @@ def main():
     except subprocess.TimeoutExpired:
         recorder.kill()
     result["joints"] = list(machine.stat.joint_actual_position[:3])
-    result["rows"] = [
-        {name: float(value) if "." in value else int(value) for name, value in zip(headless.COLUMNS, row)}
-        for row in filter(None, map(headless.parse, open(headless.SAMPLES)))
-    ]
+    with open(headless.SAMPLES) as samples:
+        result["rows"] = [
+            {name: float(value) if "." in value else int(value) for name, value in zip(headless.COLUMNS, row)}
+            for row in filter(None, map(headless.parse, samples))
+        ]
     with open(os.path.join(headless.OUT, "result.json"), "w") as file:
         json.dump(result, file)
     print(result["text"], flush=True)

@@ -31,6 +31,8 @@ CONTROL = os.environ["FERROCNC_CONTROL"].rsplit(":", 1)
 AT_SPEED = 30.0
 # Servo periods in which a machine that was going to jump would have.
 LOOK = 300
+# Clocks of the board from the trouble to the look at what stands: 0.5 s, ten times what stopping takes.
+SETTLED = 30_000_000
 
 
 class Board:
@@ -53,13 +55,17 @@ class Board:
 
 def run(machine, board, result):
     marks = result["marks"]
-    mark = lambda name: marks.__setitem__(name, board.clock())
-    pins = lambda: {
-        pin: headless.getp(f"ferrocnc.0.{pin}")
-        for pin in ("fault-reason", "io-error", "enabled", "position-trusted", "packet-error-exceeded", "watchdog.has-bitten",
-                    "last-reset-reason", "stepgen.x.counts", "stepgen.y.counts", "stepgen.z.counts", "packet-error-total")
-    }
-    command = machine.command
+
+    def mark(name):
+        marks[name] = board.clock()
+
+    def pins():
+        return {
+            pin: headless.getp(f"ferrocnc.0.{pin}")
+            for pin in ("fault-reason", "io-error", "enabled", "position-trusted", "packet-error-exceeded", "watchdog.has-bitten",
+                        "last-reset-reason", "stepgen.x.counts", "stepgen.y.counts", "stepgen.z.counts", "packet-error-total")
+        }
+
     machine.come_up()
     if TROUBLE == "none":
         machine.pass_periods(LOOK)
@@ -85,8 +91,13 @@ def run(machine, board, result):
         return
     marks["trouble"] = int(board.say(f"fault {TROUBLE}")["clock"])
     machine.wait(lambda s: s.task_state == linuxcnc.STATE_ESTOP, "the machine is off", keep_on=False)
-    # The board notices by itself that nobody is there, and comes to rest.
-    time.sleep(3)
+    # The board notices by itself that its host is silent, and comes to rest in its own time, which
+    # may take long here.
+    deadline = time.monotonic() + 100
+    while board.clock() < marks["trouble"] + SETTLED:
+        if time.monotonic() > deadline:
+            raise headless.GiveUp(3, "the board's time stands still")
+        time.sleep(0.1)
     machine.poll()
     result["off"] = pins()
     mark("mend")

@@ -1,4 +1,5 @@
-//! Turnaround of the exchange on the simulated board, in clock cycles, and the size of the image that does it.
+//! Turnaround of the exchange on the simulated board, in clock cycles, and the size of the image
+//! that does it.
 
 use anyhow::{Context, Result};
 use clap::Parser;

@@ -1,4 +1,4 @@
-//! What a board has to know of the machine it moves: `machine.toml`, in binary.
+//! The machine that a board moves: `machine.toml`, in binary.
 //!
 //! ```text
 //! version:u8 axes:u8 0:u16  chord_tolerance:u32 junction_deviation:u32 tool_delay:u32  outputs:u32 beam:u16 0:u16 invert:u32 safe:u32
@@ -8,17 +8,25 @@
 //!   fast:u32 slow:u32 backoff:u32 travel:u32 timeout:u32 debounce:u32
 //! ```
 //!
-//! `mode` has bit 0 for STEP and bit 1 for DIR inverted. `home` has bit 0 if there is a switch, bit 1 if it lies towards plus, bit 2 if its input
-//! is low while it is closed. Axes of the lowest order are homed first, those of one order one after the other, X first.
+//! Bit 0 of `mode` inverts STEP and bit 1 inverts DIR. Bit 0 of `home` means that there is a
+//! switch, bit 1 that it is in the direction of plus, bit 2 that its input is low while it is
+//! closed. Axes of the lowest order are homed first, axes of the same order one after the other, X
+//! first.
 
 use super::{Reader, Status, Writer};
-use crate::map::{DIR_CLOCKS_MAX, STEP_CLOCKS_MAX};
+use crate::map::{DIR_CLOCKS_MAX, STEP_CLOCKS_MAX, WATCHDOG_SECONDS_MAX};
 
 /// Axes of a job: X, Y, Z.
 pub const AXES: usize = 3;
 
 const VERSION: u8 = 1;
-/// 10 m: no place of a job is further from home.
+/// 9 s: the longest stop. With one more second ([`GRACE_SECONDS`]) it is the longest grace of a
+/// watchdog.
+const STOP_SECONDS: u64 = WATCHDOG_SECONDS_MAX - GRACE_SECONDS;
+/// 1 s more than the longest stop, so that the grace never ends a stop, and a stop still counts as
+/// completed if the firmware did other work for most of a second.
+const GRACE_SECONDS: u64 = 1;
+/// 10 m: no position of a job is further from home.
 const FARTHEST: i64 = 10_000_000_000;
 const STEP_INVERT: u8 = 1;
 const DIR_INVERT: u8 = 2;
@@ -29,15 +37,16 @@ const LOW: u8 = 4;
 /// The machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Machine {
-    /// How far chords may be from their arc, in nm.
+    /// Largest distance of a chord from its arc, in nm.
     pub chord_tolerance: u32,
-    /// How far a corner may be rounded, in nm; 0 stops at every corner.
+    /// Largest distance of a rounded corner from its corner, in nm; 0 stops at every corner.
     pub junction_deviation: u32,
-    /// How long everything rests after the tool was switched, in microseconds.
+    /// How long all axes rest after the tool was switched, in microseconds.
     pub tool_delay: u32,
-    /// Outputs of the board that follow the job: M3's bit 0 drives 0 and 16, and so on. The others stay low.
+    /// Outputs of the board that follow the job: bit 0 of M3 drives outputs 0 and 16, and so on.
+    /// The others stay low.
     pub outputs: u32,
-    /// The job's outputs that are off unless the axes move: a laser.
+    /// Outputs of the job that are off unless the axes move: a laser.
     pub beam: u16,
     /// Outputs of the board that are active low.
     pub invert: u32,
@@ -56,13 +65,13 @@ pub struct Axis {
     pub max_speed: u32,
     /// nm/s^2.
     pub max_accel: u64,
-    /// Where it may be, in nm from home.
+    /// Lowest position, in nm from home.
     pub lowest: i64,
-    /// Where it may be, in nm from home.
+    /// Highest position, in nm from home.
     pub highest: i64,
     /// How long STEP is active, in ns.
     pub steplen: u32,
-    /// How long it is inactive at least, in ns.
+    /// Shortest time it is inactive, in ns.
     pub stepspace: u32,
     /// From a change of DIR to the next STEP, in ns.
     pub dirsetup: u32,
@@ -72,36 +81,36 @@ pub struct Axis {
     pub step_invert: bool,
     /// DIR is low for minus.
     pub dir_invert: bool,
-    /// Its switch, if it has one. Where the switch opens is 0.
+    /// Its switch, if it has one. The position at which the switch opens is 0.
     pub home: Option<Home>,
 }
 
 /// The switch of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Home {
-    /// It lies towards plus.
+    /// The switch is in the direction of plus.
     pub plus: bool,
     /// The input is low while it is closed.
     pub low: bool,
     /// Which input, 0 to 31.
     pub input: u8,
-    /// Lowest first.
+    /// Its place in the order of homing, lowest first.
     pub order: u8,
     /// nm/s towards the switch.
     pub fast: u32,
-    /// nm/s off the switch, for the place that counts.
+    /// nm/s off the switch, for the position that counts.
     pub slow: u32,
-    /// How far it goes off the switch between the two, in nm, beyond where it opened.
+    /// How far the axis moves off the switch in between, in nm, after the switch has opened.
     pub backoff: u32,
-    /// How far the switch may be, in nm.
+    /// Largest distance to the switch, in nm.
     pub travel: u32,
-    /// How long all of it may take, in ms.
+    /// Largest duration of homing, in ms.
     pub timeout: u32,
-    /// How long the input has to stay the same to be believed, in microseconds.
+    /// How long the input has to be stable, in microseconds.
     pub debounce: u32,
 }
 
-/// What is wrong with a machine.
+/// What is wrong with a machine: the invalid field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Field {
@@ -113,18 +122,20 @@ pub enum Field {
     Scale = 2,
     /// No speed, or more than a step in four clocks.
     Speed = 3,
-    /// No acceleration, or beyond 100 g, or what a board can say.
+    /// No acceleration, or more than 100 g, or more than a board can represent.
     Acceleration = 4,
-    /// The lowest is above the highest place, or one is further than 10 m.
+    /// The lowest position is above the highest, or one is more than 10 m away.
     Limits = 5,
-    /// Longer than a board can time, or none.
+    /// Longer than a board can time, or 0.
     StepTiming = 6,
-    /// A switch at an input there is none of, no speed, a back-off of nothing, no time.
+    /// A missing input, no speed, no back-off, no time.
     Home = 7,
     /// This board's jobs have fewer axes or outputs.
     Board = 8,
     /// STEP and its pause do not fit into the period of the largest speed.
     TooFast = 9,
+    /// A stop takes longer than a board waits for it.
+    Stop = 10,
 }
 
 impl Field {
@@ -141,11 +152,12 @@ impl Field {
             7 => Field::Home,
             8 => Field::Board,
             9 => Field::TooFast,
+            10 => Field::Stop,
             _ => return None,
         })
     }
 
-    /// For people.
+    /// A text for the operator.
     pub const fn text(self) -> &'static str {
         match self {
             Field::Format => "the description has another format",
@@ -164,6 +176,9 @@ impl Field {
             }
             Field::Board => "the board has no such output or axis",
             Field::TooFast => "steplen and stepspace do not fit between two steps at the speed",
+            Field::Stop => {
+                "to stop from its speed takes the axis longer than the 9 s its board waits: lower the speed or raise the acceleration"
+            }
         }
     }
 }
@@ -172,7 +187,7 @@ impl Machine {
     /// Bytes of it.
     pub const BYTES: usize = 32 + AXES * 84;
 
-    /// From its bytes. What depends on the board's clock and pins is asked of [`Machine::check`].
+    /// From its bytes. [`Machine::check`] checks what depends on the board's clock and pins.
     pub fn parse(payload: &[u8]) -> Result<Machine, Status> {
         let mut reader = Reader::new(payload);
         let machine = Machine::fields(&mut reader).ok_or(Status::Malformed)?;
@@ -214,7 +229,16 @@ impl Machine {
         payload
     }
 
-    /// Whether a board with this clock and so many channels can be it. The planner has its own ranges of speed and acceleration.
+    /// The watchdog's grace for a soft stop, in clocks: the time the slowest axis takes to stop
+    /// from its largest speed, and a second.
+    pub fn grace(&self, clock_hz: u32) -> u32 {
+        let stop = self.axes.iter().map(|axis| axis.stop(clock_hz)).max();
+        let clocks = stop.unwrap_or(0) + GRACE_SECONDS * u64::from(clock_hz);
+        u32::try_from(clocks).unwrap_or(u32::MAX)
+    }
+
+    /// Can a board with this clock and this number of channels drive this machine? The planner has
+    /// its own ranges of speed and acceleration.
     pub fn check(&self, clock_hz: u32, inputs: u8, outputs: u8) -> Result<(), (Field, u8)> {
         if self.chord_tolerance < 1000 {
             return Err((Field::ChordTolerance, 0));
@@ -324,16 +348,27 @@ impl Axis {
         if !timed {
             return Err(Field::StepTiming);
         }
-        // Clocks from step to step, times nm/s, times steps/km (1e12 nm): at most a second's clocks.
+        // Clocks from step to step, times nm/s, times steps/km (1e12 nm): at most a second's
+        // clocks.
         let period = u64::from(clocks(self.steplen) + clocks(self.stepspace));
         let busy = u128::from(period * u64::from(self.max_speed)) * u128::from(self.steps_per_km);
         if busy > u128::from(clock_hz) * 1_000_000_000_000 {
             return Err(Field::TooFast);
         }
+        if self.stop(clock_hz) > STOP_SECONDS * u64::from(clock_hz) {
+            return Err(Field::Stop);
+        }
         match self.home {
             Some(home) if !home.possible(self, inputs) => Err(Field::Home),
             Some(_) | None => Ok(()),
         }
+    }
+}
+
+impl Axis {
+    /// Clocks to stop from the largest speed.
+    fn stop(&self, clock_hz: u32) -> u64 {
+        (u64::from(self.max_speed) * u64::from(clock_hz)).div_ceil(self.max_accel.max(1))
     }
 }
 
@@ -369,7 +404,7 @@ impl Home {
 }
 
 impl Axis {
-    /// Step timings in clocks, as a step generator's configuration wants them.
+    /// Step timings in clocks, for a step generator's configuration.
     pub fn timings(&self, clock_hz: u32) -> [u32; 4] {
         [self.steplen, self.stepspace, self.dirsetup, self.dirhold].map(|ns| clocks(ns, clock_hz))
     }

@@ -1,4 +1,4 @@
-//! How it goes: one block that says all of it.
+//! The report: one block with the complete state of a job.
 //!
 //! ```text
 //! state:u8 progress:u8 end:u8 flags:u8  homed:u8 axis:u8 percent:u16  line:u32  elapsed:u32 remaining:u32
@@ -10,33 +10,33 @@ use crate::codes::codes;
 use crate::name::Name;
 
 codes! {
-    /// XYPenPlotter's states, and two it had no word for.
+    /// XYPenPlotter's states, and two that it does not have.
     State: u8 {
-        /// Nothing is going on.
+        /// No work.
         Stopped = 0, "stopped";
         /// A job, or words of FPGA G's protocol.
         Running = 1, "running";
-        /// A job is looked through before it moves anything.
+        /// A job is checked before it moves anything.
         Checking = 2, "checking";
-        /// Coming to rest, and to an end.
+        /// Coming to rest, and ending.
         Stopping = 3, "stopping";
-        /// Standing still on the path, or coming to that (then it does not stand yet).
+        /// Standing still on the path, or braking for that (then `stands` is false).
         Paused = 10, "paused";
-        /// Finding switches.
+        /// Homing.
         Calibrating = 11, "calibrating";
     }
 }
 
 codes! {
-    /// Why it ended last.
+    /// The reason of the last end.
     End: u8 {
-        /// It has not; nothing was done since the power came on.
+        /// No work has ended since power-up.
         None = 0, "none";
         /// The job is done.
         Done = 1, "done";
-        /// It was told to stop.
+        /// Stop was commanded.
         Stopped = 2, "stopped";
-        /// The client that started it fell silent.
+        /// The client that started it became silent.
         HostLost = 3, "host lost";
         /// No segment came in time.
         Underrun = 4, "underrun";
@@ -46,21 +46,21 @@ codes! {
         EStop = 6, "e-stop";
         /// The external reset pin.
         ExternalReset = 7, "external reset";
-        /// The board took the session away, for a reason that is none of these.
+        /// The board ended the session, for another reason.
         SessionLost = 8, "session lost";
-        /// The job in the store is not what it was.
+        /// The job in the store has changed.
         Broken = 9, "the job in the store is broken";
-        /// An axis did not find its switch on its way or in its time.
+        /// An axis did not find its switch within its way or its time.
         NoSwitch = 10, "switch not found";
-        /// An axis did not come off its switch.
+        /// An axis' switch did not open.
         StuckSwitch = 11, "switch does not open";
-        /// The place of an instruction is out of bounds.
+        /// A position of an instruction is out of bounds.
         Limits = 12, "beyond the limits";
         /// The board did not arm.
         NotArmed = 13, "not armed";
         /// The board restarted.
         Restart = 14, "the board restarted";
-        /// The job moves an axis that has a switch nobody has found.
+        /// The job moves an axis that has a switch and was not homed.
         NotHomed = 15, "find the switches first: ferrocnc job home";
     }
 }
@@ -70,30 +70,30 @@ const MACHINE: u8 = 2;
 const ATTENDED: u8 = 4;
 const KNOWN: u8 = 8;
 
-/// How it goes.
+/// The report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Report {
-    /// What is going on.
+    /// The current state.
     pub state: State,
-    /// 0 to 100, by the path's time.
+    /// 0 to 100, by path time.
     pub progress: u8,
-    /// Why it ended last.
+    /// The reason of the last end.
     pub end: End,
     /// All axes stand.
     pub stands: bool,
-    /// A machine was put.
+    /// A machine was set.
     pub machine: bool,
-    /// A client has to go on asking.
+    /// A client has to keep asking.
     pub attended: bool,
-    /// The position is where the machine is: nothing that could lose a step has happened since it was set to 0.
+    /// The position is right: nothing that could lose a step has happened since it was set to 0.
     pub known: bool,
-    /// One bit per axis that found its switch, or has none and was started at.
+    /// One bit per axis that found its switch, or that has no switch and started at 0.
     pub homed: u8,
-    /// The axis a failed homing or limit is about; 0xff none.
+    /// The axis of a failed homing or limit; 0xff: none.
     pub axis: u8,
     /// The feed override.
     pub percent: u16,
-    /// Of the job's source: what is being drawn.
+    /// The line of the job's source that is being drawn.
     pub line: u32,
     /// Path time since it began, in ms.
     pub elapsed: u32,
@@ -109,7 +109,7 @@ pub struct Report {
     pub refused: u16,
     /// Segments begun.
     pub segments: u32,
-    /// The job that is executed, or was last.
+    /// The current job, or the last one.
     pub name: Name,
 }
 

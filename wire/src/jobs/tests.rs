@@ -19,7 +19,7 @@ fn payload_of(fill: impl FnOnce(&mut Writer)) -> Vec<u8> {
     frame.payload.to_vec()
 }
 
-/// A plotter, as somebody could have one.
+/// A typical plotter.
 pub fn plotter() -> Machine {
     let axis = Axis {
         steps_per_km: 80_000_000,
@@ -80,8 +80,8 @@ fn every_code_is_its_own_values_and_no_other() {
 }
 
 #[test]
-fn the_codes_are_those_of_xypenplotter() {
-    let codes = [0, 1, 2, 9, 10, 11, 12];
+fn the_codes_are_those_of_xypenplotter_and_one_above_them() {
+    let codes = [0, 1, 2, 9, 10, 11, 12, Command::Here as u8];
     let known = (0..=255u8).filter(|code| Command::from_code(*code).is_some());
     assert!(known.eq(codes));
     for (state, code) in [
@@ -151,7 +151,7 @@ fn timings_are_never_shorter_than_asked_for() {
 }
 
 #[test]
-fn an_operation_nobody_knows_and_a_payload_of_another_are_told_apart() {
+fn an_unknown_operation_and_a_payload_of_another_are_told_apart() {
     let frame = |op, payload| Frame {
         op,
         status: 0,
@@ -192,7 +192,7 @@ fn a_frame_that_is_none_is_garbled_and_a_part_of_one_is_awaited() {
         let mut wrong = bytes.clone();
         wrong[bit / 8] ^= 1 << (bit % 8);
         let parsed = Frame::parse(&wrong);
-        // A length changed to a larger one is waited for: nobody sends that much.
+        // A length that changed to a larger one is waited for; no client sends that much.
         assert!(
             matches!(parsed, Err(Garbled) | Ok(None)),
             "bit {bit}: {parsed:?}"
@@ -280,7 +280,7 @@ proptest! {
         };
         let payload = payload_of(|payload| { machine.emit(payload); });
         prop_assert_eq!(Machine::parse(&payload), Ok(machine));
-        // Whatever it says, asking whether it is possible does not panic.
+        // The check of any machine must not panic.
         let _ = machine.check(60_000_000, 32, 32);
     }
 

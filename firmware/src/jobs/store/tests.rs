@@ -22,7 +22,7 @@ fn a_job(lines: i64) -> Vec<u8> {
     file
 }
 
-/// Uploads in chunks of these sizes, over and over, with so many looks of the store behind each.
+/// Uploads in chunks of these sizes, repeatedly, with this many polls of the store after each.
 fn upload(file: &[u8], chunks: &[usize], looks: usize) -> Result<Entry, (Status, u32)> {
     let mut memory = vec![0xa5; MEMORY];
     let mut store = Store::new(&mut memory);

@@ -1,4 +1,5 @@
-//! `ferrocnc config`: writes, checks, shows and draws board files, and imports those of other projects. It needs no board.
+//! `ferrocnc config`: writes, checks, shows and draws board files, and imports those of other
+//! projects. It needs no board.
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
@@ -31,7 +32,8 @@ pub(crate) enum Command {
         #[arg(long)]
         toml: bool,
     },
-    /// Draw the headers with what is on every pin: in the terminal, or as SVG to print and solder by.
+    /// Draw the headers with what is on every pin: in the terminal, or as SVG to print and solder
+    /// by.
     Pinout {
         /// A board file, or the name of a platform.
         #[arg(value_name = "BOARD.toml|PLATFORM")]
@@ -43,9 +45,9 @@ pub(crate) enum Command {
         #[arg(long, value_enum, default_value_t = When::Auto)]
         color: When,
     },
-    /// Make a configuration of another project's.
+    /// Import a configuration of another project.
     Import {
-        /// Whose.
+        /// The other project.
         #[arg(value_enum)]
         from: From,
         /// Lcnc's conf.ini or LiteX-CNC's JSON.
@@ -73,7 +75,7 @@ pub(crate) enum Command {
 pub(crate) struct New {
     /// The configuration's name; the file becomes NAME.toml.
     name: String,
-    /// The PCB; without it those there are will be listed.
+    /// The PCB; without it the command lists the known ones.
     #[arg(long, default_value = "")]
     platform: String,
     /// Step generators.
@@ -91,7 +93,7 @@ pub(crate) struct New {
     /// Outputs.
     #[arg(long, default_value_t = 4)]
     outputs: usize,
-    /// Headers whose buffers were replaced by bus switches: encoders and inputs go there.
+    /// Headers with bus switches in place of their buffers: encoders and inputs go there.
     #[arg(long, value_delimiter = ',', value_name = "j5,j6..")]
     modified: Vec<String>,
     /// The file, or the folder, to write to; the current folder if not given.
@@ -174,7 +176,8 @@ fn new(new: &New) -> Result<()> {
         "ext_reset: closing the KEY terminal to ground stops the machine. A machine with an emergency-stop chain wires a normally closed contact to ground and says \"high\", so that a broken wire stops it.".to_owned(),
     ];
     let toml = write::to_toml(&board, &notes);
-    // What we write must read; if it does not, the numbers asked for are too large, and the reader says which.
+    // The reader must accept what we write. If it does not, the numbers asked for are too large,
+    // and its error names them.
     Board::read(&file.display().to_string(), &board.name, &toml, &folder)?;
     save(&file, &toml)
 }

@@ -1,4 +1,4 @@
-//! `ferrocnc console`: the board's debug console over TCP, for hands or for one command.
+//! `ferrocnc console`: the board's debug console over TCP, interactive or for one command.
 
 use anyhow::{Context, Result, bail};
 use ferrocnc::address::Address;
@@ -8,7 +8,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::time::Duration;
 
-/// What the board says when it wants a line.
+/// The prompt of the board.
 const PROMPT: &str = "ferrocnc> ";
 /// A board answers in milliseconds, a simulated one in seconds.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -22,7 +22,8 @@ pub(crate) fn run(address: &Address, command: Option<&str>, as_json: bool) -> Re
         Some(command) => {
             let mut line = Line::new(stream)?;
             let mut answer = line.ask(command)?;
-            // Only what needs the key asks for it: looking costs no more than it did.
+            // Only a command that needs the key asks for it: a command that only reads costs no
+            // extra time.
             if answer.starts_with(REFUSED) && line.login()? == Login::Welcome {
                 answer = line.ask(command)?;
             }
@@ -40,7 +41,7 @@ pub(crate) fn run(address: &Address, command: Option<&str>, as_json: bool) -> Re
     }
 }
 
-/// How the board refuses what needs the key.
+/// How the board refuses a command that needs the key.
 const REFUSED: &str = "refused: the board has a key";
 
 /// How a login went.
@@ -49,7 +50,7 @@ enum Login {
     Welcome,
     /// The board has no key.
     Needless,
-    /// Its firmware has not heard of keys.
+    /// Its firmware is older than keys.
     Unknown,
 }
 
@@ -68,8 +69,8 @@ impl Line {
         })
     }
 
-    /// One line there, its answer back. The line goes out before the greeting has come in: a simulated
-    /// board's time only passes while it has something to do.
+    /// One line there, its answer back. The line goes out before the greeting has come in: a
+    /// simulated board's time only passes while it has something to do.
     fn ask(&mut self, command: &str) -> Result<String> {
         let line = format!("{}\r\n", command.trim());
         self.stream.write_all(line.as_bytes())?;
@@ -103,29 +104,41 @@ impl Line {
         Ok(String::from_utf8_lossy(answer).replace('\r', ""))
     }
 
-    /// Shows the board that we have its key.
+    /// Shows the board that we have its key: every one it may have in turn, each for a challenge of
+    /// its own.
     fn login(&mut self) -> Result<Login> {
-        let said = self.ask("login")?;
-        let Some((challenge, uid)) = challenge(&said) else {
-            return Ok(Login::Unknown);
-        };
-        if challenge == wire::auth::NONE {
-            return Ok(Login::Needless);
+        let mut left = None;
+        let mut tried = Vec::new();
+        loop {
+            let said = self.ask("login")?;
+            let Some((challenge, uid)) = challenge(&said) else {
+                return Ok(Login::Unknown);
+            };
+            if challenge == wire::auth::NONE {
+                return Ok(Login::Needless);
+            }
+            let keys = crate::keys();
+            if left.is_none() {
+                left = Some(keys.find(uid)?.into_iter());
+            }
+            let Some((key, path)) = left.as_mut().and_then(Iterator::next) else {
+                return Err(KeyError::Wrong(tried).into());
+            };
+            let answer = key.login(challenge).map(|word| format!("{word:08x}"));
+            let said = self.ask(&format!("login {}", answer.concat()))?;
+            if said.trim() == "welcome" {
+                keys.accepted(uid, &path);
+                return Ok(Login::Welcome);
+            }
+            tried.push(path);
         }
-        let (key, path) = crate::keys().find(uid)?;
-        let answer = key.login(challenge).map(|word| format!("{word:08x}"));
-        let said = self.ask(&format!("login {}", answer.concat()))?;
-        if said.trim() != "welcome" {
-            return Err(KeyError::Wrong(path).into());
-        }
-        Ok(Login::Welcome)
     }
 
-    /// The board has one line for one user: free it, and see it freed, before the next one dials. We close
-    /// first (no `quit`): whoever closes first has to remember the connection for a while, and the board
-    /// has no second one.
+    /// The board has one line for one user: free it, and see it freed, before the next one dials.
+    /// We close first (no `quit`): the side that closes first has to remember the connection for a
+    /// while, and the board has no second one.
     fn hang_up(&mut self) {
-        // The answer is in; a farewell that fails harms nobody.
+        // The answer has arrived; an error while closing does no harm.
         let _ = self.stream.shutdown(Shutdown::Write);
         let _ = self.stream.set_read_timeout(Some(FAREWELL));
         let mut rest = [0; 256];
@@ -133,7 +146,7 @@ impl Line {
     }
 }
 
-/// What `login` says: the challenge, and whose it is.
+/// What `login` prints: the challenge and the board's id.
 fn challenge(said: &str) -> Option<([u32; wire::auth::WORDS], [u32; 2])> {
     let digits = said.trim().strip_prefix("challenge ")?;
     let mut words = [0; wire::auth::WORDS + 2];
@@ -147,7 +160,7 @@ fn challenge(said: &str) -> Option<([u32; wire::auth::WORDS], [u32; 2])> {
     Some(([a, b, c, d], [hi, lo]))
 }
 
-/// What stands between the greeting's prompt and the one after the answer.
+/// The text between the greeting's prompt and the prompt after the answer.
 fn answered(text: &[u8]) -> Option<&[u8]> {
     let prompt = PROMPT.as_bytes();
     let text = text.strip_prefix(prompt).unwrap_or(text);
@@ -160,8 +173,8 @@ fn talk(stream: TcpStream) -> Result<()> {
     match line.login() {
         Ok(Login::Welcome) => eprintln!("logged in with the board's key"),
         Ok(Login::Needless | Login::Unknown) => {}
-        // Looking is free.
-        Err(error) => eprintln!("{error:#}; look you may, but not change anything"),
+        // Reading needs no key.
+        Err(error) => eprintln!("{error:#}; without the key this console can only read"),
     }
     let stream = line.stream;
     stream.set_read_timeout(None)?;

@@ -1,9 +1,10 @@
 //! `ferrocnc describe`: everything a board says of itself.
 
-use crate::discover::mac_text;
+use crate::text::{mac_text, version};
 use anyhow::Result;
 use ferrocnc::client::{Client, Identity};
-use ferrocnc::flash::{Overview, uid_text};
+use ferrocnc::flash::Overview;
+use ferrocnc::uid::uid_text;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::net::Ipv4Addr;
@@ -65,10 +66,6 @@ fn classes(identity: &Identity) -> [(&'static str, Vec<(String, String)>); 5] {
     ]
 }
 
-pub(crate) fn version(word: u32) -> String {
-    format!("{}.{}.{}", word >> 16, word >> 8 & 0xff, word & 0xff)
-}
-
 fn network(identity: &Identity) -> (Option<String>, Option<String>, Option<u16>) {
     let blob = identity.blob();
     let value = |kind| {
@@ -88,16 +85,18 @@ fn network(identity: &Identity) -> (Option<String>, Option<String>, Option<u16>)
     (mac, ip, port)
 }
 
-/// What becomes of jobs; `None`: the gateware plays no segments, and nobody expects any.
+/// The state of jobs; `None`: the gateware plays no segments, so the board has no jobs.
 fn jobs(features: u32) -> Option<(JobsState, String)> {
     let state = JobsState::of(features);
     let remedy = match state {
         _ if features & FEATURE_JOBS == 0 => return None,
         JobsState::Alive => "`ferrocnc job` sends and starts them",
-        JobsState::Streamed => "the board keeps none",
+        JobsState::Streamed => "the board stores no jobs",
         JobsState::None => "the firmware has not looked for their program",
         JobsState::Sdram => "bad solder joints or a bad chip; everything but jobs works",
-        JobsState::Missing => "`ferrocnc update` with this board's .bit; what JTAG loads has none",
+        JobsState::Missing => {
+            "`ferrocnc update` with this board's .bit; an image loaded by JTAG has none"
+        }
         JobsState::Damaged | JobsState::Foreign => "`ferrocnc update` with this board's .bit",
     };
     Some((state, format!("{}: {remedy}", state.text())))
@@ -107,7 +106,7 @@ fn has_uid(overview: &Overview) -> bool {
     overview.uid != [0, 0]
 }
 
-/// Who it is, what runs, where its settings are from, how its link is.
+/// Identity, running image, origin of the settings, state of the link.
 fn flash_lines(overview: &Overview) -> Vec<(&'static str, String)> {
     let mut lines = Vec::new();
     if has_uid(overview) {

@@ -1,10 +1,11 @@
-//! `ferrocnc discover`: every board on the segment, whatever its address is.
+//! `ferrocnc discover`: every board on the segment, at any address.
 
+use crate::text::{mac_text, version};
 use anyhow::Result;
 use clap::Args;
 use ferrocnc::address;
 use ferrocnc::discovery::{Finder, Found, WAIT, filters};
-use ferrocnc::flash::uid_text;
+use ferrocnc::uid::uid_text;
 use serde_json::{Value, json};
 use std::net::Ipv4Addr;
 use std::time::Duration;
@@ -15,7 +16,7 @@ pub(crate) struct Where {
     /// Look through this interface only.
     #[arg(long, value_name = "NAME")]
     interface: Option<String>,
-    /// Ask at this address only, instead of everybody: a simulated board, or one behind a router.
+    /// Ask at this address only, not by broadcast: a simulated board, or one behind a router.
     #[arg(long, value_name = "IP[:PORT]", conflicts_with = "interface")]
     at: Option<String>,
 }
@@ -64,7 +65,7 @@ pub(crate) fn run(arguments: &Discover, as_json: bool) -> Result<()> {
     Ok(())
 }
 
-/// How to hear boards this computer does not let be heard.
+/// How to receive answers that this computer drops.
 fn advice(filters: &[String]) -> String {
     let settings = filters
         .iter()
@@ -76,15 +77,11 @@ fn advice(filters: &[String]) -> String {
     )
 }
 
-pub(crate) fn mac_text(mac: [u8; 6]) -> String {
-    mac.map(|byte| format!("{byte:02x}")).join(":")
-}
-
 fn name_or_dash(name: &str) -> &str {
     if name.is_empty() { "-" } else { name }
 }
 
-/// What keeps it from being changed, in a word.
+/// The reason why it cannot be changed now, in a word.
 fn busy(found: &Found) -> &'static str {
     match (found.here.armed, found.here.owned) {
         (true, _) => "armed",
@@ -145,7 +142,7 @@ fn to_text(boards: &[Found]) -> String {
     text
 }
 
-/// What is there more than once.
+/// Values that occur more than once.
 fn shared<T: Ord + Clone>(all: impl Iterator<Item = T>) -> Vec<T> {
     let mut all: Vec<T> = all.collect();
     all.sort();
@@ -169,7 +166,7 @@ pub(crate) fn to_json(found: &Found) -> Value {
         "settings": here.origin.text(),
         "link_mbit": here.speed.mbit(),
         "wire_version": here.wire_version,
-        "firmware_version": crate::describe::version(here.firmware_version),
+        "firmware_version": version(here.firmware_version),
         "build_id": format!("{:08x}", here.build_id),
         "name": here.name.text(),
         "configuration": here.configuration.text(),

@@ -79,13 +79,14 @@ fn load(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
     if program == 0 {
         loader.load(file, &mut |progress| show(bar, &progress))?;
     } else {
-        // What lies behind the bitstream is read from the flash by the firmware; to the FPGA it would be commands.
+        // The firmware reads the data behind the bitstream from the flash. The FPGA would take it
+        // for commands.
         let name = format!("ferrocnc-load-{}.bit", std::process::id());
         let alone = std::env::temp_dir().join(name);
         std::fs::write(&alone, bytes.get(..bytes.len() - program).unwrap_or(&bytes))
             .with_context(|| format!("cannot write {}", alone.display()))?;
         let loaded = loader.load(&alone, &mut |progress| show(bar, &progress));
-        // Nobody misses it.
+        // A temporary file; an error does no harm.
         let _ = std::fs::remove_file(&alone);
         loaded?;
     }
@@ -114,7 +115,7 @@ fn verify(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
     let copy = std::env::temp_dir().join(format!("ferrocnc-flash-{}.bin", std::process::id()));
     let dumped = loader.dump(flash.len(), &copy, &mut |progress| show(bar, &progress));
     let bytes = std::fs::read(&copy);
-    // Nobody misses it if it was never written.
+    // The file may not exist; an error does no harm.
     let _ = std::fs::remove_file(&copy);
     dumped?;
     let bytes = bytes.context("openFPGALoader left no copy of the flash")?;

@@ -1,7 +1,9 @@
-//! `ferrocnc job`: makes jobs of drawings and programs, draws and checks them, for which it needs no board; and has a board execute them.
+//! `ferrocnc job`: makes jobs of drawings and programs, draws and checks them (without a board),
+//! and sends them to a board for execution.
 
 mod board;
 
+use crate::progress::Bar;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use ferrocnc::job::machine::Machine;
@@ -13,6 +15,7 @@ use motion::gcode::DwellUnit;
 use motion::instruction::Feed;
 use motion::xypen::Quirks;
 use serde_json::{Value, json};
+use std::cell::RefCell;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -34,7 +37,8 @@ pub(crate) enum Command {
         #[arg(long)]
         force: bool,
     },
-    /// Read a job or a program to its end: unsupported words, extents; with a machine also its limits, the time, the deviation.
+    /// Read a job or a program to its end: unsupported words, extents; with a machine also its
+    /// limits, the time, the deviation.
     Check {
         #[command(flatten)]
         source: Source,
@@ -43,20 +47,20 @@ pub(crate) enum Command {
     Board(board::Command),
 }
 
-/// Where from, and for which machine.
+/// The source, and the machine.
 #[derive(Args)]
 pub(crate) struct Source {
     /// A job (.job), XYPenPlotter's binary (.bin) or G-code.
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// What will execute it (see host/examples/plotter/machine.toml).
+    /// The machine that will execute it (see host/examples/plotter/machine.toml).
     #[arg(long, short, value_name = "MACHINE.toml")]
     machine: Option<PathBuf>,
     #[command(flatten)]
     dialect: Spoken,
 }
 
-/// What files cannot say of themselves.
+/// What a file does not say.
 #[derive(Args)]
 pub(crate) struct Spoken {
     /// What `G4 P` counts in G-code.
@@ -65,7 +69,8 @@ pub(crate) struct Spoken {
     /// What the first word of a .bin counts.
     #[arg(long, value_enum, default_value_t = Count::Fields)]
     bin_count: Count,
-    /// Y and J of a .bin are as in G-code; XYPenPlotter's own converter inverts them.
+    /// Y and J of a .bin are as in G-code; without this option they are inverted, as XYPenPlotter's
+    /// converter writes them.
     #[arg(long)]
     bin_upright: bool,
     /// Feed of a .bin, which has none of its own, in mm/min; rapids if not given.
@@ -115,10 +120,11 @@ pub(crate) struct Prepare {
     /// How fast a drawing is drawn, in mm/min.
     #[arg(long, default_value_t = 1500.0, value_name = "MM/MIN")]
     feed: f64,
-    /// How a drawing's pen is moved: by the output of M3 and M5, or by Z (`z:2,-0.5`: up at 2, down at -0.5 mm).
+    /// How a drawing's pen is moved: by the output of M3 and M5, or by Z (`z:2,-0.5`: up at 2, down
+    /// at -0.5 mm).
     #[arg(long, default_value = "m3", value_name = "m3|z:UP,DOWN", value_parser = tool, allow_hyphen_values = true)]
     tool: Tool,
-    /// Draw in the drawing's own order, however far the ways.
+    /// Keep the drawing's own order, even if the travel moves are long.
     #[arg(long)]
     keep_order: bool,
     /// A font file, beside the system's; may be repeated.
@@ -268,8 +274,12 @@ fn prepare(prepare: &Prepare, as_json: bool) -> Result<()> {
             order: !prepare.keep_order,
             fonts: prepare.font.clone(),
         };
-        let prepared = svg::prepare(&stem(), &text, &wish)
-            .map_err(|error| anyhow!("{}: {error}", file.display()))?;
+        let bar = RefCell::new(Bar::new(as_json));
+        let prepared = svg::prepare(&stem(), &text, &wish, &|step, part| {
+            bar.borrow_mut().show(step, part);
+        });
+        drop(bar);
+        let prepared = prepared.map_err(|error| anyhow!("{}: {error}", file.display()))?;
         let facts = json!({ "strokes": prepared.strokes, "travel_as_drawn_mm": prepared.travel[0], "travel_mm": prepared.travel[1], "notes": prepared.notes });
         (prepared.program, facts, prepared.notes)
     } else {
@@ -341,7 +351,7 @@ fn report(program: &Program, trace: &Trace, wrong: &[String], as_json: bool) -> 
         return say(&format!("{:#}\n", facts_of(program, trace, wrong)));
     }
     let [low, high] = trace.extents;
-    // Without the sign of what rounds to 0.
+    // No minus sign on a value that rounds to 0.
     let short = |mm: f64| (mm * 1e3).round() / 1e3 + 0.0;
     let axis = |name: &str, axis: usize| {
         format!("{name} {:.3} .. {:.3}", short(low[axis]), short(high[axis]))

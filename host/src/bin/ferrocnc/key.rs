@@ -3,25 +3,28 @@
 use anyhow::{Context, Result, bail};
 use clap::Subcommand;
 use ferrocnc::client::{Client, ClientError};
-use ferrocnc::flash::uid_text;
 use ferrocnc::keys::{self, Key, KeyError, Keys};
-use ferrocnc::provision;
+use ferrocnc::provision::{self, ProvisionError};
+use ferrocnc::uid::uid_text;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// A board that starts anew is back within seconds; one that asks a DHCP server later, and perhaps elsewhere.
+/// A board that starts anew is back within seconds; one that asks a DHCP server later, and perhaps
+/// elsewhere.
 const RESTART: Duration = Duration::from_secs(15);
 
 #[derive(Subcommand)]
 pub(crate) enum Command {
-    /// Make a key, keep it in this user's file for the board, and set it. The old one is needed if there is one.
+    /// Make a key, keep it in this user's file for the board, and set it. The old one is needed if
+    /// there is one.
     New {
         /// IP[:port] of the board.
         #[arg(value_name = "BOARD")]
         address: String,
     },
-    /// Set the key in a file, and keep it in this user's file for the board. The old one is needed if there is one.
+    /// Set the key in a file, and keep it in this user's file for the board. The old one is needed
+    /// if there is one.
     Set {
         /// IP[:port] of the board.
         #[arg(value_name = "BOARD")]
@@ -30,7 +33,7 @@ pub(crate) enum Command {
         #[arg(value_name = "NEW")]
         file: PathBuf,
     },
-    /// Take the key away: everybody on the network may command the board again.
+    /// Remove the key: every computer on the network may command the board again.
     Clear {
         /// IP[:port] of the board.
         #[arg(value_name = "BOARD")]
@@ -59,8 +62,9 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
     }
 }
 
-/// Sets or clears. The new key lies beside the old one's file until the board is known to have it: whatever is cut short,
-/// both are there.
+/// Sets or clears. The new key lies on the disk before the board hears of it, and beside the old
+/// one's file until the board is known to have it or to have refused it: after any interruption or
+/// loss both files exist, and every command that needs the key tries both.
 fn set(address: &str, key: Option<Key>, as_json: bool) -> Result<()> {
     let mut client = crate::open(address)?;
     let (locked, uid) = client.locked()?;
@@ -68,21 +72,29 @@ fn set(address: &str, key: Option<Key>, as_json: bool) -> Result<()> {
         bail!("{address} has no key");
     }
     let home = Keys::ByBoard.path(uid)?;
-    let pending = home.with_extension("key.new");
-    if let Some(key) = &key {
-        keys::write(&pending, key)?;
+    let pending = key.as_ref().map(|key| Keys::on_its_way(uid, key));
+    let pending = pending.transpose()?;
+    // It was on its way before, with an answer that is not known: that this try is refused says
+    // nothing of that one.
+    let before = pending.as_ref().is_some_and(|path| path.exists());
+    let keep = |key: &Key| match &pending {
+        Some(pending) => keys::write(pending, key),
+        None => Ok(()),
+    };
+    if let Err(error) = provision::set_key(client, key, keep) {
+        let ours = pending.as_deref().map(|path| (path, before));
+        return Err(untaken(error, address, ours));
     }
-    if let Err(error) = provision::set_key(client, key) {
-        // The board has heard nothing of it.
-        let _ = std::fs::remove_file(&pending);
-        return Err(error.into());
-    }
-    arrived(address, &key, &pending)?;
-    match &key {
-        Some(_) => std::fs::rename(&pending, &home)
+    arrived(address, pending.as_deref())?;
+    match &pending {
+        Some(pending) => std::fs::rename(pending, &home)
             .with_context(|| format!("the board has the key in {}", pending.display()))?,
         // Gone, or never there.
         None => drop(std::fs::remove_file(&home)),
+    }
+    // Keys that were on their way before are obsolete now.
+    for path in Keys::ByBoard.pending(uid)? {
+        let _ = std::fs::remove_file(path);
     }
     let fingerprint = key.map(|key| key.fingerprint());
     if as_json {
@@ -102,14 +114,36 @@ fn set(address: &str, key: Option<Key>, as_json: bool) -> Result<()> {
     Ok(())
 }
 
-/// Waits until the board has started anew with what it was given.
-fn arrived(address: &str, key: &Option<Key>, pending: &std::path::Path) -> Result<()> {
+/// The board has not confirmed the key. Only where it cannot have it the file goes.
+fn untaken(error: ProvisionError, address: &str, pending: Option<(&Path, bool)>) -> anyhow::Error {
+    let unsure = matches!(error, ProvisionError::Unsure(_));
+    match pending {
+        Some((pending, _)) if unsure => anyhow::Error::new(error).context(format!(
+            "it is not known whether {address} has the new key. It is kept in {}; everything that needs the key tries that file, too, and ferrocnc key show {address} tells what the board has",
+            pending.display()
+        )),
+        Some((pending, before)) => {
+            if !before {
+                let _ = std::fs::remove_file(pending);
+            }
+            error.into()
+        }
+        None if unsure => anyhow::Error::new(error).context(format!(
+            "it is not known whether {address} still has its key. Its file is kept; ferrocnc key show {address} tells"
+        )),
+        None => error.into(),
+    }
+}
+
+/// Waits until the board has started anew with the key in this file, or without any.
+fn arrived(address: &str, pending: Option<&Path>) -> Result<()> {
     let began = Instant::now();
     loop {
         std::thread::sleep(Duration::from_millis(100));
         let client = crate::open(address)?.with_patience(Duration::from_secs(1));
-        let mut client = client.with_keys(Keys::File(pending.to_owned()));
-        let settled = match (client.locked(), key) {
+        let keys = pending.map_or(Keys::ByBoard, |path| Keys::File(path.to_owned()));
+        let mut client = client.with_keys(keys);
+        let settled = match (client.locked(), pending) {
             (Ok((false, _)), None) => true,
             (Ok((true, _)), Some(_)) => fits(&mut client).is_ok(),
             (Ok(_) | Err(_), _) => false,
@@ -120,8 +154,11 @@ fn arrived(address: &str, key: &Option<Key>, pending: &std::path::Path) -> Resul
         if began.elapsed() > RESTART {
             bail!(
                 "saved, but {address} has not come back with it yet{}",
-                match key {
-                    Some(_) => format!("; its key will be the one in {}", pending.display()),
+                match pending {
+                    Some(pending) => format!(
+                        "; its key will be the one in {}; every command that needs the key tries that file, too",
+                        pending.display()
+                    ),
                     None => String::new(),
                 }
             );
@@ -139,21 +176,25 @@ fn fits(client: &mut Client) -> Result<(), ClientError> {
 fn show(address: &str, as_json: bool) -> Result<()> {
     let mut client = crate::open(address)?;
     let (locked, uid) = client.locked()?;
-    let path = crate::keys().path(uid)?;
+    let all = crate::keys();
+    let path = all.path(uid)?;
+    // This comes first: if the board takes a key that was on its way, that key is in the board's
+    // file afterwards.
+    let fits = match locked && all.find(uid).is_ok() {
+        true => match fits(&mut client) {
+            Ok(()) => Some(true),
+            Err(ClientError::Key(..)) => Some(false),
+            // For example, another host drives the board: then the keys cannot be compared now.
+            Err(_) => None,
+        },
+        false => None,
+    };
     let ours = match keys::read(&path) {
         Ok(key) => Ok(Some(key.fingerprint())),
         Err(KeyError::Missing(_)) => Ok(None),
         Err(error) => Err(error.to_string()),
     };
-    let fits = match (&ours, locked) {
-        (Ok(Some(_)), true) => match fits(&mut client) {
-            Ok(()) => Some(true),
-            Err(ClientError::Key(..)) => Some(false),
-            // Somebody drives it, for one: that cannot be told now.
-            Err(_) => None,
-        },
-        (Ok(_) | Err(_), _) => None,
-    };
+    let waiting = all.pending(uid)?;
     if as_json {
         let (fingerprint, problem) = match ours {
             Ok(fingerprint) => (fingerprint, None),
@@ -164,6 +205,7 @@ fn show(address: &str, as_json: bool) -> Result<()> {
             json!({
                 "uid": uid_text(uid), "locked": locked, "file": path,
                 "fingerprint": fingerprint, "problem": problem, "fits": fits,
+                "on_their_way": waiting,
             })
         );
         return Ok(());
@@ -173,13 +215,19 @@ fn show(address: &str, as_json: bool) -> Result<()> {
         uid_text(uid),
         match locked {
             true => "has a key",
-            false => "has no key; everybody on the network may command it (ferrocnc key new)",
+            false => "has no key; every computer on the network may command it (ferrocnc key new)",
         }
     );
     match ours {
         Ok(Some(fingerprint)) => println!("{}: fingerprint {fingerprint}", path.display()),
         Ok(None) => println!("{}: not there", path.display()),
         Err(problem) => println!("{problem}"),
+    }
+    for path in waiting {
+        println!(
+            "{}: was on its way to the board, which does not have it so far",
+            path.display()
+        );
     }
     match fits {
         Some(true) => println!("they fit"),

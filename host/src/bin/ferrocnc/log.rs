@@ -1,7 +1,7 @@
 //! `ferrocnc log`: the firmware's defmt frames out of the board's ring, as text.
 //!
-//! The firmware stores numbers; the texts are in its ELF. A ring that has gone round begins in the
-//! middle of a frame: frames end with a zero byte, so the decoder finds the next one by itself.
+//! The firmware stores numbers; the texts are in its ELF. After the ring has wrapped it begins in
+//! the middle of a frame. Frames end with a zero byte, so the decoder finds the next one by itself.
 
 use anyhow::{Context, Result, bail, ensure};
 use defmt_decoder::{DecodeError, Table};
@@ -12,7 +12,7 @@ use std::path::Path;
 use std::time::Duration;
 use wire::map;
 
-/// More than any board's ring: a size beyond this is no size.
+/// More than any board's ring: a larger value is not a valid size.
 const RING_MOST: u32 = 4096;
 
 pub(crate) fn run(client: &mut Client, elf: &Path, follow: bool, as_json: bool) -> Result<()> {
@@ -78,7 +78,7 @@ impl Reader {
     fn fetch(&mut self, client: &mut Client) -> Result<(Vec<u8>, u32)> {
         let head = client.read(&[map::LOG, map::LOG + 4])?;
         let [head, size] = head[..] else {
-            bail!("the board's log window makes no sense");
+            bail!("the board's log window is invalid; update the tool or the board");
         };
         ensure!(
             size.is_power_of_two() && (4..=RING_MOST).contains(&size),
@@ -91,7 +91,7 @@ impl Reader {
         Ok(self.take(&ring, head, after))
     }
 
-    /// Of the ring as read while the head went from `head` to `after`: what may be believed.
+    /// The valid part of the ring, which was read while the head went from `head` to `after`.
     fn take(&mut self, ring: &[u8], head: u32, after: u32) -> (Vec<u8>, u32) {
         let size = ring.len() as u32;
         let written = after.wrapping_sub(head).min(size);

@@ -1,5 +1,6 @@
-//! `ferrocnc`: a board from the command line. What only looks takes no session and changes nothing, so it
-//! may be used while LinuxCNC drives the board; what changes something (`set`, `update`, `flash`) is refused then.
+//! `ferrocnc`: a board from the command line. A command that only reads takes no session and
+//! changes nothing, so it works while LinuxCNC drives the board. The board then refuses a command
+//! that changes something (`set`, `update`, `flash`) or needs it at rest (`selftest`).
 
 mod config;
 mod console;
@@ -9,8 +10,12 @@ mod flash;
 mod job;
 mod key;
 mod log;
+#[cfg(test)]
+mod pages;
 mod progress;
+mod selftest;
 mod set;
+mod text;
 mod update;
 mod watch;
 
@@ -42,7 +47,8 @@ enum Command {
     /// Board files: write, check, show, draw and import them. No board is needed.
     #[command(subcommand)]
     Config(config::Command),
-    /// Jobs: make them of drawings and G-code, draw and check them; send them to a board that executes them by itself.
+    /// Jobs: make them of drawings and G-code, draw and check them; send them to a board that
+    /// executes them by itself.
     #[command(subcommand)]
     Job(job::Command),
     /// What the board is: versions, channels and their names, clock, state.
@@ -79,10 +85,13 @@ enum Command {
         #[arg(long, short)]
         follow: bool,
     },
-    /// Every board on the segment, whatever its address is.
+    /// Every board on the segment, at any address.
     Discover(discover::Discover),
     /// Address, name, MAC and port of a board. It starts anew with them.
     Set(set::Set),
+    /// Is this board all right? Looks at memory, flash, link and clock; with --outputs and --loop
+    /// at pins and jumpers, too.
+    Selftest(selftest::Selftest),
     /// A new bitstream over the network: written, verified, selected for the next power-up.
     Update(update::Update),
     /// Flash by JTAG: once in a board's life, then it is updated over the network.
@@ -90,7 +99,8 @@ enum Command {
         #[command(subcommand)]
         what: flash::Flash,
     },
-    /// A board's pre-shared key: without it nobody else can take, configure or flash the board.
+    /// A board's pre-shared key: only computers with the key can take, configure or flash the
+    /// board.
     #[command(subcommand)]
     Key(key::Command),
     /// The board's debug console.
@@ -107,7 +117,7 @@ enum Command {
 fn main() -> ExitCode {
     match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
-        // Whoever reads from us has closed the pipe: nothing to complain about.
+        // The reader of our output has closed the pipe, which is not an error.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("ferrocnc: {error:#}");
@@ -118,7 +128,7 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<()> {
     let json = arguments.json;
-    // Told once, asked wherever a board is opened.
+    // Set once, used by every command that opens a board.
     let _ = KEY.set(Keys::named(arguments.key.as_deref()));
     match &arguments.command {
         Command::Config(command) => config::run(command, json),
@@ -136,6 +146,7 @@ fn run(arguments: &Arguments) -> Result<()> {
         } => log::run(&mut open(address)?, elf, *follow, json),
         Command::Discover(arguments) => discover::run(arguments, json),
         Command::Set(arguments) => set::run(arguments, json),
+        Command::Selftest(arguments) => selftest::run(arguments, json),
         Command::Update(arguments) => update::run(arguments, json),
         Command::Flash { what } => flash::run(what, json),
         Command::Key(command) => key::run(command, json),

@@ -3,7 +3,7 @@
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 
-/// Shows how far a long thing is.
+/// Shows the progress of a long operation.
 pub(crate) struct Bar {
     bar: ProgressBar,
     step: String,
@@ -43,7 +43,7 @@ impl Bar {
         self.bar.set_position((part * 1000.0) as u64);
     }
 
-    /// As [`Bar::show`], of what somebody else knows the remaining time of.
+    /// As [`Bar::show`], with the remaining time given by the caller.
     pub(crate) fn show_remaining(&mut self, step: &str, part: f64, remaining: &str) {
         self.show(step, part);
         self.bar.set_prefix(format!("{remaining} to go"));

@@ -1,11 +1,12 @@
 //! `ferrocnc set`: a board's address, name, MAC and port.
 
-use crate::discover::{Where, mac_text, to_json};
+use crate::discover::{Where, to_json};
+use crate::text::mac_text;
 use anyhow::{Context, Result, bail};
 use clap::{ArgGroup, Args};
 use ferrocnc::client::Client;
-use ferrocnc::flash::{uid_parse, uid_text};
-use ferrocnc::provision::{self, Change};
+use ferrocnc::provision::{self, Change, ProvisionError};
+use ferrocnc::uid::{uid_parse, uid_text};
 use serde_json::json;
 use std::net::Ipv4Addr;
 use std::time::Duration;
@@ -17,10 +18,11 @@ pub(crate) struct Set {
     /// IP[:port] of the board.
     #[arg(value_name = "BOARD")]
     address: Option<String>,
-    /// The board with this unique id, whatever its address is (ferrocnc discover shows ids).
+    /// The board with this unique id, at any address (ferrocnc discover shows ids).
     #[arg(long, value_name = "UID", value_parser = parse_uid)]
     uid: Option<[u32; 2]>,
-    /// Its address, with the bits of the netmask if they are not as before: 192.168.2.51/24. Turns DHCP off.
+    /// Its address, with the bits of the netmask if they are not as before: 192.168.2.51/24. Turns
+    /// DHCP off.
     #[arg(long, value_name = "IP[/BITS]", value_parser = parse_ip)]
     ip: Option<(Ipv4Addr, Option<u8>)>,
     /// Its gateway; 0.0.0.0 for none.
@@ -38,7 +40,7 @@ pub(crate) struct Set {
     /// Its UDP port for LinuxCNC.
     #[arg(long)]
     port: Option<u16>,
-    /// Forget everything set: what is built into its bitstream counts again.
+    /// Forget all settings: the values built into its bitstream apply again.
     #[arg(long, conflicts_with_all = ["ip", "gateway", "dhcp", "name", "mac", "port"])]
     factory: bool,
     #[command(flatten)]
@@ -68,8 +70,9 @@ fn by_uid(uid: [u32; 2], change: &Change, arguments: &Set, as_json: bool) -> Res
     let finder = arguments.wherever.finder()?;
     let found = if arguments.factory {
         let (_, client) = provision::reach(&finder, uid)?;
-        provision::forget_at(client.with_keys(crate::keys()))?;
-        // Until it has begun to start anew it says what it said before.
+        provision::forget_at(client.with_keys(crate::keys()))
+            .map_err(|error| untaken(error, "at the address built into it"))?;
+        // Until its restart begins, the board gives its old settings.
         std::thread::sleep(Duration::from_millis(500));
         finder
             .until(uid, |here| here.origin == wire::flash::Origin::BuiltIn)
@@ -103,7 +106,8 @@ fn tell(found: &ferrocnc::discovery::Found, as_json: bool) {
 fn at(client: Client, change: &Change, factory: bool, as_json: bool) -> Result<()> {
     let address = client.address().clone();
     if factory {
-        provision::forget_at(client)?;
+        provision::forget_at(client)
+            .map_err(|error| untaken(error, "at the address built into it"))?;
         match as_json {
             true => println!("{:#}", json!({ "factory": true })),
             false => println!(
@@ -112,7 +116,12 @@ fn at(client: Client, change: &Change, factory: bool, as_json: bool) -> Result<(
         }
         return Ok(());
     }
-    let settings = provision::set_at(client, change)?;
+    let elsewhere = match (change.ip, change.dhcp) {
+        (_, Some(true)) => "at an address from DHCP".to_owned(),
+        (Some((ip, _)), _) => format!("at {ip}"),
+        (None, _) => format!("at {address}, by its new name and port"),
+    };
+    let settings = provision::set_at(client, change).map_err(|error| untaken(error, &elsewhere))?;
     let ip = Ipv4Addr::from(settings.ip);
     if as_json {
         println!(
@@ -135,6 +144,16 @@ fn at(client: Client, change: &Change, factory: bool, as_json: bool) -> Result<(
         println!("saved; the board starts anew at {ip}:{}", settings.port);
     }
     Ok(())
+}
+
+/// Says where to look for a board that may have been changed.
+fn untaken(error: ProvisionError, elsewhere: &str) -> anyhow::Error {
+    match error {
+        ProvisionError::Unsure(_) => anyhow::Error::new(error).context(format!(
+            "it is not known whether the board has changed; it may be where it was or {elsewhere} (ferrocnc discover shows it), and the same command again does no harm"
+        )),
+        error => error.into(),
+    }
 }
 
 /// A MAC address; clap takes an array for a list.

@@ -90,7 +90,7 @@ fn show(bar: &RefCell<Bar>, event: Event) {
         )),
         Event::Word(Word::Back) => bar.say("the board answers again"),
         Event::NoGolden => bar.say(
-            "warning: there is no golden image in this board's flash; should both slots ever fail it needs JTAG",
+            "warning: there is no golden image in this board's flash; if both slots fail the board needs JTAG",
         ),
         Event::Unprotected => {
             bar.say("warning: the board's flash does not protect its golden image");

@@ -11,7 +11,7 @@ use wire::flash::LinkWord;
 use wire::units::Clocks;
 use wire::{Refusal, map};
 
-/// Clears the screen and goes home; what every terminal since 1978 understands.
+/// Clears the screen and moves the cursor home (VT100).
 const HOME: &str = "\x1b[2J\x1b[H";
 /// Frames received, sent, exchanges.
 const PLAIN_COUNTERS: usize = 3;
@@ -47,7 +47,7 @@ impl Look {
         let channels = identity.describe.channels;
         let words = client.read_from(map::STATUS, status_words(channels))?;
         let status = Status::parse(&words, channels)
-            .context("the board's status makes no sense; compare versions with describe")?;
+            .context("the board's status is invalid; compare versions with ferrocnc describe")?;
         let counters = client.read_from(map::COUNTERS, PLAIN_COUNTERS + Refusal::COUNT)?;
         let now = [
             map::SESSION_OWNER_IP,
@@ -167,7 +167,7 @@ impl Look {
             text,
             "session {}, sequence {}, sampled at {:.3} s, positions {}",
             self.owner
-                .map_or("nobody's".to_owned(), |owner| format!("of {owner}")),
+                .map_or("free".to_owned(), |owner| format!("of {owner}")),
             status.sequence,
             Clocks(status.sample.0).to_seconds(clock),
             if word.position_trusted {

@@ -1,6 +1,7 @@
 //! `ferrocnc job send|start|pause|...`: jobs on a board.
 //!
-//! A board has one line for jobs. Whoever watches lets it go between two looks, so that another terminal can say stop.
+//! A board has one connection for jobs. A watching command closes it between two looks, so that
+//! another terminal can stop the job.
 
 use crate::progress::Bar;
 use anyhow::{Context, Result, anyhow, bail};
@@ -22,7 +23,7 @@ use wire::jobs::{Command as Code, End, Entry, KEEPALIVE_MS, Report, State, Statu
 /// Between two looks at a job that is being executed; a keepalive is longer.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// Whose jobs.
+/// The board with the jobs.
 #[derive(Args)]
 pub(crate) struct Where {
     /// IP[:port] of the board.
@@ -35,11 +36,17 @@ impl Where {
         let address = crate::parse(&self.address, wire::jobs::PORT)?;
         Ok(Board::open(&address, crate::keys())?)
     }
+
+    /// Stop and Pause, also while another client has the line.
+    fn halt(&self, code: Code) -> Result<Report> {
+        let address = crate::parse(&self.address, wire::jobs::PORT)?;
+        Ok(client::halt(address.socket, code)?)
+    }
 }
 
 #[derive(Subcommand)]
 pub(crate) enum Command {
-    /// Send a job to a board's store; what was cut goes on where it was cut.
+    /// Send a job to a board's store; an interrupted upload continues where it stopped.
     Send {
         #[command(flatten)]
         board: Where,
@@ -53,7 +60,8 @@ pub(crate) enum Command {
         #[arg(long, short, value_name = "MACHINE.toml")]
         machine: Option<PathBuf>,
     },
-    /// Execute a job that is in the store, and watch it: it stops when nobody watches any more.
+    /// Execute a job that is in the store, and watch it: it stops if this program no longer watches
+    /// it.
     Start {
         #[command(flatten)]
         board: Where,
@@ -63,10 +71,11 @@ pub(crate) enum Command {
         /// Tell the board which machine it moves first.
         #[arg(long, short, value_name = "MACHINE.toml")]
         machine: Option<PathBuf>,
-        /// It goes on to its end whoever watches, cable or not; this program ends at once.
+        /// The job goes on to its end without a watching program, even with the cable pulled; this
+        /// program ends at once.
         #[arg(long)]
         unattended: bool,
-        /// For how long nobody may watch before it stops.
+        /// The job stops if this program does not watch it for so long.
         #[arg(long, value_name = "MS", default_value_t = 3000, value_parser = clap::value_parser!(u16).range(i64::from(*KEEPALIVE_MS.start())..=i64::from(*KEEPALIVE_MS.end())))]
         keepalive: u16,
     },
@@ -74,7 +83,7 @@ pub(crate) enum Command {
     Pause(Where),
     /// Go on after a pause.
     Continue(Where),
-    /// End what is going on, softly.
+    /// End the job; the axes brake along the path.
     Stop(Where),
     /// Find the switches.
     Home {
@@ -87,9 +96,21 @@ pub(crate) enum Command {
         #[arg(long, short, value_name = "MACHINE.toml")]
         machine: Option<PathBuf>,
     },
-    /// How it goes.
+    /// The axes stand where their 0 is: plotters without switches, after an e-stop or a move by
+    /// hand.
+    Here {
+        #[command(flatten)]
+        board: Where,
+        /// These axes (xy, z, ...); all without a switch if not given.
+        #[arg(value_name = "AXES", value_parser = axes)]
+        axes: Option<[bool; 3]>,
+        /// Tell the board which machine it moves first.
+        #[arg(long, short, value_name = "MACHINE.toml")]
+        machine: Option<PathBuf>,
+    },
+    /// Show the status.
     Status(Where),
-    /// How it goes, until it is over.
+    /// Show the status until the job is over.
     Watch(Where),
     /// What is in the store.
     List(Where),
@@ -101,12 +122,14 @@ pub(crate) enum Command {
         #[arg(value_name = "NAME")]
         name: String,
     },
-    /// Execute the jobs of a board without SDRAM, here; `ferrocnc job send|start|...` then speak to this program's address.
+    /// Execute the jobs of a board without SDRAM on this computer; `ferrocnc job send|start|...`
+    /// then use this program's address.
     Serve {
         /// IP[:port] of the board.
         #[arg(value_name = "ADDR")]
         address: String,
-        /// Where the jobs are. Whoever reaches it may move the machine, unless the board has a key.
+        /// The address for clients. Any computer that reaches it may move the machine, unless the
+        /// board has a key.
         #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:7240")]
         at: SocketAddr,
     },
@@ -155,9 +178,9 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
                 false => watch(&mut board, keepalive, as_json),
             }
         }
-        Command::Pause(board) => say(board, Code::Pause, as_json),
+        Command::Pause(board) => show(&board.halt(Code::Pause)?, as_json),
         Command::Continue(board) => say(board, Code::Continue, as_json),
-        Command::Stop(board) => say(board, Code::Stop, as_json),
+        Command::Stop(board) => show(&board.halt(Code::Stop)?, as_json),
         Command::Home {
             board,
             axes,
@@ -168,6 +191,15 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
             let keepalive = Some(Duration::from_secs(3));
             board.home(axes.unwrap_or_default(), keepalive)?;
             watch(&mut board, keepalive, as_json)
+        }
+        Command::Here {
+            board,
+            axes,
+            machine,
+        } => {
+            let mut board = board.open()?;
+            tell(&mut board, machine.as_deref())?;
+            show(&board.here(axes.unwrap_or_default())?, as_json)
         }
         Command::Status(board) => show(&board.open()?.report()?, as_json),
         Command::Watch(board) => watch(&mut board.open()?, None, as_json),
@@ -184,7 +216,7 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
     }
 }
 
-/// Until Ctrl-C, which stops the axes first.
+/// Runs until Ctrl-C, which stops the axes first.
 fn serve(address: &str, at: SocketAddr, as_json: bool) -> Result<()> {
     let address = crate::parse(address, wire::DEFAULT_PORT)?;
     let mut streamer = Streamer::open(&address, crate::keys(), at)?;
@@ -207,7 +239,7 @@ fn serve(address: &str, at: SocketAddr, as_json: bool) -> Result<()> {
     Ok(())
 }
 
-/// A refusal that a look into docs/jobs.md would explain is explained here.
+/// Adds the remedy of docs/jobs.md to a refusal.
 fn hinted(error: JobError) -> anyhow::Error {
     let hint = match &error {
         JobError::Refused(_, Status::NoMachine, _) => Some("--machine MACHINE.toml sends one"),
@@ -250,7 +282,7 @@ fn send(
 ) -> Result<()> {
     if ending(file) != "job" {
         bail!(
-            "{}: boards take jobs; `ferrocnc job prepare` makes one of it",
+            "{}: not a job; `ferrocnc job prepare` makes one of it",
             file.display()
         );
     }
@@ -378,7 +410,7 @@ fn ended(report: &Report) -> String {
     }
 }
 
-/// Until it is over; an end that is none of the good ones is an error.
+/// Watches until the job is over; any end but a good one is an error.
 fn watch(board: &mut Board, keepalive: Option<Duration>, as_json: bool) -> Result<()> {
     let every = keepalive.map_or(LOOK, |keepalive| LOOK.min(keepalive / 4));
     let mut bar = Bar::new(as_json);
@@ -413,5 +445,5 @@ fn watch(board: &mut Board, keepalive: Option<Duration>, as_json: bool) -> Resul
     if matches!(report.end, End::None | End::Done) {
         return Ok(());
     }
-    bail!("it did not come to its end: {}", ended(&report))
+    bail!("the job did not reach its end: {}", ended(&report))
 }

@@ -1,0 +1,52 @@
+//! The channel counts of a board: they determine the length of the exchange's blocks.
+
+use crate::Refusal;
+
+/// Largest number of stepgens, of encoders and of PWMs on a board.
+pub const MAX_CHANNELS: usize = 16;
+
+/// How many channels of each kind a board has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Channels {
+    /// Step generators, at most 16.
+    pub stepgens: u8,
+    /// Encoders, at most 16.
+    pub encoders: u8,
+    /// PWM outputs, at most 16.
+    pub pwms: u8,
+    /// Inputs, at most 32.
+    pub inputs: u8,
+    /// Outputs, at most 32.
+    pub outputs: u8,
+}
+
+impl Channels {
+    /// From the two `channels` words; refused if a count is larger than the maximum.
+    pub const fn from_words(channels0: u32, channels1: u32) -> Result<Self, Refusal> {
+        let channels = Channels {
+            stepgens: channels0 as u8,
+            encoders: (channels0 >> 8) as u8,
+            pwms: (channels0 >> 16) as u8,
+            inputs: channels1 as u8,
+            outputs: (channels1 >> 8) as u8,
+        };
+        let most = MAX_CHANNELS as u8;
+        if channels.stepgens > most
+            || channels.encoders > most
+            || channels.pwms > most
+            || channels.inputs > 32
+            || channels.outputs > 32
+        {
+            return Err(Refusal::Value);
+        }
+        Ok(channels)
+    }
+
+    /// As the two `channels` words.
+    pub const fn to_words(self) -> [u32; 2] {
+        [
+            self.stepgens as u32 | (self.encoders as u32) << 8 | (self.pwms as u32) << 16,
+            self.inputs as u32 | (self.outputs as u32) << 8,
+        ]
+    }
+}
