@@ -21,11 +21,12 @@
 //! | the link goes down | nothing by itself: attended jobs end as host lost | | known |
 //! | the firmware restarts | each brakes, or pulses end | the board restarted | not known |
 //! | pause | slow down on the path, stand | none: continue resumes exactly there | known |
+//! | pause while homing | stand | stopped | not known |
 //!
 //! The step generators count positions, and no command sets them. A switch that was found gives an
 //! axis an offset, a whole number of steps. An unknown position becomes known again when the axis
 //! finds its switch. On an axis without a switch it becomes known when a client says that the axis
-//! is at 0, or when the board restarts: the axis is at 0 then.
+//! is at 0. At power-up such an axis is at 0; after any other start it is in doubt.
 
 use super::Outside;
 use super::check::{Check, Trouble, nominal};
@@ -163,6 +164,13 @@ pub struct Executor {
 impl Executor {
     /// For this board, whose axes are where they belong though it has seen so many cuts.
     pub fn new(inside: Inside, board: &Describe, core: Core, cuts: u32) -> Self {
+        let end = match board.reset_reason {
+            ResetReason::PowerUp => End::None,
+            ResetReason::Requested
+            | ResetReason::Panic
+            | ResetReason::Trap
+            | ResetReason::Unknown => End::Restart,
+        };
         Executor {
             inside,
             core,
@@ -170,13 +178,7 @@ impl Executor {
             channels: board.channels,
             phase: Phase::Idle,
             ending: End::None,
-            end: match board.reset_reason {
-                ResetReason::PowerUp => End::None,
-                ResetReason::Requested
-                | ResetReason::Panic
-                | ResetReason::Trap
-                | ResetReason::Unknown => End::Restart,
-            },
+            end,
             trouble: (0xff, None),
             machine: None,
             planner: None,
@@ -206,7 +208,8 @@ impl Executor {
             percent: 100,
             offset: [0; AXES],
             homed: [false; AXES],
-            cut: [false; AXES],
+            // The counts have started again, wherever the axes stand.
+            cut: [end == End::Restart; AXES],
             trusted: false,
             cuts,
             positions: [Position::ZERO.0; AXES],
@@ -449,6 +452,11 @@ impl Executor {
     ) -> Result<u32, Status> {
         let command = fpgag::Command::from_code(command).ok_or(Status::UnknownCode)?;
         if self.busy() && !self.streams {
+            // Whatever moves, a client that says stop means it.
+            if command == fpgag::Command::Stop {
+                self.stop(End::Stopped, out);
+                return Ok(0);
+            }
             return Err(Status::NotNow);
         }
         let machine = self.machine.ok_or(Status::NoMachine)?;
@@ -522,16 +530,14 @@ impl Executor {
                 }
                 Ok(())
             }
-            Phase::Check
-            | Phase::Open(_)
-            | Phase::Play
-            | Phase::Idle
-            | Phase::Lift
-            | Phase::Home
-            | Phase::Rest
-            | Phase::Brake
-            | Phase::Quit
-            | Phase::Close(_) => Err(Status::NotNow),
+            // Homing is no path to hold, and goes on from nowhere.
+            Phase::Check | Phase::Open(_) | Phase::Play | Phase::Lift | Phase::Home => {
+                self.stop(End::Stopped, out);
+                Ok(())
+            }
+            Phase::Idle | Phase::Rest | Phase::Brake | Phase::Quit | Phase::Close(_) => {
+                Err(Status::NotNow)
+            }
         }
     }
 
@@ -543,16 +549,14 @@ impl Executor {
                 self.core.pass(false, out);
                 Ok(())
             }
-            Phase::Check
-            | Phase::Open(_)
-            | Phase::Play
-            | Phase::Idle
-            | Phase::Lift
-            | Phase::Home
-            | Phase::Rest
-            | Phase::Brake
-            | Phase::Quit
-            | Phase::Close(_) => Err(Status::NotNow),
+            // Homing is no path to hold, and goes on from nowhere.
+            Phase::Check | Phase::Open(_) | Phase::Play | Phase::Lift | Phase::Home => {
+                self.stop(End::Stopped, out);
+                Ok(())
+            }
+            Phase::Idle | Phase::Rest | Phase::Brake | Phase::Quit | Phase::Close(_) => {
+                Err(Status::NotNow)
+            }
         }
     }
 

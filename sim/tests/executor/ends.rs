@@ -3,9 +3,9 @@
 
 use crate::rig::*;
 use firmware::cores::Board as _;
-use wire::FaultReason;
 use wire::exchange::StateWord;
 use wire::jobs::{End, Request, State, Status, UNATTENDED};
+use wire::{FaultReason, ResetReason};
 
 const LONG: &str = "M3\nG1 X100 Y50 F2400\nG1 X0 Y0\nM2\n";
 
@@ -276,4 +276,18 @@ fn a_restart_in_mid_job_is_said() {
     assert_eq!(rig.pins(), stood);
     rig.ok(&Request::PutMachine(with_switches()));
     assert_eq!(rig.command_with(2, UNATTENDED, 0, "job"), Status::NoSuchJob);
+}
+
+#[test]
+fn after_a_restart_an_axis_without_a_switch_is_known_when_the_operator_says_so() {
+    let mut rig = Rig::plotter();
+    assert!(rig.report().known, "at power-up it stands at 0");
+    rig.start("G1 X50 Y20 F9000\nM2\n");
+    rig.underway();
+    rig.machine.board.part(ResetReason::Trap);
+    let mut rig = rig.restart();
+    rig.ok(&Request::PutMachine(plotter()));
+    assert!(!rig.report().known);
+    assert_eq!(rig.command_with(13, 0, 0, ""), Status::Normal);
+    assert!(rig.report().known);
 }

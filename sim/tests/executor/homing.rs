@@ -124,13 +124,18 @@ fn a_switch_that_never_opens_is_said() {
 }
 
 #[test]
-fn homing_can_be_stopped_at_any_moment() {
-    for after in [1, 30, 100, 250, 400, 700] {
+fn homing_can_be_stopped_at_any_moment_and_a_pause_is_a_stop() {
+    const STOP: u8 = 0;
+    const PAUSE: u8 = 10;
+    let moments = [1, 30, 100, 250, 400, 700];
+    for (after, code) in moments
+        .into_iter()
+        .flat_map(|after| [(after, STOP), (after, PAUSE)])
+    {
         let mut rig = Rig::switched();
         home(&mut rig, 0);
         rig.run(after * MS);
-        assert_eq!(rig.command(10), Status::NotNow, "a pause is for paths");
-        assert_eq!(rig.command(0), Status::Normal);
+        assert_eq!(rig.command(code), Status::Normal);
         let report = rig.finish();
         assert_eq!(report.end, End::Stopped, "after {after} ms: {report:?}");
         assert!(!report.known);

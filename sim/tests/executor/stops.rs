@@ -130,9 +130,11 @@ fn a_stop_that_the_grace_may_have_cut_short_is_said_for_axes_without_switches_to
     rig.start("G1 X10 Y10 F9000\nM2\n");
     let report = rig.finish();
     assert!(report.end == End::Done && !report.known, "{report:?}");
-    // The axes are put where they belong, and the board is started there.
+    // A restart knows no more. The axes are put where they belong, and the operator says so.
     let mut rig = rig.restart();
     rig.ok(&Request::PutMachine(heavy(HEAVY)));
+    assert!(!rig.report().known);
+    assert_eq!(rig.command_with(13, 0, 0, ""), Status::Normal);
     assert!(rig.report().known);
 }
 

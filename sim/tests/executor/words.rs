@@ -292,6 +292,24 @@ fn a_job_and_words_do_not_mix() {
     assert_eq!(rig.report().end, End::HostLost);
 }
 
+#[test]
+fn the_stop_of_the_words_stops_a_job_and_a_homing() {
+    for homes in [false, true] {
+        let mut rig = Rig::switched();
+        assert_eq!(
+            rig.command_with(11, jobs::UNATTENDED, 0, ""),
+            Status::Normal
+        );
+        if !homes {
+            rig.finish();
+            rig.start("G1 X50 F6000\nM2\n");
+        }
+        rig.run(100 * MS);
+        say(&mut rig, STOP, 0, &[]);
+        assert_eq!(rig.finish().end, End::Stopped, "homes: {homes}");
+    }
+}
+
 /// The plotter with X up to so many steps from home.
 fn up_to(steps: i64) -> jobs::Machine {
     let mut machine = plotter();
