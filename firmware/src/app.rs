@@ -337,7 +337,7 @@ impl App {
         let Some(mut slot) = self.mac.slot() else {
             return;
         };
-        net::emit_headers(&mut slot, us, &Datagram::everybody(port), words * 4);
+        net::emit_headers(&mut slot, us, &Datagram::broadcast(port), words * 4);
         let words = self.mac.output.words().get(..words).unwrap_or(&[]);
         let length = net::emit_payload(&mut slot, words);
         self.mac.send(length);

@@ -85,9 +85,9 @@ pub fn judge(
         }
     };
     match message.body {
-        Body::Who if any || message.uid == uid => Act::Answer(Body::Here(here())),
+        Body::Discover if any || message.uid == uid => Act::Answer(Body::Here(here())),
         Body::Set(settings) => set(settings),
-        Body::Who | Body::Here(_) | Body::Done(_) | Body::Prove(_) | Body::Proven(..) => {
+        Body::Discover | Body::Here(_) | Body::Done(_) | Body::Prove(_) | Body::Proven(..) => {
             Act::Nothing // answers, or handled above
         }
     }

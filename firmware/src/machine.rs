@@ -698,7 +698,7 @@ mod tests {
     fn a_board_is_found_by_any_host_and_by_its_own_id() {
         let mut machine = machine(Notebook::new());
         for (uid, found) in [([0, 0], true), (UID, true), ([1, 2], false)] {
-            let answer = ask(&mut machine, &message(uid, Body::Who));
+            let answer = ask(&mut machine, &message(uid, Body::Discover));
             assert_eq!(answer.is_some(), found);
             if let Some(answer) = answer {
                 assert_eq!((answer.nonce, answer.uid), (99, UID));

@@ -106,7 +106,7 @@ pub struct Datagram {
 
 impl Datagram {
     /// A datagram without a sender: an answer to it is broadcast to this port.
-    pub const fn everybody(port: u16) -> Self {
+    pub const fn broadcast(port: u16) -> Self {
         Datagram {
             peer: Peer { ip: u32::MAX, port },
             mac: (u16::MAX, u32::MAX),

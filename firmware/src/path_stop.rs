@@ -144,7 +144,7 @@ impl PathStop {
             members = 0;
         }
         let axes = self.axes.get_mut(..stepgens).unwrap_or(&mut []);
-        let mut slowest = Slowest::NOBODY;
+        let mut slowest = Slowest::NONE;
         for (n, axis) in axes.iter_mut().enumerate() {
             axis.speed = 0;
             if members & 1 != 0 && axis.configured != 0 {
@@ -192,7 +192,7 @@ struct Slowest {
 }
 
 impl Slowest {
-    const NOBODY: Slowest = Slowest { speed: 0, accel: 1 };
+    const NONE: Slowest = Slowest { speed: 0, accel: 1 };
 
     #[inline(always)]
     fn meet(&mut self, axis: &Axis) {

@@ -585,7 +585,7 @@ class Cores(LiteXModule):
         # count and edge words alternate from an address with a half of 12 mod 16; the latches
         # follow from 8 mod 16.
         word = fabric.word
-        at, counts, edges, latches = Signal(4), Signal(), Signal(), Signal()
+        at, counts, latches = Signal(4), Signal(), Signal()
         count, latch = (rm.STATUS.offset(f"encoder0_{name}") // 4 for name in ("count", "latch"))
         sampled, latched, edge = Signal(32), Signal(32), Signal(32)
         self.comb += [

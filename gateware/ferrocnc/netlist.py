@@ -238,7 +238,7 @@ def _combined(old, inputs, pins, through):
 
 def _connect(cells, name, half, pins, readers):
     wires = cells[name]["connections"]
-    for pin, bit in zip(_PINS, pins):
+    for pin in _PINS[: len(pins)]:
         readers[wires[pin + half][0]].discard((name, pin + half))
     for pin, bit in zip(_PINS, pins):
         readers[bit].add((name, pin + half))

@@ -15,7 +15,7 @@ CSR_BASE = 0xF000_0000
 CSR_PAGE = 0x800
 CSR_ADDRESS_WIDTH = 16
 
-ROM = (0x0000_0000, 0x12000)  # 72 KiB, 36 EBR: the image; smoltcp's TCP alone is 16 KiB without compressed instructions
+ROM = (0x0000_0000, 0x12000)  # 72 KiB, 36 EBR: the image
 ROM_TRAILER = 0x10  # the ROM's last bytes, which the linker does not use: the bitstream's trailer, see `TRAILER`
 RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: data, bss, 6 KiB of stack
 ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
@@ -283,7 +283,7 @@ SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, a
      ))] +
     [reg for n in range(JOB_AXES_MAX) for reg in (
         Reg(f"axis{n}_velocity", "wo", f"Signed step rate of step generator {n} towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."),
-        Reg(f"axis{n}_accel", "wo", f"Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."),
+        Reg(f"axis{n}_accel", "wo", "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."),
     )] + [
     Reg("push", "wo", "Writing any value pushes the segment written, if it is complete and there is room; otherwise nothing changes and `status.refused` says why."),
     Reg("control", "wo", "Commands, a number; any other value is ignored.", (

@@ -165,7 +165,7 @@ impl Finder {
     /// Every board that answers in this time, each once, in order of name and id.
     pub fn all(&self, wait: Duration) -> Result<Vec<Found>, DiscoveryError> {
         let mut found: Vec<Found> = Vec::new();
-        self.ask([0, 0], Body::Who, wait, &mut |message| {
+        self.ask([0, 0], Body::Discover, wait, &mut |message| {
             if let Body::Here(here) = message.body {
                 // Without an id the MAC tells them apart.
                 let same = |other: &Found| other.uid == message.uid && other.here.mac == here.mac;
@@ -185,7 +185,7 @@ impl Finder {
     /// The board with this id.
     pub fn one(&self, uid: [u32; 2], wait: Duration) -> Result<Found, DiscoveryError> {
         let mut found = None;
-        self.ask(uid, Body::Who, wait, &mut |message| {
+        self.ask(uid, Body::Discover, wait, &mut |message| {
             if let Body::Here(here) = message.body
                 && message.uid == uid
             {

@@ -327,7 +327,7 @@ impl Bench {
         let ask = Message {
             nonce: 77,
             uid: [0, 0],
-            body: Body::Who,
+            body: Body::Discover,
         };
         self.discover(&ask).expect("a board answers")
     }

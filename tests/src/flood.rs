@@ -181,7 +181,7 @@ impl Machine {
                 let ask = wire::discovery::Message {
                     nonce: rng.random(),
                     uid: [0, 0],
-                    body: wire::discovery::Body::Who,
+                    body: wire::discovery::Body::Discover,
                 };
                 let mut buffer = [0; wire::discovery::WORDS_MAX];
                 let payload = crate::to_bytes(ask.emit(&mut buffer));

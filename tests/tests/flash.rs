@@ -106,7 +106,7 @@ fn who(rig: &mut Rig) -> Message {
     let ask = Message {
         nonce: 42,
         uid: [0, 0],
-        body: Body::Who,
+        body: Body::Discover,
     };
     let mut answers = discover(rig, &ask, 5);
     assert_eq!(answers.len(), 1, "{answers:?}");

@@ -3,13 +3,13 @@
 //! ```text
 //! word 0 "FDIS"   1 version, 1   2 kind   3 nonce   4, 5 unique id hi, lo   6.. payload
 //!
-//! kind         sender   payload
-//! 1     Who    host     none                 ids 0: any board answers; else only that one
-//! 2     Here   board    [`Here`], 32 words
-//! 3     Set    host     [`Settings`]         only the board with that unique id takes it
-//! 4     Done   board    [`OpResult`]         once the settings are in flash, or why not
-//! 5     Prove  board    4 words              answer to a Set, if the board has a key: the challenge ([`crate::auth`])
-//! 6     Proven host     [`Settings`], 4 words   the Set with the answer to it
+//! kind  message  sender   payload
+//! 1     Discover host    none                 ids 0: any board answers; else only that one
+//! 2     Here     board    [`Here`], 32 words
+//! 3     Set      host     [`Settings`]         only the board with that unique id takes it
+//! 4     Done     board    [`OpResult`]         once the settings are in flash, or why not
+//! 5     Prove    board    4 words              answer to a Set, if the board has a key: the challenge ([`crate::auth`])
+//! 6     Proven   host     [`Settings`], 4 words   the Set with the answer to it
 //! ```
 //!
 //! Requests go to 255.255.255.255, a subnet's broadcast address or the board's own. Answers go to
@@ -44,7 +44,7 @@ pub const WORDS_MAX: usize = HEAD + PROVEN_WORDS;
 
 const _: () = assert!(HERE_WORDS < PROVEN_WORDS);
 
-const WHO: u32 = 1;
+const DISCOVER: u32 = 1;
 const HERE: u32 = 2;
 const SET: u32 = 3;
 const DONE: u32 = 4;
@@ -67,7 +67,7 @@ pub struct Message {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Body {
     /// Which boards are there?
-    Who,
+    Discover,
     /// This board is there.
     Here(Here),
     /// Take these settings.
@@ -191,7 +191,7 @@ impl Message {
     /// Writes it; returns the words used.
     pub fn emit<'b>(&self, buffer: &'b mut [u32; WORDS_MAX]) -> &'b [u32] {
         match &self.body {
-            Body::Who => self.emit_as(WHO, &[], buffer),
+            Body::Discover => self.emit_as(DISCOVER, &[], buffer),
             Body::Set(settings) => self.emit_as(SET, &settings.to_words(), buffer),
             Body::Proven(settings, answer) => {
                 let mut words = [0; PROVEN_WORDS];
@@ -211,7 +211,7 @@ impl Message {
             Body::Here(here) => self.emit_as(HERE, &here.to_words(), buffer),
             Body::Done(result) => self.emit_as(DONE, &[result.code()], buffer),
             Body::Prove(challenge) => self.emit_as(PROVE, challenge, buffer),
-            Body::Who | Body::Set(_) | Body::Proven(..) => &[],
+            Body::Discover | Body::Set(_) | Body::Proven(..) => &[],
         }
     }
 
@@ -268,7 +268,7 @@ impl Message {
             return Err(Refusal::Version);
         }
         let body = match kind {
-            WHO if payload.is_empty() => Body::Who,
+            DISCOVER if payload.is_empty() => Body::Discover,
             SET | PROVEN => {
                 let payload = match kind {
                     PROVEN => payload.split_last_chunk::<{ auth::WORDS }>(),
@@ -277,7 +277,7 @@ impl Message {
                 let (payload, _) = payload.ok_or(Refusal::BlockLength)?;
                 Body::Set(Settings::parse(exactly(payload)?).map_err(|_| Refusal::Value)?)
             }
-            WHO => return Err(Refusal::BlockLength),
+            DISCOVER => return Err(Refusal::BlockLength),
             kind => answer(kind, payload)?,
         };
         Ok(Message {
@@ -336,7 +336,7 @@ mod tests {
     #[test]
     fn every_message_survives_the_wire() {
         for body in [
-            Body::Who,
+            Body::Discover,
             Body::Here(here()),
             Body::Set(Settings::default()),
             Body::Done(OpResult::Armed),
@@ -352,7 +352,7 @@ mod tests {
     #[test]
     fn a_message_cut_short_or_too_long_is_refused() {
         for body in [
-            Body::Who,
+            Body::Discover,
             Body::Here(here()),
             Body::Set(Settings::default()),
             Body::Done(OpResult::Ok),
@@ -396,7 +396,7 @@ mod tests {
     #[test]
     fn a_board_takes_questions_only() {
         for (body, question) in [
-            (Body::Who, true),
+            (Body::Discover, true),
             (Body::Set(Settings::default()), true),
             (Body::Here(here()), false),
             (Body::Done(OpResult::Ok), false),

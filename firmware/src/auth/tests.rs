@@ -362,7 +362,7 @@ fn deed() -> impl Strategy<Value = Deed> {
     ]
 }
 
-const WHO: [Peer; 3] = [
+const DISCOVER: [Peer; 3] = [
     ALICE,
     BOB,
     Peer {
@@ -384,7 +384,7 @@ proptest! {
         for deed in deeds {
             match deed {
                 Deed::Acquire { who, right, lost } => {
-                    let who = WHO[who];
+                    let who = DISCOVER[who];
                     let key = if right { KEY } else { WRONG };
                     let words = acquisition(7, rig.answer(who, &key, 7));
                     if !lost {
@@ -415,7 +415,7 @@ proptest! {
             let session = *rig.server.session();
             let backwards = recorded.iter().rev();
             for words in recorded.iter().chain(backwards) {
-                for who in WHO {
+                for who in DISCOVER {
                     prop_assert!(rig.send_as(who, words).is_err());
                 }
             }

@@ -191,7 +191,7 @@ fn a_broadcast_is_addressed_to_all() {
         port: 68,
         ..US
     };
-    emit_headers(&mut slot, &us, &Datagram::everybody(67), 300);
+    emit_headers(&mut slot, &us, &Datagram::broadcast(67), 300);
     let frame = slot.bytes();
     assert_eq!(frame[..6], [0xff; 6]);
     assert_eq!(

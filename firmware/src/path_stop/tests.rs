@@ -12,7 +12,7 @@ fn clocks_to_rest(speed: u32, accel: u32) -> f64 {
 }
 
 fn shares(axes: &[(u32, u32)]) -> Vec<u32> {
-    let mut slowest = Slowest::NOBODY;
+    let mut slowest = Slowest::NONE;
     let axis = |&(speed, configured): &(u32, u32)| Axis { configured, speed };
     axes.iter().for_each(|pair| slowest.meet(&axis(pair)));
     let pace = slowest.pace();

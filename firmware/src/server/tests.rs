@@ -511,7 +511,7 @@ fn a_token_is_made_of_the_boot_id_and_of_what_only_the_owner_proved() {
 }
 
 #[test]
-fn everybody_sees_who_owns_it_and_its_last_command() {
+fn every_client_sees_the_owner_and_its_last_command() {
     let mut rig = Rig::new();
     rig.acquire();
     rig.exchange(true, false).unwrap();

@@ -372,7 +372,7 @@ impl Station {
                 let answer = answer.to_vec();
                 self.outcome.sent += u32::from(!answer.is_empty());
                 if !answer.is_empty() {
-                    send(&us, &Datagram::everybody(datagram.peer.port), &answer);
+                    send(&us, &Datagram::broadcast(datagram.peer.port), &answer);
                 }
             }
             Class::Dhcp(datagram) => {

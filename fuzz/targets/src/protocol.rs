@@ -153,7 +153,7 @@ pub fn discovery(data: &[u8]) {
     let again = Message::parse(understood.emit(&mut buffer));
     assert_eq!(again, Ok(understood));
     match understood.body {
-        Body::Who | Body::Done(_) | Body::Prove(_) => {}
+        Body::Discover | Body::Done(_) | Body::Prove(_) => {}
         Body::Here(here) => {
             let found = host::discovery::Found {
                 uid: understood.uid,

@@ -196,7 +196,7 @@ fn discovery_seeds() -> Vec<Seed> {
     };
     let input = |mode: u8, body| [vec![mode], message(body)].concat();
     vec![
-        ("discovery", "who", input(0, Body::Who)),
+        ("discovery", "who", input(0, Body::Discover)),
         ("discovery", "here", input(0, Body::Here(here))),
         ("discovery", "set", input(1, Body::Set(settings()))),
         ("discovery", "done", input(0, Body::Done(OpResult::Ok))),
@@ -517,7 +517,7 @@ fn server_seeds() -> Vec<Seed> {
             "server",
             "told_who_to_be",
             [
-                discovery(Body::Who),
+                discovery(Body::Discover),
                 discovery(Body::Set(settings())),
                 long.clone(),
             ]
@@ -608,7 +608,7 @@ fn frames_seeds() -> Vec<Seed> {
     let opened = [tcp(2, b""), tcp(16, b"")].concat();
     let read = [h, 0, 0x000f_0001, 7, 0];
     let mut discover = vec![1 | 1 << 3, 8];
-    let who = message(Body::Who);
+    let who = message(Body::Discover);
     discover.extend((who.len() as u16).to_be_bytes());
     discover.extend(who);
     vec![
@@ -638,7 +638,7 @@ fn frames_seeds() -> Vec<Seed> {
             "one_byte_wrong",
             [udp(1, 0xa0, &read), vec![0, 50, 1]].concat(),
         ),
-        ("frames", "discovery_to_everybody", discover),
+        ("frames", "discovery_to_all", discover),
         (
             "frames",
             "down_the_fast_lane",

@@ -167,7 +167,7 @@ fn scripts_of_frames_do_what_they_are_called() {
     for name in [
         "raw_read",
         "read_with_options",
-        "discovery_to_everybody",
+        "discovery_to_all",
         "ping",
         "who_has",
         "knock_at_a_closed_door",

@@ -429,7 +429,7 @@ impl Neighbour {
             }
         }
         match &asked.body {
-            Body::Who if mine || asked.uid == [0, 0] => {
+            Body::Discover if mine || asked.uid == [0, 0] => {
                 Some(Body::Here(self.flash.here(self.armed)))
             }
             Body::Set(_) | Body::Proven(..) if mine && self.armed => {
@@ -452,7 +452,7 @@ impl Neighbour {
                 }
                 Some(Body::Done(OpResult::Ok))
             }
-            Body::Who | Body::Here(_) | Body::Set(_) | Body::Done(_) => None,
+            Body::Discover | Body::Here(_) | Body::Set(_) | Body::Done(_) => None,
             Body::Prove(_) | Body::Proven(..) => None,
         }
     }
