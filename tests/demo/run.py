@@ -47,7 +47,7 @@ def main():
     simulator = subprocess.Popen(
         [
             ROOT / "target/release/ferrocnc-sim",
-            *("--soc", options.soc, "--firmware", options.firmware, "--mode", "lockstep"),
+            *("--soc", options.soc, "--firmware", options.firmware, "--mode", "lockstep", "--silence-ms", "600000"),
             *("--udp", board, "--console", f"127.0.0.1:{free_port(socket.SOCK_STREAM)}"),
             *("--report", options.out / "sim.json", "--edges", options.out / "edges.bin"),
         ],

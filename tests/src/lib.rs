@@ -634,6 +634,20 @@ pub fn program(name: &str) -> PathBuf {
 pub struct Simulator {
     child: std::process::Child,
     udp: std::net::SocketAddr,
+    control: Option<std::net::SocketAddr>,
+}
+
+/// A line for the control channel of a simulator that is there; the answer.
+pub fn control(at: std::net::SocketAddr, command: &str) -> String {
+    use std::io::{BufRead as _, Write as _};
+    let stream = std::net::TcpStream::connect(at).expect("the simulator listens");
+    let mut stream = std::io::BufReader::new(stream);
+    let told = writeln!(stream.get_mut(), "{command}");
+    told.expect("the simulator listens");
+    let mut answer = String::new();
+    stream.read_line(&mut answer).expect("it answers");
+    assert!(answer.starts_with("ok"), "{command}: {answer}");
+    answer
 }
 
 impl Simulator {
@@ -658,17 +672,17 @@ impl Simulator {
 
     fn spawn(arguments: &[&str]) -> Self {
         let udp = std::net::UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
-        let console =
-            std::net::TcpListener::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
-        let (udp, console) = (
-            udp.expect("a free UDP port"),
-            console.expect("a free TCP port"),
-        );
+        let udp = udp.expect("a free UDP port");
+        let tcp = || std::net::TcpListener::bind("127.0.0.1:0").and_then(|it| it.local_addr());
+        let [console, control] = [tcp(), tcp()].map(|at| at.expect("a free TCP port"));
         let mut command = std::process::Command::new(program("ferrocnc-sim"));
         command
             .args(["--udp", &udp.to_string(), "--console", &console.to_string()])
+            .args(["--control", &control.to_string()])
+            // A host that waits for its processor must not count as dead.
+            .args(["--silence-ms", "600000"])
             .args(arguments);
-        Self::run(command, udp)
+        Self::run(command, udp, Some(control))
     }
 
     /// A twin that is a place's `eth0`, with this flash and unique id.
@@ -681,10 +695,15 @@ impl Simulator {
             .args(["--console", "0.0.0.0:23", "--interface", "eth0"])
             .args(["--uid", &format!("{uid:016x}"), "--flash"])
             .arg(flash);
-        Self::run(command, std::net::SocketAddr::from(([0, 0, 0, 0], 1234)))
+        let udp = std::net::SocketAddr::from(([0, 0, 0, 0], 1234));
+        Self::run(command, udp, None)
     }
 
-    fn run(mut command: std::process::Command, udp: std::net::SocketAddr) -> Self {
+    fn run(
+        mut command: std::process::Command,
+        udp: std::net::SocketAddr,
+        control: Option<std::net::SocketAddr>,
+    ) -> Self {
         use std::io::BufRead;
         let mut child = command
             .stdout(std::process::Stdio::piped())
@@ -700,7 +719,11 @@ impl Simulator {
             ready.contains("ready"),
             "the simulator said {ready:?} instead of being ready"
         );
-        Simulator { child, udp }
+        Simulator {
+            child,
+            udp,
+            control,
+        }
     }
 
     /// Kills it at any point, like a loss of power.
@@ -720,6 +743,16 @@ impl Simulator {
     /// Where its board listens for datagrams.
     pub fn udp(&self) -> std::net::SocketAddr {
         self.udp
+    }
+
+    /// Where its control channel is.
+    pub fn control(&self) -> std::net::SocketAddr {
+        self.control.expect("no place of a network has one")
+    }
+
+    /// So many milliseconds of the board's time pass without a host.
+    pub fn run_ms(&self, millis: u64) {
+        control(self.control(), &format!("run-ms {millis}"));
     }
 }
 

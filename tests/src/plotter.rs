@@ -12,17 +12,19 @@ use sim::plant::Plant;
 use sim::server::{self, Mode, Options, Server};
 use sim::twin::Setup;
 use sim::world::Output;
-use std::io::{BufRead as _, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, SocketAddrV4, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use wire::describe::Channels;
 use wire::jobs::{Report, State};
 
 /// As long as a test may take, even on a busy computer.
 const PATIENCE: Duration = Duration::from_secs(120);
+/// Far longer than any job takes.
+const JOB: Duration = Duration::from_secs(600);
 
 /// The board of the tests: the three axes of a job and one more, a pen at output 0.
 const CHANNELS: Channels = Channels {
@@ -147,13 +149,15 @@ impl Plotter {
         board.unwrap_or_else(|error| panic!("{error}"))
     }
 
-    /// Waits until nothing is going on.
+    /// Waits until nothing is going on, for as long as any job of the tests takes.
     pub fn finish(&self, board: &mut Board) -> Report {
+        let end = Instant::now() + JOB;
         loop {
             let report = board.report().unwrap_or_else(|error| panic!("{error}"));
             if report.state == State::Stopped {
                 return report;
             }
+            assert!(Instant::now() < end, "it does not end: {report:?}");
             board.hang_up();
             std::thread::sleep(Duration::from_millis(20));
         }
@@ -161,14 +165,7 @@ impl Plotter {
 
     /// One of the simulator's control commands; its answer.
     pub fn control(&self, command: &str) -> String {
-        let stream = TcpStream::connect(self.control).expect("the simulator listens");
-        let mut stream = BufReader::new(stream);
-        let told = writeln!(stream.get_mut(), "{command}");
-        told.expect("the simulator listens");
-        let mut answer = String::new();
-        stream.read_line(&mut answer).expect("it answers");
-        assert!(answer.starts_with("ok"), "{command}: {answer}");
-        answer
+        crate::control(self.control.into(), command)
     }
 
     /// Pulses at the pins of each axis, and whether the gate is open, as they are now.

@@ -19,15 +19,15 @@ use sim::model::board::pages;
 use sim::soc::{Cores, CoresPins};
 use std::collections::VecDeque;
 use std::fmt::Write;
-use std::io::{BufRead as _, BufReader};
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, SocketAddrV4, TcpStream};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 use wire::crc::crc32;
 use wire::exchange::{STATUS_HEAD, STATUS_STEPGEN, StateWord};
-use wire::jobs::{Command as Code, End, State};
-use wire::{FaultReason, Refusal, map};
+use wire::jobs::{Command as Code, End, FRAME, Request, State};
+use wire::{FaultReason, Name, Refusal, map};
 
 const ARM: u32 = 0x4152_4d31;
 const CLEAR: u32 = 0x434c_5231;
@@ -424,6 +424,41 @@ fn stops_beside(plotter: Plotter) {
 fn stop_and_pause_are_taken_while_another_client_holds_the_line() {
     stops_beside(Plotter::twin());
     stops_beside(Plotter::streamed(SLOWER, ""));
+}
+
+#[test]
+fn a_stop_behind_many_requests_counts_though_its_client_has_closed_its_side() {
+    let plotter = Plotter::streamed(SLOWER, "");
+    let program = Program::from_gcode(b"G1 X3 F6000\nM0\nG1 Y2\nM2\n", Dialect::default().dwell);
+    let program = program.unwrap_or_else(|error| panic!("{error}"));
+    let mut board = plotter.board();
+    begin(&mut board, "held", &program);
+    board.hang_up();
+    let stop = Request::Command {
+        code: Code::Stop.code(),
+        flags: 0,
+        keepalive: 0,
+        name: Name::EMPTY,
+    };
+    let looks = std::iter::repeat_n(Request::List { index: 0 }, 150);
+    let requests = [Request::Hello { client: 77 }]
+        .into_iter()
+        .chain(looks)
+        .chain([stop]);
+    let mut frame = [0; FRAME];
+    let mut bytes = Vec::new();
+    for (id, request) in (1..).zip(requests) {
+        let length = request.emit(id, &mut frame);
+        bytes.extend_from_slice(&frame[..length]);
+    }
+    let mut stream = TcpStream::connect(plotter.jobs).expect("it listens");
+    stream.write_all(&bytes).expect("there is room");
+    stream.shutdown(Shutdown::Write).expect("half of it");
+    let mut answers = Vec::new();
+    // The program may close before all answers are read.
+    let _ = stream.read_to_end(&mut answers);
+    assert_eq!(plotter.finish(&mut board).end, End::Stopped);
+    plotter.events();
 }
 
 /// `ferrocnc job serve`, as a program of its own.

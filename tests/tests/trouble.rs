@@ -17,7 +17,6 @@ use host::hal::fake::FakeHal;
 use host::link::Link;
 use serde_json::{Value, json};
 use sim::edges::{Step, read_file};
-use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -28,6 +27,8 @@ const PERIOD: u64 = 60_000;
 /// The watchdog's timeout, and the longest stop: 40 mm/s at X's 2000 mm/s^2, Z's 1600 mm/s^2.
 const WATCHDOG: f64 = 5e-3;
 const SOFT_STOP: f64 = 40.0 / 1600.0;
+/// Longer than both.
+const LONELY_MS: u64 = 2000;
 /// LinuxCNC hears of trouble a few periods before or after the board does.
 const SOME_PERIODS: u64 = 8 * PERIOD;
 /// Where the indexes are: X to what pid leaves alone (0.003 mm), Z to the step.
@@ -45,25 +46,17 @@ fn json_of(path: &Path) -> Value {
 /// A twin with a plant, its records, and a way to give it trouble.
 struct Shop {
     folder: PathBuf,
-    control: SocketAddr,
     twin: Simulator,
 }
 
 impl Shop {
     fn new(name: &str) -> Self {
         let folder = out(name);
-        let control = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr());
-        let control = control.expect("a free TCP port");
         let config = root().join("tests/linuxcnc/complete/plant.toml");
         let file = |name: &str| folder.join(name).display().to_string();
         let twin = Simulator::twin(&[
             "--mode",
             "lockstep",
-            // A host that is busy with other work must not count as dead.
-            "--silence-ms",
-            "2000",
-            "--control",
-            &control.to_string(),
             "--plant",
             &config.display().to_string(),
             "--edges",
@@ -71,11 +64,7 @@ impl Shop {
             "--report",
             &file("sim.json"),
         ]);
-        Shop {
-            folder,
-            control,
-            twin,
-        }
+        Shop { folder, twin }
     }
 
     /// Runs LinuxCNC with the operator of `trouble.py`; returns its result.
@@ -104,7 +93,7 @@ impl Shop {
             .arg(cases.join("trouble/trouble.ngc"))
             .arg("--out")
             .arg(&out)
-            .env("FERROCNC_CONTROL", self.control.to_string())
+            .env("FERROCNC_CONTROL", self.twin.control().to_string())
             .env("FERROCNC_TROUBLE", trouble)
             .env("FERROCNC_MEND", mend)
             .stdin(Stdio::null())
@@ -118,6 +107,10 @@ impl Shop {
             "{trouble}: the run failed:\n{}",
             &said[said.len().saturating_sub(4000)..]
         );
+        if trouble == "kill" {
+            // The board's time goes on without its host.
+            self.twin.run_ms(LONELY_MS);
+        }
         json_of(&out.join("result.json"))
     }
 
@@ -351,8 +344,6 @@ fn unload_often(times: u64) {
     let mut twin = Simulator::twin(&[
         "--mode",
         "lockstep",
-        "--silence-ms",
-        "500",
         "--report",
         &file.display().to_string(),
     ]);
@@ -390,20 +381,14 @@ fn unload_often(times: u64) {
     assert_eq!(report["timing_violations"], 0);
 }
 
-/// Waits until the released board has closed its gate; in lockstep its time goes on by itself after
-/// some silence.
+/// Has the released board closed its gate, a while later?
 fn at_rest(twin: &Simulator) -> bool {
+    twin.run_ms(LONELY_MS);
     let address = address::parse(&twin.udp().to_string(), 1234).expect("an address");
-    for _ in 0..40 {
-        let mut client = Client::open(&address).expect("a socket");
-        let state = client.identify().expect("a board").describe.state;
-        let owner = client.read(&[wire::map::SESSION_OWNER_IP]);
-        if !state.enabled && owner.is_ok_and(|owner| owner == [0]) {
-            return true;
-        }
-        std::thread::sleep(Duration::from_millis(250));
-    }
-    false
+    let mut client = Client::open(&address).expect("a socket");
+    let state = client.identify().expect("a board").describe.state;
+    let owner = client.read(&[wire::map::SESSION_OWNER_IP]);
+    !state.enabled && owner.is_ok_and(|owner| owner == [0])
 }
 
 /// How long the driver waits for an answer, ns: the bucket overflows when this computer stands
@@ -423,12 +408,10 @@ fn mill_losing(loss: &str) -> Value {
     let out = shop.folder.join("run");
     std::fs::create_dir_all(&out).expect("a folder");
     let seed = ferrocnc_tests::seed();
-    let mut control = std::net::TcpStream::connect(shop.control).expect("the control channel");
-    std::io::Write::write_all(
-        &mut control,
-        format!("fault loss={loss} seed={seed}\n").as_bytes(),
-    )
-    .expect("a command");
+    ferrocnc_tests::control(
+        shop.twin.control(),
+        &format!("fault loss={loss} seed={seed}"),
+    );
     let log = std::fs::File::create(out.join("run.log")).expect("a log");
     let _ = Command::new("python3")
         .arg(root().join("host/examples/mill/run.py"))

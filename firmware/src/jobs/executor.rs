@@ -1,13 +1,16 @@
 //! Executes jobs, and decides how they end.
 //!
 //! ```text
-//!            start             within limits       armed              done
-//!   Stopped --------> Checking -------------> Open ------> Running --------> Close --> Stopped
-//!      |                                       ^           |  ^  \             ^
-//!      +---------------------------------------+     pause |  |   \ stop,      |
-//!          calibrate                                       v  |    \ host lost |
-//!                                                         Paused ---> Brake ---+
+//! Idle --start--> Check --fits--> Open --armed--> Play --the program ends--> Close --> Idle
+//! Idle --home-------------------> Open
+//!                                 Play --M0--> Held --continue--> Play
+//!                                 Play --G28--> Lift --> Home --found--> Play
+//!                                                        Home --stop, pause--> Rest --> Close
+//!                                 Play --stop, host lost--> Brake --> Quit --> Close
+//!                          what is armed --the gate closes--> Quit --> Close
 //! ```
+//!
+//! A pause is no phase: the core holds the time of the path.
 //!
 //! | what happens | the axes | the end | afterwards |
 //! |---|---|---|---|

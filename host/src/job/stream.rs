@@ -235,6 +235,8 @@ impl Streamer {
         if let Some(guest) = &mut self.guest
             && !guest.hear()
         {
+            // Requests in front of the end of a connection are executed.
+            while !guest.leaves && guest.serve(&mut self.jobs, &mut self.far) {}
             self.guest = None;
         }
         let Ok((mut stream, _)) = self.door.accept() else {
