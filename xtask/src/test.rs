@@ -15,6 +15,9 @@ pub struct Options {
     /// Levels to run; all when none is named.
     #[arg(value_enum)]
     levels: Vec<Level>,
+    /// While you edit: lint and unit tests only, without any FPGA tool or simulation.
+    #[arg(long, conflicts_with = "levels")]
+    fast: bool,
 }
 
 /// A level of the pyramid.
@@ -62,6 +65,7 @@ enum Level {
 /// An hour is `cargo xtask fuzz --seconds 3600`.
 const FUZZ_SECONDS: u32 = 30;
 
+const FAST: &[Level] = &[Level::Lint, Level::Unit];
 const ALL: &[Level] = &[
     Level::Lint,
     Level::Unit,
@@ -83,10 +87,10 @@ const ALL: &[Level] = &[
 
 /// Runs the levels and prints one line for each.
 pub fn run(options: &Options) -> Result<()> {
-    let levels = if options.levels.is_empty() {
-        ALL
-    } else {
-        &options.levels
+    let levels = match options {
+        Options { fast: true, .. } => FAST,
+        Options { levels, .. } if levels.is_empty() => ALL,
+        Options { levels, .. } => levels,
     };
     if levels
         .iter()
