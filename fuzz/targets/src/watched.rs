@@ -6,10 +6,10 @@ use firmware::cores::{
 use firmware::log;
 use firmware::machine::{IDLE, Machine};
 use sim::card::Card;
+use sim::desk::{Desk, Setup};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
 use sim::plant::Plant;
-use sim::twin::{Desk, Setup};
 use std::cell::RefCell;
 
 /// The segments core's mask of outputs.
