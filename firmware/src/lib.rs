@@ -28,6 +28,7 @@
 //! | [`describe`] | how the board says what it is |
 //! | [`service`] | which raw registers may be touched |
 //! | [`flash`] | the SPI flash: one operation at a time, never blocking; golden and the slot in use cannot be written |
+//! | [`nor`] | the commands of the flash chip |
 //! | [`images`] | which slot loads, and how that changes one byte at a time |
 //! | [`settings`] | the two copies of what a board keeps over a power cycle |
 //! | [`discovery`] | lets hosts find the board and set its settings, whatever its address |
@@ -60,6 +61,7 @@ pub mod link;
 pub mod log;
 pub mod machine;
 pub mod net;
+pub mod nor;
 pub(crate) mod path_stop;
 pub mod postmortem;
 pub mod safety;
