@@ -20,6 +20,7 @@
 //! | [`cores`] | the board as the lib sees it: a trait |
 //! | [`net`] | recognises plain UDP to us and checks it; leaves everything else to the IP stack |
 //! | [`server`] | Etherbone: checks a whole datagram, then executes all of it or nothing |
+//! | [`block`] | the words of an exchange and how many there are on this board |
 //! | [`exchange`] | the servo-period datagram: judge, stage, commit, sample, answer |
 //! | [`session`] | which host owns the motion |
 //! | [`auth`] | the pre-shared key: challenges, and judging the answers |
@@ -46,6 +47,7 @@
 #![forbid(unsafe_code)]
 
 pub mod auth;
+pub mod block;
 pub mod config;
 pub mod console;
 pub mod cores;

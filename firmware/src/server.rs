@@ -8,11 +8,11 @@
 //! counted by reason and has no other effect.
 
 use crate::auth::{Auth, Words};
+use crate::block::{FLAGS_WORD, REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
 use crate::cores::{
     Board, Control, Gate, Ident, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_SAMPLE, Led,
     STROBE_COMMIT, STROBE_SAMPLE, Setting,
 };
-use crate::exchange::{REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
 use crate::flash::Flash;
 use crate::link::Link;
 use crate::path_stop::PathStop;
@@ -453,7 +453,7 @@ impl Server {
             let [_, _, record] = reply_head(&self.shape);
             writer.push(record);
             self.exchange(board, peer, &mut SliceRequest(block), &mut writer)?;
-            let flags = block.get(crate::exchange::FLAGS_WORD).copied();
+            let flags = block.get(FLAGS_WORD).copied();
             self.exchanged(flags.unwrap_or(0));
             debug_assert_eq!(writer.words().len(), REPLY_OVERHEAD + self.shape.status);
             return Ok(if packet.no_reads() {
