@@ -35,6 +35,7 @@
 //! | [`discovery`] | lets hosts find the board and set its settings, whatever its address |
 //! | [`dhcp`] | an address from a server, or the static one after 10 s |
 //! | [`ip`] | ARP, ping and the console's TCP connection |
+//! | [`segments`] | the words of the segments core's page |
 //! | [`jobs`] | what the board does without a PC, in a program of its own |
 //! | [`link`] | up or down, speed, errors |
 //! | `path_stop` | decelerations that keep the axes on their line when no commands come any more |
@@ -67,6 +68,7 @@ pub mod nor;
 pub(crate) mod path_stop;
 pub mod postmortem;
 pub mod safety;
+pub mod segments;
 pub mod server;
 pub mod service;
 pub mod session;

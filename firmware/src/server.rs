@@ -19,7 +19,7 @@ use crate::path_stop::PathStop;
 use crate::postmortem::Boot;
 use crate::safety::{Effects, Event, Safety};
 use crate::session::{Peer, Session};
-use crate::{config, describe, log, service};
+use crate::{config, describe, log, segments, service};
 use wire::auth::Purpose;
 use wire::describe::{FEATURE_KEY, JobsState, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
@@ -37,7 +37,7 @@ const WINDOW: u32 = 0x1000;
 pub(crate) const COUNTERS_CUTS: u32 = map::COUNTERS_REFUSED + 4 * Refusal::COUNT as u32;
 const CUTS_WORD: u32 = (COUNTERS_CUTS - map::COUNTERS) / 4;
 /// Outputs that follow the segments core; boards without that core are not told.
-const SEGMENTS_MASK: u32 = map::SEGMENTS + 4 * crate::jobs::core::MASK as u32;
+const SEGMENTS_MASK: u32 = map::SEGMENTS + 4 * segments::MASK as u32;
 const STATUS_WORDS_END: u32 = map::STATUS + 0x400;
 const COMMAND_END: u32 = map::COMMAND + WINDOW;
 const COUNTERS_END: u32 = map::COUNTERS + WINDOW;

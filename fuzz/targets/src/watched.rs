@@ -13,7 +13,7 @@ use sim::plant::Plant;
 use std::cell::RefCell;
 
 /// The segments core's mask of outputs.
-const OUTPUTS_OF_A_JOB: u32 = wire::map::SEGMENTS + 4 * firmware::jobs::core::MASK as u32;
+const OUTPUTS_OF_A_JOB: u32 = wire::map::SEGMENTS + 4 * firmware::segments::MASK as u32;
 
 /// The effects on the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

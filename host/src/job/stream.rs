@@ -19,7 +19,7 @@ use crate::address::Address;
 use crate::client::{Client, ClientError};
 use crate::keys::Keys;
 use firmware::ip::Text;
-use firmware::jobs::core::{BEGUN, CURRENT, LEFT, PUSH, SHAPE, STATUS};
+use firmware::segments::{BEGUN, CURRENT, LEFT, PUSH, SHAPE, STATUS};
 use firmware::jobs::desk::Door;
 use firmware::jobs::{AHEAD, Jobs, Outside};
 use firmware::net::Us;
