@@ -22,18 +22,6 @@ const GUEST_FRAME: usize = 256;
 /// 10 ms between two looks at TCP's timers.
 const CHORES_PER_IP: u8 = 10;
 
-/// The data that is too large for the stack. There is one of it, in `.bss`.
-pub struct Memory {
-    ip: Ip,
-}
-
-impl Memory {
-    /// The initial state.
-    pub const fn new() -> Self {
-        Memory { ip: Ip::new() }
-    }
-}
-
 /// Everything that runs on the board.
 pub struct App {
     machine: Machine<Soc>,

@@ -13,6 +13,7 @@
 //! change to the others. The request is read through [`Request`] and answered through [`Reply`]; so
 //! the same code runs on MAC slots and on slices.
 
+use crate::block::{FLAGS_WORD, REPLY_OVERHEAD, Reply, Request, Shape, reply_head};
 use crate::cores::{
     Board, Control, LATCH_ENCODER, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_SAMPLE,
     LATCH_STEPGEN, STAGE_ARMS, STAGE_ENABLES, STAGE_OUTPUTS, STAGE_PROBE_ARMS, STAGE_PWM,
@@ -21,13 +22,11 @@ use crate::cores::{
 use crate::safety::Event;
 use crate::server::Server;
 use crate::session::Peer;
-use wire::describe::Channels;
 use wire::exchange::{
     COMMAND_HEAD, COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE,
-    FLAG_ENABLE_REQUEST, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, command_words,
-    judge_sequence, status_words,
+    FLAG_ENABLE_REQUEST, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, judge_sequence,
 };
-use wire::{Refusal, State, etherbone};
+use wire::{Refusal, State};
 
 const FLAGS_KNOWN: u32 =
     FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME | u32::MAX << FLAG_ALONE_SHIFT;
@@ -36,79 +35,9 @@ const FLAGS_KNOWN: u32 =
 const SELECT_SHIFT: u32 = 16;
 const SELECT_BITS: u32 = 5;
 
-/// The command block's words, each once, in order. Several words are loaded before the first is
-/// used: on the softcore a word that is used right after its load costs two more clocks.
-pub trait Request {
-    /// The next word.
-    fn take1(&mut self) -> [u32; 1];
-    /// The next two words.
-    fn take2(&mut self) -> [u32; 2];
-    /// The next four words.
-    fn take4(&mut self) -> [u32; 4];
-    /// The next nine words.
-    fn take9(&mut self) -> [u32; 9];
-    /// Did the whole command arrive as it was sent? Asked after the last word, before anything
-    /// takes effect.
-    fn intact(&mut self) -> bool;
-    /// The same question with the last `rest` words not yet taken.
-    fn sound(&self, rest: usize) -> bool;
-}
-
-/// Takes the status block's words in order.
-pub trait Reply {
-    /// The next word.
-    fn put(&mut self, word: u32);
-
-    /// The next word, which does not change until the next start. A reply that already holds it
-    /// skips it.
-    #[inline(always)]
-    fn keep(&mut self, word: u32) {
-        self.put(word);
-    }
-}
-
-/// The lengths of this board's blocks, computed once.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shape {
-    /// Words of the command block.
-    pub command: usize,
-    /// Words of the status block.
-    pub status: usize,
-    pub(crate) stepgens: usize,
-    encoders: usize,
-    pwms: usize,
-}
-
-impl Shape {
-    /// The lengths for a board with these channels.
-    pub const fn new(channels: Channels) -> Self {
-        Shape {
-            command: command_words(channels),
-            status: status_words(channels),
-            stepgens: channels.stepgens as usize,
-            encoders: channels.encoders as usize,
-            pwms: channels.pwms as usize,
-        }
-    }
-}
-
-/// The words of an answer before its sequence number: header, padding, record header.
-pub const fn reply_head(shape: &Shape) -> [u32; 3] {
-    [
-        etherbone::HEADER,
-        0,
-        etherbone::BYTE_ENABLE | (shape.status as u32) << 8,
-    ]
-}
-
-/// Number of the flags' word in the command block.
-pub const FLAGS_WORD: usize = 2;
-
 /// Number of the flags' word in a frame of the lane.
 pub const FRAME_FLAGS: usize = crate::net::PAYLOAD_WORD + REQUEST_OVERHEAD + FLAGS_WORD;
 
-/// Words of an answer before its status block.
-pub const REPLY_OVERHEAD: usize = 4;
 /// Number of the first word of an answer's frame after its headers and [`reply_head`].
 const RESUME: usize = crate::net::PAYLOAD_WORD + REPLY_OVERHEAD - 1;
 /// Number of the boot id's word in an answer's frame: it follows sequence, state, sequence, two
@@ -378,55 +307,6 @@ fn not_ahead(sequence: u32, last: u32) -> Refusal {
 
 /// Bits of a state word that are set only in the answer to an accepted command.
 pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;
-
-/// A command block in memory, already checked to be whole.
-#[derive(Debug)]
-pub struct SliceRequest<'w>(pub &'w [u32]);
-
-impl SliceRequest<'_> {
-    fn next<const N: usize>(&mut self) -> [u32; N] {
-        match self.0.split_first_chunk() {
-            Some((words, rest)) => {
-                self.0 = rest;
-                *words
-            }
-            None => [0; N], // unreachable: the block has this board's length
-        }
-    }
-}
-
-impl Request for SliceRequest<'_> {
-    fn take1(&mut self) -> [u32; 1] {
-        self.next()
-    }
-
-    fn take2(&mut self) -> [u32; 2] {
-        self.next()
-    }
-
-    fn take4(&mut self) -> [u32; 4] {
-        self.next()
-    }
-
-    fn take9(&mut self) -> [u32; 9] {
-        self.next()
-    }
-
-    fn intact(&mut self) -> bool {
-        true
-    }
-
-    fn sound(&self, _: usize) -> bool {
-        true
-    }
-}
-
-impl Reply for etherbone::ReplyWriter<'_> {
-    fn put(&mut self, word: u32) {
-        // The caller provides a buffer for the longest answer.
-        let _ = self.push(word);
-    }
-}
 
 /// An answer that is written directly into a transmit slot, after the headers and [`reply_head`].
 #[derive(Debug)]

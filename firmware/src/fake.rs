@@ -207,7 +207,7 @@ impl Board for Notebook {
     }
     fn csr_read(&mut self, address: u32) -> u32 {
         self.asked.push(address);
-        let status = wire::map::SEGMENTS + 4 * crate::jobs::core::STATUS as u32;
+        let status = wire::map::SEGMENTS + 4 * crate::segments::STATUS as u32;
         // The segments core reads idle by default.
         let state = if address == status { self.segments } else { 0 };
         address ^ 0x5555_0000 | state

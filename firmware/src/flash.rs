@@ -10,6 +10,9 @@
 //! their own, which check what they write.
 
 use crate::images::{self, Step};
+use crate::nor::{
+    BUSY, ERASE_BLOCK, ERASE_SECTOR, JEDEC, Nor, PROGRAM, PROTECTION, UNIQUE_ID, WRITE_STATUS,
+};
 use crate::settings::{self, Copies};
 use embedded_hal::spi::{Operation, SpiDevice};
 use wire::crc::Crc32;
@@ -27,96 +30,6 @@ const PATIENCE_SECONDS: u64 = 4;
 /// A selection takes about forty steps at most: clear a sector, erase it, write a stub. More steps
 /// mean that the chip does not obey.
 const STEPS_MAX: u8 = 60;
-
-/// Commands of every 25-series chip.
-const WRITE_STATUS: u8 = 0x01;
-const PROGRAM: u8 = 0x02;
-const READ: u8 = 0x03;
-const STATUS: u8 = 0x05;
-const WRITE_ENABLE: u8 = 0x06;
-const ERASE_SECTOR: u8 = 0x20;
-const UNIQUE_ID: u8 = 0x4b;
-const JEDEC: u8 = 0x9f;
-const ERASE_BLOCK: u8 = 0xd8;
-
-/// Status register: an erase or a program runs.
-const BUSY: u8 = 1;
-/// Status register: everything that protects: BP bits 4:2, TB, SEC (or BP3, BP4).
-const PROTECTION: u8 = 0x7c;
-
-/// The flash chip on an SPI device.
-#[derive(Debug)]
-pub struct Nor<'s, S>(pub &'s mut S);
-
-impl<S: SpiDevice> Nor<'_, S> {
-    /// One command: the bytes sent, the data sent after them, the answer.
-    fn command(&mut self, head: &[u8], data: &[u8], answer: &mut [u8]) -> Result<(), OpResult> {
-        let mut operations = [
-            Operation::Write(head),
-            Operation::Write(data),
-            Operation::Read(answer),
-        ];
-        let done = self.0.transaction(&mut operations);
-        done.map_err(|_| OpResult::Flash)
-    }
-
-    /// A command with an address.
-    #[inline(never)]
-    fn at(
-        &mut self,
-        command: u8,
-        address: u32,
-        data: &[u8],
-        answer: &mut [u8],
-    ) -> Result<(), OpResult> {
-        let [_, a, b, c] = address.to_be_bytes();
-        self.command(&[command, a, b, c], data, answer)
-    }
-
-    fn status(&mut self) -> Result<u8, OpResult> {
-        let mut status = [0];
-        self.command(&[STATUS], &[], &mut status)?;
-        let [status] = status;
-        Ok(status)
-    }
-
-    fn write_enable(&mut self) -> Result<(), OpResult> {
-        self.command(&[WRITE_ENABLE], &[], &mut [])
-    }
-
-    /// Reads bytes.
-    pub fn read(&mut self, address: u32, bytes: &mut [u8]) -> Result<(), OpResult> {
-        self.at(READ, address, &[], bytes)
-    }
-
-    /// Are all these bytes erased?
-    pub fn blank(&mut self, address: u32, length: u32) -> Result<bool, OpResult> {
-        let mut blank = true;
-        self.each(address, length, |bytes| {
-            blank &= bytes.iter().all(|byte| *byte == 0xff);
-        })?;
-        Ok(blank)
-    }
-
-    /// Reads bytes, a few at a time.
-    fn each(
-        &mut self,
-        address: u32,
-        length: u32,
-        mut look: impl FnMut(&[u8]),
-    ) -> Result<(), OpResult> {
-        let mut chunk = [0; 64];
-        let mut done = 0;
-        while done < length {
-            let count = (length - done).min(chunk.len() as u32);
-            let bytes = chunk.get_mut(..count as usize).unwrap_or(&mut []);
-            self.read(address + done, bytes)?;
-            look(bytes);
-            done += count;
-        }
-        Ok(())
-    }
-}
 
 /// The state of an operation.
 #[derive(Clone, Copy, Debug)]

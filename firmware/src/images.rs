@@ -18,7 +18,7 @@
 //! This module accesses only the stub sectors; [`crate::flash`] checks that a slot holds a whole
 //! image.
 
-use crate::flash::Nor;
+use crate::nor::Nor;
 use embedded_hal::spi::SpiDevice;
 use wire::flash::{Layout, OpResult, PAGE, SECTOR, Slot};
 use wire::images::Stub;

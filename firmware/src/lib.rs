@@ -20,6 +20,7 @@
 //! | [`cores`] | the board as the lib sees it: a trait |
 //! | [`net`] | recognises plain UDP to us and checks it; leaves everything else to the IP stack |
 //! | [`server`] | Etherbone: checks a whole datagram, then executes all of it or nothing |
+//! | [`block`] | the words of an exchange and how many there are on this board |
 //! | [`exchange`] | the servo-period datagram: judge, stage, commit, sample, answer |
 //! | [`session`] | which host owns the motion |
 //! | [`auth`] | the pre-shared key: challenges, and judging the answers |
@@ -28,11 +29,13 @@
 //! | [`describe`] | how the board says what it is |
 //! | [`service`] | which raw registers may be touched |
 //! | [`flash`] | the SPI flash: one operation at a time, never blocking; golden and the slot in use cannot be written |
+//! | [`nor`] | the commands of the flash chip |
 //! | [`images`] | which slot loads, and how that changes one byte at a time |
 //! | [`settings`] | the two copies of what a board keeps over a power cycle |
 //! | [`discovery`] | lets hosts find the board and set its settings, whatever its address |
 //! | [`dhcp`] | an address from a server, or the static one after 10 s |
 //! | [`ip`] | ARP, ping and the console's TCP connection |
+//! | [`segments`] | the words of the segments core's page |
 //! | [`jobs`] | what the board does without a PC, in a program of its own |
 //! | [`link`] | up or down, speed, errors |
 //! | `path_stop` | decelerations that keep the axes on their line when no commands come any more |
@@ -45,6 +48,7 @@
 #![forbid(unsafe_code)]
 
 pub mod auth;
+pub mod block;
 pub mod config;
 pub mod console;
 pub mod cores;
@@ -60,9 +64,11 @@ pub mod link;
 pub mod log;
 pub mod machine;
 pub mod net;
+pub mod nor;
 pub(crate) mod path_stop;
 pub mod postmortem;
 pub mod safety;
+pub mod segments;
 pub mod server;
 pub mod service;
 pub mod session;

@@ -16,6 +16,7 @@
 #![no_main]
 
 mod app;
+mod memory;
 mod soc;
 
 use core::arch::global_asm;

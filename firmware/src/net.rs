@@ -398,7 +398,7 @@ impl<F: Frame> Command<'_, F> {
     }
 }
 
-/// Loads first, uses later: see [`crate::exchange::Request`].
+/// Loads first, uses later: see [`crate::block::Request`].
 macro_rules! take {
     ($self:ident, $($word:ident),+) => {{
         $(let $word = $self.load();)+
@@ -406,7 +406,7 @@ macro_rules! take {
     }};
 }
 
-impl<F: Frame> crate::exchange::Request for Command<'_, F> {
+impl<F: Frame> crate::block::Request for Command<'_, F> {
     #[inline(always)]
     fn take1(&mut self) -> [u32; 1] {
         take!(self, a)
@@ -468,7 +468,7 @@ fn sums_up(
     said == 0 || sum.is_multiple_of(0xffff)
 }
 
-use crate::exchange::Request as _;
+use crate::block::Request as _;
 
 /// Ones' complement sum of `count` words.
 fn sum_words(frame: &impl Frame, start: usize, count: usize) -> u32 {

@@ -39,7 +39,7 @@
 //!   what its rate has changed since the command.
 
 use crate::cores::{Board, LATCH_STEPGEN, STAGE_ENABLES, STAGE_STEPGEN, Setting};
-use crate::jobs::core::STATUS;
+use crate::segments::STATUS;
 use wire::exchange::{COMMAND_STEPGEN, FLAG_ALONE_SHIFT, MAX_CHANNELS, STATUS_STEPGEN};
 use wire::map::{self, BoardConfig, StepgenConfig};
 

@@ -8,18 +8,18 @@
 //! counted by reason and has no other effect.
 
 use crate::auth::{Auth, Words};
+use crate::block::{FLAGS_WORD, REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
 use crate::cores::{
     Board, Control, Gate, Ident, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_SAMPLE, Led,
     STROBE_COMMIT, STROBE_SAMPLE, Setting,
 };
-use crate::exchange::{REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
 use crate::flash::Flash;
 use crate::link::Link;
 use crate::path_stop::PathStop;
 use crate::postmortem::Boot;
 use crate::safety::{Effects, Event, Safety};
 use crate::session::{Peer, Session};
-use crate::{config, describe, log, service};
+use crate::{config, describe, log, segments, service};
 use wire::auth::Purpose;
 use wire::describe::{FEATURE_KEY, JobsState, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
@@ -37,7 +37,7 @@ const WINDOW: u32 = 0x1000;
 pub(crate) const COUNTERS_CUTS: u32 = map::COUNTERS_REFUSED + 4 * Refusal::COUNT as u32;
 const CUTS_WORD: u32 = (COUNTERS_CUTS - map::COUNTERS) / 4;
 /// Outputs that follow the segments core; boards without that core are not told.
-const SEGMENTS_MASK: u32 = map::SEGMENTS + 4 * crate::jobs::core::MASK as u32;
+const SEGMENTS_MASK: u32 = map::SEGMENTS + 4 * segments::MASK as u32;
 const STATUS_WORDS_END: u32 = map::STATUS + 0x400;
 const COMMAND_END: u32 = map::COMMAND + WINDOW;
 const COUNTERS_END: u32 = map::COUNTERS + WINDOW;
@@ -453,7 +453,7 @@ impl Server {
             let [_, _, record] = reply_head(&self.shape);
             writer.push(record);
             self.exchange(board, peer, &mut SliceRequest(block), &mut writer)?;
-            let flags = block.get(crate::exchange::FLAGS_WORD).copied();
+            let flags = block.get(FLAGS_WORD).copied();
             self.exchanged(flags.unwrap_or(0));
             debug_assert_eq!(writer.words().len(), REPLY_OVERHEAD + self.shape.status);
             return Ok(if packet.no_reads() {

@@ -3,7 +3,7 @@
 //! The newest whole copy is in force. A save or an erase begins with the other one, so that an
 //! interrupted operation always leaves one whole copy ([`crate::flash`] writes).
 
-use crate::flash::Nor;
+use crate::nor::Nor;
 use embedded_hal::spi::SpiDevice;
 use wire::flash::{Layout, OpResult};
 use wire::settings::{Settings, WORDS};

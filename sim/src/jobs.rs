@@ -15,7 +15,7 @@ use litex_pac::abi;
 use wire::MAX_WORDS;
 use wire::jobs::{self, FRAME, Op, Status};
 
-use crate::twin::Desk;
+use crate::desk::Desk;
 
 /// Clocks of a turn of the loop in which it does a piece of work: a segment planned, a block of a
 /// job read. A round figure.

@@ -30,6 +30,7 @@
 
 pub mod board;
 pub mod card;
+pub mod desk;
 pub mod edges;
 pub mod error;
 pub mod exchange;

@@ -11,13 +11,14 @@ use anyhow::Context;
 use clap::{Parser, ValueEnum};
 use sim::board::TraceWindow;
 use sim::card::Card;
+use sim::desk;
 use sim::faults::{Plan, Rejected};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part};
 use sim::plant::{Axis, Plant};
 use sim::rig::{Rig, Setup};
 use sim::server::{Device, Mode, Options, Server};
-use sim::twin::{self, Twin};
+use sim::twin::Twin;
 use wire::describe::Channels;
 
 const PLANT_HELP: &str = concat!(
@@ -157,7 +158,7 @@ struct Arguments {
     #[arg(long, value_name = "FILE")]
     flash: Option<PathBuf>,
     /// Unique id of the flash, 16 hexadecimal digits; each board needs another one.
-    #[arg(long, value_name = "HEX", default_value_t = format!("{:016x}", sim::twin::UID), value_parser = parse_uid)]
+    #[arg(long, value_name = "HEX", default_value_t = format!("{:016x}", sim::desk::UID), value_parser = parse_uid)]
     uid: String,
     /// The factory pin is held at start: saved settings are not used.
     #[arg(long)]
@@ -299,10 +300,10 @@ impl Arguments {
             (None, Some(folder)) => Card::read(folder)?,
             (None, None) => Card::named(&self.board)?,
         };
-        let mut twin = Twin::power_up(twin::Setup {
+        let mut twin = Twin::power_up(desk::Setup {
             flash: self.flash()?,
             factory: self.factory,
-            ..twin::Setup::new(card, self.plant()?)
+            ..desk::Setup::new(card, self.plant()?)
         });
         if let Some(path) = &self.edges {
             twin.record_edges(path)?;

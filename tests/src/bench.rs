@@ -3,11 +3,12 @@
 
 use host::keys::Key;
 use sim::card::Card;
+use sim::desk::Setup;
 use sim::nor::spi::Shared;
 use sim::nor::{Cut, Nor};
 use sim::plant::Plant;
 use sim::server::{Device, Service};
-use sim::twin::{Setup, Twin};
+use sim::twin::Twin;
 use wire::auth::WORDS;
 use wire::describe::{Channels, FEATURE_KEY, FEATURES_AT};
 use wire::discovery::{Body, Message, WORDS_MAX};

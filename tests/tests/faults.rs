@@ -10,9 +10,10 @@ use ferrocnc_tests::bench::Bench;
 use ferrocnc_tests::flash::{Boots, FIRST, boots, factory};
 use ferrocnc_tests::mill::{AXES, Mill, Owner, SCALE, card, words};
 use host::client::ClientError;
+use sim::desk::Setup;
 use sim::nor::{Cut, Order, Part, Times};
 use sim::server::Device;
-use sim::twin::{Setup, Twin};
+use sim::twin::Twin;
 use wire::units::Accel;
 use wire::{FaultReason, Refusal, map};
 

@@ -1,6 +1,6 @@
 //! Measurements. Each prints its figures and leaves them in `target/reports/NAME.json`.
 
-use crate::{build, faults, root, setup, step, target};
+use crate::{build, faults, python, root, setup, step, target};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use std::process::Command;
@@ -122,7 +122,7 @@ fn gateware() -> Result<()> {
     setup::run(setup::Need::Gateware)?;
     step::heading("bench: gateware");
     std::fs::create_dir_all(target("reports"))?;
-    let mut bench = build::gateware("bench");
+    let mut bench = python::gateware("bench");
     bench
         .arg("--out")
         .arg(target("gateware/bench"))

@@ -2,7 +2,7 @@
 //! below `target/bitstream`. `gateware/ferrocnc/build.py` knows the build steps. This module passes
 //! the options and prints the expected time.
 
-use crate::{build, root, setup, step, target};
+use crate::{build, python, root, setup, step, target};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use std::path::PathBuf;
@@ -138,7 +138,7 @@ fn images(boards: &[PathBuf], more: &[String]) -> Result<String> {
     let image = build::firmware()?;
     let router = build::router()?;
     std::fs::create_dir_all(target("reports"))?;
-    let mut build = build::gateware("bitstream");
+    let mut build = python::gateware("bitstream");
     build.env("FERROCNC_ROUTER", router);
     build.arg("--board").args(boards);
     build.arg("--out").arg(target("bitstream"));

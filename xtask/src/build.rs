@@ -1,6 +1,6 @@
 //! Builds the parts: simulated board, firmware image, driver and tools, bitstream.
 
-use crate::{root, setup, step, target};
+use crate::{python, setup, step, target};
 use anyhow::{Result, bail};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -57,7 +57,7 @@ pub fn soc(board: &str) -> PathBuf {
 /// Elaborates a board for simulation and verilates it.
 pub fn simulated_board(board: &str) -> Result<PathBuf> {
     let elaborated = target(&format!("gateware/sim-{board}"));
-    let mut elaborate = gateware("elaborate");
+    let mut elaborate = python::gateware("elaborate");
     elaborate
         .args([
             "--target",
@@ -182,13 +182,4 @@ pub fn install_driver() -> Result<()> {
         "1 s",
         &mut install,
     )
-}
-
-/// A call of the gateware's Python side.
-pub fn gateware(subcommand: &str) -> Command {
-    let mut command = Command::new(setup::python());
-    command
-        .env("PYTHONPATH", root().join("gateware"))
-        .args(["-m", "ferrocnc", subcommand]);
-    command
 }

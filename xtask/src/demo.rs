@@ -1,7 +1,7 @@
 //! The main job: LinuxCNC cuts a program through the real driver, over UDP, into the release
 //! firmware on the Verilated gateware; then the tool path is rebuilt from the STEP/DIR edges.
 
-use crate::{build, setup, step, target};
+use crate::{build, python, setup, step, target};
 use anyhow::{Context, Result};
 use clap::Args;
 use std::process::Command;
@@ -40,7 +40,7 @@ pub fn run(options: &Options) -> Result<()> {
         &mut demo,
     )?;
 
-    let mut report = Command::new(setup::python());
+    let mut report = Command::new(python::interpreter());
     report
         .arg("tests/demo/report.py")
         .arg(&out)

@@ -1,6 +1,8 @@
 //! `cargo xtask lint`: format, clippy, ruff, verible, licences. It changes nothing; every check
 //! runs, and all findings are told together.
 
+#[cfg(test)]
+mod circles;
 mod licences;
 
 use crate::{root, setup, step, target};

@@ -4,6 +4,7 @@
 mod bench;
 mod bitstream;
 mod build;
+mod cargo_tests;
 mod demo;
 mod docs;
 mod faults;
@@ -12,6 +13,7 @@ mod fuzz;
 mod lint;
 mod mutants;
 mod netlist;
+mod python;
 mod regen;
 mod setup;
 mod step;

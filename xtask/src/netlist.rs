@@ -1,7 +1,7 @@
 //! Simulates the netlist of the smallest board, as yosys and nextpnr made it, beside its RTL
 //! (docs/netlist.md).
 
-use crate::{bitstream, build, root, setup, step, target, test};
+use crate::{bitstream, build, cargo_tests, python, root, setup, step, target};
 use anyhow::Result;
 use clap::Args;
 use std::process::Command;
@@ -34,7 +34,7 @@ pub fn compare(seeds: u32, seed: Option<u64>) -> Result<usize> {
     let name = bitstream::SMALLEST;
     build::simulated_board(name)?;
     let folder = target(&format!("gateware/gates-{name}"));
-    let mut write = build::gateware("gates");
+    let mut write = python::gateware("gates");
     write
         .arg("--board")
         .arg(root().join("boards").join(format!("{name}.toml")))
@@ -66,5 +66,14 @@ pub fn compare(seeds: u32, seed: Option<u64>) -> Result<usize> {
         ("FERROCNC_NETLIST_SEEDS", seeds.to_string()),
     ];
     more.extend(seed.map(|seed| ("FERROCNC_SEED", seed.to_string())));
-    test::netlist(&more)
+    against_rtl(&more)
+}
+
+/// The routed netlist beside the RTL, told where both are.
+fn against_rtl(more: &[(&str, String)]) -> Result<usize> {
+    let mut arguments = vec!["test"];
+    arguments.extend(build::BOARD_TESTS);
+    arguments.extend(["--test", "netlist", "--", "--nocapture"]);
+    let title = "what nextpnr made beside the RTL, clock by clock";
+    cargo_tests::run_with("test-netlist", title, "20 s", &arguments, more)
 }

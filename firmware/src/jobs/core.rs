@@ -1,27 +1,8 @@
-//! The segments core's registers, as operations. docs/cores/segments.md describes them.
+//! The segments core's registers ([`crate::segments`]), as operations. docs/cores/segments.md describes them.
 
 use super::Outside;
+use crate::segments::{BEAM, BEGUN, CONTROL, CURRENT, LEFT, MASK, PACE, PUSH, SHAPE, SLEW, STATUS};
 use motion::segment::{AXES, Segment};
-
-/// Register, by its word: a write pushes the segment in the words before it.
-pub const PUSH: usize = 16;
-const CONTROL: usize = 17;
-/// Register: how much of a clock the path's time passes in one, 65536ths.
-pub const PACE: usize = 18;
-const SLEW: usize = 19;
-const BEAM: usize = 20;
-/// Register: the outputs that belong to the job.
-pub const MASK: usize = 21;
-/// Register: [`State`].
-pub const STATUS: usize = 22;
-/// Register: segments begun since power-up.
-pub const BEGUN: usize = 23;
-/// Register: clocks left of the current segment, less 1.
-pub const LEFT: usize = 24;
-/// Register: the outputs' state.
-pub const CURRENT: usize = 25;
-/// Register: number of axes, and number of segments that fit.
-pub const SHAPE: usize = 27;
 
 const START: u32 = 1;
 const QUIT: u32 = 2;

@@ -1,5 +1,6 @@
 use super::*;
-use crate::exchange::{FLAGS_WORD, FRAME_FLAGS, Reply as _, SlotReply};
+use crate::block::{FLAGS_WORD, Reply as _};
+use crate::exchange::{FRAME_FLAGS, SlotReply};
 use crate::fake::{ALICE, Notebook, Rig, SIX};
 use proptest::prelude::*;
 use wire::exchange::{Command as Block, Status};

@@ -3,9 +3,9 @@
 
 use super::{ABI, Soc};
 use firmware::cores::Board as _;
-use firmware::flash::Nor;
 use firmware::jobs::abi::{self, Header};
 use firmware::machine::Machine;
+use firmware::nor::Nor;
 use litex_pac::{Sdram, abi as map};
 use wire::describe::JobsState;
 use wire::images::program_length;

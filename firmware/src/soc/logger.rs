@@ -77,4 +77,4 @@ pub fn read(what: Read) -> u32 {
     store().ring.read(what)
 }
 
-defmt::timestamp!("{=u64:us}", super::postmortem::microseconds());
+defmt::timestamp!("{=u64:us}", super::clock::microseconds());

@@ -1,6 +1,7 @@
 //! The only code that names the PAC: registers behind [`firmware::cores::Board`], the MAC's slots,
 //! what survives a restart, and start-up.
 
+mod clock;
 mod hal;
 mod jobs;
 mod logger;
@@ -13,7 +14,7 @@ pub use mac::{Mac, RxFrame, TxSlot};
 pub use postmortem::restart;
 pub use stack::{check as check_stack, used as stack_used};
 
-use crate::app::Memory;
+use crate::memory::Memory;
 use core::ptr::{read_volatile, write_volatile};
 use firmware::cores::{self, Board, Control, Gate, Ident, Led, Setting};
 use firmware::machine::BLOB_MAX;

@@ -8,8 +8,7 @@ use core::mem::MaybeUninit;
 use core::panic::{Location, PanicInfo};
 use core::ptr::null;
 use firmware::postmortem::{Boot, Record};
-use firmware::thrift::divide;
-use litex_pac::{Ident, Timebase, Watchdog, abi};
+use litex_pac::{Watchdog, abi};
 use riscv::register::{mcause, mepc, mtval};
 use wire::ResetReason;
 
@@ -35,16 +34,6 @@ pub fn rename(seed: u32) -> u32 {
 /// A word of the panic window.
 pub fn word(offset: u32) -> u32 {
     record().word(offset)
-}
-
-/// Microseconds since power-up, for log stamps.
-pub fn microseconds() -> u64 {
-    // SAFETY: reads, and a snapshot that every reader of the time takes again.
-    let (timebase, ident) = unsafe { (Timebase::steal(), Ident::steal()) };
-    timebase.snapshot().write(|w| unsafe { w.bits(1) });
-    let now = u64::from(timebase.now_hi().read().bits()) << 32
-        | u64::from(timebase.now_lo().read().bits());
-    divide(now, ident.sys_clk_hz().read().bits() / 1_000_000)
 }
 
 /// Restarts on request.

@@ -6,14 +6,14 @@ use firmware::cores::{
 use firmware::log;
 use firmware::machine::{IDLE, Machine};
 use sim::card::Card;
+use sim::desk::{Desk, Setup};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
 use sim::plant::Plant;
-use sim::twin::{Desk, Setup};
 use std::cell::RefCell;
 
 /// The segments core's mask of outputs.
-const OUTPUTS_OF_A_JOB: u32 = wire::map::SEGMENTS + 4 * firmware::jobs::core::MASK as u32;
+const OUTPUTS_OF_A_JOB: u32 = wire::map::SEGMENTS + 4 * firmware::segments::MASK as u32;
 
 /// The effects on the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

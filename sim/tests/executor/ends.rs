@@ -234,7 +234,7 @@ fn a_path_that_stands_though_it_should_pass_is_ended_by_the_watchdog() {
     rig.underway();
     // Not by a pause: something is wrong with the core. The program runs, but feeds nothing that
     // does not go on.
-    let pace = litex_pac::abi::CSR_SEGMENTS + 4 * firmware::jobs::core::PACE;
+    let pace = litex_pac::abi::CSR_SEGMENTS + 4 * firmware::segments::PACE;
     rig.machine.board.csr_write(pace as u32, 0);
     rig.run(600 * MS);
     let gate = rig.machine.board.gate();

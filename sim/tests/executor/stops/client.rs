@@ -4,7 +4,7 @@
 use crate::rig::Rig;
 use firmware::machine::Machine;
 use firmware::session::Peer;
-use sim::twin::Desk;
+use sim::desk::Desk;
 use wire::exchange::{COMMAND_MAX, Command, REQUEST_OVERHEAD, Status};
 use wire::{MAX_WORDS, map};
 

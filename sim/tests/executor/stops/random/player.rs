@@ -40,7 +40,7 @@ pub enum Trouble {
 
 /// The board, from a PC that streams segments to it.
 struct Wire<'a> {
-    rig: &'a mut firmware::machine::Machine<sim::twin::Desk>,
+    rig: &'a mut firmware::machine::Machine<sim::desk::Desk>,
     number: &'a mut u32,
 }
 
