@@ -265,6 +265,8 @@ def regmap_rs(banks, abi):
     out += _const("JOB_SEGMENTS", rm.JOB_SEGMENTS, "Segments that fit into the FIFO.")
     out += _const("CSR_BASE", f"0x{rm.CSR_BASE:08x}", "First byte of the register pages.")
     out += _const("CSR_PAGE", f"0x{rm.CSR_PAGE:x}", "Bytes of a page.")
+    out += ["", *_doc("The address of a register: of word `word` on the page that begins at `base`."),
+            "pub const fn address(base: usize, word: usize) -> u32 {", "(base + 4 * word) as u32", "}"]
     seen = set()
     for bank in banks:
         if bank.kind not in seen:

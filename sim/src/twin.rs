@@ -22,6 +22,7 @@ use wire::describe::JobsState;
 use wire::flash::Layout;
 use wire::images::{Meta, Role, Trailer};
 use wire::map::{BoardConfig, StepType, StepgenConfig};
+use wire::regmap::timebase;
 use wire::{MAX_WORDS, ResetReason};
 
 use crate::board::{Clockwork, ETH_CLK_HZ};
@@ -399,7 +400,7 @@ impl cores::Board for Desk {
     }
     fn strobe(&mut self, strobes: u32) {
         self.order(pages::TIMEBASE, 7, strobes);
-        if strobes & cores::STROBE_SAMPLE != 0 {
+        if strobes & timebase::STROBE_SAMPLE != 0 {
             self.pass(self.clock() + SAMPLED);
         }
     }

@@ -315,9 +315,9 @@ pub const PADS: u32 = pads::BASE as u32;
 pub const PADS_WORDS: u32 = pads::WORDS as u32;
 /// The wall clock as caught last, low word; the Ethernet clock's count in [`ETH_BEATS`] is of that
 /// moment.
-pub const TIMEBASE_NOW: u32 = (timebase::BASE + 4 * timebase::NOW_LO) as u32;
+pub const TIMEBASE_NOW: u32 = regmap::address(timebase::BASE, timebase::NOW_LO);
 /// The Ethernet receive clock, in units of [`ETH_BEAT_CLOCKS`] of its clocks.
-pub const ETH_BEATS: u32 = (timebase::BASE + 4 * timebase::ETH_BEATS) as u32;
+pub const ETH_BEATS: u32 = regmap::address(timebase::BASE, timebase::ETH_BEATS);
 /// Clocks of a beat.
 pub const ETH_BEAT_CLOCKS: u32 = 4;
 

@@ -67,6 +67,11 @@ pub const CSR_BASE: usize = 0xf0000000;
 /// Bytes of a page.
 pub const CSR_PAGE: usize = 0x800;
 
+/// The address of a register: of word `word` on the page that begins at `base`.
+pub const fn address(base: usize, word: usize) -> u32 {
+    (base + 4 * word) as u32
+}
+
 /// LiteX's system controller.
 pub mod ctrl {
     /// Number of the page.
