@@ -17,12 +17,11 @@ use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
 use firmware::postmortem::Record;
 use firmware::session::Peer;
 use firmware::{dhcp, log, text};
-use litex_pac::abi;
 use wire::describe::JobsState;
 use wire::flash::Layout;
 use wire::images::{Meta, Role, Trailer};
-use wire::map::{BoardConfig, StepType, StepgenConfig};
-use wire::regmap::timebase;
+use wire::map::{StepType, StepgenConfig};
+use wire::regmap::{self, command, encoder, led, stepgen, timebase, watchdog};
 use wire::{MAX_WORDS, ResetReason};
 
 use crate::board::{Clockwork, ETH_CLK_HZ};
@@ -34,7 +33,7 @@ use crate::faults::{Act, Cargo, Direction, Line, Plan, Script};
 use crate::gmii;
 use crate::jobs;
 use crate::loader;
-use crate::model::{self, board::pages};
+use crate::model;
 use crate::nor::spi::Shared;
 use crate::nor::{Nor, Part};
 use crate::plant::Plant;
@@ -106,7 +105,7 @@ impl Setup {
             plant,
             flash: Shared::new(Nor::new(Part::W25Q32JV, UID)),
             factory: false,
-            abi: abi::ABI,
+            abi: regmap::ABI,
             wall_clock: 0,
             sdram: true,
             readback: true,
@@ -301,31 +300,26 @@ impl Desk {
         self.model.snapshot((self.eth.passed / beat) as u32);
     }
 
-    fn order(&mut self, page: u32, word: u32, data: u32) {
-        self.model.order(page, word, data);
+    fn order(&mut self, page: u32, word: usize, data: u32) {
+        self.model.order(page, word as u32, data);
         self.pass(self.clock() + ACCESS);
     }
 
-    fn place(which: Setting) -> (u32, u32) {
-        match which {
-            Setting::Stepgen(n, field) => (pages::STEPGEN + u32::from(n), field as u32),
-            Setting::PwmPeriod(n) => (pages::PWM + u32::from(n), 0),
-            Setting::PwmMode(n) => (pages::PWM + u32::from(n), 1),
-            Setting::EncoderMode(n) => (pages::ENCODER + u32::from(n), 0),
-            Setting::EncoderFilter(n) => (pages::ENCODER + u32::from(n), 1),
-            Setting::Debounce(n) => (pages::DEBOUNCE, n.into()),
-            Setting::Board(BoardConfig::WatchdogTimeout) => (pages::WATCHDOG, 0),
-            Setting::Board(BoardConfig::WatchdogGrace) => (pages::WATCHDOG, 1),
-            Setting::Board(BoardConfig::GpioSafe) => (pages::GPIO, 1),
-            Setting::Board(BoardConfig::GpioInvert) => (pages::GPIO, 2),
-            Setting::Board(BoardConfig::Probe) => (pages::GPIO, 7),
-        }
+    /// What a register reads.
+    fn read(&mut self, page: u32, word: usize) -> u32 {
+        self.model.read(page, word as u32)
+    }
+
+    /// Page and word of a register's address.
+    fn place(address: u32) -> (u32, usize) {
+        let offset = address.wrapping_sub(wire::map::SERVICE);
+        let page = regmap::CSR_PAGE as u32;
+        (offset / page, (offset % page / 4) as usize)
     }
 
     /// Gives the check at the pins the settings of a stepgen.
     fn tell_the_judge(&mut self, n: u8) {
-        let mut read =
-            |field: StepgenConfig| self.model.read(pages::STEPGEN + u32::from(n), field as u32);
+        let mut read = |field| cores::Board::setting(self, Setting::Stepgen(n, field));
         let timing = Timing {
             steplen: read(StepgenConfig::Steplen).into(),
             stepspace: read(StepgenConfig::Stepspace).into(),
@@ -384,84 +378,76 @@ impl cores::Board for Desk {
         (self.model.arrival() >> 32) as u32
     }
     fn stage(&mut self, word: usize, value: u32) {
-        self.model.set(pages::COMMAND, word as u32, value);
+        self.model.set(command::PAGE, word as u32, value);
     }
     fn staged(&mut self, word: usize) -> u32 {
-        self.model.read(pages::COMMAND, word as u32)
+        self.read(command::PAGE, word)
     }
     fn latched(&mut self, word: usize) -> u32 {
         self.model.status(word)
     }
     fn commit_at(&mut self, at: u64) {
         // Never first, so that no half of an old time and half of a new one can be due.
-        for (word, half) in [(6, u32::MAX), (5, at as u32), (6, (at >> 32) as u32)] {
-            self.order(pages::TIMEBASE, word, half);
+        let (low, high) = (timebase::COMMIT_AT_LO, timebase::COMMIT_AT_HI);
+        for (word, half) in [
+            (high, u32::MAX),
+            (low, at as u32),
+            (high, (at >> 32) as u32),
+        ] {
+            self.order(timebase::PAGE, word, half);
         }
     }
     fn strobe(&mut self, strobes: u32) {
-        self.order(pages::TIMEBASE, 7, strobes);
+        self.order(timebase::PAGE, timebase::STROBE, strobes);
         if strobes & timebase::STROBE_SAMPLE != 0 {
             self.pass(self.clock() + SAMPLED);
         }
     }
     fn watchdog_left(&mut self) -> u32 {
-        self.model.read(pages::WATCHDOG, 5)
+        self.read(watchdog::PAGE, watchdog::REMAINING)
     }
     fn feed(&mut self, token: u32) {
         self.fed = self.clock();
-        self.order(pages::WATCHDOG, 2, token);
+        self.order(watchdog::PAGE, watchdog::TOKEN, token);
     }
     fn gate(&mut self) -> Gate {
-        Gate(self.model.read(pages::WATCHDOG, 4))
+        Gate(self.read(watchdog::PAGE, watchdog::STATUS))
     }
     fn last_close(&mut self) -> u32 {
-        self.model.read(pages::WATCHDOG, 8)
+        self.read(watchdog::PAGE, watchdog::LAST_CLOSE)
     }
     fn control(&mut self, order: Control) {
-        let key = match order {
-            Control::Arm => abi::KEY_ARM,
-            Control::SoftStop => abi::KEY_SOFT,
-            Control::Close => abi::KEY_STOP,
-            Control::Clear => abi::KEY_CLEAR,
-        };
-        self.order(pages::WATCHDOG, 3, key);
+        self.order(watchdog::PAGE, watchdog::CONTROL, order.key());
     }
     fn setting(&mut self, which: Setting) -> u32 {
-        let (page, word) = Self::place(which);
-        self.model.read(page, word)
+        self.csr_read(which.address() as u32)
     }
     fn set(&mut self, which: Setting, value: u32) {
-        let (page, word) = Self::place(which);
+        let (page, word) = Self::place(which.address() as u32);
         self.order(page, word, value);
         if let Setting::Stepgen(n, _) = which {
             self.tell_the_judge(n);
         }
     }
     fn set_stop_accel(&mut self, stepgen: usize, value: u32) {
-        let field = wire::map::StepgenConfig::StopAccel;
-        let (page, word) = Self::place(Setting::Stepgen(stepgen as u8, field));
-        self.order(page, word, value);
+        self.order(stepgen::PAGE + stepgen as u32, stepgen::STOP_ACCEL, value);
     }
     fn csr_read(&mut self, address: u32) -> u32 {
-        let offset = address.wrapping_sub(wire::map::SERVICE);
-        self.model.read(
-            offset / abi::CSR_PAGE as u32,
-            offset % abi::CSR_PAGE as u32 / 4,
-        )
+        let (page, word) = Self::place(address);
+        self.read(page, word)
     }
     fn csr_write(&mut self, address: u32, value: u32) {
-        let offset = address.wrapping_sub(wire::map::SERVICE);
-        let page = offset / abi::CSR_PAGE as u32;
-        self.order(page, offset % abi::CSR_PAGE as u32 / 4, value);
-        if (pages::STEPGEN..pages::ENCODER).contains(&page) {
-            self.tell_the_judge((page - pages::STEPGEN) as u8);
+        let (page, word) = Self::place(address);
+        self.order(page, word, value);
+        if (stepgen::PAGE..encoder::PAGE).contains(&page) {
+            self.tell_the_judge((page - stepgen::PAGE) as u8);
         }
     }
     fn blob(&mut self, word: usize) -> u32 {
         self.blob.get(word).copied().unwrap_or(0)
     }
     fn led(&mut self, pattern: Led) {
-        self.order(pages::LED, 0, pattern as u32);
+        self.order(led::PAGE, led::PATTERN, pattern as u32);
     }
     fn log(&mut self, read: log::Read) -> u32 {
         self.ring.read(read)
@@ -625,7 +611,7 @@ impl Twin {
         let (card, sdram) = (setup.card.clone(), setup.sdram);
         let (mut desk, ident) = Desk::power_up(setup);
         let boot = desk.boot();
-        let mut machine = Machine::start(desk, ident, abi::ABI, boot);
+        let mut machine = Machine::start(desk, ident, regmap::ABI, boot);
         let jobs = jobs_program(&mut machine, &card, sdram);
         let clockwork = Clockwork::new(card.clock_hz.into());
         Twin {
@@ -792,7 +778,12 @@ impl Twin {
         };
         let spare = Desk::new(spare, trailer);
         let desk = std::mem::replace(&mut self.machine.board, spare);
-        self.machine = Machine::start(desk, ident(&self.card, gateware, readback), abi::ABI, boot);
+        self.machine = Machine::start(
+            desk,
+            ident(&self.card, gateware, readback),
+            regmap::ABI,
+            boot,
+        );
         self.jobs = jobs_program(&mut self.machine, &self.card, self.sdram);
     }
 
@@ -1270,7 +1261,10 @@ mod tests {
         let mut bench = Bench::new(Plant::default());
         assert_eq!(bench.read(0x18), HZ);
         assert_eq!(bench.read(map::DESCRIBE_BLOB), wire::board::MAGIC);
-        assert_eq!(bench.read(map::SERVICE + 8 * 0x800), abi::IDENT_MAGIC);
+        assert_eq!(
+            bench.read(regmap::address(regmap::ident::BASE, regmap::ident::MAGIC)),
+            regmap::IDENT_MAGIC
+        );
     }
 
     #[test]
@@ -1315,7 +1309,7 @@ mod tests {
         }
         assert_eq!(bench.twin.world().pins().gate, 0);
         assert_eq!(bench.twin.world().edges.violations(), []);
-        let close = bench.read(map::SERVICE + 10 * 0x800 + 8 * 4);
+        let close = bench.read(regmap::address(watchdog::BASE, watchdog::LAST_CLOSE));
         assert_eq!(close, wire::GateClose::Bite as u32);
     }
 
@@ -1336,7 +1330,7 @@ mod tests {
         let mut bench = Bench::configured(
             plant,
             &[(
-                map::CONFIG_BOARD + 4 * BoardConfig::Probe as u32,
+                map::CONFIG_BOARD + 4 * map::BoardConfig::Probe as u32,
                 5 | map::PROBE_ENABLE,
             )],
         );
