@@ -2,30 +2,13 @@
 
 use super::Outside;
 use motion::segment::{AXES, Segment};
+use wire::regmap::segments::{
+    BEAM, BEGUN, CONTROL, CONTROL_COMMAND_CLEAR, CONTROL_COMMAND_QUIT, CONTROL_COMMAND_START,
+    CURRENT, LEFT, MASK, PACE, PUSH, SHAPE, SLEW, STATUS, STATUS_LEVEL, STATUS_REASON,
+    STATUS_REASON_SHIFT, STATUS_STANDS, STATUS_STATE, STATUS_STATE_IDLE,
+};
 
-/// Register, by its word: a write pushes the segment in the words before it.
-pub const PUSH: usize = 16;
-const CONTROL: usize = 17;
-/// Register: how much of a clock the path's time passes in one, 65536ths.
-pub const PACE: usize = 18;
-const SLEW: usize = 19;
-const BEAM: usize = 20;
-/// Register: the outputs that belong to the job.
-pub const MASK: usize = 21;
-/// Register: [`State`].
-pub const STATUS: usize = 22;
-/// Register: segments begun since power-up.
-pub const BEGUN: usize = 23;
-/// Register: clocks left of the current segment, less 1.
-pub const LEFT: usize = 24;
-/// Register: the outputs' state.
-pub const CURRENT: usize = 25;
-/// Register: number of axes, and number of segments that fit.
-pub const SHAPE: usize = 27;
-
-const START: u32 = 1;
-const QUIT: u32 = 2;
-const CLEAR: u32 = 3;
+/// [`PACE`] of 1.
 const PACE_ONE: u32 = 1 << 16;
 
 /// The core's status word.
@@ -34,32 +17,34 @@ pub struct State(u32);
 
 /// The reasons of an end.
 pub mod reason {
+    use wire::regmap::segments;
+
     /// No segment left, at rest.
-    pub const DONE: u8 = 1;
+    pub const DONE: u8 = segments::STATUS_REASON_DONE as u8;
     /// No segment in time, while moving.
-    pub const UNDERRUN: u8 = 2;
+    pub const UNDERRUN: u8 = segments::STATUS_REASON_UNDERRUN as u8;
     /// Commanded.
-    pub const QUIT: u8 = 3;
+    pub const QUIT: u8 = segments::STATUS_REASON_QUIT as u8;
     /// The watchdog's soft stop.
-    pub const HALTED: u8 = 4;
+    pub const HALTED: u8 = segments::STATUS_REASON_HALTED as u8;
     /// The gate closed.
-    pub const CLOSED: u8 = 5;
+    pub const CLOSED: u8 = segments::STATUS_REASON_CLOSED as u8;
 }
 
 impl State {
     /// Segments waiting.
     pub fn level(self) -> u8 {
-        self.0 as u8
+        (self.0 & STATUS_LEVEL) as u8
     }
 
     /// No segment is being played.
     pub fn idle(self) -> bool {
-        self.0 >> 8 & 3 == 0
+        self.0 & STATUS_STATE == STATUS_STATE_IDLE
     }
 
     /// The reason of the last end.
     pub fn reason(self) -> u8 {
-        (self.0 >> 12 & 7) as u8
+        ((self.0 & STATUS_REASON) >> STATUS_REASON_SHIFT) as u8
     }
 
     /// It ended early: it takes no segment before it is cleared.
@@ -69,7 +54,7 @@ impl State {
 
     /// Path time is stopped.
     pub fn stands(self) -> bool {
-        self.0 >> 24 & 1 == 1
+        self.0 & STATUS_STANDS != 0
     }
 }
 
@@ -109,17 +94,17 @@ impl Core {
 
     /// Plays the pushed segments.
     pub fn start(self, out: &mut impl Outside) {
-        out.write_segments(CONTROL, START);
+        out.write_segments(CONTROL, CONTROL_COMMAND_START);
     }
 
     /// Brings all axes to rest, and discards the pushed segments.
     pub fn quit(self, out: &mut impl Outside) {
-        out.write_segments(CONTROL, QUIT);
+        out.write_segments(CONTROL, CONTROL_COMMAND_QUIT);
     }
 
     /// Clears the reason of the last end.
     pub fn clear(self, out: &mut impl Outside) {
-        out.write_segments(CONTROL, CLEAR);
+        out.write_segments(CONTROL, CONTROL_COMMAND_CLEAR);
     }
 
     /// Lets path time pass, or stops it.
