@@ -5,8 +5,8 @@ use crate::board::{Board, Channel, Class};
 use crate::error::{Error, Report};
 use wire::board::{HEADER_LEN, LIST, MAGIC, VERSION, crc32};
 
-/// Bytes the board has for it: one block RAM (`regmap.py`, `pac::abi::BOARD_ROM_SIZE`).
-pub const ROM: usize = 0x800;
+/// Bytes the board has for it: one block RAM.
+pub const ROM: usize = wire::regmap::BOARD_ROM_SIZE;
 
 /// The blob of a configuration. Refused when it is longer than the board has room for.
 pub fn blob(board: &Board) -> Result<Vec<u8>, Error> {

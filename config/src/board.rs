@@ -7,17 +7,7 @@ use crate::tree::{At, Key, Kind, may, must, nearest, parse_toml};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use wire::jobs::AXES as JOB_AXES;
-
-/// Channels of each kind the register map has room for (`regmap.py`, and `pac::abi`).
-pub const MAX_STEPGEN: usize = 16;
-/// As above.
-pub const MAX_ENCODER: usize = 16;
-/// As above.
-pub const MAX_PWM: usize = 16;
-/// As above.
-pub const MAX_INPUT: usize = 32;
-/// As above.
-pub const MAX_OUTPUT: usize = 32;
+use wire::regmap::{ENCODER_MAX, IN_MAX, OUT_MAX, PWM_MAX, STEPGEN_MAX};
 
 const NAME: &str = "a name as HAL has them, lower case, as in \"x\"";
 const fn name(class: HalClass) -> Key {
@@ -225,27 +215,27 @@ pub const KEYS: &[Key] = &[
     ),
     may(
         "stepgen",
-        Kind::Tables(STEPGEN, MAX_STEPGEN),
+        Kind::Tables(STEPGEN, STEPGEN_MAX),
         "an array of tables, [[stepgen]]",
     ),
     may(
         "encoder",
-        Kind::Tables(ENCODER, MAX_ENCODER),
+        Kind::Tables(ENCODER, ENCODER_MAX),
         "an array of tables, [[encoder]]",
     ),
     may(
         "pwm",
-        Kind::Tables(PWM, MAX_PWM),
+        Kind::Tables(PWM, PWM_MAX),
         "an array of tables, [[pwm]]",
     ),
     may(
         "gpio_in",
-        Kind::Tables(GPIO_IN, MAX_INPUT),
+        Kind::Tables(GPIO_IN, IN_MAX),
         "an array of tables, [[gpio_in]]",
     ),
     may(
         "gpio_out",
-        Kind::Tables(GPIO_OUT, MAX_OUTPUT),
+        Kind::Tables(GPIO_OUT, OUT_MAX),
         "an array of tables, [[gpio_out]]",
     ),
 ];

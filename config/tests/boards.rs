@@ -422,19 +422,3 @@ fn the_drawing_in_the_manual_is_what_we_draw() {
         "stale: ferrocnc config pinout boards/mill6.toml -o docs/img/mill6-pinout.svg"
     );
 }
-
-#[test]
-fn the_limits_are_the_register_maps() {
-    use ferrocnc_config::board::{MAX_ENCODER, MAX_INPUT, MAX_OUTPUT, MAX_PWM, MAX_STEPGEN};
-    use litex_pac::abi;
-    let ours = [MAX_STEPGEN, MAX_ENCODER, MAX_PWM, MAX_INPUT, MAX_OUTPUT];
-    let maps = [
-        abi::STEPGEN_MAX,
-        abi::ENCODER_MAX,
-        abi::PWM_MAX,
-        abi::IN_MAX,
-        abi::OUT_MAX,
-    ];
-    assert_eq!(ours, maps);
-    assert_eq!(blob::ROM, abi::BOARD_ROM_SIZE);
-}

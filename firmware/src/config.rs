@@ -11,17 +11,17 @@ use wire::map::{
     self, BoardConfig, CountMode, DEBOUNCE_MAX, DIR_CLOCKS_MAX, ENCODER_FILTER_MAX, PROBE_ENABLE,
     PROBE_INPUT_MASK, PROBE_INVERT, STEP_CLOCKS_MAX, StepType, StepgenConfig, WATCHDOG_SECONDS_MAX,
 };
+use wire::regmap::{IN_MAX, encoder, pwm, stepgen};
 
 /// Step and direction inversion, step type, index inversion.
 const STEPGEN_MODE_BITS: u32 = map::STEPGEN_STEP_INVERT
     | map::STEPGEN_DIR_INVERT
-    | 3 << map::STEPGEN_TYPE_SHIFT
+    | stepgen::MODE_KIND
     | map::STEPGEN_INDEX_INVERT;
 /// Inversion, type, dither, swapped pins.
-const PWM_MODE_BITS: u32 =
-    map::PWM_INVERT | 3 << map::PWM_TYPE_SHIFT | map::PWM_DITHER | map::PWM_SWAP;
+const PWM_MODE_BITS: u32 = map::PWM_INVERT | pwm::MODE_KIND | map::PWM_DITHER | map::PWM_SWAP;
 /// Counting mode, index and mask polarity, mask, clear on index.
-const ENCODER_MODE_BITS: u32 = 7
+const ENCODER_MODE_BITS: u32 = encoder::MODE_SELECT
     | map::ENCODER_INDEX_INVERT
     | map::ENCODER_MASK_ENABLE
     | map::ENCODER_MASK_INVERT
@@ -35,7 +35,7 @@ const NO_TYPE: u32 = 3;
 const TIMEOUT_MIN_PER_SECOND: u32 = 10_000;
 
 const DEBOUNCE: u32 = map::CONFIG_DEBOUNCE - map::CONFIG;
-const DEBOUNCE_END: u32 = DEBOUNCE + 4 * 32;
+const DEBOUNCE_END: u32 = DEBOUNCE + 4 * IN_MAX as u32;
 
 /// The setting at this byte address of the config window, if this board has it.
 #[inline(never)]
@@ -124,7 +124,7 @@ pub fn check(
             return allow(value & !PWM_MODE_BITS == 0 && kind != NO_TYPE);
         }
         Setting::EncoderMode(_) => {
-            let counting = CountMode::from_code(value & 7).is_some();
+            let counting = CountMode::from_code(value & encoder::MODE_SELECT).is_some();
             return allow(value & !ENCODER_MODE_BITS == 0 && counting);
         }
         Setting::EncoderFilter(_) => 0..=ENCODER_FILTER_MAX,

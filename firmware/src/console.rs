@@ -7,16 +7,15 @@
 //! control bytes and telnet's option negotiation.
 
 use crate::auth::{Words, by_port};
-use crate::cores::{
-    Board, LATCH_ENCODER, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_STEPGEN, Setting,
-};
+use crate::cores::{Board, Setting};
 use crate::log;
 use crate::net::Us;
 use crate::server::{Server, last_close};
 use crate::text::{Out, Sink};
 use wire::Refusal;
-use wire::exchange::{EDGE_TIME_BITS, MAX_CHANNELS};
+use wire::exchange::EDGE_TIME_BITS;
 use wire::map::{self, BoardConfig, StepgenConfig};
+use wire::regmap::{CSR_PAGE, status};
 
 /// Longest line. The longest command with its argument is a quarter of this.
 pub const LINE_MAX: usize = 64;
@@ -429,14 +428,13 @@ fn settings(server: &Server, us: &Us, out: &mut Out) {
 }
 
 fn regs<B: Board>(page: Option<u8>, board: &mut B, out: &mut Out) {
-    const PAGE: u32 = 0x800;
     // 8 words identify a page, 32 fit a screen.
     let (pages, words) = match page {
         Some(page) => (u32::from(page)..u32::from(page) + 1, 32),
         None => (8..16, 8),
     };
     for page in pages {
-        let base = map::SERVICE + page * PAGE;
+        let base = map::SERVICE + page * CSR_PAGE as u32;
         if !crate::service::readable(base) {
             continue;
         }
@@ -462,7 +460,7 @@ fn chosen(only: Option<u8>, count: u8) -> core::ops::Range<u8> {
 
 fn stepgen<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut Out) {
     for n in chosen(only, server.ident().channels.stepgens) {
-        let at = LATCH_STEPGEN + 3 * usize::from(n);
+        let at = status::STEPGEN0_POSITION_LO + status::STEPGEN_STRIDE * usize::from(n);
         // The upper word of a position counts pulses.
         let pulses = board.latched(at + 1) as i32;
         let rate = board.latched(at + 2) as i32;
@@ -474,7 +472,7 @@ fn stepgen<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut
             .text(" steps, ");
         out.signed(hz as i32).text(" steps/s");
         if only.is_some() {
-            let latch = board.latched(LATCH_LATCH + MAX_CHANNELS + usize::from(n));
+            let latch = board.latched(status::STEPGEN0_LATCH + usize::from(n));
             out.text(", latch ").signed(latch as i32);
             for (name, field) in [
                 ("steplen", StepgenConfig::Steplen),
@@ -494,9 +492,9 @@ fn stepgen<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut
 
 fn encoder<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut Out) {
     for n in chosen(only, server.ident().channels.encoders) {
-        let at = LATCH_ENCODER + 2 * usize::from(n);
+        let at = status::ENCODER0_COUNT + status::ENCODER_STRIDE * usize::from(n);
         let [count, edge] = [at, at + 1].map(|word| board.latched(word));
-        let latch = board.latched(LATCH_LATCH + usize::from(n));
+        let latch = board.latched(status::ENCODER0_LATCH + usize::from(n));
         out.number(n.into()).text(": ").signed(count as i32);
         out.text(", latch ").signed(latch as i32);
         out.text(", errors ").number(edge >> EDGE_TIME_BITS);
@@ -522,9 +520,9 @@ fn pwm<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut Out
 }
 
 fn gpio<B: Board>(board: &mut B, out: &mut Out) {
-    out.text("inputs 0x").hex(board.latched(LATCH_INPUTS));
+    out.text("inputs 0x").hex(board.latched(status::GPIO_IN));
     out.text(", e-stop latched 0x")
-        .hex(board.latched(LATCH_ESTOP))
+        .hex(board.latched(status::ESTOP))
         .end();
     let probe = board.setting(Setting::Board(BoardConfig::Probe));
     out.text("probe ");

@@ -1,47 +1,11 @@
 //! The board as the firmware's logic sees it: a few operations per gateware core.
 //!
 //! `src/soc` implements [`Board`] with registers, the tests with a notebook, the simulator with
-//! models. Word numbers of the `command` and `status` pages are the gateware's
-//! (`docs/registers.md`); `src/soc` asserts at compile time that they are the generated ones.
+//! models. Word numbers of the `command` and `status` pages are those of [`wire::regmap`].
 
 use wire::describe::Channels;
-
-/// `command` page: stepgen enables 15:0, encoder index arms 31:16.
-pub const STAGE_ENABLES: usize = 0;
-/// `command` page: outputs.
-pub const STAGE_OUTPUTS: usize = 1;
-/// `command` page: stepgen index arms 15:0, encoder probe arms 31:16.
-pub const STAGE_ARMS: usize = 2;
-/// `command` page: stepgen probe arms 15:0.
-pub const STAGE_PROBE_ARMS: usize = 3;
-/// `command` page: first stepgen word; two per stepgen.
-pub const STAGE_STEPGEN: usize = 4;
-/// `command` page: first PWM word; one per PWM.
-pub const STAGE_PWM: usize = 36;
-/// Words of the `command` page.
-pub const STAGE_WORDS: usize = STAGE_PWM + wire::exchange::MAX_CHANNELS;
-
-/// `status` page: sample time, low and high.
-pub const LATCH_SAMPLE: usize = 0;
-/// `status` page: inputs, then three words of flags, as in a status block.
-pub const LATCH_INPUTS: usize = 2;
-/// `status` page: e-stop inputs that have tripped.
-pub const LATCH_ESTOP: usize = 6;
-/// `status` page: first stepgen word; three per stepgen.
-pub const LATCH_STEPGEN: usize = 8;
-/// `status` page: first encoder word; two per encoder.
-pub const LATCH_ENCODER: usize = 56;
-/// `status` page: the latches, by [`wire::exchange::Latch::code`].
-pub const LATCH_LATCH: usize = 88;
-/// Words of the `status` page.
-pub const LATCH_WORDS: usize = LATCH_LATCH + 2 * wire::exchange::MAX_CHANNELS;
-
-/// Strobe: what was staged takes effect, on every channel on one clock.
-pub const STROBE_COMMIT: u32 = 1 << 0;
-/// Strobe: everything is sampled, on one clock.
-pub const STROBE_SAMPLE: u32 = 1 << 1;
-/// Strobe: commit when the clock reaches `commit_at`; a time in the past is now.
-pub const STROBE_COMMIT_AT: u32 = 1 << 2;
+use wire::map::BoardConfig;
+use wire::regmap::{CSR_PAGE, debounce, encoder, gpio, led, pwm, stepgen, watchdog};
 
 /// The gateware's identity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,14 +38,14 @@ pub struct Gate(pub u32);
 impl Gate {
     /// What a healthy armed machine reads: gate open, watchdog awake, nothing else.
     pub const LIVE: Gate = Gate(Gate::OPEN | Gate::AWAKE);
-    const OPEN: u32 = 1 << 0;
-    const STOPPING: u32 = 1 << 1;
-    const BITTEN: u32 = 1 << 2;
-    const RESET: u32 = 1 << 3;
-    const RESET_PIN: u32 = 1 << 4;
-    const AWAKE: u32 = 1 << 5;
-    const ESTOP: u32 = 1 << 6;
-    const ESTOP_PIN: u32 = 1 << 7;
+    const OPEN: u32 = watchdog::STATUS_GATE;
+    const STOPPING: u32 = watchdog::STATUS_STOPPING;
+    const BITTEN: u32 = watchdog::STATUS_BITTEN;
+    const RESET: u32 = watchdog::STATUS_RESET_LATCHED;
+    const RESET_PIN: u32 = watchdog::STATUS_RESET_PIN;
+    const AWAKE: u32 = watchdog::STATUS_ARMED;
+    const ESTOP: u32 = watchdog::STATUS_ESTOP_LATCHED;
+    const ESTOP_PIN: u32 = watchdog::STATUS_ESTOP_NOW;
 
     /// Outputs are live.
     pub const fn open(self) -> bool {
@@ -144,26 +108,38 @@ pub enum Control {
     Clear,
 }
 
+impl Control {
+    /// The key word for the watchdog's `control` register.
+    pub const fn key(self) -> u32 {
+        match self {
+            Control::Arm => watchdog::CONTROL_KEY_ARM,
+            Control::SoftStop => watchdog::CONTROL_KEY_SOFT,
+            Control::Close => watchdog::CONTROL_KEY_STOP,
+            Control::Clear => watchdog::CONTROL_KEY_CLEAR,
+        }
+    }
+}
+
 /// The status LED's patterns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Led {
     /// Dark: not started yet.
-    Off = 0,
+    Off = led::PATTERN_SELECT_OFF,
     /// Armed.
-    On = 1,
+    On = led::PATTERN_SELECT_ON,
     /// Idle: the session has no owner.
-    Slow = 2,
+    Slow = led::PATTERN_SELECT_SLOW,
     /// Faulted.
-    Fast = 3,
+    Fast = led::PATTERN_SELECT_FAST,
     /// A host owns the session, not armed.
-    Double = 4,
+    Double = led::PATTERN_SELECT_DOUBLE,
     /// External reset or e-stop, active or not yet cleared.
-    Triple = 5,
+    Triple = led::PATTERN_SELECT_TRIPLE,
     /// Alive, but no frames arrive: the link is down, as far as known.
-    Heartbeat = 6,
+    Heartbeat = led::PATTERN_SELECT_HEARTBEAT,
     /// A soft stop is running.
-    Flicker = 7,
+    Flicker = led::PATTERN_SELECT_FLICKER,
 }
 
 /// A setting of the config window.
@@ -182,7 +158,27 @@ pub enum Setting {
     /// Looks an input must be stable for ([`wire::map::DEBOUNCE_CLOCKS`]).
     Debounce(u8),
     /// The board's.
-    Board(wire::map::BoardConfig),
+    Board(BoardConfig),
+}
+
+impl Setting {
+    /// The address of its register.
+    pub const fn address(self) -> usize {
+        let (base, channel, word) = match self {
+            Setting::Stepgen(n, field) => (stepgen::BASE, n, field as usize),
+            Setting::PwmPeriod(n) => (pwm::BASE, n, pwm::PERIOD),
+            Setting::PwmMode(n) => (pwm::BASE, n, pwm::MODE),
+            Setting::EncoderMode(n) => (encoder::BASE, n, encoder::MODE),
+            Setting::EncoderFilter(n) => (encoder::BASE, n, encoder::FILTER),
+            Setting::Board(BoardConfig::WatchdogTimeout) => (watchdog::BASE, 0, watchdog::TIMEOUT),
+            Setting::Board(BoardConfig::WatchdogGrace) => (watchdog::BASE, 0, watchdog::GRACE),
+            Setting::Board(BoardConfig::GpioSafe) => (gpio::BASE, 0, gpio::SAFE),
+            Setting::Board(BoardConfig::GpioInvert) => (gpio::BASE, 0, gpio::INVERT_OUT),
+            Setting::Board(BoardConfig::Probe) => (gpio::BASE, 0, gpio::PROBE),
+            Setting::Debounce(n) => (debounce::BASE, 0, debounce::IN0 + n as usize),
+        };
+        base + channel as usize * CSR_PAGE + word * 4
+    }
 }
 
 /// What the PHY reports in band, and how many frames the MAC dropped.
@@ -224,7 +220,7 @@ pub trait Board {
     fn latched(&mut self, word: usize) -> u32;
     /// When a timed commit happens; `u64::MAX` is never.
     fn commit_at(&mut self, at: u64);
-    /// Commit and sample ([`STROBE_COMMIT`], [`STROBE_SAMPLE`], [`STROBE_COMMIT_AT`]).
+    /// Commit and sample: bits of [`wire::regmap::timebase::STROBE`].
     fn strobe(&mut self, strobes: u32);
     /// Clocks until the watchdog bites.
     fn watchdog_left(&mut self) -> u32;
@@ -263,12 +259,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_pages_are_as_long_as_the_gateware_s_with_every_channel() {
-        // Four words, 16 stepgens of two, 16 PWMs; the latches of 16 encoders and 16 stepgens.
-        assert_eq!((STAGE_PWM, STAGE_WORDS), (4 + 2 * 16, 52));
-        assert_eq!((LATCH_LATCH, LATCH_WORDS), (88, 88 + 2 * 16));
-        let strobes = [STROBE_COMMIT, STROBE_SAMPLE, STROBE_COMMIT_AT];
-        assert_eq!(strobes, [1, 2, 4]);
+    fn an_order_s_key_is_a_word_that_says_it() {
+        let orders = [
+            Control::Arm,
+            Control::SoftStop,
+            Control::Close,
+            Control::Clear,
+        ];
+        let keys = orders.map(|order| order.key().to_be_bytes());
+        assert_eq!(keys, [*b"ARM1", *b"SOFT", *b"STOP", *b"CLR1"]);
     }
 
     #[test]

@@ -14,11 +14,7 @@
 //! the same code runs on MAC slots and on slices.
 
 use crate::block::{FLAGS_WORD, REPLY_OVERHEAD, Reply, Request, Shape, reply_head};
-use crate::cores::{
-    Board, Control, LATCH_ENCODER, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_SAMPLE,
-    LATCH_STEPGEN, STAGE_ARMS, STAGE_ENABLES, STAGE_OUTPUTS, STAGE_PROBE_ARMS, STAGE_PWM,
-    STAGE_STEPGEN, STROBE_COMMIT, STROBE_COMMIT_AT, STROBE_SAMPLE,
-};
+use crate::cores::{Board, Control};
 use crate::safety::Event;
 use crate::server::Server;
 use crate::session::Peer;
@@ -26,6 +22,7 @@ use wire::exchange::{
     COMMAND_HEAD, COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE,
     FLAG_ENABLE_REQUEST, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, judge_sequence,
 };
+use wire::regmap::{command, status, timebase};
 use wire::{Refusal, State};
 
 const FLAGS_KNOWN: u32 =
@@ -99,12 +96,12 @@ impl Server {
             board.commit_at(u64::MAX);
             self.commit_pending = false;
         }
-        board.stage(STAGE_ENABLES, enables);
-        board.stage(STAGE_OUTPUTS, outputs);
-        board.stage(STAGE_ARMS, arms);
+        board.stage(command::ENABLES, enables);
+        board.stage(command::GPIO_OUT, outputs);
+        board.stage(command::ARMS, arms);
         // The register ignores the selection in the bits above the arms.
-        board.stage(STAGE_PROBE_ARMS, probe_arms);
-        let mut at = STAGE_STEPGEN;
+        board.stage(command::PROBE_ARMS, probe_arms);
+        let mut at = command::STEPGEN0_VELOCITY;
         for _ in 0..shape.stepgens / 2 {
             let [a, b, c, d] = request.take4();
             board.stage(at, a);
@@ -118,7 +115,7 @@ impl Server {
             board.stage(at, a);
             board.stage(at + 1, b);
         }
-        let mut at = STAGE_PWM;
+        let mut at = command::PWM0_WIDTH;
         for _ in 0..shape.pwms / 4 {
             let [a, b, c, d] = request.take4();
             board.stage(at, a);
@@ -145,9 +142,9 @@ impl Server {
             let enable_request = flags & FLAG_ENABLE_REQUEST != 0;
             let now = flags & FLAG_APPLY_TIME == 0;
             if now && self.safety.steady(enable, enable_request, gate) {
-                board.strobe(STROBE_COMMIT | STROBE_SAMPLE);
+                board.strobe(timebase::STROBE_COMMIT | timebase::STROBE_SAMPLE);
             } else if self.safety.waiting(enable_request, gate) {
-                board.strobe(STROBE_SAMPLE);
+                board.strobe(timebase::STROBE_SAMPLE);
             } else {
                 let at = (!now).then_some([apply_lo, apply_hi]);
                 gate = self.decide(board, enable, enable_request, gate, at)?;
@@ -160,8 +157,11 @@ impl Server {
         // Answer. `session_yours` and `accepted` are true here, because anything else was refused
         // above.
         let [arrival_lo, arrival_hi] = [board.arrival_lo(), board.arrival_hi()];
-        let [sample_lo, sample_hi] = [board.latched(LATCH_SAMPLE), board.latched(LATCH_SAMPLE + 1)];
-        let [estop, inputs] = [board.latched(LATCH_ESTOP), board.latched(LATCH_INPUTS)];
+        let [sample_lo, sample_hi] = [
+            board.latched(status::SAMPLE_LO),
+            board.latched(status::SAMPLE_HI),
+        ];
+        let [estop, inputs] = [board.latched(status::ESTOP), board.latched(status::GPIO_IN)];
         let state = self.state_word(gate) | STATE_ANSWER;
         reply.put(sequence);
         reply.put(state);
@@ -175,8 +175,8 @@ impl Server {
         reply.keep(self.boot.id);
         reply.put(estop);
         reply.put(inputs);
-        let latch = board.latched(LATCH_LATCH + select as usize);
-        copy!(board, reply, LATCH_INPUTS, a 1 b 2 c 3);
+        let latch = board.latched(status::ENCODER0_LATCH + select as usize);
+        copy!(board, reply, status::FLAGS0, a 0 b 1 c 2);
         reply.put(latch);
         // Read again: values held in registers would push others out of theirs.
         copy_stepgens(board, reply, self.shape.stepgens);
@@ -241,17 +241,19 @@ impl Server {
             // Outputs without motion take the command while the gate is still closed, so that they
             // open with it. Step generators take commands only with the gate open, so the command
             // is committed again.
-            board.strobe(STROBE_COMMIT);
+            board.strobe(timebase::STROBE_COMMIT);
         }
         self.obey(board, effects);
         match apply {
             Some([lo, hi]) if effects.execute && !arming => {
                 board.commit_at(u64::from(hi) << 32 | u64::from(lo));
-                board.strobe(STROBE_COMMIT_AT | STROBE_SAMPLE);
+                board.strobe(timebase::STROBE_COMMIT_AT | timebase::STROBE_SAMPLE);
                 self.commit_pending = true;
             }
-            Some(_) | None if effects.execute => board.strobe(STROBE_COMMIT | STROBE_SAMPLE),
-            Some(_) | None => board.strobe(STROBE_SAMPLE),
+            Some(_) | None if effects.execute => {
+                board.strobe(timebase::STROBE_COMMIT | timebase::STROBE_SAMPLE)
+            }
+            Some(_) | None => board.strobe(timebase::STROBE_SAMPLE),
         }
         Ok(board.gate())
     }
@@ -261,7 +263,7 @@ impl Server {
 /// time.
 #[inline(always)]
 fn copy_stepgens(board: &mut impl Board, reply: &mut impl Reply, count: usize) {
-    let mut at = LATCH_STEPGEN;
+    let mut at = status::STEPGEN0_POSITION_LO;
     for _ in 0..count / 4 {
         copy!(board, reply, at, a 0 b 1 c 2 d 3 e 4 f 5 g 6 h 7 i 8 j 9 k 10 l 11);
         at += 4 * STATUS_STEPGEN;
@@ -278,7 +280,7 @@ fn copy_stepgens(board: &mut impl Board, reply: &mut impl Reply, count: usize) {
 /// Copies the two words of each of `count` encoders into the answer, up to four encoders at a time.
 #[inline(always)]
 fn copy_encoders(board: &mut impl Board, reply: &mut impl Reply, count: usize) {
-    let mut at = LATCH_ENCODER;
+    let mut at = status::ENCODER0_COUNT;
     for _ in 0..count / 4 {
         copy!(board, reply, at, a 0 b 1 c 2 d 3 e 4 f 5 g 6 h 7);
         at += 4 * STATUS_ENCODER;

@@ -9,6 +9,7 @@ use std::collections::HashMap;
 use std::vec::Vec;
 use wire::describe::{Channels, FEATURE_JOBS};
 use wire::exchange::{Command, REQUEST_OVERHEAD, STATUS_MAX, Status};
+use wire::regmap::{self, command, segments, status, timebase};
 use wire::{MAX_WORDS, Refusal, ResetReason, map};
 
 pub const SIX: Channels = Channels {
@@ -46,9 +47,9 @@ pub enum Change {
 #[derive(Clone, Debug)]
 pub struct Notebook {
     pub now: u64,
-    pub staged: [u32; STAGE_WORDS],
-    pub live: [u32; STAGE_WORDS],
-    pub latched: [u32; LATCH_WORDS],
+    pub staged: [u32; command::WORDS],
+    pub live: [u32; command::WORDS],
+    pub latched: [u32; status::WORDS],
     /// The status of the segments core.
     pub segments: u32,
     /// Registers that were read raw.
@@ -73,8 +74,8 @@ impl Notebook {
     pub fn new() -> Self {
         Notebook {
             now: 1_000,
-            staged: [0; STAGE_WORDS],
-            live: [0; STAGE_WORDS],
+            staged: [0; command::WORDS],
+            live: [0; command::WORDS],
             latched: core::array::from_fn(|word| 0x1000 + word as u32),
             segments: 0,
             asked: Vec::new(),
@@ -102,7 +103,7 @@ impl Notebook {
     pub fn changes(&self) -> usize {
         self.done
             .iter()
-            .filter(|change| **change != Change::Strobe(STROBE_SAMPLE))
+            .filter(|change| **change != Change::Strobe(timebase::STROBE_SAMPLE))
             .count()
     }
 
@@ -154,7 +155,7 @@ impl Board for Notebook {
         self.commit_at = at;
     }
     fn strobe(&mut self, strobes: u32) {
-        if strobes & STROBE_COMMIT != 0 {
+        if strobes & timebase::STROBE_COMMIT != 0 {
             self.live = self.staged;
         }
         self.done.push(Change::Strobe(strobes));
@@ -207,7 +208,7 @@ impl Board for Notebook {
     }
     fn csr_read(&mut self, address: u32) -> u32 {
         self.asked.push(address);
-        let status = wire::map::SEGMENTS + 4 * crate::segments::STATUS as u32;
+        let status = regmap::address(segments::BASE, segments::STATUS);
         // The segments core reads idle by default.
         let state = if address == status { self.segments } else { 0 };
         address ^ 0x5555_0000 | state

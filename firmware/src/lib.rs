@@ -68,7 +68,6 @@ pub mod nor;
 pub(crate) mod path_stop;
 pub mod postmortem;
 pub mod safety;
-pub mod segments;
 pub mod server;
 pub mod service;
 pub mod session;

@@ -44,7 +44,7 @@ pub const BEHIND_A_FRAME: u32 = 1;
 /// Without a frame it waits longer, so that it does not run between a request and its answer.
 pub const IDLE: u32 = 3;
 /// Bytes of the board information ROM that are read.
-pub const BLOB_MAX: usize = 2048;
+pub const BLOB_MAX: usize = wire::regmap::BOARD_ROM_SIZE;
 
 /// Housekeeping runs a thousand times a second: TCP timers and the LED could wait, but a bite
 /// should be reported soon.

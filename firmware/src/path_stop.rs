@@ -38,10 +38,10 @@
 //!   proportion, and the axes stay on it. In a corner an axis that slows down stands earlier, by
 //!   what its rate has changed since the command.
 
-use crate::cores::{Board, LATCH_STEPGEN, STAGE_ENABLES, STAGE_STEPGEN, Setting};
-use crate::segments::STATUS;
+use crate::cores::{Board, Setting};
 use wire::exchange::{COMMAND_STEPGEN, FLAG_ALONE_SHIFT, MAX_CHANNELS, STATUS_STEPGEN};
-use wire::map::{self, BoardConfig, StepgenConfig};
+use wire::map::{BoardConfig, StepgenConfig};
+use wire::regmap::{self, command, segments, status};
 
 /// 1/256: from the ramp of one period at 1 kHz, the most an axis can be faster than was known, to
 /// rest in a quarter of a second.
@@ -50,8 +50,8 @@ pub const FLOOR_SHIFT: u32 = 8;
 const FRACTION: u32 = 24;
 
 /// The segments core's status, and what of it says that the core is not idle.
-const SEGMENTS_STATUS: u32 = map::SEGMENTS + 4 * STATUS as u32;
-const SEGMENTS_BUSY: u32 = 3 << 8;
+const SEGMENTS_STATUS: u32 = regmap::address(segments::BASE, segments::STATUS);
+const SEGMENTS_BUSY: u32 = segments::STATUS_STATE;
 
 /// The host's configured values, while the cores hold others.
 #[derive(Clone, Debug)]
@@ -139,7 +139,7 @@ impl PathStop {
     pub(crate) fn hold(&mut self, board: &mut impl Board, stepgens: usize, segments: bool) {
         let flags = core::mem::take(&mut self.flags);
         // The command is still staged: the one that was staged last was executed.
-        let mut members = board.staged(STAGE_ENABLES) & !(flags >> FLAG_ALONE_SHIFT);
+        let mut members = board.staged(command::ENABLES) & !(flags >> FLAG_ALONE_SHIFT);
         if segments && board.csr_read(SEGMENTS_STATUS) & SEGMENTS_BUSY != 0 {
             members = 0;
         }
@@ -148,9 +148,9 @@ impl PathStop {
         for (n, axis) in axes.iter_mut().enumerate() {
             axis.speed = 0;
             if members & 1 != 0 && axis.configured != 0 {
-                let at = STAGE_STEPGEN + n * COMMAND_STEPGEN;
+                let at = command::STEPGEN0_VELOCITY + n * COMMAND_STEPGEN;
                 let (target, limit) = (board.staged(at) as i32, board.staged(at + 1));
-                let now = board.latched(LATCH_STEPGEN + n * STATUS_STEPGEN + 2) as i32;
+                let now = board.latched(status::STEPGEN0_VELOCITY + n * STATUS_STEPGEN) as i32;
                 let then = speed_after(now, target, limit, self.timeout);
                 // The stop may come at once, or before the time of a timed command.
                 axis.speed = then.max(now.unsigned_abs());

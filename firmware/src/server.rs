@@ -9,22 +9,20 @@
 
 use crate::auth::{Auth, Words};
 use crate::block::{FLAGS_WORD, REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
-use crate::cores::{
-    Board, Control, Gate, Ident, LATCH_ESTOP, LATCH_INPUTS, LATCH_LATCH, LATCH_SAMPLE, Led,
-    STROBE_COMMIT, STROBE_SAMPLE, Setting,
-};
+use crate::cores::{Board, Control, Gate, Ident, Led, Setting};
 use crate::flash::Flash;
 use crate::link::Link;
 use crate::path_stop::PathStop;
 use crate::postmortem::Boot;
 use crate::safety::{Effects, Event, Safety};
 use crate::session::{Peer, Session};
-use crate::{config, describe, log, segments, service};
+use crate::{config, describe, log, service};
 use wire::auth::Purpose;
 use wire::describe::{FEATURE_KEY, JobsState, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
 use wire::map::BoardConfig;
+use wire::regmap::{self, command, segments, status, timebase};
 use wire::{GateClose, MAX_WORDS, Refusal, ResetReason, map};
 
 /// 10 ms: clients do not poll an idle machine faster than this, and a sample is cheap.
@@ -37,7 +35,7 @@ const WINDOW: u32 = 0x1000;
 pub(crate) const COUNTERS_CUTS: u32 = map::COUNTERS_REFUSED + 4 * Refusal::COUNT as u32;
 const CUTS_WORD: u32 = (COUNTERS_CUTS - map::COUNTERS) / 4;
 /// Outputs that follow the segments core; boards without that core are not told.
-const SEGMENTS_MASK: u32 = map::SEGMENTS + 4 * segments::MASK as u32;
+const SEGMENTS_MASK: u32 = regmap::address(segments::BASE, segments::MASK);
 const STATUS_WORDS_END: u32 = map::STATUS + 0x400;
 const COMMAND_END: u32 = map::COMMAND + WINDOW;
 const COUNTERS_END: u32 = map::COUNTERS + WINDOW;
@@ -323,7 +321,7 @@ impl Server {
             let period = u64::from(self.ident.clock_hz / IDLE_SAMPLE_PER_SECOND);
             if self.session.owner().is_none() && now.wrapping_sub(self.sampled_at) >= period {
                 self.sampled_at = now;
-                board.strobe(STROBE_SAMPLE);
+                board.strobe(timebase::STROBE_SAMPLE);
             }
         }
         board.led(self.led(gate, now));
@@ -406,10 +404,10 @@ impl Server {
             board.commit_at(u64::MAX);
             self.commit_pending = false;
         }
-        for word in 0..crate::cores::STAGE_WORDS {
+        for word in 0..command::WORDS {
             board.stage(word, 0);
         }
-        board.strobe(STROBE_COMMIT);
+        board.strobe(timebase::STROBE_COMMIT);
         // Outputs that followed a job are the next session's.
         if self.ident.plays_segments() {
             board.csr_write(SEGMENTS_MASK, 0);
@@ -686,18 +684,18 @@ impl Server {
             1 => self.session.last_sequence(),
             2 => board.arrival_lo(),
             3 => board.arrival_hi(),
-            4 | 5 => board.latched(LATCH_SAMPLE + word - 4),
+            4 | 5 => board.latched(status::SAMPLE_LO + word - 4),
             6 => board.watchdog_left(),
             7 => self.counters.refused_total,
             8 => self.boot.id,
-            9 => board.latched(LATCH_ESTOP),
-            10..=13 => board.latched(LATCH_INPUTS + word - 10),
-            14 => board.latched(LATCH_LATCH + self.select as usize),
+            9 => board.latched(status::ESTOP),
+            10..=13 => board.latched(status::GPIO_IN + word - 10),
+            14 => board.latched(status::ENCODER0_LATCH + self.select as usize),
             _ if word >= STATUS_HEAD && word < encoders_at => {
-                board.latched(crate::cores::LATCH_STEPGEN + word - STATUS_HEAD)
+                board.latched(status::STEPGEN0_POSITION_LO + word - STATUS_HEAD)
             }
             _ if word >= encoders_at && word < end => {
-                board.latched(crate::cores::LATCH_ENCODER + word - encoders_at)
+                board.latched(status::ENCODER0_COUNT + word - encoders_at)
             }
             _ => 0,
         }

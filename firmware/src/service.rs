@@ -9,24 +9,20 @@ use crate::cores::Setting;
 use wire::Refusal;
 use wire::describe::Channels;
 use wire::map::{self, BoardConfig};
+use wire::regmap::{
+    self, ctrl, debounce, encoder, ethmac, ethphy, flash, gpio, guest, ident, identifier_mem, led,
+    pads, pwm, segments, stepgen,
+};
 
-/// Bytes per CSR page.
-const PAGE: u32 = 0x800;
-/// LiteX's controller: word 1 is a scratch register for tests.
-const SCRATCH: u32 = map::SERVICE + 4;
-const PAGE_GPIO: u32 = 11;
-const PAGE_LED: u32 = 12;
-const PAGE_DEBOUNCE: u32 = 13;
-const PAGE_STEPGEN: u32 = 16;
-const PAGE_ENCODER: u32 = 32;
-const PAGE_PWM: u32 = 48;
-const PAGE_FLASH: u32 = 64;
-/// Page of the receive filter `guest`.
-pub const PAGE_GUEST: u32 = 65;
-const PAGE_SEGMENTS: u32 = (map::SEGMENTS - map::SERVICE) / PAGE;
-const PAGE_PADS: u32 = 67;
-/// Pages 0, 1, 3 and 4 are LiteX's, 8 and up ours; nobody reads the flash past the firmware.
-const PAGES: u64 = 0b1_1011 | !0 << 8;
+const PAGE: u32 = regmap::CSR_PAGE as u32;
+/// LiteX's controller has a scratch register for tests.
+const SCRATCH: u32 = regmap::address(ctrl::BASE, ctrl::SCRATCH);
+/// Pages of LiteX and ours; nobody reads the flash or the SDRAM past the firmware.
+const PAGES: u64 = 1 << ctrl::PAGE
+    | 1 << identifier_mem::PAGE
+    | 1 << ethmac::PAGE
+    | 1 << ethphy::PAGE
+    | !0 << ident::PAGE;
 
 /// The meaning of a raw write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,8 +36,8 @@ enum Target {
 pub const fn readable(address: u32) -> bool {
     let offset = address.wrapping_sub(map::SERVICE);
     let page = offset / PAGE;
-    page < PAGE_FLASH && PAGES >> page & 1 != 0
-        || matches!(page, PAGE_GUEST | PAGE_SEGMENTS | PAGE_PADS)
+    page < flash::PAGE && PAGES >> page & 1 != 0
+        || matches!(page, guest::PAGE | segments::PAGE | pads::PAGE)
 }
 
 /// May this be written at all, and with this value? The caller has checked ownership and rest.
@@ -71,15 +67,15 @@ fn target(address: u32, channels: Channels) -> Result<Target, Refusal> {
     let (page, word) = (offset / PAGE, offset % PAGE / 4);
     let block = page % 16 * map::CONFIG_STRIDE;
     let in_block = word < map::CONFIG_STRIDE / 4;
-    let config = match (page, word) {
-        (PAGE_LED, 0) => return Ok(Target::Harmless),
-        (PAGE_GPIO, 1) => map::CONFIG_BOARD + 4 * BoardConfig::GpioSafe as u32,
-        (PAGE_GPIO, 2) => map::CONFIG_BOARD + 4 * BoardConfig::GpioInvert as u32,
-        (PAGE_GPIO, 7) => map::CONFIG_BOARD + 4 * BoardConfig::Probe as u32,
-        (PAGE_DEBOUNCE, 0..32) => map::CONFIG_DEBOUNCE + 4 * word,
-        (PAGE_STEPGEN..PAGE_ENCODER, _) if in_block => map::CONFIG_STEPGEN + block + 4 * word,
-        (PAGE_ENCODER..PAGE_PWM, _) if in_block => map::CONFIG_ENCODER + block + 4 * word,
-        (PAGE_PWM..PAGE_FLASH, _) if in_block => map::CONFIG_PWM + block + 4 * word,
+    let config = match (page, word as usize) {
+        (led::PAGE, led::PATTERN) => return Ok(Target::Harmless),
+        (gpio::PAGE, gpio::SAFE) => map::CONFIG_BOARD + 4 * BoardConfig::GpioSafe as u32,
+        (gpio::PAGE, gpio::INVERT_OUT) => map::CONFIG_BOARD + 4 * BoardConfig::GpioInvert as u32,
+        (gpio::PAGE, gpio::PROBE) => map::CONFIG_BOARD + 4 * BoardConfig::Probe as u32,
+        (debounce::PAGE, 0..debounce::WORDS) => map::CONFIG_DEBOUNCE + 4 * word,
+        (stepgen::PAGE..encoder::PAGE, _) if in_block => map::CONFIG_STEPGEN + block + 4 * word,
+        (encoder::PAGE..pwm::PAGE, _) if in_block => map::CONFIG_ENCODER + block + 4 * word,
+        (pwm::PAGE..flash::PAGE, _) if in_block => map::CONFIG_PWM + block + 4 * word,
         _ => return Err(Refusal::ReadOnly),
     };
     config::setting_at(config, channels)
@@ -159,6 +155,28 @@ mod tests {
         assert_eq!(write(13, 12, 1000), Err(Refusal::ReadOnly));
         assert_eq!(write(11, 7, 0x10b), Ok(()));
         assert_eq!(write(11, 7, 0x10c), Err(Refusal::Value));
+    }
+
+    #[test]
+    fn the_register_of_a_setting_is_that_setting() {
+        let window = (map::CONFIG..map::CONFIG + map::CONFIG_LEN).step_by(4);
+        let mut watchdogs = 0;
+        for setting in window.filter_map(|address| config::setting_at(address, SIX)) {
+            let expected = match setting {
+                // Only the config window changes the watchdog.
+                Setting::Board(BoardConfig::WatchdogTimeout | BoardConfig::WatchdogGrace) => {
+                    watchdogs += 1;
+                    Err(Refusal::ReadOnly)
+                }
+                other => Ok(Target::Setting(other)),
+            };
+            assert_eq!(
+                target(setting.address() as u32, SIX),
+                expected,
+                "{setting:?}"
+            );
+        }
+        assert_eq!(watchdogs, 2);
     }
 
     #[test]

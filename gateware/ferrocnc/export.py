@@ -6,9 +6,11 @@ The files are the same bytes on every machine: no time, no path, no order that d
 used: it writes the time, omits access and derivedFrom, and splits wide registers.
 """
 
+import re
 import shutil
 import subprocess
 import tempfile
+import textwrap
 from pathlib import Path
 
 from . import board as board_file, regmap as rm, sim, soc as ferro
@@ -27,7 +29,8 @@ def export(root, source_root):
         "pac/soc.svd": svd(banks),
         "memory.x": memory_x(),
         "docs/registers.md": registers_md(banks, abi),
-        "pac/src/abi.rs": _rustfmt(abi_rs(banks, abi)),
+        "pac/src/abi.rs": _rustfmt(abi_rs(banks, abi), 120),
+        "wire/src/regmap.rs": _rustfmt(regmap_rs(banks, abi), 100),
     }
     for name, text in files.items():
         path = root / name
@@ -131,7 +134,7 @@ def pac(svd_path, out, svd2rust):
     with tempfile.TemporaryDirectory() as scratch:
         command = [str(svd2rust), "-i", str(Path(svd_path).resolve()), "--target", "none", "--edition", "2024", "--log", "error"]
         subprocess.run(command, cwd=scratch, check=True)
-        text = _rustfmt((Path(scratch) / "lib.rs").read_text(encoding="utf-8"))
+        text = _rustfmt((Path(scratch) / "lib.rs").read_text(encoding="utf-8"), 120)
     body = [line for line in text.splitlines() if not line.startswith("#![")]
     head = [f"// {HEADER}", _PAC_DOC + "#![no_std]", "#![allow(missing_docs, non_camel_case_types, non_snake_case, clippy::all)]", "", "pub mod abi;", ""]
     Path(out).write_text("\n".join(head + body) + "\n", encoding="utf-8", newline="\n")
@@ -145,9 +148,9 @@ def find_svd2rust(source_root):
     return found
 
 
-def _rustfmt(text):
+def _rustfmt(text, width):
     return subprocess.run(
-        ["rustfmt", "--edition", "2024", "--config", "max_width=120", "--emit", "stdout"],
+        ["rustfmt", "--edition", "2024", "--config", f"max_width={width}", "--emit", "stdout"],
         cwd="/", input=text, capture_output=True, text=True, check=True, encoding="utf-8").stdout
 
 
@@ -218,6 +221,116 @@ def abi_rs(banks, abi):
     ):
         out += const(f"STATUS_{name}", w[reg], f"Word of the status window: {doc}.", "usize")
     return "\n".join(out) + "\n"
+
+
+# The map for Rust code without the PAC --------------------------------------------------------------------------------
+
+_REGMAP_DOC = """//! The register map: addresses and numbers on which gateware, firmware, models and tools agree.
+//!
+//! A module per kind of page. In it, a register is the number of its 32-bit word in the page. Bits
+//! and values of its fields begin with its name: `STATUS_GATE` is a bit of `STATUS`. A field of
+//! several bits is the mask of these bits, with `_SHIFT` unless it begins at bit 0, and its values
+//! are numbers not yet shifted. Registers that differ only in a number `n` stand for all of them
+//! with number 0; `_STRIDE` is the distance in words from one `n` to the next, 1 unless given.
+//!
+//! `docs/registers.md` is the same map in prose; the PAC has it as types.
+"""
+
+
+def regmap_rs(banks, abi):
+    """`wire/src/regmap.rs`: the map as constants, for code that must not name the PAC."""
+    out = [f"// {HEADER}", _REGMAP_DOC]
+    out += _const("ABI", f"0x{abi:08x}", "ABI number: first 32 bits of the SHA-256 of the normalised register map and of the exchange's layout (`wire/layout.txt`).", "u32")
+    out += _const("IDENT_MAGIC", f"0x{rm.MAGIC:08x}", "The value of [`ident::MAGIC`]: \"FCnC\".", "u32")
+    for name, (origin, size), what in (
+        ("ROM", rm.ROM, "the image"), ("RAM", rm.RAM, "data, bss and stack"),
+        ("ETHMAC", rm.ETHMAC, "the MAC's slots: receive, then transmit"), ("BOARD_ROM", rm.BOARD_ROM, "the board info blob"),
+        ("SDRAM", rm.SDRAM_RAM, "the SDRAM's window, on boards with jobs; a smaller one is seen in it twice"),
+    ):
+        out += _const(f"{name}_BASE", f"0x{origin:08x}", f"First byte of {what}.")
+        out += _const(f"{name}_SIZE", f"0x{size:x}", f"Bytes of {what}.")
+    out += _const("ROM_TRAILER", f"0x{rm.ROM[0] + rm.ROM[1] - rm.ROM_TRAILER:08x}", "First byte of the trailer: four words, [`TRAILER_MAGIC`], build id, role, 0.")
+    out += _const("TRAILER_MAGIC", f"0x{rm.TRAILER_MAGIC:08x}", "First word of a trailer: \"FTRL\".", "u32")
+    out += _const("ROLE_IMAGE", rm.ROLE_IMAGE, "Third word of a trailer: an image of a slot.", "u32")
+    out += _const("ROLE_GOLDEN", rm.ROLE_GOLDEN, "Third word of a trailer: the golden image.", "u32")
+    out += _const("ETHMAC_RX_SLOTS", rm.ETHMAC_RX_SLOTS, "Receive slots; the first is at [`ETHMAC_BASE`].")
+    out += _const("ETHMAC_TX_SLOTS", rm.ETHMAC_TX_SLOTS, "Transmit slots; the first follows the last receive slot.")
+    out += _const("ETHMAC_SLOT_SIZE", f"0x{rm.ETHMAC_SLOT:x}", "Bytes of one slot.")
+    for name, value, what in (
+        ("STEPGEN", rm.MAX_STEPGEN, "Step generators"), ("ENCODER", rm.MAX_ENCODER, "Encoders"), ("PWM", rm.MAX_PWM, "PWM generators"),
+        ("IN", rm.MAX_IN, "Inputs"), ("OUT", rm.MAX_OUT, "Outputs"),
+    ):
+        out += _const(f"{name}_MAX", value, f"{what} the map has room for.")
+    out += _const("JOB_AXES_MAX", rm.JOB_AXES_MAX, "Axes a job can have at most.")
+    out += _const("JOB_SEGMENTS", rm.JOB_SEGMENTS, "Segments that fit into the FIFO.")
+    out += _const("CSR_BASE", f"0x{rm.CSR_BASE:08x}", "First byte of the register pages.")
+    out += _const("CSR_PAGE", f"0x{rm.CSR_PAGE:x}", "Bytes of a page.")
+    out += ["", *_doc("The address of a register: of word `word` on the page that begins at `base`."),
+            "pub const fn address(base: usize, word: usize) -> u32 {", "(base + 4 * word) as u32", "}"]
+    seen = set()
+    for bank in banks:
+        if bank.kind not in seen:
+            seen.add(bank.kind)
+            out += _page(bank)
+    return "\n".join(out) + "\n"
+
+
+def _page(bank):
+    several = bank.name != bank.kind
+    names = {}
+
+    def const(name, value, doc, kind="usize"):
+        assert name not in names, f"{bank.kind}: two constants {name}"
+        names[name] = _const(name, value, doc, kind)
+
+    const("PAGE", bank.page, "Number of the page; channel n is n pages on." if several else "Number of the page.", "u32")
+    const("BASE", f"0x{bank.base:08x}", "First byte of the page of channel 0." if several else "First byte of the page.")
+    const("WORDS", len(bank.regs), "Registers on the page.")
+    for word, reg, distance in _distinct(bank.regs):
+        name = reg.name.upper()
+        on = {0: "", 1: " The next is 1 word on."}.get(distance, f" The next is {distance} words on.")
+        const(name, word, f"{reg.doc}{on} ({reg.access})")
+        if distance > 1:
+            stride = re.match("[A-Z]+", name)[0] + "_STRIDE"
+            if stride not in names:
+                const(stride, distance, "Words from one to the next.")
+            assert f"usize = {distance};" in names[stride][-1], f"{bank.kind}: two distances {stride}"
+        for f in reg.fields:
+            field = f"{name}_{f.name.upper()}"
+            if f.width < 32:
+                const(field, f"1 << {f.lsb}" if f.width == 1 else f"0x{((1 << f.width) - 1) << f.lsb:x}", f.doc, "u32")
+            if f.width > 1 and f.lsb:
+                const(f"{field}_SHIFT", f.lsb, "Its lowest bit.", "u32")
+            for value, number, doc in f.values:
+                const(f"{field}_{value.upper()}", f"0x{number:08x}" if f.width == 32 else number, doc, "u32")
+    body = [line for lines in names.values() for line in lines]
+    return ["", *_doc(bank.doc), f"pub mod {bank.kind} {{", *body, "}"]
+
+
+def _distinct(regs):
+    """Word, register and distance to the next of its kind, in words, of every register; of those
+    that only differ in a number, the first. The distance is 0 for one without others."""
+    def kind(reg):
+        name = re.fullmatch(r"([a-z]+)\d+(_[a-z_]+)?", reg.name)
+        return name and (name.groups(), reg.access, re.sub(r"\d+", "", reg.doc), reg.fields)
+
+    words = {}
+    for word, reg in enumerate(regs):
+        words.setdefault(kind(reg) or reg.name, []).append(word)
+    for word, reg in enumerate(regs):
+        same = words[kind(reg) or reg.name]
+        if same[0] == word:
+            distances = {b - a for a, b in zip(same, same[1:])} or {0}
+            assert len(distances) == 1, f"{reg.name}: not equally far from each other"
+            yield word, reg, distances.pop()
+
+
+def _const(name, value, doc, kind="usize"):
+    return [*_doc(doc), f"pub const {name}: {kind} = {value};"]
+
+
+def _doc(text):
+    return ["/// " + line for line in textwrap.wrap(text.replace("<", "\\<"), 92)]
 
 
 # memory.x ---------------------------------------------------------------------------------------------------------

@@ -5,17 +5,17 @@
 use firmware::cores::{self, Control, Gate, Ident, Led, Setting};
 use firmware::log;
 use firmware::postmortem::Record;
-use litex_pac::abi;
 use wire::ResetReason;
 use wire::flash::Layout;
 use wire::images::{Meta, Role, Trailer};
-use wire::map::{BoardConfig, StepType, StepgenConfig};
+use wire::map::{StepType, StepgenConfig};
+use wire::regmap::{self, command, encoder, led, stepgen, timebase, watchdog};
 
 use crate::board::{Clockwork, ETH_CLK_HZ};
 use crate::card::Card;
 use crate::edges::Timing;
 use crate::loader;
-use crate::model::{self, board::pages};
+use crate::model;
 use crate::nor::spi::Shared;
 use crate::nor::{Nor, Part};
 use crate::plant::Plant;
@@ -69,7 +69,7 @@ impl Setup {
             plant,
             flash: Shared::new(Nor::new(Part::W25Q32JV, UID)),
             factory: false,
-            abi: abi::ABI,
+            abi: regmap::ABI,
             wall_clock: 0,
             sdram: true,
             readback: true,
@@ -265,31 +265,26 @@ impl Desk {
         self.model.snapshot((self.eth.passed / beat) as u32);
     }
 
-    fn order(&mut self, page: u32, word: u32, data: u32) {
-        self.model.order(page, word, data);
+    fn order(&mut self, page: u32, word: usize, data: u32) {
+        self.model.order(page, word as u32, data);
         self.pass(self.clock() + ACCESS);
     }
 
-    fn place(which: Setting) -> (u32, u32) {
-        match which {
-            Setting::Stepgen(n, field) => (pages::STEPGEN + u32::from(n), field as u32),
-            Setting::PwmPeriod(n) => (pages::PWM + u32::from(n), 0),
-            Setting::PwmMode(n) => (pages::PWM + u32::from(n), 1),
-            Setting::EncoderMode(n) => (pages::ENCODER + u32::from(n), 0),
-            Setting::EncoderFilter(n) => (pages::ENCODER + u32::from(n), 1),
-            Setting::Debounce(n) => (pages::DEBOUNCE, n.into()),
-            Setting::Board(BoardConfig::WatchdogTimeout) => (pages::WATCHDOG, 0),
-            Setting::Board(BoardConfig::WatchdogGrace) => (pages::WATCHDOG, 1),
-            Setting::Board(BoardConfig::GpioSafe) => (pages::GPIO, 1),
-            Setting::Board(BoardConfig::GpioInvert) => (pages::GPIO, 2),
-            Setting::Board(BoardConfig::Probe) => (pages::GPIO, 7),
-        }
+    /// What a register reads.
+    fn read(&mut self, page: u32, word: usize) -> u32 {
+        self.model.read(page, word as u32)
+    }
+
+    /// Page and word of a register's address.
+    fn place(address: u32) -> (u32, usize) {
+        let offset = address.wrapping_sub(wire::map::SERVICE);
+        let page = regmap::CSR_PAGE as u32;
+        (offset / page, (offset % page / 4) as usize)
     }
 
     /// Gives the check at the pins the settings of a stepgen.
     fn tell_the_judge(&mut self, n: u8) {
-        let mut read =
-            |field: StepgenConfig| self.model.read(pages::STEPGEN + u32::from(n), field as u32);
+        let mut read = |field| cores::Board::setting(self, Setting::Stepgen(n, field));
         let timing = Timing {
             steplen: read(StepgenConfig::Steplen).into(),
             stepspace: read(StepgenConfig::Stepspace).into(),
@@ -348,84 +343,76 @@ impl cores::Board for Desk {
         (self.model.arrival() >> 32) as u32
     }
     fn stage(&mut self, word: usize, value: u32) {
-        self.model.set(pages::COMMAND, word as u32, value);
+        self.model.set(command::PAGE, word as u32, value);
     }
     fn staged(&mut self, word: usize) -> u32 {
-        self.model.read(pages::COMMAND, word as u32)
+        self.read(command::PAGE, word)
     }
     fn latched(&mut self, word: usize) -> u32 {
         self.model.status(word)
     }
     fn commit_at(&mut self, at: u64) {
         // Never first, so that no half of an old time and half of a new one can be due.
-        for (word, half) in [(6, u32::MAX), (5, at as u32), (6, (at >> 32) as u32)] {
-            self.order(pages::TIMEBASE, word, half);
+        let (low, high) = (timebase::COMMIT_AT_LO, timebase::COMMIT_AT_HI);
+        for (word, half) in [
+            (high, u32::MAX),
+            (low, at as u32),
+            (high, (at >> 32) as u32),
+        ] {
+            self.order(timebase::PAGE, word, half);
         }
     }
     fn strobe(&mut self, strobes: u32) {
-        self.order(pages::TIMEBASE, 7, strobes);
-        if strobes & cores::STROBE_SAMPLE != 0 {
+        self.order(timebase::PAGE, timebase::STROBE, strobes);
+        if strobes & timebase::STROBE_SAMPLE != 0 {
             self.pass(self.clock() + SAMPLED);
         }
     }
     fn watchdog_left(&mut self) -> u32 {
-        self.model.read(pages::WATCHDOG, 5)
+        self.read(watchdog::PAGE, watchdog::REMAINING)
     }
     fn feed(&mut self, token: u32) {
         self.fed = self.clock();
-        self.order(pages::WATCHDOG, 2, token);
+        self.order(watchdog::PAGE, watchdog::TOKEN, token);
     }
     fn gate(&mut self) -> Gate {
-        Gate(self.model.read(pages::WATCHDOG, 4))
+        Gate(self.read(watchdog::PAGE, watchdog::STATUS))
     }
     fn last_close(&mut self) -> u32 {
-        self.model.read(pages::WATCHDOG, 8)
+        self.read(watchdog::PAGE, watchdog::LAST_CLOSE)
     }
     fn control(&mut self, order: Control) {
-        let key = match order {
-            Control::Arm => abi::KEY_ARM,
-            Control::SoftStop => abi::KEY_SOFT,
-            Control::Close => abi::KEY_STOP,
-            Control::Clear => abi::KEY_CLEAR,
-        };
-        self.order(pages::WATCHDOG, 3, key);
+        self.order(watchdog::PAGE, watchdog::CONTROL, order.key());
     }
     fn setting(&mut self, which: Setting) -> u32 {
-        let (page, word) = Self::place(which);
-        self.model.read(page, word)
+        self.csr_read(which.address() as u32)
     }
     fn set(&mut self, which: Setting, value: u32) {
-        let (page, word) = Self::place(which);
+        let (page, word) = Self::place(which.address() as u32);
         self.order(page, word, value);
         if let Setting::Stepgen(n, _) = which {
             self.tell_the_judge(n);
         }
     }
     fn set_stop_accel(&mut self, stepgen: usize, value: u32) {
-        let field = wire::map::StepgenConfig::StopAccel;
-        let (page, word) = Self::place(Setting::Stepgen(stepgen as u8, field));
-        self.order(page, word, value);
+        self.order(stepgen::PAGE + stepgen as u32, stepgen::STOP_ACCEL, value);
     }
     fn csr_read(&mut self, address: u32) -> u32 {
-        let offset = address.wrapping_sub(wire::map::SERVICE);
-        self.model.read(
-            offset / abi::CSR_PAGE as u32,
-            offset % abi::CSR_PAGE as u32 / 4,
-        )
+        let (page, word) = Self::place(address);
+        self.read(page, word)
     }
     fn csr_write(&mut self, address: u32, value: u32) {
-        let offset = address.wrapping_sub(wire::map::SERVICE);
-        let page = offset / abi::CSR_PAGE as u32;
-        self.order(page, offset % abi::CSR_PAGE as u32 / 4, value);
-        if (pages::STEPGEN..pages::ENCODER).contains(&page) {
-            self.tell_the_judge((page - pages::STEPGEN) as u8);
+        let (page, word) = Self::place(address);
+        self.order(page, word, value);
+        if (stepgen::PAGE..encoder::PAGE).contains(&page) {
+            self.tell_the_judge((page - stepgen::PAGE) as u8);
         }
     }
     fn blob(&mut self, word: usize) -> u32 {
         self.blob.get(word).copied().unwrap_or(0)
     }
     fn led(&mut self, pattern: Led) {
-        self.order(pages::LED, 0, pattern as u32);
+        self.order(led::PAGE, led::PATTERN, pattern as u32);
     }
     fn log(&mut self, read: log::Read) -> u32 {
         self.ring.read(read)

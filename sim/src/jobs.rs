@@ -11,9 +11,9 @@ use firmware::jobs::desk::Door;
 use firmware::jobs::{AHEAD, Jobs, Outside};
 use firmware::machine::Machine;
 use firmware::net::Us;
-use litex_pac::abi;
 use wire::MAX_WORDS;
 use wire::jobs::{self, FRAME, Op, Status};
+use wire::regmap::{self, segments};
 
 use crate::desk::Desk;
 
@@ -22,8 +22,8 @@ use crate::desk::Desk;
 pub const TURN: u64 = 12_000;
 /// Clocks between two looks while there is nothing to do: what the ROM's loop takes for that.
 const IDLE_MS: u64 = 1;
-/// 8 MiB of SDRAM, less what the program itself takes at their beginning.
-const ROOM: usize = 8 * 1024 * 1024 - 512 * 1024;
+/// The SDRAM, less what the program itself takes at its beginning.
+const ROOM: usize = regmap::SDRAM_SIZE - firmware::jobs::abi::ROOM;
 /// The id of the program; on a board it is the program's CRC.
 const PROGRAM: u32 = 0x7477_696e;
 
@@ -38,12 +38,12 @@ impl Outside for Outer<'_> {
     }
     fn send_frame(&mut self, _: &[u8]) {}
     fn read_segments(&mut self, word: usize) -> u32 {
-        self.0.board.csr_read((abi::CSR_SEGMENTS + 4 * word) as u32)
+        let address = regmap::address(segments::BASE, word);
+        self.0.board.csr_read(address)
     }
     fn write_segments(&mut self, word: usize, value: u32) {
-        self.0
-            .board
-            .csr_write((abi::CSR_SEGMENTS + 4 * word) as u32, value);
+        let address = regmap::address(segments::BASE, word);
+        self.0.board.csr_write(address, value);
     }
     fn now(&mut self) -> u64 {
         self.0.board.now()

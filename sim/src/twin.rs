@@ -16,8 +16,8 @@ use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
 use firmware::postmortem::Record;
 use firmware::session::Peer;
 use firmware::{dhcp, text};
-use litex_pac::abi;
 use wire::describe::JobsState;
+use wire::regmap;
 use wire::{MAX_WORDS, ResetReason};
 
 use crate::board::Clockwork;
@@ -176,7 +176,7 @@ impl Twin {
         let (card, sdram) = (setup.card.clone(), setup.sdram);
         let (mut desk, ident) = Desk::power_up(setup);
         let boot = desk.boot();
-        let mut machine = Machine::start(desk, ident, abi::ABI, boot);
+        let mut machine = Machine::start(desk, ident, regmap::ABI, boot);
         let jobs = jobs_program(&mut machine, &card, sdram);
         let clockwork = Clockwork::new(card.clock_hz.into());
         Twin {
@@ -343,7 +343,12 @@ impl Twin {
         };
         let spare = Desk::new(spare, trailer);
         let desk = std::mem::replace(&mut self.machine.board, spare);
-        self.machine = Machine::start(desk, ident(&self.card, gateware, readback), abi::ABI, boot);
+        self.machine = Machine::start(
+            desk,
+            ident(&self.card, gateware, readback),
+            regmap::ABI,
+            boot,
+        );
         self.jobs = jobs_program(&mut self.machine, &self.card, self.sdram);
     }
 

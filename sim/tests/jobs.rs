@@ -22,19 +22,20 @@ use sim::soc::{Cores, CoresPins, Pins};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use wire::describe::Channels;
+use wire::regmap::{segments, watchdog};
 
-const ARM: u32 = 0x4152_4d31;
-const SOFT: u32 = 0x534f_4654;
-const STOP: u32 = 0x5354_4f50;
-const CLEAR: u32 = 0x434c_5231;
+const ARM: u32 = watchdog::CONTROL_KEY_ARM;
+const SOFT: u32 = watchdog::CONTROL_KEY_SOFT;
+const STOP: u32 = watchdog::CONTROL_KEY_STOP;
+const CLEAR: u32 = watchdog::CONTROL_KEY_CLEAR;
 
-const PUSH: u32 = 16;
-const CONTROL: u32 = 17;
-const PACE: u32 = 18;
-const STATUS: u32 = 22;
-const START: u32 = 1;
-const QUIT: u32 = 2;
-const FORGET: u32 = 3;
+const PUSH: u32 = segments::PUSH as u32;
+const CONTROL: u32 = segments::CONTROL as u32;
+const PACE: u32 = segments::PACE as u32;
+const STATUS: u32 = segments::STATUS as u32;
+const START: u32 = segments::CONTROL_COMMAND_START;
+const QUIT: u32 = segments::CONTROL_COMMAND_QUIT;
+const FORGET: u32 = segments::CONTROL_COMMAND_CLEAR;
 
 const CHANNELS: Channels = Channels {
     stepgens: 4,

@@ -14,6 +14,7 @@ use std::net::Ipv4Addr;
 use wire::board::crc32;
 use wire::exchange::{Command, Status};
 use wire::map;
+use wire::regmap::{self, ethmac, guest};
 
 /// The third host.
 pub const INTRUDER_IP: Ipv4Addr = Ipv4Addr::new(192, 168, 2, 9);
@@ -421,19 +422,15 @@ impl Mail {
     }
 }
 
-/// Register pages of the MAC and of its door, words of theirs.
-const MAC: u32 = map::SERVICE + 3 * 0x800;
-const DOOR: u32 = map::SERVICE + 65 * 0x800;
-
 impl Machine {
     /// The counts as they stand; reading them is a frame, too, and counted.
     pub fn mail(&mut self) -> Mail {
         let addresses = [
             map::COUNTERS,
-            DOOR + 0x30,
-            MAC + 0x8,
-            MAC + 0x3c,
-            MAC + 0x40,
+            regmap::address(guest::BASE, guest::REFUSED),
+            regmap::address(ethmac::BASE, ethmac::SRAM_WRITER_ERRORS),
+            regmap::address(ethmac::BASE, ethmac::RX_DATAPATH_PREAMBLE_ERRORS),
+            regmap::address(ethmac::BASE, ethmac::RX_DATAPATH_CRC_ERRORS),
         ];
         let words = self.rig.read_words(&addresses).expect("the counters");
         Mail {

@@ -26,9 +26,10 @@ use sim::{Rig, exchange::Spread};
 use std::path::PathBuf;
 use wire::describe::{Channels, Describe};
 use wire::exchange::{Command, Status};
+use wire::regmap::command;
 use wire::state::State;
 use wire::units::{Accel, Clocks};
-use wire::{Refusal, map};
+use wire::{Refusal, map, regmap};
 
 /// UDP port of a host that owns nothing.
 pub const STRANGER: u16 = 50_505;
@@ -359,8 +360,8 @@ impl Machine {
                 addresses.extend((0..words).map(|word| base + n * map::CONFIG_STRIDE + 4 * word));
             }
         }
-        // The command bank as the bus sees it: page 14, 52 words.
-        addresses.extend((0..52).map(|word| map::SERVICE + 14 * 0x800 + 4 * word));
+        // The command bank as the bus sees it.
+        addresses.extend((0..command::WORDS).map(|word| regmap::address(command::BASE, word)));
         let mut words = Vec::new();
         for chunk in addresses.chunks(64) {
             words.extend(self.rig.read_words(chunk).expect("an answer to a read"));

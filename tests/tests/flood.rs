@@ -158,7 +158,7 @@ fn a_guests_dearest_frame_right_in_front_of_an_exchange_delays_it_by_no_more_tha
         ("panic", map::PANIC, 4),
         ("flash", map::FLASH, 4),
         ("settings", map::FLASH_SETTINGS, 4),
-        ("registers", map::SERVICE + 14 * 0x800, 4),
+        ("registers", wire::regmap::command::BASE as u32, 4),
     ];
     for (name, base, step) in windows {
         let wire = machine.read_frame((0..GUEST_READS as u32).map(|n| base + n * step));

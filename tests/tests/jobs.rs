@@ -27,15 +27,16 @@ use std::time::Duration;
 use wire::crc::crc32;
 use wire::exchange::{STATUS_HEAD, STATUS_STEPGEN, StateWord};
 use wire::jobs::{Command as Code, End, FRAME, Request, State};
+use wire::regmap::{segments, watchdog};
 use wire::{FaultReason, Name, Refusal, map};
 
-const ARM: u32 = 0x4152_4d31;
-const CLEAR: u32 = 0x434c_5231;
-const PUSH: u32 = 16;
-const CONTROL: u32 = 17;
-const MASK: u32 = 21;
-const STATUS: u32 = 22;
-const START: u32 = 1;
+const ARM: u32 = watchdog::CONTROL_KEY_ARM;
+const CLEAR: u32 = watchdog::CONTROL_KEY_CLEAR;
+const PUSH: u32 = segments::PUSH as u32;
+const CONTROL: u32 = segments::CONTROL as u32;
+const MASK: u32 = segments::MASK as u32;
+const STATUS: u32 = segments::STATUS as u32;
+const START: u32 = segments::CONTROL_COMMAND_START;
 
 /// Plays a prediction on the bare cores: writes its segments as they have room.
 fn play(told: &Prediction, timing: [u32; 4]) -> Vec<pins::Event> {

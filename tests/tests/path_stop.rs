@@ -14,6 +14,7 @@ use sim::edges::Step;
 use sim::nor::{Part, Times};
 use wire::exchange::Command;
 use wire::map;
+use wire::regmap::{self, stepgen};
 use wire::units::{Accel, StepRate};
 
 /// Steps/s, and steps/s^2 of the configured deceleration. X takes longest: 10 ms and 1000 steps.
@@ -259,9 +260,10 @@ fn what_was_configured_is_read_back_in_motion_and_in_the_cores_again_at_rest() {
         let base = map::CONFIG_STEPGEN + axis * map::CONFIG_STRIDE;
         machine.read(base + 4 * map::StepgenConfig::StopAccel as u32)
     };
-    // Page 16 and up: the core's own register.
+    // The core's own register.
     let core = |machine: &mut Machine, axis: u32| {
-        machine.read(map::SERVICE + (16 + axis) * 0x800 + 4 * map::StepgenConfig::StopAccel as u32)
+        let page = stepgen::BASE + axis as usize * regmap::CSR_PAGE;
+        machine.read(regmap::address(page, stepgen::STOP_ACCEL))
     };
     let clock_hz = Machine::clock_hz(&machine);
     for (axis, (rate, accel)) in (0..).zip(AXES) {

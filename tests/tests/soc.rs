@@ -8,9 +8,10 @@ use rand_pcg::Pcg32;
 use sim::rig::RIG_PORT;
 use sim::segment::{BOARD_PORT, HOST_IP};
 use wire::exchange::{self, Command, Latch};
+use wire::regmap::timebase;
 use wire::state::{FaultReason, State};
 use wire::units::{Accel, Clocks, StepRate};
-use wire::{Refusal, map};
+use wire::{Refusal, map, regmap};
 
 // ---- the golden vectors -----------------------------------------------------------------------------------------------
 
@@ -51,7 +52,8 @@ fn two_words_are_read_and_the_return_address_comes_back() {
 #[test]
 fn the_stamp_read_through_the_service_window_is_that_of_the_frame_that_asks() {
     let mut machine = Machine::start();
-    let [lo, hi] = [3, 4].map(|word| map::SERVICE + 9 * 0x800 + 4 * word);
+    let [lo, hi] = [timebase::ARRIVAL_LO, timebase::ARRIVAL_HI]
+        .map(|word| regmap::address(timebase::BASE, word));
     for pause in [0, 777, 60_000] {
         machine.run_clocks(pause);
         let before = machine.clock();

@@ -1,9 +1,12 @@
 //! The channel counts of a board: they determine the length of the exchange's blocks.
 
 use crate::Refusal;
+use crate::regmap::{ENCODER_MAX, IN_MAX, OUT_MAX, PWM_MAX, STEPGEN_MAX};
 
 /// Largest number of stepgens, of encoders and of PWMs on a board.
-pub const MAX_CHANNELS: usize = 16;
+pub const MAX_CHANNELS: usize = STEPGEN_MAX;
+
+const _: () = assert!(ENCODER_MAX == MAX_CHANNELS && PWM_MAX == MAX_CHANNELS);
 
 /// How many channels of each kind a board has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,8 +37,8 @@ impl Channels {
         if channels.stepgens > most
             || channels.encoders > most
             || channels.pwms > most
-            || channels.inputs > 32
-            || channels.outputs > 32
+            || channels.inputs > IN_MAX as u8
+            || channels.outputs > OUT_MAX as u8
         {
             return Err(Refusal::Value);
         }

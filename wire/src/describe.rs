@@ -14,6 +14,7 @@
 pub use crate::channels::Channels;
 use crate::codes::codes;
 use crate::exchange;
+use crate::regmap::ident;
 use crate::state::{GateClose, ResetReason};
 
 /// "FCR1".
@@ -35,11 +36,11 @@ pub const OBSTACLE_FLASH: u32 = 1 << 1;
 pub const FEATURE_KEY: u32 = 1 << 31;
 
 /// A feature: the gateware plays segments, `ident.features` bit 0.
-pub const FEATURE_JOBS: u32 = 1;
+pub const FEATURE_JOBS: u32 = ident::FEATURES_JOBS;
 
 /// A feature: the gateware reads the pads it drives ([`crate::map::PADS`]) and counts the Ethernet
 /// clock ([`crate::map::ETH_BEATS`]), `ident.features` bit 1. 0 in gateware from before them.
-pub const FEATURE_READBACK: u32 = 1 << 1;
+pub const FEATURE_READBACK: u32 = ident::FEATURES_READBACK;
 
 codes! {
     /// Whether jobs can be executed without a PC: the feature bits from [`JobsState::AT`] on.

@@ -35,6 +35,7 @@
 //! its next command and finds the value in the answer. A lost frame only delays this.
 
 use crate::channels::Channels;
+use crate::regmap::{command, pwm, status};
 use crate::state::{FaultReason, LinkSpeed, State};
 use crate::units::{Accel, Clocks, Count, Position, StepRate};
 use crate::{Refusal, etherbone, map};
@@ -43,14 +44,14 @@ pub use crate::channels::MAX_CHANNELS;
 
 /// Words before the first stepgen in a command block.
 pub const COMMAND_HEAD: usize = 9;
-/// Words per stepgen in a command block.
-pub const COMMAND_STEPGEN: usize = 2;
+/// Words per stepgen in a command block: as on the register page, so that they are copied.
+pub const COMMAND_STEPGEN: usize = command::STEPGEN_STRIDE;
 /// Words before the first stepgen in a status block.
 pub const STATUS_HEAD: usize = 15;
-/// Words per stepgen in a status block.
-pub const STATUS_STEPGEN: usize = 3;
-/// Words per encoder in a status block.
-pub const STATUS_ENCODER: usize = 2;
+/// Words per stepgen in a status block: as on the register page.
+pub const STATUS_STEPGEN: usize = status::STEPGEN_STRIDE;
+/// Words per encoder in a status block: as on the register page.
+pub const STATUS_ENCODER: usize = status::ENCODER_STRIDE;
 
 /// Longest command block: the maximum board's.
 pub const COMMAND_MAX: usize = COMMAND_HEAD + MAX_CHANNELS * (COMMAND_STEPGEN + 1);
@@ -74,18 +75,18 @@ pub const FLAG_APPLY_TIME: u32 = 1 << 2;
 pub const FLAG_ALONE_SHIFT: u32 = 16;
 
 /// A PWM's word: bits 28:0 active time per period, in 1/256 clock; only dither uses the fraction.
-pub const PWM_WIDTH_MASK: u32 = 0x1fff_ffff;
+pub const PWM_WIDTH_MASK: u32 = command::PWM0_WIDTH_WIDTH;
 /// Fraction bits of a PWM's width.
 pub const PWM_FRACTION: u32 = 8;
 /// Longest PWM period, in clocks: 21 bits, 35 ms at 60 MHz.
-pub const PWM_PERIOD_MAX: u32 = (1 << 21) - 1;
+pub const PWM_PERIOD_MAX: u32 = pwm::PERIOD_CLOCKS;
 /// A PWM's word: the output is live.
-pub const PWM_ENABLE: u32 = 1 << 30;
+pub const PWM_ENABLE: u32 = command::PWM0_WIDTH_ENABLE;
 /// A PWM's word: direction, for the modes that have one.
-pub const PWM_DIRECTION: u32 = 1 << 31;
+pub const PWM_DIRECTION: u32 = command::PWM0_WIDTH_DIRECTION;
 
 /// Bits of an encoder's edge word that hold the time; the upper 8 count illegal transitions.
-pub const EDGE_TIME_BITS: u32 = 24;
+pub const EDGE_TIME_BITS: u32 = status::ENCODER0_EDGE_ERRORS_SHIFT;
 
 /// The latch that an answer carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

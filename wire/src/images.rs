@@ -25,7 +25,7 @@
 
 use crate::crc::crc32_words;
 use crate::flash::{Area, Layout, PAGE, Running, Slot};
-use crate::{Name, words_from_bytes, words_to_bytes};
+use crate::{Name, regmap, words_from_bytes, words_to_bytes};
 
 /// "FIMG".
 pub const MAGIC: u32 = 0x4649_4d47;
@@ -202,14 +202,14 @@ pub enum Role {
     /// Not packed: a simulation.
     None = 0,
     /// An image for a slot, or to be loaded by JTAG.
-    Image = 1,
+    Image = regmap::ROLE_IMAGE,
     /// The golden image.
-    Golden = 2,
+    Golden = regmap::ROLE_GOLDEN,
 }
 
 impl Trailer {
     /// "FTRL".
-    pub const MAGIC: u32 = 0x4654_524c;
+    pub const MAGIC: u32 = regmap::TRAILER_MAGIC;
     /// Words at the end of the ROM: magic, build id, role, 0.
     pub const WORDS: usize = 4;
     /// The trailer of a ROM without one.
@@ -221,8 +221,8 @@ impl Trailer {
     /// From the ROM's last words; [`Trailer::NONE`] if they are no trailer.
     pub const fn from_words([magic, build_id, role, _]: [u32; Self::WORDS]) -> Self {
         let role = match role {
-            1 => Role::Image,
-            2 => Role::Golden,
+            regmap::ROLE_IMAGE => Role::Image,
+            regmap::ROLE_GOLDEN => Role::Golden,
             _ => return Self::NONE,
         };
         if magic == Self::MAGIC {

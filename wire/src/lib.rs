@@ -2,7 +2,7 @@
 //!
 //! Both ends link this crate, the firmware on the softcore and the driver in LinuxCNC. So a fact
 //! about the wire is written once, and this rustdoc is the specification. The crate knows no
-//! sockets, no registers and no clocks; it has no dependencies, allocates nothing, and after a
+//! sockets and no clocks and accesses no register; it has no dependencies, allocates nothing, and after a
 //! successful `new_checked` no function of it can panic.
 //!
 //! | module | content |
@@ -24,6 +24,7 @@
 //! | [`crc`] | the CRC of the whole project |
 //! | [`refusal`] | every reason why a datagram is dropped, each with its own counter |
 //! | [`layout`] | the layout of the exchange as text, for the ABI number |
+//! | [`regmap`] | the register map: what lies in the service window, and the board's memory |
 //! | [`units`] | step rate, acceleration, position and counts as types |
 //!
 //! Everything on the wire except [`jobs`] is big-endian 32-bit words. In memory, words are `u32` in
@@ -48,6 +49,7 @@ pub mod layout;
 pub mod map;
 pub mod name;
 pub mod refusal;
+pub mod regmap;
 pub mod settings;
 pub mod state;
 pub mod units;

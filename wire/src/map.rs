@@ -13,6 +13,8 @@
 //! 0xf002_1000    segments rw      part of them; if a PC streams jobs, the owner may always write these
 //! ```
 
+use crate::regmap::{self, debounce, encoder, gpio, pads, pwm, segments, stepgen, timebase};
+
 /// The description of the board. Words as in [`crate::describe::Describe`], then the board blob.
 pub const DESCRIBE: u32 = 0x0000_0000;
 /// Length of the describe window in bytes.
@@ -58,7 +60,7 @@ pub const REBOOT_KEY: u32 = 0x5242_4f54;
 pub const CONFIG: u32 = 0x0002_0000;
 /// Bytes from one channel's block to the next.
 pub const CONFIG_STRIDE: u32 = 0x40;
-/// Stepgen blocks: words as [`StepgenConfig`] numbers them.
+/// Stepgen blocks: words as [`StepgenConfig`] numbers them, which are those of the register page.
 pub const CONFIG_STEPGEN: u32 = CONFIG;
 /// PWM blocks: 0 period, 1 mode.
 pub const CONFIG_PWM: u32 = CONFIG + 0x400;
@@ -74,35 +76,35 @@ pub const CONFIG_LEN: u32 = 0x1000;
 #[repr(u32)]
 pub enum StepgenConfig {
     /// Clocks STEP stays active, 1..=[`STEP_CLOCKS_MAX`].
-    Steplen = 0,
+    Steplen = stepgen::STEPLEN as u32,
     /// Clocks STEP stays inactive at least, 1..=[`STEP_CLOCKS_MAX`].
-    Stepspace = 1,
+    Stepspace = stepgen::STEPSPACE as u32,
     /// Clocks from a DIR edge to the next STEP rise, 0..=[`DIR_CLOCKS_MAX`].
-    Dirsetup = 2,
+    Dirsetup = stepgen::DIRSETUP as u32,
     /// Clocks from STEP's fall to a DIR edge, 0..=[`DIR_CLOCKS_MAX`].
-    Dirhold = 3,
+    Dirhold = stepgen::DIRHOLD as u32,
     /// Deceleration of a soft stop, in the unit of [`crate::units::Accel`]; 0 stops at once.
-    StopAccel = 4,
+    StopAccel = stepgen::STOP_ACCEL as u32,
     /// [`STEPGEN_STEP_INVERT`], [`STEPGEN_DIR_INVERT`], [`StepType`], [`STEPGEN_INDEX_INVERT`].
-    Mode = 5,
+    Mode = stepgen::MODE as u32,
 }
 
 /// 10 s: the longest timeout and the longest grace of a watchdog. A longer one would not protect.
 pub const WATCHDOG_SECONDS_MAX: u64 = 10;
 
 /// Longest steplen and stepspace: 13 bits, 136 us at 60 MHz.
-pub const STEP_CLOCKS_MAX: u32 = (1 << 13) - 1;
+pub const STEP_CLOCKS_MAX: u32 = stepgen::STEPLEN_CLOCKS;
 /// Longest dirsetup and dirhold: 16 bits, 1.09 ms at 60 MHz.
-pub const DIR_CLOCKS_MAX: u32 = (1 << 16) - 1;
+pub const DIR_CLOCKS_MAX: u32 = stepgen::DIRSETUP_CLOCKS;
 
 /// Stepgen mode: STEP is active low.
-pub const STEPGEN_STEP_INVERT: u32 = 1 << 0;
+pub const STEPGEN_STEP_INVERT: u32 = stepgen::MODE_STEP_INVERT;
 /// Stepgen mode: DIR is low for negative.
-pub const STEPGEN_DIR_INVERT: u32 = 1 << 1;
+pub const STEPGEN_DIR_INVERT: u32 = stepgen::MODE_DIR_INVERT;
 /// Stepgen mode: where its [`StepType`] begins.
-pub const STEPGEN_TYPE_SHIFT: u32 = 2;
+pub const STEPGEN_TYPE_SHIFT: u32 = stepgen::MODE_KIND_SHIFT;
 /// Stepgen mode: the index pin is active low.
-pub const STEPGEN_INDEX_INVERT: u32 = 1 << 4;
+pub const STEPGEN_INDEX_INVERT: u32 = stepgen::MODE_INDEX_INVERT;
 
 /// The signals at a stepgen's two pins; the numbers of LinuxCNC and hostmot2.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -110,20 +112,20 @@ pub const STEPGEN_INDEX_INVERT: u32 = 1 << 4;
 pub enum StepType {
     /// STEP pulses, DIR says which way.
     #[default]
-    StepDir = 0,
+    StepDir = stepgen::MODE_KIND_STEP_DIR,
     /// STEP pulses forwards, DIR pulses backwards.
-    UpDown = 1,
+    UpDown = stepgen::MODE_KIND_UP_DOWN,
     /// A and B, one line changes per step.
-    Quadrature = 2,
+    Quadrature = stepgen::MODE_KIND_QUADRATURE,
 }
 
 impl StepType {
     /// The type with this number.
     pub const fn from_code(code: u32) -> Option<Self> {
         match code {
-            0 => Some(StepType::StepDir),
-            1 => Some(StepType::UpDown),
-            2 => Some(StepType::Quadrature),
+            stepgen::MODE_KIND_STEP_DIR => Some(StepType::StepDir),
+            stepgen::MODE_KIND_UP_DOWN => Some(StepType::UpDown),
+            stepgen::MODE_KIND_QUADRATURE => Some(StepType::Quadrature),
             _ => None,
         }
     }
@@ -135,53 +137,53 @@ impl StepType {
 pub enum CountMode {
     /// Every edge of A and B.
     #[default]
-    X4 = 0,
+    X4 = encoder::MODE_SELECT_X4,
     /// Every edge of A.
-    X2 = 1,
+    X2 = encoder::MODE_SELECT_X2,
     /// One edge per line.
-    X1 = 2,
+    X1 = encoder::MODE_SELECT_X1,
     /// A rises: up. One-channel counters.
-    Counter = 3,
+    Counter = encoder::MODE_SELECT_COUNTER,
     /// A rises: up while B is low, down while it is high.
-    StepDir = 4,
+    StepDir = encoder::MODE_SELECT_STEP_DIR,
     /// A rises: up. B rises: down.
-    UpDown = 5,
+    UpDown = encoder::MODE_SELECT_UP_DOWN,
 }
 
 impl CountMode {
     /// The mode with this number.
     pub const fn from_code(code: u32) -> Option<Self> {
         match code {
-            0 => Some(CountMode::X4),
-            1 => Some(CountMode::X2),
-            2 => Some(CountMode::X1),
-            3 => Some(CountMode::Counter),
-            4 => Some(CountMode::StepDir),
-            5 => Some(CountMode::UpDown),
+            encoder::MODE_SELECT_X4 => Some(CountMode::X4),
+            encoder::MODE_SELECT_X2 => Some(CountMode::X2),
+            encoder::MODE_SELECT_X1 => Some(CountMode::X1),
+            encoder::MODE_SELECT_COUNTER => Some(CountMode::Counter),
+            encoder::MODE_SELECT_STEP_DIR => Some(CountMode::StepDir),
+            encoder::MODE_SELECT_UP_DOWN => Some(CountMode::UpDown),
             _ => None,
         }
     }
 }
 
 /// Encoder mode: the index is active low.
-pub const ENCODER_INDEX_INVERT: u32 = 1 << 4;
+pub const ENCODER_INDEX_INVERT: u32 = encoder::MODE_INDEX_INVERT;
 /// Encoder mode: the index counts only while the mask pin is active.
-pub const ENCODER_MASK_ENABLE: u32 = 1 << 5;
+pub const ENCODER_MASK_ENABLE: u32 = encoder::MODE_MASK_ENABLE;
 /// Encoder mode: the mask pin is active low.
-pub const ENCODER_MASK_INVERT: u32 = 1 << 6;
+pub const ENCODER_MASK_INVERT: u32 = encoder::MODE_MASK_INVERT;
 /// Encoder mode: the count restarts at the latched index.
-pub const ENCODER_CLEAR_ON_INDEX: u32 = 1 << 7;
+pub const ENCODER_CLEAR_ON_INDEX: u32 = encoder::MODE_CLEAR_ON_INDEX;
 /// Longest encoder filter, in clocks.
-pub const ENCODER_FILTER_MAX: u32 = 255;
+pub const ENCODER_FILTER_MAX: u32 = encoder::FILTER_CLOCKS;
 
 /// PWM mode: the outputs are active low.
-pub const PWM_INVERT: u32 = 1 << 0;
+pub const PWM_INVERT: u32 = pwm::MODE_INVERT;
 /// PWM mode: where its [`PwmType`] begins.
-pub const PWM_TYPE_SHIFT: u32 = 1;
+pub const PWM_TYPE_SHIFT: u32 = pwm::MODE_KIND_SHIFT;
 /// PWM mode: spread the width's fraction over periods.
-pub const PWM_DITHER: u32 = 1 << 3;
+pub const PWM_DITHER: u32 = pwm::MODE_DITHER;
 /// PWM mode: the two pins change places.
-pub const PWM_SWAP: u32 = 1 << 4;
+pub const PWM_SWAP: u32 = pwm::MODE_SWAP;
 
 /// What a PWM does with its two pins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -189,26 +191,26 @@ pub const PWM_SWAP: u32 = 1 << 4;
 pub enum PwmType {
     /// Pulse width on the first, direction on the second.
     #[default]
-    Pwm = 0,
+    Pwm = pwm::MODE_KIND_PWM,
     /// Pulse width on the first forwards, on the second backwards.
-    UpDown = 1,
+    UpDown = pwm::MODE_KIND_UP_DOWN,
     /// Pulse density on the first, direction on the second; width's bits 24:8 are 1/65536.
-    Pdm = 2,
+    Pdm = pwm::MODE_KIND_PDM,
 }
 
 /// Probe setting: which input, bits 4:0.
-pub const PROBE_INPUT_MASK: u32 = 31;
+pub const PROBE_INPUT_MASK: u32 = gpio::PROBE_INPUT;
 /// Probe setting: there is one.
-pub const PROBE_ENABLE: u32 = 1 << 8;
+pub const PROBE_ENABLE: u32 = gpio::PROBE_ENABLE;
 /// Probe setting: it is active low.
-pub const PROBE_INVERT: u32 = 1 << 9;
+pub const PROBE_INVERT: u32 = gpio::PROBE_INVERT;
 
 /// Words in a stepgen's configuration block.
-pub const STEPGEN_CONFIG_WORDS: u32 = 6;
+pub const STEPGEN_CONFIG_WORDS: u32 = stepgen::WORDS as u32;
 /// Words in a PWM's configuration block.
-pub const PWM_CONFIG_WORDS: u32 = 2;
+pub const PWM_CONFIG_WORDS: u32 = pwm::WORDS as u32;
 /// Words in an encoder's configuration block.
-pub const ENCODER_CONFIG_WORDS: u32 = 2;
+pub const ENCODER_CONFIG_WORDS: u32 = encoder::WORDS as u32;
 
 /// Words of the board's configuration block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -234,7 +236,7 @@ pub const CONFIG_DEBOUNCE: u32 = CONFIG_BOARD + 0x40;
 /// Clocks between two looks at an input.
 pub const DEBOUNCE_CLOCKS: u32 = 32;
 /// Longest debounce, in looks: 35 ms at 60 MHz.
-pub const DEBOUNCE_MAX: u32 = (1 << 16) - 1;
+pub const DEBOUNCE_MAX: u32 = debounce::IN0_VISITS;
 
 /// The exchange: a whole command block is written here ([`crate::exchange`]).
 pub const COMMAND: u32 = 0x0003_0000;
@@ -304,27 +306,27 @@ pub const FLASH_SETTINGS: u32 = FLASH + 0x200;
 pub const FLASH_LEN: u32 = 0x300;
 
 /// Raw CSRs at the address they have on the board's own bus.
-pub const SERVICE: u32 = 0xf000_0000;
+pub const SERVICE: u32 = regmap::CSR_BASE as u32;
 
 /// Levels at the pads the board drives: STEP and DIR, their inverted copies, PWMs, outputs. Each of
 /// the first three words has first pins in its low half and second pins in its high one.
-pub const PADS: u32 = SERVICE + 67 * 0x800;
+pub const PADS: u32 = pads::BASE as u32;
 /// Words there.
-pub const PADS_WORDS: u32 = 4;
+pub const PADS_WORDS: u32 = pads::WORDS as u32;
 /// The wall clock as caught last, low word; the Ethernet clock's count in [`ETH_BEATS`] is of that
 /// moment.
-pub const TIMEBASE_NOW: u32 = SERVICE + 9 * 0x800;
+pub const TIMEBASE_NOW: u32 = regmap::address(timebase::BASE, timebase::NOW_LO);
 /// The Ethernet receive clock, in units of [`ETH_BEAT_CLOCKS`] of its clocks.
-pub const ETH_BEATS: u32 = SERVICE + 9 * 0x800 + 4 * 9;
+pub const ETH_BEATS: u32 = regmap::address(timebase::BASE, timebase::ETH_BEATS);
 /// Clocks of a beat.
 pub const ETH_BEAT_CLOCKS: u32 = 4;
 
 /// The registers of the segments core, at their place among the raw ones (docs/cores/segments.md).
 /// On a board whose jobs a PC streams ([`crate::describe::JobsState::Streamed`]) its owner may
 /// write the first [`SEGMENTS_WRITABLE`] at any time, behind [`SESSION_SEGMENTS`].
-pub const SEGMENTS: u32 = SERVICE + 66 * 0x800;
+pub const SEGMENTS: u32 = segments::BASE as u32;
 /// The words of a segment, push, control, pace, slew, beam, mask.
-pub const SEGMENTS_WRITABLE: u32 = 22;
+pub const SEGMENTS_WRITABLE: u32 = segments::STATUS as u32;
 
 #[cfg(test)]
 mod tests {

@@ -1,5 +1,5 @@
 //! The generated files: layout of the exchange and register map -> SVD, memory.x,
-//! docs/registers.md, ABI constants -> PAC; board files -> the twin's boards.
+//! docs/registers.md, constants in `wire` -> PAC; board files -> the twin's boards.
 
 use crate::{figures, python, root, setup, step, target};
 use anyhow::{Context, Result, bail};
@@ -10,6 +10,9 @@ use std::process::Command;
 /// The layout of the exchange as `wire` says it: half of what the ABI number is the hash of.
 const LAYOUT: &str = "wire/layout.txt";
 
+/// The register map as constants of `wire`.
+const REGMAP: &str = "wire/src/regmap.rs";
+
 /// Every file the generators write.
 const GENERATED: &[&str] = &[
     LAYOUT,
@@ -18,6 +21,7 @@ const GENERATED: &[&str] = &[
     "docs/registers.md",
     "pac/src/abi.rs",
     "pac/src/lib.rs",
+    REGMAP,
     "sim/boards/75b_v8_14o11i6s6e6p/board.bin",
     "sim/boards/75b_v8_14o11i6s6e6p/manifest.json",
     "sim/boards/max/board.bin",
@@ -67,6 +71,12 @@ pub fn generate(check: bool) -> Result<()> {
             fs::write(&committed, fresh)
                 .with_context(|| format!("cannot write {}", committed.display()))?;
         }
+    }
+    if !check && stale.contains(&REGMAP) {
+        // This program was built with the old map, and the layout uses its numbers.
+        step::note(
+            "the register map changed, and `wire` contains it: run `cargo xtask regen` once more",
+        );
     }
     stale.extend(figures.iter().map(String::as_str));
     match (stale.is_empty(), check) {

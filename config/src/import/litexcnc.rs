@@ -7,6 +7,7 @@ use crate::board::{Channel, Class, Platforms};
 use crate::error::Error;
 use crate::platform::Level;
 use crate::tree::{At, Key, Kind, Node, Value, may, must};
+use wire::regmap::{ENCODER_MAX, IN_MAX, OUT_MAX, PWM_MAX, STEPGEN_MAX};
 
 const PIN: &str = "a pin, as in \"j1:0\"";
 const IO_STANDARD: Key = may(
@@ -286,11 +287,11 @@ pub fn litexcnc(
         }
     }
     for (class, most) in [
-        (Class::Stepgen, 16),
-        (Class::Encoder, 16),
-        (Class::Pwm, 16),
-        (Class::Input, 32),
-        (Class::Output, 32),
+        (Class::Stepgen, STEPGEN_MAX),
+        (Class::Encoder, ENCODER_MAX),
+        (Class::Pwm, PWM_MAX),
+        (Class::Input, IN_MAX),
+        (Class::Output, OUT_MAX),
     ] {
         if draft.board.of(class).len() > most {
             let problem = format!(

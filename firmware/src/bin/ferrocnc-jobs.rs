@@ -12,11 +12,11 @@ use firmware::jobs::abi::{
 use firmware::jobs::memory::{self, Cells};
 use firmware::jobs::{Jobs, Outside};
 use firmware::net::Us;
-use litex_pac::abi;
 use wire::MAX_WORDS;
 use wire::jobs::PORT;
+use wire::regmap::{self, CSR_PAGE, SDRAM_BASE, SDRAM_SIZE};
 
-const _: () = assert!(abi::SDRAM_BASE == 0x4000_0000 && firmware::jobs::abi::ROOM == 512 * 1024);
+const _: () = assert!(SDRAM_BASE == 0x4000_0000 && ROOM == 512 * 1024);
 
 global_asm!(include_str!("../saves.s"));
 
@@ -47,7 +47,7 @@ unsafe extern "C" {
 static JOBS_HEADER: Header = Header {
     crc: 0,
     interface: INTERFACE,
-    abi: abi::ABI,
+    abi: regmap::ABI,
     entry: jobs_entry,
 };
 
@@ -104,11 +104,11 @@ extern "C" fn jobs_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
 fn start(rom: &mut Calls) -> Option<Jobs<'static>> {
     clear();
     // SAFETY: the first word is the image's CRC, which was right. The test below overwrites it.
-    let program = unsafe { (abi::SDRAM_BASE as *const u32).read_volatile() };
-    let used = (&raw const __jobs_bss_end) as usize - abi::SDRAM_BASE;
-    let memory = memory::size(&mut Sdram, used, abi::SDRAM_SIZE)?.checked_sub(ROOM)?;
+    let program = unsafe { (SDRAM_BASE as *const u32).read_volatile() };
+    let used = (&raw const __jobs_bss_end) as usize - SDRAM_BASE;
+    let memory = memory::size(&mut Sdram, used, SDRAM_SIZE)?.checked_sub(ROOM)?;
     // SAFETY: from the end of the program to the SDRAM's end; no other code uses it.
-    let memory = unsafe { slice::from_raw_parts_mut((abi::SDRAM_BASE + ROOM) as *mut u8, memory) };
+    let memory = unsafe { slice::from_raw_parts_mut((SDRAM_BASE + ROOM) as *mut u8, memory) };
     Jobs::new(memory, program, rom)
 }
 
@@ -131,12 +131,12 @@ impl Cells for Sdram {
     fn write(&mut self, at: usize, value: u32) {
         // SAFETY: aligned, inside the SDRAM's window, and after all memory in use except for the
         // first word, which is not needed any more.
-        unsafe { ((abi::SDRAM_BASE + at) as *mut u32).write_volatile(value) }
+        unsafe { ((SDRAM_BASE + at) as *mut u32).write_volatile(value) }
     }
 
     fn read(&mut self, at: usize) -> u32 {
         // SAFETY: aligned, and inside the SDRAM's window.
-        unsafe { ((abi::SDRAM_BASE + at) as *const u32).read_volatile() }
+        unsafe { ((SDRAM_BASE + at) as *const u32).read_volatile() }
     }
 }
 
@@ -183,7 +183,7 @@ impl Outside for Calls<'_> {
 }
 
 fn segments(word: usize) -> *mut u32 {
-    (abi::CSR_SEGMENTS + word % (abi::CSR_PAGE / 4) * 4) as *mut u32
+    (regmap::segments::BASE + word % (CSR_PAGE / 4) * 4) as *mut u32
 }
 
 /// Is this a TCP frame to the port of jobs?

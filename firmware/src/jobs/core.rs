@@ -1,12 +1,14 @@
-//! The segments core's registers ([`crate::segments`]), as operations. docs/cores/segments.md describes them.
+//! The segments core's registers, as operations. docs/cores/segments.md describes them.
 
 use super::Outside;
-use crate::segments::{BEAM, BEGUN, CONTROL, CURRENT, LEFT, MASK, PACE, PUSH, SHAPE, SLEW, STATUS};
 use motion::segment::{AXES, Segment};
+use wire::regmap::segments::{
+    BEAM, BEGUN, CONTROL, CONTROL_COMMAND_CLEAR, CONTROL_COMMAND_QUIT, CONTROL_COMMAND_START,
+    CURRENT, LEFT, MASK, PACE, PUSH, SHAPE, SLEW, STATUS, STATUS_LEVEL, STATUS_REASON,
+    STATUS_REASON_SHIFT, STATUS_STANDS, STATUS_STATE, STATUS_STATE_IDLE,
+};
 
-const START: u32 = 1;
-const QUIT: u32 = 2;
-const CLEAR: u32 = 3;
+/// [`PACE`] of 1.
 const PACE_ONE: u32 = 1 << 16;
 
 /// The core's status word.
@@ -15,32 +17,34 @@ pub struct State(u32);
 
 /// The reasons of an end.
 pub mod reason {
+    use wire::regmap::segments;
+
     /// No segment left, at rest.
-    pub const DONE: u8 = 1;
+    pub const DONE: u8 = segments::STATUS_REASON_DONE as u8;
     /// No segment in time, while moving.
-    pub const UNDERRUN: u8 = 2;
+    pub const UNDERRUN: u8 = segments::STATUS_REASON_UNDERRUN as u8;
     /// Commanded.
-    pub const QUIT: u8 = 3;
+    pub const QUIT: u8 = segments::STATUS_REASON_QUIT as u8;
     /// The watchdog's soft stop.
-    pub const HALTED: u8 = 4;
+    pub const HALTED: u8 = segments::STATUS_REASON_HALTED as u8;
     /// The gate closed.
-    pub const CLOSED: u8 = 5;
+    pub const CLOSED: u8 = segments::STATUS_REASON_CLOSED as u8;
 }
 
 impl State {
     /// Segments waiting.
     pub fn level(self) -> u8 {
-        self.0 as u8
+        (self.0 & STATUS_LEVEL) as u8
     }
 
     /// No segment is being played.
     pub fn idle(self) -> bool {
-        self.0 >> 8 & 3 == 0
+        self.0 & STATUS_STATE == STATUS_STATE_IDLE
     }
 
     /// The reason of the last end.
     pub fn reason(self) -> u8 {
-        (self.0 >> 12 & 7) as u8
+        ((self.0 & STATUS_REASON) >> STATUS_REASON_SHIFT) as u8
     }
 
     /// It ended early: it takes no segment before it is cleared.
@@ -50,7 +54,7 @@ impl State {
 
     /// Path time is stopped.
     pub fn stands(self) -> bool {
-        self.0 >> 24 & 1 == 1
+        self.0 & STATUS_STANDS != 0
     }
 }
 
@@ -90,17 +94,17 @@ impl Core {
 
     /// Plays the pushed segments.
     pub fn start(self, out: &mut impl Outside) {
-        out.write_segments(CONTROL, START);
+        out.write_segments(CONTROL, CONTROL_COMMAND_START);
     }
 
     /// Brings all axes to rest, and discards the pushed segments.
     pub fn quit(self, out: &mut impl Outside) {
-        out.write_segments(CONTROL, QUIT);
+        out.write_segments(CONTROL, CONTROL_COMMAND_QUIT);
     }
 
     /// Clears the reason of the last end.
     pub fn clear(self, out: &mut impl Outside) {
-        out.write_segments(CONTROL, CLEAR);
+        out.write_segments(CONTROL, CONTROL_COMMAND_CLEAR);
     }
 
     /// Lets path time pass, or stops it.

@@ -4,6 +4,7 @@ use crate::fake::*;
 use proptest::prelude::*;
 use wire::exchange::Command;
 use wire::map;
+use wire::regmap::status;
 use wire::units::{Accel, StepRate};
 
 /// Clocks until an axis of this speed stands with this deceleration.
@@ -148,7 +149,7 @@ fn moving(rig: &mut Rig, rates: [i32; 3]) -> Command {
     let mut command = rig.command(true, true);
     for (n, rate) in rates.into_iter().enumerate() {
         command.stepgen[n] = (StepRate(rate), Accel(100_000));
-        rig.board.latched[LATCH_STEPGEN + n * STATUS_STEPGEN + 2] = rate as u32;
+        rig.board.latched[status::STEPGEN0_VELOCITY + n * STATUS_STEPGEN] = rate as u32;
     }
     command
 }

@@ -1,10 +1,11 @@
 use super::*;
-use crate::cores::{STAGE_WORDS, STROBE_COMMIT_AT, Setting};
+use crate::cores::Setting;
 use crate::fake::*;
 use proptest::prelude::*;
 use wire::describe::Channels;
 use wire::exchange::{Command, Latch, PWM_ENABLE, STATUS_MAX, Status};
 use wire::map::{BoardConfig, StepgenConfig};
+use wire::regmap::{command, timebase};
 use wire::units::{Accel, Clocks, Count, Position, StepRate};
 use wire::{FaultReason, State};
 
@@ -845,7 +846,7 @@ fn an_exchange_commits_samples_feeds_and_answers() {
     assert_eq!(
         rig.board.done,
         [
-            Change::Strobe(STROBE_COMMIT | STROBE_SAMPLE),
+            Change::Strobe(timebase::STROBE_COMMIT | timebase::STROBE_SAMPLE),
             Change::Feed(command.sequence)
         ]
     );
@@ -1088,9 +1089,9 @@ fn a_disarmed_machine_answers_samples_and_executes_nothing() {
     let status = rig.exchange_as(ALICE, &command).unwrap();
     assert_eq!(
         rig.board.done,
-        [Change::Strobe(STROBE_SAMPLE), Change::Feed(1)]
+        [Change::Strobe(timebase::STROBE_SAMPLE), Change::Feed(1)]
     );
-    assert_eq!(rig.board.live, [0; STAGE_WORDS]);
+    assert_eq!(rig.board.live, [0; command::WORDS]);
     assert_eq!(
         (status.state.state, status.state.enabled),
         (State::Disarmed, false)
@@ -1108,9 +1109,9 @@ fn arming_commits_before_and_after_the_gate_opens() {
     assert_eq!(
         rig.board.done[..3],
         [
-            Change::Strobe(STROBE_COMMIT),
+            Change::Strobe(timebase::STROBE_COMMIT),
             Change::Order(Control::Arm),
-            Change::Strobe(STROBE_COMMIT | STROBE_SAMPLE)
+            Change::Strobe(timebase::STROBE_COMMIT | timebase::STROBE_SAMPLE)
         ]
     );
     assert_eq!(
@@ -1131,7 +1132,7 @@ fn an_apply_time_is_set_before_the_strobe_and_the_next_command_replaces_it() {
     assert_eq!(rig.board.commit_at, 0x5_0000_0007);
     assert_eq!(
         rig.board.done[0],
-        Change::Strobe(STROBE_COMMIT_AT | STROBE_SAMPLE)
+        Change::Strobe(timebase::STROBE_COMMIT_AT | timebase::STROBE_SAMPLE)
     );
     rig.exchange(true, true).unwrap();
     assert_eq!(
@@ -1174,14 +1175,14 @@ fn an_apply_time_waits_for_nothing_unless_the_machine_is_armed_already() {
     rig.acquire();
     let at = rig.board.commit_at;
     for (request, done) in [
-        (false, &[Change::Strobe(STROBE_SAMPLE)][..]),
-        (true, &[Change::Strobe(STROBE_SAMPLE)]),
+        (false, &[Change::Strobe(timebase::STROBE_SAMPLE)][..]),
+        (true, &[Change::Strobe(timebase::STROBE_SAMPLE)]),
         (
             true,
             &[
-                Change::Strobe(STROBE_COMMIT),
+                Change::Strobe(timebase::STROBE_COMMIT),
                 Change::Order(Control::Arm),
-                Change::Strobe(STROBE_COMMIT | STROBE_SAMPLE),
+                Change::Strobe(timebase::STROBE_COMMIT | timebase::STROBE_SAMPLE),
             ],
         ),
     ] {
@@ -1291,7 +1292,7 @@ fn at_rest_nothing_stale_waits_behind_the_gate() {
     rig.board.done.clear();
     rig.server.poll(&mut rig.board);
     rig.server.poll(&mut rig.board);
-    assert_eq!(rig.board.live, [0; STAGE_WORDS]);
+    assert_eq!(rig.board.live, [0; command::WORDS]);
     // Word 21 of the segments core: no output follows a job any more.
     let mask = Change::Csr(map::SEGMENTS + 84, 0);
     let done = rig.board.done.iter();
@@ -1521,7 +1522,9 @@ fn a_board_without_an_owner_is_sampled_a_hundred_times_a_second_and_one_with_an_
         rig.board.now = now;
         rig.board.done.clear();
         rig.server.poll(&mut rig.board);
-        rig.board.done.contains(&Change::Strobe(STROBE_SAMPLE))
+        rig.board
+            .done
+            .contains(&Change::Strobe(timebase::STROBE_SAMPLE))
     };
     assert!(!sampled(&mut rig, period - 1));
     assert!(sampled(&mut rig, period));

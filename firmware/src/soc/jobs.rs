@@ -6,24 +6,28 @@ use firmware::cores::Board as _;
 use firmware::jobs::abi::{self, Header};
 use firmware::machine::Machine;
 use firmware::nor::Nor;
-use litex_pac::{Sdram, abi as map};
+use litex_pac::Sdram;
 use wire::describe::JobsState;
 use wire::images::program_length;
-
-const _: () = assert!(map::CSR_SEGMENTS as u32 == wire::map::SEGMENTS);
+use wire::regmap::SDRAM_BASE;
+use wire::regmap::sdram::{
+    DFII_CONTROL_CKE, DFII_CONTROL_ODT, DFII_CONTROL_RESET_N, DFII_CONTROL_SEL,
+    DFII_PI0_COMMAND_CAS as CAS, DFII_PI0_COMMAND_CS as CS, DFII_PI0_COMMAND_RAS as RAS,
+    DFII_PI0_COMMAND_WE as WE,
+};
 
 /// CS with RAS, CAS and WE: precharge, refresh, mode register.
-const PRECHARGE: u32 = 0b1011;
-const REFRESH: u32 = 0b1101;
-const MODE: u32 = 0b1111;
+const PRECHARGE: u32 = CS | WE | RAS;
+const REFRESH: u32 = CS | CAS | RAS;
+const MODE: u32 = CS | WE | CAS | RAS;
 /// Address bit 10 with a precharge: all banks.
 const ALL: u32 = 1 << 10;
 /// Mode register: bursts of one word, two clocks from column to data.
 const CL_2: u32 = 2 << 4;
 /// Clock enable; the clock has been running for a long time.
-const BY_HAND: u32 = 0b1110;
+const BY_HAND: u32 = DFII_CONTROL_CKE | DFII_CONTROL_ODT | DFII_CONTROL_RESET_N;
 /// The controller does the rest.
-const BY_HARDWARE: u32 = 1;
+const BY_HARDWARE: u32 = DFII_CONTROL_SEL;
 /// More refreshes than any data sheet requires.
 const REFRESHES: u32 = 8;
 /// Clocks: 200 us at up to 125 MHz.
@@ -54,7 +58,7 @@ pub fn load(machine: &mut Machine<Soc>) -> Result<abi::Entry, JobsState> {
     };
     let (mut nor, end) = (Nor(spi), start + length);
     // SAFETY: no other code uses the SDRAM yet, it is at least this large, and it is aligned.
-    let room = unsafe { &mut *(map::SDRAM_BASE as *mut Room) };
+    let room = unsafe { &mut *(SDRAM_BASE as *mut Room) };
     let _ = nor.read(end.wrapping_sub(8), room.bytes(8));
     let [first, second, ..] = room.0;
     let Some(length) = program_length([first, second]) else {
@@ -68,7 +72,7 @@ pub fn load(machine: &mut Machine<Soc>) -> Result<abi::Entry, JobsState> {
             // header of a program linked to this address.
             unsafe {
                 core::arch::asm!("fence.i");
-                Ok((*(map::SDRAM_BASE as *const Header)).entry)
+                Ok((*(SDRAM_BASE as *const Header)).entry)
             }
         }
         state => Err(state),

@@ -13,8 +13,9 @@
 
 use core::ptr::{read_volatile, write_volatile};
 use firmware::net::{Frame, Lane, REHEARSAL_WORDS, Slot};
-use litex_pac::{Ethmac, Guest, abi};
+use litex_pac::{Ethmac, Guest};
 use wire::MAX_WORDS;
+use wire::regmap::{self, guest};
 
 /// Longest frame, without FCS.
 const FRAME_MAX: usize = 1514;
@@ -42,7 +43,7 @@ impl Frame for RxFrame {
     }
 }
 
-const _: () = assert!(abi::ETHMAC_BASE >> 31 == 1 && abi::RAM_BASE >> 31 == 0);
+const _: () = assert!(regmap::ETHMAC_BASE >> 31 == 1 && regmap::RAM_BASE >> 31 == 0);
 
 /// A frame being written, in its slot.
 pub struct TxSlot(*mut u32);
@@ -183,7 +184,7 @@ impl Mac {
     fn mark<const N: usize>(&mut self, header: [(usize, u32); N]) {
         for (index, word) in header {
             // SAFETY: this page begins with ten words of a header, and no mark has a higher number.
-            unsafe { write_volatile((abi::CSR_GUEST as *mut u32).add(index), word) }
+            unsafe { write_volatile((guest::BASE as *mut u32).add(guest::HEADER0 + index), word) }
         }
     }
 
@@ -204,7 +205,7 @@ impl Mac {
     pub fn frame(&self) -> (RxFrame, usize) {
         let slot = self.regs.sram_writer_slot().read().bits() as usize;
         let length = self.regs.sram_writer_length().read().bits() as usize - PAD;
-        let base = abi::ETHMAC_BASE + slot * abi::ETHMAC_SLOT_SIZE;
+        let base = regmap::ETHMAC_BASE + slot * regmap::ETHMAC_SLOT_SIZE;
         (RxFrame(base as *const u32), length)
     }
 
@@ -296,7 +297,7 @@ impl Mac {
 
     #[inline(always)]
     fn tx(slot: usize) -> TxSlot {
-        let slots = abi::ETHMAC_BASE + abi::ETHMAC_RX_SLOTS * abi::ETHMAC_SLOT_SIZE;
-        TxSlot((slots + slot * abi::ETHMAC_SLOT_SIZE) as *mut u32)
+        let slots = regmap::ETHMAC_BASE + regmap::ETHMAC_RX_SLOTS * regmap::ETHMAC_SLOT_SIZE;
+        TxSlot((slots + slot * regmap::ETHMAC_SLOT_SIZE) as *mut u32)
     }
 }

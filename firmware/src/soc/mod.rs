@@ -17,44 +17,14 @@ pub use stack::{check as check_stack, used as stack_used};
 use crate::memory::Memory;
 use core::ptr::{read_volatile, write_volatile};
 use firmware::cores::{self, Board, Control, Gate, Ident, Led, Setting};
-use firmware::machine::BLOB_MAX;
 use firmware::thrift::divide;
-use firmware::{log, postmortem as record, service};
-use litex_pac::{Peripherals, abi};
+use firmware::{log, postmortem as record};
+use litex_pac::Peripherals;
 use wire::describe::Channels;
-use wire::map::{BoardConfig, StepgenConfig};
+use wire::regmap::{self, command, status, stepgen};
 
 /// The register map this image was built for.
-pub const ABI: u32 = abi::ABI;
-
-// The lib has its own word numbers for two pages, because it must not depend on this crate.
-const _: () = {
-    assert!(abi::COMMAND_ENABLES == cores::STAGE_ENABLES);
-    assert!(abi::COMMAND_GPIO_OUT == cores::STAGE_OUTPUTS);
-    assert!(abi::COMMAND_ARMS == cores::STAGE_ARMS);
-    assert!(abi::COMMAND_PROBE_ARMS == cores::STAGE_PROBE_ARMS);
-    assert!(abi::COMMAND_STEPGEN == cores::STAGE_STEPGEN);
-    assert!(abi::COMMAND_PWM == cores::STAGE_PWM);
-    assert!(abi::STATUS_SAMPLE_LO == cores::LATCH_SAMPLE);
-    assert!(abi::STATUS_GPIO_IN == cores::LATCH_INPUTS);
-    assert!(abi::STATUS_STEPGEN == cores::LATCH_STEPGEN);
-    assert!(abi::STATUS_ENCODER == cores::LATCH_ENCODER);
-    assert!(abi::STATUS_ESTOP == cores::LATCH_ESTOP);
-    assert!(abi::STATUS_FLAGS0 == cores::LATCH_INPUTS + 1);
-    assert!(abi::STATUS_FLAGS1 == cores::LATCH_INPUTS + 2);
-    assert!(abi::STATUS_FLAGS2 == cores::LATCH_INPUTS + 3);
-    assert!(abi::STATUS_LATCH == cores::LATCH_LATCH);
-    assert!(abi::STROBE_COMMIT == cores::STROBE_COMMIT);
-    assert!(abi::STROBE_SAMPLE == cores::STROBE_SAMPLE);
-    assert!(abi::STROBE_COMMIT_AT == cores::STROBE_COMMIT_AT);
-    assert!(abi::CSR_BASE as u32 == wire::map::SERVICE);
-    assert!(abi::CSR_GUEST == abi::CSR_BASE + service::PAGE_GUEST as usize * abi::CSR_PAGE);
-    assert!(abi::TRAILER_MAGIC == wire::images::Trailer::MAGIC);
-    assert!(abi::ROLE_IMAGE == wire::images::Role::Image as u32);
-    assert!(abi::ROLE_GOLDEN == wire::images::Role::Golden as u32);
-    assert!(abi::STEPGEN_MAX == wire::exchange::MAX_CHANNELS);
-    assert!(abi::BOARD_ROM_SIZE <= BLOB_MAX);
-};
+pub const ABI: u32 = regmap::ABI;
 
 /// What start-up found, for [`crate::app::App`].
 pub struct Parts {
@@ -109,11 +79,11 @@ pub fn milliseconds(soc: &mut Soc) -> u32 {
 }
 
 fn blob_word(word: usize) -> u32 {
-    if word >= abi::BOARD_ROM_SIZE / 4 {
+    if word >= regmap::BOARD_ROM_SIZE / 4 {
         return 0;
     }
     // SAFETY: inside the ROM, aligned.
-    unsafe { read_volatile((abi::BOARD_ROM_BASE as *const u32).add(word)) }
+    unsafe { read_volatile((regmap::BOARD_ROM_BASE as *const u32).add(word)) }
 }
 
 impl Soc {
@@ -122,7 +92,7 @@ impl Soc {
         let channels0 = ident.channels0().read().bits();
         let channels1 = ident.channels1().read().bits();
         Ident {
-            abi: if ident.magic().read().bits() == abi::IDENT_MAGIC {
+            abi: if ident.magic().read().bits() == regmap::IDENT_MAGIC {
                 ident.abi().read().bits()
             } else {
                 !ABI
@@ -146,23 +116,6 @@ impl Soc {
             mac.rx_datapath_crc_errors().read().bits(),
         ]
     }
-
-    fn setting_address(which: Setting) -> usize {
-        let (base, channel, word) = match which {
-            Setting::Stepgen(n, field) => (abi::CSR_STEPGEN0, n, field as usize),
-            Setting::PwmPeriod(n) => (abi::CSR_PWM0, n, 0),
-            Setting::PwmMode(n) => (abi::CSR_PWM0, n, 1),
-            Setting::EncoderMode(n) => (abi::CSR_ENCODER0, n, 0),
-            Setting::EncoderFilter(n) => (abi::CSR_ENCODER0, n, 1),
-            Setting::Board(BoardConfig::WatchdogTimeout) => (abi::CSR_WATCHDOG, 0, 0),
-            Setting::Board(BoardConfig::WatchdogGrace) => (abi::CSR_WATCHDOG, 0, 1),
-            Setting::Board(BoardConfig::GpioSafe) => (abi::CSR_GPIO, 0, 1),
-            Setting::Board(BoardConfig::GpioInvert) => (abi::CSR_GPIO, 0, 2),
-            Setting::Board(BoardConfig::Probe) => (abi::CSR_GPIO, 0, 7),
-            Setting::Debounce(n) => (abi::CSR_DEBOUNCE, 0, usize::from(n)),
-        };
-        base + usize::from(channel) * abi::CSR_PAGE + word * 4
-    }
 }
 
 impl Board for Soc {
@@ -175,7 +128,7 @@ impl Board for Soc {
     fn trailer(&mut self) -> [u32; 4] {
         // SAFETY: the last words of the ROM, aligned; the linker does not use them, so the compiler
         // cannot know their values.
-        unsafe { read_volatile(abi::ROM_TRAILER as *const [u32; 4]) }
+        unsafe { read_volatile(regmap::ROM_TRAILER as *const [u32; 4]) }
     }
 
     fn factory_pin(&mut self) -> bool {
@@ -214,21 +167,20 @@ impl Board for Soc {
 
     #[inline(always)]
     fn stage(&mut self, word: usize, value: u32) {
-        // SAFETY: the lib counts words of the command page, with the layout asserted above; no
-        // register follows it.
-        unsafe { write_volatile((abi::CSR_COMMAND as *mut u32).add(word), value) }
+        // SAFETY: the lib counts words of the command page; no register follows it.
+        unsafe { write_volatile((command::BASE as *mut u32).add(word), value) }
     }
 
     #[inline(always)]
     fn staged(&mut self, word: usize) -> u32 {
         // SAFETY: as in `stage`; a read has no side effect.
-        unsafe { read_volatile((abi::CSR_COMMAND as *const u32).add(word)) }
+        unsafe { read_volatile((command::BASE as *const u32).add(word)) }
     }
 
     #[inline(always)]
     fn latched(&mut self, word: usize) -> u32 {
         // SAFETY: as in `stage`, for the status page; a read has no side effect.
-        unsafe { read_volatile((abi::CSR_STATUS as *const u32).add(word)) }
+        unsafe { read_volatile((status::BASE as *const u32).add(word)) }
     }
 
     fn commit_at(&mut self, at: u64) {
@@ -273,29 +225,25 @@ impl Board for Soc {
     }
 
     fn control(&mut self, order: Control) {
-        let key = match order {
-            Control::Arm => abi::KEY_ARM,
-            Control::SoftStop => abi::KEY_SOFT,
-            Control::Close => abi::KEY_STOP,
-            Control::Clear => abi::KEY_CLEAR,
-        };
-        self.p.watchdog.control().write(|w| unsafe { w.bits(key) });
+        self.p
+            .watchdog
+            .control()
+            .write(|w| unsafe { w.bits(order.key()) });
     }
 
     fn setting(&mut self, which: Setting) -> u32 {
         // SAFETY: a register of the map, aligned; a read has no side effect.
-        unsafe { read_volatile(Self::setting_address(which) as *const u32) }
+        unsafe { read_volatile(which.address() as *const u32) }
     }
 
     fn set(&mut self, which: Setting, value: u32) {
         // SAFETY: a register of the map, aligned; the lib checked the value.
-        unsafe { write_volatile(Self::setting_address(which) as *mut u32, value) }
+        unsafe { write_volatile(which.address() as *mut u32, value) }
     }
 
     #[inline(always)]
     fn set_stop_accel(&mut self, stepgen: usize, value: u32) {
-        let at =
-            abi::CSR_STEPGEN0 + stepgen * abi::CSR_PAGE + 4 * StepgenConfig::StopAccel as usize;
+        let at = stepgen::BASE + stepgen * regmap::CSR_PAGE + 4 * stepgen::STOP_ACCEL;
         // SAFETY: a register of the map, aligned; the lib counts the board's stepgens.
         unsafe { write_volatile(at as *mut u32, value) }
     }

@@ -7,8 +7,10 @@ use core::arch::asm;
 use core::mem::MaybeUninit;
 use core::panic::{Location, PanicInfo};
 use core::ptr::null;
+use firmware::cores::Control;
 use firmware::postmortem::{Boot, Record};
-use litex_pac::{Watchdog, abi};
+use firmware::thrift::divide;
+use litex_pac::{Ident, Timebase, Watchdog};
 use riscv::register::{mcause, mepc, mtval};
 use wire::ResetReason;
 
@@ -55,7 +57,7 @@ fn close_gate() {
     let watchdog = unsafe { Watchdog::steal() };
     watchdog
         .control()
-        .write(|w| unsafe { w.bits(abi::KEY_STOP) });
+        .write(|w| unsafe { w.bits(Control::Close.key()) });
 }
 
 /// The location of a panic, for the trap handler.

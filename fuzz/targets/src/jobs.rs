@@ -18,7 +18,6 @@ use firmware::ip::Text;
 use firmware::jobs::Jobs;
 use firmware::jobs::abi::TEXT_MAX;
 use firmware::machine::{IDLE, Machine};
-use litex_pac::abi;
 use motion::instruction::{Arc, Feed, Instruction};
 use motion::job::Writer;
 use motion::segment::AXES;
@@ -139,7 +138,7 @@ fn board() -> Machine<Desk> {
     setup.flash = flash;
     let (mut desk, ident) = Desk::power_up(setup);
     let boot = desk.boot();
-    Machine::start(desk, ident, abi::ABI, boot)
+    Machine::start(desk, ident, wire::regmap::ABI, boot)
 }
 
 /// 80 steps/mm, 200 mm/s, 4000 mm/s^2; with or without those switches.

@@ -157,7 +157,7 @@ impl Bench {
                 self.write(peer, map::FLASH_OP, u32::from(operation % 16));
             }
             10 => {
-                let page = u32::from(tape.byte()) * litex_pac::abi::CSR_PAGE as u32;
+                let page = u32::from(tape.byte()) * wire::regmap::CSR_PAGE as u32;
                 let at = map::SERVICE + page + 4 * u32::from(tape.byte());
                 self.write(peer, at, tape.word());
             }

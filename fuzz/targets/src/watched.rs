@@ -1,8 +1,6 @@
 //! The firmware on the model board, with a recorder of its effects.
 
-use firmware::cores::{
-    Board, Control, Gate, Ident, Led, Link, STROBE_COMMIT, STROBE_COMMIT_AT, Setting,
-};
+use firmware::cores::{Board, Control, Gate, Ident, Led, Link, Setting};
 use firmware::log;
 use firmware::machine::{IDLE, Machine};
 use sim::card::Card;
@@ -11,9 +9,10 @@ use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
 use sim::plant::Plant;
 use std::cell::RefCell;
+use wire::regmap::{self, segments, timebase};
 
 /// The segments core's mask of outputs.
-const OUTPUTS_OF_A_JOB: u32 = wire::map::SEGMENTS + 4 * firmware::segments::MASK as u32;
+const OUTPUTS_OF_A_JOB: u32 = regmap::address(segments::BASE, segments::MASK);
 
 /// The effects on the board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -113,7 +112,7 @@ impl Board for Watched {
         self.desk.commit_at(at);
     }
     fn strobe(&mut self, strobes: u32) {
-        let commits = strobes & (STROBE_COMMIT | STROBE_COMMIT_AT) != 0;
+        let commits = strobes & (timebase::STROBE_COMMIT | timebase::STROBE_COMMIT_AT) != 0;
         self.deeds.commits += u32::from(commits);
         self.deeds.samples += u32::from(!commits);
         self.desk.strobe(strobes);
@@ -201,7 +200,7 @@ pub fn start() -> Machine<Watched> {
     let (mut desk, ident) = Desk::power_up(setup);
     let boot = desk.boot();
     let deeds = Deeds::default();
-    let mut machine = Machine::start(Watched { desk, deeds }, ident, litex_pac::abi::ABI, boot);
+    let mut machine = Machine::start(Watched { desk, deeds }, ident, regmap::ABI, boot);
     machine.board.take();
     machine
 }

@@ -22,7 +22,6 @@ use firmware::ip::Text;
 use firmware::jobs::desk::Door;
 use firmware::jobs::{AHEAD, Jobs, Outside};
 use firmware::net::Us;
-use firmware::segments::{BEGUN, CURRENT, LEFT, PUSH, SHAPE, STATUS};
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -30,7 +29,8 @@ use std::time::{Duration, Instant};
 use wire::describe::{FEATURE_JOBS, JobsState};
 use wire::exchange::status_words;
 use wire::jobs::{Command, FRAME, Op, Request, SILENCE_SECONDS, State, Status};
-use wire::{MAX_WORDS, Name, Packet, ReplyWriter, etherbone, map};
+use wire::regmap::segments::{BEGUN, CURRENT, LEFT, PUSH, SHAPE, STATUS};
+use wire::{MAX_WORDS, Name, Packet, ReplyWriter, etherbone, map, regmap};
 
 /// 10 ms: a board answers within 1 ms, and its watchdog waits for 100 ms.
 const TRY: Duration = Duration::from_millis(10);
@@ -596,5 +596,5 @@ impl Far {
 }
 
 fn address(word: usize) -> u32 {
-    map::SEGMENTS + 4 * word as u32
+    regmap::address(regmap::segments::BASE, word)
 }

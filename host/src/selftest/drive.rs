@@ -12,6 +12,7 @@ use std::time::Duration;
 use wire::describe::{Channels, FEATURE_READBACK};
 use wire::exchange::{Command, PWM_DIRECTION, PWM_ENABLE, PWM_FRACTION, Status, status_words};
 use wire::map::{self, BoardConfig, CountMode, StepType, StepgenConfig};
+use wire::regmap::pads::{OUTPUTS, PWM, STEP, STEP_N};
 use wire::units::{Accel, StepRate};
 use wire::{FaultReason, MAX_WORDS};
 
@@ -42,10 +43,8 @@ const LOOKED_AT: f64 = 250.0;
 /// Steps looked at: each pin twice at each level.
 const MOMENTS: usize = 8;
 
-/// Words of the pads' page.
+/// The pads' page.
 type Pads = [u32; map::PADS_WORDS as usize];
-/// Word of the general outputs there.
-const OUTPUTS: usize = 3;
 
 /// A pin of a step generator or PWM.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -82,13 +81,16 @@ impl Pins {
             second,
             inverted,
         };
-        let mut pins = vec![pin("STEP", 0, false, false), pin("DIR", 0, true, false)];
+        let mut pins = vec![
+            pin("STEP", STEP, false, false),
+            pin("DIR", STEP, true, false),
+        ];
         for (key, kind, second) in [("step_n", "STEP-", false), ("dir_n", "DIR-", true)] {
             if identity.has_pin(b's', n, key) {
-                pins.push(pin(kind, 1, second, true));
+                pins.push(pin(kind, STEP_N, second, true));
             }
         }
-        let own = vec![(0, 0x1_0001 << n), (1, 0x1_0001 << n)];
+        let own = vec![(STEP, 0x1_0001 << n), (STEP_N, 0x1_0001 << n)];
         Pins { pins, own }
     }
 
@@ -96,7 +98,7 @@ impl Pins {
     pub fn pwm(identity: &Identity, n: usize, name: &str) -> Self {
         let pin = |kind: &str, second: bool| Pin {
             name: format!("pwm {name}{kind}"),
-            word: 2,
+            word: PWM,
             bit: n + 16 * usize::from(second),
             second,
             inverted: false,
@@ -105,7 +107,7 @@ impl Pins {
         if identity.has_pin(b'p', n, "dir") {
             pins.push(pin(" DIR", true));
         }
-        let own = vec![(2, 0x1_0001 << n)];
+        let own = vec![(PWM, 0x1_0001 << n)];
         Pins { pins, own }
     }
 

@@ -9,14 +9,15 @@ use std::time::Duration;
 use wire::describe::Describe;
 use wire::flash::{Area, LinkWord};
 use wire::images::{META_BYTES, Meta, idcode_of};
+use wire::regmap::{self, gpio, pads, timebase};
 use wire::{GUEST_READS, MAX_WORDS, Refusal, ReplyWriter, etherbone, map};
 
 /// Registers in front of the outputs' pads.
-pub(super) const OUT_NOW: u32 = map::SERVICE + 11 * 0x800 + 4 * 3;
+pub(super) const OUT_NOW: u32 = regmap::address(gpio::BASE, gpio::OUT_NOW);
 /// The stamp of the frame now looked at, which is the one that asks for it.
 const ARRIVAL: [u32; 2] = [
-    map::SERVICE + 9 * 0x800 + 4 * 3,
-    map::SERVICE + 9 * 0x800 + 4 * 4,
+    regmap::address(timebase::BASE, timebase::ARRIVAL_LO),
+    regmap::address(timebase::BASE, timebase::ARRIVAL_HI),
 ];
 /// What the gateware catches together, and again what tells whether it has done so meanwhile.
 const CAUGHT: [u32; 3] = [map::TIMEBASE_NOW, map::ETH_BEATS, map::TIMEBASE_NOW];
@@ -209,7 +210,7 @@ pub fn link(
 
 /// The general outputs with the gate closed: what drives them, and their pads.
 pub fn rest(client: &mut Client) -> Result<[u32; 2], ClientError> {
-    let words = client.read(&[OUT_NOW, map::PADS + 4 * 3])?;
+    let words = client.read(&[OUT_NOW, regmap::address(pads::BASE, pads::OUTPUTS)])?;
     Ok([words[0], words[1]])
 }
 

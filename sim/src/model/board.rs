@@ -8,9 +8,8 @@
 
 use wire::describe::Channels;
 use wire::exchange::PWM_PERIOD_MAX;
-use wire::map::{DIR_CLOCKS_MAX, STEP_CLOCKS_MAX};
-
-use litex_pac::abi;
+use wire::map::{DIR_CLOCKS_MAX, PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT, STEP_CLOCKS_MAX};
+use wire::regmap::{self, command, status};
 
 use super::encoder::{self, Encoder};
 use super::extreset::Extreset;
@@ -26,42 +25,54 @@ use super::watchdog::{self, Watchdog};
 use crate::pads;
 use crate::soc::Pins;
 
-const fn page(address: usize) -> u32 {
-    ((address - abi::CSR_BASE) / abi::CSR_PAGE) as u32
-}
-
 /// Pages of the map.
 pub mod pages {
-    use super::{abi, page};
-    /// Identity of the gateware.
-    pub const IDENT: u32 = page(abi::CSR_IDENT);
-    /// Wall clock and strobes.
-    pub const TIMEBASE: u32 = page(abi::CSR_TIMEBASE);
-    /// The gate.
-    pub const WATCHDOG: u32 = page(abi::CSR_WATCHDOG);
-    /// Inputs and outputs.
-    pub const GPIO: u32 = page(abi::CSR_GPIO);
-    /// The status LED.
-    pub const LED: u32 = page(abi::CSR_LED);
-    /// Debounce limits.
-    pub const DEBOUNCE: u32 = page(abi::CSR_DEBOUNCE);
-    /// Staged commands.
-    pub const COMMAND: u32 = page(abi::CSR_COMMAND);
-    /// The last sample.
-    pub const STATUS: u32 = page(abi::CSR_STATUS);
-    /// Motion segments.
-    pub const SEGMENTS: u32 = page(abi::CSR_SEGMENTS);
-    /// The pads' own levels.
-    pub const PADS: u32 = page(abi::CSR_PADS);
-    /// Settings of stepgen 0.
-    pub const STEPGEN: u32 = page(abi::CSR_STEPGEN0);
-    /// Settings of encoder 0.
-    pub const ENCODER: u32 = page(abi::CSR_ENCODER0);
-    /// Settings of PWM 0.
-    pub const PWM: u32 = page(abi::CSR_PWM0);
+    pub use wire::regmap::command::PAGE as COMMAND;
+    pub use wire::regmap::debounce::PAGE as DEBOUNCE;
+    pub use wire::regmap::encoder::PAGE as ENCODER;
+    pub use wire::regmap::gpio::PAGE as GPIO;
+    pub use wire::regmap::ident::PAGE as IDENT;
+    pub use wire::regmap::led::PAGE as LED;
+    pub use wire::regmap::pads::PAGE as PADS;
+    pub use wire::regmap::pwm::PAGE as PWM;
+    pub use wire::regmap::segments::PAGE as SEGMENTS;
+    pub use wire::regmap::status::PAGE as STATUS;
+    pub use wire::regmap::stepgen::PAGE as STEPGEN;
+    pub use wire::regmap::timebase::PAGE as TIMEBASE;
+    pub use wire::regmap::watchdog::PAGE as WATCHDOG;
 }
 
-const CHANNELS: usize = abi::STEPGEN_MAX;
+const CHANNELS: usize = regmap::STEPGEN_MAX;
+/// Bits of a word's number in the address of a bus cycle.
+const WORD_BITS: u32 = (regmap::CSR_PAGE / 4).trailing_zeros();
+
+/// Page and word of the address of a bus cycle.
+fn place(address: u32) -> (u32, usize) {
+    (
+        address >> WORD_BITS,
+        (address & ((1 << WORD_BITS) - 1)) as usize,
+    )
+}
+
+/// Words of the command page from which on the stepgens' and the PWMs' are.
+const STEPGENS: usize = command::STEPGEN0_VELOCITY;
+const PWMS: usize = command::PWM0_WIDTH;
+const PROBE: u32 = PROBE_INPUT_MASK | PROBE_ENABLE | PROBE_INVERT;
+const STEPGEN_MODE: u32 = regmap::stepgen::MODE_STEP_INVERT
+    | regmap::stepgen::MODE_DIR_INVERT
+    | regmap::stepgen::MODE_KIND
+    | regmap::stepgen::MODE_INDEX_INVERT;
+const PWM_MODE: u32 = regmap::pwm::MODE_INVERT
+    | regmap::pwm::MODE_KIND
+    | regmap::pwm::MODE_DITHER
+    | regmap::pwm::MODE_SWAP;
+
+/// Which stepgen a word of the command page is for, and which of its words it is: 0 velocity, 1
+/// acceleration.
+fn stepgen_word(word: usize) -> (usize, usize) {
+    let at = word - STEPGENS;
+    (at / command::STEPGEN_STRIDE, at % command::STEPGEN_STRIDE)
+}
 
 /// What a board is built with.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -147,7 +158,7 @@ struct Regs {
     stepgen: [stepgen::Settings; CHANNELS],
     encoder: [[u32; 2]; CHANNELS],
     pwm_set: [[u32; 2]; CHANNELS],
-    debounce: [u16; 32],
+    debounce: [u16; regmap::IN_MAX],
     jobs: usize,
     pace: u32,
     slew: u32,
@@ -411,7 +422,9 @@ impl Hub {
     }
 
     fn next_probe(&self, regs: &Regs) -> bool {
-        bit(regs.probe, 8) && bit(self.gpio.raw(), (regs.probe & 31) as usize) != bit(regs.probe, 9)
+        regs.probe & PROBE_ENABLE != 0
+            && bit(self.gpio.raw(), (regs.probe & PROBE_INPUT_MASK) as usize)
+                != (regs.probe & PROBE_INVERT != 0)
     }
 
     fn quiet(&self, regs: &Regs, common: &Common) -> u64 {
@@ -718,21 +731,23 @@ impl Board {
         let (mut strobe, mut control, mut token, mut limit) = (0, 0, None, None);
         let mut snapshot = false;
         if let Some((address, data)) = self.write {
-            match (address >> 9, address & 0x1ff) {
-                (pages::TIMEBASE, 2) => snapshot = true,
-                (pages::TIMEBASE, 7) => strobe = data,
-                (pages::WATCHDOG, 2) => token = Some(data),
-                (pages::WATCHDOG, 3) => control = data,
-                (pages::DEBOUNCE, word) if word < u32::from(self.build.channels.inputs.max(1)) => {
-                    limit = Some((word as usize, data as u16));
+            match place(address) {
+                (pages::TIMEBASE, regmap::timebase::SNAPSHOT) => snapshot = true,
+                (pages::TIMEBASE, regmap::timebase::STROBE) => strobe = data,
+                (pages::WATCHDOG, regmap::watchdog::TOKEN) => token = Some(data),
+                (pages::WATCHDOG, regmap::watchdog::CONTROL) => control = data,
+                (pages::DEBOUNCE, word)
+                    if word < usize::from(self.build.channels.inputs.max(1)) =>
+                {
+                    limit = Some((word, data as u16));
                 }
                 _ => {}
             }
         }
-        let timed = strobe & abi::STROBE_COMMIT_AT != 0;
+        let timed = strobe & regmap::timebase::STROBE_COMMIT_AT != 0;
         let strobes = Strobes {
-            commit: strobe & abi::STROBE_COMMIT != 0 || hub.timebase.due(timed),
-            sample: strobe & abi::STROBE_SAMPLE != 0,
+            commit: strobe & regmap::timebase::STROBE_COMMIT != 0 || hub.timebase.due(timed),
+            sample: strobe & regmap::timebase::STROBE_SAMPLE != 0,
             now,
         };
 
@@ -785,10 +800,10 @@ impl Board {
             ext_reset: common.reset_pin,
             estop: common.estop,
             token,
-            arm: control == abi::KEY_ARM,
-            soft_stop: control == abi::KEY_SOFT,
-            shut: control == abi::KEY_STOP,
-            clear: control == abi::KEY_CLEAR,
+            arm: control == regmap::watchdog::CONTROL_KEY_ARM,
+            soft_stop: control == regmap::watchdog::CONTROL_KEY_SOFT,
+            shut: control == regmap::watchdog::CONTROL_KEY_STOP,
+            clear: control == regmap::watchdog::CONTROL_KEY_CLEAR,
             timeout: regs.timeout,
             grace: regs.grace,
             all_stopped: common.all_stopped,
@@ -832,7 +847,8 @@ impl Board {
         let write = self.write.take();
         self.clock += 1;
         if let Some((address, data)) = write {
-            self.store(address >> 9, address & 0x1ff, data, told);
+            let (page, word) = place(address);
+            self.store(page, word, data, told);
         }
         self.shine();
         self.write = bus.write.filter(|_| !bus.rst);
@@ -862,18 +878,18 @@ impl Board {
             ..segments::Input::default()
         };
         if let Some((address, data)) = self.write {
-            match (address >> 9, address & 0x1ff) {
-                (pages::SEGMENTS, at @ 0..16) => input.word = Some((at as usize, data)),
-                (pages::SEGMENTS, 16) => input.push = true,
-                (pages::SEGMENTS, 17) => {
+            match place(address) {
+                (pages::SEGMENTS, at @ 0..regmap::segments::PUSH) => input.word = Some((at, data)),
+                (pages::SEGMENTS, regmap::segments::PUSH) => input.push = true,
+                (pages::SEGMENTS, regmap::segments::CONTROL) => {
                     input.order = match data {
-                        1 => Some(Order::Start),
-                        2 => Some(Order::Quit),
-                        3 => Some(Order::Clear),
+                        regmap::segments::CONTROL_COMMAND_START => Some(Order::Start),
+                        regmap::segments::CONTROL_COMMAND_QUIT => Some(Order::Quit),
+                        regmap::segments::CONTROL_COMMAND_CLEAR => Some(Order::Clear),
                         _ => None,
                     }
                 }
-                (pages::SEGMENTS, 18) => input.pace_we = true,
+                (pages::SEGMENTS, regmap::segments::PACE) => input.pace_we = true,
                 _ => {}
             }
         }
@@ -888,70 +904,78 @@ impl Board {
         }
     }
 
-    fn store(&mut self, page: u32, word: u32, data: u32, job: Told) {
+    fn store(&mut self, page: u32, word: usize, data: u32, job: Told) {
         let c = self.build.channels;
         let outputs = 1u32
             .checked_shl(c.outputs.max(1).into())
             .unwrap_or(0)
             .wrapping_sub(1);
         let regs = &mut self.regs;
-        let at = word as usize;
         let channel = |first: u32, count: u8| {
             (first..first + u32::from(count))
                 .contains(&page)
                 .then(|| (page - first) as usize)
         };
         match (page, word) {
-            (pages::TIMEBASE, 5 | 6) => regs.commit_at[at - 5] = data,
-            (pages::WATCHDOG, 0) => regs.timeout = data,
-            (pages::WATCHDOG, 1) => regs.grace = data,
-            (pages::GPIO, 1) => regs.safe = data & outputs,
-            (pages::GPIO, 2) => regs.invert = data & outputs,
-            (pages::GPIO, 7) => regs.probe = data & 0x31f,
-            (pages::LED, 0) => regs.led = data & 7,
-            (pages::DEBOUNCE, _) if word < u32::from(c.inputs) => regs.debounce[at] = data as u16,
-            (pages::COMMAND, 0) => regs.enables = data,
-            (pages::COMMAND, 1) => regs.outputs = data & outputs,
-            (pages::COMMAND, 2) => regs.arms = data,
-            (pages::COMMAND, 3) => regs.probe_arms = data,
-            (pages::COMMAND, 4..36) if at < 4 + 2 * usize::from(c.stepgens) => {
-                let into = if word & 1 == 0 {
+            (pages::TIMEBASE, regmap::timebase::COMMIT_AT_LO) => regs.commit_at[0] = data,
+            (pages::TIMEBASE, regmap::timebase::COMMIT_AT_HI) => regs.commit_at[1] = data,
+            (pages::WATCHDOG, regmap::watchdog::TIMEOUT) => regs.timeout = data,
+            (pages::WATCHDOG, regmap::watchdog::GRACE) => regs.grace = data,
+            (pages::GPIO, regmap::gpio::SAFE) => regs.safe = data & outputs,
+            (pages::GPIO, regmap::gpio::INVERT_OUT) => regs.invert = data & outputs,
+            (pages::GPIO, regmap::gpio::PROBE) => regs.probe = data & PROBE,
+            (pages::LED, regmap::led::PATTERN) => regs.led = data & regmap::led::PATTERN_SELECT,
+            (pages::DEBOUNCE, _) if word < usize::from(c.inputs) => {
+                regs.debounce[word] = data as u16
+            }
+            (pages::COMMAND, command::ENABLES) => regs.enables = data,
+            (pages::COMMAND, command::GPIO_OUT) => regs.outputs = data & outputs,
+            (pages::COMMAND, command::ARMS) => regs.arms = data,
+            (pages::COMMAND, command::PROBE_ARMS) => regs.probe_arms = data,
+            (pages::COMMAND, STEPGENS..PWMS) if stepgen_word(word).0 < usize::from(c.stepgens) => {
+                let (n, accel) = stepgen_word(word);
+                let into = if accel == 0 {
                     &mut regs.velocity
                 } else {
                     &mut regs.accel
                 };
-                let n = (at - 4) / 2;
                 into[n] = data;
-                let kept = n < regs.jobs && (job.busy || (job.stop && word & 1 == 0));
+                let kept = n < regs.jobs && (job.busy || (job.stop && accel == 0));
                 if !kept {
-                    regs.staged[n][at & 1] = data;
+                    regs.staged[n][accel] = data;
                 }
             }
-            (pages::SEGMENTS, 18) if regs.jobs != 0 => regs.pace = data & 0x1_ffff,
-            (pages::SEGMENTS, 19) if regs.jobs != 0 => regs.slew = data,
-            (pages::SEGMENTS, 20) if regs.jobs != 0 => regs.beam = data as u16,
-            (pages::SEGMENTS, 21) if regs.jobs != 0 => regs.mask = data & outputs,
-            (pages::COMMAND, 36..52) if at < 36 + usize::from(c.pwms) => regs.pwm[at - 36] = data,
+            (pages::SEGMENTS, regmap::segments::PACE) if regs.jobs != 0 => {
+                regs.pace = data & regmap::segments::PACE_SCALE
+            }
+            (pages::SEGMENTS, regmap::segments::SLEW) if regs.jobs != 0 => regs.slew = data,
+            (pages::SEGMENTS, regmap::segments::BEAM) if regs.jobs != 0 => regs.beam = data as u16,
+            (pages::SEGMENTS, regmap::segments::MASK) if regs.jobs != 0 => {
+                regs.mask = data & outputs
+            }
+            (pages::COMMAND, PWMS..command::WORDS) if word - PWMS < usize::from(c.pwms) => {
+                regs.pwm[word - PWMS] = data;
+            }
             _ => {
                 if let Some(n) = channel(pages::STEPGEN, c.stepgens) {
                     let set = &mut regs.stepgen[n];
                     match word {
-                        0 => set.steplen = data & STEP_CLOCKS_MAX,
-                        1 => set.stepspace = data & STEP_CLOCKS_MAX,
-                        2 => set.dirsetup = data & DIR_CLOCKS_MAX,
-                        3 => set.dirhold = data & DIR_CLOCKS_MAX,
-                        4 => set.stop_accel = data,
-                        5 => set.mode = data & 0x1f,
+                        regmap::stepgen::STEPLEN => set.steplen = data & STEP_CLOCKS_MAX,
+                        regmap::stepgen::STEPSPACE => set.stepspace = data & STEP_CLOCKS_MAX,
+                        regmap::stepgen::DIRSETUP => set.dirsetup = data & DIR_CLOCKS_MAX,
+                        regmap::stepgen::DIRHOLD => set.dirhold = data & DIR_CLOCKS_MAX,
+                        regmap::stepgen::STOP_ACCEL => set.stop_accel = data,
+                        regmap::stepgen::MODE => set.mode = data & STEPGEN_MODE,
                         _ => {}
                     }
                 } else if let Some(n) = channel(pages::ENCODER, c.encoders) {
-                    if at < 2 {
-                        regs.encoder[n][at] = data & 0xff;
+                    if word < regmap::encoder::WORDS {
+                        regs.encoder[n][word] = data & 0xff;
                     }
                 } else if let Some(n) = channel(pages::PWM, c.pwms) {
                     match word {
-                        0 => regs.pwm_set[n][0] = data & PWM_PERIOD_MAX,
-                        1 => regs.pwm_set[n][1] = data & 0x1f,
+                        regmap::pwm::PERIOD => regs.pwm_set[n][0] = data & PWM_PERIOD_MAX,
+                        regmap::pwm::MODE => regs.pwm_set[n][1] = data & PWM_MODE,
                         _ => {}
                     }
                 }
@@ -975,54 +999,62 @@ impl Board {
                 .contains(&page)
                 .then(|| (page - first) as usize)
         };
-        let half = |value: u64, odd: u32| {
-            if odd == 0 {
-                value as u32
-            } else {
-                (value >> 32) as u32
+        match (page, at) {
+            (pages::IDENT, regmap::ident::MAGIC) => regmap::IDENT_MAGIC,
+            (pages::IDENT, regmap::ident::ABI) => self.build.abi,
+            (pages::IDENT, regmap::ident::GATEWARE_VERSION) => self.build.version,
+            (pages::IDENT, regmap::ident::SYS_CLK_HZ) => self.build.clock_hz,
+            (pages::IDENT, regmap::ident::CHANNELS0) => {
+                u32::from_le_bytes([c.stepgens, c.encoders, c.pwms, 0])
             }
-        };
-        match (page, word) {
-            (pages::IDENT, 0) => abi::IDENT_MAGIC,
-            (pages::IDENT, 1) => self.build.abi,
-            (pages::IDENT, 2) => self.build.version,
-            (pages::IDENT, 3) => self.build.clock_hz,
-            (pages::IDENT, 4) => u32::from_le_bytes([c.stepgens, c.encoders, c.pwms, 0]),
-            (pages::IDENT, 5) => u32::from_le_bytes([c.inputs, c.outputs, 0, 0]),
-            (pages::IDENT, 6) => {
-                u32::from(self.build.jobs != 0) | u32::from(self.build.readback) << 1
+            (pages::IDENT, regmap::ident::CHANNELS1) => {
+                u32::from_le_bytes([c.inputs, c.outputs, 0, 0])
             }
-            (pages::IDENT, 7) => self.build.rom_words,
-            (pages::TIMEBASE, 0 | 1) => half(self.now_caught, word),
-            (pages::TIMEBASE, 3 | 4) => half(self.arrival, word - 3),
-            (pages::TIMEBASE, 5 | 6) => regs.commit_at[at - 5],
-            (pages::TIMEBASE, 8) => hub.timebase.pending().into(),
-            (pages::TIMEBASE, 9) if self.build.readback => self.beats_caught,
+            (pages::IDENT, regmap::ident::FEATURES) => {
+                let bit = |there: bool, bit: u32| if there { bit } else { 0 };
+                bit(self.build.jobs != 0, regmap::ident::FEATURES_JOBS)
+                    | bit(self.build.readback, regmap::ident::FEATURES_READBACK)
+            }
+            (pages::IDENT, regmap::ident::BOARD_ROM_WORDS) => self.build.rom_words,
+            (pages::TIMEBASE, regmap::timebase::NOW_LO) => self.now_caught as u32,
+            (pages::TIMEBASE, regmap::timebase::NOW_HI) => (self.now_caught >> 32) as u32,
+            (pages::TIMEBASE, regmap::timebase::ARRIVAL_LO) => self.arrival as u32,
+            (pages::TIMEBASE, regmap::timebase::ARRIVAL_HI) => (self.arrival >> 32) as u32,
+            (pages::TIMEBASE, regmap::timebase::COMMIT_AT_LO) => regs.commit_at[0],
+            (pages::TIMEBASE, regmap::timebase::COMMIT_AT_HI) => regs.commit_at[1],
+            (pages::TIMEBASE, regmap::timebase::STATUS) => hub.timebase.pending().into(),
+            (pages::TIMEBASE, regmap::timebase::ETH_BEATS) if self.build.readback => {
+                self.beats_caught
+            }
             (pages::PADS, _) if self.build.readback => self.pads(at),
-            (pages::WATCHDOG, 0) => regs.timeout,
-            (pages::WATCHDOG, 1) => regs.grace,
-            (pages::WATCHDOG, 4) => hub.watchdog.status(hub.extreset.active(), hub.gpio.estop()),
-            (pages::WATCHDOG, 5) => hub.watchdog.remaining(),
-            (pages::WATCHDOG, 6) => hub.watchdog.last_token(),
-            (pages::WATCHDOG, 7) => hub.watchdog.bites(),
-            (pages::WATCHDOG, 8) => hub.watchdog.last_close().into(),
-            (pages::GPIO, 0) if c.inputs != 0 => hub.gpio.level(),
-            (pages::GPIO, 1) if c.outputs != 0 => regs.safe,
-            (pages::GPIO, 2) if c.outputs != 0 => regs.invert,
-            (pages::GPIO, 3) if c.outputs != 0 => hub.gpio.out(),
-            (pages::GPIO, 4) if c.inputs != 0 => hub.gpio.raw(),
-            (pages::GPIO, 5) => self.build.estop_mask,
-            (pages::GPIO, 6) => self.build.estop_level,
-            (pages::GPIO, 7) => regs.probe,
-            (pages::LED, 0) => regs.led,
-            (pages::DEBOUNCE, 0..32) => regs.debounce[at].into(),
-            (pages::COMMAND, 0) => regs.enables,
-            (pages::COMMAND, 1) if c.outputs != 0 => regs.outputs,
-            (pages::COMMAND, 2) => regs.arms,
-            (pages::COMMAND, 3) => regs.probe_arms,
-            (pages::COMMAND, 4..36) if word & 1 == 0 => regs.velocity[(at - 4) / 2],
-            (pages::COMMAND, 4..36) => regs.accel[(at - 4) / 2],
-            (pages::COMMAND, 36..52) => regs.pwm[at - 36],
+            (pages::WATCHDOG, regmap::watchdog::TIMEOUT) => regs.timeout,
+            (pages::WATCHDOG, regmap::watchdog::GRACE) => regs.grace,
+            (pages::WATCHDOG, regmap::watchdog::STATUS) => {
+                hub.watchdog.status(hub.extreset.active(), hub.gpio.estop())
+            }
+            (pages::WATCHDOG, regmap::watchdog::REMAINING) => hub.watchdog.remaining(),
+            (pages::WATCHDOG, regmap::watchdog::LAST_TOKEN) => hub.watchdog.last_token(),
+            (pages::WATCHDOG, regmap::watchdog::BITES) => hub.watchdog.bites(),
+            (pages::WATCHDOG, regmap::watchdog::LAST_CLOSE) => hub.watchdog.last_close().into(),
+            (pages::GPIO, regmap::gpio::IN_NOW) if c.inputs != 0 => hub.gpio.level(),
+            (pages::GPIO, regmap::gpio::SAFE) if c.outputs != 0 => regs.safe,
+            (pages::GPIO, regmap::gpio::INVERT_OUT) if c.outputs != 0 => regs.invert,
+            (pages::GPIO, regmap::gpio::OUT_NOW) if c.outputs != 0 => hub.gpio.out(),
+            (pages::GPIO, regmap::gpio::RAW_NOW) if c.inputs != 0 => hub.gpio.raw(),
+            (pages::GPIO, regmap::gpio::ESTOP_MASK) => self.build.estop_mask,
+            (pages::GPIO, regmap::gpio::ESTOP_LEVEL) => self.build.estop_level,
+            (pages::GPIO, regmap::gpio::PROBE) => regs.probe,
+            (pages::LED, regmap::led::PATTERN) => regs.led,
+            (pages::DEBOUNCE, 0..regmap::debounce::WORDS) => regs.debounce[at].into(),
+            (pages::COMMAND, command::ENABLES) => regs.enables,
+            (pages::COMMAND, command::GPIO_OUT) if c.outputs != 0 => regs.outputs,
+            (pages::COMMAND, command::ARMS) => regs.arms,
+            (pages::COMMAND, command::PROBE_ARMS) => regs.probe_arms,
+            (pages::COMMAND, STEPGENS..PWMS) => match stepgen_word(at) {
+                (n, 0) => regs.velocity[n],
+                (n, _) => regs.accel[n],
+            },
+            (pages::COMMAND, PWMS..command::WORDS) => regs.pwm[at - PWMS],
             (pages::SEGMENTS, _) => self.job_word(at),
             (pages::STATUS, _) => self.status(at),
             _ => {
@@ -1053,51 +1085,61 @@ impl Board {
     fn job_word(&self, word: usize) -> u32 {
         let regs = &self.regs;
         self.segments.as_ref().map_or(0, |segments| match word {
-            18 => regs.pace,
-            19 => regs.slew,
-            20 => regs.beam.into(),
-            21 => regs.mask,
-            22 => segments.status(),
-            23 => segments.begun(),
-            24 => segments.left_after(self.clock - self.segments_at),
-            25 => u32::from(segments.tag()) << 16 | u32::from(segments.aux(regs.beam)),
-            26 => segments.pace_now(),
-            27 => (segments.axes() | segments::DEPTH << 8) as u32,
+            regmap::segments::PACE => regs.pace,
+            regmap::segments::SLEW => regs.slew,
+            regmap::segments::BEAM => regs.beam.into(),
+            regmap::segments::MASK => regs.mask,
+            regmap::segments::STATUS => segments.status(),
+            regmap::segments::BEGUN => segments.begun(),
+            regmap::segments::LEFT => segments.left_after(self.clock - self.segments_at),
+            regmap::segments::CURRENT => {
+                u32::from(segments.tag()) << regmap::segments::CURRENT_TAG_SHIFT
+                    | u32::from(segments.aux(regs.beam))
+            }
+            regmap::segments::PACE_NOW => segments.pace_now(),
+            regmap::segments::SHAPE => {
+                (segments.axes() | segments::DEPTH << regmap::segments::SHAPE_SEGMENTS_SHIFT) as u32
+            }
             _ => 0,
         })
     }
 
     /// A word of the status page.
     pub fn status(&self, word: usize) -> u32 {
+        let after = |first: usize| word - first;
         match word {
-            0 => self.sample as u32,
-            1 => (self.sample >> 32) as u32,
-            2 => self.gpio_caught,
-            3..6 => self.flags_caught[word - 3],
-            6 => self.estop_caught,
-            8..56 => self
-                .steps
-                .get((word - 8) / 3)
-                .map_or(0, |lane| match (word - 8) % 3 {
+            status::SAMPLE_LO => self.sample as u32,
+            status::SAMPLE_HI => (self.sample >> 32) as u32,
+            status::GPIO_IN => self.gpio_caught,
+            status::FLAGS0 => self.flags_caught[0],
+            status::FLAGS1 => self.flags_caught[1],
+            status::FLAGS2 => self.flags_caught[2],
+            status::ESTOP => self.estop_caught,
+            status::STEPGEN0_POSITION_LO..status::ENCODER0_COUNT => {
+                let at = after(status::STEPGEN0_POSITION_LO);
+                let lane = self.steps.get(at / status::STEPGEN_STRIDE);
+                lane.map_or(0, |lane| match at % status::STEPGEN_STRIDE {
                     0 => lane.sampled[0],
                     1 => lane.tally.sampled(),
                     _ => lane.sampled[1],
-                }),
-            56..88 => self.encoders.get((word - 56) / 2).map_or(0, |lane| {
-                if word & 1 == 0 {
-                    lane.tally.sampled()
-                } else {
-                    lane.edge.sampled()
-                }
-            }),
-            88..104 => self
-                .encoders
-                .get(word - 88)
-                .map_or(0, |lane| lane.tally.latched()),
-            104..120 => self
-                .steps
-                .get(word - 104)
-                .map_or(0, |lane| lane.tally.latched()),
+                })
+            }
+            status::ENCODER0_COUNT..status::ENCODER0_LATCH => {
+                let at = after(status::ENCODER0_COUNT);
+                let lane = self.encoders.get(at / status::ENCODER_STRIDE);
+                lane.map_or(0, |lane| match at % status::ENCODER_STRIDE {
+                    0 => lane.tally.sampled(),
+                    _ => lane.edge.sampled(),
+                })
+            }
+            status::ENCODER0_LATCH..status::STEPGEN0_LATCH => {
+                let lane = self.encoders.get(after(status::ENCODER0_LATCH));
+                lane.map_or(0, |lane| lane.tally.latched())
+            }
+            status::STEPGEN0_LATCH..status::WORDS => {
+                let lane = self.steps.get(after(status::STEPGEN0_LATCH));
+                lane.map_or(0, |lane| lane.tally.latched())
+            }
             _ => 0,
         }
     }
@@ -1321,7 +1363,7 @@ impl Board {
                 busy: segments.state() != State::Idle,
                 ..Told::default()
             });
-        self.store(page, word, data, job);
+        self.store(page, word as usize, data, job);
         self.shine();
         if page == pages::DEBOUNCE {
             self.order(page, word, data);
@@ -1332,7 +1374,7 @@ impl Board {
 
     /// Puts a write into the pipeline: the next edge obeys it.
     pub fn order(&mut self, page: u32, word: u32, data: u32) {
-        self.write = Some((page << 9 | word, data));
+        self.write = Some((page << WORD_BITS | word, data));
         self.full = self.clock + 1;
     }
 
@@ -1404,10 +1446,10 @@ mod tests {
         let accel = prop_oneof![Just(0), Just(u32::MAX), 1..1000u32, 1..50_000_000u32];
         let time = prop_oneof![Just(0), Just(1), 0..40u32, 0..2000u32];
         let key = prop_oneof![
-            6 => Just(abi::KEY_ARM),
-            2 => Just(abi::KEY_CLEAR),
-            1 => Just(abi::KEY_SOFT),
-            1 => Just(abi::KEY_STOP)
+            6 => Just(regmap::watchdog::CONTROL_KEY_ARM),
+            2 => Just(regmap::watchdog::CONTROL_KEY_CLEAR),
+            1 => Just(regmap::watchdog::CONTROL_KEY_SOFT),
+            1 => Just(regmap::watchdog::CONTROL_KEY_STOP)
         ];
         let command = pages::COMMAND;
         prop_oneof![

@@ -60,7 +60,7 @@ pub struct Input {
 
 impl Input {
     fn select(&self) -> u32 {
-        self.mode & 7
+        self.mode & wire::regmap::encoder::MODE_SELECT
     }
     fn has(&self, bit: u32) -> bool {
         self.mode & bit != 0

@@ -2,10 +2,10 @@
 //! a pulse waits in that clock, so they are computed in two steps: [`Segments::tells`] before the
 //! stepgens' edge, [`Segments::clock`] with it.
 
-use litex_pac::abi;
+use wire::regmap::{self, segments};
 
 /// Room for so many segments.
-pub const DEPTH: usize = abi::JOB_SEGMENTS;
+pub const DEPTH: usize = regmap::JOB_SEGMENTS;
 /// The shortest segment.
 pub const CLOCKS_MIN: u32 = 64;
 /// A pace of 1.
@@ -13,32 +13,35 @@ pub const PACE_ONE: u32 = 1 << 16;
 
 /// What it does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u32)]
 pub enum State {
     /// Nothing.
     #[default]
-    Idle,
+    Idle = segments::STATUS_STATE_IDLE,
     /// Waits for the stepgens to stand.
-    Settle,
+    Settle = segments::STATUS_STATE_SETTLE,
     /// Plays.
-    Play,
+    Play = segments::STATUS_STATE_PLAY,
     /// Brings the stepgens to rest.
-    Halt,
+    Halt = segments::STATUS_STATE_HALT,
 }
 
 /// Why it ended.
 pub mod reason {
+    use wire::regmap::segments;
+
     /// It has not.
-    pub const NONE: u8 = 0;
+    pub const NONE: u8 = segments::STATUS_REASON_NONE as u8;
     /// No segment left, at rest.
-    pub const DONE: u8 = 1;
+    pub const DONE: u8 = segments::STATUS_REASON_DONE as u8;
     /// No segment in time, not at rest.
-    pub const UNDERRUN: u8 = 2;
+    pub const UNDERRUN: u8 = segments::STATUS_REASON_UNDERRUN as u8;
     /// Told to.
-    pub const QUIT: u8 = 3;
+    pub const QUIT: u8 = segments::STATUS_REASON_QUIT as u8;
     /// The watchdog's soft stop.
-    pub const HALTED: u8 = 4;
+    pub const HALTED: u8 = segments::STATUS_REASON_HALTED as u8;
     /// The gate closed.
-    pub const CLOSED: u8 = 5;
+    pub const CLOSED: u8 = segments::STATUS_REASON_CLOSED as u8;
 }
 
 /// What was refused.
@@ -231,15 +234,13 @@ impl Segments {
 
     /// The status register.
     pub fn status(&self) -> u32 {
-        let bits = [
-            (0, self.level as u32),
-            (8, self.state as u32),
-            (12, self.reason.into()),
-            (16, self.refused.into()),
-            (24, (self.pace_now() == 0).into()),
-            (25, self.held.into()),
-        ];
-        bits.iter().fold(0, |word, (at, value)| word | value << at)
+        let flag = |up: bool, bit: u32| if up { bit } else { 0 };
+        self.level as u32
+            | (self.state as u32) << segments::STATUS_STATE_SHIFT
+            | u32::from(self.reason) << segments::STATUS_REASON_SHIFT
+            | u32::from(self.refused) << segments::STATUS_REFUSED_SHIFT
+            | flag(self.pace_now() == 0, segments::STATUS_STANDS)
+            | flag(self.held, segments::STATUS_HELD)
     }
 
     fn dead(&self, gate: bool) -> bool {
@@ -505,16 +506,36 @@ mod tests {
                 write(&mut board, pages::STEPGEN + n, word, time);
             }
         }
-        write(&mut board, pages::WATCHDOG, 0, u32::MAX);
-        write(&mut board, pages::WATCHDOG, 3, abi::KEY_CLEAR);
-        write(&mut board, pages::WATCHDOG, 3, abi::KEY_ARM);
-        write(&mut board, pages::TIMEBASE, 7, abi::STROBE_COMMIT);
+        write(
+            &mut board,
+            pages::WATCHDOG,
+            regmap::watchdog::TIMEOUT,
+            u32::MAX,
+        );
+        write(
+            &mut board,
+            pages::WATCHDOG,
+            regmap::watchdog::CONTROL,
+            regmap::watchdog::CONTROL_KEY_CLEAR,
+        );
+        write(
+            &mut board,
+            pages::WATCHDOG,
+            regmap::watchdog::CONTROL,
+            regmap::watchdog::CONTROL_KEY_ARM,
+        );
+        write(
+            &mut board,
+            pages::TIMEBASE,
+            regmap::timebase::STROBE,
+            regmap::timebase::STROBE_COMMIT,
+        );
         board
     }
 
     /// As the bus does it: an access every second clock.
-    fn write(board: &mut Board, page: u32, word: u32, data: u32) {
-        board.order(page, word, data);
+    fn write(board: &mut Board, page: u32, word: usize, data: u32) {
+        board.order(page, word as u32, data);
         board.clock(&Bus::default());
         board.clock(&Bus::default());
     }
@@ -523,15 +544,20 @@ mod tests {
         for (at, word) in (0..).zip(segment.words()) {
             write(board, pages::SEGMENTS, at, word);
         }
-        write(board, pages::SEGMENTS, 16, 0);
+        write(board, pages::SEGMENTS, segments::PUSH, 0);
     }
 
     fn status(board: &Board) -> u32 {
-        board.peek(pages::SEGMENTS, 22)
+        board.peek(pages::SEGMENTS, segments::STATUS as u32)
     }
 
     fn position(board: &mut Board, axis: u32) -> i64 {
-        write(board, pages::TIMEBASE, 7, abi::STROBE_SAMPLE);
+        write(
+            board,
+            pages::TIMEBASE,
+            regmap::timebase::STROBE,
+            regmap::timebase::STROBE_SAMPLE,
+        );
         for _ in 0..20 {
             board.clock(&Bus::default());
         }
@@ -591,7 +617,7 @@ mod tests {
             }
             let all = segments.len() as u32;
             let mut board = board([times.0, times.1, times.2, times.3]);
-            write(&mut board, pages::SEGMENTS, 19, 1 << 20);
+            write(&mut board, pages::SEGMENTS, segments::SLEW, 1 << 20);
             let (mut started, mut paces, mut clocks) = (false, paces.iter().cycle(), 0u64);
             loop {
                 let now = status(&board);
@@ -602,7 +628,7 @@ mod tests {
                 if now & 0xff < 60 && let Some(segment) = segments.pop_front() {
                     push(&mut board, &segment);
                 } else if !started {
-                    write(&mut board, pages::SEGMENTS, 17, 1);
+                    write(&mut board, pages::SEGMENTS, segments::CONTROL, segments::CONTROL_COMMAND_START);
                     started = true;
                 } else {
                     for _ in 0..100 {
@@ -613,11 +639,11 @@ mod tests {
                         let pace = *paces.next().unwrap();
                         // A pause ends some time.
                         let pace = if clocks.is_multiple_of(40_000) { PACE_ONE } else { pace };
-                        write(&mut board, pages::SEGMENTS, 18, pace);
+                        write(&mut board, pages::SEGMENTS, segments::PACE, pace);
                     }
                 }
             }
-            prop_assert_eq!(board.peek(pages::SEGMENTS, 23), all);
+            prop_assert_eq!(board.peek(pages::SEGMENTS, segments::BEGUN as u32), all);
             for axis in 0..AXES {
                 prop_assert_eq!(position(&mut board, axis as u32), planner.machine().axes[axis].position, "axis {}", axis);
             }
@@ -629,7 +655,12 @@ mod tests {
     fn an_underrun_brakes_and_says_so_and_nothing_starts_before_clear() {
         let mut board = board([1, 1, 1, 1]);
         for n in 0..3 {
-            write(&mut board, pages::STEPGEN + n, 4, 1 << 28);
+            write(
+                &mut board,
+                pages::STEPGEN + n,
+                regmap::stepgen::STOP_ACCEL,
+                1 << 28,
+            );
         }
         let segment = Segment {
             clocks: 2000,
@@ -639,7 +670,12 @@ mod tests {
         };
         push(&mut board, &segment);
         push(&mut board, &segment);
-        write(&mut board, pages::SEGMENTS, 17, 1);
+        write(
+            &mut board,
+            pages::SEGMENTS,
+            segments::CONTROL,
+            segments::CONTROL_COMMAND_START,
+        );
         let mut clocks = 0;
         while status(&board) >> 8 & 3 != 0 {
             board.clock(&Bus::default());
@@ -649,16 +685,31 @@ mod tests {
         assert_eq!((status(&board) >> 12 & 7) as u8, reason::UNDERRUN);
         let rest = position(&mut board, 0);
         push(&mut board, &segment);
-        write(&mut board, pages::SEGMENTS, 17, 1);
+        write(
+            &mut board,
+            pages::SEGMENTS,
+            segments::CONTROL,
+            segments::CONTROL_COMMAND_START,
+        );
         let refused = (status(&board) >> 16 & 31) as u8;
         assert_eq!(refused, refused::NOT_NOW | refused::START);
         for _ in 0..5000 {
             board.clock(&Bus::default());
         }
         assert_eq!(position(&mut board, 0), rest);
-        write(&mut board, pages::SEGMENTS, 17, 3);
+        write(
+            &mut board,
+            pages::SEGMENTS,
+            segments::CONTROL,
+            segments::CONTROL_COMMAND_CLEAR,
+        );
         push(&mut board, &segment);
-        write(&mut board, pages::SEGMENTS, 17, 1);
+        write(
+            &mut board,
+            pages::SEGMENTS,
+            segments::CONTROL,
+            segments::CONTROL_COMMAND_START,
+        );
         assert_eq!(status(&board) >> 8 & 3, State::Settle as u32);
     }
 
@@ -675,13 +726,13 @@ mod tests {
         ) {
             let (mut slow, mut fast) = (board([times.0, times.1, times.2, times.3]), board([times.0, times.1, times.2, times.3]));
             for board in [&mut slow, &mut fast] {
-                write(board, pages::SEGMENTS, 19, 1 << 20);
-                write(board, pages::SEGMENTS, 21, 3);
+                write(board, pages::SEGMENTS, segments::SLEW, 1 << 20);
+                write(board, pages::SEGMENTS, segments::MASK, 3);
                 for (clocks, x, y, aux) in &rates {
                     let segment = Segment { clocks: *clocks, velocity: [*x, *y, 0], accel: [1 << 24, 0, 1], aux: *aux, tag: 7 };
                     push(board, &segment);
                 }
-                write(board, pages::SEGMENTS, 17, 1);
+                write(board, pages::SEGMENTS, segments::CONTROL, segments::CONTROL_COMMAND_START);
             }
             for (clocks, deed) in looks {
                 let until = slow.clocks() + clocks;

@@ -1,13 +1,17 @@
 //! `watchdog.sv`: the gate, and everything that closes it.
 
+use wire::regmap::watchdog;
+
 /// Why the gate closed last, as the gateware numbers it.
 mod close {
-    pub const BITE: u8 = 1;
-    pub const EXT_RESET: u8 = 2;
-    pub const STOP_KEY: u8 = 3;
-    pub const SOFT_STOP: u8 = 4;
-    pub const E_STOP: u8 = 5;
-    pub const SYSTEM_RESET: u8 = 6;
+    use wire::regmap::watchdog;
+
+    pub const BITE: u8 = watchdog::LAST_CLOSE_REASON_BITE as u8;
+    pub const EXT_RESET: u8 = watchdog::LAST_CLOSE_REASON_EXT_RESET as u8;
+    pub const STOP_KEY: u8 = watchdog::LAST_CLOSE_REASON_STOP as u8;
+    pub const SOFT_STOP: u8 = watchdog::LAST_CLOSE_REASON_SOFT as u8;
+    pub const E_STOP: u8 = watchdog::LAST_CLOSE_REASON_ESTOP as u8;
+    pub const SYSTEM_RESET: u8 = watchdog::LAST_CLOSE_REASON_SYS_RESET as u8;
 }
 
 /// The watchdog and its gate.
@@ -71,18 +75,17 @@ impl Watchdog {
     /// The status register's bits.
     pub fn status(&self, ext_reset: bool, estop: bool) -> u32 {
         [
-            self.gate(ext_reset, estop),
-            self.stop,
-            self.bitten,
-            self.reset_latched,
-            ext_reset,
-            self.armed,
-            self.estop_latched,
-            estop,
+            (self.gate(ext_reset, estop), watchdog::STATUS_GATE),
+            (self.stop, watchdog::STATUS_STOPPING),
+            (self.bitten, watchdog::STATUS_BITTEN),
+            (self.reset_latched, watchdog::STATUS_RESET_LATCHED),
+            (ext_reset, watchdog::STATUS_RESET_PIN),
+            (self.armed, watchdog::STATUS_ARMED),
+            (self.estop_latched, watchdog::STATUS_ESTOP_LATCHED),
+            (estop, watchdog::STATUS_ESTOP_NOW),
         ]
         .into_iter()
-        .enumerate()
-        .fold(0, |word, (bit, on)| word | u32::from(on) << bit)
+        .fold(0, |word, (on, bit)| if on { word | bit } else { word })
     }
 
     /// Clocks until it bites, or until a soft stop ends.

@@ -2,7 +2,7 @@ use super::*;
 use crate::plant::{Axis, Spindle, Switch};
 use wire::describe::Channels;
 use wire::exchange::{Command, Latch, REQUEST_OVERHEAD, Status};
-use wire::map::{self, BoardConfig};
+use wire::map;
 use wire::units::{Accel, StepRate};
 
 const SIX: Channels = Channels {
@@ -112,7 +112,10 @@ fn it_says_what_it_is() {
     let mut bench = Bench::new(Plant::default());
     assert_eq!(bench.read(0x18), HZ);
     assert_eq!(bench.read(map::DESCRIBE_BLOB), wire::board::MAGIC);
-    assert_eq!(bench.read(map::SERVICE + 8 * 0x800), abi::IDENT_MAGIC);
+    assert_eq!(
+        bench.read(regmap::address(regmap::ident::BASE, regmap::ident::MAGIC)),
+        regmap::IDENT_MAGIC
+    );
 }
 
 #[test]
@@ -157,7 +160,7 @@ fn silence_stops_the_machine_and_closes_the_gate() {
     }
     assert_eq!(bench.twin.world().pins().gate, 0);
     assert_eq!(bench.twin.world().edges.violations(), []);
-    let close = bench.read(map::SERVICE + 10 * 0x800 + 8 * 4);
+    let close = bench.read(regmap::address(regmap::watchdog::BASE, regmap::watchdog::LAST_CLOSE));
     assert_eq!(close, wire::GateClose::Bite as u32);
 }
 
@@ -178,7 +181,7 @@ fn an_index_and_a_probe_are_latched_to_the_step() {
     let mut bench = Bench::configured(
         plant,
         &[(
-            map::CONFIG_BOARD + 4 * BoardConfig::Probe as u32,
+            map::CONFIG_BOARD + 4 * map::BoardConfig::Probe as u32,
             5 | map::PROBE_ENABLE,
         )],
     );

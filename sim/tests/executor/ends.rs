@@ -5,6 +5,7 @@ use crate::rig::*;
 use firmware::cores::Board as _;
 use wire::exchange::StateWord;
 use wire::jobs::{End, Request, State, Status, UNATTENDED};
+use wire::regmap::{self, segments};
 use wire::{FaultReason, ResetReason};
 
 const LONG: &str = "M3\nG1 X100 Y50 F2400\nG1 X0 Y0\nM2\n";
@@ -234,8 +235,8 @@ fn a_path_that_stands_though_it_should_pass_is_ended_by_the_watchdog() {
     rig.underway();
     // Not by a pause: something is wrong with the core. The program runs, but feeds nothing that
     // does not go on.
-    let pace = litex_pac::abi::CSR_SEGMENTS + 4 * firmware::segments::PACE;
-    rig.machine.board.csr_write(pace as u32, 0);
+    let pace = regmap::address(segments::BASE, segments::PACE);
+    rig.machine.board.csr_write(pace, 0);
     rig.run(600 * MS);
     let gate = rig.machine.board.gate();
     assert!(gate.stopping() || !gate.open(), "the watchdog is fed");

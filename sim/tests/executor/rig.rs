@@ -6,7 +6,6 @@ use firmware::jobs::{Jobs, Outside};
 use firmware::machine::{IDLE, Machine};
 use firmware::net::Us;
 use firmware::session::Peer;
-use litex_pac::abi;
 use motion::instruction::Instruction;
 use motion::plan::{AxisSetup, Output, Planner, Setup as Planned};
 use motion::segment::{AXES, Segment};
@@ -22,6 +21,7 @@ use wire::flash::Layout;
 use wire::jobs::{
     self, Axis, End, Entry, FRAME, Frame, Home, Report, Request, State, Status, UNATTENDED, Welcome,
 };
+use wire::regmap::{self, segments};
 use wire::settings::Settings;
 use wire::{MAX_WORDS, Name};
 
@@ -47,12 +47,12 @@ impl Outside for Outer<'_> {
         self.sent.push(frame.to_vec());
     }
     fn read_segments(&mut self, word: usize) -> u32 {
-        let address = abi::CSR_SEGMENTS + 4 * word;
-        self.machine.board.csr_read(address as u32)
+        let address = regmap::address(segments::BASE, word);
+        self.machine.board.csr_read(address)
     }
     fn write_segments(&mut self, word: usize, value: u32) {
-        let address = abi::CSR_SEGMENTS + 4 * word;
-        self.machine.board.csr_write(address as u32, value);
+        let address = regmap::address(segments::BASE, word);
+        self.machine.board.csr_write(address, value);
     }
     fn now(&mut self) -> u64 {
         self.machine.board.now()
@@ -268,7 +268,7 @@ impl Rig {
         }
         let (mut desk, ident) = Desk::power_up(setup);
         let boot = desk.boot();
-        let mut rig = Rig::of(Machine::start(desk, ident, abi::ABI, boot), room);
+        let mut rig = Rig::of(Machine::start(desk, ident, regmap::ABI, boot), room);
         rig.connect();
         rig
     }
@@ -313,7 +313,7 @@ impl Rig {
         let ident = *self.machine.server.ident();
         let mut desk = self.machine.board;
         let boot = desk.boot();
-        let mut rig = Rig::of(Machine::start(desk, ident, abi::ABI, boot), 1 << 20);
+        let mut rig = Rig::of(Machine::start(desk, ident, regmap::ABI, boot), 1 << 20);
         rig.connect();
         rig
     }
@@ -323,7 +323,7 @@ impl Rig {
         let ident = *self.machine.server.ident();
         let mut desk = self.machine.board;
         let boot = desk.boot();
-        self.machine = Machine::start(desk, ident, abi::ABI, boot);
+        self.machine = Machine::start(desk, ident, regmap::ABI, boot);
         self
     }
 

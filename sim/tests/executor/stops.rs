@@ -6,11 +6,12 @@ mod random;
 
 use crate::rig::*;
 use client::Client;
-use firmware::cores::{Board as _, LATCH_STEPGEN, STROBE_SAMPLE};
+use firmware::cores::Board as _;
 use motion::segment::AXES;
 use wire::exchange::STATUS_STEPGEN;
 use wire::jobs::{End, Field, Machine, Request, Status, UNATTENDED};
 use wire::map;
+use wire::regmap::{status, timebase};
 
 /// mm/s^2: of a machine that takes a third of a second to stop.
 const HEAVY: u64 = 500;
@@ -27,9 +28,9 @@ fn heavy(accel: u64) -> Machine {
 /// Steps/s.
 fn rates(rig: &mut Rig) -> [f64; AXES] {
     let board = &mut rig.machine.board;
-    board.strobe(STROBE_SAMPLE);
+    board.strobe(timebase::STROBE_SAMPLE);
     core::array::from_fn(|axis| {
-        let rate = board.latched(LATCH_STEPGEN + axis * STATUS_STEPGEN + 2) as i32;
+        let rate = board.latched(status::STEPGEN0_VELOCITY + axis * STATUS_STEPGEN) as i32;
         f64::from(rate) * CLOCK as f64 / 2f64.powi(32)
     })
 }

@@ -3,11 +3,12 @@
 use super::super::stopping;
 use crate::rig::*;
 use core::fmt::Debug;
-use firmware::cores::{Board as _, LATCH_STEPGEN, STROBE_SAMPLE};
+use firmware::cores::Board as _;
 use motion::segment::AXES;
 use std::collections::BTreeMap;
 use wire::exchange::STATUS_STEPGEN;
 use wire::map;
+use wire::regmap::{status, timebase};
 
 pub const HZ: f64 = CLOCK as f64;
 /// Clocks between two looks.
@@ -40,8 +41,8 @@ impl Watch {
 
     fn rates(&self, rig: &mut Rig) -> Vec<f64> {
         let board = &mut rig.machine.board;
-        board.strobe(STROBE_SAMPLE);
-        let rate = |n| board.latched(LATCH_STEPGEN + n * STATUS_STEPGEN + 2) as i32;
+        board.strobe(timebase::STROBE_SAMPLE);
+        let rate = |n| board.latched(status::STEPGEN0_VELOCITY + n * STATUS_STEPGEN) as i32;
         let all = (0..self.accel.len()).map(rate);
         all.map(|rate| f64::from(rate) * HZ / 2f64.powi(32))
             .collect()
@@ -132,10 +133,10 @@ fn halts(rig: &mut Rig) -> bool {
 /// changes pins that are no steps.
 pub fn strays(rig: &mut Rig) -> [i64; AXES] {
     let board = &mut rig.machine.board;
-    board.strobe(STROBE_SAMPLE);
+    board.strobe(timebase::STROBE_SAMPLE);
     let pins = board.world().edges.counts();
     core::array::from_fn(|n| {
-        let count = board.latched(LATCH_STEPGEN + n * STATUS_STEPGEN + 1) as i32;
+        let count = board.latched(status::STEPGEN0_POSITION_HI + n * STATUS_STEPGEN) as i32;
         pins[n] - i64::from(count)
     })
 }
@@ -143,10 +144,10 @@ pub fn strays(rig: &mut Rig) -> [i64; AXES] {
 /// The counts are the pins', and no pulse was too short.
 pub fn exact(rig: &mut Rig, axes: usize, strays: [i64; AXES], told: &str) {
     let board = &mut rig.machine.board;
-    board.strobe(STROBE_SAMPLE);
+    board.strobe(timebase::STROBE_SAMPLE);
     let pins = board.world().edges.counts();
     for (n, pins) in pins.iter().enumerate().take(axes) {
-        let count = board.latched(LATCH_STEPGEN + n * STATUS_STEPGEN + 1) as i32;
+        let count = board.latched(status::STEPGEN0_POSITION_HI + n * STATUS_STEPGEN) as i32;
         let strays = strays.get(n).copied().unwrap_or(0);
         assert_eq!(i64::from(count), *pins - strays, "{told}: axis {n}");
     }
