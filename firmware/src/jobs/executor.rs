@@ -1127,13 +1127,16 @@ impl Executor {
         } else {
             self.marks.at(segments.min(self.marks.pushed()), left)
         };
-        if self.phase == Phase::Idle
-            && let Some((state, positions)) = self.inside.look(out)
-        {
-            (self.board, self.positions) = (state.to_word(), positions);
-            self.seen(state);
-            self.count_cuts(out);
-            self.at_rest = true;
+        let mut heard = true;
+        if self.phase == Phase::Idle {
+            if let Some((state, positions)) = self.inside.look(out) {
+                (self.board, self.positions) = (state.to_word(), positions);
+                self.seen(state);
+                self.count_cuts(out);
+                self.at_rest = true;
+            } else {
+                heard = false;
+            }
         }
         let state = self.core.state(out);
         let millis = |clocks: u64| {
@@ -1166,8 +1169,11 @@ impl Executor {
             let offset = self.offset.get(axis).copied().unwrap_or(0);
             (position.wrapping_sub(offset) >> 32) as i32
         });
-        let known =
-            self.machine.is_some() && self.homed == [true; AXES] && self.cut == [false; AXES];
+        // What a board out of reach did meanwhile is known when it answers again.
+        let known = heard
+            && self.machine.is_some()
+            && self.homed == [true; AXES]
+            && self.cut == [false; AXES];
         let bits = self.homed.iter().rev();
         let (axis, line) = self.trouble;
         Report {
