@@ -20,18 +20,14 @@ use crate::session::Peer;
 use wire::describe::Channels;
 use wire::exchange::{
     COMMAND_HEAD, COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE,
-    FLAG_ENABLE_REQUEST, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, command_words,
-    judge_sequence, status_words,
+    FLAG_ENABLE_REQUEST, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, command_word,
+    command_words, judge_sequence, status_word, status_words,
 };
 use wire::regmap::{command, status, timebase};
 use wire::{Refusal, State, etherbone};
 
 const FLAGS_KNOWN: u32 =
     FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME | u32::MAX << FLAG_ALONE_SHIFT;
-/// The last word before the channels: 16 probe arms, then 5 bits of
-/// [`wire::exchange::Latch::code`].
-const SELECT_SHIFT: u32 = 16;
-const SELECT_BITS: u32 = 5;
 
 /// The command block's words, each once, in order. Several words are loaded before the first is
 /// used: on the softcore a word that is used right after its load costs two more clocks.
@@ -98,19 +94,15 @@ pub const fn reply_head(shape: &Shape) -> [u32; 3] {
     ]
 }
 
-/// Number of the flags' word in the command block.
-pub const FLAGS_WORD: usize = 2;
-
 /// Number of the flags' word in a frame of the lane.
-pub const FRAME_FLAGS: usize = crate::net::PAYLOAD_WORD + REQUEST_OVERHEAD + FLAGS_WORD;
+pub const FRAME_FLAGS: usize = crate::net::PAYLOAD_WORD + REQUEST_OVERHEAD + command_word::FLAGS;
 
 /// Words of an answer before its status block.
 pub const REPLY_OVERHEAD: usize = 4;
 /// Number of the first word of an answer's frame after its headers and [`reply_head`].
 const RESUME: usize = crate::net::PAYLOAD_WORD + REPLY_OVERHEAD - 1;
-/// Number of the boot id's word in an answer's frame: it follows sequence, state, sequence, two
-/// times, the watchdog's time left, and the refusals.
-const KEPT: usize = RESUME + 9;
+/// Number of the boot id's word in an answer's frame.
+const KEPT: usize = crate::net::PAYLOAD_WORD + REPLY_OVERHEAD + status_word::BOOT_ID;
 
 /// Loads words of the status page into names, then puts them: [`Request`] says why.
 macro_rules! copy {
@@ -133,24 +125,22 @@ impl Server {
         reply: &mut impl Reply,
     ) -> Result<(), Refusal> {
         // Judge.
-        let [
-            token,
-            sequence,
-            flags,
-            apply_lo,
-            apply_hi,
-            enables,
-            outputs,
-            arms,
-            probe_arms,
-        ] = request.take9();
+        let head: [u32; COMMAND_HEAD] = request.take9();
+        let token = head[command_word::TOKEN];
+        let sequence = head[command_word::SEQUENCE];
+        let flags = head[command_word::FLAGS];
+        let [apply_lo, apply_hi] = [head[command_word::APPLY_LO], head[command_word::APPLY_HI]];
+        let enables = head[command_word::ENABLES];
+        let outputs = head[command_word::GPIO_OUT];
+        let arms = head[command_word::ARMS];
+        let probe_arms = head[command_word::PROBE_ARMS];
         self.session.check(peer, token)?;
         let last = self.session.last_sequence();
         if sequence.wrapping_sub(last) as i32 <= 0 {
             return Err(not_ahead(sequence, last));
         }
-        let select = probe_arms >> SELECT_SHIFT;
-        if flags & !FLAGS_KNOWN | select >> SELECT_BITS != 0 {
+        let select = probe_arms >> command_word::LATCH_SHIFT;
+        if flags & !FLAGS_KNOWN | select >> command_word::LATCH_BITS != 0 {
             return Err(Refusal::Value);
         }
         let mut gate = board.gate();
