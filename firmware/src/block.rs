@@ -5,9 +5,6 @@ use wire::describe::Channels;
 use wire::etherbone;
 use wire::exchange::{command_words, status_words};
 
-/// Number of the flags' word in the command block.
-pub const FLAGS_WORD: usize = 2;
-
 /// Words of an answer before its status block.
 pub const REPLY_OVERHEAD: usize = 4;
 

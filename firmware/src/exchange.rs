@@ -13,33 +13,29 @@
 //! change to the others. The request is read through [`Request`] and answered through [`Reply`]; so
 //! the same code runs on MAC slots and on slices.
 
-use crate::block::{FLAGS_WORD, REPLY_OVERHEAD, Reply, Request, Shape, reply_head};
+use crate::block::{REPLY_OVERHEAD, Reply, Request, Shape, reply_head};
 use crate::cores::{Board, Control};
 use crate::safety::Event;
 use crate::server::Server;
 use crate::session::Peer;
 use wire::exchange::{
     COMMAND_HEAD, COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE,
-    FLAG_ENABLE_REQUEST, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, judge_sequence,
+    FLAG_ENABLE_REQUEST, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, command_word,
+    judge_sequence, status_word,
 };
 use wire::regmap::{command, status, timebase};
 use wire::{Refusal, State};
 
 const FLAGS_KNOWN: u32 =
     FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME | u32::MAX << FLAG_ALONE_SHIFT;
-/// The last word before the channels: 16 probe arms, then 5 bits of
-/// [`wire::exchange::Latch::code`].
-const SELECT_SHIFT: u32 = 16;
-const SELECT_BITS: u32 = 5;
 
 /// Number of the flags' word in a frame of the lane.
-pub const FRAME_FLAGS: usize = crate::net::PAYLOAD_WORD + REQUEST_OVERHEAD + FLAGS_WORD;
+pub const FRAME_FLAGS: usize = crate::net::PAYLOAD_WORD + REQUEST_OVERHEAD + command_word::FLAGS;
 
 /// Number of the first word of an answer's frame after its headers and [`reply_head`].
 const RESUME: usize = crate::net::PAYLOAD_WORD + REPLY_OVERHEAD - 1;
-/// Number of the boot id's word in an answer's frame: it follows sequence, state, sequence, two
-/// times, the watchdog's time left, and the refusals.
-const KEPT: usize = RESUME + 9;
+/// Number of the boot id's word in an answer's frame.
+const KEPT: usize = crate::net::PAYLOAD_WORD + REPLY_OVERHEAD + status_word::BOOT_ID;
 
 /// Loads words of the status page into names, then puts them: [`Request`] says why.
 macro_rules! copy {
@@ -62,24 +58,22 @@ impl Server {
         reply: &mut impl Reply,
     ) -> Result<(), Refusal> {
         // Judge.
-        let [
-            token,
-            sequence,
-            flags,
-            apply_lo,
-            apply_hi,
-            enables,
-            outputs,
-            arms,
-            probe_arms,
-        ] = request.take9();
+        let head: [u32; COMMAND_HEAD] = request.take9();
+        let token = head[command_word::TOKEN];
+        let sequence = head[command_word::SEQUENCE];
+        let flags = head[command_word::FLAGS];
+        let [apply_lo, apply_hi] = [head[command_word::APPLY_LO], head[command_word::APPLY_HI]];
+        let enables = head[command_word::ENABLES];
+        let outputs = head[command_word::GPIO_OUT];
+        let arms = head[command_word::ARMS];
+        let probe_arms = head[command_word::PROBE_ARMS];
         self.session.check(peer, token)?;
         let last = self.session.last_sequence();
         if sequence.wrapping_sub(last) as i32 <= 0 {
             return Err(not_ahead(sequence, last));
         }
-        let select = probe_arms >> SELECT_SHIFT;
-        if flags & !FLAGS_KNOWN | select >> SELECT_BITS != 0 {
+        let select = probe_arms >> command_word::LATCH_SHIFT;
+        if flags & !FLAGS_KNOWN | select >> command_word::LATCH_BITS != 0 {
             return Err(Refusal::Value);
         }
         let mut gate = board.gate();

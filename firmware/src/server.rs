@@ -8,7 +8,7 @@
 //! counted by reason and has no other effect.
 
 use crate::auth::{Auth, Words};
-use crate::block::{FLAGS_WORD, REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
+use crate::block::{REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
 use crate::cores::{Board, Control, Gate, Ident, Led, Setting};
 use crate::flash::Flash;
 use crate::link::Link;
@@ -20,7 +20,9 @@ use crate::{config, describe, log, service};
 use wire::auth::Purpose;
 use wire::describe::{FEATURE_KEY, JobsState, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
-use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord};
+use wire::exchange::{
+    STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, command_word, status_word,
+};
 use wire::map::BoardConfig;
 use wire::regmap::{self, command, segments, status, timebase};
 use wire::{GateClose, MAX_WORDS, Refusal, ResetReason, map};
@@ -451,7 +453,7 @@ impl Server {
             let [_, _, record] = reply_head(&self.shape);
             writer.push(record);
             self.exchange(board, peer, &mut SliceRequest(block), &mut writer)?;
-            let flags = block.get(FLAGS_WORD).copied();
+            let flags = block.get(command_word::FLAGS).copied();
             self.exchanged(flags.unwrap_or(0));
             debug_assert_eq!(writer.words().len(), REPLY_OVERHEAD + self.shape.status);
             return Ok(if packet.no_reads() {
@@ -677,20 +679,24 @@ impl Server {
         let encoders_at = STATUS_HEAD + usize::from(self.ident.channels.stepgens) * STATUS_STEPGEN;
         let end = encoders_at + usize::from(self.ident.channels.encoders) * STATUS_ENCODER;
         match word {
-            0 => {
+            status_word::STATE => {
                 let gate = board.gate();
                 self.state(gate, self.session.is_owner(peer)).to_word()
             }
-            1 => self.session.last_sequence(),
-            2 => board.arrival_lo(),
-            3 => board.arrival_hi(),
-            4 | 5 => board.latched(status::SAMPLE_LO + word - 4),
-            6 => board.watchdog_left(),
-            7 => self.counters.refused_total,
-            8 => self.boot.id,
-            9 => board.latched(status::ESTOP),
-            10..=13 => board.latched(status::GPIO_IN + word - 10),
-            14 => board.latched(status::ENCODER0_LATCH + self.select as usize),
+            status_word::SEQUENCE => self.session.last_sequence(),
+            status_word::ARRIVAL_LO => board.arrival_lo(),
+            status_word::ARRIVAL_HI => board.arrival_hi(),
+            status_word::SAMPLE_LO | status_word::SAMPLE_HI => {
+                board.latched(status::SAMPLE_LO + word - status_word::SAMPLE_LO)
+            }
+            status_word::WATCHDOG_LEFT => board.watchdog_left(),
+            status_word::REFUSED => self.counters.refused_total,
+            status_word::BOOT_ID => self.boot.id,
+            status_word::ESTOP => board.latched(status::ESTOP),
+            status_word::GPIO_IN..=status_word::FLAGS2 => {
+                board.latched(status::GPIO_IN + word - status_word::GPIO_IN)
+            }
+            status_word::LATCH => board.latched(status::ENCODER0_LATCH + self.select as usize),
             _ if word >= STATUS_HEAD && word < encoders_at => {
                 board.latched(status::STEPGEN0_POSITION_LO + word - STATUS_HEAD)
             }

@@ -24,7 +24,7 @@ def main(argv=None):
     p.add_argument("--without-pins", action="store_true", help="board: even if it has no pins")
     _network(p)
 
-    p = sub.add_parser("export", help="write pac/soc.svd, pac/src/abi.rs, memory.x and docs/registers.md")
+    p = sub.add_parser("export", help="write pac/soc.svd, wire/src/regmap.rs, memory.x and docs/registers.md")
     p.add_argument("--root", default=str(ROOT), help="the tree to write into (default: this one)")
     p.add_argument("--check-out", metavar="DIR", help="the same as --root DIR: write into a scratch tree to compare with")
 

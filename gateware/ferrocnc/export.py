@@ -1,5 +1,5 @@
-"""Writes the generated files: the SVD and PAC, the memory map, the ABI constants and the register
-document.
+"""Writes the generated files: the SVD and PAC, the memory map, the map as Rust constants and the
+register document.
 
 The files are the same bytes on every machine: no time, no path, no order that depends on a hash.
 `xtask regen --check` runs this into a scratch tree and compares. LiteX's own SVD exporter is not
@@ -29,7 +29,6 @@ def export(root, source_root):
         "pac/soc.svd": svd(banks),
         "memory.x": memory_x(),
         "docs/registers.md": registers_md(banks, abi),
-        "pac/src/abi.rs": _rustfmt(abi_rs(banks, abi), 120),
         "wire/src/regmap.rs": _rustfmt(regmap_rs(banks, abi), 100),
     }
     for name, text in files.items():
@@ -124,8 +123,8 @@ def _xml(text):
 
 _PAC_DOC = """//! Registers and memory of the FerroCNC SoC: one type per kind of register page, addresses included.
 //!
-//! Made by svd2rust from `soc.svd`, which comes from `gateware/ferrocnc/regmap.py`; `abi` holds the constants both sides must
-//! agree on. The same map in prose is `docs/registers.md`. Only `firmware/src/soc` may name this crate.
+//! Made by svd2rust from `soc.svd`, which comes from `gateware/ferrocnc/regmap.py`. The same map is `docs/registers.md` in prose
+//! and `wire::regmap` as constants. Only `firmware/src/soc` may name this crate.
 """
 
 
@@ -136,7 +135,7 @@ def pac(svd_path, out, svd2rust):
         subprocess.run(command, cwd=scratch, check=True)
         text = _rustfmt((Path(scratch) / "lib.rs").read_text(encoding="utf-8"), 120)
     body = [line for line in text.splitlines() if not line.startswith("#![")]
-    head = [f"// {HEADER}", _PAC_DOC + "#![no_std]", "#![allow(missing_docs, non_camel_case_types, non_snake_case, clippy::all)]", "", "pub mod abi;", ""]
+    head = [f"// {HEADER}", _PAC_DOC + "#![no_std]", "#![allow(missing_docs, non_camel_case_types, non_snake_case, clippy::all)]", ""]
     Path(out).write_text("\n".join(head + body) + "\n", encoding="utf-8", newline="\n")
 
 
@@ -152,75 +151,6 @@ def _rustfmt(text, width):
     return subprocess.run(
         ["rustfmt", "--edition", "2024", "--config", f"max_width={width}", "--emit", "stdout"],
         cwd="/", input=text, capture_output=True, text=True, check=True, encoding="utf-8").stdout
-
-
-def abi_rs(banks, abi):
-    def const(name, value, doc, kind="u32"):
-        return [f"/// {doc}", f"pub const {name}: {kind} = {value};"]
-
-    out = [
-        f"// {HEADER}",
-        "//! Addresses and numbers that gateware and firmware must agree on, for code that moves whole windows of words and",
-        "//! for the one comparison that decides whether a board may arm.",
-        "",
-    ]
-    out += const("ABI", f"0x{abi:08x}", "ABI number: first 32 bits of the SHA-256 of the normalised register map and of the exchange's layout (`wire/layout.txt`).")
-    out += const("IDENT_MAGIC", f"0x{rm.MAGIC:08x}", "The value of `ident.magic`: \"FCnC\".")
-    for name, (origin, size), what in (
-        ("ROM", rm.ROM, "the image"), ("RAM", rm.RAM, "data, bss and stack"),
-        ("ETHMAC", rm.ETHMAC, "the MAC's slots: receive, then transmit"), ("BOARD_ROM", rm.BOARD_ROM, "the board info blob"),
-        ("SDRAM", rm.SDRAM_RAM, "the SDRAM's window, on boards with jobs; a smaller one is seen in it twice"),
-    ):
-        out += const(f"{name}_BASE", f"0x{origin:08x}", f"First byte of {what}.", "usize")
-        out += const(f"{name}_SIZE", f"0x{size:x}", f"Bytes of {what}.", "usize")
-    out += const("ROM_TRAILER", f"0x{rm.ROM[0] + rm.ROM[1] - rm.ROM_TRAILER:08x}", "First byte of the trailer: four words, `TRAILER_MAGIC`, build id, role, 0.", "usize")
-    out += const("TRAILER_MAGIC", f"0x{rm.TRAILER_MAGIC:08x}", "First word of a trailer: \"FTRL\".")
-    out += const("ROLE_IMAGE", rm.ROLE_IMAGE, "Third word of a trailer: an image of a slot.")
-    out += const("ROLE_GOLDEN", rm.ROLE_GOLDEN, "Third word of a trailer: the golden image.")
-    out += const("ETHMAC_RX_SLOTS", rm.ETHMAC_RX_SLOTS, "Receive slots; the first is at `ETHMAC_BASE`.", "usize")
-    out += const("ETHMAC_TX_SLOTS", rm.ETHMAC_TX_SLOTS, "Transmit slots; the first follows the last receive slot.", "usize")
-    out += const("ETHMAC_SLOT_SIZE", f"0x{rm.ETHMAC_SLOT:x}", "Bytes of one slot.", "usize")
-    for name, value in (("STEPGEN", rm.MAX_STEPGEN), ("ENCODER", rm.MAX_ENCODER), ("PWM", rm.MAX_PWM), ("IN", rm.MAX_IN), ("OUT", rm.MAX_OUT)):
-        out += const(f"{name}_MAX", value, "Channels of this kind the map has room for.", "usize")
-    out += const("JOB_AXES_MAX", rm.JOB_AXES_MAX, "Axes a job can have at most.", "usize")
-    out += const("JOB_SEGMENTS", rm.JOB_SEGMENTS, "Segments that fit into the FIFO.", "usize")
-    for name, value in (("ARM", rm.ARM), ("SOFT", rm.SOFT), ("STOP", rm.STOP), ("CLEAR", rm.CLEAR)):
-        out += const(f"KEY_{name}", f"0x{value:08x}", f"`watchdog.control`: {name.lower()}.")
-    out += const("STROBE_COMMIT", 1, "`timebase.strobe`: commit now.")
-    out += const("STROBE_SAMPLE", 2, "`timebase.strobe`: sample now.")
-    out += const("STROBE_COMMIT_AT", 4, "`timebase.strobe`: commit when the clock reaches `commit_at`.")
-    out += const("CSR_BASE", f"0x{rm.CSR_BASE:08x}", "First byte of the register pages.", "usize")
-    out += const("CSR_PAGE", f"0x{rm.CSR_PAGE:x}", "Bytes of a page; channel n of a kind is n pages after channel 0.", "usize")
-    out += const("CSR_PAGES", max(b.page for b in banks) + 1, "Pages in use, absent channels included.", "usize")
-    seen = set()
-    for bank in banks:
-        if bank.kind in seen:
-            continue
-        seen.add(bank.kind)
-        suffix = "0" if bank.name != bank.kind else ""
-        out += const(f"CSR_{bank.kind.upper()}{suffix}", f"0x{bank.base:08x}", f"Page of `{bank.name}`.", "usize")
-    w = {r.name: i for i, r in enumerate(rm.COMMAND.regs)}
-    for name, reg, doc in (
-        ("ENABLES", "enables", "enables"), ("GPIO_OUT", "gpio_out", "outputs"),
-        ("ARMS", "arms", "index arms of step generators, probe arms of encoders"), ("PROBE_ARMS", "probe_arms", "probe arms of step generators"),
-        ("STEPGEN", "stepgen0_velocity", "step generator 0 (velocity, accel); the next is 2 words on"),
-        ("PWM", "pwm0_width", "PWM 0; the next is 1 word on"),
-    ):
-        out += const(f"COMMAND_{name}", w[reg], f"Word of the command window: {doc}.", "usize")
-    w = {r.name: i for i, r in enumerate(rm.STATUS.regs)}
-    for name, reg, doc in (
-        ("SAMPLE_LO", "sample_lo", "clock at the sample, low"), ("SAMPLE_HI", "sample_hi", "clock at the sample, high"),
-        ("GPIO_IN", "gpio_in", "inputs"),
-        ("FLAGS0", "flags0", "encoder index latched, step generator limited"),
-        ("FLAGS1", "flags1", "step generator index latched, encoder probe latched"),
-        ("FLAGS2", "flags2", "step generator probe latched, encoder illegal"),
-        ("ESTOP", "estop", "e-stop inputs latched"),
-        ("STEPGEN", "stepgen0_position_lo", "step generator 0 (position low, high, velocity); the next is 3 words on"),
-        ("ENCODER", "encoder0_count", "encoder 0 (count, edge); the next is 2 words on"),
-        ("LATCH", "encoder0_latch", "latch of encoder 0; the next is 1 word on, step generator 0 follows encoder 15"),
-    ):
-        out += const(f"STATUS_{name}", w[reg], f"Word of the status window: {doc}.", "usize")
-    return "\n".join(out) + "\n"
 
 
 # The map for Rust code without the PAC --------------------------------------------------------------------------------

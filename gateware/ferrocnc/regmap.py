@@ -2,7 +2,7 @@
 
 Every board has this map. A channel owns a fixed page whether or not a board has the channel: absent ones read 0 and
 ignore writes. So there is one PAC, one `memory.x` and one firmware binary; `export.py` turns this file into
-`pac/soc.svd`, `pac/src/abi.rs`, `docs/registers.md` and the ABI number, and `banks.py` turns it into logic.
+`pac/soc.svd`, `wire/src/regmap.rs`, `docs/registers.md` and the ABI number, and `banks.py` turns it into logic.
 
 A page is 0x800 bytes, a register one 32-bit word; within a page the order of the list is the order of the addresses.
 """

@@ -25,11 +25,12 @@ use sim::soc::{Cores, CoresPins, Pins};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use wire::describe::Channels;
+use wire::regmap::watchdog;
 
-const ARM: u32 = 0x4152_4d31;
-const SOFT: u32 = 0x534f_4654;
-const STOP: u32 = 0x5354_4f50;
-const CLEAR: u32 = 0x434c_5231;
+const ARM: u32 = watchdog::CONTROL_KEY_ARM;
+const SOFT: u32 = watchdog::CONTROL_KEY_SOFT;
+const STOP: u32 = watchdog::CONTROL_KEY_STOP;
+const CLEAR: u32 = watchdog::CONTROL_KEY_CLEAR;
 
 fn from_environment<T: std::str::FromStr>(name: &str, usual: T) -> T {
     let given = std::env::var(name).ok().and_then(|text| text.parse().ok());

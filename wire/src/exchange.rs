@@ -43,11 +43,11 @@ use crate::{Refusal, etherbone, map};
 pub use crate::channels::MAX_CHANNELS;
 
 /// Words before the first stepgen in a command block.
-pub const COMMAND_HEAD: usize = 9;
+pub const COMMAND_HEAD: usize = command_word::PROBE_ARMS + 1;
 /// Words per stepgen in a command block: as on the register page, so that they are copied.
 pub const COMMAND_STEPGEN: usize = command::STEPGEN_STRIDE;
 /// Words before the first stepgen in a status block.
-pub const STATUS_HEAD: usize = 15;
+pub const STATUS_HEAD: usize = status_word::LATCH + 1;
 /// Words per stepgen in a status block: as on the register page.
 pub const STATUS_STEPGEN: usize = status::STEPGEN_STRIDE;
 /// Words per encoder in a status block: as on the register page.
@@ -63,6 +63,66 @@ const _: () = assert!(COMMAND_MAX <= 255 && STATUS_MAX <= 255);
 
 /// Words of a request before its command block: packet header, record header, base address.
 pub const REQUEST_OVERHEAD: usize = etherbone::HEADER_WORDS + 2;
+
+/// Words of a command block before those of the channels, [`COMMAND_HEAD`] of them.
+pub mod command_word {
+    /// Session token.
+    pub const TOKEN: usize = 0;
+    /// Sequence number.
+    pub const SEQUENCE: usize = 1;
+    /// Flags, and the stepgens that move alone.
+    pub const FLAGS: usize = 2;
+    /// Apply time, low.
+    pub const APPLY_LO: usize = 3;
+    /// Apply time, high.
+    pub const APPLY_HI: usize = 4;
+    /// Stepgen enables 15:0, encoder index arms 31:16.
+    pub const ENABLES: usize = 5;
+    /// Outputs.
+    pub const GPIO_OUT: usize = 6;
+    /// Stepgen index arms 15:0, encoder probe arms 31:16.
+    pub const ARMS: usize = 7;
+    /// Stepgen probe arms 15:0, then the code of a [`super::Latch`].
+    pub const PROBE_ARMS: usize = 8;
+    /// Where in that word the code of the latch begins.
+    pub const LATCH_SHIFT: u32 = 16;
+    /// Bits of that code.
+    pub const LATCH_BITS: u32 = 5;
+}
+
+/// Words of a status block before those of the channels, [`STATUS_HEAD`] of them.
+pub mod status_word {
+    /// The state word.
+    pub const STATE: usize = 0;
+    /// The command's sequence number.
+    pub const SEQUENCE: usize = 1;
+    /// Arrival time, low.
+    pub const ARRIVAL_LO: usize = 2;
+    /// Arrival time, high.
+    pub const ARRIVAL_HI: usize = 3;
+    /// Sample time, low.
+    pub const SAMPLE_LO: usize = 4;
+    /// Sample time, high.
+    pub const SAMPLE_HI: usize = 5;
+    /// What was left of the watchdog's time.
+    pub const WATCHDOG_LEFT: usize = 6;
+    /// Datagrams refused.
+    pub const REFUSED: usize = 7;
+    /// Boot id.
+    pub const BOOT_ID: usize = 8;
+    /// Latched e-stop inputs.
+    pub const ESTOP: usize = 9;
+    /// Inputs.
+    pub const GPIO_IN: usize = 10;
+    /// Encoder index latched 15:0, stepgen rate limited 31:16.
+    pub const FLAGS0: usize = 11;
+    /// Stepgen index latched 15:0, encoder probe latched 31:16.
+    pub const FLAGS1: usize = 12;
+    /// Stepgen probe latched 15:0, encoder illegal 31:16.
+    pub const FLAGS2: usize = 13;
+    /// The latch of the selected channel.
+    pub const LATCH: usize = 14;
+}
 
 /// Bit of the flags word: the machine is allowed to move.
 pub const FLAG_ENABLE: u32 = 1 << 0;
@@ -351,22 +411,21 @@ impl Command {
             etherbone::BYTE_ENABLE | (count as u32) << 8,
             map::COMMAND,
         ]);
-        let (head, channels_words) = block.split_at_mut(COMMAND_HEAD);
+        let (head, channels_words) = block.split_first_chunk_mut::<COMMAND_HEAD>()?;
         let apply = self.apply_at.unwrap_or_default().0;
-        head.copy_from_slice(&[
-            self.token,
-            self.sequence,
-            (u32::from(self.enable) * FLAG_ENABLE)
-                | (u32::from(self.enable_request) * FLAG_ENABLE_REQUEST)
-                | (u32::from(self.apply_at.is_some()) * FLAG_APPLY_TIME)
-                | u32::from(self.stepgen_alone) << FLAG_ALONE_SHIFT,
-            apply as u32,
-            (apply >> 32) as u32,
-            pair(self.stepgen_enable, self.index_arm),
-            self.gpio_out,
-            pair(self.stepgen_index_arm, self.probe_arm),
-            u32::from(self.stepgen_probe_arm) | self.latch.code() << 16,
-        ]);
+        head[command_word::TOKEN] = self.token;
+        head[command_word::SEQUENCE] = self.sequence;
+        head[command_word::FLAGS] = (u32::from(self.enable) * FLAG_ENABLE)
+            | (u32::from(self.enable_request) * FLAG_ENABLE_REQUEST)
+            | (u32::from(self.apply_at.is_some()) * FLAG_APPLY_TIME)
+            | u32::from(self.stepgen_alone) << FLAG_ALONE_SHIFT;
+        head[command_word::APPLY_LO] = apply as u32;
+        head[command_word::APPLY_HI] = (apply >> 32) as u32;
+        head[command_word::ENABLES] = pair(self.stepgen_enable, self.index_arm);
+        head[command_word::GPIO_OUT] = self.gpio_out;
+        head[command_word::ARMS] = pair(self.stepgen_index_arm, self.probe_arm);
+        head[command_word::PROBE_ARMS] =
+            u32::from(self.stepgen_probe_arm) | self.latch.code() << command_word::LATCH_SHIFT;
         let (steps, pwms) =
             channels_words.split_at_mut(channels.stepgens as usize * COMMAND_STEPGEN);
         let (steps, _) = steps.as_chunks_mut::<COMMAND_STEPGEN>();
@@ -387,32 +446,26 @@ impl Command {
         let (head, rest) = words
             .split_first_chunk::<COMMAND_HEAD>()
             .ok_or(Refusal::BlockLength)?;
-        let &[
-            token,
-            sequence,
-            flags,
-            apply_lo,
-            apply_hi,
-            enables,
-            gpio_out,
-            arms,
-            probe_arms,
-        ] = head;
+        let flags = head[command_word::FLAGS];
+        let enables = head[command_word::ENABLES];
+        let arms = head[command_word::ARMS];
+        let probe_arms = head[command_word::PROBE_ARMS];
+        let apply = [head[command_word::APPLY_LO], head[command_word::APPLY_HI]];
         let mut command = Command {
-            token,
-            sequence,
+            token: head[command_word::TOKEN],
+            sequence: head[command_word::SEQUENCE],
             enable: flags & FLAG_ENABLE != 0,
             enable_request: flags & FLAG_ENABLE_REQUEST != 0,
             apply_at: (flags & FLAG_APPLY_TIME != 0)
-                .then_some(Clocks::from_words(apply_lo, apply_hi)),
+                .then_some(Clocks::from_words(apply[0], apply[1])),
             stepgen_enable: enables as u16,
             stepgen_alone: (flags >> FLAG_ALONE_SHIFT) as u16,
             index_arm: (enables >> 16) as u16,
-            gpio_out,
+            gpio_out: head[command_word::GPIO_OUT],
             stepgen_index_arm: arms as u16,
             probe_arm: (arms >> 16) as u16,
             stepgen_probe_arm: probe_arms as u16,
-            latch: Latch::from_code(probe_arms >> 16),
+            latch: Latch::from_code(probe_arms >> command_word::LATCH_SHIFT),
             ..Command::default()
         };
         let (steps, pwms) = rest
@@ -435,23 +488,21 @@ impl Status {
     pub fn emit<'b>(&self, channels: Channels, words: &'b mut [u32]) -> Option<&'b [u32]> {
         let block = words.get_mut(..status_words(channels))?;
         let (head, rest) = block.split_first_chunk_mut::<STATUS_HEAD>()?;
-        *head = [
-            self.state.to_word(),
-            self.sequence,
-            self.arrival.0 as u32,
-            (self.arrival.0 >> 32) as u32,
-            self.sample.0 as u32,
-            (self.sample.0 >> 32) as u32,
-            self.watchdog_left,
-            self.refused.0,
-            self.boot_id,
-            self.estop,
-            self.gpio_in,
-            pair(self.index_latched, self.rate_limited),
-            pair(self.stepgen_index_latched, self.probe_latched),
-            pair(self.stepgen_probe_latched, self.illegal),
-            self.latch.0,
-        ];
+        head[status_word::STATE] = self.state.to_word();
+        head[status_word::SEQUENCE] = self.sequence;
+        head[status_word::ARRIVAL_LO] = self.arrival.0 as u32;
+        head[status_word::ARRIVAL_HI] = (self.arrival.0 >> 32) as u32;
+        head[status_word::SAMPLE_LO] = self.sample.0 as u32;
+        head[status_word::SAMPLE_HI] = (self.sample.0 >> 32) as u32;
+        head[status_word::WATCHDOG_LEFT] = self.watchdog_left;
+        head[status_word::REFUSED] = self.refused.0;
+        head[status_word::BOOT_ID] = self.boot_id;
+        head[status_word::ESTOP] = self.estop;
+        head[status_word::GPIO_IN] = self.gpio_in;
+        head[status_word::FLAGS0] = pair(self.index_latched, self.rate_limited);
+        head[status_word::FLAGS1] = pair(self.stepgen_index_latched, self.probe_latched);
+        head[status_word::FLAGS2] = pair(self.stepgen_probe_latched, self.illegal);
+        head[status_word::LATCH] = self.latch.0;
         let (steps, encoders) = rest.split_at_mut(channels.stepgens as usize * STATUS_STEPGEN);
         let (steps, _) = steps.as_chunks_mut::<STATUS_STEPGEN>();
         for (words, (position, rate)) in steps.iter_mut().zip(&self.stepgen) {
@@ -473,22 +524,25 @@ impl Status {
             .split_first_chunk::<STATUS_HEAD>()
             .ok_or(Refusal::BlockLength)?;
         let mut status = Status {
-            state: StateWord::from_word(head[0])?,
-            sequence: head[1],
-            arrival: Clocks::from_words(head[2], head[3]),
-            sample: Clocks::from_words(head[4], head[5]),
-            watchdog_left: head[6],
-            refused: Count(head[7]),
-            boot_id: head[8],
-            estop: head[9],
-            gpio_in: head[10],
-            index_latched: head[11] as u16,
-            rate_limited: (head[11] >> 16) as u16,
-            stepgen_index_latched: head[12] as u16,
-            probe_latched: (head[12] >> 16) as u16,
-            stepgen_probe_latched: head[13] as u16,
-            illegal: (head[13] >> 16) as u16,
-            latch: Count(head[14]),
+            state: StateWord::from_word(head[status_word::STATE])?,
+            sequence: head[status_word::SEQUENCE],
+            arrival: Clocks::from_words(
+                head[status_word::ARRIVAL_LO],
+                head[status_word::ARRIVAL_HI],
+            ),
+            sample: Clocks::from_words(head[status_word::SAMPLE_LO], head[status_word::SAMPLE_HI]),
+            watchdog_left: head[status_word::WATCHDOG_LEFT],
+            refused: Count(head[status_word::REFUSED]),
+            boot_id: head[status_word::BOOT_ID],
+            estop: head[status_word::ESTOP],
+            gpio_in: head[status_word::GPIO_IN],
+            index_latched: head[status_word::FLAGS0] as u16,
+            rate_limited: (head[status_word::FLAGS0] >> 16) as u16,
+            stepgen_index_latched: head[status_word::FLAGS1] as u16,
+            probe_latched: (head[status_word::FLAGS1] >> 16) as u16,
+            stepgen_probe_latched: head[status_word::FLAGS2] as u16,
+            illegal: (head[status_word::FLAGS2] >> 16) as u16,
+            latch: Count(head[status_word::LATCH]),
             stepgen: [(Position::ZERO, StepRate(0)); MAX_CHANNELS],
             encoder: [EncoderStatus::default(); MAX_CHANNELS],
         };

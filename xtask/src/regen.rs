@@ -19,7 +19,6 @@ const GENERATED: &[&str] = &[
     "pac/soc.svd",
     "memory.x",
     "docs/registers.md",
-    "pac/src/abi.rs",
     "pac/src/lib.rs",
     REGMAP,
     "sim/boards/75b_v8_14o11i6s6e6p/board.bin",

@@ -1,9 +1,9 @@
 use super::*;
-use crate::block::{FLAGS_WORD, Reply as _};
+use crate::block::Reply as _;
 use crate::exchange::{FRAME_FLAGS, SlotReply};
 use crate::fake::{ALICE, Notebook, Rig, SIX};
 use proptest::prelude::*;
-use wire::exchange::{Command as Block, Status};
+use wire::exchange::{Command as Block, Status, command_word};
 use wire::units::{Accel, Clocks, StepRate};
 
 const US: Us = Us {
@@ -480,7 +480,7 @@ fn the_flags_of_an_exchange_lie_where_the_image_looks_for_them() {
     let bytes: Vec<u8> = request.iter().flat_map(|word| word.to_be_bytes()).collect();
     let frame = Bytes(udp_frame(&bytes, true));
     assert_eq!(frame.word(FRAME_FLAGS), 0x8001_0002);
-    assert_eq!(request[4 + FLAGS_WORD], 0x8001_0002);
+    assert_eq!(request[4 + command_word::FLAGS], 0x8001_0002);
 }
 
 /// A frame that was never sent.
