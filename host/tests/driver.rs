@@ -4,6 +4,7 @@
 mod common;
 
 use common::rig::{PERIOD_NS, Rig};
+use ferrocnc::names::Scheme;
 use std::time::Duration;
 use wire::{FaultReason, State, map};
 
@@ -45,6 +46,14 @@ fn settings_reach_the_board_before_it_can_be_armed() {
     assert_eq!(board.config[&map::CONFIG_STEPGEN], 60);
     assert_eq!(board.config[&map::CONFIG_BOARD], 300_000);
     assert_eq!(board.config[&map::CONFIG_PWM], 60_000);
+}
+
+#[test]
+fn what_is_set_at_another_drivers_names_reaches_the_board() {
+    let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
+    rig.hal.set("test.stepgen.00.steplen", 2000u32);
+    rig.run(60);
+    assert_eq!(rig.board.look().config[&map::CONFIG_STEPGEN], 120);
 }
 
 #[test]
