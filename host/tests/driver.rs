@@ -4,6 +4,7 @@
 mod common;
 
 use common::rig::{PERIOD_NS, Rig};
+use ferrocnc::names::Scheme;
 use std::time::Duration;
 use wire::{FaultReason, State, map};
 
@@ -45,6 +46,36 @@ fn settings_reach_the_board_before_it_can_be_armed() {
     assert_eq!(board.config[&map::CONFIG_STEPGEN], 60);
     assert_eq!(board.config[&map::CONFIG_BOARD], 300_000);
     assert_eq!(board.config[&map::CONFIG_PWM], 60_000);
+}
+
+#[test]
+fn what_is_set_at_another_drivers_names_reaches_the_board() {
+    let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
+    rig.hal.set("test.stepgen.00.steplen", 2000u32);
+    rig.run(60);
+    assert_eq!(rig.board.look().config[&map::CONFIG_STEPGEN], 120);
+}
+
+#[test]
+fn a_receipt_counts_for_the_settings_it_was_sent_with_and_for_no_others() {
+    let mut rig = Rig::new();
+    rig.board.look().knobs.deaf_to = Some(map::CONFIG_STEPGEN);
+    rig.hal.set("ferrocnc.0.stepgen.x.steplen", 2000u32);
+    rig.hal.set("ferrocnc.0.pwm.spindle.pwm-freq", 20_000.0);
+    rig.hal.set("ferrocnc.0.enable", true);
+    rig.run(2);
+    rig.hal.set("ferrocnc.0.enable-request", true);
+    rig.run(60);
+    {
+        let board = rig.board.look();
+        assert_eq!(board.config[&map::CONFIG_PWM], 3_000, "they arrived");
+        assert_eq!(board.config[&map::CONFIG_STEPGEN], 60, "these did not");
+    }
+    assert!(!rig.enabled(), "armed with settings it does not have");
+    rig.board.look().knobs.deaf_to = None;
+    rig.run(60);
+    assert_eq!(rig.board.look().config[&map::CONFIG_STEPGEN], 120);
+    assert!(rig.enabled(), "the request is still held");
 }
 
 #[test]
@@ -187,6 +218,10 @@ fn a_pulled_cable_stops_the_machine_and_plugging_it_in_again_does_not_move_it() 
     let said = rig.hal.said();
     assert_eq!(said.len(), 1, "{said:?}");
     assert!(said[0].contains("check cable"), "{said:?}");
+    assert!(
+        !said[0].contains("other boards"),
+        "there are none: {said:?}"
+    );
 
     // The board lived on: its watchdog bites, it comes to rest.
     rig.board.look().advance(60_000 * 200);
@@ -298,6 +333,26 @@ fn inputs_outputs_and_pwm_travel_with_the_exchange() {
         board.command.pwm[0],
         wire::exchange::PWM_ENABLE | 30_000 << 8
     );
+}
+
+#[test]
+fn illegal_transitions_and_a_limited_rate_are_those_of_their_channel() {
+    let mut rig = Rig::armed();
+    {
+        let mut board = rig.board.look();
+        (board.knobs.illegal, board.knobs.rate_limited) = (1 << 1, 1 << 1);
+    }
+    rig.run(3);
+    let errors = |name: &str| {
+        rig.hal
+            .get::<u32>(&format!("ferrocnc.0.encoder.{name}.quad-errors"))
+    };
+    assert_eq!([errors("x") > 0, errors("y") > 0], [false, true]);
+    let limited = |name: &str| {
+        rig.hal
+            .get::<bool>(&format!("ferrocnc.0.stepgen.{name}.rate-limited"))
+    };
+    assert_eq!(["x", "y"].map(limited), [false, true]);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use ferrocnc::clock::Timebase;
 use ferrocnc::group::Group;
 use std::sync::Arc;
 use std::time::Duration;
-use wire::FaultReason;
+use wire::{FaultReason, State};
 
 /// Clocks of a servo period.
 const PERIOD: u64 = 60_000;
@@ -227,6 +227,23 @@ fn an_io_error_set_by_hand_stops_the_machine_and_arming_clears_it() {
 }
 
 #[test]
+fn a_machine_that_still_comes_to_rest_is_not_enabled_any_more() {
+    let mut rig = Rig::armed();
+    rig.hal.set("ferrocnc.0.stepgen.x.control-type", true);
+    rig.hal.set("ferrocnc.0.stepgen.x.velocity-cmd", 10.0);
+    rig.hal.set("ferrocnc.0.stepgen.x.enable", true);
+    rig.run(50);
+    rig.hal.set("ferrocnc.0.enable", false);
+    // 10 units/s at 1000 units/s^2 are 10 ms.
+    rig.run(3);
+    {
+        let board = rig.board.look();
+        assert_eq!((board.state, board.gate), (State::Stopping, true));
+    }
+    assert!(!rig.enabled());
+}
+
+#[test]
 fn a_bucket_that_is_told_not_to_fill_fills_and_the_level_stays_within_its_limit() {
     let mut rig = Rig::armed();
     rig.hal.set("ferrocnc.0.packet-error-increment", 0);
@@ -284,6 +301,27 @@ fn a_board_off_for_longer_than_it_had_been_on_moves_no_position() {
     pass(&time, 700_000_000_000);
     come_back(&mut rig);
     assert_eq!(rig.board.look().pulses(0), 0);
+    assert!((rig.position() - before).abs() < 1e-6, "{}", rig.position());
+}
+
+#[test]
+fn a_crystal_that_runs_fast_does_not_make_a_new_fabric_an_old_one() {
+    let (mut rig, time) = with_time();
+    rig.travel(5.0, 300);
+    rig.run(60);
+    let before = rig.position();
+    rig.board.look().knobs.unplugged = true;
+    timeout(&rig, HASTY);
+    rig.run(10);
+    {
+        let mut board = rig.board.look();
+        board.power_cycle();
+        // On again at once, and 0.05 % fast since: by its own clock it is older than the silence.
+        board.advance(60_000_000 / 1000 * 700_350);
+        board.knobs.unplugged = false;
+    }
+    pass(&time, 700_000_000_000);
+    come_back(&mut rig);
     assert!((rig.position() - before).abs() < 1e-6, "{}", rig.position());
 }
 

@@ -10,7 +10,8 @@
 //! fails the command. An entry of that list which no longer survives is said to be stale.
 //!
 //! An area that takes longer than there is time for is sampled: `--sample 8` tries one mutant of
-//! eight, and its result says so.
+//! eight, and its result says so. `--explained` tries only what the list explains: whether its
+//! entries are true, in minutes.
 //!
 //! The last result of every area is kept in `target/reports/mutants.json`.
 
@@ -49,6 +50,10 @@ pub struct Options {
     /// says so, and `--again` keeps to it.
     #[arg(long, value_name = "N", conflicts_with_all = ["list", "again"], value_parser = clap::value_parser!(u32).range(2..))]
     sample: Option<u32>,
+    /// Of the Rust areas only the mutants with the wording of an entry of `tests/mutants.toml`:
+    /// which of the entries still survive. Is not kept as a result of the area.
+    #[arg(long, conflicts_with_all = ["list", "again", "sample"])]
+    explained: bool,
 }
 
 /// How an area ended.
@@ -85,12 +90,24 @@ pub fn run(options: &Options) -> Result<()> {
         }
         step::heading(&format!("mutants: {}, {}", area.name, area.what));
         let begun = Instant::now();
+        let entries = match options.explained {
+            true => explained(&list, area)?,
+            false => Vec::new(),
+        };
+        if options.explained && entries.is_empty() {
+            step::note("no entries to try");
+            continue;
+        }
         let outcome = match &area.bench {
             Some(bench) => rtl(area, bench)?,
-            None => rust(area, options)?,
+            None => rust(area, options, &entries)?,
         };
-        let verdict = list.judge(area, &outcome.survivors);
+        let verdict = judge(&list, area, &outcome);
         tell(&outcome, &verdict);
+        if options.explained {
+            bad += verdict.missed.len();
+            continue;
+        }
         let before = match options.again {
             true => last(area)["seconds"].as_u64().unwrap_or(0),
             false => 0,
@@ -133,17 +150,53 @@ fn count(area: &Area) -> Result<usize> {
             .filter(|line| line.starts_with(&mine))
             .count());
     }
+    Ok(listed(area)?.lines().count())
+}
+
+/// The names of an area's mutants of Rust, a line each.
+fn listed(area: &Area) -> Result<String> {
     let listed = setup::output(cargo_mutants(area)?.arg("--list"));
-    Ok(listed
-        .context("cargo mutants --list failed")?
-        .lines()
-        .count())
+    listed.context("cargo mutants --list failed")
+}
+
+/// The mutants of an area that the list explains, if they survive.
+fn explained(list: &List, area: &Area) -> Result<Vec<String>> {
+    if area.bench.is_some() {
+        return Ok(Vec::new());
+    }
+    let mut names = Vec::new();
+    for name in listed(area)?.lines() {
+        if list.explains(&survivor(name)?) {
+            names.push(name.to_owned());
+        }
+    }
+    Ok(names)
+}
+
+/// What `cargo mutants` calls so, with its line of the source.
+fn survivor(name: &str) -> Result<Survivor> {
+    Survivor::of_rust(name, |file| Ok(fs::read_to_string(root().join(file))?))
+}
+
+/// The survivors beside the list. Of a sample no entry is stale: its mutant may not have been
+/// tried.
+fn judge(list: &List, area: &Area, outcome: &Outcome) -> Verdict {
+    let mut verdict = list.judge(area, &outcome.survivors);
+    if outcome.sample != 1 {
+        verdict.stale.clear();
+    }
+    verdict
 }
 
 /// Mutants of Rust: a copy of the tree, a target folder of their own that every area shares.
-fn rust(area: &Area, options: &Options) -> Result<Outcome> {
+/// `entries` are the names of those that `--explained` means.
+fn rust(area: &Area, options: &Options, entries: &[String]) -> Result<Outcome> {
     let again = options.again;
-    let out = target("mutants").join(&area.name);
+    // `--again` reads what a run of the area left.
+    let out = match options.explained {
+        true => target("mutants/explained").join(&area.name),
+        false => target("mutants").join(&area.name),
+    };
     fs::create_dir_all(&out).with_context(|| format!("cannot make {}", out.display()))?;
     let profile = match area.optimised {
         true => "mutants-optimised",
@@ -170,10 +223,10 @@ fn rust(area: &Area, options: &Options) -> Result<Outcome> {
         true => before("sample").max(1) as u32,
         false => options.sample.unwrap_or(1),
     };
-    let mut survived = Vec::new();
+    let mut meant = Vec::new();
     if again {
-        survived = lines("missed").with_context(|| format!("{} has not been run", area.name))?;
-        if survived.is_empty() {
+        meant = lines("missed").with_context(|| format!("{} has not been run", area.name))?;
+        if meant.is_empty() {
             return Ok(Outcome {
                 caught: before("caught"),
                 timeouts: before("timeouts"),
@@ -182,16 +235,14 @@ fn rust(area: &Area, options: &Options) -> Result<Outcome> {
                 ..Outcome::default()
             });
         }
-        // By name, too: what a sample has left out was not caught, and stays out.
         command.arg("--iterate");
-        command.args(
-            survived
-                .iter()
-                .map(|name| format!("--re={}", exactly(name))),
-        );
+    } else if options.explained {
+        meant = entries.to_vec();
     } else if sample > 1 {
         command.args(["--shard", &format!("0/{sample}"), "--sharding=round-robin"]);
     }
+    // After `--iterate`, too: what a sample has left out was not caught, and stays out.
+    command.args(meant.iter().map(|name| format!("--re={}", exactly(name))));
     for argument in &area.targets {
         command.arg(format!("--cargo-arg={argument}"));
     }
@@ -202,23 +253,20 @@ fn rust(area: &Area, options: &Options) -> Result<Outcome> {
     }
     command.args(["--", "--"]).args(&area.filter);
     judged(area, &mut command, |code| JUDGED.contains(&code))?;
-    let missed = lines("missed")?;
-    let (mut caught, mut timeouts) = (lines("caught")?, lines("timeout")?);
-    if again {
+    let of = |name: &str| -> Result<Vec<String>> {
+        let mut found = lines(name)?;
         // `--re` lets every mutant pass that deletes a field: only those that are meant count.
-        caught.retain(|name| survived.contains(name));
-        timeouts.retain(|name| survived.contains(name));
-    }
-    let survivors: Result<_> = missed
-        .iter()
-        .map(|line| Survivor::of_rust(line, |file| Ok(fs::read_to_string(root().join(file))?)))
-        .collect();
+        found.retain(|name| meant.is_empty() || meant.contains(name));
+        Ok(found)
+    };
+    let (missed, caught, timeouts) = (of("missed")?, of("caught")?, of("timeout")?);
+    let survivors: Result<_> = missed.iter().map(|name| survivor(name)).collect();
     Ok(Outcome {
         caught: before("caught") + caught.len() + timeouts.len(),
         timeouts: before("timeouts") + timeouts.len(),
         unviable: match again {
             true => before("unviable"),
-            false => lines("unviable")?.len(),
+            false => of("unviable")?.len(),
         },
         sample,
         survivors: survivors?,
@@ -313,8 +361,7 @@ fn tell(outcome: &Outcome, verdict: &Verdict) {
     for fault in &outcome.faults {
         println!("  x {fault}");
     }
-    // Of a sample it may just not have been tried.
-    for stale in verdict.stale.iter().filter(|_| outcome.sample == 1) {
+    for stale in &verdict.stale {
         println!("  ! stale, it no longer survives; strike it from tests/mutants.toml: {stale}");
     }
 }
@@ -391,6 +438,21 @@ mod tests {
         let name = "a.rs:3:9: replace Axis::lost -> [i32; 2] with [1; 2]";
         let said = r"^a\.rs:3:9: replace Axis::lost \-> \[i32; 2\] with \[1; 2\]$";
         assert_eq!(exactly(name), said);
+    }
+
+    #[test]
+    fn an_entry_is_stale_only_where_every_mutant_was_tried() {
+        let list = List::read(&root().join("tests/mutants.toml")).unwrap();
+        let area = list.areas(&["firmware-server".to_owned()]).unwrap()[0];
+        let stale = |sample| {
+            let outcome = Outcome {
+                sample,
+                ..Outcome::default()
+            };
+            judge(&list, area, &outcome).stale.len()
+        };
+        assert!(stale(1) > 0);
+        assert_eq!(stale(8), 0);
     }
 
     #[test]

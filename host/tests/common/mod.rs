@@ -169,6 +169,12 @@ pub struct Knobs {
     pub encoder_lag: i32,
     /// Illegal transitions at encoder 0.
     pub quad_errors: u8,
+    /// Encoders that say that they have seen illegal transitions, a bit each.
+    pub illegal: u16,
+    /// Stepgens that say that their rate is limited, a bit each.
+    pub rate_limited: u16,
+    /// Swallow datagrams whose first record writes to this address.
+    pub deaf_to: Option<u32>,
     /// E-stop inputs pressed.
     pub estop: u32,
     /// Its link is down or slow, and has lost so many frames.
@@ -727,8 +733,8 @@ impl Mind {
             gpio_in: self.knobs.gpio_in,
             index_latched: encoder_flags.0,
             probe_latched: encoder_flags.1,
-            illegal: 0,
-            rate_limited: 0,
+            illegal: self.knobs.illegal,
+            rate_limited: self.knobs.rate_limited,
             stepgen_index_latched: stepgen_flags.0,
             stepgen_probe_latched: stepgen_flags.1,
             latch: Count(latch as u32),
@@ -947,6 +953,14 @@ fn is_save(bytes: &[u8]) -> bool {
     })
 }
 
+/// Does this datagram begin with a write to this address?
+fn writes_to(bytes: &[u8], address: u32) -> bool {
+    let mut words = [0; MAX_WORDS];
+    let packet = wire::words_from_bytes(bytes, &mut words).and_then(Packet::new_checked);
+    let first = packet.ok().and_then(|packet| packet.records().next());
+    first.is_some_and(|record| record.write_base == address && !record.writes.is_empty())
+}
+
 fn run(socket: &UdpSocket, mind: &Mutex<Mind>, stop: &AtomicBool) {
     socket
         .set_read_timeout(Some(Duration::from_millis(20)))
@@ -976,6 +990,11 @@ fn run(socket: &UdpSocket, mind: &Mutex<Mind>, stop: &AtomicBool) {
         mind.datagrams += 1;
         if mind.knobs.drop_requests > 0 {
             mind.knobs.drop_requests -= 1;
+            continue;
+        }
+        if let Some(address) = mind.knobs.deaf_to
+            && writes_to(&bytes[..length], address)
+        {
             continue;
         }
         let exchanges = mind.exchanges;

@@ -182,6 +182,11 @@ impl List {
         Ok(self.area.iter().filter(wanted).collect())
     }
 
+    /// Whether an entry is meant for this mutant.
+    pub fn explains(&self, survivor: &Survivor) -> bool {
+        self.explained.iter().any(|entry| entry.fits(survivor))
+    }
+
     /// Which survivors of an area the list explains, and which of its entries have none.
     pub fn judge(&self, area: &Area, survivors: &[Survivor]) -> Verdict {
         let mut verdict = Verdict::default();
@@ -243,6 +248,7 @@ reason = "the bits are apart"
         let known = survivor("session.rs:2:7: replace | with ^ in token");
         let elsewhere = survivor("session.rs:1:7: replace | with ^ in token");
         let other = survivor("session.rs:2:7: replace | with & in token");
+        assert!(list.explains(&known) && !list.explains(&elsewhere) && !list.explains(&other));
         let verdict = list.judge(area, &[known.clone(), elsewhere.clone(), other.clone()]);
         assert_eq!(verdict.explained, 1);
         assert_eq!(verdict.missed, [elsewhere, other]);
