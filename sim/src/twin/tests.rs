@@ -160,7 +160,10 @@ fn silence_stops_the_machine_and_closes_the_gate() {
     }
     assert_eq!(bench.twin.world().pins().gate, 0);
     assert_eq!(bench.twin.world().edges.violations(), []);
-    let close = bench.read(regmap::address(regmap::watchdog::BASE, regmap::watchdog::LAST_CLOSE));
+    let close = bench.read(regmap::address(
+        regmap::watchdog::BASE,
+        regmap::watchdog::LAST_CLOSE,
+    ));
     assert_eq!(close, wire::GateClose::Bite as u32);
 }
 
