@@ -9,8 +9,8 @@
 use crate::server::Bench;
 use crate::tape::Tape;
 use crate::watched::Watched;
-use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
 use firmware::block::Request;
+use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
 use firmware::ip::{Ip, Taker, Text};
 use firmware::machine::Machine;
