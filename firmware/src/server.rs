@@ -7,7 +7,10 @@
 //! The server answers probes, reads and the exchange, but not a plain write. A refused datagram is
 //! counted by reason and has no other effect.
 
-use crate::auth::{Auth, Words};
+mod judge;
+
+use self::judge::{COMMAND_END, FLASH_END, Judge, PANIC_END, check_read, writes_of};
+use crate::auth::Auth;
 use crate::block::{REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
 use crate::cores::{Board, Control, Gate, Ident, Led, Setting};
 use crate::flash::Flash;
@@ -16,8 +19,7 @@ use crate::path_stop::PathStop;
 use crate::postmortem::Boot;
 use crate::safety::{Effects, Event, Safety};
 use crate::session::{Peer, Session};
-use crate::{config, describe, log, service};
-use wire::auth::Purpose;
+use crate::{config, describe, log};
 use wire::describe::{FEATURE_KEY, JobsState, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{
@@ -32,17 +34,11 @@ const IDLE_SAMPLE_PER_SECOND: u32 = 100;
 /// 3 s without any frame: a missing cable is more likely than a network without broadcasts.
 const QUIET_SECONDS: u32 = 3;
 
-const WINDOW: u32 = 0x1000;
 /// Behind the refusals: [`Counters::cuts`]. A board that does not count them reads 0 there.
 pub(crate) const COUNTERS_CUTS: u32 = map::COUNTERS_REFUSED + 4 * Refusal::COUNT as u32;
 const CUTS_WORD: u32 = (COUNTERS_CUTS - map::COUNTERS) / 4;
 /// Outputs that follow the segments core; boards without that core are not told.
 const SEGMENTS_MASK: u32 = regmap::address(segments::BASE, segments::MASK);
-const STATUS_WORDS_END: u32 = map::STATUS + 0x400;
-const COMMAND_END: u32 = map::COMMAND + WINDOW;
-const COUNTERS_END: u32 = map::COUNTERS + WINDOW;
-const LOG_END: u32 = map::LOG_RING + WINDOW;
-const PANIC_END: u32 = map::PANIC_TEXT + map::PANIC_TEXT_LEN;
 
 /// Counters of frames and datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -731,173 +727,6 @@ pub(crate) fn last_close(board: &mut impl Board) -> GateClose {
 const STATE_ENABLED: u32 = 1 << 17;
 const LOG_SIZE: u32 = map::LOG + 4;
 const LOG_BOOT: u32 = map::LOG + 8;
-
-/// The session and the state as they would be after the writes of a datagram that were checked so
-/// far.
-struct Judge<'s> {
-    ident: &'s Ident,
-    boot_id: u32,
-    session: Session,
-    auth: &'s mut Auth,
-    /// The answer to a challenge.
-    answer: Option<&'s Words>,
-    safety: Safety,
-    peer: Peer,
-    now: u64,
-    flash_busy: bool,
-    /// A count with the right number precedes the writes to the segments.
-    counted: bool,
-}
-
-impl Judge<'_> {
-    fn write(&mut self, address: u32, value: u32) -> Result<(), Refusal> {
-        match address {
-            map::SESSION_ACQUIRE => {
-                // Cheap checks first: while the session has an owner, nothing is hashed for another
-                // client.
-                self.session.may_acquire(self.peer, value)?;
-                self.auth
-                    .prove(self.peer, Purpose::Acquire, &[value], self.answer)?;
-                self.session
-                    .acquire(self.peer, value, self.boot_id, self.now)?;
-                self.safety = self.safety.step(Event::Acquired, self.now).0;
-                Ok(())
-            }
-            map::SESSION_RELEASE => {
-                self.session.release(self.peer, value)?;
-                self.safety = self.safety.step(Event::Lost, self.now).0;
-                Ok(())
-            }
-            map::SESSION_REBOOT => {
-                if value != map::REBOOT_KEY {
-                    return Err(Refusal::Value);
-                }
-                self.owner_or_nobody()?;
-                self.at_rest()?;
-                self.flash_idle()
-            }
-            map::SESSION_SEGMENTS if JobsState::streamed(self.ident.features) => {
-                self.owner()?;
-                self.session.count_segments();
-                self.counted = value == self.session.segments();
-                if self.counted {
-                    Ok(())
-                } else {
-                    Err(Refusal::Stale)
-                }
-            }
-            map::FLASH..FLASH_END => {
-                Flash::check_write(address, value)?;
-                self.owner_or_nobody()?;
-                self.at_rest()?;
-                self.flash_idle()?;
-                // Writes after this one in the same datagram come while the operation runs.
-                self.flash_busy = address == map::FLASH_OP;
-                Ok(())
-            }
-            map::CONFIG..CONFIG_END => {
-                let setting =
-                    config::setting_at(address, self.ident.channels).ok_or(Refusal::Unmapped)?;
-                self.owner()?;
-                if !config::live_safe(setting) {
-                    self.at_rest()?;
-                }
-                config::check(setting, value, self.ident.channels, self.ident.clock_hz)
-            }
-            // The owner's write, with the right number: the gateware itself judges the values.
-            map::SEGMENTS..SEGMENTS_END if self.counted => Ok(()),
-            map::SERVICE.. => {
-                service::check_write(address, value, self.ident.channels, self.ident.clock_hz)?;
-                self.owner()?;
-                self.at_rest()
-            }
-            _ => {
-                check_read(address)?;
-                Err(Refusal::ReadOnly)
-            }
-        }
-    }
-
-    fn owner(&self) -> Result<(), Refusal> {
-        if self.session.is_owner(self.peer) {
-            Ok(())
-        } else {
-            Err(Refusal::NotOwner)
-        }
-    }
-
-    /// With a key, only the owner: it has proved that it has the key.
-    fn owner_or_nobody(&self) -> Result<(), Refusal> {
-        match self.session.owner() {
-            Some(_) => self.owner(),
-            None if self.auth.locked() => Err(Refusal::Key),
-            None => Ok(()),
-        }
-    }
-
-    fn flash_idle(&self) -> Result<(), Refusal> {
-        if self.flash_busy {
-            Err(Refusal::Busy)
-        } else {
-            Ok(())
-        }
-    }
-
-    fn at_rest(&self) -> Result<(), Refusal> {
-        if self.safety.at_rest() {
-            Ok(())
-        } else {
-            Err(Refusal::Armed)
-        }
-    }
-}
-
-const CONFIG_END: u32 = map::CONFIG + map::CONFIG_LEN;
-const DESCRIBE_END: u32 = map::DESCRIBE + map::DESCRIBE_LEN;
-const FLASH_END: u32 = map::FLASH + map::FLASH_LEN;
-const SEGMENTS_END: u32 = map::SEGMENTS + 4 * map::SEGMENTS_WRITABLE;
-const SESSION_END: u32 = map::SESSION + map::SESSION_LEN;
-
-/// Is this an aligned address inside a window? Unused addresses of a window read 0.
-fn check_read(address: u32) -> Result<(), Refusal> {
-    if !address.is_multiple_of(4) {
-        return Err(Refusal::Alignment);
-    }
-    match address {
-        map::DESCRIBE..DESCRIBE_END
-        | map::SESSION..SESSION_END
-        | map::CONFIG..CONFIG_END
-        | map::COMMAND..COMMAND_END
-        | map::STATUS..STATUS_WORDS_END
-        | map::COUNTERS..COUNTERS_END
-        | map::LOG..LOG_END
-        | map::PANIC..PANIC_END
-        | map::FLASH..FLASH_END => Ok(()),
-        map::SERVICE.. if service::readable(address) => Ok(()),
-        _ => Err(Refusal::Unmapped),
-    }
-}
-
-/// Every written word with its address; refused if the base is not aligned or the end is out of
-/// range.
-fn writes_of<'w>(
-    record: &Record<'w>,
-) -> Result<impl Iterator<Item = (u32, u32)> + use<'w>, Refusal> {
-    let base = record.write_base;
-    if !record.writes.is_empty() {
-        if !base.is_multiple_of(4) {
-            return Err(Refusal::Alignment);
-        }
-        if base
-            .checked_add(4 * (record.writes.len() as u32 - 1))
-            .is_none()
-        {
-            return Err(Refusal::Unmapped);
-        }
-    }
-    let addresses = (0u32..).map(move |index| base.wrapping_add(4 * index));
-    Ok(addresses.zip(record.writes.iter().copied()))
-}
 
 #[cfg(test)]
 mod tests;

@@ -1,0 +1,300 @@
+use super::*;
+use crate::fake::*;
+use wire::GateClose;
+
+fn ident() -> Ident {
+    *Rig::new().server.ident()
+}
+
+fn machine(board: Notebook) -> Machine<Notebook> {
+    Machine::start(board, ident(), ABI, BOOT)
+}
+
+fn read(address: u32) -> Vec<u8> {
+    [0x4e6f_1044u32, 0, 0x000f_0001, 0x77, address]
+        .iter()
+        .flat_map(|word| word.to_be_bytes())
+        .collect()
+}
+
+#[test]
+fn start_up_closes_the_gate_first_and_leaves_a_watchful_board() {
+    let machine = machine(Notebook::new());
+    assert_eq!(machine.board.done[0], Change::Order(Control::Close));
+    let timeout = Setting::Board(BoardConfig::WatchdogTimeout);
+    assert!(machine.board.done.contains(&Change::Set(timeout, 300_000)));
+    let steplen = Setting::Stepgen(5, StepgenConfig::Steplen);
+    assert!(machine.board.done.contains(&Change::Set(steplen, 300)));
+    assert_eq!(machine.server.safety().state(), State::Disarmed);
+}
+
+#[test]
+fn every_default_is_a_value_the_setting_may_have() {
+    for clock_hz in [40_000_000, 60_000_000, 125_000_000] {
+        let mut board = Notebook::new();
+        let ident = Ident {
+            clock_hz,
+            ..ident()
+        };
+        defaults(&mut board, &ident);
+        for change in &board.done {
+            let Change::Set(setting, value) = change else {
+                panic!("{change:?}");
+            };
+            let checked = crate::config::check(*setting, *value, SIX, clock_hz);
+            assert_eq!(checked, Ok(()), "{setting:?} {value} at {clock_hz}");
+        }
+    }
+}
+
+#[test]
+fn a_board_without_addresses_gets_the_usual_ones() {
+    let us = machine(Notebook::new()).us;
+    assert_eq!((us.ip, us.port), (0xc0a8_0232, 1234));
+}
+
+#[test]
+fn a_payload_is_answered_counted_and_refused_like_a_frame() {
+    let mut machine = machine(Notebook::new());
+    let mut reply = [0; MAX_WORDS];
+    let answer = machine.payload(&read(0x100), ALICE, &mut reply).unwrap();
+    assert_eq!(answer[4], 0xb10b_0000);
+    let ragged = machine.payload(&read(0)[..19], ALICE, &mut reply);
+    assert_eq!(ragged, Err(Refusal::Ragged));
+    let long = machine.payload(&[0; wire::MAX_PAYLOAD + 4], ALICE, &mut reply);
+    assert_eq!(long, Err(Refusal::Oversized));
+    let counters = machine.server.counters();
+    assert_eq!((counters.frames_rx, counters.frames_tx), (3, 1));
+    assert_eq!(counters.refused_total, 2);
+}
+
+#[test]
+fn no_sender_on_the_wire_is_taken_for_the_jobs_program() {
+    let mut machine = machine(Notebook::new());
+    let mut reply = [0; MAX_WORDS];
+    for port in [0, 724] {
+        let peer = Peer {
+            port,
+            ..Peer::INSIDE
+        };
+        let refused = machine.payload(&read(0), peer, &mut reply);
+        assert_eq!(refused, Err(Refusal::NotOwner));
+    }
+    let request = [0x4e6f_1044u32, 0, 0x000f_0001, 0x77, 0];
+    let answer = machine
+        .inside(&request, &mut reply, Machine::hold_path)
+        .unwrap();
+    assert_eq!(answer[4], wire::describe::MAGIC);
+}
+
+#[test]
+fn chores_are_due_every_millisecond_behind_a_frame_and_later_without() {
+    let mut machine = machine(Notebook::new());
+    assert!(!machine.due(BEHIND_A_FRAME));
+    machine.board.now += 60_000;
+    assert!(!machine.due(IDLE));
+    assert!(machine.due(BEHIND_A_FRAME));
+    assert!(!machine.due(BEHIND_A_FRAME), "done");
+    machine.board.now += 180_000;
+    assert!(machine.due(IDLE));
+}
+
+#[test]
+fn a_change_of_state_is_told_once() {
+    let mut board = Notebook::new();
+    board.close = GateClose::Never as u32;
+    let mut machine = machine(board);
+    assert_eq!(machine.chores(), None);
+    let mut rig = Rig::armed();
+    core::mem::swap(&mut machine.server, &mut rig.server);
+    core::mem::swap(&mut machine.board, &mut rig.board);
+    assert_eq!(machine.chores(), Some((State::Armed, FaultReason::None)));
+    assert_eq!(machine.chores(), None);
+    machine.board.estop = true;
+    let told = (State::Faulted, FaultReason::EStop);
+    assert_eq!(machine.chores(), Some(told));
+}
+
+#[test]
+fn the_console_answers_through_the_machine() {
+    let mut machine = machine(Notebook::new());
+    let mut text = String::new();
+    machine.answer(Ask::Net, &Vitals::default(), &mut text);
+    assert!(text.contains("192.168.2.50:1234"), "{text}");
+}
+
+fn ask(machine: &mut Machine<Notebook>, message: &Message) -> Option<Message> {
+    let mut words = [0; wire::discovery::WORDS_MAX];
+    let mut reply = [0; MAX_WORDS];
+    let answer = machine.discover(message.emit(&mut words), 50_000, &mut reply);
+    (!answer.is_empty()).then(|| Message::parse(answer).unwrap())
+}
+
+fn message(uid: [u32; 2], body: Body) -> Message {
+    Message {
+        nonce: 99,
+        uid,
+        body,
+    }
+}
+
+const UID: [u32; 2] = [0x0102_0304, 0x0506_0708];
+
+/// Runs housekeeping and broadcasts until nothing is left to do.
+fn shouts(machine: &mut Machine<Notebook>) -> Vec<(Shout, Vec<u32>)> {
+    let mut all = Vec::new();
+    for _ in 0..100 {
+        machine.chores();
+        let mut words = [0; MAX_WORDS];
+        if machine.has_to_shout()
+            && let Some(shout) = machine.shout(&mut words)
+        {
+            all.push((shout, words[..shout.words].to_vec()));
+        }
+    }
+    all
+}
+
+#[test]
+fn a_board_is_found_by_any_host_and_by_its_own_id() {
+    let mut machine = machine(Notebook::new());
+    for (uid, found) in [([0, 0], true), (UID, true), ([1, 2], false)] {
+        let answer = ask(&mut machine, &message(uid, Body::Discover));
+        assert_eq!(answer.is_some(), found);
+        if let Some(answer) = answer {
+            assert_eq!((answer.nonce, answer.uid), (99, UID));
+            let Body::Here(here) = answer.body else {
+                panic!("{answer:?}");
+            };
+            assert_eq!((here.ip, here.port, here.mac[0]), (0xc0a8_0232, 1234, 2));
+            assert!(!here.armed && !here.owned && !here.dhcp);
+        }
+    }
+    let mut reply = [0; MAX_WORDS];
+    assert!(machine.discover(&[1, 2, 3], 5, &mut reply).is_empty());
+    assert_eq!(machine.server.counters().refused_total, 1);
+}
+
+#[test]
+fn a_board_saves_the_settings_it_gets_confirms_them_and_restarts() {
+    let mut machine = machine(Notebook::new());
+    let settings = Settings {
+        ip: 0x0a00_0002,
+        name: Name::new("mill").unwrap(),
+        ..Settings::default()
+    };
+    let set = message(UID, Body::Set(settings));
+    assert_eq!(
+        ask(&mut machine, &message([0; 2], set.body)),
+        None,
+        "for another board"
+    );
+    assert_eq!(ask(&mut machine, &set), None, "not yet");
+    assert_eq!(ask(&mut machine, &set), None, "repeated, still not saved");
+    assert!(!machine.server.wants_restart());
+    let told = shouts(&mut machine);
+    let [(shout, words)] = &told[..] else {
+        panic!("{told:?}");
+    };
+    assert_eq!((shout.from_port, shout.to_port), (51234, 50_000));
+    let done = message(UID, Body::Done(OpResult::Ok));
+    assert_eq!(Message::parse(words), Ok(done));
+    assert!(machine.server.wants_restart());
+    let mut again = Machine::start(machine.board, ident(), ABI, BOOT);
+    assert_eq!(again.us.ip, 0x0a00_0002);
+    assert_eq!(ask(&mut again, &set), Some(done), "saved already");
+    assert!(!again.server.wants_restart());
+}
+
+#[test]
+fn a_board_that_is_armed_or_owned_is_not_told_anything() {
+    let mut machine = machine(Notebook::new());
+    let set = message(UID, Body::Set(Settings::default()));
+    let mut rig = Rig::new();
+    rig.acquire();
+    for armed in [false, true] {
+        if armed {
+            rig.arm();
+        }
+        core::mem::swap(&mut machine.server.session, &mut rig.server.session);
+        core::mem::swap(&mut machine.server.safety, &mut rig.server.safety);
+        let refused = message(UID, Body::Done(OpResult::Armed));
+        assert_eq!(ask(&mut machine, &set), Some(refused));
+        core::mem::swap(&mut machine.server.session, &mut rig.server.session);
+        core::mem::swap(&mut machine.server.safety, &mut rig.server.safety);
+    }
+    assert!(machine.board.chip.writes.is_empty());
+}
+
+#[test]
+fn a_board_with_dhcp_asks_falls_back_after_ten_seconds_and_asks_on() {
+    let mut board = Notebook::new();
+    let settings = Settings {
+        dhcp: true,
+        ..Settings::default()
+    };
+    let mut words = [0; 128];
+    wire::words_to_bytes(&settings.to_words(), &mut words);
+    board.chip.put(0x1f_0000, &words);
+    let mut machine = machine(board);
+    assert_eq!(machine.us.ip, 0, "none yet");
+    let asked = shouts(&mut machine);
+    assert_eq!((asked[0].0.from_ip, asked[0].0.to_port), (0, 67));
+    let mut seconds = Vec::new();
+    for second in 1..=16 {
+        machine.board.now += u64::from(CLOCK);
+        machine.due(IDLE);
+        if shouts(&mut machine)
+            .iter()
+            .any(|(shout, _)| shout.to_port == 67)
+        {
+            seconds.push(second);
+        }
+        let ip = if second < 10 { 0 } else { settings.ip };
+        assert_eq!(machine.us.ip, ip, "second {second}");
+    }
+    assert_eq!(seconds, [2, 6, 14]);
+    assert!(machine.moved() && !machine.moved());
+}
+
+#[test]
+fn a_cable_that_is_pulled_stops_the_machine_at_the_third_look() {
+    let mut machine = machine(Notebook::new());
+    let mut rig = Rig::armed();
+    core::mem::swap(&mut machine.server, &mut rig.server);
+    core::mem::swap(&mut machine.board, &mut rig.board);
+    machine.chores();
+    machine.board.link.status = 0;
+    assert_eq!((machine.chores(), machine.chores()), (None, None));
+    let told = (State::Stopping, FaultReason::LinkDown);
+    assert_eq!(machine.chores(), Some(told));
+    let word = machine.server.state_word(crate::cores::Gate::LIVE);
+    let word = wire::exchange::StateWord::from_word(word).unwrap();
+    assert!(!word.link && word.speed == wire::LinkSpeed::Down);
+}
+
+#[test]
+fn speed_and_errors_are_in_every_answer() {
+    let mut machine = machine(Notebook::new());
+    machine.board.link.errors = 0x102;
+    machine.chores();
+    let word = machine.server.state_word(crate::cores::Gate(0));
+    let word = wire::exchange::StateWord::from_word(word).unwrap();
+    assert!(word.link && word.speed == wire::LinkSpeed::M1000);
+    assert_eq!(word.link_errors, 2);
+}
+
+#[test]
+fn the_factory_pin_at_start_gives_the_built_in_address() {
+    let mut board = Notebook::new();
+    let settings = Settings {
+        ip: 0x0a00_0002,
+        ..Settings::default()
+    };
+    let mut bytes = [0; 128];
+    wire::words_to_bytes(&settings.to_words(), &mut bytes);
+    board.chip.put(0x1f_1000, &bytes);
+    assert_eq!(machine(board.clone()).us.ip, 0x0a00_0002);
+    board.factory = true;
+    assert_eq!(machine(board).us.ip, 0xc0a8_0232);
+}

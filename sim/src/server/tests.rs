@@ -1,0 +1,184 @@
+use super::*;
+use crate::board::Board;
+use crate::plant::Plant;
+use crate::rig::Rig;
+use crate::soc::{ETH, Pins, SYS, Silicon};
+
+/// Silicon that answers every UDP frame as a board would: addresses and ports exchanged, the
+/// payload echoed. It stores the frame and sends the answer when the frame has ended.
+#[derive(Default)]
+struct Echo {
+    incoming: Vec<u8>,
+    outgoing: Vec<u8>,
+    at: usize,
+}
+
+impl Echo {
+    fn answer(wire: &[u8]) -> Vec<u8> {
+        let Ok(frame) = crate::gmii::decode(wire) else {
+            return vec![];
+        };
+        let mut frame = frame.to_vec();
+        match (frame[12], frame[13]) {
+            (8, 6) if frame[21] == 1 => {
+                // ARP: a reply from 10:e2:d5:00:00:01.
+                frame[21] = 2;
+                let asked: [u8; 20] = frame[22..42].try_into().unwrap();
+                frame[32..42].copy_from_slice(&asked[..10]);
+                frame[22..28].copy_from_slice(&[0x10, 0xe2, 0xd5, 0, 0, 1]);
+                frame[28..32].copy_from_slice(&asked[16..]);
+            }
+            (8, 0) if frame[23] == 17 => {
+                let (src, dst): ([u8; 4], [u8; 4]) = (
+                    frame[26..30].try_into().unwrap(),
+                    frame[30..34].try_into().unwrap(),
+                );
+                frame[26..30].copy_from_slice(&dst);
+                frame[30..34].copy_from_slice(&src);
+                let ports: [u8; 4] = frame[34..38].try_into().unwrap();
+                frame[34..36].copy_from_slice(&ports[2..]);
+                frame[36..38].copy_from_slice(&ports[..2]);
+            }
+            _ => return vec![],
+        }
+        crate::gmii::encode(&frame)
+    }
+}
+
+impl Silicon for Echo {
+    fn rise(&mut self, pins: &mut Pins, clocks: u32, _: u64) {
+        if clocks & SYS != 0 {
+            pins.gate = 1;
+        }
+        if clocks & ETH != 0 {
+            if pins.gmii_rx_dv != 0 {
+                self.incoming.push(pins.gmii_rx_data);
+            } else if !self.incoming.is_empty() {
+                self.outgoing = Self::answer(&std::mem::take(&mut self.incoming));
+                self.at = 0;
+            }
+            let byte = self.outgoing.get(self.at).copied();
+            self.at += 1;
+            (pins.gmii_tx_en, pins.gmii_tx_data) = (byte.is_some().into(), byte.unwrap_or(0));
+        }
+    }
+}
+
+/// A served echo board; the thread gives its rig back when the flag is set.
+fn serve(
+    mode: Mode,
+) -> (
+    SocketAddr,
+    SocketAddr,
+    Arc<AtomicBool>,
+    std::thread::JoinHandle<Rig<Echo>>,
+) {
+    let mut board = Board::new(Echo::default(), 60_000_000, Plant::default());
+    board.reset(|_| {});
+    let rig = Rig::around(board, crate::segment::BOARD_IP);
+    let any: SocketAddr = "127.0.0.1:0".parse().unwrap();
+    let options = Options {
+        udp: any,
+        discovery: None,
+        interface: None,
+        console: None,
+        jobs: None,
+        control: Some(any),
+        stdin: false,
+        mode,
+        silence: Duration::from_secs(60),
+        orphan_clocks: 1000,
+        report: None,
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    let server = Server::bind(rig, options, stop.clone()).unwrap();
+    let (udp, control) = (
+        server.udp.udp.local_addr().unwrap(),
+        server.control_address.unwrap(),
+    );
+    assert!(server.ready_line().starts_with(&format!(
+        "ready udp={udp} console=- control={control} sys_clk_hz=60000000"
+    )));
+    (udp, control, stop, std::thread::spawn(move || server.run()))
+}
+
+fn client(to: SocketAddr) -> UdpSocket {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket
+        .set_read_timeout(Some(Duration::from_secs(20)))
+        .unwrap();
+    socket.connect(to).unwrap();
+    socket
+}
+
+fn talk(socket: &UdpSocket, payload: &[u8]) -> Vec<u8> {
+    socket.send(payload).unwrap();
+    let mut buffer = [0; 2048];
+    let n = socket.recv(&mut buffer).unwrap();
+    buffer[..n].to_vec()
+}
+
+fn exchange(sequence: u32) -> Vec<u8> {
+    [
+        0x4e6f_1044,
+        0,
+        0x000f_0300,
+        wire::map::COMMAND,
+        1,
+        sequence,
+        0,
+    ]
+    .iter()
+    .flat_map(|w: &u32| w.to_be_bytes())
+    .collect()
+}
+
+#[test]
+fn lockstep_gives_each_exchange_one_period() {
+    let (udp, control, stop, thread) = serve(Mode::Lockstep { period: 5000 });
+    let (a, b) = (client(udp), client(udp));
+    for n in 0..10 {
+        assert_eq!(talk(&a, &exchange(n)), exchange(n));
+    }
+    // Another host's question is answered to it and not to the first.
+    assert_eq!(talk(&b, b"No exchange at all"), b"No exchange at all");
+    assert_eq!(talk(&a, &exchange(11)), exchange(11));
+    let mut stream = TcpStream::connect(control).unwrap();
+    writeln!(stream, "fault loss\nfault pull seed=3\nfault plug").unwrap();
+    let mut answers = BufReader::new(stream.try_clone().unwrap()).lines();
+    let answers: [String; 3] = std::array::from_fn(|_| answers.next().unwrap().unwrap());
+    assert!(
+        answers[0].starts_with("error: \"loss\": how much?"),
+        "{}",
+        answers[0]
+    );
+    assert!(answers[1].contains("faults=pull "), "{}", answers[1]);
+    assert!(answers[2].contains("faults=none "), "{}", answers[2]);
+    writeln!(stream, "ext-reset 1\nfrobnicate\nquit").unwrap();
+    let answers: Vec<_> = BufReader::new(stream)
+        .lines()
+        .take(3)
+        .map(Result::unwrap)
+        .collect();
+    assert_eq!(
+        (answers[0].as_str(), answers[2].as_str()),
+        ("ok ext_reset=1", "ok")
+    );
+    assert!(answers[1].contains("frobnicate"));
+    let rig = thread.join().unwrap();
+    let question = rig.clock() - 32 - 11 * 5000;
+    assert!((60..=6000).contains(&question), "{question}");
+    assert_eq!(rig.meter.requested, 11);
+    assert_eq!(rig.pins().ext_reset, 1);
+    assert!(!stop.load(Ordering::Relaxed));
+}
+
+#[test]
+fn free_runs_by_itself_and_stops_when_told() {
+    let (udp, _, stop, thread) = serve(Mode::Free { pace: None });
+    assert_eq!(talk(&client(udp), b"hello"), b"hello");
+    stop.store(true, Ordering::Relaxed);
+    let rig = thread.join().unwrap();
+    assert_eq!(rig.frames.from_board, 1);
+    assert!(rig.clock() > 32);
+}
