@@ -27,16 +27,15 @@ use std::time::{Duration, Instant};
 use wire::crc::crc32;
 use wire::exchange::{STATUS_HEAD, STATUS_STEPGEN, StateWord};
 use wire::jobs::{Command as Code, End, FRAME, Request, State};
-use wire::regmap::{segments, watchdog};
 use wire::{FaultReason, Name, Refusal, map};
 
-const ARM: u32 = watchdog::CONTROL_KEY_ARM;
-const CLEAR: u32 = watchdog::CONTROL_KEY_CLEAR;
-const PUSH: u32 = segments::PUSH as u32;
-const CONTROL: u32 = segments::CONTROL as u32;
-const MASK: u32 = segments::MASK as u32;
-const STATUS: u32 = segments::STATUS as u32;
-const START: u32 = segments::CONTROL_COMMAND_START;
+const ARM: u32 = wire::regmap::watchdog::CONTROL_KEY_ARM;
+const CLEAR: u32 = wire::regmap::watchdog::CONTROL_KEY_CLEAR;
+const PUSH: u32 = wire::regmap::segments::PUSH as u32;
+const CONTROL: u32 = wire::regmap::segments::CONTROL as u32;
+const MASK: u32 = wire::regmap::segments::MASK as u32;
+const STATUS: u32 = wire::regmap::segments::STATUS as u32;
+const START: u32 = wire::regmap::segments::CONTROL_COMMAND_START;
 
 /// Plays a prediction on the bare cores: writes its segments as they have room.
 fn play(told: &Prediction, timing: [u32; 4]) -> Vec<pins::Event> {
