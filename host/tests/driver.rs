@@ -49,11 +49,12 @@ fn settings_reach_the_board_before_it_can_be_armed() {
 }
 
 #[test]
-fn what_is_set_at_another_drivers_names_reaches_the_board() {
+fn what_is_computed_for_another_drivers_names_is_there() {
     let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
-    rig.hal.set("test.stepgen.00.steplen", 2000u32);
-    rig.run(60);
-    assert_eq!(rig.board.look().config[&map::CONFIG_STEPGEN], 120);
+    rig.hal.set("test.stepgen.00.steplen", 1000u32);
+    rig.hal.set("test.stepgen.00.stepspace", 3000u32);
+    rig.run(2);
+    assert_eq!(rig.hal.get::<f64>("test.stepgen.00.max-frequency"), 250e3);
 }
 
 #[test]
@@ -176,6 +177,24 @@ fn late_and_repeated_answers_are_recognised_by_their_sequence_number() {
     rig.hal.set("ferrocnc.0.packet-read-timeout", 2_000_000);
     rig.run(2);
     assert!(rig.hal.get::<bool>("ferrocnc.0.packet-error"));
+}
+
+#[test]
+fn a_command_that_is_repeated_for_its_answer_is_executed_like_any_other() {
+    let mut rig = Rig::armed();
+    let before = rig.board.look().exchanges;
+    for _ in 0..5 {
+        let seen = rig.board.look().datagrams;
+        rig.driver.read_request(PERIOD_NS);
+        while rig.board.look().datagrams == seen {
+            std::thread::sleep(Duration::from_micros(100));
+        }
+        rig.run(1);
+    }
+    assert_eq!(rig.board.look().exchanges, before + 10);
+    assert_eq!(rig.board.look().refused, 0);
+    assert_eq!(rig.hal.get::<u32>("ferrocnc.0.packet-error-total"), 0);
+    assert!(rig.enabled());
 }
 
 #[test]

@@ -130,6 +130,27 @@ fn a_thread_later_than_the_watchdog_waits_is_told_as_that_and_not_as_a_cable() {
 }
 
 #[test]
+fn a_repeated_command_does_not_wait_for_a_time_that_is_over() {
+    let (mut rig, time) = with_time();
+    rig.hal.set("ferrocnc.0.apply-delay-ns", 250_000u32);
+    // Long enough to know how its clock runs.
+    for _ in 0..1200 {
+        pass(&time, PERIOD_NS);
+        rig.run(1);
+    }
+    let (seen, waits) = {
+        let board = rig.board.look();
+        (board.datagrams, board.command.apply_at)
+    };
+    assert!(waits.is_some(), "a command has a time");
+    rig.driver.read_request(PERIOD_NS);
+    while rig.board.look().datagrams == seen {
+        std::thread::sleep(Duration::from_micros(100));
+    }
+    assert_eq!(rig.board.look().command.apply_at, None);
+}
+
+#[test]
 fn read_twice_is_read_once_and_write_twice_is_told_and_ignored() {
     let mut rig = Rig::armed();
     rig.travel(5.0, 200);
