@@ -9,7 +9,8 @@ use motion::segment::AXES;
 use rand::Rng;
 use rand_pcg::Pcg32;
 use sim::plant::{Plant, Switch};
-use wire::jobs::{Home, Machine, Request, Status, UNATTENDED};
+use wire::jobs::{Home, Machine, Request, State, Status, UNATTENDED};
+use wire::regmap::{self, segments};
 
 /// A pause is for paths, and nothing is planned that could be missing.
 const TROUBLES: [Trouble; 8] = [
@@ -39,6 +40,8 @@ fn in_mid_homing_every_axis_stands_within_its_own_stop_whatever_the_cause() {
 struct Search {
     machine: Machine,
     axes: [(f64, f64); AXES],
+    /// steps/s, the most there is: of the way back to 0.
+    top: [f64; AXES],
     /// Steps that an axis may go for its switch.
     travel: [f64; AXES],
     plant: Plant,
@@ -51,10 +54,11 @@ impl Search {
         let mut machine = plotter();
         let takes = magnitude(random, 0.002..0.2);
         let mut plant = Plant::direct(0);
-        let mut travel = [0.0; AXES];
+        let (mut top, mut travel) = ([0.0; AXES], [0.0; AXES]);
         let mut seconds = 0.0;
         let axes = core::array::from_fn(|n| {
             let (accel, speed) = axis(random, takes);
+            top[n] = speed;
             let least = (speed / 4000.0).max(10.0);
             let per_mm = magnitude(random, least..2000.0);
             let fast = speed * random.random_range(0.3..1.0);
@@ -95,6 +99,7 @@ impl Search {
         Search {
             machine,
             axes,
+            top,
             travel,
             plant,
             clocks: (seconds * HZ) as u64,
@@ -142,23 +147,43 @@ fn homing(seed: u64) -> (Trouble, f64) {
     while player.rig.now() < moment {
         player.turn();
     }
+    let longest = search
+        .axes
+        .iter()
+        .zip(search.top)
+        .fold(0.0f64, |t, (axis, top)| t.max(top / axis.0));
     let mut watch = Watch::of(search.axes.iter().map(|axis| axis.0).collect());
     watch.look(&mut player.rig);
+    let stopped = |player: &Player| player.rig.jobs.executor().state() == State::Stopping;
+    // The switches were found, and the axes were on their way to 0, which is a path.
+    let begun = regmap::address(segments::BASE, segments::BEGUN);
+    let drives = |player: &mut Player| player.rig.machine.board.csr_read(begun) > 0;
+    let mut on_path = drives(&mut player);
+    let before = stopped(&player);
     let mut player = player.suffers(trouble, &mut watch, &told);
-    let mut late = 0.0;
-    if trouble == Trouble::Stop {
-        // Nothing at the gate says so: it is the next velocity.
-        watch.look(&mut player.rig);
-        watch.asked(&mut player.rig);
-        late = LATE;
-    }
+    // Nothing at the gate says that a client stopped it: it is the next velocity.
+    let mut asked = before || !matches!(trouble, Trouble::Stop | Trouble::Silence);
+    let late = if asked { 0.0 } else { LATE };
     let patience = search.axes.iter().fold(0.0f64, |t, (a, v)| t.max(v / a));
     let end = player.rig.now() + ((0.5 + patience) * HZ) as u64;
     while player.rig.now() < end && !(watch.closed && watch.stands()) {
+        if !asked && stopped(&player) {
+            watch.look(&mut player.rig);
+            watch.asked(&mut player.rig);
+            asked = true;
+        }
+        if !asked {
+            on_path = drives(&mut player);
+        }
         player.turn();
         watch.look(&mut player.rig);
     }
     let allowed = |n: usize, speed: f64| {
+        if on_path && late > 0.0 {
+            // Path time comes to a stand in four times what the slowest axis takes; half of it
+            // passes.
+            return search.top[n] * 2.0 * longest;
+        }
         let accel = search.axes[n].0;
         // It may have sped up until the exchange that says stop.
         let speed = speed + accel * late;
