@@ -15,9 +15,9 @@ out=$root/target/firmware
 # `relax` lets the linker shorten calls, 2.5 KiB. The outliner shares equal runs of instructions
 # between functions, 1.7 KiB; it skips functions with a section of their own, which is all code of
 # an exchange. The passes remove arguments that are not read after inlining: the messages of panics,
-# 5 KiB with the code that formats them (see src/soc/postmortem.rs). With `save-restore` functions
-# share the instructions that save registers (src/saves.s), 2.9 KiB. The remapping keeps this
-# machine's folder names out of panic messages, where they cost ROM.
+# 5 KiB with the code that formats them (see soc/postmortem.rs of the image). With `save-restore`
+# functions share the instructions that save registers (src/bin/saves.s), 2.9 KiB. The remapping
+# keeps this machine's folder names out of panic messages, where they cost ROM.
 flags="-Ctarget-feature=+relax,+save-restore -Cllvm-args=-enable-machine-outliner"
 flags+=" -Cpasses=deadargelim,function(dse,adce),deadargelim,globaldce"
 flags+=" --remap-path-prefix=$root/="

@@ -1,6 +1,6 @@
 //! A first configuration: so many channels of each kind, on the first free pins.
 
-use crate::board::{Board, Channel, Class, Line, Modified};
+use crate::board::{Board, Channel, Class, ControlInput, Modified};
 use crate::platform::{FIRST_SHARED, HEADER, Platform};
 
 /// What is wanted.
@@ -94,11 +94,11 @@ pub fn layout(name: &str, platform: Platform, wanted: &Wanted) -> Result<Board, 
         name: name.to_owned(),
         sys_clk_hz: 60_000_000,
         phy: 0,
-        ext_reset: Line {
+        ext_reset: ControlInput {
             pin: Some("key".to_owned()),
             active,
         },
-        factory: Some(Line {
+        factory: Some(ControlInput {
             pin: Some("key".to_owned()),
             active,
         }),

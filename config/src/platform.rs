@@ -326,25 +326,38 @@ impl Platform {
             platform.key_ball = claims.key(&key, "ball")?;
             platform.key_active = Level::of(key.text("active")).unwrap_or(Level::Low);
         }
+        platform.read_flash(&at, &mut claims)?;
+        platform.read_sdram(&at, &mut claims)?;
+        platform.read_ethernet(&at, &mut claims)?;
+        platform.shared = claims.keys(&at, "shared", Some(SHARED))?;
+        platform.read_headers(&at, &mut claims)?;
+        Ok(platform)
+    }
+
+    fn read_flash(&mut self, at: &At<'_>, claims: &mut Claims) -> Result<(), Error> {
         if let Some(flash) = at.table("flash")? {
-            platform.flash_chip = flash.text("chip").unwrap_or_default().to_owned();
-            platform.flash_bytes = flash.integer("bytes").unwrap_or_default() as u32;
-            if !platform.flash_bytes.is_power_of_two() {
+            self.flash_chip = flash.text("chip").unwrap_or_default().to_owned();
+            self.flash_bytes = flash.integer("bytes").unwrap_or_default() as u32;
+            if !self.flash_bytes.is_power_of_two() {
                 return Err(flash.error(
                     "bytes",
-                    &platform.flash_bytes.to_string(),
+                    &self.flash_bytes.to_string(),
                     "is not the size of any flash",
                     "write it in bytes, as in 4_194_304 for 32 Mbit",
                 ));
             }
-            platform.flash_balls = [
+            self.flash_balls = [
                 claims.key(&flash, "cs")?,
                 claims.key(&flash, "mosi")?,
                 claims.key(&flash, "miso")?,
             ];
         }
+        Ok(())
+    }
+
+    fn read_sdram(&mut self, at: &At<'_>, claims: &mut Claims) -> Result<(), Error> {
         if let Some(sdram) = at.table("sdram")? {
-            platform.sdram = Some(Sdram {
+            self.sdram = Some(Sdram {
                 chip: sdram.text("chip").unwrap_or_default().to_owned(),
                 clk: claims.key(&sdram, "clk")?,
                 we: claims.key(&sdram, "we")?,
@@ -355,18 +368,23 @@ impl Platform {
                 dq: claims.keys(&sdram, "dq", Some(32))?,
             });
         }
+        Ok(())
+    }
+
+    /// The PHYs, and what they share.
+    fn read_ethernet(&mut self, at: &At<'_>, claims: &mut Claims) -> Result<(), Error> {
         if let Some(management) = at.table("ethernet")? {
-            platform.phy_chip = management.text("chip").unwrap_or_default().to_owned();
-            platform.mdio = [
+            self.phy_chip = management.text("chip").unwrap_or_default().to_owned();
+            self.mdio = [
                 claims.key(&management, "mdio")?,
                 claims.key(&management, "mdc")?,
             ];
             if management.text("reset").is_some() {
-                platform.phy_reset = Some(claims.key(&management, "reset")?);
+                self.phy_reset = Some(claims.key(&management, "reset")?);
             }
         }
         for phy in at.tables("phy")? {
-            platform.phys.push(Phy {
+            self.phys.push(Phy {
                 tx_clk: claims.key(&phy, "tx_clk")?,
                 rx_clk: claims.key(&phy, "rx_clk")?,
                 tx_ctl: claims.key(&phy, "tx_ctl")?,
@@ -375,10 +393,14 @@ impl Platform {
                 rx_data: claims.keys(&phy, "rx_data", Some(4))?,
             });
         }
-        if platform.phys.is_empty() {
+        if self.phys.is_empty() {
             return Err(at.error("phy", "", "is empty", "write at least one [[phy]]"));
         }
-        platform.shared = claims.keys(&at, "shared", Some(SHARED))?;
+        Ok(())
+    }
+
+    /// The headers, in the order of their numbers.
+    fn read_headers(&mut self, at: &At<'_>, claims: &mut Claims) -> Result<(), Error> {
         for (name, place, balls) in at.lists("headers")? {
             let number = name
                 .strip_prefix('j')
@@ -393,15 +415,14 @@ impl Platform {
                 ));
             }
             let key = format!("headers.{name}");
-            platform.headers.push((
+            self.headers.push((
                 name.to_owned(),
-                claims.list(&at, &key, place, &balls, Some(OWN))?,
+                claims.list(at, &key, place, &balls, Some(OWN))?,
             ));
         }
-        platform
-            .headers
+        self.headers
             .sort_by_key(|(name, _)| name[1..].parse::<u8>().unwrap_or_default());
-        if platform.headers.is_empty() {
+        if self.headers.is_empty() {
             return Err(at.error(
                 "headers",
                 "",
@@ -409,7 +430,7 @@ impl Platform {
                 "write at least one, as in j1 = [\"C4\", \"D4\", \"E4\", \"D3\", \"F5\", \"E3\"]",
             ));
         }
-        Ok(platform)
+        Ok(())
     }
 
     /// What a pin is and which ball it has; ground has none. `None`: there is no such pin.

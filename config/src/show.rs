@@ -1,7 +1,7 @@
 //! A configuration as a table: every channel with its HAL name, its pins, and where on the header
 //! they are.
 
-use crate::board::{Board, Class, Line};
+use crate::board::{Board, Class, ControlInput};
 use crate::platform::{HEADER, Platform, Role, split};
 use std::fmt::Write;
 
@@ -83,9 +83,9 @@ pub fn show(board: &Board) -> String {
     out
 }
 
-fn line(platform: &Platform, line: Option<&Line>) -> String {
+fn line(platform: &Platform, line: Option<&ControlInput>) -> String {
     match line {
-        Some(Line {
+        Some(ControlInput {
             pin: Some(pin),
             active,
         }) => format!("{} if {}", place(platform, pin), active.word()),

@@ -1,6 +1,6 @@
 //! A configuration as TOML, in the form of a file written by hand.
 
-use crate::board::{Board, Channel, Class, Line};
+use crate::board::{Board, Channel, Class, ControlInput};
 use crate::platform::Level;
 use std::fmt::Write;
 
@@ -95,7 +95,7 @@ fn channel(out: &mut String, class: Class, channel: &Channel) {
     }
 }
 
-fn line(line: &Line) -> String {
+fn line(line: &ControlInput) -> String {
     let pin = line.pin.as_deref().unwrap_or("none");
     format!(
         "{{ pin = {}, active = \"{}\" }}",

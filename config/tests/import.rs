@@ -283,97 +283,100 @@ fn the_row_of_inputs_and_outputs_keeps_its_numbers_and_the_watchdogs_pins_have_n
     }
 }
 
+/// What to replace by what, what the message holds, its line if that is sure.
+type BadIni = (&'static str, &'static str, &'static [&'static str], usize);
+
+const BAD_INIS: [BadIni; 20] = [
+    (
+        "revision = 7.1",
+        "revision = 9.9",
+        &["[Hardware] revision", "9.9", "5a-75e 7.1"],
+        4,
+    ),
+    ("board = 5a-75e", "board = arty", &["revision", "arty"], 4),
+    (
+        "ip = 10.0.7.2",
+        "ip = 10.0.7",
+        &["[Hardware] ip", "10.0.7"],
+        7,
+    ),
+    (
+        "ip = 10.0.7.2",
+        "ip = 224.0.0.1",
+        &["[Hardware] ip", "224.0.0.1"],
+        7,
+    ),
+    (
+        "port = 4321",
+        "port = 0",
+        &["[Hardware] port", "1 to 65535"],
+        8,
+    ),
+    (
+        "mac = 0x10e2d5000011",
+        "mac = 0x11e2d5000011",
+        &["[Hardware] mac", "group"],
+        9,
+    ),
+    (
+        "mac = 0x10e2d5000011",
+        "mac = none",
+        &["[Hardware] mac", "none"],
+        9,
+    ),
+    ("phy = 1", "phy = 2", &["[Hardware] phy", "2"], 6),
+    (
+        "clock = 40000000.0",
+        "clock = fast",
+        &["[Hardware] clock", "fast"],
+        5,
+    ),
+    (
+        "clock = 40000000.0",
+        "clokc = 40000000.0",
+        &["clokc", "did you mean clock"],
+        5,
+    ),
+    (
+        "reset_in = j4:6",
+        "reset_in = j17:0",
+        &["[Hardware] reset_in", "j17:0", "j1 to j16"],
+        10,
+    ),
+    (
+        "1 = j2:1",
+        "1 = j2:0",
+        &["[inputs] 1", "already [inputs] 0"],
+        14,
+    ),
+    (
+        "1 = j2:1",
+        "5 = j2:1",
+        &["[inputs] 5", "where 1 should"],
+        14,
+    ),
+    ("1 = j2:1", "0 = j2:1", &["[inputs] 0", "twice"], 14),
+    (
+        "num = 3\n\n[outputs]",
+        "num = 4\n\n[outputs]",
+        &["[inputs] num", "\"4\"", "3"],
+        16,
+    ),
+    ("2 = j9:7", "2 = j9:3", &["[outputs] 2", "ground"], 21),
+    (
+        "3 = j9:14",
+        "3 = j1:7",
+        &["[outputs] 3", "same line as \"j9:7\"", "[outputs] 2"],
+        22,
+    ),
+    ("2_dir = j11:6\n", "", &["stepgens", "2"], 0),
+    ("[pwms]", "[pwm]", &["[pwm]", "did you mean [pwms]"], 25),
+    ("0 = j10:0", "j10:0", &["[pwms]"], 26),
+];
+
 #[test]
 fn a_bad_ini_is_refused_by_its_own_words() {
-    // What is wrong, what to replace by what, what the message holds, its line.
-    let cases: [(&str, &str, &[&str], usize); 20] = [
-        (
-            "revision = 7.1",
-            "revision = 9.9",
-            &["[Hardware] revision", "9.9", "5a-75e 7.1"],
-            4,
-        ),
-        ("board = 5a-75e", "board = arty", &["revision", "arty"], 4),
-        (
-            "ip = 10.0.7.2",
-            "ip = 10.0.7",
-            &["[Hardware] ip", "10.0.7"],
-            7,
-        ),
-        (
-            "ip = 10.0.7.2",
-            "ip = 224.0.0.1",
-            &["[Hardware] ip", "224.0.0.1"],
-            7,
-        ),
-        (
-            "port = 4321",
-            "port = 0",
-            &["[Hardware] port", "1 to 65535"],
-            8,
-        ),
-        (
-            "mac = 0x10e2d5000011",
-            "mac = 0x11e2d5000011",
-            &["[Hardware] mac", "group"],
-            9,
-        ),
-        (
-            "mac = 0x10e2d5000011",
-            "mac = none",
-            &["[Hardware] mac", "none"],
-            9,
-        ),
-        ("phy = 1", "phy = 2", &["[Hardware] phy", "2"], 6),
-        (
-            "clock = 40000000.0",
-            "clock = fast",
-            &["[Hardware] clock", "fast"],
-            5,
-        ),
-        (
-            "clock = 40000000.0",
-            "clokc = 40000000.0",
-            &["clokc", "did you mean clock"],
-            5,
-        ),
-        (
-            "reset_in = j4:6",
-            "reset_in = j17:0",
-            &["[Hardware] reset_in", "j17:0", "j1 to j16"],
-            10,
-        ),
-        (
-            "1 = j2:1",
-            "1 = j2:0",
-            &["[inputs] 1", "already [inputs] 0"],
-            14,
-        ),
-        (
-            "1 = j2:1",
-            "5 = j2:1",
-            &["[inputs] 5", "where 1 should"],
-            14,
-        ),
-        ("1 = j2:1", "0 = j2:1", &["[inputs] 0", "twice"], 14),
-        (
-            "num = 3\n\n[outputs]",
-            "num = 4\n\n[outputs]",
-            &["[inputs] num", "\"4\"", "3"],
-            16,
-        ),
-        ("2 = j9:7", "2 = j9:3", &["[outputs] 2", "ground"], 21),
-        (
-            "3 = j9:14",
-            "3 = j1:7",
-            &["[outputs] 3", "same line as \"j9:7\"", "[outputs] 2"],
-            22,
-        ),
-        ("2_dir = j11:6\n", "", &["stepgens", "2"], 0),
-        ("[pwms]", "[pwm]", &["[pwm]", "did you mean [pwms]"], 25),
-        ("0 = j10:0", "j10:0", &["[pwms]"], 26),
-    ];
-    for (old, new, wanted, line) in cases {
+    for (old, new, wanted, line) in BAD_INIS {
         assert!(ROUTER.contains(old), "{old}");
         let said = ini(&ROUTER.replacen(old, new, 1)).expect_err(new);
         for part in wanted {

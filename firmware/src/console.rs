@@ -86,7 +86,7 @@ pub enum Ask {
     Settings,
     /// A challenge, or the answer to one.
     Login(Option<Words>),
-    /// Something for the jobs program: [`Line::job`].
+    /// Something for the jobs program: [`LineEditor::job`].
     Job,
     /// Restart the firmware.
     Restart,
@@ -166,7 +166,7 @@ fn hex_words(text: &str) -> Option<Words> {
 
 /// Collects bytes into lines.
 #[derive(Clone, Debug, Default)]
-pub struct Line {
+pub struct LineEditor {
     text: heapless::String<LINE_MAX>,
     too_long: bool,
     telnet: u8,
@@ -174,7 +174,7 @@ pub struct Line {
     job: bool,
 }
 
-impl Line {
+impl LineEditor {
     /// Takes one byte; returns the line's meaning when the line is complete.
     // Inlined in two places it would cost half a KiB.
     #[inline(never)]
@@ -183,7 +183,7 @@ impl Line {
         const WILL: u8 = 251;
         const DONT: u8 = 254;
         if self.job {
-            *self = Line::default();
+            *self = LineEditor::default();
         }
         if self.telnet > 0 {
             // IAC WILL/WONT/DO/DONT option; any other IAC command is two bytes.
@@ -201,7 +201,7 @@ impl Line {
                 if ask == Ask::Job {
                     self.job = true;
                 } else {
-                    *self = Line::default();
+                    *self = LineEditor::default();
                 }
                 return Some(ask);
             }

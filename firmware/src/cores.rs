@@ -1,7 +1,8 @@
 //! The board as the firmware's logic sees it: a few operations per gateware core.
 //!
-//! `src/soc` implements [`Board`] with registers, the tests with a notebook, the simulator with
-//! models. Word numbers of the `command` and `status` pages are those of [`wire::regmap`].
+//! The image (`src/bin/ferrocnc-firmware`) implements [`Board`] with registers, the tests with a
+//! notebook, the simulator with models. Word numbers of the `command` and `status` pages are those
+//! of [`wire::regmap`].
 
 use wire::describe::Channels;
 use wire::map::BoardConfig;

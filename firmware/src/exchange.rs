@@ -2,9 +2,9 @@
 //! is moved once.
 //!
 //! ```text
-//!   parse    net::Lane or the server        the lane's peer, whole, one record, our block's length
-//!   judge    session, sequence, gate        a refusal here has touched nothing
-//!   stage    command page, word by word     nothing takes effect before the commit
+//!   parse    net::FastPath or the server    its peer, whole, one record, our block's length
+//!   judge    session, sequence, gate         a refusal here has touched nothing
+//!   stage    command page, word by word      nothing takes effect before the commit
 //!   commit   one strobe: every channel on one clock; the same strobe samples every channel
 //!   copy     status page into the answer
 //! ```
@@ -14,7 +14,7 @@
 //! the same code runs on MAC slots and on slices.
 
 use crate::block::{REPLY_OVERHEAD, Reply, Request, Shape, reply_head};
-use crate::cores::{Board, Control};
+use crate::cores::{Board, Control, Gate};
 use crate::safety::Event;
 use crate::server::Server;
 use crate::session::Peer;
@@ -29,7 +29,7 @@ use wire::{Refusal, State};
 const FLAGS_KNOWN: u32 =
     FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME | u32::MAX << FLAG_ALONE_SHIFT;
 
-/// Number of the flags' word in a frame of the lane.
+/// Number of the flags' word in a frame on the fast path.
 pub const FRAME_FLAGS: usize = crate::net::PAYLOAD_WORD + REQUEST_OVERHEAD + command_word::FLAGS;
 
 /// Number of the first word of an answer's frame after its headers and [`reply_head`].
@@ -45,6 +45,41 @@ macro_rules! copy {
     };
 }
 
+/// The words of a command before those of its channels.
+struct Head {
+    token: u32,
+    sequence: u32,
+    flags: u32,
+    apply: [u32; 2],
+    enables: u32,
+    outputs: u32,
+    arms: u32,
+    probe_arms: u32,
+}
+
+impl Head {
+    #[inline(always)]
+    fn take(request: &mut impl Request) -> Self {
+        let words: [u32; COMMAND_HEAD] = request.take9();
+        Head {
+            token: words[command_word::TOKEN],
+            sequence: words[command_word::SEQUENCE],
+            flags: words[command_word::FLAGS],
+            apply: [words[command_word::APPLY_LO], words[command_word::APPLY_HI]],
+            enables: words[command_word::ENABLES],
+            outputs: words[command_word::GPIO_OUT],
+            arms: words[command_word::ARMS],
+            probe_arms: words[command_word::PROBE_ARMS],
+        }
+    }
+
+    /// Number of the latch whose position goes into the answer.
+    #[inline(always)]
+    fn latch(&self) -> u32 {
+        self.probe_arms >> command_word::LATCH_SHIFT
+    }
+}
+
 impl Server {
     /// Executes one exchange. `request` delivers the command block; the sequence number and the
     /// status block go into `reply`. A refused exchange has no effect, even if words were already
@@ -57,99 +92,21 @@ impl Server {
         request: &mut impl Request,
         reply: &mut impl Reply,
     ) -> Result<(), Refusal> {
-        // Judge.
-        let head: [u32; COMMAND_HEAD] = request.take9();
-        let token = head[command_word::TOKEN];
-        let sequence = head[command_word::SEQUENCE];
-        let flags = head[command_word::FLAGS];
-        let [apply_lo, apply_hi] = [head[command_word::APPLY_LO], head[command_word::APPLY_HI]];
-        let enables = head[command_word::ENABLES];
-        let outputs = head[command_word::GPIO_OUT];
-        let arms = head[command_word::ARMS];
-        let probe_arms = head[command_word::PROBE_ARMS];
-        self.session.check(peer, token)?;
-        let last = self.session.last_sequence();
-        if sequence.wrapping_sub(last) as i32 <= 0 {
-            return Err(not_ahead(sequence, last));
-        }
-        let select = probe_arms >> command_word::LATCH_SHIFT;
-        if flags & !FLAGS_KNOWN | select >> command_word::LATCH_BITS != 0 {
-            return Err(Refusal::Value);
-        }
+        let head = Head::take(request);
+        self.judge(peer, &head)?;
         let mut gate = board.gate();
         let left = board.watchdog_left();
-
-        // Stage.
-        let shape = self.shape;
-        if self.commit_pending {
-            // A timed commit must not fire while half a block is staged, and a damaged block must
-            // not replace it. From here on the new command counts.
-            if !request.sound(shape.command - COMMAND_HEAD) {
-                return Err(Refusal::Checksum);
-            }
-            board.commit_at(u64::MAX);
-            self.commit_pending = false;
-        }
-        board.stage(command::ENABLES, enables);
-        board.stage(command::GPIO_OUT, outputs);
-        board.stage(command::ARMS, arms);
-        // The register ignores the selection in the bits above the arms.
-        board.stage(command::PROBE_ARMS, probe_arms);
-        let mut at = command::STEPGEN0_VELOCITY;
-        for _ in 0..shape.stepgens / 2 {
-            let [a, b, c, d] = request.take4();
-            board.stage(at, a);
-            board.stage(at + 1, b);
-            board.stage(at + 2, c);
-            board.stage(at + 3, d);
-            at += 2 * COMMAND_STEPGEN;
-        }
-        if shape.stepgens & 1 != 0 {
-            let [a, b] = request.take2();
-            board.stage(at, a);
-            board.stage(at + 1, b);
-        }
-        let mut at = command::PWM0_WIDTH;
-        for _ in 0..shape.pwms / 4 {
-            let [a, b, c, d] = request.take4();
-            board.stage(at, a);
-            board.stage(at + 1, b);
-            board.stage(at + 2, c);
-            board.stage(at + 3, d);
-            at += 4;
-        }
-        if shape.pwms & 2 != 0 {
-            let [a, b] = request.take2();
-            board.stage(at, a);
-            board.stage(at + 1, b);
-            at += 2;
-        }
-        if shape.pwms & 1 != 0 {
-            let [a] = request.take1();
-            board.stage(at, a);
-        }
-        // Commit and sample. A damaged command continues to the answer, which is not sent, and has
-        // no other effect: so a warm-up runs through the same code.
+        self.stage(board, &head, request)?;
+        // A damaged command continues to the answer, which is not sent, and has no other effect: so
+        // a warm-up runs through the same code.
         let whole = request.intact();
         if whole {
-            let enable = flags & FLAG_ENABLE != 0;
-            let enable_request = flags & FLAG_ENABLE_REQUEST != 0;
-            let now = flags & FLAG_APPLY_TIME == 0;
-            if now && self.safety.steady(enable, enable_request, gate) {
-                board.strobe(timebase::STROBE_COMMIT | timebase::STROBE_SAMPLE);
-            } else if self.safety.waiting(enable_request, gate) {
-                board.strobe(timebase::STROBE_SAMPLE);
-            } else {
-                let at = (!now).then_some([apply_lo, apply_hi]);
-                gate = self.decide(board, enable, enable_request, gate, at)?;
-            }
-            board.feed(sequence);
-            self.session.accept(sequence);
-            self.select = select;
+            gate = self.commit(board, &head, gate)?;
         }
 
-        // Answer. `session_yours` and `accepted` are true here, because anything else was refused
-        // above.
+        // Answer with the sampled status page. The compiler would build a function of its own twice,
+        // once for damaged commands, and a warm-up would load the wrong one. `session_yours` and
+        // `accepted` are true here, because anything else was refused above.
         let [arrival_lo, arrival_hi] = [board.arrival_lo(), board.arrival_hi()];
         let [sample_lo, sample_hi] = [
             board.latched(status::SAMPLE_LO),
@@ -157,9 +114,9 @@ impl Server {
         ];
         let [estop, inputs] = [board.latched(status::ESTOP), board.latched(status::GPIO_IN)];
         let state = self.state_word(gate) | STATE_ANSWER;
-        reply.put(sequence);
+        reply.put(head.sequence);
         reply.put(state);
-        reply.put(sequence);
+        reply.put(head.sequence);
         reply.put(arrival_lo);
         reply.put(arrival_hi);
         reply.put(sample_lo);
@@ -169,7 +126,7 @@ impl Server {
         reply.keep(self.boot.id);
         reply.put(estop);
         reply.put(inputs);
-        let latch = board.latched(status::ENCODER0_LATCH + select as usize);
+        let latch = board.latched(status::ENCODER0_LATCH + head.latch() as usize);
         copy!(board, reply, status::FLAGS0, a 0 b 1 c 2);
         reply.put(latch);
         // Read again: values held in registers would push others out of theirs.
@@ -180,6 +137,73 @@ impl Server {
         } else {
             Err(Refusal::Checksum)
         }
+    }
+
+    /// Refuses a command by its head alone: session, sequence number, bits without a meaning.
+    #[inline(always)]
+    fn judge(&self, peer: Peer, head: &Head) -> Result<(), Refusal> {
+        self.session.check(peer, head.token)?;
+        let last = self.session.last_sequence();
+        if head.sequence.wrapping_sub(last) as i32 <= 0 {
+            return Err(not_ahead(head.sequence, last));
+        }
+        if head.flags & !FLAGS_KNOWN | head.latch() >> command_word::LATCH_BITS != 0 {
+            return Err(Refusal::Value);
+        }
+        Ok(())
+    }
+
+    /// Writes the command page. Nothing of it takes effect before the commit.
+    #[inline(always)]
+    fn stage<B: Board>(
+        &mut self,
+        board: &mut B,
+        head: &Head,
+        request: &mut impl Request,
+    ) -> Result<(), Refusal> {
+        let shape = self.shape;
+        if self.commit_pending {
+            // A timed commit must not fire while half a block is staged, and a damaged block must
+            // not replace it. From here on the new command counts.
+            if !request.sound(shape.command - COMMAND_HEAD) {
+                return Err(Refusal::Checksum);
+            }
+            board.commit_at(u64::MAX);
+            self.commit_pending = false;
+        }
+        board.stage(command::ENABLES, head.enables);
+        board.stage(command::GPIO_OUT, head.outputs);
+        board.stage(command::ARMS, head.arms);
+        // The register ignores the selection in the bits above the arms.
+        board.stage(command::PROBE_ARMS, head.probe_arms);
+        stage_stepgens(board, request, shape.stepgens);
+        stage_pwms(board, request, shape.pwms);
+        Ok(())
+    }
+
+    /// Makes the staged command take effect and samples every channel; returns the gate after that.
+    #[inline(always)]
+    fn commit<B: Board>(
+        &mut self,
+        board: &mut B,
+        head: &Head,
+        mut gate: Gate,
+    ) -> Result<Gate, Refusal> {
+        let enable = head.flags & FLAG_ENABLE != 0;
+        let enable_request = head.flags & FLAG_ENABLE_REQUEST != 0;
+        let now = head.flags & FLAG_APPLY_TIME == 0;
+        if now && self.safety.steady(enable, enable_request, gate) {
+            board.strobe(timebase::STROBE_COMMIT | timebase::STROBE_SAMPLE);
+        } else if self.safety.waiting(enable_request, gate) {
+            board.strobe(timebase::STROBE_SAMPLE);
+        } else {
+            let at = (!now).then_some(head.apply);
+            gate = self.decide(board, enable, enable_request, gate, at)?;
+        }
+        board.feed(head.sequence);
+        self.session.accept(head.sequence);
+        self.select = head.latch();
+        Ok(gate)
     }
 
     /// Records what is left to do after the answer to an executed exchange with these flags is
@@ -216,9 +240,9 @@ impl Server {
         board: &mut B,
         enable: bool,
         request: bool,
-        gate: crate::cores::Gate,
+        gate: Gate,
         apply: Option<[u32; 2]>,
-    ) -> Result<crate::cores::Gate, Refusal> {
+    ) -> Result<Gate, Refusal> {
         let event = Event::Command {
             enable,
             request,
@@ -251,6 +275,51 @@ impl Server {
         }
         Ok(board.gate())
     }
+}
+
+/// Stages the two words of each of `count` stepgens, up to two stepgens at a time.
+#[inline(always)]
+fn stage_stepgens(board: &mut impl Board, request: &mut impl Request, count: usize) {
+    let mut at = command::STEPGEN0_VELOCITY;
+    for _ in 0..count / 2 {
+        stage4(board, at, request.take4());
+        at += 2 * COMMAND_STEPGEN;
+    }
+    if count & 1 != 0 {
+        stage2(board, at, request.take2());
+    }
+}
+
+/// Stages the word of each of `count` PWMs, up to four at a time.
+#[inline(always)]
+fn stage_pwms(board: &mut impl Board, request: &mut impl Request, count: usize) {
+    let mut at = command::PWM0_WIDTH;
+    for _ in 0..count / 4 {
+        stage4(board, at, request.take4());
+        at += 4;
+    }
+    if count & 2 != 0 {
+        stage2(board, at, request.take2());
+        at += 2;
+    }
+    if count & 1 != 0 {
+        let [a] = request.take1();
+        board.stage(at, a);
+    }
+}
+
+#[inline(always)]
+fn stage4(board: &mut impl Board, at: usize, [a, b, c, d]: [u32; 4]) {
+    board.stage(at, a);
+    board.stage(at + 1, b);
+    board.stage(at + 2, c);
+    board.stage(at + 3, d);
+}
+
+#[inline(always)]
+fn stage2(board: &mut impl Board, at: usize, [a, b]: [u32; 2]) {
+    board.stage(at, a);
+    board.stage(at + 1, b);
 }
 
 /// Copies the three words of each of `count` stepgens into the answer, up to four stepgens at a
@@ -312,9 +381,9 @@ pub struct SlotReply<'s, S> {
 }
 
 impl<'s, S: crate::net::Slot> SlotReply<'s, S> {
-    /// Writes all words of the frame that are the same in every answer of this lane.
-    pub fn prepare(slot: &mut S, lane_headers: impl FnOnce(&mut S), server: &Server) {
-        lane_headers(slot);
+    /// Writes all words of the frame that are the same in every answer on this fast path.
+    pub fn prepare(slot: &mut S, headers: impl FnOnce(&mut S), server: &Server) {
+        headers(slot);
         crate::net::emit_payload(slot, &reply_head(&server.shape));
         slot.put(KEPT, server.boot.id);
     }

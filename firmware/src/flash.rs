@@ -43,13 +43,11 @@ enum Job {
     /// Protected: check the status register.
     Protected,
     /// Computing a CRC.
-    Crc { at: u32, left: u32, crc: Crc32 },
+    Crc(PartialCrc),
     /// Computing the CRC of the image to be selected.
     Image {
         slot: Slot,
-        at: u32,
-        left: u32,
-        crc: Crc32,
+        crc: PartialCrc,
         wanted: u32,
     },
     /// The selection is under way.
@@ -60,6 +58,34 @@ enum Job {
     Saved { settings: Settings, copy: u32 },
     /// Copies to be erased, the older one first.
     Forget { copy: u32, left: u8 },
+}
+
+/// A CRC of which a part is computed, and the bytes that are left.
+#[derive(Clone, Copy, Debug)]
+struct PartialCrc {
+    at: u32,
+    left: u32,
+    so_far: Crc32,
+}
+
+impl PartialCrc {
+    /// Of this many bytes from `at`; none of them is read yet.
+    fn new(at: u32, left: u32) -> Self {
+        PartialCrc {
+            at,
+            left,
+            so_far: Crc32::new(),
+        }
+    }
+
+    /// Adds the next [`SLICE`] bytes.
+    fn advance<S: SpiDevice>(&mut self, nor: &mut Nor<S>) -> Result<(), OpResult> {
+        let count = SLICE.min(self.left);
+        nor.each(self.at, count, |bytes| self.so_far.update(bytes))?;
+        self.at += count;
+        self.left -= count;
+        Ok(())
+    }
 }
 
 /// The flash and the operation that runs on it.
@@ -409,11 +435,7 @@ impl Flash {
                 if !whole.contains(address, length) || secret {
                     return Err(OpResult::Address);
                 }
-                self.job = Job::Crc {
-                    at: address,
-                    left: length,
-                    crc: Crc32::new(),
-                };
+                self.job = Job::Crc(PartialCrc::new(address, length));
                 Ok(true)
             }
             Op::EraseSector | Op::EraseBlock => {
@@ -452,9 +474,7 @@ impl Flash {
                 }
                 self.job = Job::Image {
                     slot,
-                    at: area.start,
-                    left: meta.length,
-                    crc: Crc32::new(),
+                    crc: PartialCrc::new(area.start, meta.length),
                     wanted: meta.crc,
                 };
                 Ok(true)
@@ -555,104 +575,50 @@ impl Flash {
         now: u64,
         patience: u64,
     ) -> Result<bool, OpResult> {
-        if let Some(since) = self.waiting {
-            let since = if since == u64::MAX { now } else { since };
-            if nor.status()? & BUSY != 0 {
-                self.waiting = Some(since);
-                return if now.wrapping_sub(since) < patience {
-                    Ok(true)
-                } else {
-                    Err(OpResult::Flash)
-                };
-            }
-            self.waiting = None;
+        if self.chip_is_busy(nor, now, patience)? {
+            return Ok(true);
         }
         let layout = self.known()?;
-        match self.job {
+        match &mut self.job {
             Job::Finish => Ok(false),
             // A chip that protects a sector does not report it, but its first bytes show it.
-            Job::Erased(address) => done(nor.blank(address, 64)?),
-            Job::Programmed => {
-                let mut same = true;
-                let mut rest = self.buffer.as_slice();
-                nor.each(self.address, self.length, |bytes| {
-                    let (head, tail) = rest.split_at_checked(bytes.len()).unwrap_or((&[], &[]));
-                    same &= head == bytes;
-                    rest = tail;
-                })?;
-                done(same)
-            }
+            Job::Erased(address) => done(nor.blank(*address, 64)?),
+            Job::Programmed => done(self.verify_page(nor)?),
             Job::Protected => {
                 self.protected = is_protected(nor, &layout)?;
                 done(self.protected)
             }
-            Job::Crc {
-                mut at,
-                mut left,
-                mut crc,
-            } => {
-                sum(nor, &mut at, &mut left, &mut crc)?;
-                self.job = Job::Crc { at, left, crc };
-                self.crc = crc.value();
-                Ok(left > 0)
+            Job::Crc(crc) => {
+                crc.advance(nor)?;
+                self.crc = crc.so_far.value();
+                Ok(crc.left > 0)
             }
-            Job::Image {
-                slot,
-                mut at,
-                mut left,
-                mut crc,
-                wanted,
-            } => {
-                sum(nor, &mut at, &mut left, &mut crc)?;
-                self.job = Job::Image {
-                    slot,
-                    at,
-                    left,
-                    crc,
-                    wanted,
-                };
-                if left == 0 {
-                    if crc.value() != wanted {
+            Job::Image { slot, crc, wanted } => {
+                crc.advance(nor)?;
+                if crc.left == 0 {
+                    if crc.so_far.value() != *wanted {
                         return Err(OpResult::Image);
                     }
-                    self.job = Job::Choose { slot, steps: 0 };
+                    self.job = Job::Choose {
+                        slot: *slot,
+                        steps: 0,
+                    };
                 }
                 Ok(true)
             }
-            Job::Choose { slot, steps } => {
-                let step = images::next(nor, &layout, slot)?;
-                if steps >= STEPS_MAX {
-                    return Err(OpResult::Flash);
-                }
-                self.job = Job::Choose {
-                    slot,
-                    steps: steps + 1,
-                };
-                match step {
-                    Step::Done => {
-                        self.selected = Some(slot);
-                        return Ok(false);
-                    }
-                    Step::Program(address, bytes) => self.program(nor, address, bytes)?,
-                    Step::Body(address, slot) => {
-                        self.program(nor, address, &images::body(&layout, slot))?;
-                    }
-                    Step::Erase(address) => self.erase(nor, ERASE_SECTOR, address)?,
-                }
-                Ok(true)
-            }
-            Job::Save { settings, copy } => {
+            &mut Job::Choose { slot, steps } => self.select_step(nor, &layout, slot, steps),
+            &mut Job::Save { settings, copy } => {
                 let mut bytes = [0; layout_of::WORDS * 4];
                 wire::words_to_bytes(&settings.to_words(), &mut bytes);
                 self.program(nor, layout.settings_copy(copy), &bytes)?;
                 self.job = Job::Saved { settings, copy };
                 Ok(true)
             }
-            Job::Saved { settings, copy } => {
+            &mut Job::Saved { settings, copy } => {
                 let copies = settings::load(nor, &layout)?;
                 done(copies.newest() == Some((settings, copy)))
             }
-            Job::Forget { copy, left } => {
+            &mut Job::Forget { copy, left } => {
                 if left == 0 {
                     return done(settings::load(nor, &layout)?.newest().is_none());
                 }
@@ -665,6 +631,72 @@ impl Flash {
             }
         }
     }
+
+    /// Is the last erase or program command still running? A chip that takes longer than `patience`
+    /// is an error.
+    fn chip_is_busy<S: SpiDevice>(
+        &mut self,
+        nor: &mut Nor<S>,
+        now: u64,
+        patience: u64,
+    ) -> Result<bool, OpResult> {
+        let Some(since) = self.waiting else {
+            return Ok(false);
+        };
+        let since = if since == u64::MAX { now } else { since };
+        if nor.status()? & BUSY == 0 {
+            self.waiting = None;
+            return Ok(false);
+        }
+        self.waiting = Some(since);
+        if now.wrapping_sub(since) < patience {
+            Ok(true)
+        } else {
+            Err(OpResult::Flash)
+        }
+    }
+
+    /// Are the programmed bytes those of the buffer?
+    fn verify_page<S: SpiDevice>(&self, nor: &mut Nor<S>) -> Result<bool, OpResult> {
+        let mut same = true;
+        let mut rest = self.buffer.as_slice();
+        nor.each(self.address, self.length, |bytes| {
+            let (head, tail) = rest.split_at_checked(bytes.len()).unwrap_or((&[], &[]));
+            same &= head == bytes;
+            rest = tail;
+        })?;
+        Ok(same)
+    }
+
+    /// The next command of a selection; is there more to do?
+    fn select_step<S: SpiDevice>(
+        &mut self,
+        nor: &mut Nor<S>,
+        layout: &Layout,
+        slot: Slot,
+        steps: u8,
+    ) -> Result<bool, OpResult> {
+        let step = images::next(nor, layout, slot)?;
+        if steps >= STEPS_MAX {
+            return Err(OpResult::Flash);
+        }
+        self.job = Job::Choose {
+            slot,
+            steps: steps + 1,
+        };
+        match step {
+            Step::Done => {
+                self.selected = Some(slot);
+                return Ok(false);
+            }
+            Step::Program(address, bytes) => self.program(nor, address, bytes)?,
+            Step::Body(address, slot) => {
+                self.program(nor, address, &images::body(layout, slot))?;
+            }
+            Step::Erase(address) => self.erase(nor, ERASE_SECTOR, address)?,
+        }
+        Ok(true)
+    }
 }
 
 /// How often a chip that is busy at start is polled: 300 clocks each, about 4 s.
@@ -676,20 +708,6 @@ fn done(well: bool) -> Result<bool, OpResult> {
     } else {
         Err(OpResult::Flash)
     }
-}
-
-/// Adds a slice to a CRC.
-fn sum<S: SpiDevice>(
-    nor: &mut Nor<S>,
-    at: &mut u32,
-    left: &mut u32,
-    crc: &mut Crc32,
-) -> Result<(), OpResult> {
-    let count = SLICE.min(*left);
-    nor.each(*at, count, |bytes| crc.update(bytes))?;
-    *at += count;
-    *left -= count;
-    Ok(())
 }
 
 fn is_protected<S: SpiDevice>(nor: &mut Nor<S>, layout: &Layout) -> Result<bool, OpResult> {

@@ -77,8 +77,45 @@ struct Peer {
     port: [u8; 2],
 }
 
+/// A segment from a peer, whose check sum is right.
+struct TcpSegment<'a> {
+    from: [u8; 2],
+    to: u16,
+    sequence: u32,
+    ack: u32,
+    flags: u8,
+    window: u16,
+    data: &'a [u8],
+}
+
+impl<'a> TcpSegment<'a> {
+    /// Parses what an IP packet from `peer` to us carries.
+    fn parse(tcp: &'a [u8], peer: &Peer, us: &Us) -> Option<Self> {
+        let pseudo = sum(&peer.ip, sum(&us.ip.to_be_bytes(), 6 + tcp.len() as u32));
+        let offset = usize::from(*tcp.get(12)? >> 4) * 4;
+        let data = tcp.get(offset.max(TCP_HEADER)..)?;
+        if fold(sum(tcp, pseudo)) != 0xffff {
+            return None;
+        }
+        Some(TcpSegment {
+            from: *tcp.first_chunk()?,
+            to: half(tcp, 2)?,
+            sequence: word(tcp, 4)?,
+            ack: word(tcp, 8)?,
+            flags: *tcp.get(13)?,
+            window: half(tcp, 14)?,
+            data,
+        })
+    }
+
+    /// Does it ask for a new connection?
+    fn opens(&self) -> bool {
+        self.flags & (SYN | ACK | RST | FIN) == SYN
+    }
+}
+
 /// Takes the bytes that the connection brings.
-pub trait Taker {
+pub trait StreamHandler {
     /// A client has connected.
     fn greet(&mut self, out: &mut Text);
     /// Takes at most one line of these bytes; returns how many bytes it took. 0: none now, ask
@@ -248,14 +285,14 @@ impl<const AHEAD: usize> Ip<AHEAD> {
     }
 
     /// Passes received bytes on, line by line, as long as the answers fit.
-    fn feed(&mut self, taker: &mut impl Taker) {
+    fn feed(&mut self, handler: &mut impl StreamHandler) {
         let mut taken = 0;
         while !self.text.close && self.text.room() >= self.reserve {
             let rest = self.ahead.get(taken..).unwrap_or(&[]);
             if rest.is_empty() {
                 break;
             }
-            match taker.take(rest, &mut self.text) {
+            match handler.take(rest, &mut self.text) {
                 0 => break,
                 count => taken += count,
             }
@@ -274,7 +311,7 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         frame: &[u8],
         us: &Us,
         now_ms: u32,
-        taker: &mut impl Taker,
+        handler: &mut impl StreamHandler,
         out: &mut [u8],
     ) -> Option<usize> {
         let ours = us.ip.to_be_bytes();
@@ -306,7 +343,7 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         peer.ip.copy_from_slice(ip.get(12..16)?);
         match ip.get(9)? {
             1 => ping(body, &peer, us, out),
-            6 => self.segment(body, peer, us, now_ms, taker, out),
+            6 => self.segment(body, peer, us, now_ms, handler, out),
             _ => None,
         }
     }
@@ -316,13 +353,13 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         &mut self,
         us: &Us,
         now_ms: u32,
-        taker: &mut impl Taker,
+        handler: &mut impl StreamHandler,
         out: &mut [u8],
     ) -> Option<usize> {
         if self.state == State::Listen {
             return None;
         }
-        self.feed(taker);
+        self.feed(handler);
         let waited = now_ms.wrapping_sub(self.sent_at);
         // Bytes are not acknowledged, or do not fit the peer's window, or the peer's half stays
         // open after ours closed.
@@ -386,70 +423,39 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         self.emit(us, flags, from, window, sent, count, out)
     }
 
+    /// Takes a segment of this peer, whose port is not known yet, and answers it.
     fn segment(
         &mut self,
         tcp: &[u8],
         mut peer: Peer,
         us: &Us,
         now_ms: u32,
-        taker: &mut impl Taker,
+        handler: &mut impl StreamHandler,
         out: &mut [u8],
     ) -> Option<usize> {
-        let pseudo = sum(&peer.ip, sum(&us.ip.to_be_bytes(), 6 + tcp.len() as u32));
-        let offset = usize::from(*tcp.get(12)? >> 4) * 4;
-        let data = tcp.get(offset.max(TCP_HEADER)..)?;
-        if fold(sum(tcp, pseudo)) != 0xffff || half(tcp, 2)? != self.port {
-            return None;
-        }
-        peer.port.copy_from_slice(tcp.get(..2)?);
-        let (sequence, ack) = (word(tcp, 4)?, word(tcp, 8)?);
-        let flags = *tcp.get(13)?;
-        let opens = flags & (SYN | ACK | RST | FIN) == SYN;
+        let segment = TcpSegment::parse(tcp, &peer, us).filter(|it| it.to == self.port)?;
+        peer.port = segment.from;
+        let opens = segment.opens();
         let theirs = (peer.ip, peer.port) == (self.peer.ip, self.peer.port);
         let opening = self.state == State::Opening;
         // Our answer to the peer's SYN was lost. Any other SYN replaces a late handshake.
-        let again = opening && theirs && sequence.wrapping_add(1) == self.expected;
+        let again = opening && theirs && segment.sequence.wrapping_add(1) == self.expected;
         if opens && !self.taken() && !again {
-            self.peer = peer;
-            self.una = now_ms.wrapping_mul(250_000) ^ sequence.rotate_left(13);
-            self.next = self.una;
-            self.top = self.una;
-            self.expected = sequence.wrapping_add(1);
-            self.their_window = u32::from(half(tcp, 14)?);
-            self.theirs_done = false;
-            self.owe_ack = false;
-            self.resends = 0;
-            self.sent_at = now_ms;
-            self.objected_at = now_ms.wrapping_sub(RESEND_MS);
-            self.reset();
-            self.state = State::Opening;
-            return self.poll(us, now_ms, taker, out);
+            self.begin_handshake(peer, &segment, now_ms);
+            return self.poll(us, now_ms, handler, out);
         }
-        let fresh = ack.wrapping_sub(self.una);
-        let never_sent = fresh > self.top.wrapping_sub(self.una);
-        let confirms = flags & (RST | ACK) != ACK || fresh == 1;
-        let known = self.busy() && theirs && (!opening || confirms);
         if opens && opening && !theirs {
             // The handshake may still finish soon; the client will ask again.
             return None;
         }
+        let fresh = segment.ack.wrapping_sub(self.una);
+        let confirms = segment.flags & (RST | ACK) != ACK || fresh == 1;
+        let known = self.busy() && theirs && (!opening || confirms);
         if !known {
-            if flags & RST != 0 {
-                return None;
-            }
-            // There is no connection for this segment: answer with a reset.
-            let expected = self.expected;
-            let other = core::mem::replace(&mut self.peer, peer);
-            let length = data.len() as u32 + u32::from(flags & (SYN | FIN) != 0);
-            self.expected = sequence.wrapping_add(length);
-            let from = if flags & ACK != 0 { ack } else { 0 };
-            let sent = self.emit(us, RST | ACK, from, 0, 0, 0, out);
-            (self.peer, self.expected) = (other, expected);
-            return sent;
+            return self.refuse(peer, &segment, us, out);
         }
-        let room = AHEAD - self.ahead.len();
-        let ahead = sequence.wrapping_sub(self.expected) as usize;
-        if flags & RST != 0 && (ahead == 0 || ahead >= room) {
+        let ahead = segment.sequence.wrapping_sub(self.expected) as usize;
+        if segment.flags & RST != 0 && (ahead == 0 || ahead >= self.room()) {
             if ahead == 0 {
                 self.reset();
             }
@@ -457,72 +463,137 @@ impl<const AHEAD: usize> Ip<AHEAD> {
         }
         if opens && opening {
             self.next = self.una;
-            return self.poll(us, now_ms, taker, out);
+            return self.poll(us, now_ms, handler, out);
         }
+        let never_sent = fresh > self.top.wrapping_sub(self.una);
         // An old acknowledgement may come late. One of bytes that were never sent is a guess.
-        let guess = never_sent && self.una.wrapping_sub(ack) > LATE;
-        if flags & (SYN | RST) != 0 || flags & ACK != 0 && guess {
+        let guess = never_sent && self.una.wrapping_sub(segment.ack) > LATE;
+        if segment.flags & (SYN | RST) != 0 || segment.flags & ACK != 0 && guess {
             // Either the peer lost the connection, and will say so in reply, or the sender is not
             // the peer.
             self.object(now_ms);
-            return self.poll(us, now_ms, taker, out);
+            return self.poll(us, now_ms, handler, out);
         }
-        if flags & ACK == 0 {
+        if segment.flags & ACK == 0 {
             return None;
         }
-        if !never_sent {
-            self.their_window = u32::from(half(tcp, 14)?);
-            if fresh > 0 {
-                self.una = ack;
-                if (self.next.wrapping_sub(ack) as i32) < 0 {
-                    self.next = ack;
-                }
-                self.resends = 0;
-                self.sent_at = now_ms;
-                if self.state == State::Opening {
-                    self.state = State::Open;
-                    taker.greet(&mut self.text);
-                } else {
-                    if fresh as usize > self.text.used {
-                        // The peer has acknowledged our FIN, too. Both sides may have closed.
-                        self.state = State::Waiting;
-                        if self.theirs_done {
-                            self.reset();
-                            return None;
-                        }
-                    }
-                    self.text.drop_front(fresh as usize);
-                }
-            } else if self.state != State::Waiting
-                && (self.next == self.una || self.their_window == 0)
-            {
-                // The peer answers, and has no bytes to acknowledge.
-                self.resends = 0;
-                self.sent_at = now_ms;
-            }
+        if !never_sent && self.acknowledge(&segment, now_ms, handler) {
+            self.reset();
+            return None;
         }
-        let again = self.expected.wrapping_sub(sequence);
-        let news = data.get(again as usize..);
-        if !data.is_empty() || flags & FIN != 0 {
+        if self.receive(&segment, now_ms) {
+            let sent = self.emit(us, ACK, self.next, 0, 0, 0, out);
+            self.reset();
+            return sent;
+        }
+        self.poll(us, now_ms, handler, out)
+    }
+
+    /// Bytes the peer may still send ahead.
+    fn room(&self) -> usize {
+        AHEAD - self.ahead.len()
+    }
+
+    /// Begins a handshake with this peer; the answer to its SYN is the next segment to send.
+    fn begin_handshake(&mut self, peer: Peer, syn: &TcpSegment, now_ms: u32) {
+        self.peer = peer;
+        self.una = now_ms.wrapping_mul(250_000) ^ syn.sequence.rotate_left(13);
+        self.next = self.una;
+        self.top = self.una;
+        self.expected = syn.sequence.wrapping_add(1);
+        self.their_window = u32::from(syn.window);
+        self.theirs_done = false;
+        self.owe_ack = false;
+        self.resends = 0;
+        self.sent_at = now_ms;
+        self.objected_at = now_ms.wrapping_sub(RESEND_MS);
+        self.reset();
+        self.state = State::Opening;
+    }
+
+    /// There is no connection for this segment: answers with a reset, unless it is one.
+    fn refuse(
+        &mut self,
+        peer: Peer,
+        segment: &TcpSegment,
+        us: &Us,
+        out: &mut [u8],
+    ) -> Option<usize> {
+        let flags = segment.flags;
+        if flags & RST != 0 {
+            return None;
+        }
+        let expected = self.expected;
+        let other = core::mem::replace(&mut self.peer, peer);
+        let length = segment.data.len() as u32 + u32::from(flags & (SYN | FIN) != 0);
+        self.expected = segment.sequence.wrapping_add(length);
+        let from = if flags & ACK != 0 { segment.ack } else { 0 };
+        let sent = self.emit(us, RST | ACK, from, 0, 0, 0, out);
+        (self.peer, self.expected) = (other, expected);
+        sent
+    }
+
+    /// Takes the acknowledgement of bytes that were sent. True if it was the last that the
+    /// connection waited for.
+    fn acknowledge(
+        &mut self,
+        segment: &TcpSegment,
+        now_ms: u32,
+        handler: &mut impl StreamHandler,
+    ) -> bool {
+        let fresh = segment.ack.wrapping_sub(self.una);
+        self.their_window = u32::from(segment.window);
+        if fresh > 0 {
+            self.una = segment.ack;
+            if (self.next.wrapping_sub(segment.ack) as i32) < 0 {
+                self.next = segment.ack;
+            }
+            self.resends = 0;
+            self.sent_at = now_ms;
+            if self.state == State::Opening {
+                self.state = State::Open;
+                handler.greet(&mut self.text);
+            } else {
+                if fresh as usize > self.text.used {
+                    // The peer has acknowledged our FIN, too. Both sides may have closed.
+                    self.state = State::Waiting;
+                    if self.theirs_done {
+                        return true;
+                    }
+                }
+                self.text.drop_front(fresh as usize);
+            }
+        } else if self.state != State::Waiting && (self.next == self.una || self.their_window == 0)
+        {
+            // The peer answers, and has no bytes to acknowledge.
+            self.resends = 0;
+            self.sent_at = now_ms;
+        }
+        false
+    }
+
+    /// Takes the bytes that are new and have room, and the peer's FIN behind the last of them. True
+    /// if both sides have closed now.
+    fn receive(&mut self, segment: &TcpSegment, now_ms: u32) -> bool {
+        let (data, fin) = (segment.data, segment.flags & FIN != 0);
+        let again = self.expected.wrapping_sub(segment.sequence);
+        if !data.is_empty() || fin {
             self.owe_ack = true;
         } else if again != 0 {
             self.object(now_ms);
         }
-        if let Some(news) = news.filter(|_| !self.theirs_done) {
-            let head = news.get(..room.min(news.len())).unwrap_or(&[]);
-            let _ = self.ahead.extend_from_slice(head);
-            self.expected = self.expected.wrapping_add(head.len() as u32);
-            if flags & FIN != 0 && head.len() == news.len() {
-                self.expected = self.expected.wrapping_add(1);
-                self.theirs_done = true;
-                if self.state == State::Waiting {
-                    let sent = self.emit(us, ACK, self.next, 0, 0, 0, out);
-                    self.reset();
-                    return sent;
-                }
-            }
+        let Some(news) = data.get(again as usize..).filter(|_| !self.theirs_done) else {
+            return false;
+        };
+        let head = news.get(..self.room().min(news.len())).unwrap_or(&[]);
+        let _ = self.ahead.extend_from_slice(head);
+        self.expected = self.expected.wrapping_add(head.len() as u32);
+        if !fin || head.len() < news.len() {
+            return false;
         }
-        self.poll(us, now_ms, taker, out)
+        self.expected = self.expected.wrapping_add(1);
+        self.theirs_done = true;
+        self.state == State::Waiting
     }
 
     /// Answers with the right numbers, unless that was done a moment ago.

@@ -2,7 +2,7 @@
 //!
 //! The code here decides and moves words. It knows no addresses of the chip, never waits, and never
 //! reads a clock. The board is behind [`cores::Board`], time is an argument, frames are words. So
-//! it runs on a PC, where the tests are, and on the softcore, where `src/soc` gives it registers.
+//! it runs on a PC, where the tests are, and on the softcore, where `src/bin` gives it registers.
 //!
 //! ```text
 //!   bytes --> machine --+
@@ -35,7 +35,6 @@
 //! | [`discovery`] | lets hosts find the board and set its settings, whatever its address |
 //! | [`dhcp`] | an address from a server, or the static one after 10 s |
 //! | [`ip`] | ARP, ping and the console's TCP connection |
-//! | [`segments`] | the words of the segments core's page |
 //! | [`jobs`] | what the board does without a PC, in a program of its own |
 //! | [`link`] | up or down, speed, errors |
 //! | `path_stop` | decelerations that keep the axes on their line when no commands come any more |

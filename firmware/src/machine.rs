@@ -7,17 +7,18 @@
 //!   Machine::start           gate closed, settings, addresses, state machine out of Boot
 //!   forever
 //!     a datagram             Machine::datagram (words) or Machine::payload (bytes), then, if
-//!                            Machine::due(BEHIND_A_FRAME), Machine::chores; Machine::hold_path once it is sent
-//!     none, and due(IDLE)    Machine::chores
-//!     a byte of the console  console::Line::push, and its result into Machine::answer
+//!                            Machine::due(Machine::patience), Machine::housekeeping;
+//!                            Machine::hold_path once it is sent
+//!     none, and due(IDLE)    Machine::housekeeping
+//!     a byte of the console  console::LineEditor::push, and its result into Machine::answer
 //!     a discovery datagram   Machine::discover; a DHCP server's: Machine::offered
-//!     has_to_shout           Machine::shout, and broadcast it
+//!     has_broadcast          Machine::next_broadcast, and broadcast it
 //!     moved                  the address changed: tell the IP stack
 //!     server.wants_restart   leave ResetReason::Requested in the postmortem record, start anew
 //! ```
 //!
 //! The log belongs to the board: defmt's ring on the softcore, other storage in a model
-//! ([`crate::log::Ring`]). [`Machine::chores`] returns the events that are worth a log line.
+//! ([`crate::log::Ring`]). [`Machine::housekeeping`] returns the events that are worth a log line.
 
 use crate::auth::{Words, by_port};
 use crate::console::{self, Ask, Vitals};
@@ -38,9 +39,9 @@ use wire::map::{BoardConfig, StepgenConfig};
 use wire::settings::Settings;
 use wire::{DISCOVERY_PORT, FaultReason, MAX_WORDS, Name, Refusal, State};
 
-/// Housekeeping is due after an answer once one of its periods has passed: the next request is a
-/// whole servo period away.
-pub const BEHIND_A_FRAME: u32 = 1;
+/// Housekeeping is due after an answer to the owner once one of its periods has passed: the next
+/// request is a whole servo period away.
+const BEHIND_AN_ANSWER: u32 = 1;
 /// Without a frame it waits longer, so that it does not run between a request and its answer.
 pub const IDLE: u32 = 3;
 /// Bytes of the board information ROM that are read.
@@ -48,7 +49,7 @@ pub const BLOB_MAX: usize = wire::regmap::BOARD_ROM_SIZE;
 
 /// Housekeeping runs a thousand times a second: TCP timers and the LED could wait, but a bite
 /// should be reported soon.
-const CHORES_PER_SECOND: u32 = 1000;
+const HOUSEKEEPING_PER_SECOND: u32 = 1000;
 /// Locally administered; for a board without a MAC in its ROM and without a unique id in its flash.
 const FALLBACK_MAC: [u8; 6] = [0x12, 0xe2, 0xd5, 0, 0, 1];
 /// 5 ms, hostmot2's default: five missed periods of a 1 kHz servo thread.
@@ -56,7 +57,7 @@ const WATCHDOG_PER_SECOND: u32 = 200;
 
 /// A datagram to be broadcast (255.255.255.255) by this board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shout {
+pub struct Broadcast {
     /// Source address.
     pub from_ip: u32,
     /// Source port.
@@ -87,8 +88,8 @@ pub struct Machine<B> {
     /// The address changed and the transport has not been told.
     moved: bool,
     told: State,
-    chores_at: u32,
-    chores_every: u32,
+    housekeeping_at: u32,
+    housekeeping_every: u32,
     second_at: u32,
     second: u32,
 }
@@ -122,8 +123,8 @@ impl<B: Board> Machine<B> {
             ask: false,
             moved: false,
             told: State::Boot,
-            chores_at: 0,
-            chores_every: ident.clock_hz / CHORES_PER_SECOND,
+            housekeeping_at: 0,
+            housekeeping_every: ident.clock_hz / HOUSEKEEPING_PER_SECOND,
             second_at: 0,
             second: 0,
         }
@@ -139,7 +140,7 @@ impl<B: Board> Machine<B> {
         self.find_itself(&ident, boot);
         self.server.start(&mut self.board);
         let now = self.board.now_lo();
-        self.chores_at = now;
+        self.housekeeping_at = now;
         self.second_at = now;
         self.told = self.server.safety().state();
         self.ask = self.client.tick(0);
@@ -221,18 +222,26 @@ impl<B: Board> Machine<B> {
         reply: &'r mut [u32; MAX_WORDS],
     ) -> Result<&'r [u32], Refusal> {
         let mut words = [0; MAX_WORDS];
-        let counters = self.server.counters_mut();
-        counters.frames_rx = counters.frames_rx.wrapping_add(1);
+        self.received();
         let count = net::payload_words(bytes.len()).inspect_err(|why| self.server.refuse(*why))?;
         for (word, bytes) in words.iter_mut().zip(bytes.as_chunks().0) {
             *word = u32::from_be_bytes(*bytes);
         }
         let reply = self.datagram(words.get(..count).unwrap_or(&[]), peer, reply)?;
-        let counters = self.server.counters_mut();
-        counters.frames_tx = counters
-            .frames_tx
-            .wrapping_add(u32::from(!reply.is_empty()));
+        self.sent(u32::from(!reply.is_empty()));
         Ok(reply)
+    }
+
+    /// Periods of housekeeping that may pass behind a frame; `owners`: the owner's. While a host
+    /// owns the board, a frame of another one may be right in front of the owner's: housekeeping,
+    /// and with it a turn of the jobs program, waits for the answer to that.
+    #[inline(always)]
+    pub fn patience(&self, owners: bool) -> u32 {
+        let owner = || self.server.session().owner();
+        match owners || owner().is_none_or(|owner| owner == Peer::INSIDE) {
+            true => BEHIND_AN_ANSWER,
+            false => IDLE,
+        }
     }
 
     /// Have this many periods passed since the last housekeeping? Then it is due, and counted as
@@ -240,16 +249,16 @@ impl<B: Board> Machine<B> {
     #[inline(always)]
     pub fn due(&mut self, periods: u32) -> bool {
         let now = self.board.now_lo();
-        let due = now.wrapping_sub(self.chores_at) >= self.chores_every * periods;
+        let due = now.wrapping_sub(self.housekeeping_at) >= self.housekeeping_every * periods;
         if due {
-            self.chores_at = now;
+            self.housekeeping_at = now;
         }
         due
     }
 
     /// Does what is due without a datagram. Returns a change of state, to be logged.
     #[inline]
-    pub fn chores(&mut self) -> Option<(State, FaultReason)> {
+    pub fn housekeeping(&mut self) -> Option<(State, FaultReason)> {
         if self.server.flash.busy() {
             self.slice();
         } else {
@@ -257,7 +266,7 @@ impl<B: Board> Machine<B> {
         }
         self.server.poll(&mut self.board);
         let clock_hz = self.server.ident.clock_hz;
-        if self.chores_at.wrapping_sub(self.second_at) >= clock_hz {
+        if self.housekeeping_at.wrapping_sub(self.second_at) >= clock_hz {
             self.second_passed(clock_hz);
         }
         let state = self.server.safety().state();
@@ -271,9 +280,9 @@ impl<B: Board> Machine<B> {
     #[inline(never)]
     fn slice(&mut self) {
         let done = self.server.poll_flash(&mut self.board);
-        self.chores_every = 0;
+        self.housekeeping_every = 0;
         if done {
-            self.chores_every = self.server.ident.clock_hz / CHORES_PER_SECOND;
+            self.housekeeping_every = self.server.ident.clock_hz / HOUSEKEEPING_PER_SECOND;
             if self.waiting.is_some() {
                 self.done = Some(self.server.flash.word().result);
             }
@@ -385,16 +394,16 @@ impl<B: Board> Machine<B> {
         }
     }
 
-    /// Is there something to broadcast ([`Machine::shout`])? Ask after housekeeping and after a
-    /// datagram.
+    /// Is there something to broadcast ([`Machine::next_broadcast`])? Ask after housekeeping and
+    /// after a datagram.
     #[inline(always)]
-    pub fn has_to_shout(&self) -> bool {
+    pub fn has_broadcast(&self) -> bool {
         self.ask || self.moved || self.done.is_some()
     }
 
     /// Writes what is to be broadcast into `words`. The answer to a Set that was saved is the last
     /// one: the machine wants a restart after it.
-    pub fn shout(&mut self, words: &mut [u32; MAX_WORDS]) -> Option<Shout> {
+    pub fn next_broadcast(&mut self, words: &mut [u32; MAX_WORDS]) -> Option<Broadcast> {
         if let (Some(result), Some(waiting)) = (self.done.take(), self.waiting.take()) {
             if result == OpResult::Ok {
                 self.server.restart();
@@ -404,7 +413,7 @@ impl<B: Board> Machine<B> {
                 uid: self.server.flash.uid(),
                 body: Body::Done(result),
             };
-            return Some(Shout {
+            return Some(Broadcast {
                 from_ip: self.us.ip,
                 from_port: DISCOVERY_PORT,
                 to_port: waiting.port,
@@ -417,7 +426,7 @@ impl<B: Board> Machine<B> {
         let name = self.server.flash.settings().name;
         let place = words.first_chunk_mut()?;
         self.client.emit(self.us.mac, name.text(), place);
-        Some(Shout {
+        Some(Broadcast {
             from_ip: self.client.lease().map_or(0, |lease| lease.ip),
             from_port: dhcp::PORT,
             to_port: dhcp::SERVER_PORT,
@@ -534,6 +543,8 @@ impl Built {
         }
     }
 }
+
+mod transport;
 
 #[cfg(test)]
 mod tests;

@@ -25,7 +25,7 @@ pub const FRAME_MIN: usize = 60;
 pub const PAYLOAD_WORD: usize = 11;
 
 /// Words of a warm-up frame: the longest command there is.
-pub const REHEARSAL_WORDS: usize =
+pub const WARM_UP_WORDS: usize =
     PAYLOAD_WORD + wire::exchange::REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX;
 
 const ETHERTYPE_IPV4: u32 = 0x0800;
@@ -241,10 +241,10 @@ pub fn emit_payload(slot: &mut impl Slot, payload: &[u32]) -> usize {
     HEADERS + payload.len() * 4
 }
 
-/// The fast lane: the headers of the last exchange. The next exchange of the same host is
+/// The fast path: the headers of the last exchange. The next exchange of the same host is
 /// recognised by comparing words, and its answer's headers are already in the slot.
 #[derive(Clone, Copy, Debug)]
-pub struct Lane {
+pub struct FastPath {
     /// Frame length, and the values that words 0..=4 and 7..=10 must have, as far as they matter.
     length: usize,
     macs: [u32; 4],
@@ -257,12 +257,12 @@ pub struct Lane {
     udp_sum: u32,
     /// The third Etherbone word.
     record: u32,
-    /// The datagram the lane was opened for.
+    /// The datagram the fast path was opened for.
     pub datagram: Datagram,
 }
 
-impl Lane {
-    /// A lane for exchanges of `command_words` words from the sender of `datagram`.
+impl FastPath {
+    /// A fast path for exchanges of `command_words` words from the sender of `datagram`.
     pub fn new(us: &Us, datagram: Datagram, command_words: usize) -> Self {
         let payload = (wire::exchange::REQUEST_OVERHEAD + command_words) * 4;
         let udp_length = (UDP_HEADER + payload) as u32;
@@ -273,7 +273,7 @@ impl Lane {
         let (theirs_high, theirs_low) = datagram.mac;
         let peers = add(theirs, ours);
         let lengths = add(udp_length << 16, PROTOCOL_UDP + udp_length);
-        Lane {
+        FastPath {
             length: HEADERS + payload,
             macs: [
                 u32::from(ours_high),
@@ -292,19 +292,24 @@ impl Lane {
     }
 
     /// Words of a frame, by number, that tell the owner's frames to us from all others.
-    pub fn marks(&self) -> [(usize, u32); 4] {
+    pub fn expected_words(&self) -> [(usize, u32); 4] {
         let [_, _, m2, m3] = self.macs;
         let [source, _, ports] = self.peers;
         [(2, m2), (3, m3), (7, source), (9, ports)]
     }
 
-    /// Makes up a frame that runs through this lane to its end without being executed: the owner's
-    /// next command, all zeros, for a [`Frame`] that is not genuine. A warm-up with it brings the
-    /// whole path back into the instruction cache after other code ran.
-    pub fn rehearse(&self, token: u32, sequence: u32, frame: &mut [u32; REHEARSAL_WORDS]) -> usize {
+    /// Makes up a frame that runs through this fast path to its end without being executed: the
+    /// owner's next command, all zeros, for a [`Frame`] that is not genuine. A warm-up with it
+    /// brings the whole path back into the instruction cache after other code ran.
+    pub fn warm_up_frame(
+        &self,
+        token: u32,
+        sequence: u32,
+        frame: &mut [u32; WARM_UP_WORDS],
+    ) -> usize {
         let [m0, m1, m2, m3] = self.macs;
         let [source, destination, ports] = self.peers;
-        *frame = [0; REHEARSAL_WORDS];
+        *frame = [0; WARM_UP_WORDS];
         let checksum = !fold(self.ip_sum) & 0xffff;
         let head = [
             m0,
@@ -331,11 +336,11 @@ impl Lane {
         self.length
     }
 
-    /// Returns the command block of the frame if the frame is an exchange in this lane. The UDP
-    /// checksum is known to be right or wrong once the block has been read to its end. `None` does
-    /// not refuse the frame: [`classify`] then finds out what it is.
+    /// Returns the command block of the frame if the frame is an exchange for this fast path. The
+    /// UDP checksum is known to be right or wrong once the block has been read to its end. `None`
+    /// does not refuse the frame: [`classify`] then finds out what it is.
     #[inline(always)]
-    pub fn open<'f, F: Frame>(&self, frame: &'f F, length: usize) -> Option<Command<'f, F>> {
+    pub fn open<'f, F: Frame>(&self, frame: &'f F, length: usize) -> Option<CommandReader<'f, F>> {
         let (w0, w1, w2, w3) = (frame.word(0), frame.word(1), frame.word(2), frame.word(3));
         let (w4, w5, w6, w7) = (frame.word(4), frame.word(5), frame.word(6), frame.word(7));
         let (w8, w9, w10) = (frame.word(8), frame.word(9), frame.word(10));
@@ -355,7 +360,7 @@ impl Lane {
         if fold(self.ip_sum + class_and_id + ttl_and_sum) != 0xffff {
             return None;
         }
-        let mut command = Command {
+        let mut command = CommandReader {
             frame,
             index: PAYLOAD_WORD,
             sum: self.udp_sum,
@@ -369,11 +374,11 @@ impl Lane {
     }
 }
 
-/// The command block of a frame in the lane, read word by word, each word once. Reading sums the
-/// UDP checksum, 32 bits at a time: 2^16 is 1 in ones' complement arithmetic, so the halves and the
-/// carries can be folded at the end.
+/// The command block of a frame on the fast path, read word by word, each word once. Reading sums
+/// the UDP checksum, 32 bits at a time: 2^16 is 1 in ones' complement arithmetic, so the halves and
+/// the carries can be folded at the end.
 #[derive(Debug)]
-pub struct Command<'f, F> {
+pub struct CommandReader<'f, F> {
     frame: &'f F,
     index: usize,
     sum: u32,
@@ -381,7 +386,7 @@ pub struct Command<'f, F> {
     checksum: u32,
 }
 
-impl<F: Frame> Command<'_, F> {
+impl<F: Frame> CommandReader<'_, F> {
     #[inline(always)]
     fn load(&mut self) -> u32 {
         let word = self.frame.word(self.index);
@@ -406,7 +411,7 @@ macro_rules! take {
     }};
 }
 
-impl<F: Frame> crate::block::Request for Command<'_, F> {
+impl<F: Frame> crate::block::Request for CommandReader<'_, F> {
     #[inline(always)]
     fn take1(&mut self) -> [u32; 1] {
         take!(self, a)
@@ -447,8 +452,8 @@ impl<F: Frame> crate::block::Request for Command<'_, F> {
     }
 }
 
-/// Will the sum be right at this end? No part of [`Command`] is passed by reference: that would
-/// keep the whole struct in memory.
+/// Will the sum be right at this end? No part of [`CommandReader`] is passed by reference: that
+/// would keep the whole struct in memory.
 #[cold]
 #[inline(never)]
 fn sums_up(

@@ -286,7 +286,7 @@ impl Safety {
         self.resynced = false;
         self.reason = match (reset, close) {
             (ResetReason::Panic | ResetReason::Trap, _) => FaultReason::FirmwareFault,
-            // Nobody asked for it, and the gate was opened before: a jump to where the firmware
+            // No client asked for it, and the gate was opened before: a jump to where the firmware
             // begins.
             (
                 ResetReason::PowerUp | ResetReason::Unknown,

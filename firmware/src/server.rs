@@ -1,6 +1,6 @@
 //! The Etherbone server: a datagram is checked completely, then executed completely or not at all.
 //!
-//! [`Server::datagram`] takes every datagram. The servo-period exchange has a fast lane into
+//! [`Server::datagram`] takes every datagram. The servo-period exchange has a fast path into
 //! [`Server::exchange`] that ends in the same code. Checks run against a copy of the session and
 //! the state machine, so that one datagram can acquire the session and configure the board.
 //!
@@ -26,6 +26,7 @@ use wire::exchange::{
     STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, command_word, status_word,
 };
 use wire::map::BoardConfig;
+use wire::refusal::COUNTERS_CUTS;
 use wire::regmap::{self, command, segments, status, timebase};
 use wire::{GateClose, MAX_WORDS, Refusal, ResetReason, map};
 
@@ -34,8 +35,7 @@ const IDLE_SAMPLE_PER_SECOND: u32 = 100;
 /// 3 s without any frame: a missing cable is more likely than a network without broadcasts.
 const QUIET_SECONDS: u32 = 3;
 
-/// Behind the refusals: [`Counters::cuts`]. A board that does not count them reads 0 there.
-pub(crate) const COUNTERS_CUTS: u32 = map::COUNTERS_REFUSED + 4 * Refusal::COUNT as u32;
+/// The word of [`Counters::cuts`].
 const CUTS_WORD: u32 = (COUNTERS_CUTS - map::COUNTERS) / 4;
 /// Outputs that follow the segments core; boards without that core are not told.
 const SEGMENTS_MASK: u32 = regmap::address(segments::BASE, segments::MASK);
@@ -53,7 +53,7 @@ pub struct Counters {
     pub refused_total: u32,
     /// Datagrams refused, by reason.
     pub refused: [u32; Refusal::COUNT],
-    /// How often pulses may have been cut off since the start; whoever arms next makes
+    /// How often pulses may have been cut off since the start; the client that arms next makes
     /// `position_trusted` true again.
     pub cuts: u32,
 }
@@ -194,8 +194,8 @@ impl Server {
         self.abi
     }
 
-    /// May the fast lane be warmed up? A timed commit must not find a warm-up's zeros staged.
-    pub fn may_rehearse(&self) -> bool {
+    /// May the fast path be warmed up? A timed commit must not find a warm-up's zeros staged.
+    pub fn may_warm_up(&self) -> bool {
         !self.commit_pending
     }
 

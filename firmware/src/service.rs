@@ -10,14 +10,14 @@ use wire::Refusal;
 use wire::describe::Channels;
 use wire::map::{self, BoardConfig};
 use wire::regmap::{
-    self, ctrl, debounce, encoder, ethmac, ethphy, flash, gpio, guest, ident, identifier_mem, led,
-    pads, pwm, segments, stepgen,
+    self, ctrl, debounce, encoder, ethmac, ethphy, flash, gpio, ident, identifier_mem, led, pads,
+    pwm, rx_admission, segments, stepgen,
 };
 
 const PAGE: u32 = regmap::CSR_PAGE as u32;
 /// LiteX's controller has a scratch register for tests.
 const SCRATCH: u32 = regmap::address(ctrl::BASE, ctrl::SCRATCH);
-/// Pages of LiteX and ours; nobody reads the flash or the SDRAM past the firmware.
+/// Pages of LiteX and ours; no client reads the flash or the SDRAM past the firmware.
 const PAGES: u64 = 1 << ctrl::PAGE
     | 1 << identifier_mem::PAGE
     | 1 << ethmac::PAGE
@@ -37,7 +37,7 @@ pub const fn readable(address: u32) -> bool {
     let offset = address.wrapping_sub(map::SERVICE);
     let page = offset / PAGE;
     page < flash::PAGE && PAGES >> page & 1 != 0
-        || matches!(page, guest::PAGE | segments::PAGE | pads::PAGE)
+        || matches!(page, rx_admission::PAGE | segments::PAGE | pads::PAGE)
 }
 
 /// May this be written at all, and with this value? The caller has checked ownership and rest.

@@ -4,7 +4,7 @@
 //! Frames in, frames out, and a clock. Only [`Board`] knows the stack; another stack would have to
 //! pass the same tests.
 
-use firmware::ip::{Ip, Taker, Text};
+use firmware::ip::{Ip, StreamHandler, Text};
 use firmware::net::Us;
 use firmware::text::Sink;
 use smoltcp::phy::ChecksumCapabilities;
@@ -32,7 +32,7 @@ struct Echo {
     lines: usize,
 }
 
-impl Taker for Echo {
+impl StreamHandler for Echo {
     fn greet(&mut self, out: &mut Text) {
         out.put(PROMPT);
     }

@@ -4,7 +4,7 @@ signal.
 The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on LiteX's CSR bus carries pages 8 and up:
 
     bus  --> write pipeline --> staging and settings registers, mirrors --> cores
-         <-- gates <-- live words | what the sample caught | tallies | mirrors  <-- cores
+         <-- gates <-- live words | what the sample caught | wide counters | mirrors  <-- cores
 
 * Writes take effect one clock after the bus cycle, so that address decoding is not in the cores'
   timing paths. The CPU cannot notice: its next access is two clocks later.
@@ -13,8 +13,8 @@ The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on 
   share one, and with a reset of their own for so many words the placer ran out of tiles (decision
   8).
 * Words that every channel has, and of which one is read at a time, are in LUT RAM: totals, samples
-  and latches (`tally`). Settings and staged commands are read back from one block RAM (`mirror`). A
-  register reads as many bits as it has.
+  and latches (`wide_counter`). Settings and staged commands are read back from one block RAM
+  (`mirror`). A register reads as many bits as it has.
 * Words that change every clock and must belong to one clock for all channels (fraction and velocity
   of a step generator) are stored in flip-flops by the sample strobe.
 * Registers of absent channels are never created: they read 0 and ignore writes.
@@ -231,7 +231,6 @@ class Cores(LiteXModule):
         self.eth_beat = Signal()         # PHY: a clock per 4 clocks of its receive clock
         self.fabric = fabric = FabricBus()
         self.bus = fabric.bus
-        self._caught = {}
         self.jobs = jobs                 # axes of a job: step generators 0 and up; 0: no segments
 
         # # #
@@ -524,7 +523,7 @@ class Cores(LiteXModule):
         ]
         assert latch % 8 == 0  # so that the exclusive or is a subtraction
         sampled, latched = Signal(32), Signal(32)
-        self.specials += Instance("tally",
+        self.specials += Instance("wide_counter",
             p_CHANNELS=channels, i_clk=self.clk, i_delta=Cat(*deltas), i_sample=self.sample, i_capture=Cat(*captures),
             i_clear=Constant(0, channels), i_addr=at, o_visit=visit, o_pending=pending, o_sampled=sampled, o_latched=latched)
         low, high, velocity = hits
@@ -593,7 +592,7 @@ class Cores(LiteXModule):
             latches.eq((word >= latch) & (word < latch + channels)),
             If(latches, at.eq(word[:4] - latch)).Else(at.eq(word[1:5] - count // 2)),
         ]
-        self.specials += Instance("tally",
+        self.specials += Instance("wide_counter",
             p_CHANNELS=channels, i_clk=self.clk, i_delta=Cat(*deltas), i_sample=self.sample, i_capture=Cat(*captures),
             i_clear=Cat(*clears), i_addr=at, o_visit=visit, o_pending=pending, o_turn=turn, o_sampling=sampling,
             o_sampled=sampled, o_latched=latched)

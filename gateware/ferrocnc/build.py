@@ -492,14 +492,17 @@ def _summary(found):
 _TIMING_DOC = """<!-- Written by `cargo xtask bitstream --all`; do not edit. -->
 # Timing
 
-Lcnc's eight configurations and `max`, placed and routed on an LFE5U-25F, speed grade -6, with the tools of
-`gateware/requirements.txt`: the lowest seed with at least {slack:g} % slack on every clock. A clock that misses its constraint fails the build. `eth` is the RGMII
-clock, 125 MHz; `sys` is the processor's and all cores'. COMB are the chip's LUT places, what the placer fills (24 288), EBR its
-block RAMs (56), DSP its multipliers (28). Minutes are those of yosys, of nextpnr and for `max` of our router (decision 11) for all seeds up
-to that one, on a core of the machine that wrote this and whatever else it had to do.
+Lcnc's eight configurations and `max`, placed and routed on an LFE5U-25F, speed grade -6, with the
+tools of `gateware/requirements.txt`: the lowest seed with at least {slack:g} % slack on every clock. A
+clock that misses its constraint fails the build. `eth` is the RGMII clock, 125 MHz; `sys` is the
+processor's and all cores'. COMB are the chip's LUT places, what the placer fills (24 288), EBR its
+block RAMs (56), DSP its multipliers (28). Minutes are those of yosys, of nextpnr and for `max` of
+our router (decision 11) for all seeds up to that one, on one core of the computer that wrote this
+page, beside its other work.
 
-`max` is the largest board there can be, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O. No 5A-75B has pins for it: its inputs
-come from a shift register behind one pad and its outputs leave as a parity through another.
+`max` is the largest board there can be, 16 step generators, 16 encoders, 16 PWM, 32 + 32 I/O. No
+5A-75B has pins for it: its inputs come from a shift register behind one pad and its outputs leave
+as a parity through another.
 
 """
 
@@ -612,7 +615,7 @@ What the gateware costs on an LFE5U-25F-6 (24 288 TRELLIS_COMB, 24 288 FF, 56 EB
 `gateware/requirements.txt`. COMB is counted after packing: LUTs, two for each carry cell and those that lead in and out of a carry
 chain, four and two for each LUT RAM. It is what the placer has to find room for, and the figure to compare.
 
-A core is measured alone; `tally`, `edges` and `gpio` are there once for all channels (16, 16, 32 + 32), each encoder has two
+A core is measured alone; `wide_counter`, `edges` and `gpio` are there once for all channels (16, 16, 32 + 32), each encoder has two
 `debounce` inside, each encoder and each step generator a `latch` beside it. `segments` (3 axes) is on boards with jobs only. `max` has no pins on a 5A-75B: its inputs come from a
 shift register behind one pad and its outputs leave as a parity through another, so that nothing is optimised away (about 40 LUTs).
 It is packed here; what it reaches when it is placed and routed is in [timing.md](timing.md).

@@ -124,7 +124,7 @@ def _xml(text):
 _PAC_DOC = """//! Registers and memory of the FerroCNC SoC: one type per kind of register page, addresses included.
 //!
 //! Made by svd2rust from `soc.svd`, which comes from `gateware/ferrocnc/regmap.py`. The same map is `docs/registers.md` in prose
-//! and `wire::regmap` as constants. Only `firmware/src/soc` may name this crate.
+//! and `wire::regmap` as constants. Only `firmware/src/bin` may name this crate.
 """
 
 

@@ -27,12 +27,13 @@ import re
 from pathlib import Path
 
 from . import image, regmap as rm, sim, soc as ferro
+from .tools import ToolError
 
 _WIDTHS = (1, 2, 4, 9, 18, 36)
 _FLOATING = "1'b1"  # an input that is not connected is high
 
 
-class GatesError(ValueError):
+class GatesError(ToolError):
     """A netlist that is not understood; the text is the message."""
 
 

@@ -16,13 +16,12 @@ CSR_PAGE = 0x800
 CSR_ADDRESS_WIDTH = 16
 
 ROM = (0x0000_0000, 0x12000)  # 72 KiB, 36 EBR: the image
-ROM_TRAILER = 0x10  # the ROM's last bytes, which the linker does not use: the bitstream's trailer, see `TRAILER`
+ROM_TRAILER = 0x10  # the ROM's last bytes, which the linker does not use: the bitstream's trailer
 RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: data, bss, 6 KiB of stack
 ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
 BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
 SDRAM_RAM = (0x4000_0000, 0x80_0000)  # 8 MiB, on boards with jobs: the jobs program, its data, the jobs; cached
-TRAILER = ("magic", "build", "role", "zero")  # words of the trailer; `TRAILER_MAGIC` where there is one
-TRAILER_MAGIC = 0x4654_524C  # "FTRL"
+TRAILER_MAGIC = 0x4654_524C  # "FTRL"; the words of a trailer: magic, build, role, 0
 ROLE_IMAGE = 1
 ROLE_GOLDEN = 2
 ETHMAC_RX_SLOTS = 2
@@ -257,7 +256,7 @@ FLASH = Bank("flash", 64, "flash", "The wires to the configuration flash, raw: S
     )),
 ))
 
-GUEST = Bank("guest", 65, "guest", "Which frames may occupy a receive slot: a frame that is not the owner's needs a ticket.", tuple(
+RX_ADMISSION = Bank("rx_admission", 65, "rx_admission", "Which frames may occupy a receive slot: a frame that is not the owner's needs a ticket.", tuple(
     Reg(f"header{n}", "wo", f"Word {n} of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.")
     for n in range(10)) + (
     Reg("mode", "rw", "Which words of a frame are compared. A frame that differs in one is a guest, and so is a frame of less than 59 bytes without FCS.", (
@@ -475,7 +474,7 @@ STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", f"Timing, kind and polari
 ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", f"Counting mode and filter of encoder {n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
 PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n}.", PWM_REGS) for n in range(MAX_PWM))
 
-BANKS = (SDRAM, IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH, GUEST, SEGMENTS, PADS)
+BANKS = (SDRAM, IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH, RX_ADMISSION, SEGMENTS, PADS)
 
 
 def check():

@@ -1,7 +1,7 @@
 """The SDRAM of boards that execute jobs: LiteDRAM's controller and PHY, and the bridge from the bus
 to it.
 
-    CPU --- wishbone --- Door --- native port --- LiteDRAM --- GENSDRPHY --- pads
+    CPU --- wishbone --- SdramBridge --- native port --- LiteDRAM --- GENSDRPHY --- pads
 """
 
 from litex.soc.integration.soc import SoCRegion
@@ -10,7 +10,7 @@ from litedram.phy import GENSDRPHY
 
 from . import regmap as rm
 from .board import BoardError
-from .door import Door
+from .sdram_bridge import SdramBridge
 
 # The marking on the chips, and LiteDRAM's name for them. The EM636165 (512K x 16 x 2) has the
 # M12L16161A's geometry; at 60 MHz its times are the same numbers of clocks.
@@ -35,6 +35,6 @@ def add(soc, pads):
     chips = module(soc.board)
     soc.sdrphy = GENSDRPHY(pads, soc.board.sys_clk_hz)
     soc.add_sdram("sdram", phy=soc.sdrphy, module=chips, with_soc_interconnect=False)
-    soc.sdram_door = Door(soc.sdram.crossbar.get_port())
+    soc.sdram_bridge = SdramBridge(soc.sdram.crossbar.get_port())
     origin, size = rm.SDRAM_RAM
-    soc.bus.add_slave("main_ram", soc.sdram_door.bus, SoCRegion(origin=origin, size=size, mode="rwx"))
+    soc.bus.add_slave("main_ram", soc.sdram_bridge.bus, SoCRegion(origin=origin, size=size, mode="rwx"))

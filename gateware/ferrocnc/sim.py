@@ -243,5 +243,5 @@ def elaborate_cores(board, out):
     top = verilog.convert(cores, set(ports.values()), name="cores")
     (out / "cores.v").write_text(_self_contained(top))
     names = [f"{bank.name}.{reg.name} 0x{bank.page * rm.CSR_PAGE // 4 + i:x} {reg.access} 0x{rm.mask(reg):x}"
-             for bank in rm.BANKS if bank not in (rm.GUEST, rm.SDRAM) for i, reg in enumerate(bank.regs)]
+             for bank in rm.BANKS if bank not in (rm.RX_ADMISSION, rm.SDRAM) for i, reg in enumerate(bank.regs)]
     (out / "cores.map").write_text("\n".join(names) + "\n")

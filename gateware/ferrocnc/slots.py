@@ -153,13 +153,14 @@ class AlignedInterface(LiteEthMACWishboneInterface):
         self.submodules += wishbone.Decoder(bus, [(lambda a, n=n: a[which] == n, store.bus) for n, store in enumerate(stores)], register=True)
 
 
-class Door(LiteXModule):
-    """The guests' registers and their core (`gateware/rtl/guest.sv`) between the aligned stream and the slots."""
+class RxAdmission(LiteXModule):
+    """The core `gateware/rtl/rx_admission.sv` and its registers, between the aligned stream and the
+    slots."""
 
     def __init__(self, interface, fabric):
-        bank, words, mode, refused = rm.GUEST, interface.into, fabric.storage(rm.GUEST, "mode", 2), Signal(32)
+        bank, words, mode, refused = rm.RX_ADMISSION, interface.into, fabric.storage(rm.RX_ADMISSION, "mode", 2), Signal(32)
         # As with the debounce: the low bits of the word's address are the header's word.
-        self.specials += Instance("guest",
+        self.specials += Instance("rx_admission",
             i_clk=ClockSignal("sys"), i_header_we=fabric.write_page(bank.page, bank.offset("mode") // 4), i_header_at=fabric.we_word[:4],
             i_header=fabric.data, i_mode=mode, i_admit=fabric.pulse(bank, "admit"),
             i_valid=words.valid, i_last=words.last, i_bad=interface.bad, i_room=interface.sram.writer.room,

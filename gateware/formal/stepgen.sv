@@ -1,6 +1,6 @@
 // The environments of a stepgen for gateware/formal/run.sh: any command in any clock, any constant
-// settings, and a tally that visits at least every 16 clocks. The properties are in rtl/stepgen.sv
-// itself.
+// settings, and a wide counter that visits at least every 16 clocks. The properties are in
+// rtl/stepgen.sv itself.
 `default_nettype none
 module stepgen_world (
     input wire       clk,

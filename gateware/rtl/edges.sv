@@ -1,5 +1,5 @@
 // edges: the time of each encoder's last edge, and its number of illegal transitions. It works
-// beside a tally and shares its rotation.
+// beside a wide counter and shares its rotation.
 //
 // A channel stores the four low bits of time at its last edge; its visit extends them to 24,
 // because the edge is at most one rotation old. Like the counts, a sample is exact to its clock: an
@@ -16,11 +16,11 @@
 //
 `default_nettype none
 module edges #(
-    parameter integer CHANNELS = 16  // the same as the tally's
+    parameter integer CHANNELS = 16  // the same as the wide counter's
 ) (
     input  wire                clk,
-    input  wire [15:0]         turn,      // tally.turn
-    input  wire                sampling,  // tally.sampling
+    input  wire [15:0]         turn,      // wide_counter.turn
+    input  wire                sampling,  // wide_counter.sampling
     input  wire                sample,    // the strobe
     input  wire [CHANNELS-1:0] moved,
     input  wire [CHANNELS-1:0] illegal,
@@ -57,7 +57,7 @@ module edges #(
         end
     end
 
-    // Eight channels' words are merged in front of one register: as in tally.sv.
+    // Eight channels' words are merged in front of one register: as in wide_counter.sv.
     localparam GROUPS = (CHANNELS + 7) / 8;
     logic [4*GROUPS-1:0] stamp_shown = {4*GROUPS{1'b0}}, stamp_caught_shown = {4*GROUPS{1'b0}};
     logic [GROUPS-1:0]   seen_shown = {GROUPS{1'b0}}, seen_caught_shown = {GROUPS{1'b0}};
@@ -156,7 +156,7 @@ module edges #(
     wire [3:0]  f_stamp = stamp[4*f_channel +: 4], f_stamp_caught = stamp_caught[4*f_channel +: 4];
     integer j;
     always_comb begin
-        assume (sampling == (f_since <= 16));  // proven for the tally
+        assume (sampling == (f_since <= 16));  // proven for the wide counter
         assert (f_since != 0 & behind == at - 4'd1 & turn == 16'd1 << at);
         assert (f_waits == (sampling & {1'b0, f_coming} <= 5'd16 - f_since));
         assert (f_started ? visited == now - 24'd1 : {seen_shown, seen_caught_shown} == 0);

@@ -1,6 +1,6 @@
-// encoder: turns the lines of a shaft encoder into counts. The wide count is in tally.sv, the index
-// latch in latch.sv, the time of the last edge in edges.sv. This module finds the edges, per
-// channel and at every clock.
+// encoder: turns the lines of a shaft encoder into counts. The wide count is in wide_counter.sv,
+// the index latch in latch.sv, the time of the last edge in edges.sv. This module finds the edges,
+// per channel and at every clock.
 //
 // A and B count after both have been stable for `filter` + 2 clocks. So every legal sequence with
 // transitions at least `filter` + 3 clocks apart at the asynchronous pins is counted exactly:
@@ -18,7 +18,7 @@
 //   mode 2:0  0 x4, 1 x2, 2 x1, 3 counter (a rise of A counts up, B is ignored), 4 step/dir (a rise of A counts, B = 1
 //             down), 5 up/down (a rise of A up, of B down; both at once cancel), 6 as 4, 7 as 5
 //   mode 4    index_invert      mode 5  mask_enable: the index is seen only while the mask pin is active
-//   mode 6    mask_invert       mode 7  clear_on_index, for the tally
+//   mode 6    mask_invert       mode 7  clear_on_index, for the wide counter
 //
 `default_nettype none
 module encoder #(
@@ -31,7 +31,7 @@ module encoder #(
     input  wire              mask,
     input  wire [7:0]        mode,
     input  wire [FILTER-1:0] filter,       // in clocks
-    input  wire              visit,        // tally.visit of this channel
+    input  wire              visit,        // wide_counter.visit of this channel
     output logic [4:0]       delta,        // signed counts since the visit, without the one of this clock
     output logic             index_level,  // filtered as A and B are, masked, polarity applied: rises with the count it belongs to
     output wire              moved,        // pulse: the count changes in this clock
@@ -121,7 +121,7 @@ module encoder #(
     end
 
 `ifdef PROVE_total_and_delta_are_the_count
-    // Any levels at the pins; visits at most 16 clocks apart, as the tally's are.
+    // Any levels at the pins; visits at most 16 clocks apart, as the wide counter's are.
     logic [31:0] f_total = 0;
     logic [4:0]  f_gap = 0;
     logic        f_moved = 0;

@@ -1,13 +1,14 @@
 // latch: decides in which clock a count is latched: at the first index or probe edge after it was
 // armed.
 //
-// One count can be latched per channel; tally.sv keeps it. While a flag is up nothing latches again, and a flag stays
-// until its own arm bit falls. Levels are not edges: an index that is high when it is armed has to fall first.
+// One count can be latched per channel; wide_counter.sv keeps it. While a flag is up nothing
+// latches again, and a flag stays until its own arm bit falls. Levels are not edges: an index that
+// is high when it is armed has to fall first.
 //
 //   arm_index      __/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\____
 //   index          ______/‾‾‾‾‾\______/‾‾‾‾\_________
 //   capture        ______/‾\_________________________    first edge only
-//   pending        ________/‾‾‾‾\____________________    tally.sv: the value is on its way, 16 clocks at most
+//   pending        ________/‾‾‾‾\____________________    wide_counter.sv: the value is on its way, 16 clocks at most
 //   index_latched  _______________/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\__    never before the value can be read
 //
 // An edge in the same clock as the rise of its arm bit does not count; one in the clock after does.
@@ -21,7 +22,7 @@ module latch (
     input  wire  arm_probe,
     input  wire  index,         // levels, synchronous, 1 is active
     input  wire  probe,
-    input  wire  pending,       // tally.pending of this channel
+    input  wire  pending,       // wide_counter.pending of this channel
     output wire  capture,       // this clock's count is latched
     output logic index_latched,
     output logic probe_latched

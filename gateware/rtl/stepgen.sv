@@ -5,8 +5,8 @@
 // When the pins' timing forbids the pulse, the position stays and tries again in the next clock: a
 // pulse may be late, but is never merged, lost or sent in the wrong direction. The integer part of
 // the position is, by construction, the signed number of pulses at the pins. Its low bits are in
-// this module (`delta`), its wide part is in tally.sv, which visits every 16 clocks: position =
-// {tally + delta, fraction}.
+// this module (`delta`), its wide part is in wide_counter.sv, which visits every 16 clocks:
+// position = {wide count + delta, fraction}.
 //
 //   kind 0, step/dir: STEP carries the pulses, DIR their direction
 //   step  ____/‾‾‾‾\________/‾‾‾‾\_______________/‾‾‾‾\__     1 steplen    2 stepspace
@@ -250,7 +250,7 @@ module stepgen #(
     wire         last_backwards = edge_seen ? backwards : was_backwards;
     logic [4:0]  unvisited      = 5'd1;
 
-    always_comb assume (visit | unvisited < 5'd16);  // the tally guarantees this
+    always_comb assume (visit | unvisited < 5'd16);  // the wide counter guarantees this
 
     always_ff @(posedge clk) begin
         unvisited  <= visit ? 5'd1 : unvisited + 5'd1;

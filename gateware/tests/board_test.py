@@ -16,7 +16,7 @@ from ferrocnc import board, regmap  # noqa: E402
 WRONG = {
     "a pin used twice": ('step = "j1:2"', 'step = "j1:0"', ["stepgen[1].step", "j1:0", "already stepgen[0].step"]),
     "an unknown key": ('name = "x"\nstep', 'nam = "x"\nname = "x"\nstep', ["stepgen[0].nam", "not a known key"]),
-    "a platform nobody has": ('"5a-75b-8.0"', '"5a-75z"', ["platform", "5a-75z", "5a-75b-8.0"]),
+    "a platform that does not exist": ('"5a-75b-8.0"', '"5a-75z"', ["platform", "5a-75z", "5a-75b-8.0"]),
     "not TOML": ("[network]", "[network", ["is not TOML"]),
 }
 

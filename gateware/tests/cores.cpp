@@ -236,7 +236,7 @@ int main(int argc, char **argv) {
         k.clock();
         const auto one_later = k.pulses;
         c.we = 0;
-        k.run(18);  // until the tallies have visited all channels
+        k.run(18);  // until the wide counters have visited all channels
         const uint64_t when = k.read64("status.sample");
         k.run(r.below(50));
         CHECK(b, when == k.read64("status.sample"), "reading changed the sample");
@@ -317,7 +317,7 @@ int main(int argc, char **argv) {
         k.expect("timebase.status", 0);
     }
 
-    // Sampled words of one clock, valid when the tallies have visited all channels.
+    // Sampled words of one clock, valid when the wide counters have visited all channels.
     auto sample = [&] {
         k.write("timebase.strobe", 2);
         k.run(18);

@@ -34,7 +34,7 @@ int main(int argc, char **argv) {
             if (moved) c.moved |= 1 << n, time[n] = now & 0xFFFFFF, moves++;
             if (lied) c.illegal |= 1 << n, wrong[n] = true, lies++;  // once per rotation
         }
-        // As tally.sv: the rotation after the strobe is sampled.
+        // As wide_counter.sv: the rotation after the strobe is sampled.
         const unsigned next_last = c.sample ? turn : last_turn;
         const bool next = c.sample || (sampling && turn != int(last_turn));
         b.edge();

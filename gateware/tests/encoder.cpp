@@ -9,7 +9,7 @@ int main(int argc, char **argv) {
     Random &r = b.random;
     auto &c = *b.core;
     static const int gray[4] = {0, 1, 3, 2};  // bit 0 is A: A leads counts up
-    int64_t total = 0;                        // the tally's total
+    int64_t total = 0;                        // the wide counter's total
     uint64_t moves = 0, illegal = 0, edges = 0, glitches = 0, indices = 0, lies = 0;
     const unsigned phase = r.below(16);
 

@@ -1,5 +1,5 @@
-// The latch compared with a description of it: arms, edges, both at once, and a tally that takes 1
-// to 17 clocks.
+// The latch compared with a description of it: arms, edges, both at once, and a wide counter that
+// takes 1 to 17 clocks.
 #include "Vlatch.h"
 #include "bench.h"
 

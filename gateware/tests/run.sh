@@ -52,9 +52,9 @@ for bench in "$here"/*.cpp; do
         top=$dir/rgmii.v more=$here/ecp5_models.v lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP -Wno-UNOPTFLAT"
         "$root/target/venv/bin/python" "$here/rgmii_top.py" "$dir"
     fi
-    if [ "$core" = door ]; then  # the bus' door to the SDRAM
-        top=$dir/door.v lint="-Wno-lint -Wno-style -Wno-COMBDLY"
-        "$root/target/venv/bin/python" "$here/door_top.py" "$dir"
+    if [ "$core" = sdram_bridge ]; then  # the bridge from the bus to the SDRAM
+        top=$dir/sdram_bridge.v lint="-Wno-lint -Wno-style -Wno-COMBDLY"
+        "$root/target/venv/bin/python" "$here/sdram_bridge_top.py" "$dir"
     fi
     stamp=$(cat "$bench" "$here/bench.h" "$top" $more "$rtl"/*.sv | cksum)
     if [ ! -x "$dir/V$core" ] || [ "$(cat "$dir/stamp" 2>/dev/null)" != "$stamp" ]; then

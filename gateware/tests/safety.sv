@@ -42,7 +42,7 @@ module safety (
     wire        ext_reset, stopped, estop, cleared;
     wire  [4:0] delta;
     wire [31:0] fraction;
-    logic [31:0] total = 32'd0;  // a tally that visits every clock
+    logic [31:0] total = 32'd0;  // a wide counter that visits every clock
     wire  [31:0] recent = {{27{delta[4]}}, delta};
     assign position = {total + recent, fraction};
     always_ff @(posedge clk) total <= total + recent;

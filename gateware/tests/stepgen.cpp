@@ -3,8 +3,8 @@
 // Two models observe the core. The drive model sees only the pins, decodes the pulses like a
 // motor's drive and has its own clocks. The reference model computes when a pulse may start at the
 // earliest, and expects it then: the core may be neither early nor late. It knows the ramp only as
-// `velocity += clamp(target - velocity, -accel, +accel)`. The bench acts as the tally: it visits
-// every 16 clocks, or sooner, and adds `delta` up.
+// `velocity += clamp(target - velocity, -accel, +accel)`. The bench acts as the wide counter: it
+// visits every 16 clocks, or sooner, and adds `delta` up.
 #include <algorithm>
 
 #include "Vstepgen.h"
@@ -120,7 +120,7 @@ struct Checker {
     uint64_t high = 0, low = LONG_AGO, since_dir = LONG_AGO;
     int64_t position = 1ll << 31;
     uint64_t waits = 0, waiting = 0, halting = 0, quiet = 0;
-    // The tally.
+    // The wide counter.
     int32_t total = 0;
     unsigned since_visit = 0;
     int least = 0, most = 0;

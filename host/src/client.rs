@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use wire::board::{Blob, BlobError};
 use wire::describe::{self, Describe, DescribeError};
 use wire::map::{PwmType, StepType};
-use wire::{MAX_PAYLOAD, MAX_WORDS, Packet, ReplyWriter, etherbone, map};
+use wire::{MAX_PAYLOAD, MAX_WORDS, Packet, Request, map};
 
 /// How long one try waits: some hundred times a healthy board's answer, short enough that a lost
 /// packet is not felt.
@@ -422,10 +422,10 @@ impl Client {
     /// Gives a session back. One datagram: if it is lost the board takes it back in 3 s.
     pub fn release(&mut self, session: &Session) {
         let mut words = [0; 8];
-        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-        if request.write_record(map::SESSION_RELEASE, 1) && request.push(session.token) {
+        let request = Request::new(&mut words).write(map::SESSION_RELEASE, &[session.token]);
+        if let Some(request) = request.words() {
             let mut bytes = [0; 32];
-            let length = wire::words_to_bytes(request.words(), &mut bytes);
+            let length = wire::words_to_bytes(request, &mut bytes);
             // Without a network there is nothing to do.
             let _ = self.socket.send(&bytes[..length]);
         }
@@ -438,14 +438,15 @@ impl Client {
     ) -> Result<Vec<u32>, ClientError> {
         self.tag = self.tag.wrapping_add(1);
         let mut words = [0; MAX_WORDS];
-        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-        for (base, words) in writes {
-            let fits = request.write_record(*base, words.len() as u8) && request.extend(words);
-            debug_assert!(fits, "a request beyond one frame");
-        }
-        request.read_record(self.tag, reads);
+        let request = writes
+            .iter()
+            .fold(Request::new(&mut words), |request, (base, words)| {
+                request.write(*base, words)
+            });
+        let request = request.read(self.tag, reads).words();
+        debug_assert!(request.is_some(), "a request beyond one frame");
         let mut bytes = [0; MAX_PAYLOAD];
-        let length = wire::words_to_bytes(request.words(), &mut bytes);
+        let length = wire::words_to_bytes(request.unwrap_or_default(), &mut bytes);
 
         let start = Instant::now();
         let mut hint = None;

@@ -66,38 +66,30 @@
 mod command;
 mod export;
 mod session;
+mod state;
 mod tell;
 mod trouble;
 
 use crate::address::Address;
-use crate::blocks::arming::ArmRequest;
-use crate::blocks::encoder::Encoder;
-use crate::blocks::ethernet::Ethernet;
-use crate::blocks::gpio;
-use crate::blocks::latch::Sight;
-use crate::blocks::packets::Packets;
-use crate::blocks::pwm::Pwm;
-use crate::blocks::stepgen::{Sample, Stepgen};
-use crate::blocks::wallclock::Wallclock;
-use crate::blocks::watchdog::Watchdog;
-use crate::blocks::{Outlook, Period};
+use crate::blocks::latch::LatchSample;
+use crate::blocks::stepgen::Sample;
+use crate::blocks::{Period, PredictionBasis};
 use crate::client::{CHALLENGE_WORDS, SESSION_WORDS, Session, single_record};
-use crate::clock::{BoardClock, Timebase};
+use crate::clock::Timebase;
 use crate::glue::Glue;
 use crate::group::Group;
 use crate::hal::checked::Watch;
 use crate::hal::{Catalogue, Level};
-use crate::keys::Key;
 use crate::link::{Flood, LOOKS, Link};
-use crate::settings::{Disarmed, Periods, Sync};
 use export::Pins;
+use state::{Blocks, Condition, Exchange, Membership, Phase, SessionState, Times};
 use std::sync::Arc;
 use std::time::Instant;
-use tell::{Event, Voice};
+use tell::{Event, Notifier};
 use wire::describe::Channels;
 use wire::exchange::{Command, Latch, Status};
 use wire::units::Clocks;
-use wire::{FaultReason, ReplyWriter, ResetReason, State, etherbone, map};
+use wire::{ResetReason, State};
 
 pub use trouble::GROUP_REASON;
 
@@ -116,15 +108,6 @@ const YOUNG: f64 = 1.001;
 /// comparison is smaller.
 const JITTER: f64 = 0.01;
 
-/// Whether the board is ours.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Phase {
-    /// Asking for the session; so many periods until the next time.
-    Acquiring { wait: u32, tag: u32 },
-    /// Exchanging.
-    Online { token: u32 },
-}
-
 /// A board and everything HAL sees of it.
 pub struct Driver {
     index: usize,
@@ -133,88 +116,15 @@ pub struct Driver {
     flood: Flood,
     channels: Channels,
     clock_hz: u32,
-    boot_id: u32,
-    /// To take the board again with, if it has one.
-    key: Option<Key>,
-    voice: Voice,
+    notifier: Notifier,
 
     pins: Pins,
-    packets: Packets,
-    watchdog: Watchdog,
-    wallclock: Wallclock,
-    ethernet: Ethernet,
-    stepgens: Vec<Stepgen>,
-    encoders: Vec<Encoder>,
-    pwms: Vec<Pwm>,
-    inputs: Vec<gpio::Input>,
-    outputs: Vec<gpio::Output>,
-
-    phase: Phase,
-    arm: ArmRequest,
-    disarmed_settings: Sync<Disarmed>,
-    periods: Sync<Periods>,
-    /// The foreign owner of the session that the operator was told of.
-    foreign_owner: Option<(u32, u32)>,
-    tag: u32,
-    sequence: u32,
-    /// The last command sent in this session.
-    last: Option<Command>,
-    /// The command just sent awaits its answer.
-    awaiting: bool,
-    /// It is the repetition of one that was sent last period, so two answers may come.
-    repeated: bool,
-    /// `read-request` was called since the last `write`.
-    request_seen: bool,
-    /// `write` was called, `read` not yet.
-    written: bool,
-    /// Answers missing in a row.
-    missing: u32,
-    /// An answer came in this session: the board has seen our `enable-request` low.
-    answered: bool,
-    state: State,
-    reason: FaultReason,
-    live: bool,
-    /// It was stopped for ever.
-    halted: bool,
-    /// Commands later than this one say `enable` false until the board has stopped.
-    halting: Option<u32>,
-    /// The board started anew and was not armed since.
-    restarted: bool,
-    /// It said that its fabric is a new one; the first sample will tell.
-    new_fabric: bool,
-    /// The next answer is the first of this session.
-    first_answer: bool,
-    /// `io-error` as it was seen or set last.
-    io_error: bool,
-
-    group: Arc<Group>,
-    /// There are other boards.
-    several: bool,
-    /// The group's alarm heard last.
-    alarm_heard: u32,
-    /// The board with the alarm that stopped this one.
-    stopped_by: Option<usize>,
-
-    time: Arc<Timebase>,
-    /// The common moments used last.
-    read_moment: u64,
-    write_moment: u64,
-    clock: BoardClock,
-    /// Sequence number and time of sending of the last two commands.
-    sent: [(u32, i64); 2],
-    /// From `read-request` to `write`, as it was last time; `None` without a `read-request`.
-    request_to_write: Option<i64>,
-    /// When the last answered command arrived there.
-    arrival: Option<Clocks>,
-    /// When the last command takes effect, if not at once.
-    apply_at: Option<Clocks>,
-    /// When the last answer was read.
-    heard: i64,
-    /// When `write` was called last, and for how long `read` has waited since.
-    wrote: Option<i64>,
-    waited: i64,
-    /// From the last answered `write` to the one after, less what `read` waited, ns.
-    held_up: i64,
+    blocks: Blocks,
+    session: SessionState,
+    exchange: Exchange,
+    condition: Condition,
+    group: Membership,
+    times: Times,
 
     catalogue: Catalogue,
     /// Over every number that comes from HAL.
@@ -233,10 +143,10 @@ impl Driver {
     /// carry an apply time from the start; `apply-delay-ns` says otherwise. What stops one stops
     /// them all; `stop-group` says otherwise.
     pub fn join(&mut self, time: &Arc<Timebase>, group: &Arc<Group>, boards: usize) {
-        self.time = Arc::clone(time);
-        self.group = Arc::clone(group);
-        self.several = boards > 1;
-        if self.several {
+        self.times.time = Arc::clone(time);
+        self.group.shared = Arc::clone(group);
+        self.group.several = boards > 1;
+        if self.group.several {
             self.pins.apply_delay.set(APPLY_DELAY_NS);
         }
     }
@@ -255,58 +165,64 @@ impl Driver {
     /// instead of the end of the last. Of several boards, all requests go out before the first
     /// answer is waited for.
     pub fn read_request(&mut self, _period_ns: i64) {
-        let Phase::Online { .. } = self.phase else {
+        let Phase::Online { .. } = self.session.phase else {
             return;
         };
-        let Some(last) = self.last else { return };
-        self.sequence = self.sequence.wrapping_add(1);
+        let Some(last) = self.exchange.last else {
+            return;
+        };
+        self.exchange.sequence = self.exchange.sequence.wrapping_add(1);
         let command = Command {
-            sequence: self.sequence,
+            sequence: self.exchange.sequence,
             // Its time has come, or the period is over anyway.
             apply_at: None,
             ..last
         };
         // If it was not sent, only the answer to the command before can come, and `read` reports
         // that.
-        self.awaiting |= self.transmit(&command);
-        self.repeated = true;
-        self.request_seen = true;
+        self.exchange.awaiting |= self.transmit(&command);
+        self.exchange.repeated = true;
+        self.exchange.request_seen = true;
     }
 
     /// Collects the answer to the last command and publishes what it says.
     pub fn read(&mut self, period_ns: i64) {
         let period = Period::new(period_ns, self.clock_hz);
         let mut deadline = Instant::now();
-        let now = self.time.now();
-        let began = self.time.reads.of(&mut self.read_moment, now);
-        if self.awaiting {
+        let now = self.times.now();
+        let began = self.times.time.reads.of(&mut self.times.read_moment, now);
+        if self.exchange.awaiting {
             // Boards are waited for together: several silent ones cost no more than one. Where the
             // answer was asked for in this period, its time runs from there.
-            let since = if self.repeated { self.sent[0].1 } else { began };
-            deadline += self.packets.left(period_ns, now - since);
+            let since = if self.exchange.repeated {
+                self.times.sent[0].1
+            } else {
+                began
+            };
+            deadline += self.blocks.packets.left(period_ns, now - since);
         }
         let status = self.collect(deadline);
-        self.waited += self.time.now() - now;
+        self.times.waited += self.times.now() - now;
         match status {
             Some(status) => {
-                let whole = status.sequence == self.sequence;
+                let whole = status.sequence == self.exchange.sequence;
                 self.answered(&status, period);
                 if whole {
-                    self.packets.good();
-                    self.voice.answered(period_ns);
+                    self.blocks.packets.good();
+                    self.notifier.answered(period_ns);
                 } else {
-                    self.voice.missed();
-                    if self.packets.missing() {
+                    self.notifier.missed();
+                    if self.blocks.packets.missing() {
                         self.give_up();
                     }
                 }
             }
-            None if self.awaiting => self.unanswered(period),
+            None if self.exchange.awaiting => self.unanswered(period),
             None => {}
         }
-        self.awaiting = false;
-        self.repeated = false;
-        self.written = false;
+        self.exchange.awaiting = false;
+        self.exchange.repeated = false;
+        self.exchange.written = false;
         self.follow_group();
         self.glue.outputs();
     }
@@ -315,10 +231,10 @@ impl Driver {
     pub fn write(&mut self, period_ns: i64) {
         self.glue.inputs();
         for watch in &mut self.watches {
-            watch.look(period_ns, |what| self.voice.tell(Level::Error, what));
+            watch.look(period_ns, |what| self.notifier.tell(Level::Error, what));
         }
-        if core::mem::replace(&mut self.written, true) {
-            return self.voice.once(
+        if core::mem::replace(&mut self.exchange.written, true) {
+            return self.notifier.once(
                 Event::Unread,
                 format_args!(
                     "write was called again without a read between; addf ferrocnc.{0}.read before ferrocnc.{0}.write, to one thread",
@@ -331,7 +247,7 @@ impl Driver {
         self.follow_group();
         self.follow_io_error();
         let period = Period::new(period_ns, self.clock_hz);
-        match self.phase {
+        match self.session.phase {
             Phase::Online { token } => {
                 let settled = self.send_settings(period.clock_hz);
                 self.send_command(token, settled, period);
@@ -339,17 +255,17 @@ impl Driver {
             Phase::Acquiring { wait: 0, tag } => {
                 // Keeps following its pins, so that nothing jumps later.
                 let _ = self.make_command(0, false, period);
-                if tag != 0 && self.packets.exceeded() {
+                if tag != 0 && self.blocks.packets.exceeded() {
                     // It stays set, even if the operator cleared it.
                     self.raise_io_error();
                 }
                 let tag = self.send_acquire();
                 let wait = u32::try_from(ACQUIRE_NS / period_ns.max(1)).unwrap_or(1);
-                self.phase = Phase::Acquiring { wait, tag };
+                self.session.phase = Phase::Acquiring { wait, tag };
             }
             Phase::Acquiring { wait, tag } => {
                 let _ = self.make_command(0, false, period);
-                self.phase = Phase::Acquiring {
+                self.session.phase = Phase::Acquiring {
                     wait: wait - 1,
                     tag,
                 };
@@ -362,17 +278,17 @@ impl Driver {
     pub fn halt(&mut self) {
         self.pins.enabled.set(false);
         self.pins.position_trusted.set(false);
-        if self.grouped() && !core::mem::replace(&mut self.halted, true) {
-            self.group.answers(self.index, false);
-            self.group.raise(self.index);
+        if self.grouped() && !core::mem::replace(&mut self.condition.halted, true) {
+            self.group.shared.answers(self.index, false);
+            self.group.shared.raise(self.index);
         }
         self.raise_io_error();
-        self.live = false;
+        self.condition.live = false;
     }
 
     /// Another thread called while this one was inside, and was sent away.
     pub fn collided(&mut self) {
-        self.voice.once(
+        self.notifier.once(
             Event::Collided,
             format_args!(
                 "two threads call its functions at once, and one was sent away; addf ferrocnc.{0}.read and ferrocnc.{0}.write to \
@@ -389,7 +305,7 @@ impl Driver {
 
     /// The session's token, to give it back with.
     pub fn token(&self) -> Option<u32> {
-        match self.phase {
+        match self.session.phase {
             Phase::Online { token } => Some(token),
             Phase::Acquiring { .. } => None,
         }
@@ -399,10 +315,9 @@ impl Driver {
     pub fn release(&mut self) {
         if let Some(token) = self.token() {
             let mut words = [0; 8];
-            let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-            if request.write_record(map::SESSION_RELEASE, 1) && request.push(token) {
+            if let Some(request) = session::release(token, &mut words) {
                 // Without a network there is nothing to do.
-                let _ = self.link.send(request.words());
+                let _ = self.link.send(request);
             }
         }
     }
@@ -415,10 +330,10 @@ impl Driver {
         let flood = self.flood.looked(LOOKS - looks);
         if flood.discard {
             let unread = self.link.discard();
-            self.packets.discarded(unread);
+            self.blocks.packets.discarded(unread);
         }
         if flood.tell {
-            self.voice.once(
+            self.notifier.once(
                 Event::Flooded,
                 format_args!(
                     "far more datagrams than a board sends come from its address; find what floods the network, or answers will be \
@@ -440,9 +355,10 @@ impl Driver {
                 continue;
             };
             if payload.len() == status_words {
-                let newest = base == self.sequence;
-                let repeats = self.repeated && base == self.sequence.wrapping_sub(1);
-                if self.awaiting
+                let newest = base == self.exchange.sequence;
+                let repeats =
+                    self.exchange.repeated && base == self.exchange.sequence.wrapping_sub(1);
+                if self.exchange.awaiting
                     && (newest || repeats)
                     && let Ok(status) = Status::parse_reply(words, self.channels)
                 {
@@ -452,7 +368,7 @@ impl Driver {
                     second_best = Some(status);
                 }
             } else if let [token, ip, port] = *payload {
-                if let Phase::Acquiring { tag, .. } = self.phase
+                if let Phase::Acquiring { tag, .. } = self.session.phase
                     && base == tag
                 {
                     self.owned(token, ip, port);
@@ -460,16 +376,17 @@ impl Driver {
             } else if let Some(challenge) = payload.first_chunk()
                 && payload.len() == CHALLENGE_WORDS.len()
             {
-                if let Phase::Acquiring { tag, .. } = self.phase
+                if let Phase::Acquiring { tag, .. } = self.session.phase
                     && base == tag
                 {
                     let challenge = *challenge;
                     self.prove(tag, challenge);
                 }
             } else if let [_] = payload {
-                let _ = self.disarmed_settings.receipt(base) || self.periods.receipt(base);
+                let _ = self.session.disarmed_settings.receipt(base)
+                    || self.session.periods.receipt(base);
             } else if payload.len() == SESSION_WORDS.len()
-                && let Phase::Acquiring { tag, .. } = self.phase
+                && let Phase::Acquiring { tag, .. } = self.session.phase
                 && base == tag
                 && tag != 0
             {
@@ -481,17 +398,20 @@ impl Driver {
     }
 
     fn answered(&mut self, status: &Status, period: Period) {
-        self.missing = 0;
-        self.answered = true;
-        self.arm.accepted(status.sequence);
+        self.exchange.missing = 0;
+        self.session.answered = true;
+        self.session.arm.accepted(status.sequence);
         self.follow_clock(status, period.clock_hz);
         self.follow_state(status, period.clock_hz);
 
-        let outlook = self.outlook(status, period);
-        let selected = self.last.map_or(Latch::Encoder(u8::MAX), |last| last.latch);
-        let sight = |latch: Latch, index: u16, probe: u16| {
+        let basis = self.basis(status, period);
+        let selected = self
+            .exchange
+            .last
+            .map_or(Latch::Encoder(u8::MAX), |last| last.latch);
+        let latch_sample = |latch: Latch, index: u16, probe: u16| {
             let (Latch::Encoder(n) | Latch::Stepgen(n)) = latch;
-            Sight {
+            LatchSample {
                 sequence: status.sequence,
                 live: status.state.enabled && status.state.state == State::Armed,
                 index: index >> n & 1 != 0,
@@ -499,24 +419,30 @@ impl Driver {
                 value: (selected == latch).then_some(status.latch),
             }
         };
-        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
-            let (position, rate) = status.stepgen[n];
+        for (n, stepgen) in self.blocks.stepgens.iter_mut().enumerate() {
+            let (position, velocity) = status.stepgen[n];
             let (index, probe) = (status.stepgen_index_latched, status.stepgen_probe_latched);
             let sample = Sample {
                 position,
-                rate,
+                velocity,
                 limited: status.rate_limited >> n & 1 != 0,
-                sight: sight(Latch::Stepgen(n as u8), index, probe),
+                latch_sample: latch_sample(Latch::Stepgen(n as u8), index, probe),
             };
-            stepgen.sampled(&sample, outlook, period);
+            stepgen.sampled(&sample, basis, period);
         }
-        for (n, encoder) in self.encoders.iter_mut().enumerate() {
+        for (n, encoder) in self.blocks.encoders.iter_mut().enumerate() {
             let (index, probe) = (status.index_latched, status.probe_latched);
-            let sight = sight(Latch::Encoder(n as u8), index, probe);
+            let latch_sample = latch_sample(Latch::Encoder(n as u8), index, probe);
             let illegal = status.illegal >> n & 1 != 0;
-            encoder.sampled(&status.encoder[n], illegal, &sight, status.sample, period);
+            encoder.sampled(
+                &status.encoder[n],
+                illegal,
+                &latch_sample,
+                status.sample,
+                period,
+            );
         }
-        for (n, input) in self.inputs.iter().enumerate() {
+        for (n, input) in self.blocks.inputs.iter().enumerate() {
             input.sampled(status.gpio_in >> n & 1 != 0, status.estop >> n & 1 != 0);
         }
     }
@@ -524,48 +450,51 @@ impl Driver {
     /// The board's clock: for the operator, for the apply time, and to notice that the fabric was
     /// reset.
     fn follow_clock(&mut self, status: &Status, clock_hz: f64) {
-        let now = self.time.now();
-        let silent = (now - core::mem::replace(&mut self.heard, now)) as f64 * 1e-9;
+        let now = self.times.now();
+        let silent = (now - core::mem::replace(&mut self.times.heard, now)) as f64 * 1e-9;
         // If the clock went backwards, the fabric was reset. If the board was off for longer than
         // it had been on, it reports a reset, or its clock is behind the expected time; it is also
         // not older than the silence, and its stepgens have never moved. A false reset would move
         // the position, so all of these must hold.
-        let first = core::mem::take(&mut self.first_answer);
-        let sent = self.sent.iter().find(|sent| sent.0 == status.sequence);
-        let due = sent.and_then(|(_, host)| self.clock.board_at(*host));
+        let first = core::mem::take(&mut self.session.first_answer);
+        let sent = self
+            .times
+            .sent
+            .iter()
+            .find(|sent| sent.0 == status.sequence);
+        let due = sent.and_then(|(_, host)| self.times.clock.board_at(*host));
         let behind = due.is_some_and(|due| {
             let late = Clocks(due.0.saturating_sub(status.arrival.0)).to_seconds(clock_hz);
             late > silent * (YOUNG - 1.0) + JITTER
         });
         let young = status.sample.to_seconds(clock_hz) <= silent * YOUNG;
-        let stepgens = &status.stepgen[..self.stepgens.len()];
+        let stepgens = &status.stepgen[..self.blocks.stepgens.len()];
         let untouched = stepgens.iter().all(|(position, _)| position.pulses() == 0);
-        let says_so = core::mem::take(&mut self.new_fabric);
+        let says_so = core::mem::take(&mut self.condition.new_fabric);
         let new_fabric = young && untouched && (says_so || first && behind);
-        if !self.wallclock.sampled(status.sample, clock_hz) || new_fabric {
+        if !self.blocks.wallclock.sampled(status.sample, clock_hz) || new_fabric {
             self.tell_restart(ResetReason::PowerUp);
-            self.clock.forget();
-            for stepgen in &mut self.stepgens {
-                stepgen.rebase();
-            }
-            for encoder in &mut self.encoders {
-                encoder.rebase();
-            }
+            self.times.clock.forget();
+            self.blocks.rebase();
         }
-        self.arrival = Some(status.arrival);
-        let sent = self.sent.iter().find(|sent| sent.0 == status.sequence);
+        self.times.arrival = Some(status.arrival);
+        let sent = self
+            .times
+            .sent
+            .iter()
+            .find(|sent| sent.0 == status.sequence);
         if let Some((_, host)) = sent {
-            self.clock.exchanged(*host, status.arrival);
-            if let Some((offset, drift)) = self.clock.compared(*host) {
-                self.wallclock.compared(offset, drift);
+            self.times.clock.exchanged(*host, status.arrival);
+            if let Some((offset, drift)) = self.times.clock.compared(*host) {
+                self.blocks.wallclock.compared(offset, drift);
             }
         }
     }
 
     /// What the board does from this sample to the moment the next command takes effect.
-    fn outlook(&self, status: &Status, period: Period) -> Outlook {
-        let repeated = self.repeated && status.sequence == self.sequence;
-        let ahead = match self.request_to_write {
+    fn basis(&self, status: &Status, period: Period) -> PredictionBasis {
+        let repeated = self.exchange.repeated && status.sequence == self.exchange.sequence;
+        let ahead = match self.times.request_to_write {
             // The command has been in force for a while; the next one is due after what the last
             // one took.
             Some(nanos) if repeated => {
@@ -577,22 +506,22 @@ impl Driver {
         };
         match (status.state.enabled, status.state.state) {
             (true, State::Armed) => {
-                let lead = match self.apply_at {
+                let lead = match self.times.apply_at {
                     Some(at) if !repeated => at.0.saturating_sub(status.sample.0),
                     Some(_) | None => 0,
                 };
                 let lead = Clocks(lead.min(2 * period.clocks.0));
-                Outlook::Commanded { lead, ahead }
+                PredictionBasis::Commanded { lead, ahead }
             }
             (true, State::Boot | State::Disarmed | State::Stopping | State::Faulted) => {
-                Outlook::Stopping { ahead }
+                PredictionBasis::Stopping { ahead }
             }
-            (false, _) => Outlook::Still,
+            (false, _) => PredictionBasis::Still,
         }
     }
 
     fn next_tag(&mut self) -> u32 {
-        self.tag = self.tag.wrapping_add(1);
-        TAG_BASE | (self.tag & 0x00ff_ffff).max(1)
+        self.session.tag = self.session.tag.wrapping_add(1);
+        TAG_BASE | (self.session.tag & 0x00ff_ffff).max(1)
     }
 }

@@ -5,7 +5,7 @@
 //! is left to its watchdog, and the fence stays shut: the broken driver is not called again.
 
 use crate::driver::Driver;
-use crate::hal::{Level, Line, Messenger};
+use crate::hal::{Level, MessageLine, Messenger};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Once;
 
@@ -62,7 +62,7 @@ impl Fenced {
             // Dropping it would free memory in the servo thread.
             core::mem::forget(payload);
             self.halted = true;
-            let line = Line::format(format_args!(
+            let line = MessageLine::format(format_args!(
                 "the driver has stopped after an internal error and the board's watchdog stops the machine; \
                  restart LinuxCNC and report the lines above"
             ));
@@ -87,12 +87,12 @@ pub fn install_quiet_hook(say: impl Fn(&core::ffi::CStr) + Send + Sync + 'static
     ONCE.call_once(|| {
         std::panic::set_hook(Box::new(move |panic| {
             let line = match panic.location() {
-                Some(at) => Line::format(format_args!(
+                Some(at) => MessageLine::format(format_args!(
                     "internal error at {}:{}",
                     at.file(),
                     at.line()
                 )),
-                None => Line::format(format_args!("internal error at an unknown place")),
+                None => MessageLine::format(format_args!("internal error at an unknown place")),
             };
             say(line.as_c_str());
         }));

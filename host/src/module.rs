@@ -81,13 +81,13 @@ exported!(
 );
 
 /// A board as HAL's functions know it; empty once it is unloaded.
-pub type Door = Turn<Option<Fenced>>;
+pub type SharedBoard = Turn<Option<Fenced>>;
 
 /// Everything alive between load and unload.
 struct Loaded {
     component: Component,
     /// Leaked: a thread may look at one after it was unloaded.
-    boards: Vec<&'static Door>,
+    boards: Vec<&'static SharedBoard>,
 }
 
 /// 5 s for a thread to come out of a function: longer than any `packet-read-timeout`.
@@ -192,34 +192,34 @@ impl Drop for Loaded {
     fn drop(&mut self) {
         // Out of the threads' reach first; HAL forgets functions and pins when `component` is
         // dropped.
-        for door in &self.boards {
-            drop(unload(door));
+        for shared in &self.boards {
+            drop(unload(shared));
         }
     }
 }
 
 /// Takes a board away from the threads and gives its session back. `None`: a thread is inside and
 /// does not leave, so everything stays loaded; the board's watchdog stops the machine.
-pub fn unload(door: &Door) -> Option<Fenced> {
+pub fn unload(shared: &SharedBoard) -> Option<Fenced> {
     let deadline = Instant::now() + PATIENCE;
     let patient = || {
         std::thread::sleep(LOOK);
         Instant::now() < deadline
     };
-    let mut board = door.shut(patient, Option::take).flatten()?;
+    let mut board = shared.shut(patient, Option::take).flatten()?;
     board.release();
-    turned_away(door);
+    turned_away(shared);
     Some(board)
 }
 
 /// Waits until the threads that call a board have just been turned away, and sleep.
-fn turned_away(door: &Door) {
+fn turned_away(shared: &SharedBoard) {
     let began = Instant::now();
-    let before = door.late();
+    let before = shared.late();
     let mut last = before;
     while began.elapsed() < SLOWEST {
         std::thread::sleep(LOOK);
-        let now = door.late();
+        let now = shared.late();
         // The last of its functions was called more than a look ago.
         if now != before && now == last {
             return;
@@ -286,9 +286,9 @@ fn load(api: Api) -> Result<Loaded, LoadError> {
             }));
         }
         let fenced = Fenced::new(driver, messenger(api));
-        let door: &Door = Box::leak(Box::new(Turn::new(Some(fenced))));
-        loaded.boards.push(door);
-        register(&loaded.component, &functions, door).map_err(LoadError::Export)?;
+        let shared: &SharedBoard = Box::leak(Box::new(Turn::new(Some(fenced))));
+        loaded.boards.push(shared);
+        register(&loaded.component, &functions, shared).map_err(LoadError::Export)?;
     }
     let ready = loaded.component.ready();
     ready.map_err(|errno| LoadError::Hal("hal_ready", errno))?;
@@ -315,12 +315,12 @@ const UPDATE: Funct = update;
 fn register(
     component: &Component,
     functions: &[(String, Funct)],
-    door: &'static Door,
+    shared: &'static SharedBoard,
 ) -> Result<(), ExportError> {
-    let argument = core::ptr::from_ref(door).cast_mut();
+    let argument = core::ptr::from_ref(shared).cast_mut();
     for (name, function) in functions {
         let name = CString::new(name.as_str()).unwrap_or_default();
-        // SAFETY: all functions take a `Door`, and look at it only; it lives as long as the
+        // SAFETY: all functions take a `SharedBoard`, and look at it only; it lives as long as the
         // program.
         unsafe { component.function(&name, *function, argument.cast())? };
     }
@@ -330,37 +330,37 @@ fn register(
 /// A function's way in: not if another thread is inside, and not after the board was unloaded.
 ///
 /// # Safety
-/// `door` must be what `register` registered.
-unsafe fn enter(door: *mut c_void, work: impl FnOnce(&mut Fenced)) {
-    // SAFETY: the caller's promise; doors are never freed.
-    let door = unsafe { &*door.cast::<Door>() };
-    door.take(|board| {
+/// `shared` must be what `register` registered.
+unsafe fn enter(shared: *mut c_void, work: impl FnOnce(&mut Fenced)) {
+    // SAFETY: the caller's promise; boards are never freed.
+    let shared = unsafe { &*shared.cast::<SharedBoard>() };
+    shared.take(|board| {
         let Some(board) = board else { return };
-        board.collided(door.collisions());
+        board.collided(shared.collisions());
         work(board);
     });
 }
 
-unsafe extern "C" fn read_request(door: *mut c_void, period_ns: c_long) {
+unsafe extern "C" fn read_request(shared: *mut c_void, period_ns: c_long) {
     // SAFETY: HAL passes back what `register` registered.
-    unsafe { enter(door, |board| board.read_request(nanos(period_ns))) };
+    unsafe { enter(shared, |board| board.read_request(nanos(period_ns))) };
 }
 
-unsafe extern "C" fn read(door: *mut c_void, period_ns: c_long) {
+unsafe extern "C" fn read(shared: *mut c_void, period_ns: c_long) {
     // SAFETY: as in `read_request`.
-    unsafe { enter(door, |board| board.read(nanos(period_ns))) };
+    unsafe { enter(shared, |board| board.read(nanos(period_ns))) };
 }
 
-unsafe extern "C" fn write(door: *mut c_void, period_ns: c_long) {
+unsafe extern "C" fn write(shared: *mut c_void, period_ns: c_long) {
     // SAFETY: as in `read_request`.
-    unsafe { enter(door, |board| board.write(nanos(period_ns))) };
+    unsafe { enter(shared, |board| board.write(nanos(period_ns))) };
 }
 
 /// Lcnc's one function for both.
-unsafe extern "C" fn update(door: *mut c_void, period_ns: c_long) {
+unsafe extern "C" fn update(shared: *mut c_void, period_ns: c_long) {
     // SAFETY: as in `read_request`.
     unsafe {
-        enter(door, |board| {
+        enter(shared, |board| {
             board.read(nanos(period_ns));
             board.write(nanos(period_ns));
         });

@@ -6,17 +6,15 @@
 
 use wire::describe::Channels;
 use wire::exchange::MAX_CHANNELS;
-use wire::map;
-use wire::{ReplyWriter, etherbone};
+use wire::{Request, map};
 
 /// Periods between two tries. A receipt takes one; a refused datagram is never answered.
 const RETRY_PERIODS: u32 = 20;
 
 /// Values that go to the config window together.
 pub trait Group: Copy + PartialEq {
-    /// Appends the records that write them; `false` when they do not fit.
-    #[must_use]
-    fn emit(&self, channels: Channels, request: &mut ReplyWriter<'_>) -> bool;
+    /// Appends the records that write them.
+    fn emit<'w>(&self, channels: Channels, request: Request<'w>) -> Request<'w>;
 }
 
 /// What may only change while the machine is disarmed.
@@ -59,28 +57,28 @@ impl Default for Disarmed {
 }
 
 impl Group for Disarmed {
-    fn emit(&self, channels: Channels, request: &mut ReplyWriter<'_>) -> bool {
-        let mut record = |base: u32, words: &[u32]| {
-            request.write_record(base, words.len() as u8) && request.extend(words)
-        };
+    fn emit<'w>(&self, channels: Channels, request: Request<'w>) -> Request<'w> {
         let at = |window: u32, channel: usize| window + channel as u32 * map::CONFIG_STRIDE;
-        let mut fits = true;
+        let mut request = request;
         for (n, words) in self.stepgen[..channels.stepgens.into()].iter().enumerate() {
-            fits &= record(at(map::CONFIG_STEPGEN, n), words);
+            request = request.write(at(map::CONFIG_STEPGEN, n), words);
         }
         for (n, words) in self.encoder[..channels.encoders.into()].iter().enumerate() {
-            fits &= record(at(map::CONFIG_ENCODER, n), words);
+            request = request.write(at(map::CONFIG_ENCODER, n), words);
         }
         for (n, word) in self.pwm_mode[..channels.pwms.into()].iter().enumerate() {
-            fits &= record(at(map::CONFIG_PWM, n) + 4, &[*word]);
+            request = request.write(at(map::CONFIG_PWM, n) + 4, &[*word]);
         }
-        fits &= record(map::CONFIG_BOARD, &self.watchdog);
-        fits &= record(
-            map::CONFIG_BOARD + 4 * map::BoardConfig::GpioSafe as u32,
-            &[self.gpio_safe, self.gpio_invert, self.probe],
-        );
-        let inputs = usize::from(channels.inputs);
-        fits && (inputs == 0 || record(map::CONFIG_DEBOUNCE, &self.debounce[..inputs]))
+        request
+            .write(map::CONFIG_BOARD, &self.watchdog)
+            .write(
+                map::CONFIG_BOARD + 4 * map::BoardConfig::GpioSafe as u32,
+                &[self.gpio_safe, self.gpio_invert, self.probe],
+            )
+            .write(
+                map::CONFIG_DEBOUNCE,
+                &self.debounce[..channels.inputs.into()],
+            )
     }
 }
 
@@ -89,13 +87,11 @@ impl Group for Disarmed {
 pub struct Periods(pub [u32; MAX_CHANNELS]);
 
 impl Group for Periods {
-    fn emit(&self, channels: Channels, request: &mut ReplyWriter<'_>) -> bool {
-        let mut fits = true;
-        for (n, word) in self.0[..channels.pwms.into()].iter().enumerate() {
-            let base = map::CONFIG_PWM + n as u32 * map::CONFIG_STRIDE;
-            fits &= request.write_record(base, 1) && request.push(*word);
-        }
-        fits
+    fn emit<'w>(&self, channels: Channels, request: Request<'w>) -> Request<'w> {
+        let words = self.0[..channels.pwms.into()].iter().enumerate();
+        words.fold(request, |request, (n, word)| {
+            request.write(map::CONFIG_PWM + n as u32 * map::CONFIG_STRIDE, &[*word])
+        })
     }
 }
 
@@ -147,15 +143,13 @@ impl<G: Group> Sync<G> {
                 return None;
             }
         }
-        let mut request = ReplyWriter::new(words, etherbone::HEADER);
-        let fits = wanted.emit(channels, &mut request)
-            && request.read_record(tag, &[map::SESSION_LAST_SEQ]);
-        debug_assert!(fits, "settings beyond one frame");
-        let length = request.words().len();
+        let request = wanted.emit(channels, Request::new(words));
+        let request = request.read(tag, &[map::SESSION_LAST_SEQ]).words();
+        debug_assert!(request.is_some(), "settings beyond one frame");
         self.in_flight = Some((tag, *wanted));
         self.age = 0;
         self.tries = self.tries.saturating_add(1);
-        words.get(..length)
+        request
     }
 
     /// A receipt came; `true` if it was for this group.

@@ -3,7 +3,7 @@
 //! HAL calls a board's functions from the threads they were added to, possibly two. `unloadrt`
 //! calls `rtapi_app_exit` from a third while those run on. So every access to a driver goes through
 //! a [`Turn`]. A realtime thread never waits: it is let in, or turned away because another one is
-//! inside or because the board is being unloaded. The unloading thread shuts the door, waits for
+//! inside or because the board is being unloaded. The unloading thread shuts the turn, waits for
 //! the one inside to leave, and has the driver for itself from then on.
 //!
 //! ```text
@@ -19,11 +19,11 @@
 
 use crate::sync::{AtomicU32, Ordering, UnsafeCell};
 
-/// No thread is inside, and the door is open.
+/// No thread is inside, and the next one is let in.
 const IDLE: u32 = 0;
 /// A thread is inside.
 const BUSY: u32 = 1;
-/// The door is shut for good.
+/// No thread is let in again.
 const SHUT: u32 = 2;
 
 /// Something that one thread at a time may use, until it is taken away.
@@ -32,7 +32,7 @@ pub struct Turn<T> {
     state: AtomicU32,
     /// Calls turned away because another thread was inside.
     collisions: AtomicU32,
-    /// Calls turned away at the shut door.
+    /// Calls turned away because the turn was shut.
     late: AtomicU32,
     inside: UnsafeCell<T>,
 }
@@ -82,7 +82,7 @@ impl<T> Turn<T> {
         Some(done)
     }
 
-    /// Shuts the door and waits for the thread inside; `wait` is called between two looks and gives
+    /// Shuts the turn and waits for the thread inside; `wait` is called between two looks and gives
     /// up by returning false. `None`: it gave up, or another thread has shut it.
     pub fn shut<R>(
         &self,
@@ -107,7 +107,7 @@ impl<T> Turn<T> {
         self.collisions.load(Ordering::Relaxed)
     }
 
-    /// Calls turned away so far because the door was shut.
+    /// Calls turned away so far because the turn was shut.
     pub fn late(&self) -> u32 {
         self.late.load(Ordering::Relaxed)
     }

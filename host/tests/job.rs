@@ -1,6 +1,6 @@
 //! `ferrocnc job`: no board, only files.
 
-use motion::instruction::{Feed, Instruction};
+use jobs::instruction::{Feed, Instruction};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::flash::Segment;
+use common::flash::LanSegment;
 use common::rig::PERIOD_NS;
 use common::{FakeBoard, Time};
 use ferrocnc::address;
@@ -394,7 +394,7 @@ fn when_the_receipt_for_no_key_is_lost_the_old_one_stays_on_this_computer() {
 
 #[test]
 fn discovery_tries_the_key_that_was_on_its_way_too() {
-    let segment = Segment::of(&[[1, 2]]);
+    let segment = LanSegment::of(&[[1, 2]]);
     let home = home("discovery-pending");
     let [has, other] = [Key::random().unwrap(), Key::random().unwrap()];
     let folder = home.join("ferrocnc/keys");
@@ -452,7 +452,7 @@ fn settings_change_with_the_key_only_and_leave_it_alone() {
 
 #[test]
 fn settings_by_discovery_are_proved_and_a_lost_receipt_is_asked_for_again() {
-    let segment = Segment::of(&[[1, 2]]);
+    let segment = LanSegment::of(&[[1, 2]]);
     let home = home("discovery");
     let (right, wrong) = (home.join("right.key"), home.join("wrong.key"));
     let key = Key::random().unwrap();

@@ -7,7 +7,7 @@ use ferrocnc::hal::checked::Rule;
 use ferrocnc::hal::{Direction, Type};
 use ferrocnc::names::Scheme;
 use wire::map;
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 
 /// The edges, and the names an operator reads them by.
 const EDGES: [(f64, &str); 10] = [
@@ -219,7 +219,7 @@ fn no_number_comes_from_hal_unchecked() {
 }
 
 /// What the board was told last of axis x, and the deceleration of its soft stop.
-fn axis(rig: &Rig) -> ((StepRate, Accel), u32) {
+fn axis(rig: &Rig) -> ((Velocity, Accel), u32) {
     let board = rig.board.look();
     let stop = board.config.get(&(map::CONFIG_STEPGEN + 16)).copied();
     (board.command.stepgen[0], stop.unwrap_or_default())
@@ -258,7 +258,7 @@ fn an_acceleration_that_is_none_lets_an_axis_neither_move_nor_stop_without_a_lim
         rig.run(2);
         assert_eq!(
             axis(&rig).0,
-            (StepRate(0), limit),
+            (Velocity(0), limit),
             "coming to rest with {bad}"
         );
         let said = rig.hal.said();
@@ -276,7 +276,7 @@ fn a_command_that_is_no_number_brings_its_axis_to_rest_and_a_good_one_moves_it_a
         rig.travel(2.0, 100);
         rig.hal.set("ferrocnc.0.stepgen.x.position-cmd", bad);
         rig.run(60);
-        assert_eq!(axis(&rig).0.0, StepRate(0), "{bad}");
+        assert_eq!(axis(&rig).0.0, Velocity(0), "{bad}");
         let there = rig.position();
         assert!((there - 2.0).abs() < 0.1, "it went to {there} for {bad}");
         assert!(rig.enabled());

@@ -1,8 +1,8 @@
-//! Defects of other drivers for these boards: one test for each shows that FerroCNC does not have
-//! it.
+//! Promises that other drivers break. A test has the name of the promise; its comment says which
+//! peer breaks it, and how.
 //!
 //! The defects were found by reading and simulating Lcnc, LiteX-CNC, hostmot2 and Remora. Those
-//! that concern gateware are tested there.
+//! that concern gateware are in `tests/tests/peers.rs`.
 
 mod common;
 
@@ -10,7 +10,7 @@ use common::rig::{PERIOD_NS, Rig, load_with};
 use common::{CLOCK_HZ, FakeBoard, Time};
 use ferrocnc::blocks::Period;
 use ferrocnc::blocks::encoder::Encoder;
-use ferrocnc::blocks::latch::Sight;
+use ferrocnc::blocks::latch::LatchSample;
 use ferrocnc::blocks::pwm::Pwm;
 use ferrocnc::blocks::stepgen::Stepgen;
 use ferrocnc::blocks::wallclock::Wallclock;
@@ -20,12 +20,12 @@ use ferrocnc::names::Scheme;
 use wire::describe::Channels;
 use wire::exchange::{EncoderStatus, PWM_FRACTION};
 use wire::map::{PwmType, StepType};
-use wire::units::{Clocks, Count, StepRate};
+use wire::units::{Clocks, Count, Velocity};
 use wire::{FaultReason, map};
 
 /// `Lcnc.c` 841: the old position is taken after the new one was stored.
 #[test]
-fn lcnc_encoder_velocity_is_always_zero_not_ours() {
+fn an_encoder_that_turns_has_its_velocity() {
     let mut rig = Rig::named(&Scheme::Lcnc);
     rig.hal.set("Lcnc.00.stepgen.00.scale", 100.0);
     rig.hal.set("Lcnc.00.stepgen.00.acc_lim", 5000.0);
@@ -40,7 +40,7 @@ fn lcnc_encoder_velocity_is_always_zero_not_ours() {
 
 /// `Lcnc.c` 806: operands are swapped when the counter wrapped, every 107 s at 40 MHz.
 #[test]
-fn lcnc_wallclock_interval_jumps_at_the_32_bit_wrap_not_ours() {
+fn the_wallclock_interval_is_right_where_32_bits_wrap() {
     let mut hal = FakeHal::new();
     let mut clock = Wallclock::export(&mut Exporter::new(&mut hal, "b")).unwrap();
     for n in 0..10u64 {
@@ -52,9 +52,9 @@ fn lcnc_wallclock_interval_jumps_at_the_32_bit_wrap_not_ours() {
     }
 }
 
-/// No sequence numbers: whatever arrives first is the answer.
+/// Lcnc: no sequence numbers: whatever arrives first is the answer.
 #[test]
-fn lcnc_takes_a_late_reply_as_current_not_ours() {
+fn a_late_reply_is_not_taken_as_current() {
     let mut rig = Rig::armed();
     rig.hal.set("ferrocnc.0.packet-read-timeout", 20_000_000);
     rig.hal.set("ferrocnc.0.packet-error-limit", 100);
@@ -67,9 +67,9 @@ fn lcnc_takes_a_late_reply_as_current_not_ours() {
     assert_eq!(rig.hal.get::<i32>("ferrocnc.0.stepgen.x.counts"), counts);
 }
 
-/// `F_FPGA 40000000` whatever the board was built with.
+/// Lcnc: `F_FPGA 40000000` whatever the board was built with.
 #[test]
-fn lcnc_clock_is_hard_coded_not_ours() {
+fn the_clock_is_that_of_the_board() {
     let mut hal = FakeHal::new();
     let mut stepgen =
         Stepgen::export(&mut Exporter::new(&mut hal, "s"), StepType::StepDir).unwrap();
@@ -79,9 +79,9 @@ fn lcnc_clock_is_hard_coded_not_ours() {
     }
 }
 
-/// The stepgens forget where they are, and the driver adds the difference.
+/// Lcnc: the stepgens forget where they are, and the driver adds the difference.
 #[test]
-fn lcnc_position_jumps_when_the_watchdog_bites_not_ours() {
+fn the_position_stays_when_the_watchdog_bites() {
     let mut rig = Rig::armed();
     rig.travel(5.0, 200);
     rig.run(60);
@@ -98,9 +98,9 @@ fn lcnc_position_jumps_when_the_watchdog_bites_not_ours() {
     assert!((after - before).abs() < 1e-6, "{before} became {after}");
 }
 
-/// `assert < 16` and `< 32`: 15 and 31 are the most.
+/// Lcnc: `assert < 16` and `< 32`: 15 and 31 are the most.
 #[test]
-fn lcnc_counts_channels_one_short_not_ours() {
+fn all_channels_of_the_largest_board_are_there() {
     let most = Channels {
         stepgens: 16,
         encoders: 16,
@@ -134,9 +134,9 @@ fn lcnc_counts_channels_one_short_not_ours() {
     assert_eq!(board.config[&(map::CONFIG_DEBOUNCE + 4 * 31)], 1875);
 }
 
-/// The readme says `acc-lim`, the code exports `acc_lim`.
+/// Lcnc: the readme says `acc-lim`, the code exports `acc_lim`.
 #[test]
-fn lcnc_readme_and_code_disagree_on_a_name_our_page_is_tested() {
+fn a_pin_has_the_name_that_the_code_gives_it() {
     let rig = Rig::named(&Scheme::Lcnc);
     assert!(
         rig.hal
@@ -146,9 +146,10 @@ fn lcnc_readme_and_code_disagree_on_a_name_our_page_is_tested() {
     // `tests/pins.rs` compares every name with `docs/pins.md`.
 }
 
-/// `max-frequency` is twice what the gateware can do, and the speed word wraps to the other sign.
+/// LiteX-CNC: `max-frequency` is twice what the gateware can do, and the speed word wraps to the
+/// other sign.
 #[test]
-fn litexcnc_top_speed_is_off_by_two_and_wraps_not_ours() {
+fn the_top_speed_is_what_the_gateware_can_do_and_keeps_its_sign() {
     let mut rig = Rig::armed();
     rig.hal.set("ferrocnc.0.stepgen.x.control-type", true);
     rig.hal.set("ferrocnc.0.stepgen.x.maxaccel", 0.0);
@@ -159,7 +160,7 @@ fn litexcnc_top_speed_is_off_by_two_and_wraps_not_ours() {
         rig.hal.set("ferrocnc.0.stepgen.x.velocity-cmd", asked);
         rig.run(2);
         let (rate, _) = rig.board.look().command.stepgen[0];
-        assert_eq!(rate, StepRate::from_hz(hz, clock), "asked for {asked}");
+        assert_eq!(rate, Velocity::from_hz(hz, clock), "asked for {asked}");
         assert!(rig.hal.get::<bool>("ferrocnc.0.stepgen.x.rate-limited"));
     }
     let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
@@ -169,9 +170,9 @@ fn litexcnc_top_speed_is_off_by_two_and_wraps_not_ours() {
     assert_eq!(rig.hal.get::<f64>("test.stepgen.00.max-frequency"), 500e3);
 }
 
-/// A pet after the bite opens the outputs again.
+/// LiteX-CNC: a pet after the bite opens the outputs again.
 #[test]
-fn litexcnc_bite_is_not_latched_ours_is() {
+fn a_bite_is_latched() {
     let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
     rig.hal.set("test.watchdog.reset", true);
     rig.run(8);
@@ -194,9 +195,9 @@ fn litexcnc_bite_is_not_latched_ours_is() {
     assert!(!rig.hal.get::<bool>("test.watchdog.fpga-timeout"));
 }
 
-/// `a & 0x7FFFFFFF + flag`: the flag never arrives, the reverse speed is damaged.
+/// LiteX-CNC: `a & 0x7FFFFFFF + flag`: the flag never arrives, the reverse speed is damaged.
 #[test]
-fn litexcnc_index_enable_is_never_sent_and_damages_the_speed_not_ours() {
+fn index_enable_is_sent_and_leaves_the_speed_as_it_is() {
     let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
     rig.hal.set("test.stepgen.00.max-acceleration", 0.0);
     rig.hal.set("test.stepgen.00.velocity-mode", true);
@@ -214,9 +215,9 @@ fn litexcnc_index_enable_is_never_sent_and_damages_the_speed_not_ours() {
     assert_eq!(board.command.stepgen[0], speed, "the speed is untouched");
 }
 
-/// `read_errors -= 0`, and `comm-timeout` stays up for ever.
+/// LiteX-CNC: `read_errors -= 0`, and `comm-timeout` stays up for ever.
 #[test]
-fn litexcnc_read_errors_never_fall_and_comm_timeout_sticks_not_ours() {
+fn read_errors_fall_again_and_so_does_comm_timeout() {
     let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
     rig.hal.set("ferrocnc.0.packet-read-timeout", 1_000_000);
     rig.board.look().knobs.unplugged = true;
@@ -234,9 +235,9 @@ fn litexcnc_read_errors_never_fall_and_comm_timeout_sticks_not_ours() {
     assert!(rig.hal.get::<u32>("test.communications.total-read-errors") >= 5);
 }
 
-/// The stepgen's `enable` is exported and goes nowhere.
+/// LiteX-CNC: the stepgen's `enable` is exported and goes nowhere.
 #[test]
-fn litexcnc_enable_pin_is_unused_ours_stops_the_axis() {
+fn the_enable_pin_stops_its_axis() {
     let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
     rig.hal.set("test.watchdog.reset", true);
     rig.run(8);
@@ -244,17 +245,17 @@ fn litexcnc_enable_pin_is_unused_ours_stops_the_axis() {
     rig.hal.set("test.stepgen.00.velocity-cmd", 5.0);
     rig.run(2);
     assert_eq!(rig.board.look().command.stepgen_enable & 1, 0);
-    assert_eq!(rig.board.look().command.stepgen[0].0, StepRate(0));
+    assert_eq!(rig.board.look().command.stepgen[0].0, Velocity(0));
     rig.hal.set("test.stepgen.00.enable", true);
     rig.run(2);
     assert_eq!(rig.board.look().command.stepgen_enable & 1, 1);
-    assert_ne!(rig.board.look().command.stepgen[0].0, StepRate(0));
+    assert_ne!(rig.board.look().command.stepgen[0].0, Velocity(0));
 }
 
-/// The driver clips to 11, 11 and 13 bits what has 10, 10 and 12, so one timing overflows into the
-/// next.
+/// LiteX-CNC: the driver clips to 11, 11 and 13 bits what has 10, 10 and 12, so one timing
+/// overflows into the next.
 #[test]
-fn litexcnc_timing_fields_overflow_into_each_other_not_ours() {
+fn a_timing_that_is_too_long_changes_no_other() {
     let mut hal = FakeHal::new();
     let mut stepgen =
         Stepgen::export(&mut Exporter::new(&mut hal, "s"), StepType::StepDir).unwrap();
@@ -277,9 +278,9 @@ fn litexcnc_timing_fields_overflow_into_each_other_not_ours() {
     }
 }
 
-/// `dither-pwm` is exported and goes nowhere.
+/// LiteX-CNC: `dither-pwm` is exported and goes nowhere.
 #[test]
-fn litexcnc_dither_is_a_no_op_ours_reaches_the_gateware() {
+fn dither_reaches_the_gateware() {
     let mut hal = FakeHal::new();
     let mut pwm = Pwm::export(&mut Exporter::new(&mut hal, "p"), false, PwmType::Pwm).unwrap();
     hal.set("p.enable", true);
@@ -299,9 +300,9 @@ fn litexcnc_dither_is_a_no_op_ours_reaches_the_gateware() {
     assert_ne!(mode & map::PWM_DITHER, 0);
 }
 
-/// As an input it cannot be cleared, and homing to the index never ends.
+/// LiteX-CNC: as an input it cannot be cleared, and homing to the index never ends.
 #[test]
-fn litexcnc_index_enable_is_hal_in_not_ours() {
+fn index_enable_can_be_cleared_by_the_driver() {
     let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
     for name in [
         "test.encoder.00.index-enable",
@@ -331,19 +332,21 @@ fn litexcnc_index_enable_is_hal_in_not_ours() {
     assert_eq!(pulses, 1, "index-pulse for one period");
 }
 
-/// Buffers of 271 bytes for up to 255 bytes of payload; more channels than that overflow them.
+/// LiteX-CNC: buffers of 271 bytes for up to 255 bytes of payload; more channels than that overflow
+/// them.
 #[test]
-fn litexcnc_buffers_overflow_with_many_channels_ours_are_the_frame() {
+fn the_longest_exchange_fits_a_datagram() {
     const {
         assert!(wire::exchange::COMMAND_MAX + wire::exchange::REQUEST_OVERHEAD <= wire::MAX_WORDS);
         assert!(wire::exchange::STATUS_MAX + 4 <= wire::MAX_WORDS);
     }
-    // The rest is `lcnc_counts_channels_one_short_not_ours`: the largest board, talked to.
+    // The rest is `all_channels_of_the_largest_board_are_there`: the largest board, talked to.
 }
 
-/// `*data->stepperEnable == 0` compares joint 0's pin pointer with NULL: a disabled joint moves.
+/// Remora: `*data->stepperEnable == 0` compares joint 0's pin pointer with NULL: a disabled joint
+/// moves.
 #[test]
-fn remora_disabled_joints_are_driven_not_ours() {
+fn a_disabled_joint_stands() {
     let mut rig = Rig::armed();
     rig.hal.set("ferrocnc.0.stepgen.y.enable", true);
     for axis in ["x", "y"] {
@@ -361,9 +364,9 @@ fn remora_disabled_joints_are_driven_not_ours() {
     assert!(board.pulses(1) > 0);
 }
 
-/// `accumulator` wraps and the driver corrects by 2^32 - 1: a subcount per wrap.
+/// hostmot2: `accumulator` wraps and the driver corrects by 2^32 - 1: a subcount per wrap.
 #[test]
-fn hostmot2_wrap_is_one_short_not_ours() {
+fn a_position_is_exact_where_the_counter_wraps() {
     let mut hal = FakeHal::new();
     let mut encoder = Encoder::export(&mut Exporter::new(&mut hal, "e")).unwrap();
     let (mut count, mut now) = (0u32, 1u64 << 40);
@@ -375,7 +378,7 @@ fn hostmot2_wrap_is_one_short_not_ours() {
             edge_time: now as u32 & 0x00ff_ffff,
             errors: 0,
         };
-        encoder.sampled(&status, false, &Sight::default(), Clocks(now), period);
+        encoder.sampled(&status, false, &LatchSample::default(), Clocks(now), period);
         let turns = if n <= 32 { n } else { 64 - n };
         let expected = f64::from(turns) * f64::from(1 << 30);
         assert_eq!(hal.get::<f64>("e.position"), expected, "after {n}");

@@ -4,7 +4,7 @@ mod common;
 #[path = "common/tool.rs"]
 mod ferrocnc_tool;
 
-use common::flash::Segment;
+use common::flash::LanSegment;
 use common::{FakeBoard, Time};
 use ferrocnc::address;
 use ferrocnc::client::Client;
@@ -37,7 +37,7 @@ fn client(board: &FakeBoard) -> Client {
 
 #[test]
 fn three_boards_with_one_address_are_told_apart_and_renamed_one_by_one() {
-    let segment = Segment::of(&UIDS);
+    let segment = LanSegment::of(&UIDS);
     let finder = Finder::at(segment.address).unwrap();
     let found = finder.all(WAIT).unwrap();
     assert_eq!(found.iter().map(|f| f.uid).collect::<Vec<_>>(), UIDS);
@@ -59,7 +59,7 @@ fn three_boards_with_one_address_are_told_apart_and_renamed_one_by_one() {
 
 #[test]
 fn a_lost_answer_is_asked_for_again_and_nothing_is_saved_twice() {
-    let segment = Segment::of(&UIDS);
+    let segment = LanSegment::of(&UIDS);
     let finder = Finder::at(segment.address).unwrap();
     segment.look()[1].lose = 2;
     assert_eq!(
@@ -77,7 +77,7 @@ fn a_lost_answer_is_asked_for_again_and_nothing_is_saved_twice() {
 
 #[test]
 fn an_armed_board_and_an_unknown_one_are_said_in_a_sentence() {
-    let segment = Segment::of(&UIDS);
+    let segment = LanSegment::of(&UIDS);
     let finder = Finder::at(segment.address).unwrap();
     segment.look()[2].armed = true;
     let said = provision::set_by_uid(
@@ -97,7 +97,7 @@ fn an_armed_board_and_an_unknown_one_are_said_in_a_sentence() {
 
 #[test]
 fn what_is_not_asked_for_stays_and_a_mac_made_from_the_id_stays_that() {
-    let segment = Segment::of(&UIDS);
+    let segment = LanSegment::of(&UIDS);
     let finder = Finder::at(segment.address).unwrap();
     segment.look()[0].flash.settings.port = 4321;
     let change = Change {
@@ -117,7 +117,7 @@ fn what_is_not_asked_for_stays_and_a_mac_made_from_the_id_stays_that() {
 
 #[test]
 fn boards_that_share_an_address_are_not_reached_by_it() {
-    let segment = Segment::of(&UIDS);
+    let segment = LanSegment::of(&UIDS);
     let finder = Finder::at(segment.address).unwrap();
     let said = provision::reach(&finder, UIDS[1]).unwrap_err();
     assert!(matches!(said, ProvisionError::Shared { .. }));
@@ -169,7 +169,7 @@ fn an_armed_board_keeps_its_settings_and_says_why() {
 
 #[test]
 fn the_tool_lists_sets_and_warns() {
-    let segment = Segment::of(&UIDS);
+    let segment = LanSegment::of(&UIDS);
     let at = segment.address.to_string();
     let text = answer(&["discover", "--at", &at, "--wait", "600"]);
     for part in [

@@ -1,5 +1,5 @@
 //! `ferrocnc selftest` at the command line: its question before it arms anything, and the place of
-//! its report. What it finds is tested on the twin (`tests/tests/selftest.rs`).
+//! its report. What it finds is tested on the twin (`tests/tests/selftest`).
 
 mod common;
 #[path = "common/tool.rs"]

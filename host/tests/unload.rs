@@ -8,7 +8,7 @@ use common::FakeBoard;
 use common::rig::{LOCKSTEP, PERIOD_NS, load};
 use ferrocnc::fence::Fenced;
 use ferrocnc::hal::fake::FakeHal;
-use ferrocnc::module::{Door, unload};
+use ferrocnc::module::{SharedBoard, unload};
 use ferrocnc::turn::Turn;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -20,18 +20,18 @@ fn times() -> u32 {
 }
 
 /// What `addf ferrocnc.0.read` and `addf ferrocnc.0.write` come to.
-fn servo_thread(door: &Door, done: &AtomicBool) {
+fn servo_thread(shared: &SharedBoard, done: &AtomicBool) {
     while !done.load(Ordering::Relaxed) {
-        call(door, |board| board.read(PERIOD_NS));
-        call(door, |board| board.write(PERIOD_NS));
+        call(shared, |board| board.read(PERIOD_NS));
+        call(shared, |board| board.write(PERIOD_NS));
         std::thread::sleep(Duration::from_micros(50));
     }
 }
 
-fn call(door: &Door, work: impl FnOnce(&mut Fenced)) {
-    let collisions = door.collisions();
-    door.take(|board| {
-        // Never after it was unloaded: the door is shut then.
+fn call(shared: &SharedBoard, work: impl FnOnce(&mut Fenced)) {
+    let collisions = shared.collisions();
+    shared.take(|board| {
+        // Never after it was unloaded: the board is closed then.
         let board = board.as_mut().expect("a board that is there");
         board.collided(collisions);
         work(board);
@@ -62,24 +62,24 @@ fn a_board_is_unloaded_while_it_is_armed_and_its_threads_run_on() {
         let mut hal = FakeHal::new();
         let driver = load(&board, &mut hal);
         hal.set("ferrocnc.0.packet-read-timeout", 200_000_000);
-        let door: Door = Turn::new(Some(Fenced::new(driver, hal.messenger())));
+        let shared: SharedBoard = Turn::new(Some(Fenced::new(driver, hal.messenger())));
         let done = AtomicBool::new(false);
         std::thread::scope(|scope| {
-            scope.spawn(|| servo_thread(&door, &done));
+            scope.spawn(|| servo_thread(&shared, &done));
             arm(&hal);
             if n % 2 == 1 {
                 // Two threads: one of them is turned away now and then, nothing worse.
-                scope.spawn(|| servo_thread(&door, &done));
+                scope.spawn(|| servo_thread(&shared, &done));
                 std::thread::sleep(Duration::from_millis(2));
             }
             let token = board.look().owner;
             assert!(token.is_some());
-            let unloaded = unload(&door).expect("no thread stays inside");
-            let late = door.late();
-            assert!(unload(&door).is_none(), "it is gone");
+            let unloaded = unload(&shared).expect("no thread stays inside");
+            let late = shared.late();
+            assert!(unload(&shared).is_none(), "it is gone");
             drop(unloaded);
             // A thread that still has the address is turned away.
-            while door.late() < late + 5 {
+            while shared.late() < late + 5 {
                 std::thread::sleep(Duration::from_micros(50));
             }
             done.store(true, Ordering::Relaxed);
@@ -102,19 +102,19 @@ fn functions_in_two_threads_are_told_once_and_one_waits_for_the_other_never() {
     let board = FakeBoard::mill6(LOCKSTEP);
     let mut hal = FakeHal::new();
     let driver = load(&board, &mut hal);
-    let door: Door = Turn::new(Some(Fenced::new(driver, hal.messenger())));
+    let shared: SharedBoard = Turn::new(Some(Fenced::new(driver, hal.messenger())));
     for _ in 0..3 {
-        door.take(|_| {
+        shared.take(|_| {
             // Another thread comes while this one is inside, and goes on at once.
             std::thread::scope(|scope| {
-                let other = scope.spawn(|| door.take(|_| ()));
+                let other = scope.spawn(|| shared.take(|_| ()));
                 assert_eq!(other.join().unwrap(), None);
             });
         });
-        call(&door, |board| board.read(PERIOD_NS));
-        call(&door, |board| board.write(PERIOD_NS));
+        call(&shared, |board| board.read(PERIOD_NS));
+        call(&shared, |board| board.write(PERIOD_NS));
     }
-    assert_eq!(door.collisions(), 3);
+    assert_eq!(shared.collisions(), 3);
     let mut said = hal.said();
     said.retain(|line| line.contains("two threads"));
     assert_eq!(said.len(), 1, "{said:?}");

@@ -14,7 +14,7 @@
 //! determine the future: [`Ramp::predict`].
 
 use crate::wide::{product, quotient_up, short};
-use wire::units::{Accel, Clocks, Position, StepRate};
+use wire::units::{Accel, Clocks, Position, Velocity};
 
 /// Fraction bits of the velocity below the last bit of the position.
 pub const VELOCITY_FRACTION: u32 = 24;
@@ -28,10 +28,10 @@ pub const COMMIT_CLOCKS: u64 = 2;
 pub struct Ramp {
     /// Phase accumulator, s32.32 steps; wraps like the register.
     pub position: i64,
-    /// Present velocity, s32.24: [`StepRate`] units with 24 more fraction bits.
+    /// Present velocity, s32.24: [`Velocity`] units with 24 more fraction bits.
     pub velocity: i64,
     /// Velocity it moves towards.
-    pub target: StepRate,
+    pub target: Velocity,
     /// By at most this much per clock.
     pub accel: Accel,
 }
@@ -41,7 +41,7 @@ impl Default for Ramp {
         Ramp {
             position: Position::ZERO.0,
             velocity: 0,
-            target: StepRate(0),
+            target: Velocity(0),
             accel: Accel::UNLIMITED,
         }
     }
@@ -50,11 +50,11 @@ impl Default for Ramp {
 impl Ramp {
     /// A stepgen's position `clocks` after a strobe that sampled `position` and `velocity` and
     /// committed `target` and `accel`. The sample contains only the velocity's integer part, so the
-    /// result is short by less than one unit of rate.
+    /// result is short by less than one unit of velocity.
     pub fn predict(
         position: Position,
-        velocity: StepRate,
-        target: StepRate,
+        velocity: Velocity,
+        target: Velocity,
         accel: Accel,
         clocks: Clocks,
     ) -> Ramp {
@@ -72,8 +72,8 @@ impl Ramp {
     }
 
     /// The velocity's integer part: what a status block carries.
-    pub const fn rate(&self) -> StepRate {
-        StepRate((self.velocity >> VELOCITY_FRACTION) as i32)
+    pub const fn velocity(&self) -> Velocity {
+        Velocity((self.velocity >> VELOCITY_FRACTION) as i32)
     }
 
     /// One clock: the definition.
@@ -216,7 +216,7 @@ mod tests {
     }
 
     fn any_ramp() -> impl Strategy<Value = Ramp> {
-        let rate = prop_oneof![
+        let velocity = prop_oneof![
             Just(0),
             Just(1),
             Just(-1),
@@ -235,15 +235,15 @@ mod tests {
         ];
         (
             any::<i64>(),
-            rate.clone(),
+            velocity.clone(),
             0..1i64 << VELOCITY_FRACTION,
-            rate,
+            velocity,
             accel,
         )
             .prop_map(|(position, velocity, fraction, target, accel)| Ramp {
                 position,
                 velocity: (i64::from(velocity) << VELOCITY_FRACTION) + fraction,
-                target: StepRate(target),
+                target: Velocity(target),
                 accel: Accel(accel),
             })
     }
@@ -288,7 +288,7 @@ mod tests {
     #[test]
     fn a_servo_period_at_60_mhz_is_exact() {
         let ramp = Ramp {
-            target: StepRate(1_431_655),
+            target: Velocity(1_431_655),
             accel: Accel(700),
             ..Ramp::default()
         };
@@ -298,11 +298,14 @@ mod tests {
     #[test]
     fn without_a_limit_the_velocity_jumps_after_one_clock_at_the_old_one() {
         let mut ramp = Ramp {
-            target: StepRate(1000),
+            target: Velocity(1000),
             ..Ramp::default()
         };
         ramp.clock();
-        assert_eq!((ramp.position, ramp.rate()), (0x8000_0000, StepRate(1000)));
+        assert_eq!(
+            (ramp.position, ramp.velocity()),
+            (0x8000_0000, Velocity(1000))
+        );
         ramp.clock();
         assert_eq!(ramp.position, 0x8000_0000 + 1000);
     }
@@ -326,8 +329,8 @@ mod tests {
         let predict = |clocks| {
             Ramp::predict(
                 Position::ZERO,
-                StepRate(10),
-                StepRate(1000),
+                Velocity(10),
+                Velocity(1000),
                 Accel::UNLIMITED,
                 Clocks(clocks),
             )
@@ -345,7 +348,7 @@ mod tests {
         let mut ramp = Ramp {
             position: i64::MAX,
             velocity: 1 << VELOCITY_FRACTION,
-            target: StepRate(1),
+            target: Velocity(1),
             ..Ramp::default()
         };
         ramp.advance(1);

@@ -19,7 +19,7 @@
 //! edges come later, but none changes.
 
 use crate::ramp::{Ramp, VELOCITY_FRACTION};
-use wire::units::{Accel, Position, StepRate};
+use wire::units::{Accel, Position, Velocity};
 
 /// Axes of a job: X, Y, Z.
 pub const AXES: usize = 3;
@@ -59,7 +59,7 @@ impl Segment {
     pub const fn play(&self, axis: usize) -> Play {
         Play {
             clocks: self.clocks,
-            velocity: StepRate(self.velocity[axis]),
+            velocity: Velocity(self.velocity[axis]),
             accel: Accel(self.accel[axis]),
         }
     }
@@ -81,7 +81,7 @@ pub const MAX_CLOCKS: u32 = 1 << 20;
 pub struct Axis {
     /// s32.32 steps; wraps like the register.
     pub position: i64,
-    /// s32.24: units of `StepRate` with 24 more fraction bits.
+    /// s32.24: units of `Velocity` with 24 more fraction bits.
     pub velocity: i64,
 }
 
@@ -127,7 +127,7 @@ pub struct Play {
     /// Duration in clocks.
     pub clocks: u32,
     /// The velocity at its end.
-    pub velocity: StepRate,
+    pub velocity: Velocity,
     /// The change in a clock.
     pub accel: Accel,
 }
@@ -251,7 +251,7 @@ impl Iterator for Edges {
 
 /// All axes and the outputs: the effect of a job on the machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Machine {
+pub struct MotionState {
     /// The integrators.
     pub axes: [Axis; AXES],
     /// The outputs.
@@ -260,7 +260,7 @@ pub struct Machine {
     pub clocks: u64,
 }
 
-impl Machine {
+impl MotionState {
     /// Executes a segment.
     pub fn run(&mut self, segment: &Segment) {
         *self = self.within(segment, segment.clocks);
@@ -269,7 +269,7 @@ impl Machine {
     /// The state after this many clocks of a segment that begins now.
     pub fn within(&self, segment: &Segment, clocks: u32) -> Self {
         let clocks = clocks.min(segment.clocks);
-        Machine {
+        MotionState {
             axes: core::array::from_fn(|axis| segment.play(axis).after(self.axes[axis], clocks)),
             aux: segment.aux,
             clocks: self.clocks + u64::from(clocks),
@@ -317,7 +317,7 @@ mod tests {
         let accel = prop_oneof![Just(0), 1..10u32, 1..1_000_000u32, any::<u32>()];
         (64..5000u32, velocity, accel).prop_map(|(clocks, velocity, accel)| Play {
             clocks,
-            velocity: StepRate(velocity),
+            velocity: Velocity(velocity),
             accel: Accel(accel),
         })
     }
@@ -364,7 +364,7 @@ mod tests {
         };
         let play = Play {
             clocks: 1 << 21,
-            velocity: StepRate(-(1 << 26)),
+            velocity: Velocity(-(1 << 26)),
             accel: Accel(1 << 30),
         };
         let edges: Vec<Edge> = play.edges(axis).collect();
@@ -381,7 +381,7 @@ mod tests {
                 ..Segment::default()
             };
             segment.velocity[axis] = -1;
-            let mut machine = Machine::default();
+            let mut machine = MotionState::default();
             assert!(machine.rests());
             machine.run(&segment);
             assert!(!machine.rests(), "axis {axis} is on its way");
@@ -390,7 +390,7 @@ mod tests {
 
     #[test]
     fn a_segment_at_rest_is_a_dwell() {
-        let mut machine = Machine::default();
+        let mut machine = MotionState::default();
         machine.run(&Segment {
             clocks: u32::MAX,
             aux: 5,

@@ -2,7 +2,7 @@
 //! Registers and memory of the FerroCNC SoC: one type per kind of register page, addresses included.
 //!
 //! Made by svd2rust from `soc.svd`, which comes from `gateware/ferrocnc/regmap.py`. The same map is `docs/registers.md` in prose
-//! and `wire::regmap` as constants. Only `firmware/src/soc` may name this crate.
+//! and `wire::regmap` as constants. Only `firmware/src/bin` may name this crate.
 #![no_std]
 #![allow(missing_docs, non_camel_case_types, non_snake_case, clippy::all)]
 
@@ -12967,14 +12967,14 @@ pub mod flash {
     }
 }
 #[doc = "Which frames may occupy a receive slot: a frame that is not the owner's needs a ticket."]
-pub type Guest = crate::Periph<guest::RegisterBlock, 0xf002_0800>;
-impl core::fmt::Debug for Guest {
+pub type RxAdmission = crate::Periph<rx_admission::RegisterBlock, 0xf002_0800>;
+impl core::fmt::Debug for RxAdmission {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-        f.debug_struct("Guest").finish()
+        f.debug_struct("RxAdmission").finish()
     }
 }
 #[doc = "Which frames may occupy a receive slot: a frame that is not the owner's needs a ticket."]
-pub mod guest {
+pub mod rx_admission {
     #[repr(C)]
     #[doc = "Register block"]
     pub struct RegisterBlock {
@@ -14905,8 +14905,8 @@ pub struct Peripherals {
     pub pwm15: Pwm15,
     #[doc = "FLASH"]
     pub flash: Flash,
-    #[doc = "GUEST"]
-    pub guest: Guest,
+    #[doc = "RX_ADMISSION"]
+    pub rx_admission: RxAdmission,
     #[doc = "SEGMENTS"]
     pub segments: Segments,
     #[doc = "PADS"]
@@ -14994,7 +14994,7 @@ impl Peripherals {
             pwm14: unsafe { Pwm14::steal() },
             pwm15: unsafe { Pwm15::steal() },
             flash: unsafe { Flash::steal() },
-            guest: unsafe { Guest::steal() },
+            rx_admission: unsafe { RxAdmission::steal() },
             segments: unsafe { Segments::steal() },
             pads: unsafe { Pads::steal() },
         }

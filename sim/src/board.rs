@@ -13,11 +13,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use crate::environment::PinEnvironment;
 use crate::error::Error;
 use crate::gmii::{Collector, Feeder, Sent, Transfer};
 use crate::plant::Plant;
 use crate::soc::{ETH, SYS, Silicon};
-use crate::world::World;
 
 /// The Ethernet clock of a gigabit PHY, one byte per cycle.
 pub const ETH_CLK_HZ: u64 = 125_000_000;
@@ -93,11 +93,11 @@ pub struct TraceWindow {
     pub clocks: u64,
 }
 
-/// A board: silicon, clocks, and the world at its pins.
+/// A board: silicon, clocks, and the environment at its pins.
 #[derive(Debug)]
 pub struct Board<S> {
     silicon: S,
-    world: World,
+    environment: PinEnvironment,
     clockwork: Clockwork,
     now: u64,
     next_sys: u64,
@@ -119,7 +119,7 @@ impl<S: Silicon> Board<S> {
         let clockwork = Clockwork::new(sys_hz);
         Board {
             silicon,
-            world: World::new(plant, sys_hz),
+            environment: PinEnvironment::new(plant, sys_hz),
             clockwork,
             now: 0,
             next_sys: clockwork.sys_period,
@@ -138,12 +138,12 @@ impl<S: Silicon> Board<S> {
     /// Hold reset for 32 clocks; `prepare` gets the silicon after the first of them (the place to
     /// fill its ROM).
     pub fn reset(&mut self, prepare: impl FnOnce(&mut S)) {
-        self.world.pins.sys_rst = 1;
+        self.environment.pins.sys_rst = 1;
         self.run_until(self.clock + 1);
         prepare(&mut self.silicon);
         let end = self.clock + 31;
         while self.run_until(end) != Stop::Time {}
-        self.world.pins.sys_rst = 0;
+        self.environment.pins.sys_rst = 0;
     }
 
     /// The silicon itself.
@@ -174,7 +174,7 @@ impl<S: Silicon> Board<S> {
 
     /// Stop or start the CPU's clock; everything else runs on.
     pub fn freeze_cpu(&mut self, frozen: bool) {
-        self.world.pins.cpu_freeze = frozen.into();
+        self.environment.pins.cpu_freeze = frozen.into();
     }
 
     /// Queue bytes for the board's receiver, preamble and FCS included ([`crate::gmii::encode`]).
@@ -269,11 +269,12 @@ impl<S: Silicon> Board<S> {
         } else {
             0
         };
-        self.silicon.rise(&mut self.world.pins, clocks, time_ps);
+        self.silicon
+            .rise(&mut self.environment.pins, clocks, time_ps);
         if sys {
             self.clock += 1;
             self.time.store(self.clock, Ordering::Relaxed);
-            self.world.observe(self.clock);
+            self.environment.observe(self.clock);
         }
         eth && self.after_eth()
     }
@@ -283,14 +284,14 @@ impl<S: Silicon> Board<S> {
         if !self.feeder.idle() {
             self.sent.extend(self.feeder.edge(self.now));
             let byte = self.feeder.byte();
-            self.world.pins.gmii_rx_dv = byte.is_some().into();
-            self.world.pins.gmii_rx_data = byte.unwrap_or(0);
+            self.environment.pins.gmii_rx_dv = byte.is_some().into();
+            self.environment.pins.gmii_rx_data = byte.unwrap_or(0);
         }
-        if self.world.pins.gmii_tx_en != 0 || self.collector.active() {
+        if self.environment.pins.gmii_tx_en != 0 || self.collector.active() {
             let done = self.collector.edge(
                 self.now,
-                self.world.pins.gmii_tx_en != 0,
-                self.world.pins.gmii_tx_data,
+                self.environment.pins.gmii_tx_en != 0,
+                self.environment.pins.gmii_tx_data,
             );
             if let Some(transfer) = done {
                 self.received.push_back(transfer);
@@ -307,31 +308,31 @@ impl<S: Silicon> Board<S> {
             self.tracing = false;
             self.trace = None;
         }
-        self.world.edges.finish_recording()
+        self.environment.edges.finish_recording()
     }
 }
 
-/// A board's pins are the world's: `board.edges`, `board.plant`, `board.pins()`.
+/// A board's pins are its environment's: `board.edges`, `board.plant`, `board.pins()`.
 impl<S> Deref for Board<S> {
-    type Target = World;
+    type Target = PinEnvironment;
 
-    fn deref(&self) -> &World {
-        &self.world
+    fn deref(&self) -> &PinEnvironment {
+        &self.environment
     }
 }
 
 impl<S> DerefMut for Board<S> {
-    fn deref_mut(&mut self) -> &mut World {
-        &mut self.world
+    fn deref_mut(&mut self) -> &mut PinEnvironment {
+        &mut self.environment
     }
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::environment::Output;
     use crate::gmii::encode;
     use crate::soc::Pins;
-    use crate::world::Output;
 
     /// Silicon in Rust: sends every received byte back four Ethernet clocks later, steps channel 0
     /// every 10 sys clocks backward unless input 0 is high, shows input 1 at output 1, closes its

@@ -1,12 +1,12 @@
 //! Fault injection between host and board: which faults, when, how often, and from which seed.
 //!
 //! A [`Plan`] is text a person can type; a [`Script`] is a plan under way, in sys clocks of the
-//! board; a [`Line`] is one direction of the cable with the delayed frames on it. Time is simulated
-//! and random numbers come from a seed: the same plan and the same frames give the same faults on
+//! board; a [`OneWay`] is one direction of the cable with the delayed frames on it. Time is
+//! simulated and random numbers come from a seed: the same plan and the same frames give the same faults on
 //! every machine.
 //!
 //! ```text
-//!            Script::judge                        Line::due
+//!            Script::judge                        OneWay::due
 //!   frame -->  lost? spoilt? twice? how late?  -->  |  |   |  -->  board or host
 //!            Script::due: link down, CPU frozen, board restarted
 //! ```
@@ -421,7 +421,7 @@ pub trait Cargo: Clone {
 
 /// One direction of the cable, and what is late on it.
 #[derive(Debug)]
-pub struct Line<T> {
+pub struct OneWay<T> {
     direction: Direction,
     late: BTreeMap<(u64, u64), T>,
     /// Waits to be overtaken.
@@ -430,10 +430,10 @@ pub struct Line<T> {
     spoilt: u32,
 }
 
-impl<T: Cargo> Line<T> {
+impl<T: Cargo> OneWay<T> {
     /// A cable with nothing on it.
     pub fn new(direction: Direction) -> Self {
-        Line {
+        OneWay {
             direction,
             late: BTreeMap::new(),
             held: None,
@@ -525,7 +525,7 @@ mod tests {
 
     struct Cable {
         script: Script,
-        line: Line<Letter>,
+        line: OneWay<Letter>,
         heard: Vec<(u64, u32)>,
     }
 
@@ -535,7 +535,7 @@ mod tests {
             script.follow(&plan.parse().expect("a plan"), 0);
             Cable {
                 script,
-                line: Line::new(Direction::ToBoard),
+                line: OneWay::new(Direction::ToBoard),
                 heard: Vec::new(),
             }
         }

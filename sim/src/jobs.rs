@@ -4,18 +4,19 @@
 //! Its TCP is the machine's own: a client's bytes go to the job server as they come. On a board the
 //! loop calls it; here it is called when something has come and every [`TURN`] while it has work.
 
+use ::jobs::server::BusyReply;
+use ::jobs::{AHEAD, Outside};
 use firmware::cores::Board as _;
 use firmware::ip::Text;
+use firmware::jobs::Network;
 use firmware::jobs::abi::TEXT_MAX;
-use firmware::jobs::desk::Door;
-use firmware::jobs::{AHEAD, Jobs, Outside};
 use firmware::machine::Machine;
 use firmware::net::Us;
 use wire::MAX_WORDS;
 use wire::jobs::{self, FRAME, Op, Status};
 use wire::regmap::{self, segments};
 
-use crate::desk::Desk;
+use crate::model_board::ModelBoard;
 
 /// Clocks of a turn of the loop in which it does a piece of work: a segment planned, a block of a
 /// job read. A round figure.
@@ -29,14 +30,13 @@ const PROGRAM: u32 = 0x7477_696e;
 
 /// The board as the program sees it from inside.
 #[derive(Debug)]
-pub struct Outer<'a>(pub &'a mut Machine<Desk>);
+pub struct Outer<'a>(pub &'a mut Machine<ModelBoard>);
 
 impl Outside for Outer<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
         let answer = self.0.inside(request, reply, Machine::hold_path);
         answer.map_or(0, <[u32]>::len)
     }
-    fn send_frame(&mut self, _: &[u8]) {}
     fn read_segments(&mut self, word: usize) -> u32 {
         let address = regmap::address(segments::BASE, word);
         self.0.board.csr_read(address)
@@ -48,6 +48,10 @@ impl Outside for Outer<'_> {
     fn now(&mut self) -> u64 {
         self.0.board.now()
     }
+}
+
+impl Network for Outer<'_> {
+    fn send_frame(&mut self, _: &[u8]) {}
     fn us(&mut self) -> Us {
         self.0.us
     }
@@ -56,13 +60,13 @@ impl Outside for Outer<'_> {
 /// The program.
 #[derive(Debug)]
 pub struct Program {
-    jobs: Jobs<'static>,
+    jobs: firmware::jobs::Program<'static>,
     /// The client that has the line.
     visitor: Option<usize>,
     /// Received bytes that are not yet read.
     ahead: Vec<u8>,
     /// Clients that connected meanwhile, with their bytes that are not yet read.
-    callers: Vec<(usize, Door, Vec<u8>)>,
+    callers: Vec<(usize, BusyReply, Vec<u8>)>,
     per_ms: u64,
 }
 
@@ -79,11 +83,11 @@ pub struct Said {
 
 impl Program {
     /// On this board; `None` if it has no segments.
-    pub fn start(machine: &mut Machine<Desk>, clock_hz: u32) -> Option<Self> {
+    pub fn start(machine: &mut Machine<ModelBoard>, clock_hz: u32) -> Option<Self> {
         // Never freed: there are few boards, and each lives as long as its simulator.
         let memory = vec![0; ROOM].leak();
         Some(Program {
-            jobs: Jobs::new(memory, PROGRAM, &mut Outer(machine))?,
+            jobs: firmware::jobs::Program::new(memory, PROGRAM, &mut Outer(machine))?,
             visitor: None,
             ahead: Vec::new(),
             callers: Vec::new(),
@@ -93,11 +97,11 @@ impl Program {
 
     /// A client connects. Returns the answer for it if another client is connected; it may still
     /// send a stop.
-    pub fn open(&mut self, visitor: usize, machine: &mut Machine<Desk>) -> Option<Vec<u8>> {
+    pub fn open(&mut self, visitor: usize, machine: &mut Machine<ModelBoard>) -> Option<Vec<u8>> {
         if self.visitor.is_some() {
             let mut frame = [0; FRAME];
             let length = jobs::answer(Op::Hello.code(), Status::Busy, 0, &mut frame, |_| {});
-            self.callers.push((visitor, Door::new(), Vec::new()));
+            self.callers.push((visitor, BusyReply::new(), Vec::new()));
             return Some(frame[..length].to_vec());
         }
         self.visitor = Some(visitor);
@@ -119,7 +123,7 @@ impl Program {
         taken
     }
 
-    fn caller(&mut self, visitor: usize) -> Option<&mut (usize, Door, Vec<u8>)> {
+    fn caller(&mut self, visitor: usize) -> Option<&mut (usize, BusyReply, Vec<u8>)> {
         let mut callers = self.callers.iter_mut();
         callers.find(|(caller, ..)| *caller == visitor)
     }
@@ -142,7 +146,7 @@ impl Program {
     }
 
     /// A line about jobs at the debug console.
-    pub fn line(&mut self, line: &str, machine: &mut Machine<Desk>) -> Vec<u8> {
+    pub fn line(&mut self, line: &str, machine: &mut Machine<ModelBoard>) -> Vec<u8> {
         let mut room = [0; TEXT_MAX];
         let trusted = machine.trusted();
         let mut outer = Outer(machine);
@@ -153,7 +157,7 @@ impl Program {
     }
 
     /// A turn of the program: returns its output, and the clocks until the next turn.
-    pub fn turn(&mut self, machine: &mut Machine<Desk>) -> (Option<Said>, u64) {
+    pub fn turn(&mut self, machine: &mut Machine<ModelBoard>) -> (Option<Said>, u64) {
         let mut outer = Outer(machine);
         let said = self.visitor.and_then(|visitor| {
             let mut text = Text::new();
@@ -166,18 +170,18 @@ impl Program {
             };
             (said.close || !said.bytes.is_empty()).then_some(said)
         });
-        let said = said.or_else(|| self.at_door(&mut Outer(machine)));
+        let said = said.or_else(|| self.busy_reply(&mut Outer(machine)));
         let mut outer = Outer(machine);
         let works = self.jobs.poll(&mut outer) || self.visitor.is_some();
         (said, if works { TURN } else { IDLE_MS * self.per_ms })
     }
 
     /// The answer to a client that connected while another one was there.
-    fn at_door(&mut self, outer: &mut Outer) -> Option<Said> {
+    fn busy_reply(&mut self, outer: &mut Outer) -> Option<Said> {
         let callers = self.callers.iter_mut();
-        let (visitor, door, ahead) = { callers }.find(|(.., ahead)| !ahead.is_empty())?;
+        let (visitor, busy, ahead) = { callers }.find(|(.., ahead)| !ahead.is_empty())?;
         let mut text = Text::new();
-        let taken = self.jobs.knock(door, ahead, &mut text, outer);
+        let taken = self.jobs.busy_reply(busy, ahead, &mut text, outer);
         ahead.drain(..taken);
         let said = Said {
             visitor: *visitor,

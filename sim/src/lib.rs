@@ -19,7 +19,7 @@
 //!        |                   [soc]  libferrocnc_soc.so: Verilator's model of gateware + firmware ROM
 //!        +----------+-----------+
 //!                 pins
-//!                [world]  [edges] judge them, [plant] is wired to them
+//!          [environment]  [edges] judge them, [plant] is wired to them
 //! ```
 //!
 //! Time is simulated time, counted in clocks of the board's own `sys` clock. It advances only on
@@ -29,9 +29,9 @@
 //! FPGA tool.
 
 pub mod board;
-pub mod card;
-pub mod desk;
+pub mod board_facts;
 pub mod edges;
+pub mod environment;
 pub mod error;
 pub mod exchange;
 pub mod faults;
@@ -40,6 +40,7 @@ pub mod gmii;
 pub mod jobs;
 pub mod loader;
 pub mod model;
+pub mod model_board;
 pub mod nor;
 pub mod pads;
 pub mod plant;
@@ -49,7 +50,6 @@ pub mod segment;
 pub mod server;
 pub mod soc;
 pub mod twin;
-pub mod world;
 
 pub use board::Board;
 pub use error::Error;

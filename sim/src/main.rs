@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use clap::{Parser, ValueEnum};
 use sim::board::TraceWindow;
-use sim::card::Card;
-use sim::desk;
+use sim::board_facts::BoardFacts;
 use sim::faults::{Plan, Rejected};
+use sim::model_board;
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part};
 use sim::plant::{Axis, Plant};
@@ -158,7 +158,7 @@ struct Arguments {
     #[arg(long, value_name = "FILE")]
     flash: Option<PathBuf>,
     /// Unique id of the flash, 16 hexadecimal digits; each board needs another one.
-    #[arg(long, value_name = "HEX", default_value_t = format!("{:016x}", sim::desk::UID), value_parser = parse_uid)]
+    #[arg(long, value_name = "HEX", default_value_t = format!("{:016x}", sim::model_board::UID), value_parser = parse_uid)]
     uid: String,
     /// The factory pin is held at start: saved settings are not used.
     #[arg(long)]
@@ -288,22 +288,22 @@ impl Arguments {
 
     /// The twin, switched on.
     fn twin(&self) -> anyhow::Result<Twin> {
-        let card = match (&self.channels, &self.soc) {
+        let facts = match (&self.channels, &self.soc) {
             (Some(channels), _) => {
                 let has = self.no_sdram || self.jobs.is_some();
-                Card {
+                BoardFacts {
                     jobs: u8::from(has) * motion::segment::AXES as u8,
                     streamed: self.no_sdram,
-                    ..Card::plain(*channels, self.clock)
+                    ..BoardFacts::plain(*channels, self.clock)
                 }
             }
-            (None, Some(folder)) => Card::read(folder)?,
-            (None, None) => Card::named(&self.board)?,
+            (None, Some(folder)) => BoardFacts::read(folder)?,
+            (None, None) => BoardFacts::named(&self.board)?,
         };
-        let mut twin = Twin::power_up(desk::Setup {
+        let mut twin = Twin::power_up(model_board::Setup {
             flash: self.flash()?,
             factory: self.factory,
-            ..desk::Setup::new(card, self.plant()?)
+            ..model_board::Setup::new(facts, self.plant()?)
         });
         if let Some(path) = &self.edges {
             twin.record_edges(path)?;

@@ -7,9 +7,9 @@ use serde::Serialize;
 
 use crate::board::Clockwork;
 use crate::edges::CHANNELS;
+use crate::environment::PinEnvironment;
 use crate::error::Error;
 use crate::exchange::{Meter, Spread};
-use crate::world::World;
 
 /// Frames that passed the cable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -27,7 +27,7 @@ pub struct FrameCounts {
 /// What a report is made of.
 pub(crate) struct Seen<'r> {
     pub backend: &'static str,
-    pub world: &'r World,
+    pub environment: &'r PinEnvironment,
     pub clockwork: Clockwork,
     pub clocks: u64,
     pub kcycles_per_second: f64,
@@ -168,7 +168,7 @@ fn status_words(stepgens: u32) -> u32 {
 impl Report {
     pub(crate) fn of(seen: &Seen, board: Option<Counters>) -> Self {
         let sys_clk_hz = seen.clockwork.sys_hz;
-        let (edges, plant) = (&seen.world.edges, &seen.world.plant);
+        let (edges, plant) = (&seen.environment.edges, &seen.environment.plant);
         let used = (0..CHANNELS)
             .rev()
             .find(|n| edges.channel(*n).pulses != 0)
@@ -213,7 +213,7 @@ impl Report {
             frames: seen.frames,
             board,
             last_state: meter.last_state,
-            gate_open: seen.world.pins().gate != 0,
+            gate_open: seen.environment.pins().gate != 0,
         }
     }
 

@@ -25,7 +25,7 @@ use crate::board::{Board, Stop, TraceWindow};
 use crate::edges::Recorder;
 use crate::error::Error;
 use crate::exchange::{Meter, Timing, is_request};
-use crate::faults::{Act, Cargo, Direction, Kind, Line, Plan, Script};
+use crate::faults::{Act, Cargo, Direction, Kind, OneWay, Plan, Script};
 use crate::firmware::Image;
 use crate::gmii::{self, Transfer};
 use crate::nor::pins::Wires;
@@ -33,7 +33,7 @@ use crate::nor::spi::Shared;
 use crate::plant::Plant;
 use crate::report::{Counters, FrameCounts, Report, Seen};
 use crate::segment::{
-    BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, Segment,
+    BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Datagram, Echo, Endpoint, HOST_IP, LanSegment,
 };
 use crate::soc::{LINK_1000, Manifest, Pins, SdramLines, Silicon, Soc};
 
@@ -145,13 +145,13 @@ pub struct Rig<S = Soc> {
     /// The board, its pins, edges and plant.
     pub board: Board<S>,
     /// The virtual Ethernet.
-    pub segment: Segment,
+    pub segment: LanSegment,
     /// Measurements of exchanges.
     pub meter: Meter,
     /// What is going wrong between host and board; see [`Rig::trouble`].
     pub faults: Script,
-    to_board: Line<Outgoing>,
-    from_board: Line<Transfer>,
+    to_board: OneWay<Outgoing>,
+    from_board: OneWay<Transfer>,
     /// Frames passed.
     pub frames: FrameCounts,
     /// Longest wait for an answer, sys clocks; see [`Self::wait_for`]. The default is 60 000: a
@@ -220,10 +220,10 @@ impl<S: Silicon> Rig<S> {
         Rig {
             faults: Script::new(board.clockwork().sys_hz),
             board,
-            segment: Segment::new(board_ip),
+            segment: LanSegment::new(board_ip),
             meter: Meter::default(),
-            to_board: Line::new(Direction::ToBoard),
-            from_board: Line::new(Direction::FromBoard),
+            to_board: OneWay::new(Direction::ToBoard),
+            from_board: OneWay::new(Direction::FromBoard),
             frames: FrameCounts::default(),
             patience: 60_000,
             captured: None,
@@ -258,7 +258,7 @@ impl<S: Silicon> Rig<S> {
         })
     }
 
-    // ---- time --------------------------------------------------------------------------------------------------------
+    // ---- time -----------------------------------------------------------------------------------
 
     /// Sys clocks since power-up.
     pub fn clock(&self) -> u64 {
@@ -409,7 +409,7 @@ impl<S: Silicon> Rig<S> {
         self.busy_clocks as f64 / self.busy.as_secs_f64().max(1e-9) / 1e3
     }
 
-    // ---- frames ------------------------------------------------------------------------------------------------------
+    // ---- frames ---------------------------------------------------------------------------------
 
     /// Send a frame (destination MAC .. payload) to the board; preamble, padding and FCS are added.
     /// `None` when a fault lost it or made it late.
@@ -444,7 +444,7 @@ impl<S: Silicon> Rig<S> {
             .unwrap_or_default()
     }
 
-    // ---- UDP ---------------------------------------------------------------------------------------------------------
+    // ---- UDP ------------------------------------------------------------------------------------
 
     /// Put a datagram on the wire and return at once.
     pub fn post(&mut self, from: Endpoint, port: u16, payload: &[u8]) {
@@ -585,7 +585,7 @@ impl<S: Silicon> Rig<S> {
         self.run(6000);
     }
 
-    // ---- ICMP and TCP --------------------------------------------------------------------------------------------------
+    // ---- ICMP and TCP ---------------------------------------------------------------------------
 
     /// Ping the board; round trip in sys clocks, request's first byte to reply's first byte.
     pub fn ping(&mut self) -> Option<u64> {
@@ -658,7 +658,7 @@ impl<S: Silicon> Rig<S> {
         Ok(heard)
     }
 
-    // ---- pins --------------------------------------------------------------------------------------------------------
+    // ---- pins -----------------------------------------------------------------------------------
 
     /// All pins as they stand.
     pub fn pins(&self) -> &Pins {
@@ -699,7 +699,7 @@ impl<S: Silicon> Rig<S> {
         Report::of(
             &Seen {
                 backend: "rtl",
-                world: &self.board,
+                environment: &self.board,
                 clockwork: self.board.clockwork(),
                 clocks: self.clock(),
                 kcycles_per_second: self.kcycles_per_second(),

@@ -118,7 +118,7 @@ impl Device for Port {
 }
 
 /// The segment.
-pub struct Segment {
+pub struct LanSegment {
     board_ip: Ipv4Addr,
     board_mac: Option<[u8; 6]>,
     hosts: HashMap<Ipv4Addr, [u8; 6]>,
@@ -132,16 +132,16 @@ pub struct Segment {
     pub odd_frames: u64,
 }
 
-impl std::fmt::Debug for Segment {
+impl std::fmt::Debug for LanSegment {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Segment")
+        f.debug_struct("LanSegment")
             .field("board_ip", &self.board_ip)
             .field("board_mac", &self.board_mac)
             .finish_non_exhaustive()
     }
 }
 
-impl Segment {
+impl LanSegment {
     /// A segment with the default host on it and a board expected at `board_ip`.
     pub fn new(board_ip: Ipv4Addr) -> Self {
         let mut port = Port::default();
@@ -153,7 +153,7 @@ impl Segment {
             // One address into a list with room for at least one.
             let _ = addresses.push(IpCidr::new(IpAddress::Ipv4(HOST_IP), 24));
         });
-        Segment {
+        LanSegment {
             board_ip,
             board_mac: None,
             hosts: HashMap::from([(HOST_IP, HOST_MAC)]),
@@ -582,7 +582,7 @@ mod tests {
 
     /// A second segment plays the board: what one sends the other must read.
     fn arp_reply(
-        segment: &mut Segment,
+        segment: &mut LanSegment,
         sender: Ipv4Addr,
         target: Ipv4Addr,
         operation: ArpOperation,
@@ -605,7 +605,7 @@ mod tests {
 
     #[test]
     fn learns_the_board_from_arp_and_answers_for_its_hosts() {
-        let mut s = Segment::new(BOARD_IP);
+        let mut s = LanSegment::new(BOARD_IP);
         let reply = arp_reply(&mut s, BOARD_IP, HOST_IP, ArpOperation::Reply);
         s.receive(&reply, 0, 0);
         assert_eq!(s.board_mac(), Some(BOARD_MAC));
@@ -646,10 +646,10 @@ mod tests {
     #[test]
     fn datagrams_come_through_with_ports_payload_and_times() {
         // The board's datagram is ours with the roles exchanged.
-        let mut board = Segment::new(HOST_IP);
+        let mut board = LanSegment::new(HOST_IP);
         board.board_mac = Some(HOST_MAC);
         let frame = board.udp((BOARD_IP, BOARD_PORT), 40001, b"status");
-        let mut s = Segment::new(BOARD_IP);
+        let mut s = LanSegment::new(BOARD_IP);
         s.receive(&frame, 100, 200);
         let d = s.take_datagram().unwrap();
         assert_eq!((d.from, d.to), ((BOARD_IP, BOARD_PORT), (HOST_IP, 40001)));
@@ -662,10 +662,10 @@ mod tests {
 
     #[test]
     fn a_damaged_datagram_is_odd_and_dropped() {
-        let mut board = Segment::new(HOST_IP);
+        let mut board = LanSegment::new(HOST_IP);
         let mut frame = board.udp((BOARD_IP, BOARD_PORT), 40001, b"status");
         *frame.last_mut().unwrap() ^= 1;
-        let mut s = Segment::new(BOARD_IP);
+        let mut s = LanSegment::new(BOARD_IP);
         s.receive(&frame, 0, 0);
         s.receive(&[1, 2, 3], 0, 0);
         assert!(s.take_datagram().is_none());
@@ -688,7 +688,7 @@ mod tests {
         listener.listen(23).unwrap();
         let console = sockets.add(listener);
 
-        let mut s = Segment::new(BOARD_IP);
+        let mut s = LanSegment::new(BOARD_IP);
         let connection = s.connect(CONSOLE_PORT);
         let mut heard = vec![];
         for us in (0..100_000).step_by(100) {

@@ -521,13 +521,6 @@ impl<D: Device> Server<D> {
         }
     }
 
-    fn fault(&mut self, words: &str) -> Result<(), String> {
-        let plan: Plan = words
-            .parse()
-            .map_err(|error: crate::faults::Rejected| error.to_string())?;
-        self.rig.trouble(&plan)
-    }
-
     /// One control command; see `help`.
     fn command(&mut self, line: &str) -> String {
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -543,13 +536,7 @@ impl<D: Device> Server<D> {
                 "freeze-cpu [0|1], ext-reset [0|1], gpio-in MASK, ping, run CLOCKS, run-ms MS, fault [WORDS], \
                  drop-to-board N, drop-from-board N, pins, counts, stats, report, quit; WORDS of fault: {WORDS}"
             ),
-            "fault" => match self.fault(line.trim_start().trim_start_matches("fault")) {
-                Ok(()) => {
-                    let clock = self.rig.clock();
-                    format!("ok clock={clock} {}", self.rig.faults().told(clock))
-                }
-                Err(why) => format!("error: {why}"),
-            },
+            "fault" => self.fault(line.trim_start().trim_start_matches("fault")),
             "freeze-cpu" => match level(rest) {
                 Some(on) => {
                     self.rig.freeze_cpu(on != 0);
@@ -559,14 +546,14 @@ impl<D: Device> Server<D> {
             },
             "ext-reset" => match level(rest) {
                 Some(on) => {
-                    self.rig.world_mut().ext_reset(on != 0);
+                    self.rig.environment_mut().ext_reset(on != 0);
                     format!("ok ext_reset={}", u8::from(on != 0))
                 }
                 None => "error: ext-reset takes 0 or 1".into(),
             },
             "gpio-in" => match rest.and_then(|t| number(t)) {
                 Some(mask) => {
-                    self.rig.world_mut().gpio_in(mask as u32);
+                    self.rig.environment_mut().gpio_in(mask as u32);
                     format!("ok gpio_in={mask:#010x}")
                 }
                 None => "error: gpio-in takes a mask".into(),
@@ -597,53 +584,72 @@ impl<D: Device> Server<D> {
                 Some(clocks) => format!("ok ping={clocks} clocks"),
                 None => "error: no answer".into(),
             },
-            "pins" => {
-                let p = self.rig.world().pins();
-                format!(
-                    "ok clock={} gate={} step={:#06x} dir={:#06x} pwm={:#06x} gpio_out={:#010x} gpio_in={:#010x} led={}",
-                    self.rig.clock(),
-                    p.gate,
-                    p.step,
-                    p.dir,
-                    p.pwm_out,
-                    p.gpio_out,
-                    p.gpio_in,
-                    p.led
-                )
-            }
+            "pins" => self.told_pins(),
             "counts" => {
-                let counts = self.rig.world().edges.counts().map(|n| n.to_string());
+                let counts = self.rig.environment().edges.counts().map(|n| n.to_string());
                 format!("ok clock={} counts={}", self.rig.clock(), counts.join(","))
             }
-            "stats" => {
-                let meter = self.rig.meter();
-                let spread = Spread::of(&meter.turnarounds).unwrap_or_default();
-                format!(
-                    "ok clock={} kcycles_per_second={:.0} exchanges={} answered={} turnaround={}/{}/{} violations={} frames={}/{}",
-                    self.rig.clock(),
-                    self.rig.kcycles_per_second(),
-                    meter.requested,
-                    meter.answered,
-                    spread.min,
-                    spread.median,
-                    spread.max,
-                    self.rig.world().edges.violation_count(),
-                    self.rig.frames().to_board,
-                    self.rig.frames().from_board
-                )
-            }
-            "report" => match self.options.report.clone() {
-                Some(path) => match self.rig.report().write(&path) {
-                    Ok(()) => format!("ok report={}", path.display()),
-                    Err(e) => format!("error: {e}"),
-                },
-                None => "error: started without --report".into(),
-            },
+            "stats" => self.told_stats(),
+            "report" => self.write_report(),
             "quit" => {
                 self.quit = true;
                 "ok".into()
             }
             other => format!("error: no command {other:?}; try help"),
+        }
+    }
+
+    fn fault(&mut self, words: &str) -> String {
+        let plan = words.parse::<Plan>().map_err(|error| error.to_string());
+        match plan.and_then(|plan| self.rig.trouble(&plan)) {
+            Ok(()) => {
+                let clock = self.rig.clock();
+                format!("ok clock={clock} {}", self.rig.faults().told(clock))
+            }
+            Err(why) => format!("error: {why}"),
+        }
+    }
+
+    fn told_pins(&self) -> String {
+        let p = self.rig.environment().pins();
+        format!(
+            "ok clock={} gate={} step={:#06x} dir={:#06x} pwm={:#06x} gpio_out={:#010x} gpio_in={:#010x} led={}",
+            self.rig.clock(),
+            p.gate,
+            p.step,
+            p.dir,
+            p.pwm_out,
+            p.gpio_out,
+            p.gpio_in,
+            p.led
+        )
+    }
+
+    fn told_stats(&self) -> String {
+        let meter = self.rig.meter();
+        let spread = Spread::of(&meter.turnarounds).unwrap_or_default();
+        format!(
+            "ok clock={} kcycles_per_second={:.0} exchanges={} answered={} turnaround={}/{}/{} violations={} frames={}/{}",
+            self.rig.clock(),
+            self.rig.kcycles_per_second(),
+            meter.requested,
+            meter.answered,
+            spread.min,
+            spread.median,
+            spread.max,
+            self.rig.environment().edges.violation_count(),
+            self.rig.frames().to_board,
+            self.rig.frames().from_board
+        )
+    }
+
+    fn write_report(&mut self) -> String {
+        match self.options.report.clone() {
+            Some(path) => match self.rig.report().write(&path) {
+                Ok(()) => format!("ok report={}", path.display()),
+                Err(e) => format!("error: {e}"),
+            },
+            None => "error: started without --report".into(),
         }
     }
 }

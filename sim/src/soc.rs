@@ -93,7 +93,8 @@ pub struct Pins {
 
 const _: () = assert!(size_of::<Pins>() == 48);
 
-/// [`Pins::link_status`]: bit 0 up, bits 2:1 the speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full duplex. A link at 1000.
+/// [`Pins::link_status`]: bit 0 up, bits 2:1 the speed (0, 1, 2: 10, 100, 1000 Mbit/s), bit 3 full
+/// duplex. A link at 1000.
 pub const LINK_1000: u8 = 0b1101;
 
 impl Default for Pins {
@@ -195,15 +196,7 @@ impl Manifest {
             path: path.clone(),
             source,
         })?;
-        Self::parse(&text, &path)
-    }
-
-    /// From its text; `path` is for the message.
-    pub(crate) fn parse(text: &[u8], path: &Path) -> Result<Self, Error> {
-        serde_json::from_slice(text).map_err(|source| Error::Manifest {
-            path: path.into(),
-            source,
-        })
+        serde_json::from_slice(&text).map_err(|source| Error::Manifest { path, source })
     }
 }
 
@@ -274,6 +267,30 @@ impl std::fmt::Debug for Soc {
 // thread at a time (`&mut`).
 unsafe impl Send for Soc {}
 
+/// Loads a library that `build.sh` or `cores.sh` has made, of the ABI version that is expected; its
+/// whole path.
+fn open(path: PathBuf, version: &[u8], ours: u32) -> Result<(PathBuf, Library), Error> {
+    // A bare name would be searched in system directories.
+    let path = std::path::absolute(&path).unwrap_or(path);
+    let err = |source| Error::Load {
+        path: path.clone(),
+        source,
+    };
+    // SAFETY: the library is ours; its initialisers are Verilator's and touch nothing outside it.
+    // The version's function has this type in every version.
+    let (library, theirs) = unsafe {
+        let library = Library::new(&path).map_err(err)?;
+        let theirs = library
+            .get::<unsafe extern "C" fn() -> u32>(version)
+            .map_err(err)?();
+        (library, theirs)
+    };
+    if theirs != ours {
+        return Err(Error::ShimAbi { path, theirs, ours });
+    }
+    Ok((path, library))
+}
+
 impl Soc {
     /// Load the SoC of `soc_dir`: the fast model, or with `trace` the slower one that can write
     /// waveforms.
@@ -283,29 +300,13 @@ impl Soc {
         } else {
             "libferrocnc_soc.so"
         };
-        let path = soc_dir.join(name);
-        // A bare name would be searched in system directories.
-        let path = std::path::absolute(&path).unwrap_or(path);
+        let (path, library) = open(soc_dir.join(name), b"fc_abi_version", SHIM_ABI)?;
         let err = |source| Error::Load {
             path: path.clone(),
             source,
         };
-        // SAFETY: the library is ours (build.sh); its initialisers are Verilator's and touch
-        // nothing outside it. The symbols have the types given in shim.cpp, which the ABI version
-        // confirms before any other call.
+        // SAFETY: the symbols have the types given in shim.cpp, as the ABI version has confirmed.
         unsafe {
-            let library = Library::new(&path).map_err(err)?;
-            let version = library
-                .get::<unsafe extern "C" fn() -> u32>(b"fc_abi_version")
-                .map_err(err)?;
-            let theirs = version();
-            if theirs != SHIM_ABI {
-                return Err(Error::ShimAbi {
-                    path: path.clone(),
-                    theirs,
-                    ours: SHIM_ABI,
-                });
-            }
             let new = *library
                 .get::<unsafe extern "C" fn() -> *mut c_void>(b"fc_new")
                 .map_err(err)?;
@@ -523,27 +524,13 @@ impl Cores {
     /// Load `libferrocnc_cores.so` of this folder.
     pub fn load(folder: &Path) -> Result<Self, Error> {
         let path = folder.join("libferrocnc_cores.so");
-        let path = std::path::absolute(&path).unwrap_or(path);
+        let (path, library) = open(path, b"fc_cores_abi_version", CORES_ABI)?;
         let err = |source| Error::Load {
             path: path.clone(),
             source,
         };
-        // SAFETY: the library is ours (cores.sh); its initialisers touch nothing outside it. The
-        // symbols have the types given in cores.cpp, which the ABI version confirms before any
-        // other call.
+        // SAFETY: the symbols have the types given in cores.cpp, as the ABI version has confirmed.
         unsafe {
-            let library = Library::new(&path).map_err(err)?;
-            let version = library
-                .get::<unsafe extern "C" fn() -> u32>(b"fc_cores_abi_version")
-                .map_err(err)?;
-            let theirs = version();
-            if theirs != CORES_ABI {
-                return Err(Error::ShimAbi {
-                    path: path.clone(),
-                    theirs,
-                    ours: CORES_ABI,
-                });
-            }
             let new = *library
                 .get::<unsafe extern "C" fn() -> *mut c_void>(b"fc_cores_new")
                 .map_err(err)?;

@@ -3,8 +3,9 @@
 //!
 //! No CPU, no MAC, no frames: a datagram goes into [`firmware::machine::Machine`] as the image
 //! would put it there, and the verbs of [`firmware::cores::Board`] become register writes of
-//! [`crate::model::Board`]. The pins behave as the gateware's, clock by clock; the times of the firmware's
-//! actions are round figures (see [`ANSWER`]), because no instructions are executed here.
+//! [`crate::model::Board`]. The pins behave as the gateware's, clock by clock; the times of the
+//! firmware's actions are round figures (see [`ANSWER`]), because no instructions are executed
+//! here.
 //!
 //! Time passes from event to event, so an idle board takes almost no computing time.
 
@@ -12,7 +13,7 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use firmware::console::{self, Ask, Vitals};
-use firmware::machine::{BEHIND_A_FRAME, IDLE, Machine};
+use firmware::machine::{IDLE, Machine};
 use firmware::postmortem::Record;
 use firmware::session::Peer;
 use firmware::{dhcp, text};
@@ -21,20 +22,20 @@ use wire::regmap;
 use wire::{MAX_WORDS, ResetReason};
 
 use crate::board::Clockwork;
-use crate::card::Card;
-use crate::desk::{ACCESS, Desk, Setup, ident};
+use crate::board_facts::BoardFacts;
 use crate::edges::Recorder;
+use crate::environment::PinEnvironment;
 use crate::error::Error;
 use crate::exchange::{Meter, StatusHead, is_request, sequence, wants_reply};
-use crate::faults::{Act, Cargo, Direction, Line, Plan, Script};
+use crate::faults::{Act, Cargo, Direction, OneWay, Plan, Script};
 use crate::gmii;
 use crate::jobs;
+use crate::model_board::{ACCESS, ModelBoard, Setup, ident};
 use crate::plant::Plant;
 use crate::report::{Counters, FrameCounts, Report, Seen};
 use crate::segment::CONSOLE_PORT;
 use crate::server::{Addresses, Device, Reply, Service};
 use crate::soc::LINK_1000;
-use crate::world::World;
 
 /// Clocks from a request's arrival to its execution, and from there to its answer. The image takes
 /// some 970 clocks from the last byte in to the first byte out (`cargo xtask bench exchange`), and
@@ -64,7 +65,7 @@ impl text::Sink for Paper {
 /// A client at the console.
 #[derive(Debug, Default)]
 struct Visitor {
-    line: console::Line,
+    line: console::LineEditor,
     out: Paper,
     said_goodbye: bool,
     gone: bool,
@@ -109,7 +110,7 @@ struct Request {
     port: u16,
     service: Service,
     payload: Vec<u8>,
-    /// Executed, answered at these clocks.
+    /// The clocks of execution and answer.
     due: u64,
     answered: u64,
     reply: Option<Vec<u8>>,
@@ -118,8 +119,8 @@ struct Request {
 /// A twin and the hosts that talk to it.
 #[derive(Debug)]
 pub struct Twin {
-    machine: Machine<Desk>,
-    card: Card,
+    machine: Machine<ModelBoard>,
+    facts: BoardFacts,
     sdram: bool,
     clockwork: Clockwork,
     requests: VecDeque<Request>,
@@ -127,13 +128,13 @@ pub struct Twin {
     visitors: Vec<Visitor>,
     meter: Meter,
     script: Script,
-    to_board: Line<Letter>,
-    from_board: Line<Reply>,
+    to_board: OneWay<Letter>,
+    from_board: OneWay<Reply>,
     /// Nothing is heard before this clock: the firmware is starting.
     starting: u64,
     frames: FrameCounts,
     frozen: bool,
-    chores_at: u64,
+    housekeeping_at: u64,
     /// What executes jobs, and when it is called next.
     jobs: Option<jobs::Program>,
     jobs_at: u64,
@@ -145,11 +146,15 @@ fn payload(words: &[u32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
-fn jobs_program(machine: &mut Machine<Desk>, card: &Card, sdram: bool) -> Option<jobs::Program> {
-    if card.jobs == 0 {
+fn jobs_program(
+    machine: &mut Machine<ModelBoard>,
+    facts: &BoardFacts,
+    sdram: bool,
+) -> Option<jobs::Program> {
+    if facts.jobs == 0 {
         return None;
     }
-    if card.streamed {
+    if facts.streamed {
         machine.server.jobs(JobsState::Streamed);
         return None;
     }
@@ -157,7 +162,7 @@ fn jobs_program(machine: &mut Machine<Desk>, card: &Card, sdram: bool) -> Option
         machine.server.jobs(JobsState::Sdram);
         return None;
     }
-    let program = jobs::Program::start(machine, card.clock_hz);
+    let program = jobs::Program::start(machine, facts.clock_hz);
     machine.server.jobs(match program {
         Some(_) => JobsState::Alive,
         None => JobsState::Missing,
@@ -167,24 +172,24 @@ fn jobs_program(machine: &mut Machine<Desk>, card: &Card, sdram: bool) -> Option
 
 impl Twin {
     /// Switches a twin of this board on; its flash is new.
-    pub fn start(card: Card, plant: Plant) -> Self {
-        Self::power_up(Setup::new(card, plant))
+    pub fn start(facts: BoardFacts, plant: Plant) -> Self {
+        Self::power_up(Setup::new(facts, plant))
     }
 
     /// Switches a board on.
     pub fn power_up(setup: Setup) -> Self {
-        let (card, sdram) = (setup.card.clone(), setup.sdram);
-        let (mut desk, ident) = Desk::power_up(setup);
-        let boot = desk.boot();
-        let mut machine = Machine::start(desk, ident, regmap::ABI, boot);
-        let jobs = jobs_program(&mut machine, &card, sdram);
-        let clockwork = Clockwork::new(card.clock_hz.into());
+        let (facts, sdram) = (setup.facts.clone(), setup.sdram);
+        let (mut model_board, ident) = ModelBoard::power_up(setup);
+        let boot = model_board.boot();
+        let mut machine = Machine::start(model_board, ident, regmap::ABI, boot);
+        let jobs = jobs_program(&mut machine, &facts, sdram);
+        let clockwork = Clockwork::new(facts.clock_hz.into());
         Twin {
-            chores_at: machine.board.clock(),
+            housekeeping_at: machine.board.clock(),
             jobs_at: machine.board.clock(),
             jobs,
             machine,
-            card,
+            facts,
             sdram,
             clockwork,
             requests: VecDeque::new(),
@@ -192,8 +197,8 @@ impl Twin {
             visitors: Vec::new(),
             meter: Meter::default(),
             script: Script::new(clockwork.sys_hz),
-            to_board: Line::new(Direction::ToBoard),
-            from_board: Line::new(Direction::FromBoard),
+            to_board: OneWay::new(Direction::ToBoard),
+            from_board: OneWay::new(Direction::FromBoard),
             starting: 0,
             frames: FrameCounts::default(),
             frozen: false,
@@ -207,29 +212,29 @@ impl Twin {
         self.machine.board.fed
     }
 
-    /// As if stepgen and encoder n had come this far; see [`crate::model::Board::preset`].
+    /// Sets the counts of stepgen and encoder n; see [`crate::model::Board::preset`].
     pub fn preset(&mut self, n: usize, pulses: i32, count: i32) {
         self.machine.board.model.preset(n, pulses, count);
     }
 
     /// Pins, edges and plant.
-    pub fn world(&mut self) -> &mut World {
-        &mut self.machine.board.world
+    pub fn environment(&mut self) -> &mut PinEnvironment {
+        &mut self.machine.board.environment
     }
 
     /// Stream every step into a file; [`Self::finish`] closes it.
     pub fn record_edges(&mut self, path: &std::path::Path) -> Result<(), Error> {
         let recorder = Recorder::create(path, self.clockwork.sys_hz)?;
-        self.world().edges.record(recorder);
+        self.environment().edges.record(recorder);
         Ok(())
     }
 
     /// Close the edge file.
     pub fn finish(&mut self) -> Result<u64, Error> {
-        self.world().edges.finish_recording()
+        self.environment().edges.finish_recording()
     }
 
-    fn chores_every(&self) -> u64 {
+    fn housekeeping_every(&self) -> u64 {
         match self.machine.server.flash().busy() {
             true => SLICE,
             false => self.clockwork.sys_hz / 1000,
@@ -237,20 +242,20 @@ impl Twin {
     }
 
     /// Sends the board's broadcasts.
-    fn shout(&mut self) {
-        while self.machine.has_to_shout() {
+    fn send_broadcasts(&mut self) {
+        while self.machine.has_broadcast() {
             let mut buffer = [0; MAX_WORDS];
-            let Some(shout) = self.machine.shout(&mut buffer) else {
+            let Some(broadcast) = self.machine.next_broadcast(&mut buffer) else {
                 return;
             };
             self.frames.from_board += 1;
             let reply = Reply {
-                service: match shout.from_port {
+                service: match broadcast.from_port {
                     dhcp::PORT => Service::Dhcp,
                     _ => Service::Discovery,
                 },
-                port: shout.to_port,
-                payload: payload(&buffer[..shout.words]),
+                port: broadcast.to_port,
+                payload: payload(&buffer[..broadcast.words]),
             };
             self.send(reply);
         }
@@ -298,7 +303,7 @@ impl Twin {
     fn suffer(&mut self) {
         while let Some(act) = self.script.due(self.machine.board.clock()) {
             match act {
-                Act::Link(up) => self.world().link(if up { LINK_1000 } else { 0 }),
+                Act::Link(up) => self.environment().link(if up { LINK_1000 } else { 0 }),
                 Act::Freeze(frozen) => self.freeze_cpu(frozen),
                 Act::Reboot(power) => self.reboot(power),
             }
@@ -324,7 +329,7 @@ impl Twin {
         }
         self.begin();
         self.starting = before + STARTING;
-        self.chores_at = self.starting;
+        self.housekeeping_at = self.starting;
         self.jobs_at = self.starting;
     }
 
@@ -339,26 +344,26 @@ impl Twin {
         };
         let spare = Setup {
             flash,
-            ..Setup::new(self.card.clone(), Plant::default())
+            ..Setup::new(self.facts.clone(), Plant::default())
         };
-        let spare = Desk::new(spare, trailer);
-        let desk = std::mem::replace(&mut self.machine.board, spare);
+        let spare = ModelBoard::new(spare, trailer);
+        let model_board = std::mem::replace(&mut self.machine.board, spare);
         self.machine = Machine::start(
-            desk,
-            ident(&self.card, gateware, readback),
+            model_board,
+            ident(&self.facts, gateware, readback),
             regmap::ABI,
             boot,
         );
-        self.jobs = jobs_program(&mut self.machine, &self.card, self.sdram);
+        self.jobs = jobs_program(&mut self.machine, &self.facts, self.sdram);
     }
 
-    fn chores(&mut self) {
-        if let Some((state, reason)) = self.machine.chores() {
+    fn housekeeping(&mut self) {
+        if let Some((state, reason)) = self.machine.housekeeping() {
             // The image logs this for `ferrocnc log`, which needs the image's strings; here it is
             // printed.
             eprintln!("sim: {state}, reason {reason}");
         }
-        self.shout();
+        self.send_broadcasts();
         if self.machine.server.wants_restart() {
             self.machine.board.record.part(ResetReason::Requested);
             self.begin();
@@ -400,15 +405,17 @@ impl Twin {
         if self.machine.server.owes_path() {
             self.machine.hold_path();
         }
-        self.shout();
+        self.send_broadcasts();
         request.answered = self.machine.board.clock() + ANSWER[1];
-        if self.machine.due(BEHIND_A_FRAME) {
-            self.chores();
+        let owners = matches!(request.service, Service::Etherbone)
+            && self.machine.server.session().is_owner(peer);
+        if self.machine.due(self.machine.patience(owners)) {
+            self.housekeeping();
         }
         self.requests.push_front(request);
     }
 
-    /// The program of jobs has a turn. True if it said something.
+    /// Calls the jobs program once. True if it sent something.
     fn do_jobs(&mut self) -> bool {
         let now = self.machine.board.clock();
         let Some(program) = self.jobs.as_mut().filter(|_| !self.frozen) else {
@@ -465,7 +472,7 @@ impl Twin {
         Report::of(
             &Seen {
                 backend: "model",
-                world: &self.machine.board.world,
+                environment: &self.machine.board.environment,
                 clockwork: self.clockwork,
                 clocks: self.machine.board.clock(),
                 kcycles_per_second: self.kcycles_per_second(),
@@ -512,15 +519,19 @@ impl Device for Twin {
                 Some(request) => request.due,
                 None => u64::MAX,
             };
-            let chores = if self.frozen {
+            let housekeeping = if self.frozen {
                 u64::MAX
             } else {
-                self.chores_at
+                self.housekeeping_at
             };
             let cable = self.to_board.next().min(self.from_board.next());
             let trouble = self.script.next(self.clock()).min(cable);
             let board = &mut self.machine.board;
-            let stop = until.min(next).min(chores).min(trouble).min(self.jobs_at);
+            let stop = until
+                .min(next)
+                .min(housekeeping)
+                .min(trouble)
+                .min(self.jobs_at);
             board.pass(stop.max(board.clock() + 1));
             if self.clock() >= trouble {
                 self.suffer();
@@ -531,11 +542,11 @@ impl Device for Twin {
             if self.clock() >= self.jobs_at {
                 told |= self.do_jobs();
             }
-            if self.clock() >= chores {
+            if self.clock() >= housekeeping {
                 if self.machine.due(IDLE) {
-                    self.chores();
+                    self.housekeeping();
                 }
-                self.chores_at = self.clock() + self.chores_every();
+                self.housekeeping_at = self.clock() + self.housekeeping_every();
                 told |= !self.replies.is_empty();
             }
             if self.clock() >= next
@@ -544,7 +555,7 @@ impl Device for Twin {
                 if request.answered == 0 {
                     self.execute(request);
                     if self.machine.server.flash().busy() {
-                        self.chores_at = self.chores_at.min(self.clock() + SLICE);
+                        self.housekeeping_at = self.housekeeping_at.min(self.clock() + SLICE);
                     }
                 } else {
                     told |= self.answer(request);
@@ -663,12 +674,12 @@ impl Device for Twin {
         self.visitors[console] = Visitor::default();
     }
 
-    fn world(&self) -> &World {
-        &self.machine.board.world
+    fn environment(&self) -> &PinEnvironment {
+        &self.machine.board.environment
     }
 
-    fn world_mut(&mut self) -> &mut World {
-        &mut self.machine.board.world
+    fn environment_mut(&mut self) -> &mut PinEnvironment {
+        &mut self.machine.board.environment
     }
 
     fn freeze_cpu(&mut self, frozen: bool) {

@@ -2,8 +2,8 @@
 //! step.
 
 use host::keys::Key;
-use sim::card::Card;
-use sim::desk::Setup;
+use sim::board_facts::BoardFacts;
+use sim::model_board::Setup;
 use sim::nor::spi::Shared;
 use sim::nor::{Cut, Nor};
 use sim::plant::Plant;
@@ -61,8 +61,8 @@ impl Bench {
     }
 
     fn start(flash: Shared, factory: bool) -> Self {
-        let card = Card::named(flash::CONFIGURATION).expect("a committed board");
-        let mut setup = Setup::new(card, Plant::default());
+        let facts = BoardFacts::named(flash::CONFIGURATION).expect("a committed board");
+        let mut setup = Setup::new(facts, Plant::default());
         setup.flash = flash.clone();
         setup.factory = factory;
         let mut bench = Bench {
@@ -97,8 +97,8 @@ impl Bench {
     }
 
     /// The pins, and what is wired to them.
-    pub fn world(&mut self) -> &mut sim::world::World {
-        self.twin.world_mut()
+    pub fn environment(&mut self) -> &mut sim::environment::PinEnvironment {
+        self.twin.environment_mut()
     }
 
     /// Milliseconds of board time.
@@ -286,7 +286,7 @@ impl Bench {
     }
 
     fn channels(&self) -> Channels {
-        Card::named(flash::CONFIGURATION)
+        BoardFacts::named(flash::CONFIGURATION)
             .expect("a committed board")
             .channels
     }
@@ -323,8 +323,8 @@ impl Bench {
         Some(Message::parse(&reply).unwrap_or_else(|why| panic!("{reply:x?}: {why}")))
     }
 
-    /// Asks for boards.
-    pub fn who(&mut self) -> Message {
+    /// The answer to a discovery message for all boards.
+    pub fn present(&mut self) -> Message {
         let ask = Message {
             nonce: 77,
             uid: [0, 0],

@@ -1,10 +1,10 @@
 //! The drawing of the tests of jobs, its checks, and the picture of the result.
 //!
-//! [`host::job::pins`] checks the edges. The player of the job (bare cores, the twin, the board
+//! [`crate::pins`] checks the edges. The player of the job (bare cores, the twin, the board
 //! with its firmware) only has to supply the edges of its pins.
 
-use host::job::machine::Machine;
-use host::job::pins::{self, Difference, Drawn, Event, Pin, Prediction};
+use crate::pins::{self, Difference, Drawn, Event, Pin, Prediction};
+use host::job::machine::MachineFile;
 use host::job::preview;
 use host::job::program::Program;
 use host::job::svg::{self, Tool, Wish};
@@ -30,8 +30,8 @@ pub fn text() -> String {
 }
 
 /// The machine.
-pub fn machine() -> Machine {
-    Machine::read(&folder().join("machine.toml")).unwrap_or_else(|error| panic!("{error}"))
+pub fn machine() -> MachineFile {
+    MachineFile::read(&folder().join("machine.toml")).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// The drawing as a program, its curves as lines within `tolerance` mm. Its letters need a font on
@@ -70,7 +70,12 @@ pub struct Verdict {
 
 /// Compares the pins' edges with the job's prediction and the drawing's own curves, and writes a
 /// picture of both.
-pub fn judge(told: &Prediction, machine: &Machine, emitted: &[Event], picture: &Path) -> Verdict {
+pub fn judge(
+    told: &Prediction,
+    machine: &MachineFile,
+    emitted: &[Event],
+    picture: &Path,
+) -> Verdict {
     // Twenty times finer than the job: the curves themselves, for a step of 12.5 um.
     let curves = program(TOLERANCE / 20.0);
     let drawn = pins::drawn(&curves, machine, emitted);

@@ -7,7 +7,7 @@ use wire::describe::Channels;
 use wire::exchange::{Command, Status};
 use wire::map;
 
-use sim::card::Card;
+use sim::board_facts::BoardFacts;
 
 /// The host.
 #[derive(Debug)]
@@ -27,7 +27,9 @@ impl Driver {
             .expect("a connected socket");
         let mut driver = Driver {
             socket,
-            channels: Card::named("mill6").expect("a committed board").channels,
+            channels: BoardFacts::named("mill6")
+                .expect("a committed board")
+                .channels,
             command: Command::default(),
         };
         let write = |address, value| [0x4e6f_1044, 0, 0x000f_0100, address, value];

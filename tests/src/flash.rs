@@ -14,10 +14,12 @@ use wire::crc::crc32;
 use wire::flash::{Area, Layout, Slot};
 use wire::images::{Meta, Role, Stub, Trailer};
 
-/// The FPGA on all these boards: LFE5U-25F.
-pub const IDCODE: u32 = 0x4111_1043;
+pub use sim::model_board::{IDCODE, UID};
+
 /// Build id of the image a new board runs, in slot A.
 pub const FIRST: u32 = 0xaaaa_0001;
+/// Build id of an image that is brought in.
+pub const SECOND: u32 = 0xbbbb_0002;
 /// Build id of a new board's golden image.
 pub const GOLDEN: u32 = 0x601d_601d;
 /// The configuration and the platform of these tests. Its file gives it no hardware address: each

@@ -3,7 +3,7 @@
 //! The owner's datagrams go out between two of its frames. The loss in a switch when both need more
 //! than its port has is not tested here.
 
-use crate::{Machine, STRANGER};
+use crate::{BenchMachine, STRANGER};
 use rand::Rng;
 use rand::seq::IndexedRandom;
 use rand_pcg::Pcg64Mcg;
@@ -14,7 +14,7 @@ use std::net::Ipv4Addr;
 use wire::board::crc32;
 use wire::exchange::{Command, Status};
 use wire::map;
-use wire::regmap::{self, ethmac, guest};
+use wire::regmap::{self, ethmac, rx_admission};
 
 /// The third host.
 pub const INTRUDER_IP: Ipv4Addr = Ipv4Addr::new(192, 168, 2, 9);
@@ -22,6 +22,8 @@ const INTRUDER: Endpoint = (INTRUDER_IP, STRANGER);
 const BROADCAST: [u8; 6] = [0xff; 6];
 /// Longest frame of ordinary Ethernet, without FCS.
 pub const LONGEST: usize = 1514;
+/// Bytes of that ping: its frame has 256.
+const PING_ARMED: usize = 214;
 /// Bytes a gigabit wire takes in a servo period of a millisecond, gaps and preambles included.
 const WIRE_BYTES: u64 = 125_000;
 
@@ -52,10 +54,14 @@ pub enum Kind {
     BadFcs,
     /// 802.3x.
     Pause,
-    /// Ping, as long as it gets.
+    /// Ping, short or as long as it gets.
     Ping,
+    /// The longest ping that is answered while the machine moves.
+    PingArmed,
     /// Opens a connection to the console, or pretends to have one.
     Tcp,
+    /// The same at the port of jobs.
+    Jobs,
     /// A part of a datagram to the board's port.
     Fragment,
     /// Any of these.
@@ -63,7 +69,7 @@ pub enum Kind {
 }
 
 /// All of them; [`Kind::Mix`] is the last.
-pub const KINDS: [Kind; 16] = [
+pub const KINDS: [Kind; 18] = [
     Kind::Arp,
     Kind::ShortRead,
     Kind::LongRead,
@@ -77,7 +83,9 @@ pub const KINDS: [Kind; 16] = [
     Kind::BadFcs,
     Kind::Pause,
     Kind::Ping,
+    Kind::PingArmed,
     Kind::Tcp,
+    Kind::Jobs,
     Kind::Fragment,
     Kind::Mix,
 ];
@@ -126,14 +134,10 @@ pub fn read_of(addresses: impl Iterator<Item = u32>) -> Vec<u8> {
     crate::to_bytes(&words)
 }
 
-impl Machine {
+impl BenchMachine {
     /// A frame of this kind as it goes over the wire.
     pub fn frame(&mut self, kind: Kind, rng: &mut Pcg64Mcg) -> Vec<u8> {
         let short = rng.random_bool(0.5);
-        let udp = |machine: &mut Self, from, port, payload: &[u8]| {
-            let segment = &mut machine.rig.segment;
-            gmii::encode(&segment.udp(from, port, payload))
-        };
         match kind {
             Kind::Arp => {
                 let last = *[50, 1, 77].choose(rng).unwrap_or(&50);
@@ -141,54 +145,28 @@ impl Machine {
             }
             Kind::ShortRead => {
                 let payload = read_of([map::STATUS].into_iter());
-                udp(self, INTRUDER, BOARD_PORT, &payload)
+                self.udp(INTRUDER, BOARD_PORT, &payload)
             }
             Kind::LongRead => {
                 let payload = read_of((0..360).map(|n| map::DESCRIBE + n % 48 * 4));
-                udp(self, INTRUDER, BOARD_PORT, &payload)
+                self.udp(INTRUDER, BOARD_PORT, &payload)
             }
             Kind::Garbage => {
                 let length = if short { 4 } else { rng.random_range(4..=1472) };
                 let payload: Vec<u8> = (0..length).map(|_| rng.random()).collect();
-                udp(self, INTRUDER, BOARD_PORT, &payload)
+                self.udp(INTRUDER, BOARD_PORT, &payload)
             }
             Kind::OtherPort => {
                 let payload = vec![0; if short { 4 } else { 1472 }];
-                udp(self, INTRUDER, rng.random(), &payload)
+                self.udp(INTRUDER, rng.random(), &payload)
             }
             Kind::OwnersAddress => {
                 let payload = read_of([map::STATUS].into_iter());
                 let port = rng.random_range(1024..RIG_PORT);
-                udp(self, (HOST_IP, port), BOARD_PORT, &payload)
+                self.udp((HOST_IP, port), BOARD_PORT, &payload)
             }
-            Kind::Multicast => {
-                let to = *[
-                    [1, 0, 0x5e, 0, 0, 0xfb],
-                    [0x33, 0x33, 0, 0, 0, 1],
-                    BROADCAST,
-                ]
-                .choose(rng)
-                .unwrap_or(&BROADCAST);
-                let from = self.rig.segment.host_mac(INTRUDER_IP);
-                let rest = vec![0x45; if short { 46 } else { 1500 }];
-                gmii::encode(&ethernet(
-                    to,
-                    from,
-                    *[0x0800, 0x86dd, 0x88cc].choose(rng).unwrap_or(&0),
-                    &rest,
-                ))
-            }
-            Kind::Discovery => {
-                let ask = wire::discovery::Message {
-                    nonce: rng.random(),
-                    uid: [0, 0],
-                    body: wire::discovery::Body::Discover,
-                };
-                let mut buffer = [0; wire::discovery::WORDS_MAX];
-                let payload = crate::to_bytes(ask.emit(&mut buffer));
-                let segment = &mut self.rig.segment;
-                gmii::encode(&segment.broadcast(INTRUDER, wire::DISCOVERY_PORT, &payload))
-            }
+            Kind::Multicast => self.multicast(short, rng),
+            Kind::Discovery => self.discovery(rng),
             Kind::Runt => {
                 let whole = self.rig.segment.udp(INTRUDER, BOARD_PORT, &[0; 4]);
                 bare(&whole[..rng.random_range(0..whole.len())])
@@ -198,38 +176,16 @@ impl Machine {
                 let from = self.rig.segment.host_mac(INTRUDER_IP);
                 bare(&ethernet(to, from, 0x0800, &[0x45; 9000]))
             }
-            Kind::BadFcs => {
-                let mut wire = if short {
-                    // The owner's own, spoilt on the way.
-                    let command = self.enabled_command();
-                    let bytes = self.command_bytes(&command);
-                    udp(self, (HOST_IP, RIG_PORT), BOARD_PORT, &bytes)
-                } else {
-                    self.frame(Kind::Garbage, rng)
-                };
-                let at = rng.random_range(gmii::PREAMBLE.len()..wire.len());
-                wire[at] ^= 1 << rng.random_range(0..8);
-                wire
-            }
+            Kind::BadFcs => self.bad_fcs(short, rng),
             Kind::Pause => {
                 let from = self.rig.segment.host_mac(INTRUDER_IP);
                 let rest = [0, 1, 0xff, 0xff];
                 gmii::encode(&ethernet([1, 0x80, 0xc2, 0, 0, 1], from, 0x8808, &rest))
             }
-            Kind::Ping => {
-                let payload = vec![0x5a; if short { 8 } else { 1472 }];
-                let frame = self
-                    .rig
-                    .segment
-                    .echo_request(INTRUDER_IP, 1, rng.random(), &payload);
-                gmii::encode(&frame)
-            }
-            Kind::Tcp => {
-                let data = vec![b'x'; if short { 0 } else { 1400 }];
-                let flags = if short { 2 } else { rng.random() };
-                let tcp = tcp_segment(rng.random(), flags, rng.random(), 0, &data);
-                gmii::encode(&self.ip(INTRUDER_IP, 6, 0, &tcp))
-            }
+            Kind::Ping => self.echo(if short { 8 } else { 1472 }, rng),
+            Kind::PingArmed => self.echo(PING_ARMED, rng),
+            Kind::Tcp => self.tcp(CONSOLE_PORT, short, rng),
+            Kind::Jobs => self.tcp(wire::jobs::PORT, short, rng),
             Kind::Fragment => {
                 let fragment = *[0x2000, 0x2001, 0x0001, 0x1fff].choose(rng).unwrap_or(&1);
                 gmii::encode(&self.ip(
@@ -244,6 +200,67 @@ impl Machine {
                 self.frame(kind, rng)
             }
         }
+    }
+
+    fn udp(&mut self, from: (Ipv4Addr, u16), port: u16, payload: &[u8]) -> Vec<u8> {
+        gmii::encode(&self.rig.segment.udp(from, port, payload))
+    }
+
+    fn echo(&mut self, length: usize, rng: &mut Pcg64Mcg) -> Vec<u8> {
+        let (payload, number) = (vec![0x5a; length], rng.random());
+        let segment = &mut self.rig.segment;
+        gmii::encode(&segment.echo_request(INTRUDER_IP, 1, number, &payload))
+    }
+
+    fn tcp(&mut self, to: u16, short: bool, rng: &mut Pcg64Mcg) -> Vec<u8> {
+        let data = vec![b'x'; if short { 0 } else { 1400 }];
+        let flags = if short { 2 } else { rng.random() };
+        let tcp = tcp_segment_to(to, rng.random(), flags, rng.random(), 0, &data);
+        gmii::encode(&self.ip(INTRUDER_IP, 6, 0, &tcp))
+    }
+
+    fn multicast(&mut self, short: bool, rng: &mut Pcg64Mcg) -> Vec<u8> {
+        let to = *[
+            [1, 0, 0x5e, 0, 0, 0xfb],
+            [0x33, 0x33, 0, 0, 0, 1],
+            BROADCAST,
+        ]
+        .choose(rng)
+        .unwrap_or(&BROADCAST);
+        let from = self.rig.segment.host_mac(INTRUDER_IP);
+        let rest = vec![0x45; if short { 46 } else { 1500 }];
+        gmii::encode(&ethernet(
+            to,
+            from,
+            *[0x0800, 0x86dd, 0x88cc].choose(rng).unwrap_or(&0),
+            &rest,
+        ))
+    }
+
+    fn discovery(&mut self, rng: &mut Pcg64Mcg) -> Vec<u8> {
+        let ask = wire::discovery::Message {
+            nonce: rng.random(),
+            uid: [0, 0],
+            body: wire::discovery::Body::Discover,
+        };
+        let mut buffer = [0; wire::discovery::WORDS_MAX];
+        let payload = crate::to_bytes(ask.emit(&mut buffer));
+        let segment = &mut self.rig.segment;
+        gmii::encode(&segment.broadcast(INTRUDER, wire::DISCOVERY_PORT, &payload))
+    }
+
+    fn bad_fcs(&mut self, short: bool, rng: &mut Pcg64Mcg) -> Vec<u8> {
+        let mut wire = if short {
+            // The owner's own, spoilt on the way.
+            let command = self.enabled_command();
+            let bytes = self.command_bytes(&command);
+            self.udp((HOST_IP, RIG_PORT), BOARD_PORT, &bytes)
+        } else {
+            self.frame(Kind::Garbage, rng)
+        };
+        let at = rng.random_range(gmii::PREAMBLE.len()..wire.len());
+        wire[at] ^= 1 << rng.random_range(0..8);
+        wire
     }
 
     /// The board's MAC address, which it told when it started.
@@ -359,9 +376,14 @@ impl Machine {
 
 /// A TCP segment to the console, its checksum right.
 pub fn tcp_segment(port: u16, flags: u8, sequence: u32, ack: u32, data: &[u8]) -> Vec<u8> {
+    tcp_segment_to(CONSOLE_PORT, port, flags, sequence, ack, data)
+}
+
+/// A TCP segment to this port of the board, its checksum right.
+fn tcp_segment_to(to: u16, port: u16, flags: u8, sequence: u32, ack: u32, data: &[u8]) -> Vec<u8> {
     let mut tcp = [
         &port.to_be_bytes()[..],
-        &CONSOLE_PORT.to_be_bytes(),
+        &to.to_be_bytes(),
         &sequence.to_be_bytes(),
         &ack.to_be_bytes(),
         &[0x50, flags, 0x10, 0, 0, 0, 0, 0],
@@ -422,12 +444,12 @@ impl Mail {
     }
 }
 
-impl Machine {
+impl BenchMachine {
     /// The counts as they stand; reading them is a frame, too, and counted.
     pub fn mail(&mut self) -> Mail {
         let addresses = [
             map::COUNTERS,
-            regmap::address(guest::BASE, guest::REFUSED),
+            regmap::address(rx_admission::BASE, rx_admission::REFUSED),
             regmap::address(ethmac::BASE, ethmac::SRAM_WRITER_ERRORS),
             regmap::address(ethmac::BASE, ethmac::RX_DATAPATH_PREAMBLE_ERRORS),
             regmap::address(ethmac::BASE, ethmac::RX_DATAPATH_CRC_ERRORS),
@@ -461,7 +483,7 @@ impl Machine {
         self.rig.take_frames();
     }
 
-    /// Did it, since [`Machine::capture`]?
+    /// Did it, since [`BenchMachine::capture`]?
     pub fn told_the_owner_its_address(&mut self) -> bool {
         let told = |frame: &Vec<u8>| {
             frame.starts_with(&HOST_MAC) && frame[12..22] == [8, 6, 0, 1, 8, 0, 6, 4, 0, 2]
@@ -541,7 +563,7 @@ impl Machine {
 }
 
 /// Raw frames.
-impl Machine {
+impl BenchMachine {
     /// Puts these bytes on the wire behind what is there.
     pub fn inject(&mut self, wire: Vec<u8>) {
         self.rig.inject_wire(wire);

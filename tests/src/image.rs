@@ -1,7 +1,7 @@
 //! Analysis of the release image's machine code: where it can panic, and how deep its stack can
 //! get.
 //!
-//! Every panic of the image comes down to one `ebreak` (`firmware/src/soc/postmortem.rs`), so the
+//! Every panic of the image comes down to one `ebreak` (`soc/postmortem.rs` of the image), so the
 //! places that can panic are the calls of `core`'s panicking functions and the `ebreak`s inlined
 //! elsewhere. The stack is the longest way through the call graph: the stack of a function is in
 //! its `addi sp`, its calls are in its jumps. A call through a table may reach every function with
@@ -11,6 +11,7 @@
 
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::Path;
 
 /// Functions of `core` that do not come back, by a part of their name.
@@ -24,7 +25,7 @@ const PANICKING: &[&str] = &[
     "panic_nounwind",
     "rust_begin_unwind",
 ];
-/// Below lie start-up, traps and the fast lane. No code takes their addresses, so a number this
+/// Below lie start-up, traps and the fast path. No code takes their addresses, so a number this
 /// small in the data is a number.
 const CALLED_BY_NAME: u32 = 0x800;
 /// In riscv-rt's tables of exceptions and interrupts only; `_start_trap_rust` names them, too.
@@ -38,7 +39,7 @@ const MRET: u32 = 0x3020_0073;
 const RET: u32 = 0x0000_8067;
 /// `j` to the instruction behind it.
 const J_NEXT: u32 = 0x0040_006f;
-/// Restores registers and returns, for the function that jumps to it (`firmware/src/saves.s`).
+/// Restores registers and returns, for the function that jumps to it (`firmware/src/bin/saves.s`).
 const RESTORE: &str = "__riscv_restore_";
 
 /// The code of an image.
@@ -363,53 +364,61 @@ impl Code {
                     }
                 }
                 0x63 => {
-                    let offset = (word & 0x8000_0000) as i32 >> 19
-                        | (word << 4 & 0x800) as i32
-                        | (word >> 20 & 0x7e0) as i32
-                        | (word >> 7 & 0x1e) as i32;
-                    todo.push((at.wrapping_add(offset as u32), depth));
+                    todo.push((at.wrapping_add(branch_offset(word)), depth));
                     todo.push((at + 4, depth));
                 }
-                0x13 if rd == SP && rs1 == SP && word >> 12 & 7 == 0 => {
-                    todo.push((at + 4, depth - i64::from(i_immediate(word) as i32)));
-                }
-                // More than an immediate holds.
-                0x33 if rd == SP && rs1 == SP && word >> 12 & 7 == 0 => {
-                    let by = self.constant(at, word >> 20 & 31).ok_or_else(|| {
-                        format!("{name} moves the stack at {at:#x} by something not understood")
-                    })?;
-                    let by = i64::from(by as i32);
-                    let taken = if word >> 25 == 0 { -by } else { by };
-                    todo.push((at + 4, depth + taken));
-                }
-                // Start-up puts it at the top.
-                0x13 if rd == SP && word >> 12 & 7 == 7 && name == "_abs_start" => {
-                    todo.push((at + 4, 0));
-                }
                 0x13 | 0x33 | 0x37 | 0x17 | 0x03 if rd == SP => {
-                    return Err(format!(
-                        "{name} moves the stack at {at:#x} in a way not understood"
-                    ));
+                    todo.push((at + 4, self.depth_behind(name, at, word, depth)?));
                 }
                 _ => todo.push((at + 4, depth)),
             }
         }
-        // A compiler leaves a few instructions that nothing leads to. Those that take stack or go
-        // elsewhere were overlooked.
-        let matters = |at: u32, word: u32| match word & 0x7f {
-            0x67 => true,
-            0x6f => word >> 7 & 31 != 0 || !inside(&at.wrapping_add(jal_offset(word))),
-            0x13 | 0x33 | 0x37 | 0x17 | 0x03 => word >> 7 & 31 == SP,
-            _ => false,
-        };
-        let mut all = self.words.range(start..*end);
-        if let Some((at, _)) = all.find(|(at, word)| {
-            !seen.contains_key(at) && matters(**at, **word) && !self.has_returned(**at, **word)
-        }) {
+        if let Some(at) = self.overlooked(start..*end, &seen) {
             return Err(format!("{name}: no way to {at:#x} was found"));
         }
         frame.left = left.unwrap_or(0);
         Ok(frame)
+    }
+
+    /// The depth of the stack behind an instruction that writes its pointer.
+    fn depth_behind(&self, name: &str, at: u32, word: u32, depth: i64) -> Result<i64, String> {
+        let (rs1, function) = (word >> 15 & 31, word >> 12 & 7);
+        match word & 0x7f {
+            0x13 if rs1 == SP && function == 0 => Ok(depth - i64::from(i_immediate(word) as i32)),
+            // More than an immediate holds.
+            0x33 if rs1 == SP && function == 0 => {
+                let by = self.constant(at, word >> 20 & 31).ok_or_else(|| {
+                    format!("{name} moves the stack at {at:#x} by something not understood")
+                })?;
+                let by = i64::from(by as i32);
+                let taken = if word >> 25 == 0 { -by } else { by };
+                Ok(depth + taken)
+            }
+            // Start-up puts it at the top.
+            0x13 if function == 7 && name == "_abs_start" => Ok(0),
+            _ => Err(format!(
+                "{name} moves the stack at {at:#x} in a way not understood"
+            )),
+        }
+    }
+
+    /// A compiler leaves a few instructions that nothing leads to. Those that take stack or go
+    /// elsewhere were overlooked: the first of them in a function.
+    fn overlooked(&self, function: Range<u32>, seen: &BTreeMap<u32, i64>) -> Option<u32> {
+        let matters = |at: u32, word: u32| match word & 0x7f {
+            0x67 => true,
+            0x6f => {
+                let inside = function.contains(&at.wrapping_add(jal_offset(word)));
+                word >> 7 & 31 != 0 || !inside
+            }
+            0x13 | 0x33 | 0x37 | 0x17 | 0x03 => word >> 7 & 31 == SP,
+            _ => false,
+        };
+        let mut all = self.words.range(function.clone());
+        let found = all.find(|(at, word)| {
+            !seen.contains_key(at) && matters(**at, **word) && !self.has_returned(**at, **word)
+        });
+        found.map(|(at, _)| *at)
     }
 }
 
@@ -486,6 +495,14 @@ impl Walk<'_> {
 
 fn i_immediate(word: u32) -> u32 {
     (word as i32 >> 20) as u32
+}
+
+fn branch_offset(word: u32) -> u32 {
+    let offset = (word & 0x8000_0000) as i32 >> 19
+        | (word << 4 & 0x800) as i32
+        | (word >> 20 & 0x7e0) as i32
+        | (word >> 7 & 0x1e) as i32;
+    offset as u32
 }
 
 fn jal_offset(word: u32) -> u32 {

@@ -1,8 +1,8 @@
 //! A board on the bench for the tests in this crate: the Verilated SoC with the release image, and
 //! a host that speaks the protocol the way the driver does.
 //!
-//! [`Machine`] arranges in one line what a test needs (started, acquired, armed) and asks one thing
-//! at a time. `FERROCNC_SOC` and `FERROCNC_FIRMWARE`, set by `cargo xtask test`, name the board and
+//! [`BenchMachine`] arranges in one line what a test needs (started, acquired, armed) and asks one
+//! thing at a time. `FERROCNC_SOC` and `FERROCNC_FIRMWARE`, set by `cargo xtask test`, name the board and
 //! the image.
 
 pub mod bench;
@@ -14,21 +14,26 @@ pub mod hal;
 pub mod image;
 pub mod lan;
 pub mod mill;
+pub mod pins;
 pub mod plotter;
+mod simulator;
 pub mod stops;
 pub mod wired;
+
+pub use simulator::{Simulator, control};
 
 use sim::edges;
 use sim::firmware::Image;
 use sim::rig::{RIG_PORT, Setup};
 use sim::segment::{BOARD_PORT, HOST_IP};
+use sim::soc::Silicon;
 use sim::{Rig, exchange::Spread};
 use std::path::PathBuf;
 use wire::describe::{Channels, Describe};
 use wire::exchange::{Command, Status};
 use wire::regmap::command;
 use wire::state::State;
-use wire::units::{Accel, Clocks};
+use wire::units::{Accel, Clocks, Velocity};
 use wire::{Refusal, map, regmap};
 
 /// UDP port of a host that owns nothing.
@@ -50,7 +55,7 @@ const WATCHDOG_NS: u64 = 5_000_000;
 const GRACE_NS: u64 = 10_000_000;
 
 /// A board with the release image, and the host that may own it.
-pub struct Machine {
+pub struct BenchMachine {
     rig: Rig,
     describe: Describe,
     token: u32,
@@ -91,8 +96,20 @@ pub fn seed() -> u64 {
     seed
 }
 
-/// A number from the environment, or this one.
-pub fn from_environment(name: &str, otherwise: u64) -> u64 {
+/// What a board says of itself.
+pub fn description<S: Silicon>(rig: &mut Rig<S>) -> Describe {
+    let words = rig
+        .read_block(map::DESCRIBE, wire::describe::WORDS as u32)
+        .expect("the board describes itself");
+    let words = words.try_into().expect("as many words as were asked for");
+    Describe::parse(&words).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// What the environment says, or this.
+pub fn from_environment<T>(name: &str, otherwise: T) -> T
+where
+    T: std::str::FromStr<Err: std::fmt::Display>,
+{
     let Ok(text) = std::env::var(name) else {
         return otherwise;
     };
@@ -157,14 +174,14 @@ pub fn to_words(bytes: &[u8]) -> Vec<u32> {
         .collect()
 }
 
-impl Machine {
+impl BenchMachine {
     /// A board that has just started.
     pub fn start() -> Self {
         let (soc, firmware) = parts();
         Self::start_with(&soc, &firmware)
     }
 
-    /// As [`Machine::start`], from these places.
+    /// As [`BenchMachine::start`], from these places.
     pub fn start_with(soc: &std::path::Path, firmware: &std::path::Path) -> Self {
         Self::boot(Setup::new(soc, firmware))
     }
@@ -175,12 +192,8 @@ impl Machine {
         let mut rig = Rig::boot(setup).unwrap_or_else(|error| panic!("{error}"));
         let image = Image::read(&firmware, rig.board.silicon().rom_words())
             .unwrap_or_else(|error| panic!("{error}"));
-        let words = rig
-            .read_block(map::DESCRIBE, wire::describe::WORDS as u32)
-            .expect("the board describes itself");
-        let words = words.try_into().expect("as many words as were asked for");
-        let describe = Describe::parse(&words).unwrap_or_else(|error| panic!("{error}"));
-        Machine {
+        let describe = description(&mut rig);
+        BenchMachine {
             rig,
             describe,
             token: 0,
@@ -194,6 +207,18 @@ impl Machine {
         let mut machine = Self::start();
         machine.make_ready();
         machine
+    }
+
+    /// An armed board with its first stepgen at `rate` steps/s for so many servo periods.
+    pub fn turning(rate: f64, periods: u32) -> (Self, Command) {
+        let mut machine = Self::armed();
+        let mut command = machine.enabled_command();
+        let rate = Velocity::from_hz(rate, machine.clock_hz());
+        command.stepgen[0] = (rate, Accel::UNLIMITED);
+        for _ in 0..periods {
+            machine.exchange_and_wait(&mut command);
+        }
+        (machine, command)
     }
 
     /// The board, its cable and the hosts on it.
@@ -277,7 +302,7 @@ impl Machine {
         assert!(self.gate_open());
     }
 
-    // ---- datagrams -----------------------------------------------------------------------------------------------------
+    // ---- datagrams ------------------------------------------------------------------------------
 
     /// Sends a datagram from our port and waits for its answer.
     pub fn ask(&mut self, datagram: &[u8]) -> Option<Vec<u8>> {
@@ -291,7 +316,7 @@ impl Machine {
             .map(|reply| reply.payload)
     }
 
-    /// As [`Machine::ask`], in words.
+    /// As [`BenchMachine::ask`], in words.
     pub fn ask_words(&mut self, words: &[u32]) -> Option<Vec<u32>> {
         self.ask(&to_bytes(words)).map(|bytes| to_words(&bytes))
     }
@@ -385,7 +410,7 @@ impl Machine {
         String::from_utf8_lossy(&to_bytes(&words)[..length as usize]).into_owned()
     }
 
-    // ---- the exchange ----------------------------------------------------------------------------------------------------
+    // ---- the exchange ---------------------------------------------------------------------------
 
     /// A command as the bytes of its datagram, token and sequence number as they stand in it.
     pub fn command_bytes(&self, command: &Command) -> Vec<u8> {
@@ -433,12 +458,12 @@ impl Machine {
         all[all.len().saturating_sub(last)..].to_vec()
     }
 
-    /// Smallest, median and largest of [`Machine::turnarounds`].
+    /// Smallest, median and largest of [`BenchMachine::turnarounds`].
     pub fn turnaround_spread(&self, last: usize) -> Spread {
         Spread::of(&self.turnarounds(last)).unwrap_or_default()
     }
 
-    // ---- time, pins, faults ------------------------------------------------------------------------------------------------
+    // ---- time, pins, faults ---------------------------------------------------------------------
 
     /// Clocks since power-up.
     pub fn clock(&self) -> u64 {
@@ -629,137 +654,4 @@ pub fn program(name: &str) -> PathBuf {
     let folder = std::env::var_os("FERROCNC_PROGRAMS").map(PathBuf::from);
     let release = || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/release");
     folder.unwrap_or_else(release).join(name)
-}
-
-/// The simulator as a program of its own, behind real sockets; ends with the test.
-pub struct Simulator {
-    child: std::process::Child,
-    udp: std::net::SocketAddr,
-    control: Option<std::net::SocketAddr>,
-}
-
-/// A line for the control channel of a simulator that is there; the answer.
-pub fn control(at: std::net::SocketAddr, command: &str) -> String {
-    use std::io::{BufRead as _, Write as _};
-    let stream = std::net::TcpStream::connect(at).expect("the simulator listens");
-    let mut stream = std::io::BufReader::new(stream);
-    let told = writeln!(stream.get_mut(), "{command}");
-    told.expect("the simulator listens");
-    let mut answer = String::new();
-    stream.read_line(&mut answer).expect("it answers");
-    assert!(answer.starts_with("ok"), "{command}: {answer}");
-    answer
-}
-
-impl Simulator {
-    /// The RTL board on free ports, with these further arguments; waits until it answers.
-    pub fn start(arguments: &[&str]) -> Self {
-        let (soc, firmware) = parts();
-        let (soc, firmware) = (soc.display().to_string(), firmware.display().to_string());
-        let board = ["--soc", &soc, "--firmware", &firmware];
-        Self::spawn(&[&board, arguments].concat())
-    }
-
-    /// The twin of the same board: the firmware's library on models of the cores.
-    pub fn twin(arguments: &[&str]) -> Self {
-        Self::twin_of("mill6", arguments)
-    }
-
-    /// The twin of another one.
-    pub fn twin_of(board: &str, arguments: &[&str]) -> Self {
-        let board = ["--backend", "model", "--board", board];
-        Self::spawn(&[&board, arguments].concat())
-    }
-
-    fn spawn(arguments: &[&str]) -> Self {
-        let udp = std::net::UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
-        let udp = udp.expect("a free UDP port");
-        let tcp = || std::net::TcpListener::bind("127.0.0.1:0").and_then(|it| it.local_addr());
-        let [console, control] = [tcp(), tcp()].map(|at| at.expect("a free TCP port"));
-        let mut command = std::process::Command::new(program("ferrocnc-sim"));
-        command
-            .args(["--udp", &udp.to_string(), "--console", &console.to_string()])
-            .args(["--control", &control.to_string()])
-            // A host that waits for its processor must not count as dead.
-            .args(["--silence-ms", "600000"])
-            .args(arguments);
-        Self::run(command, udp, Some(control))
-    }
-
-    /// A twin that is a place's `eth0`, with this flash and unique id.
-    pub fn at(place: &lan::Place, flash: &std::path::Path, uid: u64) -> Self {
-        let mut command = place.command(program("ferrocnc-sim"));
-        command
-            .args(["--backend", "model", "--board", flash::CONFIGURATION])
-            .args(["--mode", "free"])
-            .args(["--udp", "0.0.0.0:1234", "--discovery", "0.0.0.0:51234"])
-            .args(["--console", "0.0.0.0:23", "--interface", "eth0"])
-            .args(["--uid", &format!("{uid:016x}"), "--flash"])
-            .arg(flash);
-        let udp = std::net::SocketAddr::from(([0, 0, 0, 0], 1234));
-        Self::run(command, udp, None)
-    }
-
-    fn run(
-        mut command: std::process::Command,
-        udp: std::net::SocketAddr,
-        control: Option<std::net::SocketAddr>,
-    ) -> Self {
-        use std::io::BufRead;
-        let mut child = command
-            .stdout(std::process::Stdio::piped())
-            .stdin(std::process::Stdio::piped())
-            .spawn()
-            .unwrap_or_else(|error| panic!("{command:?}: {error}"));
-        let stdout = child.stdout.take().expect("its output is piped");
-        let mut ready = String::new();
-        std::io::BufReader::new(stdout)
-            .read_line(&mut ready)
-            .expect("its first line");
-        assert!(
-            ready.contains("ready"),
-            "the simulator said {ready:?} instead of being ready"
-        );
-        Simulator {
-            child,
-            udp,
-            control,
-        }
-    }
-
-    /// Kills it at any point, like a loss of power.
-    pub fn pull_the_plug(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-
-    /// Ends it as SIGTERM does, so that it writes its report, and waits until it has.
-    pub fn finish(&mut self) {
-        let _ = std::process::Command::new("kill")
-            .arg(self.child.id().to_string())
-            .status();
-        let _ = self.child.wait();
-    }
-
-    /// Where its board listens for datagrams.
-    pub fn udp(&self) -> std::net::SocketAddr {
-        self.udp
-    }
-
-    /// Where its control channel is.
-    pub fn control(&self) -> std::net::SocketAddr {
-        self.control.expect("no place of a network has one")
-    }
-
-    /// So many milliseconds of the board's time pass without a host.
-    pub fn run_ms(&self, millis: u64) {
-        control(self.control(), &format!("run-ms {millis}"));
-    }
-}
-
-impl Drop for Simulator {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }

@@ -20,16 +20,16 @@ use host::driver::Driver;
 use host::fence::Fenced;
 use host::hal::fake::FakeHal;
 use host::link::Link;
-use sim::card::Card;
-use sim::desk::Setup;
+use sim::board_facts::BoardFacts;
+use sim::environment::{Output, PinEvent};
 use sim::faults::Plan;
+use sim::model_board::Setup;
 use sim::plant::Plant;
 use sim::server::{Device, Service};
 use sim::twin::Twin;
-use sim::world::{Output, PinEvent};
 use wire::describe::Channels;
 use wire::exchange::{Command, Status};
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 use wire::{Refusal, map};
 
 /// A servo period, ns.
@@ -46,9 +46,9 @@ const OUTPUTS: [&str; 2] = [
     "ferrocnc.0.gpio.spindle-reverse.out",
 ];
 
-/// The board all this is about.
-pub fn card() -> Card {
-    Card::named("mill6").expect("a committed board")
+/// The board of the mill.
+pub fn facts() -> BoardFacts {
+    BoardFacts::named("mill6").expect("a committed board")
 }
 
 /// What LinuxCNC's motion controller does, as far as a driver can tell: a commanded place that
@@ -164,7 +164,7 @@ impl Mill {
 
     /// A board with nothing wired to it but encoders on its motors.
     pub fn setup() -> Setup {
-        Setup::new(card(), Plant::direct(6))
+        Setup::new(facts(), Plant::direct(6))
     }
 
     /// As `loadrt` does it: look, check, take the session, export pins.
@@ -274,33 +274,33 @@ impl Mill {
 
     /// What came out at the pins, pulses.
     pub fn pulses(&self) -> [i64; 3] {
-        [0, 1, 2].map(|n| self.twin.world().edges.channel(n).count)
+        [0, 1, 2].map(|n| self.twin.environment().edges.channel(n).count)
     }
 
     /// Pulses either way: does anything move at all?
     pub fn motion_at_pins(&self) -> u64 {
-        self.twin.world().edges.pulses()
+        self.twin.environment().edges.pulses()
     }
 
     /// Outputs are live.
     pub fn gate(&self) -> bool {
-        self.twin.world().pins().gate != 0
+        self.twin.environment().pins().gate != 0
     }
 
     /// Levels of the general outputs.
     pub fn outputs(&self) -> u32 {
-        self.twin.world().pins().gpio_out
+        self.twin.environment().pins().gpio_out
     }
 
     /// All outputs are at their safe level.
     pub fn all_safe(&self) -> bool {
-        let pins = self.twin.world().pins();
+        let pins = self.twin.environment().pins();
         (pins.gate, pins.gpio_out, pins.pwm_out, pins.step) == (0, 0, 0, 0)
     }
 
     /// When the gate closed, of everything since the last call.
     pub fn closed_at(&mut self) -> Option<u64> {
-        let events = self.twin.world_mut().take_events();
+        let events = self.twin.environment_mut().take_events();
         let closed = |event: &&PinEvent| event.output == Output::Gate && !event.level;
         events.iter().rfind(closed).map(|event| event.clock)
     }
@@ -421,7 +421,7 @@ impl Mill {
     /// Must hold in every case: every pulse at the pins was legal, and while the machine is on its
     /// position is the reported one.
     pub fn nothing_is_wrong(&self) {
-        let edges = &self.twin.world().edges;
+        let edges = &self.twin.environment().edges;
         assert_eq!(edges.violations(), [], "illegal pulses at the pins");
         assert!(
             self.enabled() && self.gate(),
@@ -433,7 +433,7 @@ impl Mill {
     /// Stands, is off, all outputs safe, LinuxCNC knows.
     pub fn is_stopped_for_good(&mut self) {
         assert_eq!(
-            self.twin.world().edges.violations(),
+            self.twin.environment().edges.violations(),
             [],
             "illegal pulses at the pins"
         );
@@ -441,7 +441,7 @@ impl Mill {
         assert!(
             self.all_safe(),
             "outputs are live: {:?}",
-            self.twin.world().pins()
+            self.twin.environment().pins()
         );
         let before = self.motion_at_pins();
         self.run(20);
@@ -490,7 +490,7 @@ impl Owner {
         Owner {
             twin,
             command: Command::default(),
-            channels: card().channels,
+            channels: facts().channels,
             port: 40_000,
         }
     }
@@ -531,8 +531,8 @@ impl Owner {
 
     /// What axis n is to do.
     pub fn rate(&mut self, axis: usize, steps_per_second: f64, accel: Accel) {
-        let hz = f64::from(card().clock_hz);
-        self.command.stepgen[axis] = (StepRate::from_hz(steps_per_second, hz), accel);
+        let hz = f64::from(facts().clock_hz);
+        self.command.stepgen[axis] = (Velocity::from_hz(steps_per_second, hz), accel);
     }
 
     /// A datagram, and the answer if one comes before `until`.
@@ -580,7 +580,7 @@ impl Owner {
 
     /// One exchange and the millisecond it is in.
     pub fn exchange(&mut self) -> Option<Status> {
-        let end = self.twin.clock() + u64::from(card().clock_hz) / 1000;
+        let end = self.twin.clock() + u64::from(facts().clock_hz) / 1000;
         let status = self.exchange_now();
         self.pass(end - self.twin.clock());
         status

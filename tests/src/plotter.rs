@@ -1,17 +1,17 @@
 //! A board that executes jobs, served over real sockets, and a connection to it that can be cut.
 
+use crate::pins::{Event, Pin};
 use host::address::Address;
 use host::job::client::Board;
-use host::job::pins::{Event, Pin};
 use host::job::stream::Streamer;
 use host::keys::Keys;
 use motion::segment::AXES;
 use sim::Twin;
-use sim::card::Card;
-use sim::desk::Setup;
+use sim::board_facts::BoardFacts;
+use sim::environment::Output;
+use sim::model_board::Setup;
 use sim::plant::Plant;
 use sim::server::{self, Mode, Options, Server};
-use sim::world::Output;
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, SocketAddrV4, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -53,9 +53,9 @@ pub struct Plotter {
 impl Plotter {
     /// Switched on; its steps and its pen are being watched.
     pub fn twin() -> Self {
-        let mut card = Card::plain(CHANNELS, CLOCK);
-        card.jobs = AXES as u8;
-        Plotter::switched_on(card, None, "")
+        let mut facts = BoardFacts::plain(CHANNELS, CLOCK);
+        facts.jobs = AXES as u8;
+        Plotter::switched_on(facts, None, "")
     }
 
     /// The same without SDRAM, so many times slower than real time, so that a busy computer is not
@@ -65,10 +65,10 @@ impl Plotter {
     }
 
     fn bare(slower: u32, trouble: &str) -> Self {
-        let mut card = Card::plain(CHANNELS, CLOCK);
-        (card.jobs, card.streamed) = (AXES as u8, true);
+        let mut facts = BoardFacts::plain(CHANNELS, CLOCK);
+        (facts.jobs, facts.streamed) = (AXES as u8, true);
         let pace = f64::from(CLOCK) / f64::from(slower);
-        Plotter::switched_on(card, Some(pace), trouble)
+        Plotter::switched_on(facts, Some(pace), trouble)
     }
 
     /// The same with these faults on the wire and with an executor of its jobs in this process.
@@ -88,15 +88,15 @@ impl Plotter {
         plotter
     }
 
-    fn switched_on(card: Card, pace: Option<f64>, trouble: &str) -> Self {
-        let streamed = card.streamed;
-        let mut twin = Twin::power_up(Setup::new(card, Plant::default()));
+    fn switched_on(facts: BoardFacts, pace: Option<f64>, trouble: &str) -> Self {
+        let streamed = facts.streamed;
+        let mut twin = Twin::power_up(Setup::new(facts, Plant::default()));
         if !trouble.is_empty() {
             let plan = trouble.parse().expect("words for trouble");
             server::Device::trouble(&mut twin, &plan).expect("a twin can be troubled");
         }
-        twin.world().edges.keep_steps();
-        twin.world().watch.gpio = 1;
+        twin.environment().edges.keep_steps();
+        twin.environment().watch.gpio = 1;
         let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
         let options = Options {
             udp: any,
@@ -181,7 +181,7 @@ impl Plotter {
         (counts, gate)
     }
 
-    /// Who streams is told to end, as by Ctrl-C, and has ended.
+    /// Tells the streamer to end, as Ctrl-C does, and waits until it has.
     pub fn end_streaming(&mut self) {
         if let Some((stop, thread)) = self.streamer.take() {
             stop.store(true, Ordering::Relaxed);
@@ -194,15 +194,15 @@ impl Plotter {
         self.end_streaming();
         self.stop.store(true, Ordering::Relaxed);
         let mut twin = self.thread.join().expect("the twin's thread");
-        let world = twin.world();
-        assert_eq!(world.edges.violations(), [], "timing at the pins");
-        let steps = world.edges.take_steps().into_iter().map(|step| {
+        let environment = twin.environment();
+        assert_eq!(environment.edges.violations(), [], "timing at the pins");
+        let steps = environment.edges.take_steps().into_iter().map(|step| {
             let axis = usize::from(step.channel);
             let forward = step.forward;
             (step.clock, Pin::Step { axis, forward })
         });
         let mut events: Vec<Event> = steps.collect();
-        let tools = world.take_events().into_iter().filter_map(|event| {
+        let tools = environment.take_events().into_iter().filter_map(|event| {
             let pen = event.output == Output::Gpio(0);
             pen.then_some((event.clock, Pin::Tool(event.level)))
         });

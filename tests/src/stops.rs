@@ -5,8 +5,8 @@
 //! the speed the prediction says it had.
 
 use crate::drawing;
-use host::job::machine::Machine;
-use host::job::pins::{self, Event, Pin, Prediction};
+use crate::pins::{self, Event, Pin, Prediction};
+use host::job::machine::MachineFile;
 use host::job::program::{Dialect, Program};
 use motion::segment::AXES;
 use rand::Rng;
@@ -34,7 +34,7 @@ pub struct Shape {
 #[derive(Clone, Debug)]
 pub struct Job {
     /// The machine.
-    pub machine: Machine,
+    pub machine: MachineFile,
     /// Of each axis: steps/s, and steps/s^2.
     pub axes: [(f64, f64); AXES],
     /// The line.

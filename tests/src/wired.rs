@@ -8,17 +8,17 @@
 //! The board's time passes while the client does something, and when a test says so; otherwise it
 //! stands still.
 
-use crate::{Machine, flash, parts};
+use crate::pins::{Event, Pin};
+use crate::{BenchMachine, flash, parts};
 use host::job::client::Board;
-use host::job::pins::{Event, Pin};
 use host::keys::Keys;
 use motion::segment::AXES;
 use sim::edges::Timing;
+use sim::environment::Output;
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part};
 use sim::rig::Setup;
 use sim::segment::Connection;
-use sim::world::Output;
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, SocketAddrV4, TcpListener, TcpStream};
@@ -90,7 +90,7 @@ pub fn on_flash(trailer: Trailer, nor: Nor) -> Setup {
 }
 
 /// One connection, with the bytes that the board has not taken yet.
-struct Line {
+struct ClientLine {
     stream: TcpStream,
     line: Connection,
     ahead: Vec<u8>,
@@ -113,10 +113,10 @@ pub struct Profile {
 /// The board and its wire.
 pub struct Wired {
     /// The board. What passes here does not pass at the sockets.
-    pub machine: Machine,
+    pub machine: BenchMachine,
     at: SocketAddrV4,
     listener: TcpListener,
-    lines: Vec<Line>,
+    lines: Vec<ClientLine>,
     /// After the lines: it closes after the other end is gone.
     client: Option<Board>,
     profile: Option<Profile>,
@@ -125,11 +125,11 @@ pub struct Wired {
 impl Wired {
     /// Switched on, with the jobs program; its steps and its pen are being watched.
     pub fn boot() -> Self {
-        Self::around(Machine::boot(setup(&program())))
+        Self::around(BenchMachine::boot(setup(&program())))
     }
 
     /// This board.
-    pub fn around(mut machine: Machine) -> Self {
+    pub fn around(mut machine: BenchMachine) -> Self {
         machine.rig().board.edges.keep_steps();
         machine.rig().board.watch.gpio = 1;
         let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
@@ -182,7 +182,7 @@ impl Wired {
             stream.set_nodelay(true).expect("small frames at once");
             stream.set_nonblocking(true).expect("asked now and then");
             let line = self.machine.rig().segment.connect(wire::jobs::PORT);
-            self.lines.push(Line {
+            self.lines.push(ClientLine {
                 stream,
                 line,
                 ahead: Vec::new(),
@@ -243,7 +243,7 @@ impl Wired {
     }
 
     /// Gives the check at the pins the timing of this machine's drives.
-    pub fn judge(&mut self, machine: &host::job::machine::Machine) {
+    pub fn judge(&mut self, machine: &host::job::machine::MachineFile) {
         let axes = machine.to_board().axes;
         for (axis, told) in axes.iter().enumerate() {
             let [steplen, stepspace, dirsetup, dirhold] =
@@ -283,9 +283,9 @@ impl Wired {
     }
 }
 
-impl Line {
+impl ClientLine {
     /// Passes data between both ends; false when both have closed.
-    fn serve(&mut self, segment: &mut sim::segment::Segment, now: u64) -> bool {
+    fn serve(&mut self, segment: &mut sim::segment::LanSegment, now: u64) -> bool {
         let mut buffer = [0; 2048];
         while !self.over && self.ahead.is_empty() {
             match self.stream.read(&mut buffer) {

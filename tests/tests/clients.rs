@@ -1,19 +1,19 @@
 //! Other projects' programs against the board: ping, a console session, LiteX's RemoteClient.
 
-use ferrocnc_tests::{Machine, Simulator};
+use ferrocnc_tests::{BenchMachine, Simulator};
 use std::path::Path;
 use std::process::Command;
 
 #[test]
 fn a_ping_is_answered() {
-    let mut machine = Machine::start();
+    let mut machine = BenchMachine::start();
     let clocks = machine.ping().expect("an echo reply");
     println!("ping: {clocks} clocks there and back");
 }
 
 #[test]
 fn a_console_session_answers_and_changes_nothing() {
-    let mut machine = Machine::start();
+    let mut machine = BenchMachine::start();
     let before = machine.registers();
     let heard = machine
         .console("help\r\nstatus\r\nnet\r\nstepgen\r\nencoder\r\nwatchdog\r\nregs\r\nnonsense\r\n");
@@ -28,7 +28,7 @@ fn a_console_session_answers_and_changes_nothing() {
 
 #[test]
 fn the_console_takes_one_visitor_after_the_other() {
-    let mut machine = Machine::start();
+    let mut machine = BenchMachine::start();
     for visit in 0..3 {
         let heard = machine.console("net\r\n");
         assert!(

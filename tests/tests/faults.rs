@@ -7,10 +7,10 @@
 //! LinuxCNC.
 
 use ferrocnc_tests::bench::Bench;
-use ferrocnc_tests::flash::{Boots, FIRST, boots, factory};
-use ferrocnc_tests::mill::{AXES, Mill, Owner, SCALE, card, words};
+use ferrocnc_tests::flash::{Boots, FIRST, SECOND, UID, boots, factory};
+use ferrocnc_tests::mill::{AXES, Mill, Owner, SCALE, facts, words};
 use host::client::ClientError;
-use sim::desk::Setup;
+use sim::model_board::Setup;
 use sim::nor::{Cut, Order, Part, Times};
 use sim::server::Device;
 use sim::twin::Twin;
@@ -30,7 +30,7 @@ fn said(mill: &Mill, what: &str) -> usize {
         .count()
 }
 
-// ---- the rows -------------------------------------------------------------------------------------------------------------
+// ---- the rows -----------------------------------------------------------------------------------
 
 #[test]
 fn powered_cpu_not_running() {
@@ -45,9 +45,13 @@ fn powered_cpu_not_running() {
     for _ in 0..100 {
         assert_eq!(owner.exchange(), None);
     }
-    let pins = owner.twin.world().pins();
+    let pins = owner.twin.environment().pins();
     assert_eq!(
-        (pins.gate, pins.gpio_out, owner.twin.world().edges.pulses()),
+        (
+            pins.gate,
+            pins.gpio_out,
+            owner.twin.environment().edges.pulses()
+        ),
         (0, 0, 0)
     );
 }
@@ -81,7 +85,7 @@ fn abi_mismatch() {
             assert!(!status.state.enabled);
         }
     }
-    assert_eq!(owner.twin.world().pins().gate, 0);
+    assert_eq!(owner.twin.environment().pins().gate, 0);
 }
 
 /// The register map this firmware was built for, as a whole board says it.
@@ -139,16 +143,16 @@ fn one_frame_lost() {
 #[test]
 fn frames_lost_past_the_timeout() {
     let mut mill = Mill::cutting();
-    mill.twin.world_mut().edges.keep_steps();
+    mill.twin.environment_mut().edges.keep_steps();
     mill.trouble("loss=1");
     let last_good = mill.twin.clock();
     mill.run(TIMEOUT_MS + STOP_MS);
     let closed = mill.closed_at().expect("the gate must close");
-    let ms = (closed - last_good) as f64 / f64::from(card().clock_hz / 1000);
+    let ms = (closed - last_good) as f64 / f64::from(facts().clock_hz / 1000);
     assert!(ms <= (TIMEOUT_MS + STOP_MS) as f64, "{ms} ms");
     mill.is_stopped_for_good();
     // It ran down, it was not cut off: steps go on after the timeout, ever further apart.
-    let steps = mill.twin.world_mut().edges.take_steps();
+    let steps = mill.twin.environment_mut().edges.take_steps();
     let x: Vec<u64> = steps
         .iter()
         .filter(|s| s.channel == 0)
@@ -192,7 +196,7 @@ fn duplicated_reordered_stale_frame() {
     let request = owner.request();
     assert!(owner.ask(&request).is_some());
     let fed = owner.twin.clock();
-    while owner.twin.world().pins().gate != 0 {
+    while owner.twin.environment().pins().gate != 0 {
         assert_eq!(owner.ask(&request), None);
         let gone = owner.twin.clock() - fed;
         // 50 000 steps/s at 500 000 steps/s^2 stop within 100 ms.
@@ -205,10 +209,10 @@ fn duplicated_reordered_stale_frame() {
 
 /// An owner with x at 50 000 steps/s.
 fn moving_owner() -> Owner {
-    let stop = Accel::from_steps(5e5, f64::from(card().clock_hz));
+    let stop = Accel::from_steps(5e5, f64::from(facts().clock_hz));
     let twin = Twin::power_up(Mill::setup());
     let mut owner = Owner::armed(twin, 300_000, 30_000_000, [stop; 3]);
-    owner.rate(0, 50e3, Accel::from_steps(5e5, f64::from(card().clock_hz)));
+    owner.rate(0, 50e3, Accel::from_steps(5e5, f64::from(facts().clock_hz)));
     for _ in 0..150 {
         owner.exchange().expect("an answer");
     }
@@ -257,13 +261,13 @@ fn malformed_truncated_padded_oversized_datagram() {
         );
         owner.exchange().expect("and it goes on");
     }
-    assert_ne!(owner.twin.world().pins().gate, 0);
+    assert_ne!(owner.twin.environment().pins().gate, 0);
 }
 
 fn steps_in_a_millisecond(owner: &mut Owner) -> u64 {
-    let before = owner.twin.world().edges.pulses();
+    let before = owner.twin.environment().edges.pulses();
     owner.pass(60_000);
-    owner.twin.world().edges.pulses() - before
+    owner.twin.environment().edges.pulses() - before
 }
 
 #[test]
@@ -363,7 +367,7 @@ fn external_reset_pin_high() {
         }
         mill.closed_at();
         let pressed = mill.twin.clock();
-        mill.twin.world_mut().ext_reset(true);
+        mill.twin.environment_mut().ext_reset(true);
         mill.run(2);
         let closed = mill.closed_at().expect("the gate must close");
         assert!(closed - pressed <= 4, "{} clocks", closed - pressed);
@@ -377,7 +381,7 @@ fn external_reset_pin_high() {
             assert_eq!(said(&mill, "external reset"), 1, "{:?}", mill.hal.said());
             mill.switch_on();
             assert!(!mill.enabled(), "it is still pressed");
-            mill.twin.world_mut().ext_reset(false);
+            mill.twin.environment_mut().ext_reset(false);
             mill.run(50);
             mill.is_stopped_for_good();
             mill.switch_on();
@@ -536,7 +540,7 @@ fn rate_asks_more_than_the_timing_allows() {
         .last()
         .flatten()
         .expect("an answer");
-    let edges = &owner.twin.world().edges;
+    let edges = &owner.twin.environment().edges;
     assert_eq!(edges.violations(), []);
     // 60 clocks on, 60 off: half a million steps a second.
     let steps = edges.channel(0).count;
@@ -551,10 +555,10 @@ fn rate_asks_more_than_the_timing_allows() {
 #[test]
 fn power_fails_during_a_flash_update() {
     let part = Part::ALL[0].with(Times::QUICK);
-    let nor = factory(part, 0xd162_0c8a_1b2c_3d4e);
+    let nor = factory(part, UID);
     let mut whole = Bench::new(nor.copy());
     let begun = whole.nor().steps();
-    assert_eq!(whole.update(0xbbbb_0002, 14), None);
+    assert_eq!(whole.update(SECOND, 14), None);
     let steps = whole.nor().steps() - begun;
     // Twenty moments; provision tries every one there is.
     for n in 0..20 {
@@ -565,22 +569,21 @@ fn power_fails_during_a_flash_update() {
             seed: n,
             order: Order::InOrder,
         });
-        bench.update(0xbbbb_0002, 14);
+        bench.update(SECOND, 14);
         let now = boots(&bench.nor());
-        let old_or_new =
-            matches!(now, Boots::Slot(_, build) if build == FIRST || build == 0xbbbb_0002);
+        let old_or_new = matches!(now, Boots::Slot(_, build) if build == FIRST || build == SECOND);
         assert!(old_or_new, "cut {n} of 20: {now:?}");
         let mut bench = bench.power_cycle();
-        assert_eq!(bench.world().pins().gate, 0);
+        assert_eq!(bench.environment().pins().gate, 0);
         assert_eq!(
-            bench.update(0xbbbb_0002, 14),
+            bench.update(SECOND, 14),
             None,
             "and the next try goes through"
         );
     }
 }
 
-// ---- known accidents of other boards --------------------------------------------------------------
+// ---- known accidents of other boards ------------------------------------------------------------
 
 #[test]
 fn axes_do_not_jump_on_reconnect_wherever_the_cable_was_pulled() {
@@ -594,7 +597,7 @@ fn axes_do_not_jump_on_reconnect_wherever_the_cable_was_pulled() {
         mill.run(n * n / 2);
         mill.trouble("plug");
         mill.run(150);
-        mill.twin.world_mut().edges.keep_steps();
+        mill.twin.environment_mut().edges.keep_steps();
         if !mill.enabled() {
             let at = mill.pulses();
             mill.switch_on();
@@ -625,7 +628,11 @@ fn no_network_however_bad_makes_an_axis_run_away() {
                 assert!(pulses.abs() < 6500, "seed {seed}: axis {n} is at {pulses}");
             }
         }
-        assert_eq!(mill.twin.world().edges.violations(), [], "seed {seed}");
+        assert_eq!(
+            mill.twin.environment().edges.violations(),
+            [],
+            "seed {seed}"
+        );
         mill.trouble("off");
         mill.run(300);
         if !mill.enabled() {
@@ -665,7 +672,7 @@ fn after_a_disconnection_every_axis_moves_both_ways_and_encoders_count() {
     mill.run(800);
     mill.switch_on();
     mill.nothing_is_wrong();
-    let edges = |mill: &Mill, n: usize| mill.twin.world().edges.channel(n).count;
+    let edges = |mill: &Mill, n: usize| mill.twin.environment().edges.channel(n).count;
     for (n, axis) in AXES.iter().enumerate() {
         for feed in [30.0, -30.0] {
             let (at, fb): (i64, f64) = (

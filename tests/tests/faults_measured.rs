@@ -4,25 +4,25 @@
 //! Long measurements are short by default; two variables set their length: `FERROCNC_EXCHANGES` and
 //! `FERROCNC_SOAK_SECONDS`, which `cargo xtask bench loss` and `cargo xtask bench soak` set.
 
-use ferrocnc_tests::mill::{Mill, Owner, SCALE, card};
+use ferrocnc_tests::mill::{Mill, Owner, SCALE, facts};
 use ferrocnc_tests::{from_environment, report, seed};
 use motion::ramp::{COMMIT_CLOCKS, VELOCITY_FRACTION};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg32;
 use serde_json::json;
+use sim::environment::{Output, PinEvent};
 use sim::exchange::Spread;
 use sim::server::Device;
 use sim::twin::Twin;
-use sim::world::{Output, PinEvent};
 use wire::map;
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 
 const HZ: f64 = 60e6;
 /// The number of seeds.
 const SEEDS: u64 = 1000;
 
 fn gate_closed(owner: &mut Owner) -> Option<u64> {
-    let events = owner.twin.world_mut().take_events();
+    let events = owner.twin.environment_mut().take_events();
     let closed = |event: &&PinEvent| event.output == Output::Gate && !event.level;
     events.iter().rfind(closed).map(|event| event.clock)
 }
@@ -62,7 +62,7 @@ impl Scene {
     }
 
     /// Clocks of the longest soft stop from these velocities.
-    fn soft_stop(&self, rates: [StepRate; 3]) -> u64 {
+    fn soft_stop(&self, rates: [Velocity; 3]) -> u64 {
         let clocks = rates.iter().zip(self.stop).map(|(rate, stop)| {
             let v = u64::from(rate.0.unsigned_abs()) << VELOCITY_FRACTION;
             v.div_ceil(stop.0.into())
@@ -123,7 +123,11 @@ fn from_the_last_good_frame_to_the_first_safe_output() {
             took <= bound + PULSE,
             "{told}: {took} clocks, {bound} and a pulse allowed"
         );
-        assert_eq!(scene.owner.twin.world().edges.violations(), [], "{told}");
+        assert_eq!(
+            scene.owner.twin.environment().edges.violations(),
+            [],
+            "{told}"
+        );
         clocks.push(took as u32);
         beyond.push((took as i64 - bound as i64 + 2) as i32);
     }
@@ -166,9 +170,9 @@ fn from_the_external_reset_pin_to_safe_outputs() {
         scene.owner.pass(random.random_range(1..6_000));
         gate_closed(&mut scene.owner);
         let pressed = scene.owner.twin.clock();
-        scene.owner.twin.world_mut().ext_reset(true);
+        scene.owner.twin.environment_mut().ext_reset(true);
         scene.owner.pass(10);
-        let pins = scene.owner.twin.world().pins();
+        let pins = scene.owner.twin.environment().pins();
         assert_eq!(
             (pins.gate, pins.step, pins.gpio_out),
             (0, 0, 0),
@@ -189,7 +193,7 @@ fn from_the_external_reset_pin_to_safe_outputs() {
     );
 }
 
-// ---- loss ------------------------------------------------------------------------------------------------------------------
+// ---- loss ---------------------------------------------------------------------------------------
 
 /// An endless program with this loss in each direction.
 struct Program {
@@ -220,7 +224,11 @@ fn run_under_loss(percent: f64, exchanges: u64, seed: u64) -> Program {
     };
     mill.trouble("off");
     mill.run(300);
-    assert_eq!(mill.twin.world().edges.violations(), [], "seed {seed}");
+    assert_eq!(
+        mill.twin.environment().edges.violations(),
+        [],
+        "seed {seed}"
+    );
     mill.all_settled();
     program
 }
@@ -266,7 +274,7 @@ fn random_loss_costs_no_position_and_one_in_ten_thousand_never_stops_a_program()
     report("loss", &json!({"seed": first, "rows": rows}));
 }
 
-// ---- a day -----------------------------------------------------------------------------------------------------------------
+// ---- a day --------------------------------------------------------------------------------------
 
 /// A host that makes three axes follow sines at 1 kHz, by what the board reports and nothing else;
 /// integers, so that nothing of its own can drift.
@@ -290,7 +298,7 @@ impl Day {
         let mut setup = Mill::setup();
         // 2^32 a minute on, 2^63 ten minutes on would be too late for a short run: both within the
         // first second.
-        setup.wall_clock = (1 << 63) - u64::from(card().clock_hz) / 2;
+        setup.wall_clock = (1 << 63) - u64::from(facts().clock_hz) / 2;
         let mut twin = Twin::power_up(setup);
         for (n, begin) in BEGIN.iter().enumerate() {
             twin.preset(n, *begin, *begin);
@@ -339,7 +347,7 @@ impl Day {
     fn compare(&mut self) -> f64 {
         let mut worst: f64 = 0.0;
         let status = self.owner.exchange_now().expect("an answer");
-        let edges = &self.owner.twin.world().edges;
+        let edges = &self.owner.twin.environment().edges;
         assert_eq!(edges.violations(), []);
         for (n, begin) in BEGIN.iter().enumerate() {
             let emitted = edges.channel(n).count;
@@ -387,7 +395,7 @@ fn a_day_passes_and_commanded_emitted_and_reported_positions_are_one() {
             day.second
         );
     }
-    let pulses = day.owner.twin.world().edges.pulses();
+    let pulses = day.owner.twin.environment().edges.pulses();
     assert!(
         day.owner.read(map::SESSION_LAST_SEQ) < u32::MAX - 5000,
         "the sequence number came round"

@@ -1,19 +1,19 @@
 //! The rows of the fault table that must hold with the CPU removed, on the Verilated board with its
 //! CPU's clock stopped; and the release image's own share of the others.
 
-use ferrocnc_tests::Machine;
+use ferrocnc_tests::BenchMachine;
 use wire::exchange::Command;
 use wire::state::State;
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 use wire::{FaultReason, map};
 
 /// Three axes in motion and two outputs on.
-fn cutting() -> (Machine, Command) {
-    let mut machine = Machine::armed();
+fn cutting() -> (BenchMachine, Command) {
+    let mut machine = BenchMachine::armed();
     let mut command = machine.enabled_command();
     command.gpio_out = 0x5;
     for (axis, rate) in [100e3, -60e3, 20e3].into_iter().enumerate() {
-        let rate = StepRate::from_hz(rate, machine.clock_hz());
+        let rate = Velocity::from_hz(rate, machine.clock_hz());
         command.stepgen[axis] = (rate, Accel::from_steps(1e8, machine.clock_hz()));
     }
     for _ in 0..5 {
@@ -23,7 +23,7 @@ fn cutting() -> (Machine, Command) {
     (machine, command)
 }
 
-fn is_safe(machine: &mut Machine) {
+fn is_safe(machine: &mut BenchMachine) {
     // The outputs' registers follow the gate.
     machine.run_clocks(2);
     assert!(!machine.gate_open(), "the gate must have closed");
@@ -42,7 +42,7 @@ fn is_safe(machine: &mut Machine) {
 
 #[test]
 fn powered_cpu_not_running() {
-    let mut machine = Machine::start();
+    let mut machine = BenchMachine::start();
     machine.freeze_cpu();
     let command = machine.enabled_command();
     for _ in 0..5 {
@@ -76,7 +76,7 @@ fn frames_lost_past_the_timeout() {
 }
 
 /// Clock by clock.
-fn until_closed(machine: &mut Machine, patience: u64) -> u64 {
+fn until_closed(machine: &mut BenchMachine, patience: u64) -> u64 {
     let end = machine.clock() + patience;
     while machine.gate_open() && machine.clock() < end {
         machine.run_clocks(1);
@@ -114,7 +114,7 @@ fn external_reset_pin_high() {
 #[test]
 fn rate_asks_more_than_the_timing_allows() {
     let (mut machine, mut command) = cutting();
-    let rate = StepRate::from_hz(29e6, machine.clock_hz());
+    let rate = Velocity::from_hz(29e6, machine.clock_hz());
     command.stepgen[0] = (rate, Accel::UNLIMITED);
     machine.exchange(&mut command);
     // What the watchdog leaves of it runs without a CPU, soft stop included.

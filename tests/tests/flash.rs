@@ -1,28 +1,25 @@
 //! The release image on the Verilated board, with the behavioural flash soldered to its four wires:
 //! identity, settings, discovery, an update, the factory pin, the link.
 //!
-//! `provision.rs` tests all of this on the twin, thousands of times. These tests show that gateware
+//! `provision/` tests all of this on the twin, thousands of times. These tests show that gateware
 //! and image do it with real clocks on real wires. A power cycle is another board of the same
 //! gateware with the same chip.
 
 use std::net::Ipv4Addr;
 
 use ferrocnc_tests::bench::packed;
-use ferrocnc_tests::flash::{self, Boots, FIRST, boots, factory};
+use ferrocnc_tests::flash::{self, Boots, FIRST, SECOND, UID, boots, factory};
 use ferrocnc_tests::{parts, to_bytes, to_words};
 use sim::nor::spi::Shared;
 use sim::nor::{Cut, Order, Part, Times};
 use sim::rig::Rig;
-use sim::segment::{BOARD_IP, HOST_IP, Segment};
+use sim::segment::{BOARD_IP, HOST_IP, LanSegment};
 use wire::discovery::{Body, Message, WORDS_MAX};
 use wire::flash::{LinkWord, Op, OpResult, OpWord, Origin, PAGE, Running, Slot};
 use wire::map;
 use wire::settings::{self, Settings};
 use wire::{LinkSpeed, Name};
 
-const UID: u64 = 0xd162_0c8a_1b2c_3d4e;
-/// Build id of what is brought in.
-const SECOND: u32 = 0xbbbb_0002;
 /// The host's port for discovery.
 const PORT: u16 = 51_000;
 
@@ -102,7 +99,7 @@ fn discover(rig: &mut Rig, message: &Message, milliseconds: u64) -> Vec<Message>
         .collect()
 }
 
-fn who(rig: &mut Rig) -> Message {
+fn present(rig: &mut Rig) -> Message {
     let ask = Message {
         nonce: 42,
         uid: [0, 0],
@@ -185,7 +182,7 @@ fn discovery_is_answered_by_broadcast_and_a_set_moves_the_board() {
     let flash = new_flash();
     let mut rig = power_up(&flash, BOARD_IP, false);
     let uid = [(UID >> 32) as u32, UID as u32];
-    let here = who(&mut rig);
+    let here = present(&mut rig);
     assert_eq!((here.nonce, here.uid), (42, uid));
     let Body::Here(before) = here.body else {
         panic!("{here:?}");
@@ -213,10 +210,10 @@ fn discovery_is_answered_by_broadcast_and_a_set_moves_the_board() {
     };
     assert!(done.contains(&expected), "{done:?}");
     // It starts anew by itself, at its new address.
-    rig.segment = Segment::new(Ipv4Addr::new(192, 168, 2, 99));
+    rig.segment = LanSegment::new(Ipv4Addr::new(192, 168, 2, 99));
     rig.wait_ready(6_000_000)
         .unwrap_or_else(|error| panic!("{error}"));
-    let Body::Here(after) = who(&mut rig).body else {
+    let Body::Here(after) = present(&mut rig).body else {
         panic!("no answer");
     };
     assert_eq!(after.ip, u32::from_be_bytes([192, 168, 2, 99]));

@@ -3,7 +3,7 @@
 //! is counted.
 
 use ferrocnc_tests::flood::{INTRUDER_IP, KINDS, Kind, bare, checksum, read_of, tcp_segment};
-use ferrocnc_tests::{Machine, seed};
+use ferrocnc_tests::{BenchMachine, seed};
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -44,102 +44,102 @@ fn with(frame: &[u8], at: usize, bytes: &[u8]) -> Vec<u8> {
 }
 
 /// Sends a frame as it is and waits; how many datagrams came back.
-fn answers(machine: &mut Machine, wire: Vec<u8>) -> usize {
+fn answers(machine: &mut BenchMachine, wire: Vec<u8>) -> usize {
     machine.inject(wire);
     machine.run_clocks(40_000);
     machine.datagrams()
 }
 
-#[test]
-fn a_frame_that_lies_about_itself_is_not_answered_and_one_that_does_not_is() {
-    let mut machine = Machine::start();
-    let good = machine.plain_read();
-    let before = machine.registers();
+/// What is said of a frame, the frame, and how many answers it has; `good` says nothing wrong.
+fn claims(good: &[u8]) -> Vec<(&'static str, Vec<u8>, usize)> {
     let length = good.len() as u16 - 14;
     let vlan = [&good[..12], &[0x81, 0, 0, 5], &good[12..]].concat();
     let mut options = [&good[..UDP], &[1; 40], &good[UDP..]].concat();
     options[IP] = 0x4f;
     options[IP + 2..IP + 4].copy_from_slice(&(length + 40).to_be_bytes());
-    let mut long = good.clone();
+    let mut long = good.to_vec();
     long.resize(200, 0);
-    let cases: Vec<(&str, Vec<u8>, usize)> = vec![
-        ("as it should be", good.clone(), 1),
+    vec![
+        ("as it should be", good.to_vec(), 1),
         ("ten words of IP options", sealed(options.clone()), 1),
-        ("no UDP checksum", sealed(good.clone()), 1),
-        ("padded to Ethernet's minimum", good.clone(), 1),
-        (
-            "a wrong IP checksum",
-            with(&good, IP + 10, &[0xde, 0xad]),
-            0,
-        ),
+        ("no UDP checksum", sealed(good.to_vec()), 1),
+        ("padded to Ethernet's minimum", good.to_vec(), 1),
+        ("a wrong IP checksum", with(good, IP + 10, &[0xde, 0xad]), 0),
         (
             "a wrong UDP checksum",
-            with(&good, UDP + 6, &[0xde, 0xad]),
+            with(good, UDP + 6, &[0xde, 0xad]),
             0,
         ),
         (
             "options that are not there",
-            sealed(with(&good, IP, &[0x4f])),
+            sealed(with(good, IP, &[0x4f])),
             0,
         ),
-        ("an IP header of four words", with(&good, IP, &[0x44]), 0),
-        ("IP version 6", sealed(with(&good, IP, &[0x65])), 0),
+        ("an IP header of four words", with(good, IP, &[0x44]), 0),
+        ("IP version 6", sealed(with(good, IP, &[0x65])), 0),
         (
             "IP says it is longer",
-            sealed(with(&good, IP + 2, &(length + 4).to_be_bytes())),
+            sealed(with(good, IP + 2, &(length + 4).to_be_bytes())),
             0,
         ),
         (
             "IP says it is shorter",
-            sealed(with(&good, IP + 2, &(length - 4).to_be_bytes())),
+            sealed(with(good, IP + 2, &(length - 4).to_be_bytes())),
             0,
         ),
         (
             "IP says 65535",
-            sealed(with(&good, IP + 2, &[0xff, 0xff])),
+            sealed(with(good, IP + 2, &[0xff, 0xff])),
             0,
         ),
-        ("IP says 0", sealed(with(&good, IP + 2, &[0, 0])), 0),
+        ("IP says 0", sealed(with(good, IP + 2, &[0, 0])), 0),
         (
             "UDP says it is longer",
-            sealed(with(&good, UDP + 4, &[0xff, 0xff])),
+            sealed(with(good, UDP + 4, &[0xff, 0xff])),
             0,
         ),
-        ("UDP says 7", sealed(with(&good, UDP + 4, &[0, 7])), 0),
+        ("UDP says 7", sealed(with(good, UDP + 4, &[0, 7])), 0),
         (
             "a first fragment",
-            sealed(with(&good, IP + 6, &[0x20, 0])),
+            sealed(with(good, IP + 6, &[0x20, 0])),
             0,
         ),
-        ("a last fragment", sealed(with(&good, IP + 6, &[0, 1])), 0),
+        ("a last fragment", sealed(with(good, IP + 6, &[0, 1])), 0),
         (
             "the reserved flag",
-            sealed(with(&good, IP + 6, &[0x80, 0])),
+            sealed(with(good, IP + 6, &[0x80, 0])),
             0,
         ),
         ("a VLAN's tag", vlan, 0),
-        ("EtherType IPv6", with(&good, 12, &[0x86, 0xdd]), 0),
-        ("EtherType ARP", with(&good, 12, &[0x08, 0x06]), 0),
+        ("EtherType IPv6", with(good, 12, &[0x86, 0xdd]), 0),
+        ("EtherType ARP", with(good, 12, &[0x08, 0x06]), 0),
         (
             "a length for an EtherType",
-            with(&good, 12, &[0x00, 0x2e]),
+            with(good, 12, &[0x00, 0x2e]),
             0,
         ),
         (
             "another board's MAC address",
-            with(&good, 0, &[2, 0, 0, 0, 0, 7]),
+            with(good, 0, &[2, 0, 0, 0, 0, 7]),
             0,
         ),
-        ("the broadcast MAC address", with(&good, 0, &[0xff; 6]), 0),
+        ("the broadcast MAC address", with(good, 0, &[0xff; 6]), 0),
         (
             "another board's IP address",
-            sealed(with(&good, IP + 19, &[51])),
+            sealed(with(good, IP + 19, &[51])),
             0,
         ),
-        ("another port", sealed(with(&good, UDP + 2, &[4, 0xd3])), 0),
+        ("another port", sealed(with(good, UDP + 2, &[4, 0xd3])), 0),
         ("a hundred bytes more than it says", long, 0),
-    ];
-    for (what, frame, expected) in cases {
+    ]
+}
+
+#[test]
+fn a_frame_that_lies_about_itself_is_not_answered_and_one_that_does_not_is() {
+    let mut machine = BenchMachine::start();
+    let good = machine.plain_read();
+    let before = machine.registers();
+    for (what, frame, expected) in claims(&good) {
         assert_eq!(
             answers(&mut machine, gmii::encode(&frame)),
             expected,
@@ -177,7 +177,7 @@ fn a_frame_that_lies_about_itself_is_not_answered_and_one_that_does_not_is() {
 
 #[test]
 fn a_runt_costs_no_other_frame_whether_or_not_a_slot_is_free() {
-    let mut machine = Machine::start();
+    let mut machine = BenchMachine::start();
     let good = gmii::encode(&machine.plain_read());
     for length in 0..12 {
         let runt = bare(&vec![0xa5; length]);
@@ -247,7 +247,7 @@ fn thousands_of_mutated_frames_arm_nothing_write_nothing_and_are_all_counted() {
     let total = given.unwrap_or(FRAMES);
     let seed = seed();
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
-    let mut machine = Machine::start();
+    let mut machine = BenchMachine::start();
     let registers = machine.registers();
     // What is known to be right, and would do something if it were from the owner: reads, a write,
     // an exchange, ARP, ping, TCP.
@@ -308,7 +308,7 @@ fn thousands_of_mutated_frames_arm_nothing_write_nothing_and_are_all_counted() {
 
 #[test]
 fn a_preamble_is_seven_bytes_and_a_delimiter() {
-    let mut machine = Machine::start();
+    let mut machine = BenchMachine::start();
     let good = machine.plain_read();
     let whole = gmii::encode(&good);
     let fcs = crc32(&good).to_le_bytes();
@@ -336,7 +336,7 @@ const ACK: u8 = 16;
 
 /// A visitor of the console, segment by segment: its next number, and the board's.
 struct Visitor<'m> {
-    machine: &'m mut Machine,
+    machine: &'m mut BenchMachine,
     seq: u32,
     ack: u32,
 }
@@ -374,7 +374,7 @@ impl Visitor<'_> {
     }
 
     /// Comes in.
-    fn enters(machine: &mut Machine) -> Visitor<'_> {
+    fn enters(machine: &mut BenchMachine) -> Visitor<'_> {
         machine.rig().capture_frames();
         let mut visitor = Visitor {
             machine,
@@ -412,7 +412,7 @@ impl Visitor<'_> {
 
 #[test]
 fn forged_segments_do_not_harm_a_console_session_and_its_keepalives_are_answered() {
-    let mut machine = Machine::start();
+    let mut machine = BenchMachine::start();
     let mut visitor = Visitor::enters(&mut machine);
     let (seq, ack) = (visitor.seq, visitor.ack);
     let keepalive = visitor.frame(ACK, seq - 1, ack, b"");

@@ -2,7 +2,7 @@
 //! machine code.
 
 use ferrocnc_tests::image::{CALLED_BACK, Code, Deepest};
-use ferrocnc_tests::{Machine, parts};
+use ferrocnc_tests::{BenchMachine, parts};
 use std::path::PathBuf;
 
 /// Every place that may panic: a part of its function's name, how many there are in it, and why
@@ -11,7 +11,7 @@ type Justified = [(&'static str, usize, &'static str)];
 
 /// In the ROM's image.
 const IN_THE_IMAGE: &Justified = &[(
-    "App>::chores",
+    "App>::housekeeping",
     1,
     "the guard at the end of the stack is damaged: a restart, rather than a damaged record",
 )];
@@ -45,14 +45,14 @@ const IN_THE_JOBS_PROGRAM: &Justified = &[
         1,
         "a feed between a line's slowest and its top: the slowest is at most the top when the line is made",
     ),
-    ("plan::Line>::at", 1, "the same"),
+    ("line::PlannedLine>::at", 1, "the same"),
     (
         "Follower>::piece",
         2,
         "a segment has clocks, so it has pieces; a velocity is whole where a segment begins, so it lies between those that are within reach",
     ),
     (
-        "Machine>::within",
+        "MotionState>::run",
         1,
         "a line without a slope ends before anything is divided by the slope",
     ),
@@ -167,7 +167,7 @@ fn the_jobs_programs_stack_holds_its_longest_way_what_it_calls_back_and_a_trap()
 fn a_board_at_work_has_used_no_more_stack_than_the_longest_way_and_most_of_it() {
     let code = Code::read(&parts().1);
     let longest = longest(&code, "_abs_start");
-    let mut machine = Machine::armed();
+    let mut machine = BenchMachine::armed();
     let mut command = machine.enabled_command();
     for _ in 0..20 {
         machine.exchange_and_wait(&mut command);

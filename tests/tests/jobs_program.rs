@@ -2,7 +2,7 @@
 //! flash, puts it into the SDRAM and lets it answer on the port of jobs; without it, or with a
 //! damaged one, everything else works.
 
-use ferrocnc_tests::Machine;
+use ferrocnc_tests::BenchMachine;
 use ferrocnc_tests::bench::Bench;
 use ferrocnc_tests::flash::{self, Boots};
 use ferrocnc_tests::wired::{golden, on_flash, program, setup};
@@ -21,11 +21,11 @@ const ABI_AT: usize = 8;
 
 /// A board with jobs, switched on with this behind the bitstream in its flash; its image runs from
 /// slot A.
-fn board(behind: &[u8]) -> Machine {
-    Machine::boot(setup(behind))
+fn board(behind: &[u8]) -> BenchMachine {
+    BenchMachine::boot(setup(behind))
 }
 
-fn state(machine: &mut Machine) -> JobsState {
+fn state(machine: &mut BenchMachine) -> JobsState {
     let features = machine.read(map::DESCRIBE + 9 * 4);
     assert_ne!(features & FEATURE_JOBS, 0, "the gateware has segments");
     JobsState::of(features)
@@ -33,7 +33,7 @@ fn state(machine: &mut Machine) -> JobsState {
 
 /// Says all of these in one go; the answers, in their order.
 fn pipelined(
-    machine: &mut Machine,
+    machine: &mut BenchMachine,
     visitor: Connection,
     requests: &[Request],
 ) -> Vec<(Op, Status, Vec<u8>)> {
@@ -61,7 +61,7 @@ fn pipelined(
 }
 
 /// Connects to the port of jobs and says Hello.
-fn hello(machine: &mut Machine) -> Option<(Connection, Welcome)> {
+fn hello(machine: &mut BenchMachine) -> Option<(Connection, Welcome)> {
     let visitor = machine.rig().tcp_connect(wire::jobs::PORT).ok()?;
     let answers = pipelined(machine, visitor, &[Request::Hello { client: 7 }]);
     let [(Op::Hello, Status::Normal, welcome)] = &answers[..] else {
@@ -72,7 +72,7 @@ fn hello(machine: &mut Machine) -> Option<(Connection, Welcome)> {
 
 /// A job that only ends, as bytes.
 fn empty_job() -> Vec<u8> {
-    let mut writer = motion::job::Writer::new("x");
+    let mut writer = jobs::job::Writer::new("x");
     let mut bytes = writer.header().to_vec();
     writer.finish(|block| bytes.extend(block));
     bytes
@@ -92,7 +92,7 @@ fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
 }
 
 /// A board without jobs does everything else.
-fn works_otherwise(machine: &mut Machine) {
+fn works_otherwise(machine: &mut BenchMachine) {
     assert!(
         machine.console("status\n").contains("disarmed"),
         "the console answers"
@@ -139,7 +139,7 @@ fn the_program_is_found_in_the_flash_and_answers_on_its_port() {
     assert_eq!(answers, normal);
     // The line is taken, and stop is taken beside it.
     let caller = machine.rig().tcp_connect(wire::jobs::PORT);
-    let caller = caller.expect("a connection at the door");
+    let caller = caller.expect("a second connection");
     let stop = Request::Command {
         code: wire::jobs::Command::Stop.code(),
         flags: 0,
@@ -220,7 +220,7 @@ fn without_a_whole_program_of_this_build_there_are_no_jobs_and_everything_else_w
 fn an_image_loaded_by_jtag_has_no_program() {
     let mut setup = setup(&program());
     setup.trailer.build_id ^= 1;
-    let mut machine = Machine::boot(setup);
+    let mut machine = BenchMachine::boot(setup);
     assert_eq!(state(&mut machine), JobsState::Missing);
     works_otherwise(&mut machine);
 }
@@ -242,7 +242,7 @@ fn an_exchange_is_answered_within_a_thousand_clocks_while_the_program_waits() {
 
 #[test]
 fn the_golden_image_has_its_program_too() {
-    let mut machine = Machine::boot(golden(&program()));
+    let mut machine = BenchMachine::boot(golden(&program()));
     assert_eq!(state(&mut machine), JobsState::Alive);
     assert!(hello(&mut machine).is_some(), "a welcome");
     works_otherwise(&mut machine);
@@ -260,7 +260,7 @@ fn an_update_brings_the_jobs_program_of_its_image_along() {
         build_id: NEXT,
         role: Role::Image,
     };
-    let mut machine = Machine::boot(on_flash(trailer, nor));
+    let mut machine = BenchMachine::boot(on_flash(trailer, nor));
     assert_eq!(machine.read(map::FLASH_RUNNING), Running::B.code());
     assert_eq!(state(&mut machine), JobsState::Alive);
     let (_, welcome) = hello(&mut machine).expect("a welcome");
@@ -272,7 +272,7 @@ fn an_update_brings_the_jobs_program_of_its_image_along() {
 fn a_card_with_half_the_sdram_has_half_the_room() {
     let mut setup = setup(&program());
     setup.shorted.row = 1 << 10;
-    let mut machine = Machine::boot(setup);
+    let mut machine = BenchMachine::boot(setup);
     assert_eq!(state(&mut machine), JobsState::Alive);
     let room = hello(&mut machine).expect("a welcome").1.room;
     assert!((3 << 20..4 << 20).contains(&room), "{room} of 4 MiB");
@@ -292,7 +292,7 @@ fn an_sdram_with_a_line_shorted_to_ground_has_no_jobs_and_everything_else_works(
     ] {
         let mut setup = setup(&program());
         setup.shorted = SdramLines { data, row };
-        let mut machine = Machine::boot(setup);
+        let mut machine = BenchMachine::boot(setup);
         assert_eq!(state(&mut machine), told, "{what}");
         assert!(
             machine.rig().tcp_connect(wire::jobs::PORT).is_err(),

@@ -6,11 +6,11 @@
 //! many looks found it there.
 
 use ferrocnc_tests::drawing::{self, TOLERANCE};
+use ferrocnc_tests::pins::{self, Event, Pin, Prediction};
 use ferrocnc_tests::stops::{Job, Shape, Used, Way};
 use ferrocnc_tests::wired::Wired;
 use host::job::client::JobError;
-use host::job::machine::{Direction, Home, Level, Machine};
-use host::job::pins::{self, Event, Pin, Prediction};
+use host::job::machine::{Direction, Home, Level, MachineFile};
 use host::job::program::{Dialect, Program};
 use rand::Rng;
 use sim::plant::Switch;
@@ -31,12 +31,12 @@ fn gcode(name: &str, text: &str) -> Program {
     program
 }
 
-fn predict(program: &Program, machine: &Machine) -> Prediction {
+fn predict(program: &Program, machine: &MachineFile) -> Prediction {
     pins::predict(program, machine).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// On the board, and its machine.
-fn put(wired: &mut Wired, program: &Program, machine: &Machine) {
+fn put(wired: &mut Wired, program: &Program, machine: &MachineFile) {
     wired.judge(machine);
     let entry = wired.with(|board| {
         board.put_machine(&machine.to_board())?;
@@ -52,7 +52,7 @@ fn report(wired: &mut Wired) -> Report {
 }
 
 /// Two turns of a screw with so short chords that it needs more than 1000 segments a second.
-fn dense() -> (Program, Machine) {
+fn dense() -> (Program, MachineFile) {
     let mut machine = drawing::machine();
     machine.chord_tolerance = 0.001;
     for axis in [&mut machine.x, &mut machine.y] {
@@ -224,7 +224,7 @@ fn a_dense_arc_is_planned_at_a_thousand_segments_a_second_and_every_edge_is_in_i
     );
 }
 
-// ---- in the middle of a job ----------------------------------------------------------------------------------------------
+// ---- in the middle of a job ---------------------------------------------------------------------
 
 /// The inputs of the board that the tests press.
 const SWITCH: usize = 0;
@@ -233,7 +233,7 @@ const ESTOP: u32 = 1 << 3;
 const LONG: &str = "M3\nG1 X40 Y20 F12000\nG1 X0 Y0\nM5\nM2\n";
 
 /// The tests' machine, which brakes for a pause in a fiftieth of a second instead of a twelfth.
-fn brisk() -> Machine {
+fn brisk() -> MachineFile {
     let mut machine = drawing::machine();
     for axis in [&mut machine.x, &mut machine.y] {
         (axis.speed, axis.acceleration) = (200.0, 40_000.0);
@@ -243,7 +243,7 @@ fn brisk() -> Machine {
 }
 
 /// A job under way, with X somewhere on it.
-fn under_way(wired: &mut Wired, text: &str, machine: &Machine, keepalive: Option<Duration>) {
+fn under_way(wired: &mut Wired, text: &str, machine: &MachineFile, keepalive: Option<Duration>) {
     put(wired, &gcode("under way", text), machine);
     let pulses = wired.machine.edges(0);
     let started = wired.with(|board| board.start("under way", keepalive));
@@ -541,7 +541,7 @@ fn a_processor_that_hangs_is_stopped_by_the_watchdog_each_heavy_axis_in_its_own_
     goes_on(&mut wired);
 }
 
-// ---- any machine -------------------------------------------------------------------------------------------------------
+// ---- any machine --------------------------------------------------------------------------------
 
 /// What ends a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -592,7 +592,7 @@ impl Strikes {
 
     fn strike(self, wired: &mut Wired) {
         match self {
-            // Nobody speaks to it until its keepalive is over.
+            // No client sends to it until its keepalive is over.
             Strikes::Silence => wired.run(110 * MS),
             Strikes::Stop => command(wired, Command::Stop),
             Strikes::EStop => {

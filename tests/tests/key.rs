@@ -99,6 +99,11 @@ fn owner(rig: &mut Rig) -> u32 {
     ask(rig, MALLORY, &[], &[map::SESSION_OWNER_PORT]).expect("every host may read")[0]
 }
 
+fn features(rig: &mut Rig) -> u32 {
+    let word = map::DESCRIBE + 4 * FEATURES_AT as u32;
+    ask(rig, MALLORY, &[], &[word]).expect("every host may read")[0]
+}
+
 fn refused(rig: &mut Rig) -> u32 {
     let counter = map::COUNTERS_REFUSED + 4 * Refusal::Key.index() as u32;
     ask(rig, MALLORY, &[], &[counter]).expect("every host may read")[0]
@@ -108,14 +113,7 @@ fn refused(rig: &mut Rig) -> u32 {
 fn a_board_with_a_key_refuses_a_client_without_it_takes_one_with_it_and_refuses_the_replay() {
     let flash = locked_flash();
     let mut rig = power_up(&flash, false);
-    let features = ask(
-        &mut rig,
-        MALLORY,
-        &[],
-        &[map::DESCRIBE + 4 * FEATURES_AT as u32],
-    )
-    .expect("every host may read")[0];
-    assert_eq!(features & FEATURE_KEY, FEATURE_KEY);
+    assert_eq!(features(&mut rig) & FEATURE_KEY, FEATURE_KEY);
 
     // Without the key, and with another.
     let nothing = ask(
@@ -262,14 +260,7 @@ fn discovery_and_console_ask_for_the_key_too_and_the_factory_pin_opens_the_board
 
     // With the factory pin held no client needs a key.
     let mut rig = power_up(&flash, true);
-    let features = ask(
-        &mut rig,
-        MALLORY,
-        &[],
-        &[map::DESCRIBE + 4 * FEATURES_AT as u32],
-    )
-    .expect("every host may read")[0];
-    assert_eq!(features & FEATURE_KEY, 0);
+    assert_eq!(features(&mut rig) & FEATURE_KEY, 0);
     let token = ask(
         &mut rig,
         MALLORY,

@@ -52,23 +52,8 @@ fn loadrt_shows_the_boards_own_names_as_pins() {
 
 /// The mill on a simulated board.
 fn mill(simulator: &Simulator, program: &Path, out: &Path) -> Child {
-    let log = std::fs::File::create(out.join("run.log")).expect("a log");
-    Command::new("python3")
-        .arg(root().join("host/examples/mill/run.py"))
-        .args([
-            "--board",
-            &simulator.udp().to_string(),
-            "--lockstep",
-            "--program",
-        ])
-        .arg(program)
-        .arg("--out")
-        .arg(out)
-        .stdin(Stdio::null())
-        .stdout(log.try_clone().expect("its log"))
-        .stderr(log)
-        .spawn()
-        .expect("python3")
+    let mut run = simulator.linuxcnc(out);
+    run.arg("--program").arg(program).spawn().expect("python3")
 }
 
 fn log_of(out: &Path) -> String {
@@ -85,6 +70,31 @@ fn last_sample(out: &Path) -> Option<Vec<f64>> {
         .split_whitespace()
         .map(|field| field.parse().ok())
         .collect()
+}
+
+/// Waits until X has gone 5 mm of its 20: at full speed by then.
+fn at_speed(out: &Path) {
+    let deadline = Instant::now() + Duration::from_secs(300);
+    let at_speed = loop {
+        match last_sample(out) {
+            Some(sample) if sample[1] > 5.0 => break sample,
+            _ if Instant::now() > deadline => panic!("the move never began:\n{}", log_of(out)),
+            _ => std::thread::sleep(Duration::from_millis(50)),
+        }
+    };
+    assert!(
+        at_speed[1] < 19.0,
+        "the move was over before it could be interrupted"
+    );
+}
+
+/// The steps before and behind the longest pause.
+fn around_the_pause(steps: &[Step]) -> [Step; 2] {
+    let gap = steps
+        .windows(2)
+        .max_by_key(|pair| pair[1].clock - pair[0].clock)
+        .expect("steps");
+    gap.try_into().expect("a pair")
 }
 
 #[test]
@@ -105,19 +115,7 @@ fn killing_linuxcnc_mid_move_stops_the_machine_and_a_new_start_moves_nothing_by_
         &first,
     );
 
-    // Until X has gone 5 mm: at full speed by then.
-    let deadline = Instant::now() + Duration::from_secs(300);
-    let at_speed = loop {
-        match last_sample(&first) {
-            Some(sample) if sample[1] > 5.0 => break sample,
-            _ if Instant::now() > deadline => panic!("the move never began:\n{}", log_of(&first)),
-            _ => std::thread::sleep(Duration::from_millis(50)),
-        }
-    };
-    assert!(
-        at_speed[1] < 19.0,
-        "the move was over before it could be interrupted"
-    );
+    at_speed(&first);
     let killed = Command::new("pkill")
         .args(["-9", "-x", "rtapi_app"])
         .status();
@@ -152,11 +150,7 @@ fn killing_linuxcnc_mid_move_stops_the_machine_and_a_new_start_moves_nothing_by_
     let (hz, steps) =
         read_file(&std::fs::read(&edges).expect("the recorded edges")).expect("an edge file");
     let bound = last_seen + 3 * PERIOD + ((WATCHDOG + SOFT_STOP) * hz as f64) as u64;
-    let gap = steps
-        .windows(2)
-        .max_by_key(|pair| pair[1].clock - pair[0].clock)
-        .expect("steps");
-    let [before, after]: [Step; 2] = gap.try_into().expect("a pair");
+    let [before, after] = around_the_pause(&steps);
     assert!(
         before.clock <= bound,
         "the last step came {:.1} ms after the last status LinuxCNC saw",

@@ -14,10 +14,10 @@
 //! The clocks are split over two threads with a seed each. The events of each core are counted, and
 //! a run with too few of them fails. `target/reports/lockstep.json` has the figures.
 
-use ferrocnc_tests::{root, seed};
+use ferrocnc_tests::{from_environment, root, seed};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg32;
-use sim::card::Card;
+use sim::board_facts::BoardFacts;
 use sim::model::Board;
 use sim::model::board::{Build, Bus, pages};
 use sim::pads::Pad;
@@ -31,11 +31,6 @@ const ARM: u32 = watchdog::CONTROL_KEY_ARM;
 const SOFT: u32 = watchdog::CONTROL_KEY_SOFT;
 const STOP: u32 = watchdog::CONTROL_KEY_STOP;
 const CLEAR: u32 = watchdog::CONTROL_KEY_CLEAR;
-
-fn from_environment<T: std::str::FromStr>(name: &str, usual: T) -> T {
-    let given = std::env::var(name).ok().and_then(|text| text.parse().ok());
-    given.unwrap_or(usual)
-}
 
 /// A line that walks a quadrature cycle, mostly legally.
 #[derive(Clone, Debug, Default)]
@@ -74,8 +69,8 @@ struct Stimulus {
 }
 
 impl Stimulus {
-    fn new(seed: u64, card: &Card) -> Self {
-        let c = card.channels;
+    fn new(seed: u64, facts: &BoardFacts) -> Self {
+        let c = facts.channels;
         let mut registers: Vec<(u32, u32)> = Vec::new();
         for (page, words) in [
             (pages::IDENT, 8),
@@ -98,7 +93,7 @@ impl Stimulus {
         Stimulus {
             random: Pcg32::seed_from_u64(seed),
             channels: c,
-            estop_mask: card.estop_mask,
+            estop_mask: facts.estop_mask,
             pins: Pins::default(),
             rst: false,
             writes: VecDeque::new(),
@@ -556,21 +551,21 @@ struct Run {
 fn run(seed: u64, clocks: u64) -> Run {
     let folder: PathBuf = from_environment("FERROCNC_CORES", root().join("target/sim/cores-mill6"));
     let name: String = from_environment("FERROCNC_CORES_BOARD", "mill6".into());
-    let card = Card::named(&name).unwrap_or_else(|error| panic!("{error}"));
+    let facts = BoardFacts::named(&name).unwrap_or_else(|error| panic!("{error}"));
     let mut cores = Cores::load(&folder).unwrap_or_else(|error| panic!("{error}"));
     let mut board = Board::new(Build {
-        channels: card.channels,
-        clock_hz: card.clock_hz,
-        estop_mask: card.estop_mask,
-        estop_level: card.estop_level,
+        channels: facts.channels,
+        clock_hz: facts.clock_hz,
+        estop_mask: facts.estop_mask,
+        estop_level: facts.estop_level,
         abi: 0x1234_5678,
         version: 0x00_0100,
-        rom_words: card.words().len() as u32,
+        rom_words: facts.words().len() as u32,
         jobs: 0,
         readback: true,
     });
     let started = std::time::Instant::now();
-    let mut stimulus = Stimulus::new(seed, &card);
+    let mut stimulus = Stimulus::new(seed, &facts);
     let mut pins = CoresPins {
         abi: 0x1234_5678,
         ..CoresPins::default()

@@ -13,7 +13,7 @@ use std::net::Ipv4Addr;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
-use ferrocnc_tests::{from_environment, parts, seed, to_bytes, to_words};
+use ferrocnc_tests::{description, from_environment, parts, seed, to_bytes, to_words};
 use rand::{Rng as _, RngCore, SeedableRng};
 use rand_pcg::Pcg32;
 use sim::board::Board;
@@ -37,7 +37,7 @@ const RESET_BEHIND: u32 = 2;
 /// Start-up takes 2 ms; 10 are a board that does not start.
 const BOOT_CLOCKS: u64 = 600_000;
 
-/// Two boards at one set of pins. The world sees those of the RTL.
+/// Two boards at one set of pins. The environment sees those of the RTL.
 struct Beside {
     rtl: Soc,
     gates: Soc,
@@ -147,11 +147,7 @@ impl Bench {
         let mut rig = Rig::around(board, BOARD);
         rig.wait_ready(BOOT_CLOCKS)
             .unwrap_or_else(|error| panic!("{error}"));
-        let words = rig
-            .read_block(map::DESCRIBE, wire::describe::WORDS as u32)
-            .expect("the board describes itself");
-        let words = words.try_into().expect("as many words as were asked for");
-        let describe = Describe::parse(&words).unwrap_or_else(|error| panic!("{error}"));
+        let describe = description(&mut rig);
         Bench {
             rig,
             describe,

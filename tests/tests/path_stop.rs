@@ -4,7 +4,7 @@
 //! Without the common path each axis would brake as configured: here Y would stand after 1.8 ms, X
 //! after 10 ms.
 
-use ferrocnc_tests::Machine;
+use ferrocnc_tests::BenchMachine;
 use ferrocnc_tests::bench::Bench;
 use ferrocnc_tests::flash::factory;
 use ferrocnc_tests::stops::Used;
@@ -15,7 +15,7 @@ use sim::nor::{Part, Times};
 use wire::exchange::Command;
 use wire::map;
 use wire::regmap::{self, stepgen};
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 
 /// Steps/s, and steps/s^2 of the configured deceleration. X takes longest: 10 ms and 1000 steps.
 const AXES: [(f64, f64); 3] = [(200e3, 2e7), (-73e3, 4e7), (11e3, 1e7)];
@@ -55,9 +55,9 @@ fn settings(clock_hz: f64) -> Vec<(u32, u32)> {
     all
 }
 
-impl Table for Machine {
+impl Table for BenchMachine {
     fn with_axes() -> Self {
-        let mut machine = Machine::start();
+        let mut machine = BenchMachine::start();
         machine.acquire();
         machine.configure();
         for (address, value) in settings(machine.clock_hz()) {
@@ -77,7 +77,7 @@ impl Table for Machine {
     }
 
     fn clock_hz(&self) -> f64 {
-        Machine::clock_hz(self)
+        BenchMachine::clock_hz(self)
     }
 
     fn keep_steps(&mut self) {
@@ -89,7 +89,7 @@ impl Table for Machine {
     }
 
     fn gate_open(&mut self) -> bool {
-        Machine::gate_open(self)
+        BenchMachine::gate_open(self)
     }
 }
 
@@ -120,15 +120,15 @@ impl Table for Bench {
     }
 
     fn keep_steps(&mut self) {
-        self.world().edges.keep_steps();
+        self.environment().edges.keep_steps();
     }
 
     fn take_steps(&mut self) -> Vec<Step> {
-        self.world().edges.take_steps()
+        self.environment().edges.take_steps()
     }
 
     fn gate_open(&mut self) -> bool {
-        self.world().pins().gate != 0
+        self.environment().pins().gate != 0
     }
 }
 
@@ -145,7 +145,7 @@ fn at_speed(table: &mut impl Table) -> (Command, u64) {
     let mut last = 0;
     for part in (1..=25).map(|n| f64::from(n.min(20)) / 20.0) {
         for (axis, (rate, _)) in AXES.into_iter().enumerate() {
-            let rate = StepRate::from_hz(rate * part, clock_hz);
+            let rate = Velocity::from_hz(rate * part, clock_hz);
             command.stepgen[axis] = (rate, Accel::UNLIMITED);
         }
         if part == 1.0 {
@@ -218,7 +218,7 @@ fn the_host_lets_go(mut table: impl Table) {
 
 #[test]
 fn when_the_host_dies_mid_move_all_axes_end_together_on_the_line() {
-    the_host_dies(Machine::with_axes());
+    the_host_dies(BenchMachine::with_axes());
 }
 
 #[test]
@@ -228,7 +228,7 @@ fn when_the_host_dies_mid_move_all_axes_end_together_on_the_line_on_the_twin() {
 
 #[test]
 fn when_the_host_takes_enable_away_all_axes_end_together_on_the_line() {
-    the_host_lets_go(Machine::with_axes());
+    the_host_lets_go(BenchMachine::with_axes());
 }
 
 #[test]
@@ -238,7 +238,7 @@ fn when_the_host_takes_enable_away_all_axes_end_together_on_the_line_on_the_twin
 
 #[test]
 fn when_the_cpu_freezes_mid_move_all_axes_end_together_on_the_line() {
-    let mut machine = Machine::with_axes();
+    let mut machine = BenchMachine::with_axes();
     let (mut command, last) = at_speed(&mut machine);
     machine.freeze_cpu();
     // The host goes on, but the frozen CPU does not receive it.
@@ -254,18 +254,18 @@ fn when_the_cpu_freezes_mid_move_all_axes_end_together_on_the_line() {
 
 #[test]
 fn what_was_configured_is_read_back_in_motion_and_in_the_cores_again_at_rest() {
-    let mut machine = Machine::with_axes();
+    let mut machine = BenchMachine::with_axes();
     let (mut command, _) = at_speed(&mut machine);
-    let configured = |machine: &mut Machine, axis: u32| {
+    let configured = |machine: &mut BenchMachine, axis: u32| {
         let base = map::CONFIG_STEPGEN + axis * map::CONFIG_STRIDE;
         machine.read(base + 4 * map::StepgenConfig::StopAccel as u32)
     };
     // The core's own register.
-    let core = |machine: &mut Machine, axis: u32| {
+    let core = |machine: &mut BenchMachine, axis: u32| {
         let page = stepgen::BASE + axis as usize * regmap::CSR_PAGE;
         machine.read(regmap::address(page, stepgen::STOP_ACCEL))
     };
-    let clock_hz = Machine::clock_hz(&machine);
+    let clock_hz = BenchMachine::clock_hz(&machine);
     for (axis, (rate, accel)) in (0..).zip(AXES) {
         let accel = Accel::from_steps(accel, clock_hz).0;
         assert_eq!(configured(&mut machine, axis), accel);
@@ -290,7 +290,7 @@ fn what_was_configured_is_read_back_in_motion_and_in_the_cores_again_at_rest() {
 
 #[test]
 fn the_decelerations_are_ready_a_fraction_of_a_period_after_the_answer() {
-    let mut machine = Machine::with_axes();
+    let mut machine = BenchMachine::with_axes();
     let (mut command, _) = at_speed(&mut machine);
     // The next exchange waits in the receive slot while they are computed.
     let alone = machine.turnaround_spread(5).max;
@@ -301,24 +301,24 @@ fn the_decelerations_are_ready_a_fraction_of_a_period_after_the_answer() {
     let second = machine.turnarounds(1)[0];
     println!("turnaround {alone} clocks, {second} right behind another");
     assert!(
-        u64::from(second) < (Machine::clock_hz(&machine) / 1000.0) as u64 / 10,
+        u64::from(second) < (BenchMachine::clock_hz(&machine) / 1000.0) as u64 / 10,
         "{second} clocks"
     );
 }
 
-// ---- any machine -------------------------------------------------------------------------------------------------------
+// ---- any machine --------------------------------------------------------------------------------
 
-/// Machines, unless `FERROCNC_STOPS` says another number.
+/// How many machines are tried, unless `FERROCNC_STOPS` gives another number.
 const MACHINES: u64 = 16;
-/// 0.3 ms: of these machines' watchdog.
+/// 0.3 ms, the watchdog's time on these machines.
 const SHORT: f64 = 3e-4;
-/// 6 ms are looked at in the gate, of a stop that takes up to half a second; whole stops up to 0.35
-/// s when `FERROCNC_STOPS` asks.
+/// A stop takes up to half a second. The gate looks at its first 6 ms; with `FERROCNC_STOPS` every
+/// stop of at most 0.35 s is looked at to its end.
 const LOOKED_AT: [f64; 2] = [6e-3, 0.35];
-/// Clocks from what is asked for to the stop: the exchange and the watchdog's food, or a datagram
-/// that firmware reads while it has other work.
+/// Clocks from a request to the stop at most: for an exchange or the watchdog, and for a datagram
+/// that the firmware reads while it has other work.
 const LATE: [u64; 2] = [1500, 18_000];
-/// Clocks between two of the stops that are tried.
+/// Clocks between two candidates for the clock of the stop.
 const GRID: u64 = 100;
 
 #[derive(Clone, Copy, Debug)]
@@ -350,8 +350,8 @@ impl Cause {
     }
 }
 
-/// Each axis: steps/s, and steps/s^2 of its own; the heaviest takes half a second to stop, the
-/// lightest a millisecond.
+/// Velocity (steps/s) and deceleration (steps/s^2) of each axis. The slowest axis takes between one
+/// millisecond and half a second to stop.
 fn any_machine(random: &mut Pcg32) -> Vec<(f64, f64)> {
     let takes = 10f64.powf(random.random_range(-3.0..-0.3));
     let axis = |random: &mut Pcg32| {
@@ -363,9 +363,9 @@ fn any_machine(random: &mut Pcg32) -> Vec<(f64, f64)> {
     (0..count).map(|_| axis(random)).collect()
 }
 
-/// Armed, at these rates; the clock of the last command.
-fn drives(machine: &mut Machine, axes: &[(f64, f64)]) -> (Command, u64) {
-    let clock_hz = Machine::clock_hz(machine);
+/// Arms the machine and moves it at these velocities; returns the last command and its clock.
+fn drives(machine: &mut BenchMachine, axes: &[(f64, f64)]) -> (Command, u64) {
+    let clock_hz = BenchMachine::clock_hz(machine);
     machine.acquire();
     for n in 0..6 {
         let accel = axes.get(n).map_or(0.0, |axis| axis.1);
@@ -381,7 +381,7 @@ fn drives(machine: &mut Machine, axes: &[(f64, f64)]) -> (Command, u64) {
         machine.exchange(&mut command);
     }
     for (n, (rate, _)) in axes.iter().enumerate() {
-        command.stepgen[n].0 = StepRate::from_hz(*rate, clock_hz);
+        command.stepgen[n].0 = Velocity::from_hz(*rate, clock_hz);
     }
     machine.exchange(&mut command);
     machine.run_clocks(6000);
@@ -393,16 +393,16 @@ fn drives(machine: &mut Machine, axes: &[(f64, f64)]) -> (Command, u64) {
     (command, last.arrival.0)
 }
 
-/// From one and the same clock, at most so `late` after this one, the way of each axis is that of a
-/// ramp which takes all of them the same time. That clock, and what the worst has used of the way to
-/// rest.
+/// Finds the clock, at most `late` clocks after `asked`, from which every axis brakes along a ramp
+/// that takes all of them the same time. Returns the clocks from `asked` to it, and the largest
+/// share of its way to rest that an axis has used.
 fn brakes_in_its_own_way(
-    machine: &mut Machine,
+    machine: &mut BenchMachine,
     axes: &[(f64, f64)],
     (asked, late): (u64, u64),
     told: &str,
 ) -> (u64, f64) {
-    let clock_hz = Machine::clock_hz(machine);
+    let clock_hz = BenchMachine::clock_hz(machine);
     let steps = machine.edge_watch().take_steps();
     let mut nearest = (f64::INFINITY, String::new());
     for stop in (asked..=asked + late).step_by(GRID as usize) {
@@ -418,8 +418,8 @@ fn brakes_in_its_own_way(
     );
 }
 
-/// What the worst has used of the way to rest, if all axes brake since this clock; how many steps
-/// the worst is off, if one does not.
+/// If all axes brake from the clock `stop` on: the largest share of its way to rest that an axis
+/// has used. If not: by how many steps the worst axis is off.
 fn braking_since(
     steps: &[Step],
     axes: &[(f64, f64)],
@@ -452,10 +452,10 @@ fn braking_since(
     if worst.0 > 0.0 { Err(worst) } else { Ok(used) }
 }
 
-/// It happens; the clock of the stop. `bite`: when the watchdog does, unless something else comes
-/// first.
+/// Makes the cause happen; returns the clock of the stop. `bite`: the clock at which the watchdog
+/// bites, unless the stop comes first.
 fn strikes(
-    machine: &mut Machine,
+    machine: &mut BenchMachine,
     cause: Cause,
     command: &mut Command,
     bite: u64,
@@ -493,7 +493,7 @@ fn strikes(
 fn any_machine_brakes_each_axis_in_its_own_way_whatever_strikes() {
     let first = ferrocnc_tests::from_environment("FERROCNC_SEED", 1);
     let looked_at = LOOKED_AT[usize::from(std::env::var_os("FERROCNC_STOPS").is_some())];
-    let mut machine = Machine::start();
+    let mut machine = BenchMachine::start();
     machine.acquire();
     machine.configure();
     let mut used = Used::default();
@@ -506,10 +506,10 @@ fn any_machine_brakes_each_axis_in_its_own_way_whatever_strikes() {
     used.print("sessions on the RTL, to their end");
 }
 
-/// A session of a random machine, struck and looked at for so long; if that was to its end, what
-/// was used of the way to rest.
-fn any_session(machine: &mut Machine, seed: u64, looked_at: f64) -> (Cause, Option<f64>) {
-    let clock_hz = Machine::clock_hz(machine);
+/// Stops a random machine for a random cause and looks at it for `looked_at` seconds. Returns the
+/// cause and, if the stop was seen to its end, the largest share of the way to rest that was used.
+fn any_session(machine: &mut BenchMachine, seed: u64, looked_at: f64) -> (Cause, Option<f64>) {
+    let clock_hz = BenchMachine::clock_hz(machine);
     let mut random = Pcg32::seed_from_u64(seed);
     let axes = any_machine(&mut random);
     let cause = CAUSES[random.random_range(0..CAUSES.len())];
@@ -534,7 +534,7 @@ fn any_session(machine: &mut Machine, seed: u64, looked_at: f64) -> (Cause, Opti
         }
     };
     assert!(
-        !whole || !Machine::gate_open(machine),
+        !whole || !BenchMachine::gate_open(machine),
         "{told}: the gate is open"
     );
     // Nothing waits for the heavy ones to stand.

@@ -1,43 +1,28 @@
-//! Known defects of other controllers: for each a test on the RTL board that FerroCNC does not have
-//! it.
+//! Promises that other controllers break, tested on the RTL board.
 //!
-//! Named after the peer and its defect (`PEER_DEFECT`). Those that concern a driver are in
-//! `host/tests/peers.rs`; those of the parser of LiteEth are in `soc.rs`; those of job executors
-//! are in `sim/tests/executor/peers.rs`.
+//! A test has the name of the promise; its comment says which peer breaks it, and how. Promises of
+//! a driver are in `host/tests/peers.rs`, those of the parser of LiteEth in `soc/`, those of job
+//! executors in `sim/tests/executor/peers.rs`.
 
-use ferrocnc_tests::Machine;
+use ferrocnc_tests::BenchMachine;
 use wire::describe::Channels;
 use wire::exchange::{Latch, PWM_ENABLE, PWM_FRACTION};
 use wire::map::{self, StepgenConfig};
 use wire::state::{FaultReason, State};
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 
 /// Address of a word of stepgen `n`'s settings.
 fn stepgen(n: u32, word: StepgenConfig) -> u32 {
     map::CONFIG_STEPGEN + n * map::CONFIG_STRIDE + 4 * word as u32
 }
 
-/// A board with its first stepgen at `rate` steps/s.
-fn turning(rate: f64) -> (Machine, wire::exchange::Command) {
-    let mut machine = Machine::armed();
-    let mut command = machine.enabled_command();
-    command.stepgen[0] = (
-        StepRate::from_hz(rate, machine.clock_hz()),
-        Accel::UNLIMITED,
-    );
-    for _ in 0..3 {
-        machine.exchange_and_wait(&mut command);
-    }
-    (machine, command)
-}
-
 /// Lcnc: after a reversal the first step may come before DIR has been stable for the set-up time,
 /// and steps are given in the wrong direction while DIR is held.
 #[test]
-fn lcnc_steps_before_the_direction_is_set_up() {
-    let (mut machine, mut command) = turning(450e3);
+fn no_step_comes_before_the_direction_is_set_up_or_while_it_is_held() {
+    let (mut machine, mut command) = BenchMachine::turning(450e3, 3);
     for reversal in 0..40 {
-        command.stepgen[0].0 = StepRate(-command.stepgen[0].0.0);
+        command.stepgen[0].0 = Velocity(-command.stepgen[0].0.0);
         let status = machine.exchange_and_wait(&mut command);
         assert_eq!(
             status.state.state,
@@ -45,7 +30,7 @@ fn lcnc_steps_before_the_direction_is_set_up() {
             "reversal {reversal} stopped the machine"
         );
     }
-    command.stepgen[0].0 = StepRate(0);
+    command.stepgen[0].0 = Velocity(0);
     machine.exchange_and_wait(&mut command);
     let status = machine.exchange(&mut command);
     assert_eq!(
@@ -62,9 +47,9 @@ fn lcnc_steps_before_the_direction_is_set_up() {
 
 /// Lcnc: pulses merge into one when the step width reaches the period of the rate asked for.
 #[test]
-fn lcnc_pulses_merge_when_they_are_longer_than_the_period() {
+fn pulses_stay_apart_when_the_rate_is_more_than_their_length_allows() {
     // 1 us + 1 us allows 500 kHz; a third more is asked for.
-    let (mut machine, mut command) = turning(666e3);
+    let (mut machine, mut command) = BenchMachine::turning(666e3, 3);
     let status = machine.exchange_and_wait(&mut command);
     let before = (status.stepgen[0].0.pulses(), status.sample.0);
     let status = machine.exchange_and_wait(&mut command);
@@ -79,7 +64,7 @@ fn lcnc_pulses_merge_when_they_are_longer_than_the_period() {
         "{pulses} pulses in {clocks} clocks"
     );
     assert_eq!(status.rate_limited & 1, 1, "and says so");
-    command.stepgen[0].0 = StepRate(0);
+    command.stepgen[0].0 = Velocity(0);
     machine.exchange_and_wait(&mut command);
     let status = machine.exchange(&mut command);
     assert_eq!(status.stepgen[0].0.pulses(), machine.pulses(0));
@@ -88,8 +73,8 @@ fn lcnc_pulses_merge_when_they_are_longer_than_the_period() {
 
 /// Lcnc: a bite of the watchdog zeroes the counters, and LinuxCNC's position jumps.
 #[test]
-fn lcnc_a_bite_zeroes_the_counters() {
-    let (mut machine, mut command) = turning(100e3);
+fn a_bite_keeps_the_counters() {
+    let (mut machine, mut command) = BenchMachine::turning(100e3, 3);
     machine.run_millis(20);
     assert!(!machine.gate_open(), "it has bitten");
     let pulses = machine.pulses(0);
@@ -107,7 +92,7 @@ fn lcnc_a_bite_zeroes_the_counters() {
 
 /// Lcnc: `assert < 16` and `< 32` make 15 and 31 the real limits.
 #[test]
-fn lcnc_the_sixteenth_channel_is_missing() {
+fn sixteen_channels_and_thirty_two_pins_are_there() {
     assert!(Channels::from_words(16 | 16 << 8 | 16 << 16, 32 | 32 << 8).is_ok());
     // The sixteenth has its settings and its latch; `boards/max.toml`, which is elaborated in the
     // tests, has all of them.
@@ -118,8 +103,8 @@ fn lcnc_the_sixteenth_channel_is_missing() {
 /// LiteX-CNC: the speed's fixed point is off by two, and the top octave wraps into the other
 /// direction.
 #[test]
-fn litexcnc_the_top_octave_wraps_its_sign() {
-    let mut machine = Machine::start();
+fn the_highest_rates_keep_their_sign() {
+    let mut machine = BenchMachine::start();
     machine.acquire();
     machine.configure();
     for word in [StepgenConfig::Steplen, StepgenConfig::Stepspace] {
@@ -129,7 +114,7 @@ fn litexcnc_the_top_octave_wraps_its_sign() {
     machine.rearm(&mut command);
     for rate in [i32::MAX, -i32::MAX, i32::MIN] {
         let before = machine.exchange(&mut command);
-        command.stepgen[0] = (StepRate(rate), Accel::UNLIMITED);
+        command.stepgen[0] = (Velocity(rate), Accel::UNLIMITED);
         machine.exchange(&mut command);
         let first = machine.exchange(&mut command);
         let second = machine.exchange(&mut command);
@@ -145,7 +130,7 @@ fn litexcnc_the_top_octave_wraps_its_sign() {
             "rate {rate}: {moved} steps in {clocks} clocks is not half the clock"
         );
         assert!(before.state.enabled);
-        command.stepgen[0].0 = StepRate(0);
+        command.stepgen[0].0 = Velocity(0);
         machine.exchange(&mut command);
     }
 }
@@ -153,14 +138,14 @@ fn litexcnc_the_top_octave_wraps_its_sign() {
 /// LiteX-CNC: the direction's set-up time counts from the last step, so a DIR edge long after it is
 /// followed by a step one clock later.
 #[test]
-fn litexcnc_the_direction_is_set_up_from_the_last_step() {
-    let (mut machine, mut command) = turning(50e3);
+fn the_direction_is_set_up_from_its_own_edge() {
+    let (mut machine, mut command) = BenchMachine::turning(50e3, 3);
     // A long rest first: the last step is far away when the direction changes.
-    command.stepgen[0].0 = StepRate(0);
+    command.stepgen[0].0 = Velocity(0);
     for _ in 0..3 {
         machine.exchange_and_wait(&mut command);
     }
-    command.stepgen[0].0 = StepRate::from_hz(-450e3, machine.clock_hz());
+    command.stepgen[0].0 = Velocity::from_hz(-450e3, machine.clock_hz());
     machine.exchange_and_wait(&mut command);
     assert!(machine.edges(0) > 100);
     assert_eq!(machine.timing_violations(), 0);
@@ -168,8 +153,8 @@ fn litexcnc_the_direction_is_set_up_from_the_last_step() {
 
 /// LiteX-CNC: a bite is not latched; the next frame lets the machine go on.
 #[test]
-fn litexcnc_a_bite_is_forgotten_at_the_next_frame() {
-    let (mut machine, mut command) = turning(100e3);
+fn a_bite_is_latched() {
+    let (mut machine, mut command) = BenchMachine::turning(100e3, 3);
     machine.run_millis(20);
     let pulses = machine.edges(0);
     machine.acquire();
@@ -182,8 +167,8 @@ fn litexcnc_a_bite_is_forgotten_at_the_next_frame() {
 
 /// LiteX-CNC: `enable` of a stepgen never reaches the FPGA.
 #[test]
-fn litexcnc_enable_does_not_reach_the_stepgen() {
-    let (mut machine, mut command) = turning(100e3);
+fn enable_reaches_its_stepgen() {
+    let (mut machine, mut command) = BenchMachine::turning(100e3, 3);
     command.stepgen_enable = 0;
     machine.exchange_and_wait(&mut command);
     machine.exchange_and_wait(&mut command);
@@ -205,8 +190,8 @@ fn litexcnc_enable_does_not_reach_the_stepgen() {
 /// LiteX-CNC: `index-enable` of a stepgen is never sent, and arming it corrupts the speed in
 /// reverse.
 #[test]
-fn litexcnc_arming_an_index_corrupts_the_speed_in_reverse() {
-    let (mut machine, mut command) = turning(-100e3);
+fn arming_an_index_leaves_the_speed_in_reverse_as_it_is() {
+    let (mut machine, mut command) = BenchMachine::turning(-100e3, 3);
     let rate = command.stepgen[0].0;
     command.stepgen_index_arm = u16::MAX;
     command.index_arm = u16::MAX;
@@ -230,8 +215,8 @@ fn litexcnc_arming_an_index_corrupts_the_speed_in_reverse() {
 
 /// LiteX-CNC: timings wider than their fields overflow into their neighbours.
 #[test]
-fn litexcnc_timings_overflow_into_each_other() {
-    let mut machine = Machine::start();
+fn a_timing_that_is_too_long_is_refused_and_changes_no_other() {
+    let mut machine = BenchMachine::start();
     machine.acquire();
     machine.configure();
     let words = [
@@ -260,8 +245,8 @@ fn litexcnc_timings_overflow_into_each_other() {
 
 /// LiteX-CNC: the pin `dither-pwm` does nothing.
 #[test]
-fn litexcnc_dither_does_nothing() {
-    let mut machine = Machine::start();
+fn dither_is_seen_at_the_pin() {
+    let mut machine = BenchMachine::start();
     machine.acquire();
     machine.configure();
     // 120 clocks: 100 periods in the 12 000 clocks that are counted.
@@ -285,8 +270,8 @@ fn litexcnc_dither_does_nothing() {
 /// RIO: the rate is clock / integer, so the top of the range is coarse, and a shorter period cuts
 /// into the running one.
 #[test]
-fn rio_the_rate_is_the_clock_by_an_integer() {
-    let (mut machine, mut command) = turning(440e3);
+fn the_rate_between_two_periods_is_right_on_average() {
+    let (mut machine, mut command) = BenchMachine::turning(440e3, 3);
     // 60 MHz / 440 kHz is 136.36 clocks: between two integers. The average must be right.
     let first = machine.exchange_and_wait(&mut command);
     for _ in 0..10 {
@@ -302,7 +287,7 @@ fn rio_the_rate_is_the_clock_by_an_integer() {
     );
     // The period shrinks and grows under way: no pulse is cut, none comes early.
     for rate in [450e3, 30e3, 449e3, 100e3, 450e3] {
-        command.stepgen[0].0 = StepRate::from_hz(rate, machine.clock_hz());
+        command.stepgen[0].0 = Velocity::from_hz(rate, machine.clock_hz());
         machine.exchange_and_wait(&mut command);
     }
     assert_eq!(machine.timing_violations(), 0);

@@ -36,15 +36,19 @@ fn sources(at: &Path) -> String {
     wanted.map(|path| sources(&path)).collect()
 }
 
-/// Where the tests of a place are.
+/// Where the tests of a place are: in a crate, or in a file here. `jobs` is both.
 fn place(name: &str) -> String {
-    let crates = ["host", "firmware", "sim", "wire", "motion", "config"];
-    match crates.contains(&name) {
+    let crates = [
+        "host", "firmware", "sim", "wire", "motion", "jobs", "config",
+    ];
+    let of_crate = match crates.contains(&name) {
         true => ["src", "tests"]
             .map(|folder| sources(&root().join(name).join(folder)))
             .concat(),
-        false => sources(&root().join(format!("tests/tests/{name}.rs"))),
-    }
+        false => String::new(),
+    };
+    let here = ["", ".rs"].map(|ending| root().join(format!("tests/tests/{name}{ending}")));
+    of_crate + &here.map(|at| sources(&at)).concat()
 }
 
 /// The names of the tests in a source.

@@ -9,21 +9,16 @@ use std::collections::HashSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use ferrocnc_tests::flash::{self, Boots, FIRST, boots, factory};
+use ferrocnc_tests::flash::{self, Boots, FIRST, SECOND, UID, boots, factory};
 use ferrocnc_tests::lan::{Lan, Place};
 use ferrocnc_tests::{Simulator, program};
 use serde_json::Value;
 use sim::nor::{Nor, Part};
 
-const UIDS: [u64; 3] = [
-    0xd162_0c8a_1b2c_3d4e,
-    0xd162_0c8a_1b2c_3d4f,
-    0x5be3_0000_0000_0001,
-];
-/// Build ids of what is brought in.
-const SECOND: u32 = 0xbbbb_0002;
+const UIDS: [u64; 3] = [UID, 0xd162_0c8a_1b2c_3d4f, 0x5be3_0000_0000_0001];
+/// Build id of what is brought in last.
 const THIRD: u32 = 0xcccc_0003;
 
 /// A folder of this test's own, empty.
@@ -58,8 +53,23 @@ fn ferrocnc(mut command: Command, arguments: &[&str]) -> Output {
         .unwrap_or_else(|error| panic!("{command:?}: {error}"))
 }
 
+/// What a board of a busy computer takes at most. The tool gives up after seconds of this computer,
+/// in which a simulated board may not have run at all.
+const SLOWEST: Duration = Duration::from_secs(120);
+/// What the tool says of a board that is silent: the same command again does no harm.
+const SILENT: [&str; 3] = ["no answer from", "does not answer", "has not answered"];
+
+/// Runs `ferrocnc` on this host, again while the board is silent. It has to succeed.
 fn at_host(host: &Place, arguments: &[&str]) -> String {
-    let said = ferrocnc(host.command(program("ferrocnc")), arguments);
+    let began = Instant::now();
+    let said = loop {
+        let said = ferrocnc(host.command(program("ferrocnc")), arguments);
+        let error = text(&said.stderr);
+        let silent = !said.status.success() && SILENT.iter().any(|word| error.contains(word));
+        if !silent || began.elapsed() > SLOWEST {
+            break said;
+        }
+    };
     assert!(
         said.status.success(),
         "ferrocnc {arguments:?}: {}{}",
@@ -69,11 +79,17 @@ fn at_host(host: &Place, arguments: &[&str]) -> String {
     text(&said.stdout)
 }
 
-/// The boards that answer, by unique id.
-fn discover(host: &Place, arguments: &[&str]) -> Vec<Value> {
-    let said = at_host(host, &[&["--json", "discover"], arguments].concat());
-    let said: Value = serde_json::from_str(&said).unwrap_or_else(|e| panic!("{said}: {e}"));
-    said["boards"].as_array().expect("a list").clone()
+/// The boards that answer, by unique id. Looks again while fewer than `count` do.
+fn discover(host: &Place, count: usize, arguments: &[&str]) -> Vec<Value> {
+    let began = Instant::now();
+    loop {
+        let said = at_host(host, &[&["--json", "discover"], arguments].concat());
+        let said: Value = serde_json::from_str(&said).unwrap_or_else(|e| panic!("{said}: {e}"));
+        let boards = said["boards"].as_array().expect("a list");
+        if boards.len() >= count || began.elapsed() > SLOWEST {
+            return boards.clone();
+        }
+    }
 }
 
 fn values<'v>(boards: &'v [Value], key: &str) -> HashSet<&'v str> {
@@ -110,7 +126,7 @@ fn three_boards_with_the_factory_address_are_found_named_and_told_apart() {
     }
     let mut boards = start();
 
-    let found = discover(&host, &[]);
+    let found = discover(&host, 3, &[]);
     assert_eq!(found.len(), 3, "{found:#?}");
     let uids: Vec<String> = UIDS.into_iter().map(uid_text).collect();
     let expected: HashSet<&str> = uids.iter().map(String::as_str).collect();
@@ -128,7 +144,7 @@ fn three_boards_with_the_factory_address_are_found_named_and_told_apart() {
         let ip = format!("192.168.2.{}/24", 51 + n);
         let name = format!("axis {n}");
         at_host(&host, &["set", "--uid", uid, "--ip", &ip, "--name", &name]);
-        let found = discover(&host, &[]);
+        let found = discover(&host, 3, &[]);
         assert_eq!(found.len(), 3, "{found:#?}");
         let here = found.iter().find(|board| board["uid"] == *uid);
         let here = here.unwrap_or_else(|| panic!("{uid} is gone: {found:#?}"));
@@ -157,7 +173,7 @@ fn three_boards_with_the_factory_address_are_found_named_and_told_apart() {
     drop(boards);
     let _boards = start();
     told_apart(&host);
-    let names = discover(&host, &[]);
+    let names = discover(&host, 3, &[]);
     assert_eq!(
         values(&names, "name"),
         HashSet::from(["axis 0", "axis 1", "axis 2"])
@@ -165,9 +181,9 @@ fn three_boards_with_the_factory_address_are_found_named_and_told_apart() {
 
     // A computer in another net, and one without any address there, see them all the same.
     let elsewhere = lan.plug(Some("10.7.0.9/16"));
-    assert_eq!(discover(&elsewhere, &[]).len(), 3);
+    assert_eq!(discover(&elsewhere, 3, &[]).len(), 3);
     let nowhere = lan.plug(None);
-    assert_eq!(discover(&nowhere, &["--interface", "eth0"]).len(), 3);
+    assert_eq!(discover(&nowhere, 3, &["--interface", "eth0"]).len(), 3);
     let _ = std::fs::remove_dir_all(&folder);
 }
 
@@ -215,10 +231,11 @@ impl Drop for DhcpServer {
 
 /// Asks for boards until the only one is where it should be.
 fn wait_for_ip(host: &Place, wanted: impl Fn(&str) -> bool) -> Value {
+    let began = Instant::now();
     let mut found = Vec::new();
-    // The board waits 10 s for a server before it falls back; half a minute is never.
-    for _ in 0..15 {
-        found = discover(host, &["--interface", "eth0"]);
+    // The board waits 10 s of its own for a server before it falls back.
+    while began.elapsed() < SLOWEST {
+        found = discover(host, 1, &["--interface", "eth0"]);
         let there = |board: &Value| board["ip"].as_str().is_some_and(&wanted);
         if found.len() == 1 && there(&found[0]) {
             return found.remove(0);
@@ -326,12 +343,12 @@ fn an_update_of_a_board_that_loses_power_again_and_again_succeeds() {
     let now = boots_from(&path);
     assert!(matches!(now, Boots::Slot(_, SECOND)), "{now:?}");
     let _board = Simulator::at(&place, &path, UIDS[0]);
-    let said = discover(&host, &[]);
+    let said = discover(&host, 1, &[]);
     assert_eq!(said[0]["build_id"], format!("{SECOND:08x}"));
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-// ---- on loopback ----------------------------------------------------------------------------------------------------------
+// ---- on loopback --------------------------------------------------------------------------------
 
 /// A twin in real time behind loopback, with this flash.
 fn loopback(path: &Path) -> Simulator {

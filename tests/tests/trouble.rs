@@ -18,7 +18,6 @@ use host::link::Link;
 use serde_json::{Value, json};
 use sim::edges::{Step, read_file};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::time::Duration;
 
 /// Clocks per second, and per servo period.
@@ -81,24 +80,18 @@ impl Shop {
             let name = Path::new(file).file_name().expect("a name");
             std::fs::copy(cases.join(file), config.join(name)).expect("a copy");
         }
-        let log = std::fs::File::create(out.join("run.log")).expect("a log");
-        let done = Command::new("python3")
-            .arg(root().join("host/examples/mill/run.py"))
-            .args(["--board", &self.twin.udp().to_string(), "--lockstep"])
+        let done = self
+            .twin
+            .linuxcnc(&out)
             // Long enough for an answer on a busy computer, short enough for five missing ones.
             .args(["--read-timeout", "500000000", "--timeout", "300"])
             .arg("--config")
             .arg(&config)
             .args(["--ini", "trouble.ini", "--patience", "60", "--program"])
             .arg(cases.join("trouble/trouble.ngc"))
-            .arg("--out")
-            .arg(&out)
             .env("FERROCNC_CONTROL", self.twin.control().to_string())
             .env("FERROCNC_TROUBLE", trouble)
             .env("FERROCNC_MEND", mend)
-            .stdin(Stdio::null())
-            .stdout(log.try_clone().expect("its log"))
-            .stderr(log)
             .status();
         let said = std::fs::read_to_string(out.join("run.log")).unwrap_or_default();
         // LinuxCNC itself ends with an error without its realtime process.
@@ -391,39 +384,35 @@ fn at_rest(twin: &Simulator) -> bool {
     !state.enabled && owner.is_ok_and(|owner| owner == [0])
 }
 
-/// How long the driver waits for an answer, ns: the bucket overflows when this computer stands
-/// still for five times as long, and every lost frame costs as much. The fewer are lost, the longer
-/// it may be.
-fn patience(loss: &str) -> u64 {
-    match loss {
-        "0.01%" => 500_000_000,
-        "0.1%" => 150_000_000,
-        _ => 60_000_000,
-    }
-}
+/// How often `loss.ngc` goes round.
+const ROUNDS: &str = "repeat [3]";
+/// How long the driver waits for an answer, ns. The bucket overflows when this computer stands still
+/// for five times as long. Every lost frame costs as much.
+const LOSSY_PATIENCE: u64 = 500_000_000;
 
-/// The mill cuts `loss.ngc` while frames are lost with this probability each way; what came of it.
-fn mill_losing(loss: &str) -> Value {
+/// The mill cuts `loss.ngc` with so many rounds while frames are lost with this probability each
+/// way; what came of it.
+fn mill_losing(loss: &str, rounds: u32) -> Value {
     let shop = Shop::new(&format!("loss-{}", loss.replace('%', "")));
     let out = shop.folder.join("run");
     std::fs::create_dir_all(&out).expect("a folder");
+    let source = root().join("tests/linuxcnc/trouble/loss.ngc");
+    let source = std::fs::read_to_string(&source).unwrap_or_else(|e| panic!("{source:?}: {e}"));
+    assert_eq!(source.matches(ROUNDS).count(), 1, "the rounds of loss.ngc");
+    let program = shop.folder.join("loss.ngc");
+    let text = source.replace(ROUNDS, &format!("repeat [{rounds}]"));
+    std::fs::write(&program, text).expect("the program");
     let seed = ferrocnc_tests::seed();
     ferrocnc_tests::control(
         shop.twin.control(),
         &format!("fault loss={loss} seed={seed}"),
     );
-    let log = std::fs::File::create(out.join("run.log")).expect("a log");
-    let _ = Command::new("python3")
-        .arg(root().join("host/examples/mill/run.py"))
-        .args(["--board", &shop.twin.udp().to_string(), "--lockstep"])
-        .args(["--read-timeout", &patience(loss).to_string()])
+    let _ = shop
+        .twin
+        .linuxcnc(&out)
+        .args(["--read-timeout", &LOSSY_PATIENCE.to_string()])
         .args(["--timeout", "300", "--program"])
-        .arg(root().join("tests/linuxcnc/trouble/loss.ngc"))
-        .arg("--out")
-        .arg(&out)
-        .stdin(Stdio::null())
-        .stdout(log.try_clone().expect("its log"))
-        .stderr(log)
+        .arg(&program)
         .status();
     let mut result = json_of(&out.join("result.json"));
     result["seed"] = json!(seed);
@@ -460,8 +449,9 @@ fn following_bound(axis: &Value, longest_gap: u64) -> f64 {
 fn a_program_on_a_lossy_network_finishes_with_a_bounded_following_error_or_stops_as_the_bucket_says()
  {
     let mut rows = Vec::new();
-    for loss in ["0.01%", "0.1%", "1%"] {
-        let result = mill_losing(loss);
+    // The more frames are lost, the fewer rounds: each lost one is waited for.
+    for (loss, rounds) in [("0.01%", 3), ("0.1%", 3), ("1%", 1)] {
+        let result = mill_losing(loss, rounds);
         let gap = result["longest_gap"].as_u64().expect("a number");
         let seed = &result["seed"];
         assert_eq!(
@@ -503,7 +493,7 @@ fn a_program_on_a_lossy_network_finishes_with_a_bounded_following_error_or_stops
         }));
     }
     // So much that the bucket fills: it says so, once, and the machine is off.
-    let result = mill_losing("30%@4s");
+    let result = mill_losing("30%@4s", 3);
     let ours = ours(&result["messages"]);
     assert!(
         [4, 6].map(Value::from).contains(&result["exit"]),

@@ -9,7 +9,6 @@ use ferrocnc_tests::Simulator;
 use ferrocnc_tests::hal::{halrun, out, root};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 
 /// Runs the machine of `tests/linuxcnc/complete` on a twin with its plant; what its display found.
 fn complete() -> (Value, Value) {
@@ -24,19 +23,12 @@ fn complete() -> (Value, Value) {
         "--report",
         &report.display().to_string(),
     ]);
-    let log = std::fs::File::create(folder.join("run.log")).expect("a log");
-    let done = Command::new("python3")
-        .arg(root().join("host/examples/mill/run.py"))
-        .args(["--board", &twin.udp().to_string(), "--lockstep"])
+    let done = twin
+        .linuxcnc(&folder)
         .arg("--config")
         .arg(&config)
         .args(["--ini", "complete.ini", "--program"])
         .arg(config.join("complete.ngc"))
-        .arg("--out")
-        .arg(&folder)
-        .stdin(Stdio::null())
-        .stdout(log.try_clone().expect("its log"))
-        .stderr(log)
         .status();
     twin.finish();
     let said = std::fs::read_to_string(folder.join("run.log")).unwrap_or_default();
@@ -173,18 +165,12 @@ fn mill_once(peer: &str) -> (Value, Value, String) {
     };
     let to = report.display().to_string();
     let mut twin = Simulator::twin_of(&board, &["--mode", "lockstep", "--report", &to]);
-    let log = std::fs::File::create(folder.join("run.log")).expect("a log");
-    let _ = Command::new("python3")
-        .arg(root().join("host/examples/mill/run.py"))
-        .args(["--board", &twin.udp().to_string(), "--lockstep", "--hal"])
+    let _ = twin
+        .linuxcnc(&folder)
+        .arg("--hal")
         .arg(root().join(format!("host/examples/peers/{peer}.hal")))
         .arg("--program")
         .arg(root().join("tests/linuxcnc/short.ngc"))
-        .arg("--out")
-        .arg(&folder)
-        .stdin(Stdio::null())
-        .stdout(log.try_clone().expect("its log"))
-        .stderr(log)
         .status();
     twin.finish();
     let said = std::fs::read_to_string(folder.join("run.log")).unwrap_or_default();
@@ -205,11 +191,10 @@ fn off_at_rest(result: &Value) -> Vec<i64> {
 /// LinuxCNC waits for a move of its own that never comes, the machine is on, and every axis stands
 /// where it was sent.
 ///
-/// Debian 12's 2.9.0~pre1 is from before its task and its motion were kept from using one command
-/// buffer at the same time (LinuxCNC
-/// #2386, mended by #2479 in May 2023): a command that motion reads half-written is done wrong or not at all. Seen once in a gate,
-/// and not in 300 runs made to see it again. If the program does not end a second time, the test
-/// fails.
+/// In Debian 12's LinuxCNC, 2.9.0~pre1, task and motion can use one command buffer at the same time
+/// (LinuxCNC #2386, fixed by #2479 in May 2023): motion then executes a half-written command wrongly
+/// or not at all. It was seen once in a gate, and not in 300 runs made to see it again. If the
+/// program does not end a second time, the test fails.
 fn waits_for_itself(result: &Value) -> bool {
     let text = result["text"].as_str().unwrap_or_default();
     let still = text.starts_with("nothing happened") && text.contains("the program ends");

@@ -248,11 +248,81 @@ impl<'b> ReplyWriter<'b> {
     }
 }
 
+/// A request of the host: whole records that write words or read them, in one packet.
+#[derive(Debug)]
+pub struct Request<'b> {
+    packet: ReplyWriter<'b>,
+    whole: bool,
+}
+
+impl<'b> Request<'b> {
+    /// Starts a request in this buffer.
+    pub fn new(buffer: &'b mut [u32]) -> Self {
+        Request {
+            packet: ReplyWriter::new(buffer, HEADER),
+            whole: true,
+        }
+    }
+
+    /// Writes these words from an address on; no words make no record.
+    #[must_use]
+    pub fn write(mut self, base: u32, words: &[u32]) -> Self {
+        if words.is_empty() {
+            return self;
+        }
+        self.whole &= u8::try_from(words.len())
+            .is_ok_and(|count| self.packet.write_record(base, count) && self.packet.extend(words));
+        self
+    }
+
+    /// Reads these addresses: the answer carries the tag, and the words in this order.
+    #[must_use]
+    pub fn read(mut self, tag: u32, addresses: &[u32]) -> Self {
+        self.whole &= self.packet.read_record(tag, addresses);
+        self
+    }
+
+    /// The packet; `None` if a record did not fit.
+    pub fn words(self) -> Option<&'b [u32]> {
+        let buffer: &'b [u32] = self.packet.buffer;
+        buffer
+            .get(..self.packet.used)
+            .filter(|_| self.whole && self.packet.used >= HEADER_WORDS)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     extern crate std;
     use super::*;
     use std::vec::Vec;
+
+    #[test]
+    fn a_request_is_whole_or_none() {
+        fn request(buffer: &mut [u32]) -> Option<&[u32]> {
+            Request::new(buffer)
+                .write(0x10, &[])
+                .write(0x20, &[1, 2])
+                .read(7, &[0x30])
+                .words()
+        }
+        let mut buffer = [0; 9];
+        let words = request(&mut buffer[..]).unwrap();
+        let records: Vec<_> = Packet::new_checked(words).unwrap().records().collect();
+        assert_eq!(records.len(), 2);
+        assert_eq!(
+            (records[0].write_base, records[0].writes),
+            (0x20, &[1, 2][..])
+        );
+        assert_eq!((records[1].return_base, records[1].reads), (7, &[0x30][..]));
+        for room in 0..9 {
+            assert_eq!(request(&mut buffer[..room]), None, "{room} words");
+        }
+        assert_eq!(
+            Request::new(&mut [0; 300]).write(0, &[0; 256]).words(),
+            None
+        );
+    }
 
     fn refused(words: &[u32]) -> Refusal {
         Packet::new_checked(words).expect_err("should be refused")

@@ -11,7 +11,7 @@
 //! connection: the answer is [`Status::Garbled`], and nothing is executed. Every other request has
 //! exactly one answer, in order; a client may send requests before earlier answers arrive.
 //!
-//! **At the door**: a connection that comes while there is another one gets [`Status::Busy`] as if
+//! **A second client**, which connects while there is another one, gets [`Status::Busy`] as if
 //! it had sent a Hello. Then the board reads one request of it. [`Command::Stop`],
 //! [`Command::Pause`] and the STOP of Segment are executed and answered, with or without a Hello
 //! and the key; any other request gets [`Status::Busy`]. That is the end of the connection. The
@@ -30,8 +30,8 @@
 //! | 4 Commit | | the [`Entry`] |
 //! | 5 List | index:u8 | the [`Entry`] |
 //! | 6 Delete | name | free:u32 |
-//! | 7 GetMachine | | a [`Machine`] |
-//! | 8 PutMachine | a [`Machine`] | |
+//! | 7 GetMachine | | a [`MachineConfig`] |
+//! | 8 PutMachine | a [`MachineConfig`] | |
 //! | 9 Command | code:u8 flags:u8 keepalive:u16 name | a [`Report`] |
 //! | 10 Report | | a [`Report`] |
 //! | 11 Segment | command:u8 form:u8 0:u16 words:u32.. | FPGA G's status word |
@@ -45,8 +45,8 @@
 //! deletes an older job of that name. An unfinished upload stays until it is continued or deleted,
 //! or the power goes off.
 //!
-//! **Machine**: a job needs one; it holds what the planner and the drives have to know
-//! ([`Machine`]). It is kept until the power goes off.
+//! **MachineConfig**: a job needs one; it holds what the planner and the drives have to know
+//! ([`MachineConfig`]). It is kept until the power goes off.
 //!
 //! **Command** takes XYPenPlotter's codes ([`Command`]); others are refused. Stop is valid in every
 //! state. A code that does not fit the state gets [`Status::NotNow`]. A Start is answered before
@@ -57,9 +57,9 @@
 //! ([`Status::Key`]). It proves the key with the answer ([`crate::auth`], to acquire, its nonce the
 //! client's number) to the last Challenge, which the board gives while the session has no owner.
 //!
-//! **Segment** is FPGA G's protocol (`motion::fpgag`): one of its commands and, for GCODE, words of
-//! one or several instructions. The answer is its status word: 0 normal, bit 0 FULL, bit 1
-//! DISPATCHERROR. Refused words change nothing; START and STOP need what a start needs.
+//! **Segment** is FPGA G's protocol (`fpgag` of the crate `jobs`): one of its commands and, for
+//! GCODE, words of one or several instructions. The answer is its status word: 0 normal, bit 0
+//! FULL, bit 1 DISPATCHERROR. Refused words change nothing; START and STOP need what a start needs.
 
 use crate::Name;
 use crate::codes::codes;
@@ -68,7 +68,7 @@ use crate::crc::crc32;
 mod machine;
 mod report;
 
-pub use machine::{AXES, Axis, Field, Home, Machine};
+pub use machine::{AXES, Axis, Field, Home, MachineConfig};
 pub use report::{End, Report, State};
 
 /// TCP port of jobs: not registered, and below the ports a host uses for its own connections.
@@ -166,7 +166,7 @@ codes! {
         /// No machine was set.
         NoMachine = 12, "the board does not know its machine: send a machine description first";
         /// The machine is impossible; payload: [`Field`], axis.
-        Machine = 13, "the machine description is not possible";
+        MachineConfig = 13, "the machine description is not possible";
         /// No such command code.
         UnknownCode = 14, "there is no command with this code";
         /// Not in this state.
@@ -491,7 +491,7 @@ pub enum Request<'a> {
     /// Reads the machine.
     GetMachine,
     /// Sets the machine.
-    PutMachine(Machine),
+    PutMachine(MachineConfig),
     /// XYPenPlotter's code. The code is checked later, so that an unknown code and a malformed
     /// request have different answers.
     Command {
@@ -545,7 +545,7 @@ impl<'a> Request<'a> {
     pub fn parse(frame: &Frame<'a>) -> Result<Request<'a>, Status> {
         let op = Op::from_code(frame.op).ok_or(Status::UnknownOp)?;
         if op == Op::PutMachine {
-            return Machine::parse(frame.payload).map(Request::PutMachine);
+            return MachineConfig::parse(frame.payload).map(Request::PutMachine);
         }
         let mut reader = Reader(frame.payload);
         let request = Request::fields(op, &mut reader).ok_or(Status::Malformed)?;

@@ -13,7 +13,7 @@ use crate::describe::{Channels, JobsState};
 use crate::exchange::{self, Command, EncoderStatus, Latch, StateWord, Status};
 use crate::map::{self, BoardConfig, CountMode, PwmType, StepType, StepgenConfig};
 use crate::state::{FaultReason, GateClose, LinkSpeed, ResetReason, State};
-use crate::units::{Accel, Clocks, Count, Position, StepRate};
+use crate::units::{Accel, Clocks, Count, Position, Velocity};
 use core::fmt::{Result, Write};
 
 /// The example board: two channels of each kind, so that the stride from one to the next is
@@ -129,7 +129,7 @@ fn command(out: &mut impl Write, emit: Emit<'_, Command>) -> Result {
         stepgen_probe_arm 16 |it, bits| it.stepgen_probe_arm = bits as u16;
         latch 5 |it, bits| it.latch = Latch::from_code(bits as u32);
         gpio_out 32 |it, bits| it.gpio_out = bits as u32;
-        stepgen 32 |it, bits| it.stepgen[0].0 = StepRate(bits as u32 as i32);
+        stepgen 32 |it, bits| it.stepgen[0].0 = Velocity(bits as u32 as i32);
         pwm 32 |it, bits| it.pwm[0] = bits as u32;
     }
     field(out, format_args!("apply_at given"), 1, emit, |bits| {
@@ -139,11 +139,17 @@ fn command(out: &mut impl Write, emit: Emit<'_, Command>) -> Result {
         }
     })?;
     for n in 0..2 {
-        field(out, format_args!("stepgen {n} rate"), 32, emit, |bits| {
-            let mut it = Command::default();
-            it.stepgen[n].0 = StepRate(bits as u32 as i32);
-            it
-        })?;
+        field(
+            out,
+            format_args!("stepgen {n} velocity"),
+            32,
+            emit,
+            |bits| {
+                let mut it = Command::default();
+                it.stepgen[n].0 = Velocity(bits as u32 as i32);
+                it
+            },
+        )?;
         field(out, format_args!("stepgen {n} accel"), 32, emit, |bits| {
             let mut it = Command::default();
             it.stepgen[n].1 = Accel(bits as u32);
@@ -176,7 +182,7 @@ fn status(out: &mut impl Write, emit: Emit<'_, Status>) -> Result {
         stepgen_index_latched: 0,
         stepgen_probe_latched: 0,
         latch: Count(0),
-        stepgen: [(Position(0), StepRate(0)); exchange::MAX_CHANNELS],
+        stepgen: [(Position(0), Velocity(0)); exchange::MAX_CHANNELS],
         encoder: [EncoderStatus::default(); exchange::MAX_CHANNELS],
     };
     let most = Channels {
@@ -223,11 +229,17 @@ fn status(out: &mut impl Write, emit: Emit<'_, Status>) -> Result {
                 it
             },
         )?;
-        field(out, format_args!("stepgen {n} rate"), 32, emit, |bits| {
-            let mut it = rest();
-            it.stepgen[n].1 = StepRate(bits as u32 as i32);
-            it
-        })?;
+        field(
+            out,
+            format_args!("stepgen {n} velocity"),
+            32,
+            emit,
+            |bits| {
+                let mut it = rest();
+                it.stepgen[n].1 = Velocity(bits as u32 as i32);
+                it
+            },
+        )?;
         encoder(out, emit, n, &rest)?;
     }
     state_word(out)

@@ -54,7 +54,7 @@ pub mod settings;
 pub mod state;
 pub mod units;
 
-pub use etherbone::{Packet, Record, ReplyWriter};
+pub use etherbone::{Packet, Record, ReplyWriter, Request};
 pub use name::Name;
 pub use refusal::Refusal;
 pub use state::{FaultReason, GateClose, LinkSpeed, ResetReason, State};

@@ -11,7 +11,7 @@
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
 /// exchange's layout (`wire/layout.txt`).
-pub const ABI: u32 = 0x4bf5b79f;
+pub const ABI: u32 = 0x50af4d5a;
 /// The value of [`ident::MAGIC`]: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
@@ -783,7 +783,7 @@ pub mod flash {
 }
 
 /// Which frames may occupy a receive slot: a frame that is not the owner's needs a ticket.
-pub mod guest {
+pub mod rx_admission {
     /// Number of the page.
     pub const PAGE: u32 = 65;
     /// First byte of the page.

@@ -1,9 +1,9 @@
 //! Numbers with units. Raw integers appear only here and in registers.
 
-/// A signed step rate as the gateware counts it: one unit is `f_clk / 2^32` steps per second
+/// A signed step velocity as the gateware counts it: one unit is `f_clk / 2^32` steps per second
 /// (0.014 steps/s at 60 MHz). Full scale is half the clock: a step every second clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub struct StepRate(pub i32);
+pub struct Velocity(pub i32);
 
 /// An acceleration limit as the gateware applies it every clock: one unit is `f_clk^2 / 2^56`
 /// steps/s^2 (0.05 steps/s^2 at 60 MHz). Zero means no limit.
@@ -28,15 +28,15 @@ const TWO_32: f64 = 4_294_967_296.0;
 /// `2^56`.
 const TWO_56: f64 = 72_057_594_037_927_936.0;
 
-impl StepRate {
-    /// The largest rate of a stepgen: just under half the clock.
-    pub const MAX: StepRate = StepRate(i32::MAX);
+impl Velocity {
+    /// The largest velocity of a stepgen: just under half the clock.
+    pub const MAX: Velocity = Velocity(i32::MAX);
 
-    /// From steps per second, saturating at +-[`StepRate::MAX`]; NaN is 0.
+    /// From steps per second, saturating at +-[`Velocity::MAX`]; NaN is 0.
     pub fn from_hz(steps_per_second: f64, clock_hz: f64) -> Self {
         let units = steps_per_second / clock_hz * TWO_32;
         // `as` saturates and maps NaN to 0; i32::MIN would have no positive twin.
-        StepRate((units + half(units)) as i32).clamped()
+        Velocity((units + half(units)) as i32).clamped()
     }
 
     /// In steps per second.
@@ -45,12 +45,12 @@ impl StepRate {
     }
 
     fn clamped(self) -> Self {
-        StepRate(self.0.max(-i32::MAX))
+        Velocity(self.0.max(-i32::MAX))
     }
 }
 
 impl Accel {
-    /// No limit: the rate jumps.
+    /// No limit: the velocity jumps.
     pub const UNLIMITED: Accel = Accel(0);
 
     /// From steps/s^2. Zero or less, and NaN, mean "no limit"; anything else is at least one unit.
@@ -133,15 +133,15 @@ mod tests {
 
     #[test]
     fn one_unit_of_rate_is_finer_than_the_design_asks() {
-        assert!(StepRate(1).to_hz(50e6) <= 0.012);
+        assert!(Velocity(1).to_hz(50e6) <= 0.012);
         assert!(Accel(1).to_steps(50e6).unwrap() <= 0.1);
     }
 
     #[test]
     fn the_units_are_those_of_the_clock() {
         // 2^24 of 2^32 of 60 MHz; 2^24 of 2^56 of its square.
-        assert_eq!(StepRate(1 << 24).to_hz(CLOCK), 234_375.0);
-        assert_eq!(StepRate::from_hz(-234_375.0, CLOCK), StepRate(-(1 << 24)));
+        assert_eq!(Velocity(1 << 24).to_hz(CLOCK), 234_375.0);
+        assert_eq!(Velocity::from_hz(-234_375.0, CLOCK), Velocity(-(1 << 24)));
         let steps = 60e6 * 60e6 / TWO_32;
         assert_eq!(Accel(1 << 24).to_steps(CLOCK), Some(steps));
         assert_eq!(Accel::from_steps(steps, CLOCK), Accel(1 << 24));
@@ -150,9 +150,9 @@ mod tests {
 
     #[test]
     fn rates_and_limits_are_rounded_to_the_nearest_unit() {
-        let unit = StepRate(1).to_hz(CLOCK);
+        let unit = Velocity(1).to_hz(CLOCK);
         for (units, rounded) in [(2.4, 2), (2.6, 3), (-2.4, -2), (-2.6, -3), (-0.4, 0)] {
-            assert_eq!(StepRate::from_hz(units * unit, CLOCK), StepRate(rounded));
+            assert_eq!(Velocity::from_hz(units * unit, CLOCK), Velocity(rounded));
         }
         let unit = Accel(1).to_steps(CLOCK).unwrap();
         for (units, rounded) in [(2.4, 2), (2.6, 3), (0.1, 1)] {
@@ -170,12 +170,12 @@ mod tests {
 
     #[test]
     fn a_rate_beyond_half_the_clock_saturates_and_keeps_its_sign() {
-        assert_eq!(StepRate::from_hz(1e9, CLOCK), StepRate::MAX);
-        assert_eq!(StepRate::from_hz(-1e9, CLOCK), StepRate(-i32::MAX));
-        assert_eq!(StepRate::from_hz(f64::NAN, CLOCK), StepRate(0));
+        assert_eq!(Velocity::from_hz(1e9, CLOCK), Velocity::MAX);
+        assert_eq!(Velocity::from_hz(-1e9, CLOCK), Velocity(-i32::MAX));
+        assert_eq!(Velocity::from_hz(f64::NAN, CLOCK), Velocity(0));
         assert_eq!(
-            StepRate::from_hz(f64::NEG_INFINITY, CLOCK),
-            StepRate(-i32::MAX)
+            Velocity::from_hz(f64::NEG_INFINITY, CLOCK),
+            Velocity(-i32::MAX)
         );
     }
 
@@ -183,8 +183,8 @@ mod tests {
     fn rates_survive_the_round_trip_at_the_edges() {
         for units in [0, 1, -1, i32::MAX, -i32::MAX, 71_583] {
             assert_eq!(
-                StepRate::from_hz(StepRate(units).to_hz(CLOCK), CLOCK),
-                StepRate(units)
+                Velocity::from_hz(Velocity(units).to_hz(CLOCK), CLOCK),
+                Velocity(units)
             );
         }
     }

@@ -1,6 +1,6 @@
 //! Measurements. Each prints its figures and leaves them in `target/reports/NAME.json`.
 
-use crate::{build, faults, python, root, setup, step, target};
+use crate::{build, cargo_tests, faults, python, root, setup, step, target};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use std::process::Command;
@@ -94,12 +94,9 @@ fn jobs() -> Result<()> {
     build::simulated_cores(build::CORES_BOARD)?;
     step::heading("bench: jobs");
     std::fs::create_dir_all(target("reports"))?;
-    let mut bench = Command::new("cargo");
-    bench.arg("test").args(build::BOARD_TESTS);
+    let mut bench = cargo_tests::of_boards();
     bench.args(["--test", "jobs", "--test", "jobs_rtl", "--"]);
     bench.args(["a_drawing", "a_dense_arc", "--nocapture"]);
-    bench.env("FERROCNC_SOC", build::soc(build::BOARD));
-    bench.env("FERROCNC_FIRMWARE", build::image());
     bench.env("FERROCNC_REPORTS", target("reports"));
     let printed = step::run_quietly("bench-jobs", "a drawing, edge by edge", "8 min", &mut bench)?;
     for line in printed

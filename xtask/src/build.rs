@@ -25,10 +25,20 @@ pub struct Parts {
 /// Builds everything a simulated run needs; what is fresh is left alone.
 pub fn everything() -> Result<Parts> {
     step::heading("build: board, firmware, driver, tools");
-    let firmware = firmware()?;
-    let soc = simulated_board(BOARD)?;
-    host()?;
-    Ok(Parts { soc, firmware })
+    // Before the others: cargo builds one thing at a time in a folder, and LiteX waited for it.
+    let reader = board_reader()?;
+    // The last crate of the host's keeps one core busy for a minute: the board is built beside it.
+    std::thread::scope(|scope| {
+        let host = scope.spawn(host);
+        let firmware = firmware();
+        let soc = elaborate_and_verilate(BOARD, &reader);
+        host.join()
+            .unwrap_or_else(|_| bail!("the build of the host panicked"))?;
+        Ok(Parts {
+            soc: soc?,
+            firmware: firmware?,
+        })
+    })
 }
 
 /// The firmware image as an ELF file.
@@ -54,11 +64,29 @@ pub fn soc(board: &str) -> PathBuf {
     target(&format!("sim/{board}"))
 }
 
+/// The program that reads board files for LiteX.
+fn board_reader() -> Result<PathBuf> {
+    let mut build = Command::new("cargo");
+    build.args(["build", "--release", "--package", "ferrocnc-config"]);
+    step::run(
+        "board-reader",
+        "build the reader of board files (Rust)",
+        "30 s",
+        &mut build,
+    )?;
+    Ok(target("release/ferrocnc-config"))
+}
+
 /// Elaborates a board for simulation and verilates it.
 pub fn simulated_board(board: &str) -> Result<PathBuf> {
+    elaborate_and_verilate(board, &board_reader()?)
+}
+
+fn elaborate_and_verilate(board: &str, reader: &Path) -> Result<PathBuf> {
     let elaborated = target(&format!("gateware/sim-{board}"));
     let mut elaborate = python::gateware("elaborate");
     elaborate
+        .env("FERROCNC_CONFIG", reader)
         .args([
             "--target",
             "sim",
@@ -122,11 +150,12 @@ pub fn host() -> Result<()> {
     )
 }
 
-/// Every program of the `tests` crate, in one call of cargo: both cores have work while the crate
-/// is built.
+/// Every program of the tests that need a board, in one call of cargo: both cores have work while
+/// they are built.
 pub fn test_programs() -> Result<()> {
     let mut build = Command::new("cargo");
     build.args(["test", "--no-run"]).args(BOARD_TESTS);
+    build.args(["--test", "*"]);
     step::run(
         "test-programs",
         "build the tests against the simulated board (Rust)",
@@ -135,14 +164,17 @@ pub fn test_programs() -> Result<()> {
     )
 }
 
-/// What cargo is told of the `tests` crate.
-pub const BOARD_TESTS: [&str; 6] = [
+/// What cargo is told of them, the same in every call: for other packages at once it would find
+/// other features of what they share, and build the twin and the firmware's library again.
+pub const BOARD_TESTS: [&str; 8] = [
     "--profile",
     "tests",
     "--package",
     "ferrocnc-tests",
+    "--package",
+    "ferrocnc-sim",
     "--features",
-    "board",
+    "ferrocnc-tests/board,ferrocnc-sim/board",
 ];
 
 /// The router crowded boards need (decision 11). Returns where it is.

@@ -1,31 +1,35 @@
 //! `cargo test` as a step: says where the simulated board, the image and the bitstream are, and
 //! counts the tests that passed.
 
-use crate::{bitstream, build, step};
+use crate::{bitstream, build, slowest, step};
 use anyhow::{Result, bail};
 use std::process::Command;
 
-/// Runs `cargo` with these arguments, as a step with this name; returns how many tests passed.
-pub fn run(name: &str, title: &str, expect: &str, arguments: &[&str]) -> Result<usize> {
-    run_with(name, title, expect, arguments, &[])
-}
-
-/// The same with more variables in its environment.
-pub fn run_with(
-    name: &str,
-    title: &str,
-    expect: &str,
-    arguments: &[&str],
-    more: &[(&str, String)],
-) -> Result<usize> {
+/// `cargo test`, told where the simulated board, the image and the bitstream are.
+pub fn command() -> Command {
     let mut cargo = Command::new("cargo");
-    cargo.args(arguments);
+    cargo.arg("test");
     cargo.env("FERROCNC_SOC", build::soc(build::BOARD));
     cargo.env("FERROCNC_FIRMWARE", build::image());
     cargo.env("FERROCNC_BITSTREAM", bitstream::folder(bitstream::SMALLEST));
-    cargo.envs(more.iter().map(|(name, value)| (name, value)));
-    let printed = step::run_quietly(name, title, expect, &mut cargo)?;
+    cargo
+}
+
+/// The same for programs that need a board, whose names are still to come.
+pub fn of_boards() -> Command {
+    let mut cargo = command();
+    cargo.args(build::BOARD_TESTS);
+    cargo
+}
+
+/// Runs such a command, as a step with this name; returns how many tests passed.
+pub fn run(name: &str, title: &str, expect: &str, cargo: &mut Command) -> Result<usize> {
+    let printed = step::run_timed(name, title, expect, cargo)?;
+    if let Some(threads) = threads(cargo) {
+        slowest::note(name.trim_start_matches("test-"), &printed, threads);
+    }
     let count = printed
+        .text
         .lines()
         .filter_map(|line| {
             line.strip_prefix("test result: ok. ")?
@@ -39,4 +43,12 @@ pub fn run_with(
         bail!("{title}: no test ran");
     }
     Ok(count)
+}
+
+/// How many tests of one program the command runs at a time, if it says so.
+fn threads(cargo: &Command) -> Option<usize> {
+    let mut arguments = cargo
+        .get_args()
+        .skip_while(|word| *word != "--test-threads");
+    arguments.nth(1)?.to_str()?.parse().ok()
 }

@@ -18,7 +18,7 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     println!("FerroCNC demo: LinuxCNC cuts a program through the simulated board.");
     println!(
-        "The first run installs and builds everything, about 10 minutes on two cores; later ones take 4."
+        "The first run installs and builds everything, about 10 minutes on two cores; later ones take 6."
     );
     setup::run(setup::Need::Everything)?;
     let parts = build::everything()?;

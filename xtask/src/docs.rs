@@ -7,7 +7,7 @@ mod links;
 #[cfg(test)]
 mod tests;
 
-use crate::{root, setup, step, target};
+use crate::{root, setup, step, target, tree};
 use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::Path;
@@ -29,30 +29,25 @@ pub fn run() -> Result<()> {
     if copy.exists() {
         fs::remove_dir_all(&copy)?;
     }
-    copy_pages(&root().join("docs"), &copy, Path::new("docs"))?;
+    copy_pages(&copy)?;
     let mut build = Command::new(mdbook);
     step::run("docs", "build the site", "5 s", build.arg("build"))?;
     step::note(&format!("{}", target("book/index.html").display()));
     Ok(())
 }
 
-/// Copies a folder of pages and pictures; `at` is its path in the repository.
-fn copy_pages(from: &Path, to: &Path, at: &Path) -> Result<()> {
-    fs::create_dir_all(to).with_context(|| format!("cannot make {}", to.display()))?;
-    for entry in fs::read_dir(from).with_context(|| from.display().to_string())? {
-        let entry = entry?;
-        let (path, copy, at) = (
-            entry.path(),
-            to.join(entry.file_name()),
-            at.join(entry.file_name()),
-        );
-        if path.is_dir() {
-            copy_pages(&path, &copy, &at)?;
-        } else if path.extension().is_some_and(|ending| ending == "md") {
-            let page = fs::read_to_string(&path)?;
-            fs::write(&copy, for_the_site(&page, &at))?;
+/// Copies the pages and pictures of `docs/`.
+fn copy_pages(to: &Path) -> Result<()> {
+    let docs = Path::new("docs");
+    for file in tree::files(&root().join(docs))? {
+        let (from, copy) = (root().join(docs).join(&file), to.join(&file));
+        let folder = copy.parent().context("a copy lies in a folder")?;
+        fs::create_dir_all(folder).with_context(|| format!("no {}", folder.display()))?;
+        if file.extension().is_some_and(|ending| ending == "md") {
+            let page = fs::read_to_string(&from)?;
+            fs::write(&copy, for_the_site(&page, &docs.join(&file)))?;
         } else {
-            fs::copy(&path, &copy)?;
+            fs::copy(&from, &copy)?;
         }
     }
     Ok(())

@@ -4,11 +4,10 @@
 //! The table is in the document. A row names its tests as `binary::name`; the results of this level
 //! count.
 
-use crate::{bitstream, build, root, step, target};
+use crate::{cargo_tests, root, step, target};
 use anyhow::{Context, Result, bail};
 use serde_json::{Value, json};
 use std::collections::HashMap;
-use std::process::Command;
 
 /// The test binaries of this level.
 const BINARIES: [&str; 3] = ["faults", "faults_rtl", "faults_measured"];
@@ -17,7 +16,7 @@ const BINARIES: [&str; 3] = ["faults", "faults_rtl", "faults_measured"];
 pub fn run() -> Result<usize> {
     let figures = target("reports/faults");
     std::fs::create_dir_all(&figures)?;
-    let mut cargo = tests();
+    let mut cargo = cargo_tests::of_boards();
     cargo.args(["--no-fail-fast"]);
     for name in BINARIES {
         cargo.args(["--test", name]);
@@ -61,21 +60,11 @@ pub fn run() -> Result<usize> {
     Ok(results.values().filter(|passed| **passed).count())
 }
 
-/// `cargo test` of the tests crate with what its simulated boards are made of.
-fn tests() -> Command {
-    let mut cargo = Command::new("cargo");
-    cargo.arg("test").args(build::BOARD_TESTS);
-    cargo.env("FERROCNC_SOC", build::soc(build::BOARD));
-    cargo.env("FERROCNC_FIRMWARE", build::image());
-    cargo.env("FERROCNC_BITSTREAM", bitstream::folder(bitstream::SMALLEST));
-    cargo
-}
-
 /// A figure that takes long: the test of this name with this in its environment. Its report is
 /// `target/reports/NAME.json`.
 pub fn measure(name: &str, test: &str, expect: &str, variable: &str, value: u64) -> Result<()> {
     step::heading(&format!("bench: {name}"));
-    let mut cargo = tests();
+    let mut cargo = cargo_tests::of_boards();
     cargo.args(["--test", "faults_measured", test, "--", "--nocapture"]);
     std::fs::create_dir_all(target("reports"))?;
     cargo.env("FERROCNC_REPORTS", target("reports"));

@@ -13,23 +13,20 @@
 //! in <!-- figure: turnaround -->960 clocks<!-- /figure --> at most
 //! ```
 
-use crate::{root, step, target};
+use crate::{root, step, target, tree};
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// The figures themselves.
 const DATA: &str = "docs/figures.json";
 
 /// The page that has them all.
 const PAGE: &str = "docs/figures.md";
-
-/// Where marked places may be.
-const FOLDERS: [&str; 3] = ["", "docs", "fuzz"];
 
 /// What `cargo xtask figures` can be told.
 #[derive(Args)]
@@ -153,35 +150,18 @@ fn read() -> Result<Figures> {
     Ok(figures)
 }
 
-/// The page of all figures, and every page that may have marked places, with its text.
+/// The page of all figures, which need not be there yet, and every other page, with its text.
 fn pages() -> Result<Vec<(PathBuf, String)>> {
-    let mut found = vec![root().join(PAGE)];
-    for folder in FOLDERS {
-        collect(&root().join(folder), folder == "docs", &mut found)?;
-    }
+    let mut found = tree::with_ending(root(), "md")?;
+    found.push(PathBuf::from(PAGE));
     found.sort();
     found.dedup();
-    found
-        .into_iter()
-        .map(|path| {
-            let text = fs::read_to_string(&path).unwrap_or_default();
-            Ok((path, text))
-        })
-        .collect()
-}
-
-/// The pages of a folder, with `deep` of the folders in it.
-fn collect(folder: &Path, deep: bool, found: &mut Vec<PathBuf>) -> Result<()> {
-    let entries = fs::read_dir(folder).with_context(|| folder.display().to_string())?;
-    for entry in entries {
-        let path = entry?.path();
-        if path.is_dir() && deep {
-            collect(&path, deep, found)?;
-        } else if path.extension().is_some_and(|ending| ending == "md") {
-            found.push(path);
-        }
-    }
-    Ok(())
+    let read = |page| {
+        let path = root().join(page);
+        let text = fs::read_to_string(&path).unwrap_or_default();
+        (path, text)
+    };
+    Ok(found.into_iter().map(read).collect())
 }
 
 /// Brings the values of the reports into the data.
@@ -231,6 +211,10 @@ impl Source {
         }
         let values = self.paths.iter().map(|path| {
             let value = self.value(report, path)?;
+            // What was counted has no digits behind the point, whatever its neighbours have.
+            if self.scale == 1.0 && value.is_u64() {
+                return Ok(value);
+            }
             let number = value
                 .as_f64()
                 .with_context(|| format!("{path} in {} is {value}", self.report))?;
@@ -335,6 +319,9 @@ impl Figure {
     }
 }
 
+/// Columns of a line of prose.
+const COLUMNS: usize = 100;
+
 const HEAD: &str = "| what | figure | printed by |\n|---|---|---|\n";
 
 impl Figures {
@@ -388,7 +375,8 @@ impl Figures {
              every configuration in [timing](timing.md).\n",
         );
         for section in &self.sections {
-            page += &format!("\n## {}\n\n{}\n\n{HEAD}", section.title, section.about);
+            let about = wrapped(&section.about, COLUMNS);
+            page += &format!("\n## {}\n\n{about}\n\n{HEAD}", section.title);
             page.extend(section.figures.iter().map(Figure::row));
         }
         page
@@ -407,6 +395,24 @@ impl Figures {
             Ok(self.get(id)?.text())
         })
     }
+}
+
+/// Prose in lines of so many characters at most.
+fn wrapped(text: &str, columns: usize) -> String {
+    let (mut done, mut length) = (String::new(), 0);
+    for word in text.split_whitespace() {
+        let more = word.chars().count();
+        if length > 0 && length + 1 + more > columns {
+            done.push('\n');
+            length = 0;
+        } else if length > 0 {
+            done.push(' ');
+            length += 1;
+        }
+        done += word;
+        length += more;
+    }
+    done
 }
 
 /// Replaces what stands between each pair of marks; `make` is given what the first mark names.
@@ -453,6 +459,13 @@ mod tests {
     }
 
     #[test]
+    fn prose_is_wrapped_between_words() {
+        assert_eq!(wrapped("a bc def", 4), "a bc\ndef");
+        assert_eq!(wrapped("abcdef g", 4), "abcdef\ng");
+        assert_eq!(wrapped("", 4), "");
+    }
+
+    #[test]
     fn a_page_that_differs_is_found() {
         let figures = read().unwrap();
         let first = figures.all().next().unwrap();
@@ -485,6 +498,7 @@ mod tests {
             [json!(4), json!(4), json!(5), json!(1)]
         );
         source.digits = 1;
+        assert_eq!(source.values(&report).unwrap()[0], json!(4), "a count");
         source.scale = 10.0;
         assert_eq!(source.values(&report).unwrap()[3], json!(12.6));
         source.when.insert("/of".to_owned(), json!(30));

@@ -121,11 +121,7 @@ pub fn fuzz(names: &[String], seconds: u32, jobs: usize) -> Result<usize> {
 
 /// Builds all of them; says where they are.
 fn build() -> Result<PathBuf> {
-    let version = setup::output(Command::new("rustc").arg("-vV")).context("no rustc")?;
-    let host = version
-        .lines()
-        .find_map(|line| line.strip_prefix("host: "))
-        .context("rustc does not say what it runs on")?;
+    let host = setup::host()?;
     let mut cargo = Command::new("cargo");
     cargo
         .args([
@@ -138,7 +134,7 @@ fn build() -> Result<PathBuf> {
         .args([
             root().join("fuzz/Cargo.toml"),
             "--target".into(),
-            host.into(),
+            host.clone().into(),
         ])
         .arg("--target-dir")
         .arg(target("fuzz"))

@@ -16,8 +16,10 @@ mod netlist;
 mod python;
 mod regen;
 mod setup;
+mod slowest;
 mod step;
 mod test;
+mod tree;
 
 use clap::{Parser, Subcommand};
 use std::path::{Path, PathBuf};
@@ -66,8 +68,7 @@ enum Task {
     Docs,
     /// Write docs/figures.md and the marked places of other pages from docs/figures.json.
     Figures(figures::Options),
-    /// Feed what comes from outside with inputs nobody would think of: 60 s per target, or as long
-    /// as said.
+    /// Feed what comes from outside with random inputs: 60 s per target, or as long as said.
     Fuzz(fuzz::Options),
     /// Mutation tests: change the code in one place at a time, and list each change that no test
     /// notices. All areas take hours; `--list` names them.

@@ -23,7 +23,7 @@ use clap::Args;
 use list::{Area, List, Survivor, Verdict};
 use serde_json::{Value, json};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus};
 use std::time::Instant;
 
@@ -79,19 +79,26 @@ pub fn run(options: &Options) -> Result<()> {
     if areas.iter().any(|area| area.bench.is_some()) && !options.list {
         setup::run(setup::Need::Gateware)?;
     }
-    if areas.iter().any(|area| area.bench.is_none()) {
-        setup::cargo_mutants()?;
-    }
+    // Before the first area, so that no area of hours ends with a tool that cannot be had.
+    let tool = match areas.iter().any(|area| area.bench.is_none()) {
+        true => setup::cargo_mutants()?,
+        false => PathBuf::new(),
+    };
     let mut bad = 0;
     for area in areas {
         if options.list {
-            println!("{:<20} {:>4}  {}", area.name, count(area)?, area.what);
+            println!(
+                "{:<20} {:>4}  {}",
+                area.name,
+                count(&tool, area)?,
+                area.what
+            );
             continue;
         }
         step::heading(&format!("mutants: {}, {}", area.name, area.what));
         let begun = Instant::now();
         let entries = match options.explained {
-            true => explained(&list, area)?,
+            true => explained(&tool, &list, area)?,
             false => Vec::new(),
         };
         if options.explained && entries.is_empty() {
@@ -100,7 +107,7 @@ pub fn run(options: &Options) -> Result<()> {
         }
         let outcome = match &area.bench {
             Some(bench) => rtl(area, bench)?,
-            None => rust(area, options, &entries)?,
+            None => rust(&tool, area, options, &entries)?,
         };
         let verdict = judge(&list, area, &outcome);
         tell(&outcome, &verdict);
@@ -126,12 +133,12 @@ pub fn run(options: &Options) -> Result<()> {
 }
 
 /// `cargo mutants` on the files of an area.
-fn cargo_mutants(area: &Area) -> Result<Command> {
+fn cargo_mutants(tool: &Path, area: &Area) -> Result<Command> {
     let package = area
         .package
         .as_deref()
         .context("an area of Rust has a package")?;
-    let mut command = Command::new(setup::cargo_mutants()?);
+    let mut command = Command::new(tool);
     command.args(["mutants", "--package", package]);
     for file in &area.files {
         command.args(["--file", file]);
@@ -141,7 +148,7 @@ fn cargo_mutants(area: &Area) -> Result<Command> {
 }
 
 /// How many mutants an area has.
-fn count(area: &Area) -> Result<usize> {
+fn count(tool: &Path, area: &Area) -> Result<usize> {
     if let Some(bench) = &area.bench {
         let script = fs::read_to_string(root().join("gateware/tests/mutants.sh"))?;
         let mine = format!("mutant {bench} ");
@@ -150,22 +157,22 @@ fn count(area: &Area) -> Result<usize> {
             .filter(|line| line.starts_with(&mine))
             .count());
     }
-    Ok(listed(area)?.lines().count())
+    Ok(listed(tool, area)?.lines().count())
 }
 
 /// The names of an area's mutants of Rust, a line each.
-fn listed(area: &Area) -> Result<String> {
-    let listed = setup::output(cargo_mutants(area)?.arg("--list"));
+fn listed(tool: &Path, area: &Area) -> Result<String> {
+    let listed = setup::output(cargo_mutants(tool, area)?.arg("--list"));
     listed.context("cargo mutants --list failed")
 }
 
 /// The mutants of an area that the list explains, if they survive.
-fn explained(list: &List, area: &Area) -> Result<Vec<String>> {
+fn explained(tool: &Path, list: &List, area: &Area) -> Result<Vec<String>> {
     if area.bench.is_some() {
         return Ok(Vec::new());
     }
     let mut names = Vec::new();
-    for name in listed(area)?.lines() {
+    for name in listed(tool, area)?.lines() {
         if list.explains(&survivor(name)?) {
             names.push(name.to_owned());
         }
@@ -190,7 +197,7 @@ fn judge(list: &List, area: &Area, outcome: &Outcome) -> Verdict {
 
 /// Mutants of Rust: a copy of the tree, a target folder of their own that every area shares.
 /// `entries` are the names of those that `--explained` means.
-fn rust(area: &Area, options: &Options, entries: &[String]) -> Result<Outcome> {
+fn rust(tool: &Path, area: &Area, options: &Options, entries: &[String]) -> Result<Outcome> {
     let again = options.again;
     // `--again` reads what a run of the area left.
     let out = match options.explained {
@@ -202,7 +209,7 @@ fn rust(area: &Area, options: &Options, entries: &[String]) -> Result<Outcome> {
         true => "mutants-optimised",
         false => "mutants",
     };
-    let mut command = cargo_mutants(area)?;
+    let mut command = cargo_mutants(tool, area)?;
     command
         .args(["--profile", profile, "--jobs", "1", "--colors", "never"])
         .args(["--caught", "--minimum-test-timeout", TIMEOUT_SECONDS])
@@ -339,6 +346,7 @@ fn judged(area: &Area, command: &mut Command, fine: fn(i32) -> bool) -> Result<S
         command,
         fine,
     )
+    .map(|printed| printed.text)
 }
 
 /// The area's result for a reader.

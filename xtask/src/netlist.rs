@@ -71,9 +71,9 @@ pub fn compare(seeds: u32, seed: Option<u64>) -> Result<usize> {
 
 /// The routed netlist beside the RTL, told where both are.
 fn against_rtl(more: &[(&str, String)]) -> Result<usize> {
-    let mut arguments = vec!["test"];
-    arguments.extend(build::BOARD_TESTS);
-    arguments.extend(["--test", "netlist", "--", "--nocapture"]);
+    let mut cargo = cargo_tests::of_boards();
+    cargo.args(["--test", "netlist", "--", "--nocapture"]);
+    cargo.envs(more.iter().map(|(name, value)| (name, value)));
     let title = "what nextpnr made beside the RTL, clock by clock";
-    cargo_tests::run_with("test-netlist", title, "20 s", &arguments, more)
+    cargo_tests::run("test-netlist", title, "20 s", &mut cargo)
 }

@@ -1,11 +1,10 @@
 //! The generated files: layout of the exchange and register map -> SVD, memory.x,
-//! docs/registers.md, constants in `wire` -> PAC; board files -> the twin's boards.
+//! docs/registers.md, constants in `wire` -> PAC.
 
 use crate::{figures, python, root, setup, step, target};
 use anyhow::{Context, Result, bail};
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 /// The layout of the exchange as `wire` says it: half of what the ABI number is the hash of.
 const LAYOUT: &str = "wire/layout.txt";
@@ -21,12 +20,6 @@ const GENERATED: &[&str] = &[
     "docs/registers.md",
     "pac/src/lib.rs",
     REGMAP,
-    "sim/boards/75b_v8_14o11i6s6e6p/board.bin",
-    "sim/boards/75b_v8_14o11i6s6e6p/manifest.json",
-    "sim/boards/max/board.bin",
-    "sim/boards/max/manifest.json",
-    "sim/boards/mill6/board.bin",
-    "sim/boards/mill6/manifest.json",
 ];
 
 /// Writes them again, or with `check` only compares what is committed with what they would be.
@@ -49,12 +42,6 @@ pub fn generate(check: bool) -> Result<()> {
     export.arg("--root").arg(&scratch);
     step::run("export", "export the register map", "10 s", &mut export)?;
     peripheral_access(&scratch)?;
-    let mut boards = Command::new(python::interpreter());
-    boards
-        .arg("sim/boards/regen.py")
-        .arg("--out")
-        .arg(scratch.join("sim/boards"));
-    step::run("boards", "describe the twin's boards", "1 s", &mut boards)?;
 
     let figures = figures::write(check)?;
     let mut stale = first;
@@ -120,8 +107,6 @@ fn layout(scratch: &Path, check: bool) -> Result<Vec<&'static str>> {
 /// svd2rust, then rustfmt, then the line that says what the file is.
 fn peripheral_access(scratch: &Path) -> Result<()> {
     let svd2rust = setup::svd2rust()?;
-    let folder = scratch.join("svd2rust");
-    fs::create_dir_all(&folder)?;
     let mut generate = python::gateware("pac");
     generate
         .arg("--svd")

@@ -1,16 +1,43 @@
 //! One step of work: a title while it runs, how long it took, and on failure the end of its log.
 
 use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use std::cell::Cell;
 use std::fs::{self, File};
 use std::io::{IsTerminal, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 /// How much of a failed step's log is shown.
 const TAIL_LINES: usize = 30;
+
+/// What a command printed, and when it had grown to which length.
+#[derive(Debug, Default)]
+pub struct Printed {
+    /// All of it.
+    pub text: String,
+    /// Seconds since the start, and bytes by then; both grow.
+    pub growth: Vec<(f32, usize)>,
+}
+
+impl Printed {
+    /// When the byte at this place was there, in seconds.
+    pub fn at(&self, byte: usize) -> f32 {
+        let later = self.growth.partition_point(|(_, length)| *length <= byte);
+        let known = self.growth.get(later).or(self.growth.last());
+        known.map_or(0.0, |(seconds, _)| *seconds)
+    }
+}
+
+/// The spinners of all steps that run at the same time.
+static SCREEN: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
+
+/// Prints a line above the spinners.
+fn say(line: &str) {
+    SCREEN.suspend(|| println!("{line}"));
+}
 
 thread_local! {
     static STANDS_BACK: Cell<bool> = const { Cell::new(false) };
@@ -47,12 +74,12 @@ pub fn at_priority(command: &Command) -> Command {
 
 /// Prints a heading.
 pub fn heading(text: &str) {
-    println!("\n== {text}");
+    say(&format!("\n== {text}"));
 }
 
 /// Prints a line that something was found or needs no work.
 pub fn note(text: &str) {
-    println!("  - {text}");
+    say(&format!("  - {text}"));
 }
 
 /// Runs a command with its output in `target/logs/NAME.log`. `expect` is an honest guess such as
@@ -63,6 +90,11 @@ pub fn run(name: &str, title: &str, expect: &str, command: &mut Command) -> Resu
 
 /// As [`run`], and hands back what the command printed.
 pub fn run_quietly(name: &str, title: &str, expect: &str, command: &mut Command) -> Result<String> {
+    Ok(run_timed(name, title, expect, command)?.text)
+}
+
+/// As [`run_quietly`], with when the output came.
+pub fn run_timed(name: &str, title: &str, expect: &str, command: &mut Command) -> Result<Printed> {
     run_judged(name, title, expect, command, |status| status.success())
 }
 
@@ -73,7 +105,7 @@ pub fn run_judged(
     expect: &str,
     command: &mut Command,
     fine: impl Fn(ExitStatus) -> bool,
-) -> Result<String> {
+) -> Result<Printed> {
     let log = log_path(name)?;
     let out = File::create(&log).with_context(|| format!("cannot write {}", log.display()))?;
     let program = command.get_program().to_string_lossy().into_owned();
@@ -87,33 +119,44 @@ pub fn run_judged(
         .with_context(|| format!("cannot start `{program}` for: {title}"))?;
     let spinner = spinner(title, expect);
     let mut said = Instant::now();
+    let mut growth = Vec::new();
     let status = loop {
         if let Some(status) = child.try_wait()? {
             break status;
         }
+        let length = fs::metadata(&log).map_or(0, |log| log.len() as usize);
+        if growth.last().is_none_or(|(_, last)| *last < length) {
+            growth.push((begun.elapsed().as_secs_f32(), length));
+        }
         spinner.set_message(last_line(&log));
         if !std::io::stderr().is_terminal() && said.elapsed() > Duration::from_secs(30) {
-            println!(
+            say(&format!(
                 "    ... {title}: {:.0} s, {}",
                 begun.elapsed().as_secs_f32(),
                 last_line(&log)
-            );
+            ));
             said = Instant::now();
         }
         std::thread::sleep(Duration::from_millis(100));
     };
     spinner.finish_and_clear();
+    SCREEN.remove(&spinner);
     let seconds = begun.elapsed().as_secs_f32();
     if !fine(status) {
-        println!("  x {title}  ({seconds:.1} s)");
-        println!("{}", indent(&tail(&log)));
+        say(&format!("  x {title}  ({seconds:.1} s)"));
+        say(&indent(&tail(&log)));
         bail!(
             "{title}: `{program}` failed; the whole log is {}",
             log.display()
         );
     }
-    println!("  + {title}  ({seconds:.1} s)");
-    Ok(fs::read_to_string(&log).unwrap_or_default())
+    say(&format!("  + {title}  ({seconds:.1} s)"));
+    growth.push((seconds, usize::MAX));
+    let text = fs::read(&log).unwrap_or_default();
+    Ok(Printed {
+        text: String::from_utf8_lossy(&text).into_owned(),
+        growth,
+    })
 }
 
 /// Where the log of a step goes.
@@ -134,9 +177,9 @@ pub fn tail(log: &Path) -> String {
 
 fn spinner(title: &str, expect: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
-        println!("  . {title} (about {expect})");
+        say(&format!("  . {title} (about {expect})"));
     }
-    let bar = ProgressBar::new_spinner();
+    let bar = SCREEN.add(ProgressBar::new_spinner());
     let style = ProgressStyle::with_template("  {spinner} {prefix} [{elapsed}] {wide_msg:.dim}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
     bar.set_prefix(format!("{title} (about {expect})"));

@@ -2,7 +2,7 @@
 
 use crate::{
     bitstream, build, cargo_tests, faults, fuzz, lint, netlist as gates, python, regen, setup,
-    step, target,
+    slowest, step, target,
 };
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
@@ -58,15 +58,16 @@ enum Level {
     Twin,
     /// Real LinuxCNC, our driver, the simulated board.
     Linuxcnc,
-    /// Everything that comes from outside, 30 s of random inputs for each parser.
+    /// Everything that comes from outside, 15 s of random inputs for each parser.
     Fuzz,
     /// The smallest configuration as bitstream: every clock met, the release firmware inside, files
     /// the host and an ECP5 take; its routed netlist, simulated, is the RTL clock by clock.
     Bitstream,
 }
 
-/// An hour is `cargo xtask fuzz --seconds 3600`.
-const FUZZ_SECONDS: u32 = 30;
+/// Enough for the committed inputs and what is soon found beside them. The search is a command of
+/// its own: `cargo xtask fuzz --seconds 3600`.
+const FUZZ_SECONDS: u32 = 15;
 
 const FAST: &[Level] = &[Level::Lint, Level::Unit];
 const ALL: &[Level] = &[
@@ -106,7 +107,12 @@ pub fn run(options: &Options) -> Result<()> {
     let needs_board = |level: &Level| {
         matches!(
             level,
-            Level::Soc | Level::Faults | Level::Peers | Level::Clients | Level::Linuxcnc
+            Level::Soc
+                | Level::Faults
+                | Level::Peers
+                | Level::Provision
+                | Level::Clients
+                | Level::Linuxcnc
         )
     };
     if levels.iter().any(needs_board) {
@@ -123,7 +129,7 @@ pub fn run(options: &Options) -> Result<()> {
         build::firmware()?;
         build::simulated_cores(build::CORES_BOARD)?;
     }
-    if levels.contains(&Level::Provision) || levels.contains(&Level::Jobs) {
+    if levels.contains(&Level::Jobs) {
         build::host()?;
     }
     if levels.iter().any(|level| level.runs_linuxcnc()) {
@@ -214,7 +220,7 @@ fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
     outcomes
 }
 
-/// Writes target/reports/pyramid.json.
+/// Writes target/reports/pyramid.json: the levels, and the slowest of the tests with a board.
 fn report(outcomes: &[Outcome]) -> Result<()> {
     let levels: Vec<_> = outcomes
         .iter()
@@ -228,7 +234,12 @@ fn report(outcomes: &[Outcome]) -> Result<()> {
         .collect();
     let path = target("reports/pyramid.json");
     std::fs::create_dir_all(target("reports"))?;
-    std::fs::write(&path, format!("{:#}\n", json!({ "levels": levels })))
+    let slowest: Vec<_> = slowest::slowest()
+        .into_iter()
+        .map(|(test, seconds)| json!({ "test": test, "seconds": seconds.round() }))
+        .collect();
+    let report = json!({ "levels": levels, "slowest": slowest });
+    std::fs::write(&path, format!("{report:#}\n"))
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
@@ -277,7 +288,9 @@ impl Level {
         match self {
             Level::Lint => lint::check(),
             Level::Unit => {
-                cargo_tests::run("test-unit", "cargo test", "3 min", &["test", "--workspace"])
+                let mut cargo = cargo_tests::command();
+                cargo.arg("--workspace");
+                cargo_tests::run("test-unit", "cargo test", "3 min", &mut cargo)
             }
             Level::Generated => {
                 regen::generate(true)?;
@@ -390,42 +403,28 @@ fn maximum_board() -> Result<()> {
     )
 }
 
-/// A test binary of the `tests` crate that needs a simulated board, so many tests at once: with
+/// A test program that needs a simulated board, so many tests at once: with
 /// LinuxCNC one, for its HAL is one per machine.
 fn board_tests(name: &str, expect: &str, threads: &str) -> Result<usize> {
-    let mut arguments = vec!["test"];
-    arguments.extend(build::BOARD_TESTS);
-    arguments.extend(["--test", name, "--", "--test-threads", threads]);
+    let mut cargo = cargo_tests::of_boards();
+    cargo.args(["--test", name, "--", "--test-threads", threads]);
     cargo_tests::run(
         &format!("test-{name}"),
         &format!("tests against the simulated board: {name}"),
         expect,
-        &arguments,
+        &mut cargo,
     )
 }
 
 /// The cores of a job, which no board of ours has yet.
 fn jobs() -> Result<usize> {
-    let arguments = [
-        "test",
-        "--profile",
-        "tests",
-        "--package",
-        "ferrocnc-sim",
-        "--features",
-        "board",
-        "--test",
-        "jobs",
-        "--test",
-        "executor",
-        "--",
-        "--test-threads",
-        "1",
-    ];
+    let mut cargo = cargo_tests::of_boards();
+    cargo.args(["--test", "segments", "--test", "executor"]);
+    cargo.args(["--", "--test-threads", "1"]);
     cargo_tests::run(
         "test-segments",
         "segments: RTL and model, clock by clock; edges emitted and predicted; jobs on the models",
         "5 min",
-        &arguments,
+        &mut cargo,
     )
 }

@@ -2,7 +2,7 @@
 
 use super::ini::{Section, parse};
 use super::{Draft, Imported, mac};
-use crate::board::{Channel, Class, Line, Platforms};
+use crate::board::{Channel, Class, ControlInput, Platforms};
 use crate::error::{Error, Place, Report};
 use crate::platform::Level;
 use crate::tree::nearest;
@@ -50,114 +50,14 @@ pub fn lcnc(
         file,
         section: find(file, &sections, "Hardware")?,
     };
-    for section in &sections {
-        if section.name != "Hardware"
-            && !CHANNELS.iter().any(|(known, _, _)| *known == section.name)
-        {
-            let known = CHANNELS
-                .iter()
-                .map(|(name, _, _)| *name)
-                .chain(["Hardware"]);
-            let near = nearest(section.name, known)
-                .map_or(String::new(), |near| format!(" (did you mean [{near}]?)"));
-            return Err(error(
-                file,
-                section.place,
-                &format!("[{}]", section.name),
-                "",
-                format!("is a section Lcnc does not have{near}"),
-                "take it away".to_owned(),
-            ));
-        }
-    }
+    only_known(file, &sections)?;
     hardware.only_known()?;
-    let (board, revision) = (hardware.get("board")?, hardware.get("revision")?);
-    let Some((_, _, platform)) = PLATFORMS
-        .iter()
-        .find(|(b, r, _)| *b == board.0 && *r == revision.0)
-    else {
-        let known: Vec<String> = PLATFORMS
-            .iter()
-            .map(|(b, r, _)| format!("{b} {r}"))
-            .collect();
-        return Err(hardware.wrong(
-            "revision",
-            revision,
-            format!("is not a revision of \"{}\" we know", board.0),
-            format!("there is {}", known.join(", ")),
-        ));
-    };
-    let mut draft = Draft::new(file, name, platform, platforms)?;
-
-    let clock = hardware.get("clock")?;
-    let hz: f64 = clock
-        .0
-        .parse()
-        .ok()
-        .filter(|hz: &f64| hz.is_finite() && *hz > 0.0)
-        .ok_or_else(|| {
-            hardware.wrong(
-                "clock",
-                clock,
-                "is not a frequency".to_owned(),
-                "write it in hertz, as in 40000000.0".to_owned(),
-            )
-        })?;
-    draft.notes.push(format!(
-        "The clock is 60 MHz, not {} MHz: the driver asks the board, nothing in HAL changes.",
-        hz / 1e6
-    ));
-    let phy = hardware.get("phy")?;
-    draft.board.phy = match phy.0 {
-        "0" => 0,
-        "1" => 1,
-        _ => {
-            return Err(hardware.wrong(
-                "phy",
-                phy,
-                "is neither 0 nor 1".to_owned(),
-                "write the number of the jack you use".to_owned(),
-            ));
-        }
-    };
-    let ip = hardware.get("ip")?;
-    let address: std::net::Ipv4Addr = ip.0.parse().map_err(|_| {
-        hardware.wrong(
-            "ip",
-            ip,
-            "is not an IPv4 address".to_owned(),
-            "write it as in 192.168.2.50".to_owned(),
-        )
-    })?;
-    draft.board.ipv4 = address.octets();
-    draft.origin("network.ipv4", "[Hardware] ip", Some(ip.1));
-    let port = hardware.get("port")?;
-    draft.board.udp_port = port
-        .0
-        .parse()
-        .ok()
-        .filter(|port: &u16| *port != 0)
-        .ok_or_else(|| {
-            hardware.wrong(
-                "port",
-                port,
-                "is not a UDP port".to_owned(),
-                "write 1 to 65535".to_owned(),
-            )
-        })?;
-    let address = hardware.get("mac")?;
-    draft.board.mac = Some(mac(address.0).ok_or_else(|| {
-        hardware.wrong(
-            "mac",
-            address,
-            "is not a MAC address".to_owned(),
-            "write it as in 0x10e2d5000000".to_owned(),
-        )
-    })?);
-    draft.origin("network.mac", "[Hardware] mac", Some(address.1));
+    let mut draft = Draft::new(file, name, hardware.platform()?, platforms)?;
+    hardware.clock(&mut draft)?;
+    hardware.network(&mut draft)?;
     let reset = hardware.get("reset_in")?;
     // High or open is dead, as Lcnc has it.
-    draft.board.ext_reset = Line {
+    draft.board.ext_reset = ControlInput {
         pin: Some(reset.0.to_owned()),
         active: Level::High,
     };
@@ -168,6 +68,32 @@ pub fn lcnc(
     }
     let head = "Imported from Lcnc. Its channels keep their numbers; `names=lcnc` gives them their old HAL names (docs/migration.md).".to_owned();
     draft.finish(head)
+}
+
+/// Refuses sections that Lcnc does not have.
+fn only_known(file: &str, sections: &[Section<'_>]) -> Result<(), Error> {
+    let known = || {
+        CHANNELS
+            .iter()
+            .map(|(name, _, _)| *name)
+            .chain(["Hardware"])
+    };
+    let Some(section) = sections
+        .iter()
+        .find(|section| !known().any(|name| name == section.name))
+    else {
+        return Ok(());
+    };
+    let near = nearest(section.name, known())
+        .map_or(String::new(), |near| format!(" (did you mean [{near}]?)"));
+    Err(error(
+        file,
+        section.place,
+        &format!("[{}]", section.name),
+        "",
+        format!("is a section Lcnc does not have{near}"),
+        "take it away".to_owned(),
+    ))
 }
 
 fn channels(
@@ -329,6 +255,95 @@ impl<'t> Hardware<'_, 't> {
                     format!("a conf.ini of Lcnc has {}", HARDWARE.join(", ")),
                 )
             })
+    }
+
+    /// The value of a key as `parse` understands it, and its place.
+    fn read<T>(
+        &self,
+        key: &str,
+        parse: impl Fn(&'t str) -> Option<T>,
+        problem: &str,
+        remedy: &str,
+    ) -> Result<(T, Place), Error> {
+        let (text, place) = self.get(key)?;
+        let value = parse(text);
+        let value = value
+            .ok_or_else(|| self.wrong(key, (text, place), problem.to_owned(), remedy.to_owned()))?;
+        Ok((value, place))
+    }
+
+    /// The platform with this board and revision.
+    fn platform(&self) -> Result<&'static str, Error> {
+        let (board, revision) = (self.get("board")?, self.get("revision")?);
+        let mut known = PLATFORMS.iter();
+        if let Some((_, _, platform)) = known.find(|(b, r, _)| *b == board.0 && *r == revision.0) {
+            return Ok(platform);
+        }
+        let known: Vec<String> = PLATFORMS
+            .iter()
+            .map(|(b, r, _)| format!("{b} {r}"))
+            .collect();
+        Err(self.wrong(
+            "revision",
+            revision,
+            format!("is not a revision of \"{}\" we know", board.0),
+            format!("there is {}", known.join(", ")),
+        ))
+    }
+
+    /// The clock, which is another here.
+    fn clock(&self, draft: &mut Draft<'_>) -> Result<(), Error> {
+        let (hz, _) = self.read(
+            "clock",
+            |text| {
+                let hz = text.parse().ok();
+                hz.filter(|hz: &f64| hz.is_finite() && *hz > 0.0)
+            },
+            "is not a frequency",
+            "write it in hertz, as in 40000000.0",
+        )?;
+        draft.notes.push(format!(
+            "The clock is 60 MHz, not {} MHz: the driver asks the board, nothing in HAL changes.",
+            hz / 1e6
+        ));
+        Ok(())
+    }
+
+    /// Jack and addresses.
+    fn network(&self, draft: &mut Draft<'_>) -> Result<(), Error> {
+        (draft.board.phy, _) = self.read(
+            "phy",
+            |text| match text {
+                "0" => Some(0),
+                "1" => Some(1),
+                _ => None,
+            },
+            "is neither 0 nor 1",
+            "write the number of the jack you use",
+        )?;
+        let (address, place) = self.read(
+            "ip",
+            |text| text.parse::<std::net::Ipv4Addr>().ok(),
+            "is not an IPv4 address",
+            "write it as in 192.168.2.50",
+        )?;
+        draft.board.ipv4 = address.octets();
+        draft.origin("network.ipv4", "[Hardware] ip", Some(place));
+        (draft.board.udp_port, _) = self.read(
+            "port",
+            |text| text.parse().ok().filter(|port: &u16| *port != 0),
+            "is not a UDP port",
+            "write 1 to 65535",
+        )?;
+        let (address, place) = self.read(
+            "mac",
+            mac,
+            "is not a MAC address",
+            "write it as in 0x10e2d5000000",
+        )?;
+        draft.board.mac = Some(address);
+        draft.origin("network.mac", "[Hardware] mac", Some(place));
+        Ok(())
     }
 
     fn wrong(

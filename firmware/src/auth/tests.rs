@@ -343,7 +343,11 @@ fn a_token_under_a_key_cannot_be_computed_from_public_words() {
 #[derive(Clone, Copy, Debug)]
 enum Deed {
     /// Acquires as one of three senders, with the key or another one; the datagram may get lost.
-    Acquire { who: usize, right: bool, lost: bool },
+    Acquire {
+        peer: usize,
+        right: bool,
+        lost: bool,
+    },
     /// The owner gives the session back.
     Release,
     /// The owner is silent, or a moment passes.
@@ -355,14 +359,14 @@ enum Deed {
 fn deed() -> impl Strategy<Value = Deed> {
     prop_oneof![
         4 => (0..3usize, any::<bool>(), any::<bool>())
-            .prop_map(|(who, right, lost)| Deed::Acquire { who, right, lost }),
+            .prop_map(|(peer, right, lost)| Deed::Acquire { peer, right, lost }),
         2 => Just(Deed::Release),
         1 => (0..5u64).prop_map(|seconds| Deed::Time { seconds }),
         1 => Just(Deed::Restart),
     ]
 }
 
-const DISCOVER: [Peer; 3] = [
+const PEERS: [Peer; 3] = [
     ALICE,
     BOB,
     Peer {
@@ -383,13 +387,13 @@ proptest! {
         let mut recorded: Vec<Vec<u32>> = Vec::new();
         for deed in deeds {
             match deed {
-                Deed::Acquire { who, right, lost } => {
-                    let who = DISCOVER[who];
+                Deed::Acquire { peer, right, lost } => {
+                    let peer = PEERS[peer];
                     let key = if right { KEY } else { WRONG };
-                    let words = acquisition(7, rig.answer(who, &key, 7));
+                    let words = acquisition(7, rig.answer(peer, &key, 7));
                     if !lost {
-                        let mine = rig.server.session().owner().is_none_or(|owner| owner == who);
-                        let taken = rig.send_as(who, &words).is_ok();
+                        let mine = rig.server.session().owner().is_none_or(|owner| owner == peer);
+                        let taken = rig.send_as(peer, &words).is_ok();
                         prop_assert_eq!(taken, right && mine);
                         recorded.push(words);
                     }
@@ -415,8 +419,8 @@ proptest! {
             let session = *rig.server.session();
             let backwards = recorded.iter().rev();
             for words in recorded.iter().chain(backwards) {
-                for who in DISCOVER {
-                    prop_assert!(rig.send_as(who, words).is_err());
+                for peer in PEERS {
+                    prop_assert!(rig.send_as(peer, words).is_err());
                 }
             }
             prop_assert_eq!(*rig.server.session(), session, "the same owner, token and sequence");

@@ -7,18 +7,18 @@ use core::arch::global_asm;
 use core::mem::MaybeUninit;
 use core::slice;
 use firmware::jobs::abi::{
-    FAILED, Header, INTERFACE, LINE, RESTLESS, ROOM, Rom, START, TAKEN, TEXT, TEXT_MAX, TRUSTED,
+    FAILED, Header, INTERFACE, LINE, RESTLESS, ROOM, Rom, START, TEXT, TEXT_MAX, TRUSTED,
 };
 use firmware::jobs::memory::{self, Cells};
-use firmware::jobs::{Jobs, Outside};
+use firmware::jobs::{Network, Program};
 use firmware::net::Us;
+use jobs::Outside;
 use wire::MAX_WORDS;
-use wire::jobs::PORT;
 use wire::regmap::{self, CSR_PAGE, SDRAM_BASE, SDRAM_SIZE};
 
 const _: () = assert!(SDRAM_BASE == 0x4000_0000 && ROOM == 512 * 1024);
 
-global_asm!(include_str!("../saves.s"));
+global_asm!(include_str!("saves.s"));
 
 // The ROM's stack pointer is saved here, and the program's own stack is used.
 global_asm!(
@@ -52,7 +52,7 @@ static JOBS_HEADER: Header = Header {
 };
 
 /// The program's state; in `.bss`, and initialised from [`START`] on.
-static mut JOBS: MaybeUninit<Jobs<'static>> = MaybeUninit::uninit();
+static mut JOBS: MaybeUninit<Program<'static>> = MaybeUninit::uninit();
 
 /// Runs on the program's own stack; its contract is [`firmware::jobs::abi::Entry`].
 #[unsafe(no_mangle)]
@@ -84,24 +84,16 @@ extern "C" fn jobs_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
         let written = jobs.line(line, length & TRUSTED != 0, room, &mut rom);
         return (written as u32) << TEXT | RESTLESS;
     }
-    let mut answer = 0;
     if !frame.is_null() {
         // SAFETY: the ROM gives the frame's length. An answer is written to another place.
         let frame = unsafe { slice::from_raw_parts(frame, length) };
-        if !ours(frame) {
-            return 0;
-        }
         jobs.frame(frame, &mut rom);
-        answer |= TAKEN;
     }
-    if jobs.poll(&mut rom) {
-        answer |= RESTLESS;
-    }
-    answer
+    if jobs.poll(&mut rom) { RESTLESS } else { 0 }
 }
 
 /// `None` if the SDRAM has an error, or the board has no jobs.
-fn start(rom: &mut Calls) -> Option<Jobs<'static>> {
+fn start(rom: &mut Calls) -> Option<Program<'static>> {
     clear();
     // SAFETY: the first word is the image's CRC, which was right. The test below overwrites it.
     let program = unsafe { (SDRAM_BASE as *const u32).read_volatile() };
@@ -109,7 +101,7 @@ fn start(rom: &mut Calls) -> Option<Jobs<'static>> {
     let memory = memory::size(&mut Sdram, used, SDRAM_SIZE)?.checked_sub(ROOM)?;
     // SAFETY: from the end of the program to the SDRAM's end; no other code uses it.
     let memory = unsafe { slice::from_raw_parts_mut((SDRAM_BASE + ROOM) as *mut u8, memory) };
-    Jobs::new(memory, program, rom)
+    Program::new(memory, program, rom)
 }
 
 /// Clears all memory that is not in the image.
@@ -149,15 +141,6 @@ impl Outside for Calls<'_> {
         usize::try_from(words).unwrap_or(0)
     }
 
-    fn send_frame(&mut self, frame: &[u8]) {
-        // SAFETY: the ROM's buffer, which no other code uses while the ROM waits.
-        let room = unsafe { &mut *self.0.output };
-        if let Some(room) = room.get_mut(..frame.len()) {
-            room.copy_from_slice(frame);
-            (self.0.send)(self.0.context, frame.len());
-        }
-    }
-
     fn read_segments(&mut self, word: usize) -> u32 {
         // SAFETY: a page of registers, for every word; a read changes nothing.
         unsafe { segments(word).read_volatile() }
@@ -175,6 +158,17 @@ impl Outside for Calls<'_> {
         let high = u64::from(timebase.now_hi().read().bits());
         high << 32 | u64::from(timebase.now_lo().read().bits())
     }
+}
+
+impl Network for Calls<'_> {
+    fn send_frame(&mut self, frame: &[u8]) {
+        // SAFETY: the ROM's buffer, which no other code uses while the ROM waits.
+        let room = unsafe { &mut *self.0.output };
+        if let Some(room) = room.get_mut(..frame.len()) {
+            room.copy_from_slice(frame);
+            (self.0.send)(self.0.context, frame.len());
+        }
+    }
 
     fn us(&mut self) -> Us {
         // SAFETY: valid while the ROM waits.
@@ -184,13 +178,6 @@ impl Outside for Calls<'_> {
 
 fn segments(word: usize) -> *mut u32 {
     (regmap::segments::BASE + word % (CSR_PAGE / 4) * 4) as *mut u32
-}
-
-/// Is this a TCP frame to the port of jobs?
-fn ours(frame: &[u8]) -> bool {
-    let ip = frame.get(12..14) == Some(&[8, 0]) && frame.get(23) == Some(&6);
-    let header = frame.get(14).map_or(0, |byte| usize::from(byte & 15) * 4);
-    ip && frame.get(14 + header + 2..14 + header + 4) == Some(&PORT.to_be_bytes())
 }
 
 /// Traps into the ROM's handler, which writes a record and restarts the board with its gate closed.

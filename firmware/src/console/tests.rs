@@ -9,7 +9,7 @@ const US: Us = Us {
 };
 
 fn ask(line: &[u8]) -> Vec<Ask> {
-    let mut collector = Line::default();
+    let mut collector = LineEditor::default();
     line.iter()
         .filter_map(|byte| collector.push(*byte))
         .collect()
@@ -124,7 +124,7 @@ fn a_line_is_a_command_with_at_most_one_number() {
 
 #[test]
 fn what_begins_with_job_is_kept_for_the_program_until_the_next_byte() {
-    let mut line = Line::default();
+    let mut line = LineEditor::default();
     for byte in *b"  job start my part 2\r" {
         assert_eq!(line.push(byte), None);
     }

@@ -20,7 +20,7 @@ const US: Us = Us {
 #[derive(Default)]
 struct Echo(Vec<u8>);
 
-impl Taker for Echo {
+impl StreamHandler for Echo {
     fn greet(&mut self, out: &mut Text) {
         out.put(b"> ");
     }
@@ -275,10 +275,10 @@ fn without_an_address_nothing_is_answered() {
     let now = Instant::from_millis(5);
     bench.peer.poll(now, &mut bench.wire, &mut bench.sockets);
     let arp = bench.wire.to_us.pop_front().unwrap();
-    let nobody = Us { ip: 0, ..US };
+    let unnumbered = Us { ip: 0, ..US };
     let mut out = [0; 1514];
     let mut ask = |us: &Us| bench.ip.frame(&arp, us, 0, &mut bench.echo, &mut out);
-    assert_eq!(ask(&nobody), None);
+    assert_eq!(ask(&unnumbered), None);
     assert_eq!(ask(&US), Some(42));
 }
 

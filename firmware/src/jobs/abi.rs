@@ -12,8 +12,8 @@
 //!
 //! Words have the softcore's byte order, lowest byte first; the CRC takes the highest byte first,
 //! as usual. The ROM copies the program, checks it ([`check`]) and calls its entry ([`Entry`]) from
-//! the frame loop, never between a request and its answer: with a frame that no other code needs,
-//! and from time to time without one. The program switches to a stack of its own. It calls back
+//! the frame loop, never between a request and its answer: with a frame for its port ([`ours`]),
+//! and from time to time without one, behind an answer to the board's owner if there is one. The program switches to a stack of its own. It calls back
 //! through [`Rom`], and that is the whole interface: it asks the board with the same datagrams as a
 //! host, as the peer [`crate::session::Peer::INSIDE`].
 
@@ -26,7 +26,7 @@ use wire::describe::JobsState;
 use wire::images::PROGRAM_MAX;
 
 /// Version of this interface. The program starts only if both sides have the same.
-pub const INTERFACE: u32 = 2;
+pub const INTERFACE: u32 = 3;
 /// Bytes at the beginning of the SDRAM for the program: code, data and stack. The jobs get the
 /// rest.
 pub const ROOM: usize = PROGRAM_MAX;
@@ -46,7 +46,7 @@ pub struct Header {
 }
 
 /// The ROM's call. With a frame: `frame` and its length. Without: null and [`POLL`]; the first call
-/// of all is null and [`START`]. The result contains [`RESTLESS`] and [`TAKEN`]. A line about jobs
+/// of all is null and [`START`]. The result contains [`RESTLESS`]. A line about jobs
 /// from the debug console comes in the frame's place, with [`LINE`] added to its length; [`TEXT`]
 /// then gives the answer's length.
 pub type Entry = extern "C" fn(rom: &Rom, frame: *const u8, length: usize) -> u32;
@@ -62,9 +62,6 @@ pub const LINE: usize = 1 << 16;
 pub const TRUSTED: usize = 1 << 17;
 /// Result: call again in the next turn of the loop. Otherwise 10 ms are soon enough.
 pub const RESTLESS: u32 = 1;
-/// Result: the frame was for this program.
-pub const TAKEN: u32 = 2;
-
 /// Result of [`START`]: the SDRAM has an error, and the program must not be called again.
 pub const FAILED: u32 = 4;
 
@@ -101,6 +98,14 @@ pub const FRAME_MAX: usize = 1514;
 
 const _: () = assert!(FRAME_MAX < LINE && TEXT_MAX <= FRAME_MAX);
 
+/// Is this frame for the program: TCP to the port of jobs? The ROM asks before it calls, because a
+/// call from a cold cache takes thousands of clocks.
+pub fn ours(frame: &[u8]) -> bool {
+    let ip = frame.get(12..14) == Some(&[8, 0]) && frame.get(23) == Some(&6);
+    let header = frame.get(14).map_or(0, |byte| usize::from(byte & 15) * 4);
+    ip && frame.get(14 + header + 2..14 + header + 4) == Some(&wire::jobs::PORT.to_be_bytes())
+}
+
 /// Is this a program for this ROM? `words` is the SDRAM's content, with the length that its last
 /// words give.
 pub fn check(words: &[u32], abi: u32) -> JobsState {
@@ -136,6 +141,34 @@ mod tests {
     fn sealed(mut words: Vec<u32>) -> Vec<u32> {
         words[0] = crc32_words(&words[1..]);
         words
+    }
+
+    /// An IPv4 frame of this protocol, its header so many words long, to this TCP or UDP port.
+    fn frame(protocol: u8, words: u8, port: u16) -> Vec<u8> {
+        let mut frame = vec![0; 14 + usize::from(words) * 4 + 20];
+        frame[12..14].copy_from_slice(&[8, 0]);
+        frame[14] = 0x40 | words;
+        frame[23] = protocol;
+        let at = 14 + usize::from(words) * 4 + 2;
+        frame[at..at + 2].copy_from_slice(&port.to_be_bytes());
+        frame
+    }
+
+    #[test]
+    fn the_programs_frames_are_tcp_to_its_port_and_no_others() {
+        for words in [5, 6, 15] {
+            assert!(ours(&frame(6, words, wire::jobs::PORT)), "{words} words");
+        }
+        assert!(!ours(&frame(6, 5, 23)), "the console's");
+        assert!(!ours(&frame(17, 5, wire::jobs::PORT)), "UDP");
+        assert!(!ours(&frame(1, 5, wire::jobs::PORT)), "a ping");
+        let mut arp = frame(6, 5, wire::jobs::PORT);
+        arp[13] = 6;
+        assert!(!ours(&arp), "ARP");
+        let whole = frame(6, 15, wire::jobs::PORT);
+        for length in 0..14 + 60 + 4 {
+            assert!(!ours(&whole[..length]), "{length} bytes of it");
+        }
     }
 
     #[test]

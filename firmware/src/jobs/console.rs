@@ -1,16 +1,15 @@
 //! The debug console's `job` commands: for clients without the `ferrocnc` tool.
 //!
-//! They ask the store and the executor as [`super::desk`] does, and refuse with the same words. One
-//! difference: a console cannot promise to keep asking, so a job that is started here runs
+//! They ask the store and the executor as [`jobs::server`] does, and refuse with the same words.
+//! One difference: a console cannot promise to keep asking, so a job that is started here runs
 //! unattended.
 
-use super::Outside;
-use super::executor::Executor;
-use super::store::Store;
 use crate::text::{Out, Sink};
-use motion::segment::AXES;
+use jobs::Outside;
+use jobs::executor::Executor;
+use jobs::store::Store;
 use wire::Name;
-use wire::jobs::{Command, End, Entry, NAME, Report, Status, UNATTENDED};
+use wire::jobs::{AXES, Command, End, Entry, NAME, Report, Status, UNATTENDED};
 
 const HELP: &str = "job status        the state of the job\r\n\
     job list          the jobs in the store\r\n\
@@ -26,7 +25,7 @@ const HELP: &str = "job status        the state of the job\r\n\
 /// Longest line of an entry, in bytes.
 const ENTRY: usize = 100;
 
-/// No client of the desk has this number: the executor does not wait for the client that started
+/// No client of the server has this number: the executor does not wait for the client that started
 /// this job.
 const CLIENT: u32 = 0;
 

@@ -88,15 +88,34 @@ fn no_sender_on_the_wire_is_taken_for_the_jobs_program() {
 }
 
 #[test]
-fn chores_are_due_every_millisecond_behind_a_frame_and_later_without() {
+fn housekeeping_is_due_every_millisecond_behind_a_frame_and_later_without() {
     let mut machine = machine(Notebook::new());
-    assert!(!machine.due(BEHIND_A_FRAME));
+    let behind = machine.patience(true);
+    assert!(!machine.due(behind));
     machine.board.now += 60_000;
     assert!(!machine.due(IDLE));
-    assert!(machine.due(BEHIND_A_FRAME));
-    assert!(!machine.due(BEHIND_A_FRAME), "done");
+    assert!(machine.due(behind));
+    assert!(!machine.due(behind), "done");
     machine.board.now += 180_000;
     assert!(machine.due(IDLE));
+}
+
+#[test]
+fn while_a_host_owns_the_board_housekeeping_waits_for_the_answer_to_it_not_behind_a_guests_frame() {
+    let free = machine(Notebook::new());
+    assert_eq!(free.patience(false), free.patience(true), "no owner waits");
+    let mut rig = Rig::armed();
+    let mut owned = machine(Notebook::new());
+    core::mem::swap(&mut owned.server, &mut rig.server);
+    core::mem::swap(&mut owned.board, &mut rig.board);
+    owned.board.now += 60_000;
+    let guests = owned.patience(false);
+    assert!(!owned.due(guests), "a guest's");
+    let owners = owned.patience(true);
+    assert!(owned.due(owners), "the owner's");
+    // An owner that is silent does not keep them from being done.
+    owned.board.now += 180_000;
+    assert!(owned.due(guests));
 }
 
 #[test]
@@ -104,15 +123,18 @@ fn a_change_of_state_is_told_once() {
     let mut board = Notebook::new();
     board.close = GateClose::Never as u32;
     let mut machine = machine(board);
-    assert_eq!(machine.chores(), None);
+    assert_eq!(machine.housekeeping(), None);
     let mut rig = Rig::armed();
     core::mem::swap(&mut machine.server, &mut rig.server);
     core::mem::swap(&mut machine.board, &mut rig.board);
-    assert_eq!(machine.chores(), Some((State::Armed, FaultReason::None)));
-    assert_eq!(machine.chores(), None);
+    assert_eq!(
+        machine.housekeeping(),
+        Some((State::Armed, FaultReason::None))
+    );
+    assert_eq!(machine.housekeeping(), None);
     machine.board.estop = true;
     let told = (State::Faulted, FaultReason::EStop);
-    assert_eq!(machine.chores(), Some(told));
+    assert_eq!(machine.housekeeping(), Some(told));
 }
 
 #[test]
@@ -141,15 +163,15 @@ fn message(uid: [u32; 2], body: Body) -> Message {
 const UID: [u32; 2] = [0x0102_0304, 0x0506_0708];
 
 /// Runs housekeeping and broadcasts until nothing is left to do.
-fn shouts(machine: &mut Machine<Notebook>) -> Vec<(Shout, Vec<u32>)> {
+fn broadcasts(machine: &mut Machine<Notebook>) -> Vec<(Broadcast, Vec<u32>)> {
     let mut all = Vec::new();
     for _ in 0..100 {
-        machine.chores();
+        machine.housekeeping();
         let mut words = [0; MAX_WORDS];
-        if machine.has_to_shout()
-            && let Some(shout) = machine.shout(&mut words)
+        if machine.has_broadcast()
+            && let Some(broadcast) = machine.next_broadcast(&mut words)
         {
-            all.push((shout, words[..shout.words].to_vec()));
+            all.push((broadcast, words[..broadcast.words].to_vec()));
         }
     }
     all
@@ -192,11 +214,11 @@ fn a_board_saves_the_settings_it_gets_confirms_them_and_restarts() {
     assert_eq!(ask(&mut machine, &set), None, "not yet");
     assert_eq!(ask(&mut machine, &set), None, "repeated, still not saved");
     assert!(!machine.server.wants_restart());
-    let told = shouts(&mut machine);
-    let [(shout, words)] = &told[..] else {
+    let told = broadcasts(&mut machine);
+    let [(broadcast, words)] = &told[..] else {
         panic!("{told:?}");
     };
-    assert_eq!((shout.from_port, shout.to_port), (51234, 50_000));
+    assert_eq!((broadcast.from_port, broadcast.to_port), (51234, 50_000));
     let done = message(UID, Body::Done(OpResult::Ok));
     assert_eq!(Message::parse(words), Ok(done));
     assert!(machine.server.wants_restart());
@@ -238,15 +260,15 @@ fn a_board_with_dhcp_asks_falls_back_after_ten_seconds_and_asks_on() {
     board.chip.put(0x1f_0000, &words);
     let mut machine = machine(board);
     assert_eq!(machine.us.ip, 0, "none yet");
-    let asked = shouts(&mut machine);
+    let asked = broadcasts(&mut machine);
     assert_eq!((asked[0].0.from_ip, asked[0].0.to_port), (0, 67));
     let mut seconds = Vec::new();
     for second in 1..=16 {
         machine.board.now += u64::from(CLOCK);
         machine.due(IDLE);
-        if shouts(&mut machine)
+        if broadcasts(&mut machine)
             .iter()
-            .any(|(shout, _)| shout.to_port == 67)
+            .any(|(broadcast, _)| broadcast.to_port == 67)
         {
             seconds.push(second);
         }
@@ -263,11 +285,14 @@ fn a_cable_that_is_pulled_stops_the_machine_at_the_third_look() {
     let mut rig = Rig::armed();
     core::mem::swap(&mut machine.server, &mut rig.server);
     core::mem::swap(&mut machine.board, &mut rig.board);
-    machine.chores();
+    machine.housekeeping();
     machine.board.link.status = 0;
-    assert_eq!((machine.chores(), machine.chores()), (None, None));
+    assert_eq!(
+        (machine.housekeeping(), machine.housekeeping()),
+        (None, None)
+    );
     let told = (State::Stopping, FaultReason::LinkDown);
-    assert_eq!(machine.chores(), Some(told));
+    assert_eq!(machine.housekeeping(), Some(told));
     let word = machine.server.state_word(crate::cores::Gate::LIVE);
     let word = wire::exchange::StateWord::from_word(word).unwrap();
     assert!(!word.link && word.speed == wire::LinkSpeed::Down);
@@ -277,7 +302,7 @@ fn a_cable_that_is_pulled_stops_the_machine_at_the_third_look() {
 fn speed_and_errors_are_in_every_answer() {
     let mut machine = machine(Notebook::new());
     machine.board.link.errors = 0x102;
-    machine.chores();
+    machine.housekeeping();
     let word = machine.server.state_word(crate::cores::Gate(0));
     let word = wire::exchange::StateWord::from_word(word).unwrap();
     assert!(word.link && word.speed == wire::LinkSpeed::M1000);

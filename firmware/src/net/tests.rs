@@ -4,7 +4,7 @@ use crate::exchange::{FRAME_FLAGS, SlotReply};
 use crate::fake::{ALICE, Notebook, Rig, SIX};
 use proptest::prelude::*;
 use wire::exchange::{Command as Block, Status, command_word};
-use wire::units::{Accel, Clocks, StepRate};
+use wire::units::{Accel, Clocks, Velocity};
 
 const US: Us = Us {
     mac: [0x10, 0xe2, 0xd5, 0, 0, 1],
@@ -310,11 +310,11 @@ fn our_answers_satisfy_our_own_checks_seen_from_the_other_side() {
     );
 }
 
-// ---- The lane -------------------------------------------------------------------------------------
+// ---- The fast path ------------------------------------------------------------------------------
 
 fn block(rig: &mut Rig) -> Block {
     let mut command = rig.command(true, true);
-    command.stepgen[3] = (StepRate(-12_345), Accel(0xffff_ffff));
+    command.stepgen[3] = (Velocity(-12_345), Accel(0xffff_ffff));
     command.pwm[5] = 0x4000_1234;
     command
 }
@@ -325,32 +325,35 @@ fn request(command: &Block) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
-fn lane() -> Lane {
+fn fast_path() -> FastPath {
     let Class::Ours(datagram) = look(&udp_frame(&[0; 116], true)) else {
         panic!()
     };
-    Lane::new(&US, datagram, 27)
+    FastPath::new(&US, datagram, 27)
 }
 
-/// Runs a frame down the lane as the firmware does; returns the answer's payload, if there is one.
-fn down_the_lane(rig: &mut Rig, frame: Vec<u8>) -> Option<Result<Vec<u32>, Refusal>> {
-    let lane = lane();
+/// Takes a frame over the fast path as the firmware does; returns the answer's payload, if there is
+/// one.
+fn on_the_fast_path(rig: &mut Rig, frame: Vec<u8>) -> Option<Result<Vec<u32>, Refusal>> {
+    let fast_path = fast_path();
     let length = frame.len();
     let frame = Bytes(frame);
-    let mut command = lane.open(&frame, length)?;
+    let mut command = fast_path.open(&frame, length)?;
     let shape = *rig.server.shape();
     let mut slot = Words::default();
     let payload = (4 + shape.status) * 4;
     SlotReply::prepare(
         &mut slot,
-        |slot| emit_headers(slot, &US, &lane.datagram, payload),
+        |slot| emit_headers(slot, &US, &fast_path.datagram, payload),
         &rig.server,
     );
     let mut reply = SlotReply::resume(&mut slot);
-    if let Err(why) =
-        rig.server
-            .exchange(&mut rig.board, lane.datagram.peer, &mut command, &mut reply)
-    {
+    if let Err(why) = rig.server.exchange(
+        &mut rig.board,
+        fast_path.datagram.peer,
+        &mut command,
+        &mut reply,
+    ) {
         return Some(Err(why));
     }
     rig.server.exchanged(0);
@@ -363,13 +366,13 @@ fn down_the_lane(rig: &mut Rig, frame: Vec<u8>) -> Option<Result<Vec<u32>, Refus
 }
 
 #[test]
-fn the_lane_and_the_long_way_do_and_say_the_same() {
+fn the_fast_path_and_the_long_way_do_and_say_the_same() {
     for with_checksum in [false, true] {
         let mut fast = Rig::armed();
         let command = block(&mut fast);
         let mut slow = fast.clone();
         let payload = request(&command);
-        let answer = down_the_lane(&mut fast, udp_frame(&payload, with_checksum))
+        let answer = on_the_fast_path(&mut fast, udp_frame(&payload, with_checksum))
             .unwrap()
             .unwrap();
         let words: Vec<u32> = payload
@@ -398,11 +401,11 @@ fn a_damaged_exchange_is_refused_before_anything_takes_effect() {
     for at in (58 + 12..frame.len()).filter(|at| *at != 58 + 32) {
         let mut bad = frame.clone();
         bad[at] ^= 0x10;
-        let why = down_the_lane(&mut rig, bad).expect("still this lane's");
+        let why = on_the_fast_path(&mut rig, bad).expect("still the fast path's");
         assert_eq!(why, Err(Refusal::Checksum), "byte {at}");
     }
     assert_eq!(rig.board.changes(), before);
-    assert!(down_the_lane(&mut rig, frame).unwrap().is_ok());
+    assert!(on_the_fast_path(&mut rig, frame).unwrap().is_ok());
 }
 
 #[test]
@@ -412,22 +415,24 @@ fn a_damaged_exchange_leaves_a_command_that_waits_for_its_time() {
         apply_at: Some(Clocks(0x5_0000_0007)),
         ..block(&mut rig)
     };
-    assert!(down_the_lane(&mut rig, udp_frame(&request(&timed), true)).is_some_and(|r| r.is_ok()));
+    assert!(
+        on_the_fast_path(&mut rig, udp_frame(&request(&timed), true)).is_some_and(|r| r.is_ok())
+    );
     assert_eq!(rig.board.commit_at, 0x5_0000_0007);
     let waits = rig.board.staged;
     let mut command = rig.command(true, true);
-    command.stepgen[3] = (StepRate(99), Accel(99));
+    command.stepgen[3] = (Velocity(99), Accel(99));
     let frame = udp_frame(&request(&command), true);
     for at in 58..frame.len() {
         let mut bad = frame.clone();
         bad[at] ^= 0x10;
-        let refused = down_the_lane(&mut rig, bad).is_none_or(|answer| answer.is_err());
+        let refused = on_the_fast_path(&mut rig, bad).is_none_or(|answer| answer.is_err());
         assert!(refused, "byte {at}");
         assert_eq!(rig.board.commit_at, 0x5_0000_0007, "byte {at}");
         assert_eq!(rig.board.staged, waits, "byte {at}");
     }
     // An intact command replaces it.
-    assert!(down_the_lane(&mut rig, frame).unwrap().is_ok());
+    assert!(on_the_fast_path(&mut rig, frame).unwrap().is_ok());
     assert_eq!(rig.board.commit_at, u64::MAX);
     assert_ne!(rig.board.live, waits);
 }
@@ -443,11 +448,11 @@ fn whatever_is_not_exactly_an_exchange_of_this_host_goes_the_long_way() {
         let mut other = frame.clone();
         other[at] ^= if at == 20 { 0x20 } else { 1 };
         assert!(
-            down_the_lane(&mut rig, rechecked(other)).is_none(),
+            on_the_fast_path(&mut rig, rechecked(other)).is_none(),
             "byte {at}"
         );
     }
-    assert!(down_the_lane(&mut rig, frame[..157].to_vec()).is_none());
+    assert!(on_the_fast_path(&mut rig, frame[..157].to_vec()).is_none());
 }
 
 #[test]
@@ -458,11 +463,13 @@ fn service_class_identification_and_ttl_are_the_senders_business() {
         let mut frame = udp_frame(&request(&command), true);
         frame[at] = value;
         assert!(
-            down_the_lane(&mut rig, frame.clone()).is_none(),
+            on_the_fast_path(&mut rig, frame.clone()).is_none(),
             "IP checksum not looked at"
         );
         assert!(
-            down_the_lane(&mut rig, rechecked(frame)).unwrap().is_ok(),
+            on_the_fast_path(&mut rig, rechecked(frame))
+                .unwrap()
+                .is_ok(),
             "byte {at}"
         );
     }
@@ -484,7 +491,7 @@ fn the_flags_of_an_exchange_lie_where_the_image_looks_for_them() {
 }
 
 /// A frame that was never sent.
-struct MadeUp([u32; REHEARSAL_WORDS]);
+struct MadeUp([u32; WARM_UP_WORDS]);
 
 impl Frame for MadeUp {
     fn word(&self, index: usize) -> u32 {
@@ -497,14 +504,14 @@ impl Frame for MadeUp {
 }
 
 #[test]
-fn a_rehearsal_walks_to_the_end_and_does_nothing() {
+fn a_warm_up_runs_to_the_end_and_does_nothing() {
     let mut rig = Rig::armed();
-    let lane = lane();
+    let fast_path = fast_path();
     let (session, before) = (*rig.server.session(), rig.board.changes());
-    let mut frame = MadeUp([0; REHEARSAL_WORDS]);
+    let mut frame = MadeUp([0; WARM_UP_WORDS]);
     let token = session.token_for(ALICE);
-    let length = lane.rehearse(token, session.last_sequence() + 1, &mut frame.0);
-    let mut command = lane.open(&frame, length).expect("it is recognised");
+    let length = fast_path.warm_up_frame(token, session.last_sequence() + 1, &mut frame.0);
+    let mut command = fast_path.open(&frame, length).expect("it is recognised");
     let mut slot = Words::default();
     let mut reply = SlotReply::resume(&mut slot);
     let outcome = rig
@@ -523,15 +530,15 @@ fn a_rehearsal_walks_to_the_end_and_does_nothing() {
 
 proptest! {
     #[test]
-    fn the_lane_agrees_with_the_textbook_on_every_checksum(
+    fn the_fast_path_agrees_with_the_textbook_on_every_checksum(
         words in proptest::collection::vec(prop_oneof![any::<u32>(), Just(0u32), Just(u32::MAX)], 27)
     ) {
         let mut payload = [0x4e6f_1044u32, 0, 0x000f_1b00, 0x0003_0000].to_vec();
         payload.extend(words);
         let bytes: Vec<u8> = payload.iter().flat_map(|word| word.to_be_bytes()).collect();
         let frame = Bytes(udp_frame(&bytes, true));
-        let lane = lane();
-        let mut command = lane.open(&frame, frame.0.len()).unwrap();
+        let fast_path = fast_path();
+        let mut command = fast_path.open(&frame, frame.0.len()).unwrap();
         for word in &payload[4..] {
             prop_assert_eq!(command.take1(), [*word]);
         }

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use wire::exchange::Command;
 use wire::map;
 use wire::regmap::status;
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 
 /// Clocks until an axis of this speed stands with this deceleration.
 fn clocks_to_rest(speed: u32, accel: u32) -> f64 {
@@ -144,12 +144,12 @@ fn cores(rig: &mut Rig) -> [u32; 3] {
     [0, 1, 2].map(|n| rig.board.setting(stop_accel(n)))
 }
 
-/// A command that moves the three axes at these rates, which they already have.
-fn moving(rig: &mut Rig, rates: [i32; 3]) -> Command {
+/// A command that moves the three axes at these velocities, which they already have.
+fn moving(rig: &mut Rig, velocities: [i32; 3]) -> Command {
     let mut command = rig.command(true, true);
-    for (n, rate) in rates.into_iter().enumerate() {
-        command.stepgen[n] = (StepRate(rate), Accel(100_000));
-        rig.board.latched[status::STEPGEN0_VELOCITY + n * STATUS_STEPGEN] = rate as u32;
+    for (n, velocity) in velocities.into_iter().enumerate() {
+        command.stepgen[n] = (Velocity(velocity), Accel(100_000));
+        rig.board.latched[status::STEPGEN0_VELOCITY + n * STATUS_STEPGEN] = velocity as u32;
     }
     command
 }
@@ -214,7 +214,7 @@ fn an_axis_that_brakes_towards_zero_is_not_taken_for_one_that_stands() {
     let mut rig = armed();
     let mut command = moving(&mut rig, [16_000_000, 1_000_000, 0]);
     // At 1000 a clock X loses 17 units in the 300 000 clocks to the bite.
-    command.stepgen[0] = (StepRate(0), Accel(1000));
+    command.stepgen[0] = (Velocity(0), Accel(1000));
     exchange(&mut rig, &command);
     let [x, y, _] = cores(&mut rig);
     assert_eq!(x, 80_000, "{y}");
@@ -226,7 +226,7 @@ fn an_axis_that_a_stop_may_meet_at_speed_is_not_taken_for_as_slow_as_it_will_be(
     let mut rig = armed();
     let mut command = moving(&mut rig, [1_000_000, 500_000, 0]);
     // Y stands nearly at the bite, and still has its old speed if the host stops now.
-    command.stepgen[1] = (StepRate(1), Accel::UNLIMITED);
+    command.stepgen[1] = (Velocity(1), Accel::UNLIMITED);
     exchange(&mut rig, &command);
     assert_eq!(cores(&mut rig), [80_000, 40_001, 40_000]);
 }
@@ -239,10 +239,10 @@ fn while_segments_play_every_axis_keeps_what_was_configured() {
         let mut command = moving(&mut rig, SEEN);
         exchange(&mut rig, &command);
         assert_ne!(cores(&mut rig), CONFIGURED, "as the session left it");
-        // The executor's command in a job: no rates.
+        // The executor's command in a job: no velocities.
         rig.board.segments = state << 8;
         command = moving(&mut rig, SEEN);
-        command.stepgen = [(StepRate(0), Accel(500)); 16];
+        command.stepgen = [(Velocity(0), Accel(500)); 16];
         exchange(&mut rig, &command);
         assert_eq!(cores(&mut rig), CONFIGURED, "state {state}");
     }
@@ -252,7 +252,7 @@ fn while_segments_play_every_axis_keeps_what_was_configured() {
 fn a_timed_command_counts_as_fast_as_it_is_or_will_be() {
     let mut rig = armed();
     let mut command = moving(&mut rig, [1_000_000, 500_000, 0]);
-    command.stepgen[0].0 = StepRate(250_000);
+    command.stepgen[0].0 = Velocity(250_000);
     command.apply_at = Some(wire::units::Clocks(u64::MAX));
     exchange(&mut rig, &command);
     assert_eq!(cores(&mut rig), [80_000, 40_001, 40_000]);
@@ -297,8 +297,8 @@ fn each_axis_is_taken_as_fast_as_its_own_command_makes_it_by_the_bite() {
     let from_rest = |commands: [(i32, u32); 3]| {
         let mut rig = armed();
         let mut command = moving(&mut rig, [0, 0, 0]);
-        for (n, (rate, accel)) in commands.into_iter().enumerate() {
-            command.stepgen[n] = (StepRate(rate), Accel(accel));
+        for (n, (velocity, accel)) in commands.into_iter().enumerate() {
+            command.stepgen[n] = (Velocity(velocity), Accel(accel));
         }
         exchange(&mut rig, &command);
         cores(&mut rig)

@@ -1,6 +1,6 @@
 //! A host reads a board's description, however wrong: words, names, pins in HAL.
 
-use crate::tape::Tape;
+use crate::byte_reader::ByteReader;
 use host::address::Address;
 use host::client::Identity;
 use host::driver::Driver;
@@ -18,13 +18,13 @@ const NAME_MAX: usize = 41;
 
 /// The words of a description, and the names after them.
 pub fn describe(data: &[u8]) {
-    let mut tape = Tape(data);
-    let mode = tape.byte();
-    let mut words: [u32; WORDS] = std::array::from_fn(|_| tape.word());
+    let mut input = ByteReader(data);
+    let mode = input.byte();
+    let mut words: [u32; WORDS] = std::array::from_fn(|_| input.word());
     if mode & 1 != 0 {
         fitting(&mut words);
     }
-    let mut blob = tape.0.to_vec();
+    let mut blob = input.0.to_vec();
     if mode & 2 != 0 {
         seal(&mut blob);
     }
@@ -82,7 +82,7 @@ fn seal(blob: &mut Vec<u8>) {
         blob.len() as u32,
         crc,
     ];
-    blob[..HEADER_LEN].copy_from_slice(&crate::tape::bytes(&head));
+    blob[..HEADER_LEN].copy_from_slice(&crate::byte_reader::bytes(&head));
 }
 
 fn names(bytes: &[u8]) {

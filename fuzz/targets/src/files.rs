@@ -1,7 +1,7 @@
 //! Files from users: they are read completely or refused with a helpful message, and the result can
 //! be used.
 
-use crate::tape::Tape;
+use crate::byte_reader::ByteReader;
 use ferrocnc_config::import::{Imported, lcnc, litexcnc};
 use ferrocnc_config::pinout::{Pinout, svg, terminal};
 use ferrocnc_config::source::Folder;
@@ -127,19 +127,19 @@ pub fn litexcnc_json(data: &[u8]) {
 
 /// Bitstreams, flash images, and their meta pages.
 pub fn image(data: &[u8]) {
-    let mut tape = Tape(data);
-    match tape.byte() & 3 {
-        0 => bitstream(tape.0),
+    let mut input = ByteReader(data);
+    match input.byte() & 3 {
+        0 => bitstream(input.0),
         // A header that fits the bytes after it, so that the bytes themselves are read.
         1 => {
-            let build = tape.word();
-            let idcode = tape.word();
+            let build = input.word();
+            let idcode = input.word();
             let mut body = image::sample::body(idcode, build, 0);
-            body.extend(tape.0);
+            body.extend(input.0);
             bitstream(&image::sample::wrap("board", "platform", build, &body));
         }
-        2 => flash(&mut tape),
-        _ => pages(tape.0),
+        2 => flash(&mut input),
+        _ => pages(input.0),
     }
 }
 
@@ -173,7 +173,7 @@ thread_local! {
 
 /// A whole flash with some bytes changed; the changes are at pages, so that a fuzzer can hit the
 /// same ones.
-fn flash(tape: &mut Tape) {
+fn flash(input: &mut ByteReader) {
     let layout = Layout::of(0x20_0000).expect("a layout");
     let places = [
         0,
@@ -185,10 +185,10 @@ fn flash(tape: &mut Tape) {
     ];
     let mut bytes = FLASH.with(Vec::clone);
     let mut changed = Vec::new();
-    while !tape.is_over() {
-        let [place, offset] = tape.array();
+    while !input.is_over() {
+        let [place, offset] = input.array();
         let at = places[usize::from(place) % places.len()] as usize + usize::from(offset);
-        let new = tape.some();
+        let new = input.some();
         for (place, byte) in bytes[at..].iter_mut().zip(new) {
             *place = *byte;
         }
@@ -223,7 +223,7 @@ fn pages(page: &[u8]) {
             stub.slot(&layout);
         }
     }
-    if let Some(words) = crate::tape::words(page).first_chunk() {
+    if let Some(words) = crate::byte_reader::words(page).first_chunk() {
         Trailer::from_words(*words).running(None);
     }
 }

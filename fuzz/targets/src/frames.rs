@@ -4,17 +4,17 @@
 //! The input is a script of frames: raw ones, and ones with corrected check sums, which a fuzzer
 //! does not guess. The board's frames are checked as a neighbour's stack would: lengths, check
 //! sums, addresses. Frames that are not a datagram of ours do not change the board. A frame that
-//! the fast lane takes as an exchange is an exchange for the full check, too.
+//! the fast path takes as an exchange is an exchange for the full check, too.
 
+use crate::byte_reader::ByteReader;
 use crate::server::Bench;
-use crate::tape::Tape;
 use crate::watched::Watched;
 use firmware::block::Request;
 use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
-use firmware::ip::{Ip, Taker, Text};
+use firmware::ip::{Ip, StreamHandler, Text};
 use firmware::machine::Machine;
-use firmware::net::{self, Class, Datagram, Frame, HEADERS, Lane, PAYLOAD_WORD, Slot, Us};
+use firmware::net::{self, Class, Datagram, FastPath, Frame, HEADERS, PAYLOAD_WORD, Slot, Us};
 use firmware::text::Sink;
 use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
 
@@ -67,13 +67,13 @@ impl Sent {
 /// A client of the console.
 struct Visitor<'a> {
     machine: &'a mut Machine<Watched>,
-    line: &'a mut console::Line,
+    line: &'a mut console::LineEditor,
 }
 
-impl Taker for Visitor<'_> {
+impl StreamHandler for Visitor<'_> {
     fn greet(&mut self, out: &mut Text) {
         self.machine.greet();
-        *self.line = console::Line::default();
+        *self.line = console::LineEditor::default();
         out.put(console::PROMPT.as_bytes());
     }
 
@@ -97,8 +97,8 @@ impl Taker for Visitor<'_> {
 struct Station {
     bench: Bench,
     ip: Ip,
-    line: console::Line,
-    lane: Option<Lane>,
+    line: console::LineEditor,
+    fast_path: Option<FastPath>,
     ms: u32,
     /// The board's last TCP numbers: the next sequence number it expects, and its own next one.
     expected: u32,
@@ -111,8 +111,8 @@ struct Station {
 pub struct Outcome {
     /// Frames the board sent.
     pub sent: u32,
-    /// Exchanges the fast lane executed, and those it refused.
-    pub lane: [u32; 2],
+    /// Exchanges the fast path executed, and those it refused.
+    pub fast_path: [u32; 2],
     /// A client is connected to the console.
     pub visited: bool,
 }
@@ -127,20 +127,20 @@ pub fn script(data: &[u8]) -> Outcome {
     let mut station = Station {
         bench: Bench::new(),
         ip: Ip::new(),
-        line: console::Line::default(),
-        lane: None,
+        line: console::LineEditor::default(),
+        fast_path: None,
         ms: 0,
         expected: 0,
         next: 0,
         outcome: Outcome::default(),
     };
     station.ip.listen(CONSOLE_PORT, ANSWER_MAX);
-    let mut tape = Tape(data);
+    let mut input = ByteReader(data);
     for _ in 0..FRAMES {
-        if tape.is_over() {
+        if input.is_over() {
             break;
         }
-        station.step(&mut tape);
+        station.step(&mut input);
     }
     Outcome {
         visited: station.ip.busy(),
@@ -181,16 +181,16 @@ impl Oddities {
 }
 
 /// A whole IPv4 frame to the board.
-fn packet(us: &Us, protocol: u8, body: &[u8], odd: &Oddities, tape: &mut Tape) -> Vec<u8> {
+fn packet(us: &Us, protocol: u8, body: &[u8], odd: &Oddities, input: &mut ByteReader) -> Vec<u8> {
     let options = if odd.has(0) {
-        usize::from(tape.byte() % 11)
+        usize::from(input.byte() % 11)
     } else {
         0
     };
-    let fragment = if odd.has(1) { tape.half() } else { 0x4000 };
+    let fragment = if odd.has(1) { input.half() } else { 0x4000 };
     let total = 20 + 4 * options + body.len();
     let total = if odd.has(2) {
-        total.wrapping_add_signed((tape.byte() as i8).into())
+        total.wrapping_add_signed((input.byte() as i8).into())
     } else {
         total
     };
@@ -216,14 +216,14 @@ fn packet(us: &Us, protocol: u8, body: &[u8], odd: &Oddities, tape: &mut Tape) -
     frame.extend(ip);
     frame.extend(body);
     if odd.has(4) {
-        frame.extend(tape.some());
+        frame.extend(input.some());
     }
     if odd.has(5) {
-        let at = usize::from(tape.half()) % frame.len();
-        frame[at] ^= tape.byte();
+        let at = usize::from(input.half()) % frame.len();
+        frame[at] ^= input.byte();
     }
     if odd.has(6) {
-        frame.truncate(tape.half().into());
+        frame.truncate(input.half().into());
     }
     frame.resize(frame.len().max(if odd.has(6) { 0 } else { 60 }), 0);
     frame.truncate(FRAME_MAX);
@@ -231,22 +231,22 @@ fn packet(us: &Us, protocol: u8, body: &[u8], odd: &Oddities, tape: &mut Tape) -
 }
 
 impl Station {
-    fn step(&mut self, tape: &mut Tape) {
+    fn step(&mut self, input: &mut ByteReader) {
         let us = self.bench.machine.us;
-        let step = tape.byte();
+        let step = input.byte();
         match step & 7 {
             0 => {
-                let frame = tape.many().to_vec();
+                let frame = input.many().to_vec();
                 self.receive(&frame[..frame.len().min(FRAME_MAX)]);
             }
             1 | 2 => {
-                let odd = Oddities(tape.byte());
+                let odd = Oddities(input.byte());
                 let port = [us.port, wire::DISCOVERY_PORT, firmware::dhcp::PORT, 9]
                     [usize::from(step >> 3) % 4];
                 let payload = if step & 7 == 2 {
-                    self.exchange(tape)
+                    self.exchange(input)
                 } else {
-                    tape.many().to_vec()
+                    input.many().to_vec()
                 };
                 let mut udp = THEIR_PORT.to_be_bytes().to_vec();
                 udp.extend(port.to_be_bytes());
@@ -259,11 +259,11 @@ impl Station {
                     let sum = if sum == 0xffff { 0xffff } else { !sum as u16 };
                     udp[6..8].copy_from_slice(&sum.to_be_bytes());
                 }
-                let frame = packet(&us, 17, &udp, &odd, tape);
+                let frame = packet(&us, 17, &udp, &odd, input);
                 self.receive(&frame);
             }
             3 | 4 => {
-                let [odd, flags, ahead, window] = tape.array();
+                let [odd, flags, ahead, window] = input.array();
                 let port: u16 = 4000 + u16::from(step >> 6);
                 let mut tcp = port.to_be_bytes().to_vec();
                 tcp.extend(CONSOLE_PORT.to_be_bytes());
@@ -275,19 +275,19 @@ impl Station {
                 tcp.extend((u16::from(window) << 4).to_be_bytes());
                 tcp.extend([0; 4]);
                 tcp.resize(20 + 4 * usize::from(options), 1);
-                tcp.extend(tape.some());
+                tcp.extend(input.some());
                 let sum = !segment_sum(THEIR_IP, us.ip.to_be_bytes(), 6, &tcp) as u16;
                 tcp[16..18].copy_from_slice(&sum.to_be_bytes());
-                let frame = packet(&us, 6, &tcp, &Oddities(odd), tape);
+                let frame = packet(&us, 6, &tcp, &Oddities(odd), input);
                 self.receive(&frame);
             }
             5 => {
-                let odd = Oddities(tape.byte());
+                let odd = Oddities(input.byte());
                 let mut icmp = vec![step >> 3 & 8, 0, 0, 0];
-                icmp.extend(tape.many());
+                icmp.extend(input.many());
                 let sum = !ones(&icmp, 0) as u16;
                 icmp[2..4].copy_from_slice(&sum.to_be_bytes());
-                let frame = packet(&us, 1, &icmp, &odd, tape);
+                let frame = packet(&us, 1, &icmp, &odd, input);
                 self.receive(&frame);
             }
             6 => {
@@ -298,8 +298,8 @@ impl Station {
                 frame.extend(THEIR_IP);
                 frame.extend([0; 6]);
                 frame.extend(us.ip.to_be_bytes());
-                for byte in tape.some() {
-                    let at = usize::from(tape.byte()) % frame.len();
+                for byte in input.some() {
+                    let at = usize::from(input.byte()) % frame.len();
                     frame[at] = *byte;
                 }
                 frame.resize(60, 0);
@@ -315,9 +315,9 @@ impl Station {
     }
 
     /// The payload of the owner's next command, with different errors.
-    fn exchange(&self, tape: &mut Tape) -> Vec<u8> {
+    fn exchange(&self, input: &mut ByteReader) -> Vec<u8> {
         use wire::exchange::{COMMAND_MAX, Command, REQUEST_OVERHEAD};
-        let flags = tape.byte();
+        let flags = input.byte();
         let session = self.bench.machine.server.session();
         let peer = session.owner().unwrap_or_default();
         let command = Command {
@@ -332,10 +332,10 @@ impl Station {
         let request = command
             .emit_request(channels, &mut buffer)
             .expect("it fits");
-        let mut payload = crate::tape::bytes(request);
+        let mut payload = crate::byte_reader::bytes(request);
         for _ in 0..flags >> 6 {
-            let at = usize::from(tape.byte()) % payload.len();
-            payload[at] = tape.byte();
+            let at = usize::from(input.byte()) % payload.len();
+            payload[at] = input.byte();
         }
         payload
     }
@@ -346,7 +346,7 @@ impl Station {
         let length = bytes.len();
         let us = self.bench.machine.us;
         let class = net::classify(&frame, length, &us);
-        if self.lane(&frame, length, class) {
+        if self.fast_path(&frame, length, class) {
             return;
         }
         let counters = self.bench.machine.server.counters_mut();
@@ -398,12 +398,12 @@ impl Station {
         assert_eq!(deeds, Default::default(), "{what} did that");
     }
 
-    /// The fast lane: true if it took the frame.
-    fn lane(&mut self, frame: &Received, length: usize, class: Class) -> bool {
-        let Some(lane) = &self.lane else {
+    /// The fast path: true if it took the frame.
+    fn fast_path(&mut self, frame: &Received, length: usize, class: Class) -> bool {
+        let Some(fast_path) = &self.fast_path else {
             return false;
         };
-        let Some(mut command) = lane.open(frame, length) else {
+        let Some(mut command) = fast_path.open(frame, length) else {
             return false;
         };
         let shape = *self.bench.machine.server.shape();
@@ -416,29 +416,35 @@ impl Station {
             Class::Ours(datagram) => {
                 assert!(
                     whole,
-                    "the lane finds damage where the full check finds none"
+                    "the fast path finds damage where the full check finds none"
                 );
-                assert_eq!((datagram.peer, datagram.options), (lane.datagram.peer, 0));
+                assert_eq!(
+                    (datagram.peer, datagram.options),
+                    (fast_path.datagram.peer, 0)
+                );
                 let long: Vec<u32> = (4..4 + shape.command)
                     .map(|index| net::payload_word(frame, 0, index))
                     .collect();
                 assert_eq!(words, long);
             }
             Class::Refused(_) => {
-                assert!(!whole, "the lane takes a frame that is refused: {class:?}")
+                assert!(
+                    !whole,
+                    "the fast path takes a frame that is refused: {class:?}"
+                )
             }
             Class::Discovery(_) | Class::Dhcp(_) | Class::Other | Class::Nothing => {
-                panic!("the lane takes {class:?}")
+                panic!("the fast path takes {class:?}")
             }
         }
-        let Some(mut command) = lane.open(frame, length) else {
+        let Some(mut command) = fast_path.open(frame, length) else {
             unreachable!("it was open");
         };
         let machine = &mut self.bench.machine;
         let us = machine.us;
         let mut slot = Sent::default();
         let bytes = SlotReply::<Sent>::frame_length(&shape);
-        let datagram = lane.datagram;
+        let datagram = fast_path.datagram;
         SlotReply::prepare(
             &mut slot,
             |slot| net::emit_headers(slot, &us, &datagram, bytes - HEADERS),
@@ -455,13 +461,13 @@ impl Station {
                 assert!(whole, "a damaged command was executed");
                 machine.server.exchanged(frame.word(FRAME_FLAGS));
                 check(&slot.frame(bytes), &us);
-                self.outcome.lane[0] += 1;
+                self.outcome.fast_path[0] += 1;
             }
             Err(why) => {
                 machine.server.refuse(why);
                 let deeds = machine.board.take();
                 assert!(!deeds.took_effect(), "refused for {why:?}, and {deeds:?}");
-                self.outcome.lane[1] += 1;
+                self.outcome.fast_path[1] += 1;
             }
         }
         true
@@ -487,7 +493,7 @@ impl Station {
         let machine = &self.bench.machine;
         if datagram.options == 0 && machine.server.session().is_owner(datagram.peer) {
             let command = machine.server.shape().command;
-            self.lane = Some(Lane::new(&us, *datagram, command));
+            self.fast_path = Some(FastPath::new(&us, *datagram, command));
         }
     }
 
@@ -514,7 +520,7 @@ impl Station {
                 .get(34..)
                 .filter(|_| frame[12..14] == [8, 0] && frame[23] == 6)
             {
-                let word = |at: usize| Tape(&tcp[at..]).word();
+                let word = |at: usize| ByteReader(&tcp[at..]).word();
                 let data = tcp.len() - usize::from(tcp[12] >> 4) * 4;
                 let control = u32::from(tcp[13] & 1) + u32::from(tcp[13] >> 1 & 1);
                 self.next = word(4).wrapping_add(data as u32 + control);

@@ -1,13 +1,13 @@
 //! Programs (G-code, the job file, XYPenPlotter's binary): they are read to their end or refused
 //! with a place, and the result is motion that the machine can make.
 
-use crate::tape::Tape;
-use motion::gcode::{DwellUnit, Options, Reader};
-use motion::instruction::{FARTHEST, Feed, Instruction, Place};
-use motion::job::{self, BLOCK, Kind};
-use motion::plan::{AxisSetup, Output, Planner, Setup};
+use crate::byte_reader::ByteReader;
+use jobs::gcode::{DwellUnit, Options, Reader};
+use jobs::instruction::{FARTHEST, Feed, Instruction, Place};
+use jobs::job::{self, BLOCK, Kind};
+use jobs::plan::{AxisSetup, Output, Planner, Setup};
+use jobs::xypen::{self, Quirks, Record};
 use motion::segment::{AXES, MAX_CLOCKS, MIN_CLOCKS};
-use motion::xypen::{self, Quirks, Record};
 use wire::crc::Crc32;
 
 /// A circle of ten metres has too many chords for a fuzzer.
@@ -42,8 +42,8 @@ const PLOTTER: Setup = Setup {
 
 /// G-code: the instructions of a line, and their segments.
 pub fn gcode(data: &[u8]) {
-    let mut tape = Tape(data);
-    let [mode, percent] = tape.array();
+    let mut input = ByteReader(data);
+    let [mode, percent] = input.array();
     let dwell = match mode & 1 {
         0 => DwellUnit::Seconds,
         _ => DwellUnit::Milliseconds,
@@ -60,7 +60,7 @@ pub fn gcode(data: &[u8]) {
     if mode & 4 != 0 {
         bench.planner.set_override(percent.into());
     }
-    for byte in tape.0.iter().copied().map(Some).chain([None]) {
+    for byte in input.0.iter().copied().map(Some).chain([None]) {
         let lines = reader.line_number();
         let ended = reader.ended();
         let read = match byte {
@@ -91,11 +91,11 @@ pub fn gcode(data: &[u8]) {
 /// The job file. With the first bit of the first byte the input is the file; without it, the input
 /// is the content of blocks with a right CRC, so that a fuzzer gets past the CRC.
 pub fn job(data: &[u8]) {
-    let mut tape = Tape(data);
-    let [mode] = tape.array();
+    let mut input = ByteReader(data);
+    let [mode] = input.array();
     let file = match mode & 1 {
-        1 => tape.0.to_vec(),
-        _ => in_blocks(&mut tape),
+        1 => input.0.to_vec(),
+        _ => in_blocks(&mut input),
     };
     let mut bench = Bench::new();
     let mut reader = job::Reader::default();
@@ -124,12 +124,12 @@ pub fn job(data: &[u8]) {
 }
 
 /// Blocks of the input: a length, then that many bytes.
-fn in_blocks(tape: &mut Tape) -> Vec<u8> {
+fn in_blocks(input: &mut ByteReader) -> Vec<u8> {
     let mut file = Vec::new();
     let mut before = block(&mut file, Kind::Header, b"\x01fuzz", 0);
-    while !tape.is_over() {
-        let length = usize::from(tape.half()) % (BLOCK + 1);
-        let payload = tape.take(length);
+    while !input.is_over() {
+        let length = usize::from(input.half()) % (BLOCK + 1);
+        let payload = input.take(length);
         before = block(&mut file, Kind::Instructions, payload, before);
     }
     file
@@ -175,8 +175,8 @@ fn written_it_reads_the_same(program: &[(Instruction, u32)]) {
 
 /// Binary G-code of XYPenPlotter, by all its flags.
 pub fn xypen(data: &[u8]) {
-    let mut tape = Tape(data);
-    let [flags, dwell, feed] = tape.array();
+    let mut input = ByteReader(data);
+    let [flags, dwell, feed] = input.array();
     let quirks = Quirks {
         count_fields: flags & 1 != 0,
         invert_y: flags & 2 != 0,
@@ -187,7 +187,7 @@ pub fn xypen(data: &[u8]) {
         },
     };
     // Without the flag the count is right, so that a fuzzer gets past it.
-    let mut file = tape.0.to_vec();
+    let mut file = input.0.to_vec();
     if flags & 4 == 0 {
         let whole = file.len() / (4 * xypen::FIELDS) * xypen::FIELDS;
         file.truncate(4 * whole);

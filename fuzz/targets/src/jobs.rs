@@ -1,6 +1,6 @@
 //! The port of jobs, from its bytes to the pins: clients' requests, in any order and in pieces of
-//! any size, to the desk with the store and the executor, on the firmware's library and the models
-//! of the cores.
+//! any size, to the server with the store and the executor, on the firmware's library and the
+//! models of the cores.
 //!
 //! The input is a script of steps: one byte for the kind, then the bytes the step needs. What must
 //! hold:
@@ -13,17 +13,17 @@
 //! * the console's answers fit their buffer and do not disturb a terminal;
 //! * the machine is armed only while the executor is busy, and no pulse leaves while it is not.
 
-use crate::tape::Tape;
+use crate::byte_reader::ByteReader;
+use ::jobs::instruction::{Arc, Feed, Instruction};
+use ::jobs::job::Writer;
 use firmware::ip::Text;
-use firmware::jobs::Jobs;
+use firmware::jobs::Program;
 use firmware::jobs::abi::TEXT_MAX;
 use firmware::machine::{IDLE, Machine};
-use motion::instruction::{Arc, Feed, Instruction};
-use motion::job::Writer;
 use motion::segment::AXES;
-use sim::card::Card;
-use sim::desk::{Desk, Setup};
+use sim::board_facts::BoardFacts;
 use sim::jobs::Outer;
+use sim::model_board::{ModelBoard, Setup, UID};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
 use sim::plant::{Plant, Switch};
@@ -58,12 +58,12 @@ thread_local! {
 struct Shot {
     list: String,
     status: String,
-    machine: Option<jobs::Machine>,
+    machine: Option<jobs::MachineConfig>,
 }
 
 struct Bench<'m> {
-    machine: Machine<Desk>,
-    jobs: Jobs<'m>,
+    machine: Machine<ModelBoard>,
+    jobs: Program<'m>,
     /// Bytes sent and not read yet; requests read and not answered yet.
     ahead: Vec<u8>,
     reading: Vec<u8>,
@@ -84,7 +84,7 @@ pub fn jobs(data: &[u8]) {
 pub fn script(data: &[u8]) -> String {
     let mut memory = vec![0xa5; ROOM];
     let mut machine = board();
-    let program = Jobs::new(&mut memory, 7, &mut Outer(&mut machine));
+    let program = Program::new(&mut memory, 7, &mut Outer(&mut machine));
     let mut bench = Bench {
         jobs: program.expect("a board with jobs"),
         machine,
@@ -96,22 +96,22 @@ pub fn script(data: &[u8]) -> String {
         story: Vec::new(),
     };
     bench.visit();
-    let mut tape = Tape(data);
+    let mut input = ByteReader(data);
     let end = bench.machine.board.clock() + CLOCKS;
     for _ in 0..STEPS {
-        if tape.is_over() || bench.machine.board.clock() > end {
+        if input.is_over() || bench.machine.board.clock() > end {
             break;
         }
-        bench.step(&mut tape);
+        bench.step(&mut input);
     }
     bench.line("job status", true)
 }
 
 /// With switches at -500 steps of X and Y, and at 800 of Z.
-fn board() -> Machine<Desk> {
+fn board() -> Machine<ModelBoard> {
     let flash = FLASH.take().unwrap_or_else(|| {
         let part = Part::W25Q16JV.with(Times::QUICK);
-        Shared::new(Nor::new(part, 0xd162_0c8a_1b2c_3d4e))
+        Shared::new(Nor::new(part, UID))
     });
     FLASH.set(Some(flash.clone()));
     let channels = Channels {
@@ -121,9 +121,9 @@ fn board() -> Machine<Desk> {
         inputs: 4,
         outputs: 4,
     };
-    let mut card = Card::plain(channels, CLOCK);
-    card.jobs = AXES as u8;
-    (card.estop_mask, card.estop_level) = (ESTOP_INPUT, ESTOP_INPUT);
+    let mut facts = BoardFacts::plain(channels, CLOCK);
+    facts.jobs = AXES as u8;
+    (facts.estop_mask, facts.estop_level) = (ESTOP_INPUT, ESTOP_INPUT);
     let mut plant = Plant::direct(0);
     for (stepgen, at, above) in [(0, -500, false), (1, -500, false), (2, 800, true)] {
         plant.add_switch(Switch {
@@ -134,15 +134,15 @@ fn board() -> Machine<Desk> {
             inverted: above,
         });
     }
-    let mut setup = Setup::new(card, plant);
+    let mut setup = Setup::new(facts, plant);
     setup.flash = flash;
-    let (mut desk, ident) = Desk::power_up(setup);
-    let boot = desk.boot();
-    Machine::start(desk, ident, wire::regmap::ABI, boot)
+    let (mut model_board, ident) = ModelBoard::power_up(setup);
+    let boot = model_board.boot();
+    Machine::start(model_board, ident, wire::regmap::ABI, boot)
 }
 
 /// 80 steps/mm, 200 mm/s, 4000 mm/s^2; with or without those switches.
-pub(crate) fn machine(switches: bool) -> jobs::Machine {
+pub(crate) fn machine(switches: bool) -> jobs::MachineConfig {
     let axis = |input: u8| Axis {
         steps_per_km: 80_000_000,
         max_speed: 200_000_000,
@@ -168,7 +168,7 @@ pub(crate) fn machine(switches: bool) -> jobs::Machine {
             debounce: 10,
         }),
     };
-    jobs::Machine {
+    jobs::MachineConfig {
         chord_tolerance: 10_000,
         junction_deviation: 20_000,
         tool_delay: 1000,
@@ -180,12 +180,12 @@ pub(crate) fn machine(switches: bool) -> jobs::Machine {
     }
 }
 
-/// A job file from the tape.
-fn file(tape: &mut Tape) -> Vec<u8> {
+/// A job file from the input.
+fn file(input: &mut ByteReader) -> Vec<u8> {
     let mut writer = Writer::new("fuzz");
     let mut bytes = writer.header().to_vec();
-    for line in 0..u32::from(tape.byte() % 24) {
-        let [kind, x, y] = tape.array();
+    for line in 0..u32::from(input.byte() % 24) {
+        let [kind, x, y] = input.array();
         let place = |n: u8| i64::from(n as i8) * 100_000;
         let to = [place(x), place(y), 0];
         let feed = match kind & 16 {
@@ -222,109 +222,19 @@ fn file(tape: &mut Tape) -> Vec<u8> {
     bytes
 }
 
-fn name(tape: &mut Tape) -> Name {
-    match tape.byte() {
+fn name(input: &mut ByteReader) -> Name {
+    match input.byte() {
         n @ 0..=63 => {
             Name::cut(["a", "b", "c", "a longer name, of 31 characters"][usize::from(n % 4)])
         }
-        _ => Name::cut(&String::from_utf8_lossy(tape.some())),
+        _ => Name::cut(&String::from_utf8_lossy(input.some())),
     }
 }
 
 impl Bench<'_> {
-    fn step(&mut self, tape: &mut Tape) {
+    fn step(&mut self, input: &mut ByteReader) {
         let idle = (!self.jobs.executor().busy()).then(|| self.pulses());
-        let mut asked = true;
-        match tape.byte() & 15 {
-            0 => self.ask(&Request::Hello {
-                client: u32::from(tape.byte()) + 1,
-            }),
-            1 => {
-                let bytes = file(tape);
-                self.upload(&bytes, tape);
-            }
-            2 => {
-                let wanted = machine(tape.byte() & 1 != 0);
-                self.ask(&Request::PutMachine(wanted));
-            }
-            3 => {
-                let [code, flags, keepalive] = tape.array();
-                let name = name(tape);
-                self.ask(&Request::Command {
-                    code: if code < 128 { code % 14 } else { code },
-                    flags,
-                    keepalive: u16::from(keepalive) * 20,
-                    name,
-                });
-            }
-            4 => {
-                asked = false;
-                self.pass(1 << (tape.byte() % 11));
-            }
-            // Any op, any payload, the CRC right.
-            5 => {
-                let (op, payload) = (tape.byte(), tape.many());
-                self.frame(op, |writer| {
-                    writer.bytes(payload);
-                });
-            }
-            6 => self.say(tape.many()),
-            // A machine with an inverted byte.
-            7 => {
-                let (at, bits) = (tape.byte(), tape.byte());
-                let request = Request::PutMachine(machine(bits & 1 != 0));
-                let mut out = [0; FRAME];
-                let length = request.emit(0, &mut out);
-                let mut payload = out[8..length - 4].to_vec();
-                let at = usize::from(at) % payload.len();
-                payload[at] ^= bits;
-                self.frame(Op::PutMachine.code(), |writer| {
-                    writer.bytes(&payload);
-                });
-            }
-            8 => {
-                asked = false;
-                let inputs = u32::from(tape.byte() & 15);
-                let world = self.machine.board.world();
-                world.gpio_in(inputs);
-                world.settle();
-                self.pass(4);
-            }
-            9 => self.visit(),
-            10 => self.console(tape),
-            11 => self.again(),
-            12 => {
-                let (command, form, words) = (tape.byte() % 8, tape.byte() % 3, tape.some());
-                self.ask(&Request::Segment {
-                    command,
-                    form,
-                    words: jobs::Words::new(words.as_chunks().0),
-                });
-            }
-            13 => self.ask(&Request::Feed {
-                percent: tape.byte().into(),
-            }),
-            14 => {
-                let which = tape.byte();
-                let request = match which % 5 {
-                    0 => Request::Report,
-                    1 => Request::List { index: which / 5 },
-                    2 => Request::GetMachine,
-                    3 => Request::Commit,
-                    _ => Request::Delete { name: name(tape) },
-                };
-                self.ask(&request);
-            }
-            // A request in two pieces, with a pause in between.
-            _ => {
-                let mut out = [0; FRAME];
-                let length = Request::Report.emit(self.id, &mut out);
-                let (head, rest) = out[..length].split_at(usize::from(tape.byte()) % length);
-                self.say(head);
-                self.pass(2);
-                self.say(rest);
-            }
-        }
+        let asked = self.act(input);
         self.holds();
         if let Some(pulses) = idle.filter(|_| !asked && !self.jobs.executor().busy()) {
             assert_eq!(
@@ -336,6 +246,109 @@ impl Bench<'_> {
         }
     }
 
+    /// What the step says; whether the board was asked for something.
+    fn act(&mut self, input: &mut ByteReader) -> bool {
+        match input.byte() & 15 {
+            0 => self.ask(&Request::Hello {
+                client: u32::from(input.byte()) + 1,
+            }),
+            1 => {
+                let bytes = file(input);
+                self.upload(&bytes, input);
+            }
+            2 => {
+                let wanted = machine(input.byte() & 1 != 0);
+                self.ask(&Request::PutMachine(wanted));
+            }
+            3 => self.command(input),
+            4 => {
+                self.pass(1 << (input.byte() % 11));
+                return false;
+            }
+            // Any op, any payload, the CRC right.
+            5 => {
+                let (op, payload) = (input.byte(), input.many());
+                self.frame(op, |writer| {
+                    writer.bytes(payload);
+                });
+            }
+            6 => self.say(input.many()),
+            7 => self.damaged_machine(input),
+            8 => {
+                let inputs = u32::from(input.byte() & 15);
+                let environment = self.machine.board.environment();
+                environment.gpio_in(inputs);
+                environment.settle();
+                self.pass(4);
+                return false;
+            }
+            9 => self.visit(),
+            10 => self.console(input),
+            11 => self.again(),
+            12 => {
+                let (command, form, words) = (input.byte() % 8, input.byte() % 3, input.some());
+                self.ask(&Request::Segment {
+                    command,
+                    form,
+                    words: jobs::Words::new(words.as_chunks().0),
+                });
+            }
+            13 => self.ask(&Request::Feed {
+                percent: input.byte().into(),
+            }),
+            14 => self.question(input),
+            _ => self.in_two_pieces(input),
+        }
+        true
+    }
+
+    fn command(&mut self, input: &mut ByteReader) {
+        let [code, flags, keepalive] = input.array();
+        let name = name(input);
+        self.ask(&Request::Command {
+            code: if code < 128 { code % 14 } else { code },
+            flags,
+            keepalive: u16::from(keepalive) * 20,
+            name,
+        });
+    }
+
+    /// A machine with an inverted byte, the CRC right.
+    fn damaged_machine(&mut self, input: &mut ByteReader) {
+        let (at, bits) = (input.byte(), input.byte());
+        let request = Request::PutMachine(machine(bits & 1 != 0));
+        let mut out = [0; FRAME];
+        let length = request.emit(0, &mut out);
+        let mut payload = out[8..length - 4].to_vec();
+        let at = usize::from(at) % payload.len();
+        payload[at] ^= bits;
+        self.frame(Op::PutMachine.code(), |writer| {
+            writer.bytes(&payload);
+        });
+    }
+
+    fn question(&mut self, input: &mut ByteReader) {
+        let which = input.byte();
+        let request = match which % 5 {
+            0 => Request::Report,
+            1 => Request::List { index: which / 5 },
+            2 => Request::GetMachine,
+            3 => Request::Commit,
+            _ => Request::Delete { name: name(input) },
+        };
+        self.ask(&request);
+    }
+
+    /// A request, with a pause in the middle of it.
+    fn in_two_pieces(&mut self, input: &mut ByteReader) {
+        let mut out = [0; FRAME];
+        let length = Request::Report.emit(self.id, &mut out);
+        let (head, rest) = out[..length].split_at(usize::from(input.byte()) % length);
+        self.say(head);
+        self.pass(2);
+        self.say(rest);
+    }
+
     fn tell(&mut self, what: impl FnOnce() -> String) {
         if crate::EXPLAIN.load(Relaxed) {
             self.story.push(what());
@@ -343,7 +356,7 @@ impl Bench<'_> {
     }
 
     fn pulses(&mut self) -> u64 {
-        self.machine.board.world().edges.pulses()
+        self.machine.board.environment().edges.pulses()
     }
 
     fn holds(&self) {
@@ -366,7 +379,7 @@ impl Bench<'_> {
             self.serve();
             self.jobs.poll(&mut Outer(&mut self.machine));
             if self.machine.due(IDLE) {
-                self.machine.chores();
+                self.machine.housekeeping();
             }
             let until = self.machine.board.clock() + TURN;
             self.machine.board.pass(until);
@@ -398,7 +411,7 @@ impl Bench<'_> {
         while self.serve() {}
     }
 
-    /// The desk takes some bytes; true if it took any, or if it answered.
+    /// The server takes some bytes; true if it took any, or if it answered.
     fn serve(&mut self) -> bool {
         if self.ahead.is_empty() && self.reading.is_empty() {
             return false;
@@ -480,8 +493,8 @@ impl Bench<'_> {
         assert_eq!(self.shot(), before, "executed twice\n{:#?}", self.story);
     }
 
-    fn upload(&mut self, bytes: &[u8], tape: &mut Tape) {
-        let (name, total, wrong) = (name(tape), bytes.len() as u32, tape.byte());
+    fn upload(&mut self, bytes: &[u8], input: &mut ByteReader) {
+        let (name, total, wrong) = (name(input), bytes.len() as u32, input.byte());
         if name.is_empty() {
             return;
         }
@@ -495,8 +508,8 @@ impl Bench<'_> {
         self.pass(8);
     }
 
-    fn console(&mut self, tape: &mut Tape) {
-        let (how, text) = (tape.byte(), tape.some());
+    fn console(&mut self, input: &mut ByteReader) {
+        let (how, text) = (input.byte(), input.some());
         let verbs = [
             "status", "list", "start a", "pause", "continue", "stop", "home", "feed 50",
             "delete a", "help", "home xy",
@@ -542,7 +555,7 @@ fn payload(op: Op, bytes: &[u8]) -> bool {
         Op::Hello => Welcome::parse(bytes).is_some(),
         Op::Put | Op::Data | Op::Delete | Op::Segment => jobs::word(bytes).is_some(),
         Op::Commit | Op::List => Entry::parse(bytes).is_some(),
-        Op::GetMachine => jobs::Machine::parse(bytes).is_ok(),
+        Op::GetMachine => jobs::MachineConfig::parse(bytes).is_ok(),
         Op::Command | Op::Report | Op::Feed => Report::parse(bytes).is_some(),
         Op::Challenge => bytes.len() == 16,
         Op::PutMachine | Op::Respond => bytes.is_empty(),

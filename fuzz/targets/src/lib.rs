@@ -17,6 +17,7 @@
 //! A new target is a function here, a line in [`TARGETS`], a file in `fuzz/fuzz_targets` with its
 //! `[[bin]]`, and a few inputs in `fuzz/corpus`; the tests say which of these is missing.
 
+pub mod byte_reader;
 pub mod describe;
 pub mod files;
 pub mod frames;
@@ -25,7 +26,6 @@ pub mod jobs;
 pub mod protocol;
 pub mod seeds;
 pub mod server;
-pub mod tape;
 pub mod watched;
 
 use std::sync::atomic::AtomicBool;

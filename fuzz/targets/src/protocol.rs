@@ -1,7 +1,7 @@
 //! The protocol: which datagrams are valid, and that emitting what was parsed gives the same
 //! datagram.
 
-use crate::tape::{Tape, bytes, words};
+use crate::byte_reader::{ByteReader, bytes, words};
 use std::net::Ipv4Addr;
 use wire::describe::Channels;
 use wire::discovery::{Body, Message, WORDS_MAX};
@@ -67,8 +67,8 @@ pub fn etherbone(data: &[u8]) {
     }
 }
 
-fn channels(tape: &mut Tape) -> Channels {
-    let [stepgens, encoders, pwms, inputs, outputs] = tape.array();
+fn channels(input: &mut ByteReader) -> Channels {
+    let [stepgens, encoders, pwms, inputs, outputs] = input.array();
     Channels {
         stepgens: stepgens % 17,
         encoders: encoders % 17,
@@ -80,17 +80,17 @@ fn channels(tape: &mut Tape) -> Channels {
 
 /// Command and status blocks of any board: read, written and read again they are the same.
 pub fn exchange(data: &[u8]) {
-    let mut tape = Tape(data);
-    let channels = channels(&mut tape);
-    let mode = tape.byte();
-    let (last, sequence) = (tape.word(), tape.word());
+    let mut input = ByteReader(data);
+    let channels = channels(&mut input);
+    let mode = input.byte();
+    let (last, sequence) = (input.word(), input.word());
     let forth = judge_sequence(sequence, last).is_ok();
     let back = judge_sequence(last, sequence).is_ok();
     assert!(
         !(forth && back),
         "{sequence:#x} and {last:#x} are each ahead"
     );
-    let mut block = words(tape.0);
+    let mut block = words(input.0);
     if mode & 1 != 0 {
         block.resize(command_words(channels), 0);
     }
@@ -123,9 +123,9 @@ pub fn exchange(data: &[u8]) {
 
 /// Datagrams of discovery, and the settings in them: both ends agree on what is valid.
 pub fn discovery(data: &[u8]) {
-    let mut tape = Tape(data);
-    let mode = tape.byte();
-    let mut message = words(tape.0);
+    let mut input = ByteReader(data);
+    let mode = input.byte();
+    let mut message = words(input.0);
     if mode & 1 != 0 {
         seal(message.get_mut(wire::discovery::HEAD..).unwrap_or(&mut []));
     }
@@ -162,7 +162,7 @@ pub fn discovery(data: &[u8]) {
             let text = host::uid::uid_text(found.uid);
             assert_eq!(host::uid::uid_parse(&text), Some(found.uid), "{text}");
             found.socket();
-            change(&mut tape, &host::provision::settings_of(&found));
+            change(&mut input, &host::provision::settings_of(&found));
         }
         Body::Set(settings) | Body::Proven(settings, _) => {
             assert_eq!(
@@ -173,7 +173,7 @@ pub fn discovery(data: &[u8]) {
             let again = Settings::parse(&settings.to_words());
             assert_eq!(again, Ok(settings));
             assert_eq!(settings.blanked().key, [0; 4], "the key is never sent");
-            change(&mut tape, &settings);
+            change(&mut input, &settings);
         }
     }
 }
@@ -186,16 +186,16 @@ fn seal(message: &mut [u32]) {
 }
 
 /// A user's change gives a board's settings or a refusal.
-fn change(tape: &mut Tape, settings: &Settings) {
-    let which = tape.byte();
-    let (ip, prefix, gateway, port) = (tape.word(), tape.byte(), tape.word(), tape.half());
+fn change(input: &mut ByteReader, settings: &Settings) {
+    let which = input.byte();
+    let (ip, prefix, gateway, port) = (input.word(), input.byte(), input.word(), input.half());
     let given = |bit: u8| which >> bit & 1 != 0;
     let change = host::provision::Change {
         ip: given(0).then_some((Ipv4Addr::from(ip), given(1).then_some(prefix))),
         gateway: given(2).then_some(gateway.into()),
         dhcp: given(3).then_some(given(4)),
-        name: given(5).then_some(Name::cut(&String::from_utf8_lossy(tape.some()))),
-        mac: given(6).then_some(tape.array()),
+        name: given(5).then_some(Name::cut(&String::from_utf8_lossy(input.some()))),
+        mac: given(6).then_some(input.array()),
         port: given(7).then_some(port),
     };
     if let Ok(changed) = change.apply(settings) {
@@ -207,22 +207,22 @@ fn change(tape: &mut Tape, settings: &Settings) {
 pub fn dhcp(data: &[u8]) {
     use firmware::dhcp::{Client, WORDS};
     const MAC: [u8; 6] = [0x12, 0xe2, 0xd5, 0, 0, 1];
-    let mut tape = Tape(data);
-    let mut client = Client::on(tape.word());
+    let mut input = ByteReader(data);
+    let mut client = Client::on(input.word());
     let mut second = 0u32;
     client.tick(second);
-    while !tape.is_over() {
-        let step = tape.byte();
+    while !input.is_over() {
+        let step = input.byte();
         let mut sent = [0; WORDS];
         client.emit(MAC, "board", &mut sent);
         assert_eq!(sent[0] >> 16, 0x0101, "a request");
         match step & 3 {
             0 => {
-                second = second.wrapping_add(tape.word() >> (step >> 3));
+                second = second.wrapping_add(input.word() >> (step >> 3));
                 client.tick(second);
             }
             1 => {
-                let offered = tape.many();
+                let offered = input.many();
                 client.take(MAC, &words(offered), offered.len(), second);
             }
             // Answers to what was asked, with any address and options.
@@ -230,12 +230,12 @@ pub fn dhcp(data: &[u8]) {
                 let mut answer = [0; 60];
                 answer[0] = 0x0201_0600;
                 answer[1] = sent[1];
-                answer[4] = tape.word();
+                answer[4] = input.word();
                 (answer[7], answer[8]) = (sent[7], sent[8]);
                 answer[59] = 0x6382_5363;
                 let mut offered = bytes(&answer);
                 offered.extend([53, 1, step >> 2]);
-                offered.extend(tape.some());
+                offered.extend(input.some());
                 let length = offered.len();
                 client.take(MAC, &words(&offered), length, second);
             }

@@ -10,17 +10,18 @@
 //! * the gate is open only while the machine is armed or stops;
 //! * answers are packets.
 
-use crate::tape::{Tape, words};
-use crate::watched::{self, Watched};
+use crate::byte_reader::{ByteReader, words};
+use crate::watched::{self, Deeds, Watched};
 use firmware::console::Vitals;
 use firmware::cores::Board;
-use firmware::machine::{BEHIND_A_FRAME, Machine};
+use firmware::machine::Machine;
 use firmware::session::Peer;
 use std::sync::atomic::Ordering::Relaxed;
+use wire::describe::Channels;
 use wire::etherbone::Record;
 use wire::exchange::{Command, REQUEST_OVERHEAD, Status};
-use wire::units::{Accel, StepRate};
-use wire::{MAX_WORDS, Packet, State, etherbone, map};
+use wire::units::{Accel, Velocity};
+use wire::{MAX_WORDS, Packet, Refusal, State, etherbone, map};
 
 /// Longer scripts add nothing.
 const STEPS: usize = 200;
@@ -64,6 +65,59 @@ pub struct Bench {
     story: Vec<String>,
 }
 
+/// A datagram, and what the server made of it.
+struct Served<'w> {
+    peer: Peer,
+    words: &'w [u32],
+    answer: Result<Vec<u32>, Refusal>,
+    deeds: Deeds,
+    /// The owner before it.
+    owner: Option<Peer>,
+    before: State,
+    state: State,
+}
+
+impl Served<'_> {
+    /// It was executed; the owner behind it.
+    fn executed(&self, reply: &[u32], story: &[String]) -> Option<Peer> {
+        let deeds = self.deeds;
+        let packet = Packet::new_checked(self.words)
+            .unwrap_or_else(|why| panic!("executed though {why:?}\n{story:#?}"));
+        let writes = packet.records().any(|record| !record.writes.is_empty());
+        if !writes {
+            assert_eq!(deeds, Default::default(), "reading did that\n{story:#?}");
+            assert_eq!(self.before, self.state, "reading did that\n{story:#?}");
+        }
+        if !reply.is_empty() && !packet.is_probe() {
+            let answer = Packet::new_checked(reply);
+            assert!(answer.is_ok(), "the answer is {answer:?}\n{story:#?}");
+        }
+        if writes && self.owner.is_none_or(|owner| owner != self.peer) {
+            // Another client's datagram that has an effect must have acquired the session first.
+            let acquires = packet
+                .records()
+                .any(|record| writes_to(&record, map::SESSION_ACQUIRE));
+            let free = self.owner.is_none();
+            assert!(free, "another client's write was executed\n{story:#?}");
+            let only_flash = deeds.commits + deeds.fed + deeds.written + deeds.armed == 0;
+            assert!(
+                acquires || only_flash,
+                "without a session: {deeds:?}\n{story:#?}"
+            );
+            return acquires.then_some(self.peer);
+        }
+        self.owner
+    }
+
+    /// The command in it.
+    fn command(&self, channels: Channels) -> Option<Command> {
+        let packet = Packet::new_checked(self.words).ok()?;
+        let record = packet.records().next()?;
+        (record.write_base == map::COMMAND && !packet.is_probe())
+            .then(|| Command::parse(record.writes, channels).ok())?
+    }
+}
+
 /// Runs a script.
 pub fn server(data: &[u8]) {
     script(data);
@@ -72,12 +126,12 @@ pub fn server(data: &[u8]) {
 /// Runs a script; returns the board in its final state.
 pub fn script(data: &[u8]) -> Bench {
     let mut bench = Bench::new();
-    let mut tape = Tape(data);
+    let mut input = ByteReader(data);
     for _ in 0..STEPS {
-        if tape.is_over() || bench.clocks > CLOCKS {
+        if input.is_over() || bench.clocks > CLOCKS {
             break;
         }
-        bench.step(&mut tape);
+        bench.step(&mut input);
     }
     bench
 }
@@ -102,19 +156,19 @@ impl Bench {
         }
     }
 
-    fn step(&mut self, tape: &mut Tape) {
-        let step = tape.byte();
+    fn step(&mut self, input: &mut ByteReader) {
+        let step = input.byte();
         let peer = PEERS[usize::from(step >> 4) % PEERS.len()];
         match step & 15 {
-            0 => self.datagram(peer, &words(tape.many())),
-            1 => self.write(peer, map::SESSION_ACQUIRE, tape.byte().into()),
-            2 | 3 => self.exchange(peer, tape),
+            0 => self.datagram(peer, &words(input.many())),
+            1 => self.write(peer, map::SESSION_ACQUIRE, input.byte().into()),
+            2 | 3 => self.exchange(peer, input),
             4 => {
-                let clocks = 1u64 << (tape.byte() % 24);
+                let clocks = 1u64 << (input.byte() % 24);
                 self.pass(clocks);
             }
             5 => {
-                let [class, channel, field] = tape.array();
+                let [class, channel, field] = input.array();
                 let base = [
                     map::CONFIG_STEPGEN,
                     map::CONFIG_ENCODER,
@@ -123,56 +177,56 @@ impl Bench {
                     map::CONFIG_DEBOUNCE,
                 ][usize::from(class) % 5];
                 let at = u32::from(channel % 20) * map::CONFIG_STRIDE + 4 * u32::from(field % 8);
-                self.write(peer, base + at, tape.word());
+                self.write(peer, base + at, input.word());
             }
             6 => {
-                let [pins, inputs, link] = tape.array();
-                let world = self.machine.board.desk.world();
-                world.ext_reset(pins & 1 != 0);
-                world.gpio_in(u32::from(inputs) << (pins >> 4));
-                world.link(if pins & 2 != 0 { link & 15 } else { 0b1101 });
+                let [pins, inputs, link] = input.array();
+                let environment = self.machine.board.model_board.environment();
+                environment.ext_reset(pins & 1 != 0);
+                environment.gpio_in(u32::from(inputs) << (pins >> 4));
+                environment.link(if pins & 2 != 0 { link & 15 } else { 0b1101 });
                 self.pass(64);
             }
             7 => {
-                let addresses = words(tape.some());
+                let addresses = words(input.some());
                 let mut buffer = [0; MAX_WORDS];
                 let mut request = etherbone::ReplyWriter::new(&mut buffer, etherbone::HEADER);
-                request.read_record(u32::from(tape.byte()), &addresses);
+                request.read_record(u32::from(input.byte()), &addresses);
                 let request = request.words().to_vec();
                 self.datagram(peer, &request);
             }
             8 => {
                 let own = self.machine.server.session().token_for(peer);
-                let token = if tape.byte() & 1 == 0 {
+                let token = if input.byte() & 1 == 0 {
                     own
                 } else {
-                    tape.word()
+                    input.word()
                 };
                 self.write(peer, map::SESSION_RELEASE, token);
             }
             9 => {
-                let (operation, address, length) = (tape.byte(), tape.word(), tape.half());
+                let (operation, address, length) = (input.byte(), input.word(), input.half());
                 self.write(peer, map::FLASH_ADDRESS, address);
                 self.write(peer, map::FLASH_OP_LENGTH, length.into());
                 self.write(peer, map::FLASH_OP, u32::from(operation % 16));
             }
             10 => {
-                let page = u32::from(tape.byte()) * wire::regmap::CSR_PAGE as u32;
-                let at = map::SERVICE + page + 4 * u32::from(tape.byte());
-                self.write(peer, at, tape.word());
+                let page = u32::from(input.byte()) * wire::regmap::CSR_PAGE as u32;
+                let at = map::SERVICE + page + 4 * u32::from(input.byte());
+                self.write(peer, at, input.word());
             }
-            11 => self.discovery(tape),
+            11 => self.discovery(input),
             12 => {
-                let offer = tape.many();
+                let offer = input.many();
                 self.machine.offered(&words(offer), offer.len());
                 self.tell(|| "a DHCP server".to_owned());
                 self.untouched();
             }
-            13 => self.console(tape.some()),
-            14 => self.write(peer, tape.word(), tape.word()),
-            _ => self.records(peer, tape),
+            13 => self.console(input.some()),
+            14 => self.write(peer, input.word(), input.word()),
+            _ => self.records(peer, input),
         }
-        self.shouts();
+        self.send_broadcasts();
         self.holds();
     }
 
@@ -188,11 +242,11 @@ impl Bench {
     }
 
     /// Several writes and reads in one datagram.
-    fn records(&mut self, peer: Peer, tape: &mut Tape) {
+    fn records(&mut self, peer: Peer, input: &mut ByteReader) {
         let mut buffer = [0; MAX_WORDS];
         let mut packet = etherbone::ReplyWriter::new(&mut buffer, etherbone::HEADER);
-        for _ in 0..tape.byte() % 8 {
-            let [kind, count] = tape.array();
+        for _ in 0..input.byte() % 8 {
+            let [kind, count] = input.array();
             let base = [
                 map::SESSION_ACQUIRE,
                 map::SESSION_RELEASE,
@@ -209,7 +263,7 @@ impl Bench {
                 let count = count % 40;
                 packet.write_record(base + 4 * u32::from(kind >> 4), count);
                 for _ in 0..count {
-                    packet.push(tape.word());
+                    packet.push(input.word());
                 }
             }
         }
@@ -218,8 +272,8 @@ impl Bench {
     }
 
     /// A command block like a host's, with different errors.
-    fn exchange(&mut self, peer: Peer, tape: &mut Tape) {
-        let [flags, ahead, rates] = tape.array();
+    fn exchange(&mut self, peer: Peer, input: &mut ByteReader) {
+        let [flags, ahead, rates] = input.array();
         let session = self.machine.server.session();
         self.sequence = self.sequence.wrapping_add(1);
         let mut command = Command {
@@ -234,27 +288,27 @@ impl Bench {
             ..Command::default()
         };
         if flags & 4 != 0 {
-            command.token ^= tape.word();
+            command.token ^= input.word();
         }
         if flags & 8 != 0 {
             command.apply_at = Some(wire::units::Clocks(
-                self.machine.board.now() + u64::from(tape.half()) * 16,
+                self.machine.board.now() + u64::from(input.half()) * 16,
             ));
         }
         // At most 14 kHz: pulses are expensive, too.
-        command.stepgen = [(StepRate(i32::from(rates as i8) << 13), Accel::UNLIMITED); 16];
+        command.stepgen = [(Velocity(i32::from(rates as i8) << 13), Accel::UNLIMITED); 16];
         let channels = watched::ident(&self.machine).channels;
         let mut buffer = [0; REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX];
         let request = command.emit_request(channels, &mut buffer);
         let mut request = request.expect("it fits").to_vec();
         if flags & 16 != 0 {
-            for _ in 0..tape.byte() % 8 {
-                let at = usize::from(tape.byte()) % request.len();
-                request[at] = tape.word();
+            for _ in 0..input.byte() % 8 {
+                let at = usize::from(input.byte()) % request.len();
+                request[at] = input.word();
             }
         }
         if flags & 32 != 0 {
-            request.truncate(usize::from(tape.byte()));
+            request.truncate(usize::from(input.byte()));
         }
         self.datagram(peer, &request);
     }
@@ -264,20 +318,20 @@ impl Bench {
         let words = &words[..words.len().min(MAX_WORDS)];
         let machine = &mut self.machine;
         let channels = watched::ident(machine).channels;
-        let mut owner = machine.server.session().owner();
+        let owner = machine.server.session().owner();
         // A bite is noticed at the next look at the gate, which may be in this datagram.
         let undisturbed = machine.server.safety().running(machine.board.gate());
         let before = machine.server.safety().state();
         let refusals = machine.server.counters().refused_total;
         machine.board.take();
         let mut buffer = [0; MAX_WORDS];
-        let served = machine
+        let answer = machine
             .datagram(words, peer, &mut buffer)
             .map(<[u32]>::to_vec);
         let deeds = machine.board.take();
         let state = machine.server.safety().state();
         self.tell(|| {
-            format!("{peer:x?} {words:x?}: {served:x?}, {deeds:?}, {before:?} -> {state:?}")
+            format!("{peer:x?} {words:x?}: {answer:x?}, {deeds:?}, {before:?} -> {state:?}")
         });
         let story = &self.story;
         let counted = self
@@ -288,11 +342,19 @@ impl Bench {
             .wrapping_sub(refusals);
         assert_eq!(
             counted,
-            u32::from(served.is_err()),
+            u32::from(answer.is_err()),
             "not counted\n{story:#?}"
         );
-        let packet = Packet::new_checked(words);
-        match &served {
+        let served = Served {
+            peer,
+            words,
+            answer,
+            deeds,
+            owner,
+            before,
+            state,
+        };
+        let owner = match &served.answer {
             Err(why) => {
                 assert!(
                     !deeds.took_effect(),
@@ -302,45 +364,23 @@ impl Bench {
                     state == before || !undisturbed,
                     "refused, but {before:?} became {state:?}\n{story:#?}"
                 );
+                owner
             }
-            Ok(reply) => {
-                let packet =
-                    packet.unwrap_or_else(|why| panic!("executed though {why:?}\n{story:#?}"));
-                let writes = packet.records().any(|record| !record.writes.is_empty());
-                if !writes {
-                    assert_eq!(deeds, Default::default(), "reading did that\n{story:#?}");
-                    assert_eq!(before, state, "reading did that\n{story:#?}");
-                }
-                if !reply.is_empty() && !packet.is_probe() {
-                    let answer = Packet::new_checked(reply);
-                    assert!(answer.is_ok(), "the answer is {answer:?}\n{story:#?}");
-                }
-                if writes && owner.is_none_or(|owner| owner != peer) {
-                    // Another client's datagram that has an effect must have acquired the session
-                    // first.
-                    let acquires = packet
-                        .records()
-                        .any(|record| writes_to(&record, map::SESSION_ACQUIRE));
-                    let free = owner.is_none();
-                    assert!(free, "another client's write was executed\n{story:#?}");
-                    if acquires {
-                        owner = Some(peer);
-                    }
-                    let only_flash = deeds.commits + deeds.fed + deeds.written + deeds.armed == 0;
-                    assert!(
-                        acquires || only_flash,
-                        "without a session: {deeds:?}\n{story:#?}"
-                    );
-                }
-            }
+            Ok(reply) => served.executed(reply, story),
+        };
+        self.armed_legally(&served, owner, channels);
+        self.state = state;
+        let owners = self.machine.server.session().is_owner(peer);
+        if self.machine.due(self.machine.patience(owners)) {
+            self.machine.housekeeping();
         }
-        let exchange = packet.ok().and_then(|packet| {
-            let record = packet.records().next()?;
-            let block = record.writes;
-            (record.write_base == map::COMMAND && !packet.is_probe())
-                .then(|| Command::parse(block, channels).ok())?
-        });
-        match (exchange, &served) {
+        self.machine.board.take();
+    }
+
+    /// Behind a datagram of which `owner` owns the session: the machine is armed by a command only.
+    fn armed_legally(&mut self, served: &Served, owner: Option<Peer>, channels: Channels) {
+        let (story, words) = (&self.story, served.words);
+        match (served.command(channels), &served.answer) {
             (Some(command), Ok(reply)) => {
                 if !reply.is_empty() {
                     let status = Status::parse_reply(reply, channels);
@@ -350,28 +390,23 @@ impl Bench {
                 }
                 assert_eq!(
                     owner,
-                    Some(peer),
+                    Some(served.peer),
                     "another client's command was executed\n{story:#?}"
                 );
-                self.commanded(&command, before, state);
+                self.commanded(&command, served.before, served.state);
             }
             (Some(_) | None, Ok(_) | Err(_)) => {
                 assert!(
-                    state != State::Armed || before == State::Armed,
+                    served.state != State::Armed || served.before == State::Armed,
                     "armed without a command\n{story:#?}"
                 );
-                assert_eq!(deeds.armed, 0, "armed without a command\n{story:#?}");
+                assert_eq!(served.deeds.armed, 0, "armed without a command\n{story:#?}");
                 // Acquired, or released: an earlier low level does not count any more.
-                if served.is_ok() && words.len() > 2 && rewrote_session(words) {
+                if served.answer.is_ok() && words.len() > 2 && rewrote_session(words) {
                     self.seen = Seen::Nothing;
                 }
             }
         }
-        self.state = state;
-        if self.machine.due(BEHIND_A_FRAME) {
-            self.machine.chores();
-        }
-        self.machine.board.take();
     }
 
     /// The owner's command was accepted.
@@ -398,8 +433,8 @@ impl Bench {
         };
     }
 
-    fn discovery(&mut self, tape: &mut Tape) {
-        let mut message = words(tape.many());
+    fn discovery(&mut self, input: &mut ByteReader) {
+        let mut message = words(input.many());
         if let Some([.., body]) = message.split_first_chunk_mut::<6>().map(|(_, b)| [b])
             && let Some([settings @ .., crc]) = body.first_chunk_mut::<32>()
         {
@@ -427,7 +462,7 @@ impl Bench {
     }
 
     fn console(&mut self, bytes: &[u8]) {
-        let mut line = firmware::console::Line::default();
+        let mut line = firmware::console::LineEditor::default();
         for byte in bytes {
             if let Some(ask) = line.push(*byte) {
                 let mut paper = Paper::default();
@@ -441,10 +476,10 @@ impl Bench {
 
     fn pass(&mut self, clocks: u64) {
         let gate = self.machine.board.gate();
-        let pulses = self.machine.board.desk.world().edges.pulses();
+        let pulses = self.machine.board.model_board.environment().edges.pulses();
         self.clocks += clocks;
         watched::pass(&mut self.machine, clocks, (clocks / 60_000).clamp(1, 8));
-        let now = self.machine.board.desk.world().edges.pulses();
+        let now = self.machine.board.model_board.environment().edges.pulses();
         self.tell(|| format!("{clocks} clocks"));
         let story = &self.story;
         assert!(
@@ -459,14 +494,14 @@ impl Bench {
         );
     }
 
-    fn shouts(&mut self) {
+    fn send_broadcasts(&mut self) {
         for _ in 0..4 {
-            if !self.machine.has_to_shout() {
+            if !self.machine.has_broadcast() {
                 break;
             }
             let mut buffer = [0; MAX_WORDS];
-            if let Some(shout) = self.machine.shout(&mut buffer) {
-                assert!(shout.words <= MAX_WORDS && shout.words > 0);
+            if let Some(broadcast) = self.machine.next_broadcast(&mut buffer) {
+                assert!(broadcast.words <= MAX_WORDS && broadcast.words > 0);
             }
             self.machine.moved();
         }
@@ -546,7 +581,7 @@ thread_local! {
 pub fn console(data: &[u8]) {
     // No console line changes the board, which is asserted: so one board is enough for all inputs.
     let mut bench = CONSOLE.take().unwrap_or_default();
-    let mut line = firmware::console::Line::default();
+    let mut line = firmware::console::LineEditor::default();
     for byte in data {
         if let Some(ask) = line.push(*byte) {
             let mut paper = Paper::default();

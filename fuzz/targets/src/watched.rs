@@ -3,8 +3,8 @@
 use firmware::cores::{Board, Control, Gate, Ident, Led, Link, Setting};
 use firmware::log;
 use firmware::machine::{IDLE, Machine};
-use sim::card::Card;
-use sim::desk::{Desk, Setup};
+use sim::board_facts::BoardFacts;
+use sim::model_board::{ModelBoard, Setup, UID};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
 use sim::plant::Plant;
@@ -56,7 +56,7 @@ impl Deeds {
 #[derive(Debug)]
 pub struct Watched {
     /// The board.
-    pub desk: Desk,
+    pub model_board: ModelBoard,
     /// Since the last [`Watched::take`].
     pub deeds: Deeds,
 }
@@ -73,82 +73,82 @@ impl Board for Watched {
 
     fn spi(&mut self) -> &mut Shared {
         self.deeds.flash += 1;
-        self.desk.spi()
+        self.model_board.spi()
     }
     fn trailer(&mut self) -> [u32; 4] {
-        self.desk.trailer()
+        self.model_board.trailer()
     }
     fn factory_pin(&mut self) -> bool {
-        self.desk.factory_pin()
+        self.model_board.factory_pin()
     }
     fn link(&mut self) -> Link {
-        self.desk.link()
+        self.model_board.link()
     }
     fn now(&mut self) -> u64 {
-        self.desk.now()
+        self.model_board.now()
     }
     fn now_lo(&mut self) -> u32 {
-        self.desk.now_lo()
+        self.model_board.now_lo()
     }
     fn arrival_lo(&mut self) -> u32 {
-        self.desk.arrival_lo()
+        self.model_board.arrival_lo()
     }
     fn arrival_hi(&mut self) -> u32 {
-        self.desk.arrival_hi()
+        self.model_board.arrival_hi()
     }
     fn stage(&mut self, word: usize, value: u32) {
         self.deeds.staged += 1;
-        self.desk.stage(word, value);
+        self.model_board.stage(word, value);
     }
     fn staged(&mut self, word: usize) -> u32 {
-        self.desk.staged(word)
+        self.model_board.staged(word)
     }
     fn latched(&mut self, word: usize) -> u32 {
-        self.desk.latched(word)
+        self.model_board.latched(word)
     }
     fn commit_at(&mut self, at: u64) {
         // "Never" is not a commit.
         self.deeds.commits += u32::from(at != u64::MAX);
-        self.desk.commit_at(at);
+        self.model_board.commit_at(at);
     }
     fn strobe(&mut self, strobes: u32) {
         let commits = strobes & (timebase::STROBE_COMMIT | timebase::STROBE_COMMIT_AT) != 0;
         self.deeds.commits += u32::from(commits);
         self.deeds.samples += u32::from(!commits);
-        self.desk.strobe(strobes);
+        self.model_board.strobe(strobes);
     }
     fn watchdog_left(&mut self) -> u32 {
-        self.desk.watchdog_left()
+        self.model_board.watchdog_left()
     }
     fn feed(&mut self, token: u32) {
         self.deeds.fed += 1;
-        self.desk.feed(token);
+        self.model_board.feed(token);
     }
     fn gate(&mut self) -> Gate {
-        self.desk.gate()
+        self.model_board.gate()
     }
     fn last_close(&mut self) -> u32 {
-        self.desk.last_close()
+        self.model_board.last_close()
     }
     fn control(&mut self, order: Control) {
         match order {
             Control::Arm => self.deeds.armed += 1,
             Control::SoftStop | Control::Close | Control::Clear => self.deeds.closed += 1,
         }
-        self.desk.control(order);
+        self.model_board.control(order);
     }
     fn setting(&mut self, which: Setting) -> u32 {
-        self.desk.setting(which)
+        self.model_board.setting(which)
     }
     fn set(&mut self, which: Setting, value: u32) {
         self.deeds.written += 1;
-        self.desk.set(which, value);
+        self.model_board.set(which, value);
     }
     fn set_stop_accel(&mut self, stepgen: usize, value: u32) {
-        self.desk.set_stop_accel(stepgen, value);
+        self.model_board.set_stop_accel(stepgen, value);
     }
     fn csr_read(&mut self, address: u32) -> u32 {
-        self.desk.csr_read(address)
+        self.model_board.csr_read(address)
     }
     fn csr_write(&mut self, address: u32, value: u32) {
         // At rest the outputs of a job follow the commands again: this is the only write that
@@ -156,22 +156,22 @@ impl Board for Watched {
         if (address, value) != (OUTPUTS_OF_A_JOB, 0) {
             self.deeds.written += 1;
         }
-        self.desk.csr_write(address, value);
+        self.model_board.csr_write(address, value);
     }
     fn blob(&mut self, word: usize) -> u32 {
-        self.desk.blob(word)
+        self.model_board.blob(word)
     }
     fn led(&mut self, pattern: Led) {
-        self.desk.led(pattern);
+        self.model_board.led(pattern);
     }
     fn log(&mut self, read: log::Read) -> u32 {
-        self.desk.log(read)
+        self.model_board.log(read)
     }
     fn panic(&mut self, offset: u32) -> u32 {
-        self.desk.panic(offset)
+        self.model_board.panic(offset)
     }
     fn rename_boot(&mut self, seed: u32) -> u32 {
-        self.desk.rename_boot(seed)
+        self.model_board.rename_boot(seed)
     }
 }
 
@@ -179,7 +179,7 @@ thread_local! {
     /// A chip that was never written: to erase megabytes for every input would take most of the
     /// time.
     static BLANK: RefCell<Option<Shared>> = const { RefCell::new(None) };
-    static CARD: Card = Card::named("mill6").expect("a committed board");
+    static FACTS: BoardFacts = BoardFacts::named("mill6").expect("a committed board");
 }
 
 /// A board after power-up, with a new flash.
@@ -190,17 +190,17 @@ pub fn start() -> Machine<Watched> {
     });
     let flash = blank.unwrap_or_else(|| {
         let part = Part::W25Q16JV.with(Times::QUICK);
-        Shared::new(Nor::new(part, 0xd162_0c8a_1b2c_3d4e))
+        Shared::new(Nor::new(part, UID))
     });
     BLANK.set(Some(flash.clone()));
     let setup = Setup {
         flash,
-        ..Setup::new(CARD.with(Card::clone), Plant::direct(3))
+        ..Setup::new(FACTS.with(BoardFacts::clone), Plant::direct(3))
     };
-    let (mut desk, ident) = Desk::power_up(setup);
-    let boot = desk.boot();
+    let (mut model_board, ident) = ModelBoard::power_up(setup);
+    let boot = model_board.boot();
     let deeds = Deeds::default();
-    let mut machine = Machine::start(Watched { desk, deeds }, ident, regmap::ABI, boot);
+    let mut machine = Machine::start(Watched { model_board, deeds }, ident, regmap::ABI, boot);
     machine.board.take();
     machine
 }
@@ -213,10 +213,10 @@ pub fn ident(machine: &Machine<Watched>) -> &Ident {
 /// Lets this many clocks pass, with this many runs of the housekeeping.
 pub fn pass(machine: &mut Machine<Watched>, clocks: u64, looks: u64) {
     for _ in 0..looks.max(1) {
-        let until = machine.board.desk.clock() + clocks / looks.max(1);
-        machine.board.desk.pass(until);
+        let until = machine.board.model_board.clock() + clocks / looks.max(1);
+        machine.board.model_board.pass(until);
         if machine.due(IDLE) {
-            machine.chores();
+            machine.housekeeping();
         }
     }
 }

@@ -136,12 +136,12 @@ fn scripts_for_the_server_do_what_they_are_called() {
         assert_eq!((safety.state(), safety.reason()), (state, reason), "{name}");
         if name.contains("mov") || name.contains("motion") {
             assert!(
-                bench.machine.board.desk.world().edges.pulses() > 0,
+                bench.machine.board.model_board.environment().edges.pulses() > 0,
                 "{name}"
             );
         }
     }
-    let told = targets::server::script(&seed("server", "told_who_to_be"));
+    let told = targets::server::script(&seed("server", "given_settings"));
     assert!(told.machine.server.wants_restart());
     let asked = targets::server::script(&seed("server", "restart_asked_for"));
     assert!(asked.machine.server.wants_restart());
@@ -169,8 +169,8 @@ fn scripts_of_frames_do_what_they_are_called() {
         "read_with_options",
         "discovery_to_all",
         "ping",
-        "who_has",
-        "knock_at_a_closed_door",
+        "arp_request",
+        "a_segment_for_a_closed_port",
     ] {
         assert_eq!(script(name).sent, 1, "{name}");
     }
@@ -183,8 +183,8 @@ fn scripts_of_frames_do_what_they_are_called() {
     ] {
         assert_eq!(script(name).sent, 0, "{name}");
     }
-    assert_eq!(script("down_the_fast_lane").lane, [3, 0]);
-    assert_eq!(script("the_lane_and_damage").lane, [1, 1]);
+    assert_eq!(script("on_the_fast_path").fast_path, [3, 0]);
+    assert_eq!(script("the_fast_path_and_damage").fast_path, [1, 1]);
     assert!(script("console_says_hello").sent >= 3);
     assert!(script("console_dies").visited);
     assert!(!script("console_is_reset").visited);

@@ -28,7 +28,7 @@
 //! Velocity is counts between edges over the time between those edges, by the board's clock, so it
 //! has no quantisation at low speed; without a new edge it decays as one count over the time since.
 
-use super::latch::{Latching, Sight, Source};
+use super::latch::{LatchSample, Latching, Source};
 use super::{Period, nanos_to_register};
 use crate::hal::checked::{Checked, Rule};
 use crate::hal::{ExportError, Exporter, In, Io, Out, Param};
@@ -134,7 +134,7 @@ impl Encoder {
         &mut self,
         status: &EncoderStatus,
         illegal: bool,
-        sight: &Sight,
+        latch_sample: &LatchSample,
         now: Clocks,
         period: Period,
     ) {
@@ -142,7 +142,7 @@ impl Encoder {
         let moved = last.map_or(0, |last| i64::from(status.count.since(last.count)));
         self.total += moved;
         let scale = self.scale.get();
-        if let Some((source, value)) = self.latch.answered(sight) {
+        if let Some((source, value)) = self.latch.answered(latch_sample) {
             let at = self.total - i64::from(status.count.since(value));
             self.count_latched.set((at - self.zero) as i32);
             self.position_latched.set((at - self.zero) as f64 / scale);
@@ -309,16 +309,16 @@ mod tests {
                 edge_time: (self.now - ago) as u32 & 0x00ff_ffff,
                 errors,
             };
-            let sight = Sight {
+            let latch_sample = LatchSample {
                 sequence: self.sequence,
                 live: true,
                 index: latch.is_some(),
                 value: latch.map(Count),
-                ..Sight::default()
+                ..LatchSample::default()
             };
             let period = Period::new(1_000_000, 60_000_000);
             self.encoder
-                .sampled(&status, false, &sight, Clocks(self.now), period);
+                .sampled(&status, false, &latch_sample, Clocks(self.now), period);
             self.sequence += 1;
             self.encoder.command(true, self.sequence);
         }

@@ -31,7 +31,7 @@ pub enum Source {
 
 /// What an answer says about one channel's latch.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Sight {
+pub struct LatchSample {
     /// The command it answers.
     pub sequence: u32,
     /// The board was executing commands.
@@ -108,15 +108,19 @@ impl Latching {
 
     /// Takes an answer; returns the source and the latched value once they are certain.
     #[must_use]
-    pub fn answered(&mut self, sight: &Sight) -> Option<(Source, Count)> {
-        if !sight.live {
+    pub fn answered(&mut self, latch_sample: &LatchSample) -> Option<(Source, Count)> {
+        if !latch_sample.live {
             self.forget();
             return None;
         }
-        let index = self.index.answered(sight.sequence, sight.index);
-        let probe = self.probe.answered(sight.sequence, sight.probe);
+        let index = self
+            .index
+            .answered(latch_sample.sequence, latch_sample.index);
+        let probe = self
+            .probe
+            .answered(latch_sample.sequence, latch_sample.probe);
         self.fetching = index || probe;
-        let value = sight.value?;
+        let value = latch_sample.value?;
         if index {
             self.index = Arm::default();
             self.fetching = probe;
@@ -141,8 +145,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn sight(sequence: u32, index: bool, value: Option<u32>) -> Sight {
-        Sight {
+    fn latch_sample(sequence: u32, index: bool, value: Option<u32>) -> LatchSample {
+        LatchSample {
             sequence,
             live: true,
             index,
@@ -155,9 +159,9 @@ mod tests {
     fn a_flag_left_over_from_the_last_time_is_not_taken_again() {
         let mut latch = Latching::default();
         assert_eq!(latch.command(true, false, true, 1), (false, false));
-        assert_eq!(latch.answered(&sight(1, true, Some(50))), None);
+        assert_eq!(latch.answered(&latch_sample(1, true, Some(50))), None);
         assert_eq!(latch.command(true, false, true, 2), (false, false));
-        assert_eq!(latch.answered(&sight(2, false, Some(50))), None);
+        assert_eq!(latch.answered(&latch_sample(2, false, Some(50))), None);
         assert_eq!(latch.command(true, false, true, 3), (true, false));
     }
 
@@ -165,9 +169,9 @@ mod tests {
     fn an_answer_from_before_the_arm_bit_fell_proves_nothing() {
         let mut latch = Latching::default();
         latch.command(true, false, true, 7);
-        assert_eq!(latch.answered(&sight(6, false, None)), None);
+        assert_eq!(latch.answered(&latch_sample(6, false, None)), None);
         assert_eq!(latch.command(true, false, true, 8), (false, false));
-        assert_eq!(latch.answered(&sight(7, false, None)), None);
+        assert_eq!(latch.answered(&latch_sample(7, false, None)), None);
         assert_eq!(latch.command(true, false, true, 9), (true, false));
     }
 
@@ -175,12 +179,12 @@ mod tests {
     fn a_value_counts_only_if_it_was_selected_and_its_flag_is_up() {
         let mut latch = Latching::default();
         latch.command(true, false, true, 1);
-        let _ = latch.answered(&sight(1, false, None));
+        let _ = latch.answered(&latch_sample(1, false, None));
         latch.command(true, false, true, 2);
-        assert_eq!(latch.answered(&sight(2, false, Some(9))), None);
-        assert_eq!(latch.answered(&sight(3, true, None)), None);
+        assert_eq!(latch.answered(&latch_sample(2, false, Some(9))), None);
+        assert_eq!(latch.answered(&latch_sample(3, true, None)), None);
         assert!(latch.wants_value());
-        let caught = latch.answered(&sight(4, true, Some(77)));
+        let caught = latch.answered(&latch_sample(4, true, Some(77)));
         assert_eq!(caught, Some((Source::Index, Count(77))));
         assert!(!latch.wants_value());
     }
@@ -189,11 +193,11 @@ mod tests {
     fn index_and_probe_share_a_latch_and_keep_their_own_flags() {
         let mut latch = Latching::default();
         latch.command(true, true, true, 1);
-        let _ = latch.answered(&sight(1, false, None));
+        let _ = latch.answered(&latch_sample(1, false, None));
         assert_eq!(latch.command(true, true, true, 2), (true, true));
-        let probe = Sight {
+        let probe = LatchSample {
             probe: true,
-            ..sight(3, false, Some(5))
+            ..latch_sample(3, false, Some(5))
         };
         assert_eq!(latch.answered(&probe), Some((Source::Probe, Count(5))));
         // The index goes on waiting, the probe's bit falls.
@@ -207,7 +211,7 @@ mod tests {
             assert_eq!(latch.command(true, false, false, sequence), (false, false));
         }
         assert_eq!(latch.command(true, false, true, 5), (false, false));
-        let _ = latch.answered(&sight(5, false, None));
+        let _ = latch.answered(&latch_sample(5, false, None));
         assert_eq!(latch.command(true, false, true, 6), (true, false));
     }
 
@@ -258,7 +262,7 @@ mod tests {
                     continue;
                 }
                 // Sampled on the clock of the commit.
-                let answer = sight(n as u32, board.value.is_some(), selected.then(|| board.value.unwrap_or(1)));
+                let answer = latch_sample(n as u32, board.value.is_some(), selected.then(|| board.value.unwrap_or(1)));
                 board.arm = arm;
                 if !arm {
                     board.value = None;

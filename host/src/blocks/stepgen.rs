@@ -38,8 +38,8 @@
 //! amount in the same period. That is not motion, so the feed-forward is computed from the new
 //! origin.
 
-use super::latch::{Latching, Sight, Source};
-use super::{Feedback, Outlook, Period, nanos_to_register};
+use super::latch::{LatchSample, Latching, Source};
+use super::{Feedback, Period, PredictionBasis, nanos_to_register};
 use crate::hal::checked::{Checked, Rule};
 use crate::hal::{ExportError, Exporter, In, Io, Out, Param};
 use motion::Ramp;
@@ -48,7 +48,7 @@ use wire::map::{
     DIR_CLOCKS_MAX, STEP_CLOCKS_MAX, STEPGEN_CONFIG_WORDS, STEPGEN_DIR_INVERT,
     STEPGEN_INDEX_INVERT, STEPGEN_STEP_INVERT, STEPGEN_TYPE_SHIFT, StepType,
 };
-use wire::units::{Accel, Count, Position, StepRate};
+use wire::units::{Accel, Count, Position, Velocity};
 
 /// 5 us: every common driver accepts that; use `setp` for faster ones.
 const DEFAULT_STEP_NS: u32 = 5_000;
@@ -109,11 +109,11 @@ pub struct Sample {
     /// Where it was.
     pub position: Position,
     /// How fast.
-    pub rate: StepRate,
+    pub velocity: Velocity,
     /// The step timing held it back.
     pub limited: bool,
     /// Its latch.
-    pub sight: Sight,
+    pub latch_sample: LatchSample,
 }
 
 /// What goes into the command block for one stepgen.
@@ -122,7 +122,7 @@ pub struct Target {
     /// Not ramping to rest.
     pub enable: bool,
     /// Velocity to move towards.
-    pub rate: StepRate,
+    pub velocity: Velocity,
     /// By at most this per clock.
     pub accel: Accel,
     /// In velocity mode: it is not on a common path with the others.
@@ -193,25 +193,27 @@ impl Stepgen {
     }
 
     /// Takes what the board sampled, predicts it to the next command and publishes it.
-    pub fn sampled(&mut self, sample: &Sample, outlook: Outlook, period: Period) {
-        let &Sample { position, rate, .. } = sample;
+    pub fn sampled(&mut self, sample: &Sample, basis: PredictionBasis, period: Period) {
+        let &Sample {
+            position, velocity, ..
+        } = sample;
         self.track.update(position);
-        self.follow_origin(&sample.sight);
-        let predict = |from: Position, rate, target: Target, clocks| {
-            Ramp::predict(from, rate, target.rate, target.accel, clocks)
+        self.follow_origin(&sample.latch_sample);
+        let predict = |from: Position, velocity, target: Target, clocks| {
+            Ramp::predict(from, velocity, target.velocity, target.accel, clocks)
         };
         let stop = Target {
             accel: self.stop_accel(period.clock_hz),
             ..Target::default()
         };
-        self.ramp = match outlook {
-            Outlook::Commanded { lead, ahead } => {
-                let applied = predict(position, rate, self.before, lead);
+        self.ramp = match basis {
+            PredictionBasis::Commanded { lead, ahead } => {
+                let applied = predict(position, velocity, self.before, lead);
                 let at = Position(applied.position);
-                predict(at, applied.rate(), self.sent, ahead)
+                predict(at, applied.velocity(), self.sent, ahead)
             }
-            Outlook::Stopping { ahead } => predict(position, rate, stop, ahead),
-            Outlook::Still => Ramp {
+            PredictionBasis::Stopping { ahead } => predict(position, velocity, stop, ahead),
+            PredictionBasis::Still => Ramp {
                 position: position.0,
                 ..Ramp::default()
             },
@@ -222,9 +224,9 @@ impl Stepgen {
     }
 
     /// Moves the origin, if an index or the operator says so.
-    fn follow_origin(&mut self, sight: &Sight) {
+    fn follow_origin(&mut self, latch_sample: &LatchSample) {
         let scale = self.position_scale.get();
-        if let Some((source, value)) = self.latch.answered(sight) {
+        if let Some((source, value)) = self.latch.answered(latch_sample) {
             let at = self.track.pulses_at(value);
             self.count_latched.set(at as i32);
             self.position_latched.set(at as f64 / scale);
@@ -297,7 +299,7 @@ impl Stepgen {
         let wanted = if self.control_type.get() {
             let asked = self.velocity_cmd.now().map_or(0.0, |asked| asked * scale);
             if feedback == Feedback::Frozen {
-                towards_rest(asked, self.before.rate.to_hz(period.clock_hz))
+                towards_rest(asked, self.before.velocity.to_hz(period.clock_hz))
             } else {
                 asked
             }
@@ -312,10 +314,11 @@ impl Stepgen {
         } else {
             0.0
         };
-        let rate = StepRate::from_hz(self.clamp(wanted, scale, period.clock_hz), period.clock_hz);
+        let velocity =
+            Velocity::from_hz(self.clamp(wanted, scale, period.clock_hz), period.clock_hz);
         self.sent = Target {
             enable: true,
-            rate,
+            velocity,
             accel: Accel::from_steps(accel, period.clock_hz),
             alone: self.control_type.get(),
         };
@@ -339,7 +342,7 @@ impl Stepgen {
         }
     }
 
-    /// Limits a rate to `maxvel` and to what the step timing allows.
+    /// Limits a velocity to `maxvel` and to what the step timing allows.
     fn clamp(&mut self, wanted: f64, scale: f64, clock_hz: f64) -> f64 {
         let physical = clock_hz / self.clocks_per_step;
         self.clamped = wanted.abs() > physical;
@@ -429,7 +432,8 @@ struct Motion {
     velocity: f64,
 }
 
-/// The rate that brings `now` to `target` at the end of the period, or as near as `accel` lets it.
+/// The velocity that brings `now` to `target` at the end of the period, or as near as `accel` lets
+/// it.
 fn approach(now: Motion, target: f64, feed_forward: f64, accel: f64, period: f64) -> f64 {
     let velocity_error = now.velocity - feed_forward;
     let to_match = if accel > 0.0 {

@@ -19,16 +19,20 @@ impl Driver {
     pub(super) fn send_settings(&mut self, clock_hz: f64) -> bool {
         let mut words = [0; MAX_WORDS];
         let mut periods = Periods::default();
-        for (word, pwm) in periods.0.iter_mut().zip(&self.pwms) {
+        for (word, pwm) in periods.0.iter_mut().zip(&self.blocks.pwms) {
             *word = pwm.period(clock_hz);
         }
         let tag = self.next_tag();
-        if let Some(request) = self.periods.due(&periods, self.channels, tag, &mut words) {
+        if let Some(request) = self
+            .session
+            .periods
+            .due(&periods, self.channels, tag, &mut words)
+        {
             // A datagram that was not sent gets no answer, so it is due again.
             let _ = self.link.send(request);
         }
-        let at_rest = match self.state {
-            State::Disarmed | State::Faulted => !self.live,
+        let at_rest = match self.condition.state {
+            State::Disarmed | State::Faulted => !self.condition.live,
             State::Boot | State::Armed | State::Stopping => false,
         };
         if !at_rest {
@@ -36,15 +40,21 @@ impl Driver {
         }
         let wanted = self.gather(clock_hz);
         let tag = self.next_tag();
-        if let Some(request) = self
-            .disarmed_settings
-            .due(&wanted, self.channels, tag, &mut words)
+        if let Some(request) =
+            self.session
+                .disarmed_settings
+                .due(&wanted, self.channels, tag, &mut words)
         {
             let _ = self.link.send(request);
         }
-        let refused = self.disarmed_settings.tries().max(self.periods.tries()) > REFUSED_TRIES;
+        let refused = self
+            .session
+            .disarmed_settings
+            .tries()
+            .max(self.session.periods.tries())
+            > REFUSED_TRIES;
         if refused {
-            self.voice.once(
+            self.notifier.once(
                 Event::Settings,
                 format_args!(
                     "the board refuses its settings and cannot be enabled; compare versions with ferrocnc describe {}",
@@ -52,15 +62,15 @@ impl Driver {
                 ),
             );
         }
-        self.disarmed_settings.settled(&wanted) && self.periods.settled(&periods)
+        self.session.disarmed_settings.settled(&wanted) && self.session.periods.settled(&periods)
     }
 
     pub(super) fn gather(&mut self, clock_hz: f64) -> Disarmed {
         let mut wanted = Disarmed {
-            watchdog: self.watchdog.configure(clock_hz),
+            watchdog: self.blocks.watchdog.configure(clock_hz),
             ..Disarmed::default()
         };
-        for (words, stepgen) in wanted.stepgen.iter_mut().zip(&mut self.stepgens) {
+        for (words, stepgen) in wanted.stepgen.iter_mut().zip(&mut self.blocks.stepgens) {
             *words = stepgen.configure(clock_hz);
         }
         let input = self.pins.probe_input.get();
@@ -70,16 +80,16 @@ impl Driver {
                 wanted.probe |= PROBE_INVERT;
             }
         }
-        for (looks, input) in wanted.debounce.iter_mut().zip(&self.inputs) {
+        for (looks, input) in wanted.debounce.iter_mut().zip(&self.blocks.inputs) {
             *looks = input.debounce(clock_hz);
         }
-        for (words, encoder) in wanted.encoder.iter_mut().zip(&self.encoders) {
+        for (words, encoder) in wanted.encoder.iter_mut().zip(&self.blocks.encoders) {
             *words = encoder.configure(clock_hz);
         }
-        for (word, pwm) in wanted.pwm_mode.iter_mut().zip(&mut self.pwms) {
+        for (word, pwm) in wanted.pwm_mode.iter_mut().zip(&mut self.blocks.pwms) {
             *word = pwm.configure();
         }
-        for (n, output) in self.outputs.iter().enumerate() {
+        for (n, output) in self.blocks.outputs.iter().enumerate() {
             wanted.gpio_safe |= u32::from(output.safe()) << n;
             wanted.gpio_invert |= u32::from(output.inverted()) << n;
         }
@@ -87,21 +97,21 @@ impl Driver {
     }
 
     pub(super) fn send_command(&mut self, token: u32, settled: bool, period: Period) {
-        self.sequence = self.sequence.wrapping_add(1);
+        self.exchange.sequence = self.exchange.sequence.wrapping_add(1);
         let mut command = self.make_command(token, settled, period);
-        self.apply_at = self.apply_time(period).filter(|_| self.live);
-        command.apply_at = self.apply_at;
-        self.last = Some(command);
-        let repeated_at = self.sent[0].1;
-        let repeated = self.request_seen;
+        self.times.apply_at = self.apply_time(period).filter(|_| self.condition.live);
+        command.apply_at = self.times.apply_at;
+        self.exchange.last = Some(command);
+        let repeated_at = self.times.sent[0].1;
+        let repeated = self.exchange.request_seen;
         // Unsent is unanswered, and the next `read` counts it; it does not wait for it though.
         if self.transmit(&command) {
-            self.awaiting = true;
+            self.exchange.awaiting = true;
         } else {
             self.unanswered(period);
         }
-        self.request_to_write = repeated.then(|| self.sent[0].1 - repeated_at);
-        self.request_seen = false;
+        self.times.request_to_write = repeated.then(|| self.times.sent[0].1 - repeated_at);
+        self.exchange.request_seen = false;
     }
 
     /// Sends a command; `false` if the network would not take it.
@@ -110,7 +120,7 @@ impl Driver {
         let Some(request) = command.emit_request(self.channels, &mut words) else {
             return false;
         };
-        self.sent = [(command.sequence, self.time.now()), self.sent[0]];
+        self.times.sent = [(command.sequence, self.times.now()), self.times.sent[0]];
         self.link.send(request)
     }
 
@@ -120,16 +130,16 @@ impl Driver {
         if delay == 0 {
             return None;
         }
-        let now = self.time.now();
-        let moment = self.time.writes.of(&mut self.write_moment, now);
+        let now = self.times.now();
+        let moment = self.times.time.writes.of(&mut self.times.write_moment, now);
         // With a delay longer than a period the next command would replace this one before its
         // time.
         let delay = i64::from(delay).min((period.seconds * 1e9) as i64);
-        let at = self.clock.board_at(moment + delay)?;
+        let at = self.times.clock.board_at(moment + delay)?;
         // Even with a wrong clock comparison a command must not wait for its successor. Half a
         // period of jitter is allowed; a command with an earlier time is applied on arrival.
         let delay = Clocks((delay as f64 * 1e-9 * period.clock_hz) as u64);
-        let latest = self.arrival?.0 + period.clocks.0 * 3 / 2 + delay.0;
+        let latest = self.times.arrival?.0 + period.clocks.0 * 3 / 2 + delay.0;
         Some(at.min(Clocks(latest)))
     }
 
@@ -138,49 +148,51 @@ impl Driver {
     }
 
     pub(super) fn make_command(&mut self, token: u32, settled: bool, period: Period) -> Command {
-        let enable = self.pins.enable.get() && self.halting.is_none();
+        let enable = self.pins.enable.get() && self.condition.halting.is_none();
         let pin = self.pins.enable_request.get();
         let alone = self.refuse_alone(pin);
-        let ready = enable && settled && self.answered && !alone;
+        let ready = enable && settled && self.session.answered && !alone;
         let mut command = Command {
             token,
-            sequence: self.sequence,
+            sequence: self.exchange.sequence,
             enable,
-            enable_request: self
-                .arm
-                .flag(pin, ready || (self.live && enable), self.sequence),
+            enable_request: self.session.arm.flag(
+                pin,
+                ready || (self.condition.live && enable),
+                self.exchange.sequence,
+            ),
             ..Command::default()
         };
-        let live = self.live && enable;
-        let feedback = match self.missing {
+        let live = self.condition.live && enable;
+        let feedback = match self.exchange.missing {
             0 => Feedback::Fresh,
             1 => Feedback::Bridged,
             2.. => Feedback::Frozen,
         };
-        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
+        for (n, stepgen) in self.blocks.stepgens.iter_mut().enumerate() {
             let target = stepgen.command(live, feedback, period);
-            command.stepgen[n] = (target.rate, target.accel);
+            command.stepgen[n] = (target.velocity, target.accel);
             command.stepgen_enable |= u16::from(target.enable) << n;
             command.stepgen_alone |= u16::from(target.alone) << n;
         }
-        let sequence = self.sequence;
-        for (n, stepgen) in self.stepgens.iter_mut().enumerate() {
+        let sequence = self.exchange.sequence;
+        for (n, stepgen) in self.blocks.stepgens.iter_mut().enumerate() {
             let (index, probe) = stepgen.arms(live, sequence);
             command.stepgen_index_arm |= u16::from(index) << n;
             command.stepgen_probe_arm |= u16::from(probe) << n;
         }
-        for (n, encoder) in self.encoders.iter_mut().enumerate() {
+        for (n, encoder) in self.blocks.encoders.iter_mut().enumerate() {
             let (index, probe) = encoder.command(live, sequence);
             command.index_arm |= u16::from(index) << n;
             command.probe_arm |= u16::from(probe) << n;
         }
         command.latch = self.next_latch();
-        let arrived = self.periods.arrived();
-        for (n, (word, pwm)) in command.pwm.iter_mut().zip(&self.pwms).enumerate() {
+        let arrived = self.session.periods.arrived();
+        for (n, (word, pwm)) in command.pwm.iter_mut().zip(&self.blocks.pwms).enumerate() {
             let has = arrived.map_or(u32::MAX, |periods| periods.0[n]);
             *word = pwm.command(has, period.clock_hz);
         }
-        for (n, output) in self.outputs.iter().enumerate() {
+        for (n, output) in self.blocks.outputs.iter().enumerate() {
             command.gpio_out |= u32::from(output.command()) << n;
         }
         command
@@ -189,10 +201,18 @@ impl Driver {
     /// The latch to ask for: the next one with a value after the last one asked, so that no channel
     /// waits for ever.
     pub(super) fn next_latch(&self) -> Latch {
-        let last = self.last.map_or(0, |last| last.latch.code());
+        let last = self.exchange.last.map_or(0, |last| last.latch.code());
         let wants = |latch: &Latch| match *latch {
-            Latch::Encoder(n) => self.encoders.get(usize::from(n)).map(Encoder::wants_value),
-            Latch::Stepgen(n) => self.stepgens.get(usize::from(n)).map(Stepgen::wants_value),
+            Latch::Encoder(n) => self
+                .blocks
+                .encoders
+                .get(usize::from(n))
+                .map(Encoder::wants_value),
+            Latch::Stepgen(n) => self
+                .blocks
+                .stepgens
+                .get(usize::from(n))
+                .map(Stepgen::wants_value),
         };
         let mut latches = (1..=32).map(|n| Latch::from_code((last + n) & 31));
         latches

@@ -1,9 +1,9 @@
 //! Exports the channels and states of a board as pins and parameters under its own names.
 
-use super::tell::Voice;
-use super::{Driver, Phase};
+use super::Driver;
+use super::state::{Blocks, Condition, Exchange, Membership, SessionState, Times};
+use super::tell::Notifier;
 use crate::address::Address;
-use crate::blocks::arming::ArmRequest;
 use crate::blocks::encoder::Encoder;
 use crate::blocks::ethernet::Ethernet;
 use crate::blocks::gpio;
@@ -13,14 +13,13 @@ use crate::blocks::stepgen::Stepgen;
 use crate::blocks::wallclock::Wallclock;
 use crate::blocks::watchdog::Watchdog;
 use crate::client::Identity;
-use crate::clock::{BoardClock, Timebase};
 use crate::glue::Glue;
-use crate::group::Group;
 use crate::hal::checked::{Checked, Rule, Watch};
 use crate::hal::{Backend, Catalogue, ExportError, Exporter, In, Messenger, Out, Param};
 use crate::link::{Flood, Link};
-use crate::settings::{INPUTS, Sync};
+use crate::settings::INPUTS;
 use wire::board::Kind;
+use wire::describe::Describe;
 use wire::exchange::MAX_CHANNELS;
 
 /// None, or one of those a board can have.
@@ -58,14 +57,36 @@ impl Driver {
         say: Messenger,
     ) -> Result<Self, ExportError> {
         let describe = &identity.describe;
-        let channels = describe.channels;
-        let blob = identity.blob();
-        let names = |kind, class: &str, longest: &str, count: u8| {
-            let room = crate::hal::NAME_MAX - format!("ferrocnc.{index}.{class}..{longest}").len();
-            channel_names((0..count).map(|n| blob.text(kind, n)), room)
-        };
         let mut catalogue = Catalogue::default();
         let mut hal = Exporter::new(backend, format!("ferrocnc.{index}")).listed(&mut catalogue);
+        let pins = Pins::export(&mut hal, describe)?;
+        let blocks = Blocks::export(&mut hal, index, identity)?;
+        let watches = catalogue.iter().filter_map(Watch::of).collect();
+        let notifier = Notifier::new(say, format!("board {index} ({})", address.text));
+        Ok(Driver {
+            index,
+            address,
+            link,
+            flood: Flood::default(),
+            channels: describe.channels,
+            clock_hz: describe.clock_hz,
+            notifier,
+            pins,
+            blocks,
+            session: SessionState::new(describe.boot_id),
+            exchange: Exchange::default(),
+            condition: Condition::of(describe),
+            group: Membership::new(),
+            times: Times::new(describe.clock_hz),
+            catalogue,
+            watches,
+            glue: Glue::default(),
+        })
+    }
+}
+
+impl Pins {
+    fn export(hal: &mut Exporter<'_>, describe: &Describe) -> Result<Self, ExportError> {
         let pins = Pins {
             enable: hal.input("enable")?,
             enable_request: hal.input("enable-request")?,
@@ -86,13 +107,30 @@ impl Driver {
         pins.reset_reason
             .set(u32::from(describe.reset_reason.code()));
         pins.gate_close.set(u32::from(describe.gate_close.code()));
-        let packets = Packets::export(&mut hal)?;
-        let watchdog = Watchdog::export(&mut hal)?;
-        let wallclock = Wallclock::export(&mut hal)?;
-        let mut ethernet = Ethernet::export(&mut hal)?;
+        Ok(pins)
+    }
+}
+
+impl Blocks {
+    fn export(
+        hal: &mut Exporter<'_>,
+        index: usize,
+        identity: &Identity,
+    ) -> Result<Self, ExportError> {
+        let describe = &identity.describe;
+        let channels = describe.channels;
+        let blob = identity.blob();
+        let names = |kind, class: &str, longest: &str, count: u8| {
+            let room = crate::hal::NAME_MAX - format!("ferrocnc.{index}.{class}..{longest}").len();
+            channel_names((0..count).map(|n| blob.text(kind, n)), room)
+        };
+        let packets = Packets::export(hal)?;
+        let watchdog = Watchdog::export(hal)?;
+        let wallclock = Wallclock::export(hal)?;
+        let mut ethernet = Ethernet::export(hal)?;
         ethernet.sampled(&describe.state);
         let stepgens = each(
-            &mut hal,
+            hal,
             "stepgen",
             names(
                 Kind::Stepgen,
@@ -103,13 +141,13 @@ impl Driver {
             |hal, n| Stepgen::export(hal, identity.step_type(n)),
         )?;
         let encoders = each(
-            &mut hal,
+            hal,
             "encoder",
             names(Kind::Encoder, "encoder", "velocity-rpm", channels.encoders),
             |hal, _| Encoder::export(hal),
         )?;
         let pwms = each(
-            &mut hal,
+            hal,
             "pwm",
             names(Kind::Pwm, "pwm", "invert-output", channels.pwms),
             |hal, n| {
@@ -118,13 +156,13 @@ impl Driver {
             },
         )?;
         let inputs = each(
-            &mut hal,
+            hal,
             "gpio",
             names(Kind::Input, "gpio", "in-not", channels.inputs),
             |hal, n| gpio::Input::export(hal, identity.has_pin(b'i', n, "estop")),
         )?;
         let outputs = each(
-            &mut hal,
+            hal,
             "gpio",
             names(Kind::Output, "gpio", "invert", channels.outputs),
             |hal, n| {
@@ -132,19 +170,7 @@ impl Driver {
                 gpio::Output::export(hal, said("safe", "high"), said("invert", "true"))
             },
         )?;
-        let watches = catalogue.iter().filter_map(Watch::of).collect();
-        let voice = Voice::new(say, format!("board {index} ({})", address.text));
-        Ok(Driver {
-            index,
-            address,
-            link,
-            flood: Flood::default(),
-            channels,
-            clock_hz: describe.clock_hz,
-            boot_id: describe.boot_id,
-            key: None,
-            voice,
-            pins,
+        Ok(Blocks {
             packets,
             watchdog,
             wallclock,
@@ -154,51 +180,6 @@ impl Driver {
             pwms,
             inputs,
             outputs,
-            // Loading took seconds, longer than an idle session lasts: ask for the session again
-            // first.
-            phase: Phase::Acquiring { wait: 0, tag: 0 },
-            arm: ArmRequest::default(),
-            disarmed_settings: Sync::default(),
-            periods: Sync::default(),
-            foreign_owner: None,
-            tag: 0,
-            sequence: 0,
-            last: None,
-            awaiting: false,
-            repeated: false,
-            request_seen: false,
-            written: false,
-            missing: 0,
-            answered: false,
-            state: describe.state.state,
-            // A stop before this session is not a new event.
-            reason: describe.state.reason,
-            live: false,
-            halted: false,
-            halting: None,
-            restarted: false,
-            new_fabric: false,
-            first_answer: false,
-            io_error: false,
-            group: Group::new(),
-            several: false,
-            alarm_heard: 0,
-            stopped_by: None,
-            time: Timebase::new(),
-            read_moment: 0,
-            write_moment: 0,
-            clock: BoardClock::new(describe.clock_hz),
-            sent: [(0, 0); 2],
-            request_to_write: None,
-            arrival: None,
-            apply_at: None,
-            heard: 0,
-            wrote: None,
-            waited: 0,
-            held_up: 0,
-            catalogue,
-            watches,
-            glue: Glue::default(),
         })
     }
 }

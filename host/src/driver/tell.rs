@@ -4,7 +4,7 @@
 //! missing. For the operator this is one event. So a message is not repeated until the machine is
 //! armed again, or the board has answered for [`STEADY_NS`] without a gap.
 
-use crate::hal::{Level, Line, Messenger};
+use crate::hal::{Level, MessageLine, Messenger};
 use core::fmt::Arguments;
 use wire::FaultReason;
 
@@ -55,21 +55,21 @@ impl Event {
 }
 
 /// The messages of one board.
-pub(super) struct Voice {
+pub(super) struct Notifier {
     say: Messenger,
     /// The board's name, at the beginning of every message.
-    who: String,
+    name: String,
     /// Events told since the machine was in order.
     told: u32,
     /// For how long the board has answered without a gap, ns of servo periods.
     steady: i64,
 }
 
-impl Voice {
-    pub(super) fn new(say: Messenger, who: String) -> Self {
-        Voice {
+impl Notifier {
+    pub(super) fn new(say: Messenger, name: String) -> Self {
+        Notifier {
             say,
-            who,
+            name,
             told: 0,
             steady: 0,
         }
@@ -90,7 +90,7 @@ impl Voice {
 
     /// Gives a message, even repeatedly.
     pub(super) fn tell(&self, level: Level, what: Arguments<'_>) {
-        let line = Line::format(format_args!("{}: {what}", self.who));
+        let line = MessageLine::format(format_args!("{}: {what}", self.name));
         (self.say)(level, line.as_c_str());
     }
 
@@ -123,23 +123,23 @@ mod tests {
     #[test]
     fn an_event_is_told_once_until_the_board_has_been_steady_or_was_armed() {
         let hal = FakeHal::new();
-        let mut voice = Voice::new(hal.messenger(), "board 0".to_owned());
-        let silent = |voice: &mut Voice, times: usize| {
-            voice.missed();
-            voice.once(Event::Silent, format_args!("no answer"));
+        let mut notifier = Notifier::new(hal.messenger(), "board 0".to_owned());
+        let silent = |notifier: &mut Notifier, times: usize| {
+            notifier.missed();
+            notifier.once(Event::Silent, format_args!("no answer"));
             assert_eq!(hal.said().len(), times);
         };
-        silent(&mut voice, 1);
+        silent(&mut notifier, 1);
         for _ in 0..9_999 {
-            voice.answered(PERIOD_NS);
+            notifier.answered(PERIOD_NS);
         }
-        silent(&mut voice, 0);
+        silent(&mut notifier, 0);
         for _ in 0..10_000 {
-            voice.answered(PERIOD_NS);
+            notifier.answered(PERIOD_NS);
         }
-        silent(&mut voice, 1);
-        voice.armed();
-        silent(&mut voice, 1);
+        silent(&mut notifier, 1);
+        notifier.armed();
+        silent(&mut notifier, 1);
     }
 
     #[test]

@@ -14,14 +14,14 @@ pub const GROUP_REASON: u32 = 100;
 impl Driver {
     /// The last command was not answered in time.
     pub(super) fn unanswered(&mut self, period: Period) {
-        self.missing = self.missing.saturating_add(1);
-        self.voice.missed();
-        if self.missing == 1 && self.live {
-            for stepgen in &mut self.stepgens {
+        self.exchange.missing = self.exchange.missing.saturating_add(1);
+        self.notifier.missed();
+        if self.exchange.missing == 1 && self.condition.live {
+            for stepgen in &mut self.blocks.stepgens {
                 stepgen.bridge(period);
             }
         }
-        if self.packets.missing() {
+        if self.blocks.packets.missing() {
             self.give_up();
         }
     }
@@ -29,75 +29,75 @@ impl Driver {
     /// The bucket is full. After so many missing answers the driver must assume that the machine is
     /// no longer driven.
     pub(super) fn give_up(&mut self) {
-        self.ethernet.lost();
+        self.blocks.ethernet.lost();
         self.pins.position_trusted.set(false);
         self.raise_io_error();
-        let was_live = self.live;
+        let was_live = self.condition.live;
         self.no_longer_live();
-        let timeout = self.watchdog.timeout_ns();
+        let timeout = self.blocks.watchdog.timeout_ns();
         // A simulated board in lockstep knows nothing of this computer's time.
-        let held_up = self.held_up > timeout && self.clock.known();
+        let held_up = self.times.held_up > timeout && self.times.clock.known();
         let reason = if held_up {
             FaultReason::Watchdog
         } else {
             FaultReason::LinkDown
         };
         if was_live {
-            self.reason = reason;
+            self.condition.reason = reason;
             self.pins.fault_reason.set(u32::from(reason.code()));
         }
         self.tell_group();
         if self.grouped() {
-            self.group.raise(self.index);
+            self.group.shared.raise(self.index);
         }
         let others = self.stops_others();
         if held_up && was_live {
-            self.voice.once(
+            self.notifier.once(
                 Event::HeldUp,
                 format_args!(
                     "the servo thread came {:.1} ms late, the watchdog waits {:.1} ms: the board stops the machine{others}; \
                      find what holds the thread up, then enable again",
-                    self.held_up as f64 * 1e-6,
+                    self.times.held_up as f64 * 1e-6,
                     timeout as f64 * 1e-6,
                 ),
             );
         } else if was_live {
-            self.voice.once(
+            self.notifier.once(
                 Event::Silent,
                 format_args!(
                     "too many answers missing, {} in a row: the board's watchdog stops the machine{others}; check cable and power of the board, then enable again",
-                    self.missing
+                    self.exchange.missing
                 ),
             );
         } else {
-            self.voice.once(
+            self.notifier.once(
                 Event::Silent,
                 format_args!(
                     "too many answers missing, {} in a row; check cable and power of the board",
-                    self.missing
+                    self.exchange.missing
                 ),
             );
         }
-        self.phase = Phase::Acquiring { wait: 0, tag: 0 };
+        self.session.phase = Phase::Acquiring { wait: 0, tag: 0 };
     }
 
     /// It counts as stopped, even if the board reports otherwise.
     fn no_longer_live(&mut self) {
-        self.live = false;
+        self.condition.live = false;
         self.pins.enabled.set(false);
     }
 
     /// Only `enable` false is sent until an answer to such a command says that the board is not
     /// armed.
     fn stop(&mut self) {
-        self.halting = Some(self.sequence);
-        self.arm.forget();
+        self.condition.halting = Some(self.exchange.sequence);
+        self.session.arm.forget();
         self.no_longer_live();
     }
 
     /// Whether this board stops with the others of its group.
     pub(super) fn grouped(&self) -> bool {
-        self.several && self.pins.stop_group.get()
+        self.group.several && self.pins.stop_group.get()
     }
 
     /// For a message about this board.
@@ -111,21 +111,21 @@ impl Driver {
 
     /// Tells the group whether this board answers, if it is in the group.
     pub(super) fn tell_group(&self) {
-        let lost = self.grouped() && self.packets.exceeded();
-        self.group.answers(self.index, !lost);
+        let lost = self.grouped() && self.blocks.packets.exceeded();
+        self.group.shared.answers(self.index, !lost);
     }
 
     /// Another board has raised the alarm: this one stops by its next command.
     pub(super) fn follow_group(&mut self) {
-        let Some(cause) = self.group.alarm(&mut self.alarm_heard) else {
+        let Some(cause) = self.group.shared.alarm(&mut self.group.alarm_heard) else {
             return;
         };
         if cause == self.index || !self.grouped() {
             return;
         }
-        if self.live {
-            self.stopped_by = Some(cause);
-            self.voice
+        if self.condition.live {
+            self.group.stopped_by = Some(cause);
+            self.notifier
                 .tell(Level::Info, format_args!("stops because of board {cause}"));
         }
         self.stop();
@@ -136,40 +136,40 @@ impl Driver {
     /// it answers the bucket is empty; set, the machine stops as if the bucket were full.
     pub(super) fn follow_io_error(&mut self) {
         let now = self.pins.io_error.get();
-        if core::mem::replace(&mut self.io_error, now) == now {
+        if core::mem::replace(&mut self.condition.io_error, now) == now {
             return;
         }
         if now {
             if self.grouped() {
-                self.group.raise(self.index);
+                self.group.shared.raise(self.index);
             }
             self.stop();
-        } else if let Phase::Acquiring { wait, tag } = &mut self.phase {
+        } else if let Phase::Acquiring { wait, tag } = &mut self.session.phase {
             (*wait, *tag) = (0, 0);
         } else {
-            self.packets.recovered();
+            self.blocks.packets.recovered();
         }
     }
 
     pub(super) fn raise_io_error(&mut self) {
-        self.io_error = true;
+        self.condition.io_error = true;
         self.pins.io_error.set(true);
     }
 
     pub(super) fn clear_io_error(&mut self) {
-        self.io_error = false;
+        self.condition.io_error = false;
         self.pins.io_error.set(false);
     }
 
     /// Another board of the group does not answer: an edge of `enable-request` is used up and says
     /// so.
     pub(super) fn refuse_alone(&mut self, pin: bool) -> bool {
-        let lost = match self.group.lost_beside(self.index) {
+        let lost = match self.group.shared.lost_beside(self.index) {
             Some(lost) if self.grouped() => lost,
             Some(_) | None => return false,
         };
-        if self.arm.refuse(pin) {
-            self.voice.tell(
+        if self.session.arm.refuse(pin) {
+            self.notifier.tell(
                 Level::Error,
                 format_args!("not enabled: board {lost} of the group does not answer"),
             );
@@ -179,14 +179,14 @@ impl Driver {
 
     /// How late `write` is called, without the time that `read` waited.
     pub(super) fn mind_the_time(&mut self) {
-        let now = self.time.now();
-        let before = self.wrote.replace(now);
-        let waited = core::mem::take(&mut self.waited);
+        let now = self.times.now();
+        let before = self.times.wrote.replace(now);
+        let waited = core::mem::take(&mut self.times.waited);
         // Once commands stay without answers, later ones prove nothing.
         if let Some(before) = before
-            && self.missing == 0
+            && self.exchange.missing == 0
         {
-            self.held_up = now - before - waited;
+            self.times.held_up = now - before - waited;
         }
     }
 
@@ -194,45 +194,46 @@ impl Driver {
     pub(super) fn follow_state(&mut self, status: &Status, clock_hz: f64) {
         let word = status.state;
         let armed_there = word.state == State::Armed && word.enabled;
-        if let Some(since) = self.halting
+        if let Some(since) = self.condition.halting
             && !armed_there
             && status.sequence.wrapping_sub(since) as i32 > 0
         {
-            self.halting = None;
+            self.condition.halting = None;
         }
-        let armed = armed_there && self.halting.is_none();
-        if armed && !self.live {
-            self.watchdog.armed();
+        let armed = armed_there && self.condition.halting.is_none();
+        if armed && !self.condition.live {
+            self.blocks.watchdog.armed();
             self.clear_io_error();
-            self.voice.armed();
-            self.stopped_by = None;
-            self.restarted = false;
+            self.notifier.armed();
+            self.group.stopped_by = None;
+            self.condition.restarted = false;
         }
         // The watchdog was still asleep when the command that armed arrived: its margin is valid
         // from the next command on.
-        let awake = armed && self.live;
-        self.watchdog
+        let awake = armed && self.condition.live;
+        self.blocks
+            .watchdog
             .sampled(word.bitten, status.watchdog_left, awake, clock_hz);
-        let fell = self.live && !armed && self.halting.is_none();
-        self.live = armed;
-        if word.state == State::Faulted && self.state != State::Faulted {
+        let fell = self.condition.live && !armed && self.condition.halting.is_none();
+        self.condition.live = armed;
+        if word.state == State::Faulted && self.condition.state != State::Faulted {
             // The board stays in its fault until the driver acquires the session again; it reports
             // the reason until then.
-            self.phase = Phase::Acquiring { wait: 0, tag: 0 };
+            self.session.phase = Phase::Acquiring { wait: 0, tag: 0 };
         }
-        self.state = word.state;
+        self.condition.state = word.state;
         self.pins.enabled.set(armed);
         self.pins.state.set(u32::from(word.state.code()));
         self.pins
             .position_trusted
-            .set(word.position_trusted && !self.restarted);
+            .set(word.position_trusted && !self.condition.restarted);
         self.pins.refused_total.set(status.refused.0);
         self.pins.estop.set(word.estop);
-        self.ethernet.sampled(&word);
+        self.blocks.ethernet.sampled(&word);
         if fell && word.reason != FaultReason::HostDisable && self.grouped() {
-            self.group.raise(self.index);
+            self.group.shared.raise(self.index);
         }
-        let news = core::mem::replace(&mut self.reason, word.reason) != word.reason;
+        let news = core::mem::replace(&mut self.condition.reason, word.reason) != word.reason;
         self.publish_reason();
         if news {
             self.tell_reason();
@@ -240,7 +241,7 @@ impl Driver {
     }
 
     fn publish_reason(&self) {
-        let code = match (self.stopped_by, self.reason) {
+        let code = match (self.group.stopped_by, self.condition.reason) {
             (Some(cause), FaultReason::None | FaultReason::HostDisable) => {
                 GROUP_REASON + cause as u32
             }
@@ -250,26 +251,26 @@ impl Driver {
     }
 
     fn tell_reason(&mut self) {
-        let reason = self.reason;
+        let reason = self.condition.reason;
         let known = match reason {
             FaultReason::None => return,
             FaultReason::HostDisable => true,
             // The board's view of the silence.
             FaultReason::Watchdog | FaultReason::SessionLost | FaultReason::LinkDown => {
-                self.voice.has_told(Event::Silent) || self.voice.has_told(Event::HeldUp)
+                self.notifier.has_told(Event::Silent) || self.notifier.has_told(Event::HeldUp)
             }
             // The reason of the restart has just been told.
-            FaultReason::FirmwareFault => self.voice.has_told(Event::Restarted),
+            FaultReason::FirmwareFault => self.notifier.has_told(Event::Restarted),
             FaultReason::ExternalReset
             | FaultReason::JobUnderrun
             | FaultReason::AbiMismatch
             | FaultReason::EStop => false,
         };
         if known {
-            return self.voice.tell(Level::Info, format_args!("{reason}"));
+            return self.notifier.tell(Level::Info, format_args!("{reason}"));
         }
         let others = self.stops_others();
-        self.voice.once(
+        self.notifier.once(
             Event::Stopped(reason),
             format_args!("the board stopped the machine{others}: {reason}; remove the cause, then enable again"),
         );

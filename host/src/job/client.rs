@@ -13,8 +13,8 @@ use std::net::{Shutdown, SocketAddr, SocketAddrV4, TcpStream};
 use std::time::{Duration, Instant};
 use wire::crc::crc32;
 use wire::jobs::{
-    Command, DATA, Entry, FRAME, Field, Frame, Machine, NAME, Op, Report, Request, Status, VERSION,
-    Welcome, word,
+    Command, DATA, Entry, FRAME, Field, Frame, MachineConfig, NAME, Op, Report, Request, Status,
+    VERSION, Welcome, word,
 };
 use wire::{DEFAULT_PORT, Name};
 
@@ -60,7 +60,7 @@ pub enum Detail {
     /// The offset of something in the job.
     Offset(u32),
     /// What is wrong with the machine, and with which axis.
-    Machine(Field, u8),
+    MachineConfig(Field, u8),
 }
 
 impl Detail {
@@ -70,8 +70,8 @@ impl Detail {
             Status::Offset | Status::Incomplete | Status::NoJob => {
                 word(payload).map(Detail::Offset)
             }
-            Status::Machine => match *payload {
-                [field, axis] => Some(Detail::Machine(Field::from_code(field)?, axis)),
+            Status::MachineConfig => match *payload {
+                [field, axis] => Some(Detail::MachineConfig(Field::from_code(field)?, axis)),
                 _ => None,
             },
             _ => None,
@@ -113,7 +113,7 @@ impl std::fmt::Display for JobError {
                     None => Ok(()),
                     Some(Detail::Free(bytes)) => write!(f, " ({bytes} bytes are free)"),
                     Some(Detail::Offset(offset)) => write!(f, " (at byte {offset})"),
-                    Some(Detail::Machine(field, axis)) => {
+                    Some(Detail::MachineConfig(field, axis)) => {
                         write!(f, ": {}: {}", axis_name(axis), field.text())
                     }
                 }
@@ -146,14 +146,14 @@ pub struct Board {
     at: SocketAddrV4,
     client: u32,
     id: u16,
-    line: Option<Line>,
+    line: Option<Connection>,
     welcome: Welcome,
     keys: Keys,
     patience: Duration,
 }
 
 #[derive(Debug)]
-struct Line {
+struct Connection {
     stream: TcpStream,
     heard: Vec<u8>,
 }
@@ -241,7 +241,7 @@ impl Board {
         let stream = stream.map_err(Broken::Io)?;
         // Requests are small and waited for.
         stream.set_nodelay(true).map_err(Broken::Io)?;
-        self.line = Some(Line {
+        self.line = Some(Connection {
             stream,
             heard: Vec::new(),
         });
@@ -465,7 +465,7 @@ impl Board {
     }
 
     /// Tells it which machine it moves.
-    pub fn put_machine(&mut self, machine: &Machine) -> Result<(), JobError> {
+    pub fn put_machine(&mut self, machine: &MachineConfig) -> Result<(), JobError> {
         self.ask(&Request::PutMachine(*machine)).map(drop)
     }
 
@@ -580,7 +580,7 @@ fn try_to_halt(
         let length = request.emit(id, &mut frame);
         said.extend_from_slice(&frame[..length]);
     }
-    let mut line = Line {
+    let mut line = Connection {
         stream,
         heard: Vec::new(),
     };
@@ -613,7 +613,7 @@ impl Drop for Board {
     }
 }
 
-impl Line {
+impl Connection {
     /// The next whole frame.
     fn frame(&mut self, until: Instant) -> Result<Vec<u8>, Broken> {
         let mut buffer = [0; 2048];

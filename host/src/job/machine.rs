@@ -1,6 +1,6 @@
 //! The machine a job is for: a TOML file. Every value must be given; there are no defaults.
 
-use motion::plan::{AxisSetup, Planner, Setup};
+use ::jobs::plan::{AxisSetup, Planner, Setup};
 use motion::segment::AXES;
 use serde::Deserialize;
 use std::path::Path;
@@ -9,7 +9,7 @@ use wire::jobs;
 /// A machine.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Machine {
+pub struct MachineFile {
     /// The board's clock, in Hz.
     pub clock: u32,
     /// How far chords may be from their arc, in mm.
@@ -110,18 +110,18 @@ pub enum Level {
     High,
 }
 
-impl Machine {
+impl MachineFile {
     /// From a file.
-    pub fn read(file: &Path) -> Result<Machine, String> {
+    pub fn read(file: &Path) -> Result<MachineFile, String> {
         let name = file.display();
         let text = std::fs::read_to_string(file).map_err(|error| format!("{name}: {error}"))?;
-        let machine = Machine::parse(&text).map_err(|error| format!("{name}: {error}"))?;
+        let machine = MachineFile::parse(&text).map_err(|error| format!("{name}: {error}"))?;
         Ok(machine)
     }
 
     /// From its text.
-    pub fn parse(text: &str) -> Result<Machine, String> {
-        let machine: Machine = toml::from_str(text).map_err(|error| error.to_string())?;
+    pub fn parse(text: &str) -> Result<MachineFile, String> {
+        let machine: MachineFile = toml::from_str(text).map_err(|error| error.to_string())?;
         for (axis, name) in machine.axes().iter().zip(["x", "y", "z"]) {
             if axis.min.is_nan() || axis.max.is_nan() || axis.min > axis.max {
                 return Err(format!("{name}: min is above max"));
@@ -150,7 +150,7 @@ impl Machine {
     }
 
     /// As a board is told.
-    pub fn to_board(&self) -> jobs::Machine {
+    pub fn to_board(&self) -> jobs::MachineConfig {
         let setup = self.setup();
         let bits = |pins: &[u8]| pins.iter().fold(0u32, |bits, pin| bits | 1 << (pin & 31));
         let nm = |mm: f64| (mm * 1e6).round();
@@ -182,7 +182,7 @@ impl Machine {
                 }),
             }
         };
-        jobs::Machine {
+        jobs::MachineConfig {
             chord_tolerance: setup.chord_tolerance,
             junction_deviation: setup.junction_deviation,
             tool_delay: setup.aux_settle,

@@ -1,9 +1,9 @@
 //! A program in memory: instructions with their source lines, from any kind of file.
 
-use motion::gcode::{self, DwellUnit};
-use motion::instruction::Instruction;
-use motion::job::{self, Block, Reader, Writer};
-use motion::xypen::{self, Quirks};
+use jobs::gcode::{self, DwellUnit};
+use jobs::instruction::Instruction;
+use jobs::job::{self, Block, Reader, Writer};
+use jobs::xypen::{self, Quirks};
 use std::path::Path;
 
 /// A program.

@@ -2,7 +2,8 @@
 //! segments.
 //!
 //! ```text
-//!   ferrocnc job send|start|.. --TCP--> Streamer: firmware::jobs --> Far --UDP--> the board's server, and its segments core
+//!   ferrocnc job send|start|.. --TCP--> Streamer: jobs::Jobs --> Far --UDP--> the board's server
+//!                                                                             and segments core
 //! ```
 //!
 //! The executor is the same program that other boards run in their SDRAM; here its accesses to the
@@ -18,10 +19,8 @@
 use crate::address::Address;
 use crate::client::{Client, ClientError};
 use crate::keys::Keys;
-use firmware::ip::Text;
-use firmware::jobs::desk::Door;
-use firmware::jobs::{AHEAD, Jobs, Outside};
-use firmware::net::Us;
+use jobs::server::{Answer, BusyReply};
+use jobs::{AHEAD, Jobs, Outside};
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -70,7 +69,7 @@ pub enum StreamError {
     /// It executes jobs by itself.
     Executes(Address, JobsState),
     /// The address to listen at.
-    Door(SocketAddr, io::Error),
+    Listen(SocketAddr, io::Error),
 }
 
 impl core::fmt::Display for StreamError {
@@ -86,7 +85,7 @@ impl core::fmt::Display for StreamError {
                 "{address} executes jobs by itself ({state}): ferrocnc job send {}; only one with sdram = false in its board file is streamed to",
                 address.socket.ip()
             ),
-            StreamError::Door(at, error) => {
+            StreamError::Listen(at, error) => {
                 write!(
                     f,
                     "cannot listen at {at} ({error}); --at names another place"
@@ -109,7 +108,7 @@ impl From<ClientError> for StreamError {
 pub struct Streamer {
     jobs: Jobs<'static>,
     far: Far,
-    door: TcpListener,
+    listener: TcpListener,
     at: SocketAddr,
     guest: Option<Guest>,
     /// They came while the guest was there.
@@ -128,13 +127,13 @@ impl Streamer {
             JobsState::Streamed => {}
             state => return Err(StreamError::Executes(board.clone(), state)),
         }
-        let door = || {
-            let door = TcpListener::bind(at)?;
-            door.set_nonblocking(true)?;
-            let at = door.local_addr()?;
-            Ok((door, at))
+        let listener = || {
+            let listener = TcpListener::bind(at)?;
+            listener.set_nonblocking(true)?;
+            let at = listener.local_addr()?;
+            Ok((listener, at))
         };
-        let (door, at) = door().map_err(|error| StreamError::Door(at, error))?;
+        let (listener, at) = listener().map_err(|error| StreamError::Listen(at, error))?;
         let mut far = Far {
             client: client.hurried(TRY, PATIENCE),
             status_words: status_words(identity.describe.channels),
@@ -155,7 +154,7 @@ impl Streamer {
         Ok(Streamer {
             jobs: jobs.ok_or_else(|| StreamError::None(board.clone()))?,
             far,
-            door,
+            listener,
             at,
             guest: None,
             callers: Vec::new(),
@@ -170,8 +169,8 @@ impl Streamer {
     /// Until told to stop; what moves then comes to rest first.
     pub fn run(&mut self, stop: &AtomicBool) {
         while !stop.load(Ordering::Relaxed) {
-            self.look_for_guests();
-            self.look_at_door();
+            self.accept_client();
+            self.hear_callers();
             self.go_on();
         }
         self.guest = None;
@@ -216,14 +215,14 @@ impl Streamer {
             let length = request.emit(id, &mut frame);
             let mut rest = &frame[..length];
             while !rest.is_empty() {
-                let taken = self.jobs.said(rest, &mut Text::new(), &mut self.far);
+                let taken = self.jobs.said(rest, &mut Answers::default(), &mut self.far);
                 rest = &rest[taken..];
             }
         }
     }
 
     /// Reads the clients that connected while another one was there: they may send a stop.
-    fn look_at_door(&mut self) {
+    fn hear_callers(&mut self) {
         let Streamer {
             jobs, far, callers, ..
         } = self;
@@ -231,7 +230,7 @@ impl Streamer {
     }
 
     /// Accepts a client; one at a time.
-    fn look_for_guests(&mut self) {
+    fn accept_client(&mut self) {
         if let Some(guest) = &mut self.guest
             && !guest.hear()
         {
@@ -239,7 +238,7 @@ impl Streamer {
             while !guest.leaves && guest.serve(&mut self.jobs, &mut self.far) {}
             self.guest = None;
         }
-        let Ok((mut stream, _)) = self.door.accept() else {
+        let Ok((mut stream, _)) = self.listener.accept() else {
             return;
         };
         if self.guest.is_some() {
@@ -253,7 +252,7 @@ impl Streamer {
                 }
                 self.callers.push(Caller {
                     stream,
-                    door: Door::new(),
+                    busy: BusyReply::new(),
                     came: Instant::now(),
                 });
             }
@@ -270,11 +269,29 @@ impl Streamer {
     }
 }
 
+/// What a client is answered.
+#[derive(Debug, Default)]
+struct Answers {
+    bytes: Vec<u8>,
+    /// Ends the connection behind them.
+    close: bool,
+}
+
+impl Answer for Answers {
+    fn put(&mut self, bytes: &[u8]) {
+        self.bytes.extend_from_slice(bytes);
+    }
+
+    fn close(&mut self) {
+        self.close = true;
+    }
+}
+
 /// A client that came while another one was there.
 #[derive(Debug)]
 struct Caller {
     stream: TcpStream,
-    door: Door,
+    busy: BusyReply,
     came: Instant,
 }
 
@@ -290,14 +307,14 @@ impl Caller {
             }
             Err(_) => return false,
         };
-        let mut text = Text::new();
+        let mut text = Answers::default();
         while !rest.is_empty() && !text.close {
-            let taken = jobs.knock(&mut self.door, rest, &mut text, far);
+            let taken = jobs.busy_reply(&mut self.busy, rest, &mut text, far);
             rest = &rest[taken..];
         }
         // A hundred bytes, the first it is sent but for the greeting: the computer has room for
         // them.
-        let told = self.stream.write_all(text.bytes()).is_ok();
+        let told = self.stream.write_all(&text.bytes).is_ok();
         told && !text.close
     }
 }
@@ -346,16 +363,16 @@ impl Guest {
 
     /// Serves a request, if a whole one is there. True if there was one.
     fn serve(&mut self, jobs: &mut Jobs<'static>, far: &mut Far) -> bool {
-        let mut text = Text::new();
+        let mut text = Answers::default();
         let taken = jobs.said(&self.ahead, &mut text, far);
         self.ahead.drain(..taken);
-        self.answers.extend_from_slice(text.bytes());
+        self.answers.extend_from_slice(&text.bytes);
         self.leaves |= text.close;
-        if !text.bytes().is_empty() {
+        if !text.bytes.is_empty() {
             // The client waits for the answer before its next request.
             let _alive = self.hear();
         }
-        taken > 0 || !text.bytes().is_empty()
+        taken > 0 || !text.bytes.is_empty()
     }
 }
 
@@ -394,9 +411,6 @@ impl Outside for Far {
         writer.words().len()
     }
 
-    /// There are no frames: TCP is this machine's.
-    fn send_frame(&mut self, _: &[u8]) {}
-
     fn read_segments(&mut self, word: usize) -> u32 {
         let fresh = self.known_at.is_some_and(|at| at.elapsed() < FRESH);
         if !fresh && self.settle().is_none() {
@@ -426,14 +440,6 @@ impl Outside for Far {
     fn now(&mut self) -> u64 {
         let passed = self.started.elapsed().as_nanos() * u128::from(self.clock_hz);
         (passed / 1_000_000_000) as u64
-    }
-
-    fn us(&mut self) -> Us {
-        Us {
-            mac: [0; 6],
-            ip: 0,
-            port: 0,
-        }
     }
 }
 

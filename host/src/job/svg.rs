@@ -7,8 +7,8 @@
 use crate::job::fonts;
 use crate::job::order::{self, Point, Tell, distance};
 use crate::job::program::Program;
+use jobs::instruction::{AUX_TOOL, Feed, Instruction, Place};
 use kurbo::PathEl;
-use motion::instruction::{AUX_TOOL, Feed, Instruction, Place};
 use resvg::tiny_skia::{Path as Outline, PathSegment};
 use resvg::usvg::fontdb::Database;
 use resvg::usvg::{self, Group, ImageHrefResolver, ImageKind, Node, Tree, roxmltree};
@@ -311,7 +311,7 @@ impl Found<'_> {
     /// The path where it is drawn. Refused before a curve is made into lines: a curve with a huge
     /// coordinate would need more lines than fit into memory.
     fn within(&self, path: &usvg::Path) -> Result<Outline, String> {
-        let farthest = motion::instruction::FARTHEST as f64 / 1e6;
+        let farthest = jobs::instruction::FARTHEST as f64 / 1e6;
         let too_far = |at: Point, why: String| {
             format!(
                 "{}: the point {}, {} {why}; a job reaches {} m. Correct this coordinate or its transform in the drawing, or take the path out",
@@ -416,7 +416,7 @@ fn instructions(strokes: &[Vec<Point>], wish: &Wish) -> Result<Vec<(Instruction,
         let place = [nm(point[0]), nm(point[1]), height(down)];
         match place
             .iter()
-            .all(|nm| nm.abs() <= motion::instruction::FARTHEST)
+            .all(|nm| nm.abs() <= jobs::instruction::FARTHEST)
         {
             true => Ok(place),
             false => Err("the drawing reaches further than 10 m".to_owned()),

@@ -1,11 +1,11 @@
 //! A simulated execution of a program: by its geometry alone, or by the planner and the integer
 //! model of the board.
 
-use crate::job::machine::Machine;
+use crate::job::machine::MachineFile;
 use crate::job::program::Program;
-use motion::circle::Chords;
-use motion::instruction::{AUX_TOOL, Arc, Feed, Instruction, Place};
-use motion::plan::{Output, Planner};
+use jobs::circle::Chords;
+use jobs::instruction::{AUX_TOOL, Arc, Feed, Instruction, Place};
+use jobs::plan::{Output, Planner};
 use motion::segment::{self, AXES, Segment};
 
 /// Lines the board looks ahead, and so does this.
@@ -66,8 +66,8 @@ fn apart(a: [f64; AXES], b: [f64; AXES]) -> f64 {
 }
 
 impl Trace {
-    /// On from where it ended.
-    pub(crate) fn go(&mut self, travel: bool, to: [f64; AXES]) {
+    /// Draws on from where it ended, or travels.
+    pub fn go(&mut self, travel: bool, to: [f64; AXES]) {
         let from = self
             .strokes
             .last()
@@ -160,7 +160,7 @@ pub fn programmed(program: &Program) -> Trace {
 }
 
 /// The path as the integrators of the board will draw it.
-pub fn planned(program: &Program, machine: &Machine) -> Result<Trace, String> {
+pub fn planned(program: &Program, machine: &MachineFile) -> Result<Trace, String> {
     let setup = machine.setup();
     let mut planner = Planner::<LOOK_AHEAD>::new(&setup).map_err(|error| error.to_string())?;
     let mut travels = Travels::new(program);
@@ -206,7 +206,7 @@ pub fn planned(program: &Program, machine: &Machine) -> Result<Trace, String> {
 }
 
 struct Walk<'a> {
-    machine: &'a Machine,
+    machine: &'a MachineFile,
     trace: Trace,
     planned: Planned,
     clocks: u64,
@@ -215,7 +215,13 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    fn segment(&mut self, before: &segment::Machine, segment: &Segment, tag: u32, shapes: &Shapes) {
+    fn segment(
+        &mut self,
+        before: &segment::MotionState,
+        segment: &Segment,
+        tag: u32,
+        shapes: &Shapes,
+    ) {
         self.planned.segments += 1;
         let second = self.clocks / u64::from(self.machine.clock);
         self.in_second = if second == self.second {
@@ -242,7 +248,7 @@ impl Walk<'_> {
     }
 
     /// In mm.
-    fn place(&self, state: &segment::Machine) -> [f64; AXES] {
+    fn place(&self, state: &segment::MotionState) -> [f64; AXES] {
         let axes = self.machine.axes();
         core::array::from_fn(|axis| {
             wire::units::Position(state.axes[axis].position).steps() / axes[axis].steps_per_mm
@@ -332,7 +338,7 @@ impl Shape {
 }
 
 /// What a machine cannot do of a program.
-pub fn out_of_bounds(program: &Program, machine: &Machine) -> Vec<String> {
+pub fn out_of_bounds(program: &Program, machine: &MachineFile) -> Vec<String> {
     let mut wrong = Vec::new();
     let mut at = [0; AXES];
     for (instruction, line) in &program.instructions {

@@ -13,7 +13,7 @@ use wire::describe::{Channels, FEATURE_READBACK};
 use wire::exchange::{Command, PWM_DIRECTION, PWM_ENABLE, PWM_FRACTION, Status, status_words};
 use wire::map::{self, BoardConfig, CountMode, StepType, StepgenConfig};
 use wire::regmap::pads::{OUTPUTS, PWM, STEP, STEP_N};
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 use wire::{FaultReason, MAX_WORDS};
 
 /// 200 ms without an exchange: this computer promises no period, and no motor hangs on the board.
@@ -356,7 +356,7 @@ impl<'t> Driven<'t> {
 
     fn disarm(&mut self) {
         (self.command.enable, self.command.enable_request) = (false, false);
-        self.command.stepgen = [(StepRate(0), Accel::UNLIMITED); 16];
+        self.command.stepgen = [(Velocity(0), Accel::UNLIMITED); 16];
         self.command.stepgen_enable = 0;
         for _ in 0..PATIENCE {
             match self.exchange() {
@@ -492,7 +492,7 @@ impl<'t> Driven<'t> {
         outputs: &[String],
     ) -> Result<Vec<Output>, DriveError> {
         self.command.stepgen_enable = 1 << n;
-        self.command.stepgen[n] = (StepRate::from_hz(LOOKED_AT, self.hz), Accel::UNLIMITED);
+        self.command.stepgen[n] = (Velocity::from_hz(LOOKED_AT, self.hz), Accel::UNLIMITED);
         let mut moments: Vec<(i64, Pads)> = Vec::new();
         let deadline = self.time.now() + Duration::from_secs(2);
         while moments.len() < MOMENTS && self.time.now() < deadline {
@@ -506,7 +506,7 @@ impl<'t> Driven<'t> {
                 moments.push((before, pads));
             }
         }
-        self.command.stepgen[n].0 = StepRate(0);
+        self.command.stepgen[n].0 = Velocity(0);
         self.settled()?;
         self.command.stepgen_enable = 0;
         // A leads B, and in which of the four states it begins is not known: as most pins say.
@@ -615,7 +615,7 @@ impl<'t> Driven<'t> {
         self.motor(n, StepType::Quadrature)?;
         self.arm()?;
         self.command.stepgen_enable = 1 << n;
-        self.command.stepgen[n] = (StepRate::from_hz(SLOW, self.hz), Accel::UNLIMITED);
+        self.command.stepgen[n] = (Velocity::from_hz(SLOW, self.hz), Accel::UNLIMITED);
         let (mut last, mut counts) = (None, Vec::new());
         let deadline = self.time.now() + Duration::from_secs(2);
         while counts.len() < 2 * LEVELS.len() && self.time.now() < deadline {
@@ -628,7 +628,7 @@ impl<'t> Driven<'t> {
             }
             last = Some(count);
         }
-        self.command.stepgen[n].0 = StepRate(0);
+        self.command.stepgen[n].0 = Velocity(0);
         self.settled()?;
         let pattern = |begin: i64| -> Vec<bool> {
             let high = |count: &i64| matches!((count + begin).rem_euclid(4), 1 | 2);
@@ -708,14 +708,14 @@ impl<'t> Driven<'t> {
     fn way(&mut self, n: usize, steps: u32, sign: f64) -> Result<(i64, [i64; 16]), DriveError> {
         let begin = self.settled()?;
         let accel = Accel::from_steps(RATE * 50.0, self.hz);
-        self.command.stepgen[n] = (StepRate::from_hz(sign * RATE, self.hz), accel);
+        self.command.stepgen[n] = (Velocity::from_hz(sign * RATE, self.hz), accel);
         let pulses = |status: &Status| status.stepgen[n].0.pulses() - begin.stepgen[n].0.pulses();
         let deadline =
             self.time.now() + Duration::from_secs_f64(2.0 + 3.0 * f64::from(steps) / RATE);
         while pulses(&self.live()?).abs() < i64::from(steps) && self.time.now() < deadline {}
-        self.command.stepgen[n].0 = StepRate(0);
+        self.command.stepgen[n].0 = Velocity(0);
         let mut end = self.settled()?;
-        while end.stepgen[n].1 != StepRate(0) && self.time.now() < deadline {
+        while end.stepgen[n].1 != Velocity(0) && self.time.now() < deadline {
             end = self.settled()?;
         }
         // The last pulse has come by then.

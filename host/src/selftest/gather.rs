@@ -10,7 +10,7 @@ use wire::describe::Describe;
 use wire::flash::{Area, LinkWord};
 use wire::images::{META_BYTES, Meta, idcode_of};
 use wire::regmap::{self, gpio, pads, timebase};
-use wire::{GUEST_READS, MAX_WORDS, Refusal, ReplyWriter, etherbone, map};
+use wire::{GUEST_READS, MAX_WORDS, Refusal, Request, map};
 
 /// Registers in front of the outputs' pads.
 pub(super) const OUT_NOW: u32 = regmap::address(gpio::BASE, gpio::OUT_NOW);
@@ -158,13 +158,11 @@ pub fn link(
         let tag = client.next_tag();
         let places = places(blob, &mut seed);
         let mut words = [0; MAX_WORDS];
-        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-        request.read_record(tag, &places);
+        let request = Request::new(&mut words).read(tag, &places).words();
         let began = time.now();
         open.insert(tag, places);
-        let request = request.words().to_vec();
         // Silence is a finding; a socket error is not the board's.
-        let mut heard = client.once(&request, first..=tag, GUEST_READS);
+        let mut heard = client.once(request.unwrap_or_default(), first..=tag, GUEST_READS);
         while let Ok(Some((which, words))) = &heard {
             if let Some(places) = open.remove(which) {
                 let as_before = places

@@ -316,7 +316,7 @@ impl FakeFlash {
 
 /// Boards on a segment of their own: every board receives every question, and the answers go to the
 /// sender.
-pub struct Segment {
+pub struct LanSegment {
     pub address: SocketAddrV4,
     boards: Arc<Mutex<Vec<Neighbour>>>,
     stop: Arc<AtomicBool>,
@@ -336,7 +336,7 @@ pub struct Neighbour {
     pub challenges: u32,
 }
 
-impl Segment {
+impl LanSegment {
     pub fn of(uids: &[[u32; 2]]) -> Self {
         let boards = uids.iter().map(|uid| Neighbour {
             flash: FakeFlash {
@@ -356,7 +356,7 @@ impl Segment {
             let (boards, stop) = (Arc::clone(&boards), Arc::clone(&stop));
             move || run(&socket, &boards, &stop)
         });
-        Segment {
+        LanSegment {
             address,
             boards,
             stop,
@@ -369,7 +369,7 @@ impl Segment {
     }
 }
 
-impl Drop for Segment {
+impl Drop for LanSegment {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {

@@ -5,8 +5,8 @@ use super::debounce::Debounce;
 use wire::exchange::EDGE_TIME_BITS;
 use wire::map;
 
-/// One channel. `count` is the tally's total with its delta: the count as a sample in this clock
-/// would see it.
+/// One channel. `count` is the wide counter's total with its delta: the count as a sample in this
+/// clock would see it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Encoder {
     meta: [bool; 4],

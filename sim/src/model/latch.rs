@@ -36,7 +36,7 @@ pub struct Input {
     pub index: bool,
     /// Level of the probe.
     pub probe: bool,
-    /// The tally has yet to write the last capture.
+    /// The wide counter has yet to write the last capture.
     pub pending: bool,
 }
 

@@ -109,6 +109,19 @@ pub struct Told {
     pub stage: Option<(usize, u32)>,
 }
 
+/// What the parts of an edge need as it stands before it.
+struct Before {
+    advance: bool,
+    commit: bool,
+    state: State,
+    dead: bool,
+    full: bool,
+    clear: bool,
+    starts: bool,
+    /// The word that is fetched.
+    at: usize,
+}
+
 /// The core.
 #[derive(Clone, Debug)]
 pub struct Segments {
@@ -274,22 +287,33 @@ impl Segments {
     /// One rising edge.
     pub fn clock(&mut self, i: &Input) {
         let told = self.tells(i);
-        let (advance, commit) = (!told.still, told.commit);
-        let (state, dead) = (self.state, self.dead(i.gate));
-        let play = state == State::Play;
-        let full = self.level == DEPTH;
-        let clear = i.order == Some(Order::Clear);
-        let over = self.left < 0 && advance;
-        let starts = i.order == Some(Order::Start)
-            && state == State::Idle
-            && !dead
-            && !i.halt
-            && self.level != 0;
+        let dead = self.dead(i.gate);
+        let before = Before {
+            advance: !told.still,
+            commit: told.commit,
+            state: self.state,
+            dead,
+            full: self.level == DEPTH,
+            clear: i.order == Some(Order::Clear),
+            starts: i.order == Some(Order::Start)
+                && self.state == State::Idle
+                && !dead
+                && !i.halt
+                && self.level != 0,
+            at: self.at,
+        };
+        self.clock_state(i, &before);
+        self.clock_segment(&before);
+        self.clock_fetch(&told, &before);
+        self.clock_fifo(i, &before);
+        self.clock_pace(i, &before);
+    }
 
-        // Segment by segment.
-        if state == State::Settle {
+    /// What it does, and why it ended.
+    fn clock_state(&mut self, i: &Input, b: &Before) {
+        if b.state == State::Settle {
             self.held = false;
-        } else if play && self.tick && i.waits {
+        } else if b.state == State::Play && self.tick && i.waits {
             self.held = true;
         }
         let why = match () {
@@ -298,10 +322,11 @@ impl Segments {
             () if i.halt => reason::HALTED,
             () => reason::QUIT,
         };
+        let over = self.left < 0 && b.advance;
         let failed = self.reason > reason::DONE;
-        (self.state, self.reason) = match state {
-            State::Idle if starts => (State::Settle, reason::NONE),
-            State::Idle if clear => (State::Idle, reason::NONE),
+        (self.state, self.reason) = match b.state {
+            State::Idle if b.starts => (State::Settle, reason::NONE),
+            State::Idle if b.clear => (State::Idle, reason::NONE),
             State::Idle => (State::Idle, self.reason),
             State::Settle | State::Play if why != reason::NONE => (State::Halt, why),
             State::Settle if i.stopped => (State::Play, self.reason),
@@ -325,82 +350,91 @@ impl Segments {
                 (if ends { State::Idle } else { State::Halt }, reason)
             }
         };
-        if state == State::Settle {
+    }
+
+    /// The segment that plays: its clocks, its tag and its outputs.
+    fn clock_segment(&mut self, b: &Before) {
+        if b.state == State::Settle {
             (self.left, self.first) = (-1, true);
-        } else if commit {
+        } else if b.commit {
             (self.left, self.first) = (i64::from(self.out) - 2, false);
-        } else if self.left >= 0 && advance {
+        } else if self.left >= 0 && b.advance {
             self.left -= 1;
         }
-        if commit {
+        if b.commit {
             self.begun = self.begun.wrapping_add(1);
             self.moves = self.next_moves;
             (self.tag, self.outputs) = ((self.next >> 16) as u16, self.next as u16);
-        } else if state == State::Idle && dead {
+        } else if b.state == State::Idle && b.dead {
             self.outputs = 0;
         }
+    }
 
-        // The next one.
+    /// The next segment, word by word.
+    fn clock_fetch(&mut self, told: &Told, b: &Before) {
+        let play = b.state == State::Play;
         let fetch = play && !self.staged && self.level != 0;
         if self.fetched == Some(1) {
             self.next = self.out;
         }
         let moves = matches!(told.stage, Some((at, word)) if at & 1 == 0 && word != 0);
-        self.next_moves = play && !commit && (self.next_moves || moves);
-        self.staged = play && !commit && (self.staged || (fetch && self.at == 0));
-        let at = self.at;
-        self.fetched = fetch.then_some(at);
-        self.at = if !play || commit {
+        self.next_moves = play && !b.commit && (self.next_moves || moves);
+        self.staged = play && !b.commit && (self.staged || (fetch && b.at == 0));
+        self.fetched = fetch.then_some(b.at);
+        self.at = if !play || b.commit {
             self.words - 1
-        } else if fetch && at != 0 {
-            at - 1
+        } else if fetch && b.at != 0 {
+            b.at - 1
         } else {
-            at
+            b.at
         };
+    }
 
-        // The FIFO.
-        self.out = self.memory[self.tail * self.slot + at];
+    fn clock_fifo(&mut self, i: &Input, b: &Before) {
+        self.out = self.memory[self.tail * self.slot + b.at];
         let whole = self.seen == (1 << self.words) - 1;
-        let taken = i.push && !full && !dead && whole && !self.short;
+        let taken = i.push && !b.full && !b.dead && whole && !self.short;
         if i.push {
             self.refused |= match () {
-                () if full => refused::FULL,
-                () if dead => refused::NOT_NOW,
+                () if b.full => refused::FULL,
+                () if b.dead => refused::NOT_NOW,
                 () if !whole => refused::INCOMPLETE,
                 () if self.short => refused::SHORT,
                 () => 0,
             };
         }
-        if i.order == Some(Order::Start) && !starts {
+        if i.order == Some(Order::Start) && !b.starts {
             self.refused |= refused::START;
         }
-        if clear {
+        if b.clear {
             self.refused = 0;
         }
-        let write = i.word.filter(|(at, _)| *at < self.words && !full);
+        let write = i.word.filter(|(at, _)| *at < self.words && !b.full);
         if let Some((at, word)) = write {
             self.memory[self.head * self.slot + at] = word;
             if at == 0 {
                 self.short = word < CLOCKS_MIN;
             }
         }
-        if i.push || dead {
+        if i.push || b.dead {
             self.seen = 0;
         } else if let Some((at, _)) = write {
             self.seen |= 1 << at;
         }
-        let flush = dead || (clear && state == State::Idle);
+        let flush = b.dead || (b.clear && b.state == State::Idle);
         (self.tail, self.level) = if flush {
             (self.head, 0)
         } else {
             (
-                (self.tail + usize::from(commit)) % DEPTH,
-                self.level + usize::from(taken) - usize::from(commit),
+                (self.tail + usize::from(b.commit)) % DEPTH,
+                self.level + usize::from(taken) - usize::from(b.commit),
             )
         };
         self.head = (self.head + usize::from(taken)) % DEPTH;
+    }
 
-        // Time.
+    /// How fast path time passes.
+    fn clock_pace(&mut self, i: &Input, b: &Before) {
         let pace_now = self.pace_now();
         let wanted = u64::from(i.pace.min(PACE_ONE)) << 16;
         let down = !self.up && !self.turned;
@@ -408,9 +442,9 @@ impl Segments {
         let moved = self.scale as i64 + if down { -slew } else { slew };
         let below = moved < wanted as i64;
         let there = i.slew == 0 || self.up != below;
-        if !matches!(state, State::Play | State::Halt) {
+        if !matches!(b.state, State::Play | State::Halt) {
             self.scale = wanted;
-        } else if play && !self.turned {
+        } else if b.state == State::Play && !self.turned {
             self.scale = if there { wanted } else { moved as u64 };
         }
         if self.turned {
@@ -472,298 +506,4 @@ impl Segments {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::model::board::{Build, pages};
-    use crate::model::{Board, board::Bus};
-    use motion::instruction::{Feed, Instruction};
-    use motion::plan::{AxisSetup, Output, Planner, Setup};
-    use motion::segment::{AXES, Segment};
-    use proptest::prelude::*;
-    use std::collections::VecDeque;
-    use wire::describe::Channels;
-
-    fn board(times: [u32; 4]) -> Board {
-        let mut board = Board::new(Build {
-            channels: Channels {
-                stepgens: 3,
-                encoders: 0,
-                pwms: 0,
-                inputs: 0,
-                outputs: 16,
-            },
-            clock_hz: 10_000_000,
-            estop_mask: 0,
-            estop_level: 0,
-            abi: 0,
-            version: 0,
-            rom_words: 0,
-            jobs: AXES as u8,
-            readback: true,
-        });
-        for n in 0..3 {
-            for (word, time) in (0..).zip(times) {
-                write(&mut board, pages::STEPGEN + n, word, time);
-            }
-        }
-        write(
-            &mut board,
-            pages::WATCHDOG,
-            regmap::watchdog::TIMEOUT,
-            u32::MAX,
-        );
-        write(
-            &mut board,
-            pages::WATCHDOG,
-            regmap::watchdog::CONTROL,
-            regmap::watchdog::CONTROL_KEY_CLEAR,
-        );
-        write(
-            &mut board,
-            pages::WATCHDOG,
-            regmap::watchdog::CONTROL,
-            regmap::watchdog::CONTROL_KEY_ARM,
-        );
-        write(
-            &mut board,
-            pages::TIMEBASE,
-            regmap::timebase::STROBE,
-            regmap::timebase::STROBE_COMMIT,
-        );
-        board
-    }
-
-    /// As the bus does it: an access every second clock.
-    fn write(board: &mut Board, page: u32, word: usize, data: u32) {
-        board.order(page, word as u32, data);
-        board.clock(&Bus::default());
-        board.clock(&Bus::default());
-    }
-
-    fn push(board: &mut Board, segment: &Segment) {
-        for (at, word) in (0..).zip(segment.words()) {
-            write(board, pages::SEGMENTS, at, word);
-        }
-        write(board, pages::SEGMENTS, segments::PUSH, 0);
-    }
-
-    fn status(board: &Board) -> u32 {
-        board.peek(pages::SEGMENTS, segments::STATUS as u32)
-    }
-
-    fn position(board: &mut Board, axis: u32) -> i64 {
-        write(
-            board,
-            pages::TIMEBASE,
-            regmap::timebase::STROBE,
-            regmap::timebase::STROBE_SAMPLE,
-        );
-        for _ in 0..20 {
-            board.clock(&Bus::default());
-        }
-        let at = 8 + 3 * axis;
-        let low = u64::from(board.peek(pages::STATUS, at));
-        (u64::from(board.peek(pages::STATUS, at + 1)) << 32 | low) as i64
-    }
-
-    fn setup() -> Setup {
-        let axis = |steps_per_mm: u64, mm_per_s: u32, mm_per_s2: u64| AxisSetup {
-            steps_per_km: steps_per_mm * 1_000_000,
-            max_speed: mm_per_s * 1_000_000,
-            max_accel: mm_per_s2 * 1_000_000,
-        };
-        Setup {
-            clock_hz: 10_000_000,
-            axes: [
-                axis(80, 200, 8000),
-                axis(100, 150, 6000),
-                axis(400, 40, 2000),
-            ],
-            chord_tolerance: 5000,
-            junction_deviation: 20_000,
-            aux_settle: 0,
-        }
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(4) })]
-
-        /// A plan, pushed as words and played by the cores' models, ends at rest with every axis on
-        /// the exact step and the exact fraction of it. This holds for any step timing (which may
-        /// hold path time) and any number of pauses.
-        #[test]
-        fn a_planned_job_ends_exactly_where_the_planner_says(
-            places in proptest::collection::vec((-1_000_000..1_000_000i64, -1_000_000..1_000_000i64, -200_000..200_000i64), 1..6),
-            times in (1..20u32, 1..20u32, 1..60u32, 1..60u32),
-            paces in proptest::collection::vec(prop_oneof![Just(0u32), Just(PACE_ONE), 20_000..PACE_ONE], 1..20),
-        ) {
-            let mut planner = Planner::<16>::new(&setup()).unwrap();
-            let lines = places.iter().enumerate().flat_map(|(n, &(x, y, z))| {
-                let line = Instruction::Line { to: [x, y, z], feed: Feed::Rate(100_000_000) };
-                let tool = (n % 3 == 2).then_some(Instruction::Aux { bits: n as u16 });
-                [Some(line), tool].into_iter().flatten()
-            });
-            let mut program = lines.chain([Instruction::End]).peekable();
-            let mut segments = VecDeque::new();
-            loop {
-                while planner.accepts() && program.peek().is_some() {
-                    prop_assert!(planner.push(&program.next().unwrap(), 0));
-                }
-                match planner.poll() {
-                    Some(Output::Segment(segment)) => segments.push_back(segment),
-                    Some(Output::End) => break,
-                    _ => {}
-                }
-            }
-            let all = segments.len() as u32;
-            let mut board = board([times.0, times.1, times.2, times.3]);
-            write(&mut board, pages::SEGMENTS, segments::SLEW, 1 << 20);
-            let (mut started, mut paces, mut clocks) = (false, paces.iter().cycle(), 0u64);
-            loop {
-                let now = status(&board);
-                if started && now >> 8 & 3 == 0 {
-                    prop_assert_eq!((now >> 12 & 7) as u8, reason::DONE);
-                    break;
-                }
-                if now & 0xff < 60 && let Some(segment) = segments.pop_front() {
-                    push(&mut board, &segment);
-                } else if !started {
-                    write(&mut board, pages::SEGMENTS, segments::CONTROL, segments::CONTROL_COMMAND_START);
-                    started = true;
-                } else {
-                    for _ in 0..100 {
-                        board.clock(&Bus::default());
-                    }
-                    clocks += 100;
-                    if clocks.is_multiple_of(20_000) {
-                        let pace = *paces.next().unwrap();
-                        // A pause ends some time.
-                        let pace = if clocks.is_multiple_of(40_000) { PACE_ONE } else { pace };
-                        write(&mut board, pages::SEGMENTS, segments::PACE, pace);
-                    }
-                }
-            }
-            prop_assert_eq!(board.peek(pages::SEGMENTS, segments::BEGUN as u32), all);
-            for axis in 0..AXES {
-                prop_assert_eq!(position(&mut board, axis as u32), planner.machine().axes[axis].position, "axis {}", axis);
-            }
-            prop_assert!(planner.machine().rests());
-        }
-    }
-
-    #[test]
-    fn an_underrun_brakes_and_says_so_and_nothing_starts_before_clear() {
-        let mut board = board([1, 1, 1, 1]);
-        for n in 0..3 {
-            write(
-                &mut board,
-                pages::STEPGEN + n,
-                regmap::stepgen::STOP_ACCEL,
-                1 << 28,
-            );
-        }
-        let segment = Segment {
-            clocks: 2000,
-            velocity: [1 << 16, -(1 << 15), 0],
-            accel: [1 << 30; 3],
-            ..Segment::default()
-        };
-        push(&mut board, &segment);
-        push(&mut board, &segment);
-        write(
-            &mut board,
-            pages::SEGMENTS,
-            segments::CONTROL,
-            segments::CONTROL_COMMAND_START,
-        );
-        let mut clocks = 0;
-        while status(&board) >> 8 & 3 != 0 {
-            board.clock(&Bus::default());
-            clocks += 1;
-        }
-        assert!((4000..10_000).contains(&clocks), "{clocks} clocks");
-        assert_eq!((status(&board) >> 12 & 7) as u8, reason::UNDERRUN);
-        let rest = position(&mut board, 0);
-        push(&mut board, &segment);
-        write(
-            &mut board,
-            pages::SEGMENTS,
-            segments::CONTROL,
-            segments::CONTROL_COMMAND_START,
-        );
-        let refused = (status(&board) >> 16 & 31) as u8;
-        assert_eq!(refused, refused::NOT_NOW | refused::START);
-        for _ in 0..5000 {
-            board.clock(&Bus::default());
-        }
-        assert_eq!(position(&mut board, 0), rest);
-        write(
-            &mut board,
-            pages::SEGMENTS,
-            segments::CONTROL,
-            segments::CONTROL_COMMAND_CLEAR,
-        );
-        push(&mut board, &segment);
-        write(
-            &mut board,
-            pages::SEGMENTS,
-            segments::CONTROL,
-            segments::CONTROL_COMMAND_START,
-        );
-        assert_eq!(status(&board) >> 8 & 3, State::Settle as u32);
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(48) })]
-
-        /// [`Board::run`], which skips quiet clocks, and clock by clock: the same pins and
-        /// registers at every look.
-        #[test]
-        fn many_clocks_of_a_segment_at_once_are_those_clocks_one_by_one(
-            rates in proptest::collection::vec((64..5000u32, -(1i32 << 28)..1 << 28, -(1i32 << 26)..1 << 26, 0..4u16), 1..12),
-            times in (1..20u32, 1..20u32, 1..60u32, 1..60u32),
-            looks in proptest::collection::vec((1..900u64, 0..40u8), 20..200),
-        ) {
-            let (mut slow, mut fast) = (board([times.0, times.1, times.2, times.3]), board([times.0, times.1, times.2, times.3]));
-            for board in [&mut slow, &mut fast] {
-                write(board, pages::SEGMENTS, segments::SLEW, 1 << 20);
-                write(board, pages::SEGMENTS, segments::MASK, 3);
-                for (clocks, x, y, aux) in &rates {
-                    let segment = Segment { clocks: *clocks, velocity: [*x, *y, 0], accel: [1 << 24, 0, 1], aux: *aux, tag: 7 };
-                    push(board, &segment);
-                }
-                write(board, pages::SEGMENTS, segments::CONTROL, segments::CONTROL_COMMAND_START);
-            }
-            for (clocks, deed) in looks {
-                let until = slow.clocks() + clocks;
-                while slow.clocks() < until {
-                    slow.clock(&Bus::default());
-                }
-                while fast.clocks() < until {
-                    fast.run(until);
-                }
-                prop_assert_eq!(slow.pins(), fast.pins(), "clock {}", until);
-                for word in 22..27 {
-                    prop_assert_eq!(slow.peek(pages::SEGMENTS, word), fast.peek(pages::SEGMENTS, word), "word {} in clock {}", word, until);
-                }
-                // Now and then a pause, a stop, another segment.
-                let (word, data) = match deed {
-                    0 | 1 => (18, 0),
-                    2..6 => (18, PACE_ONE),
-                    6 => (18, PACE_ONE / 3),
-                    7 => (17, 2),
-                    8 => (17, 3),
-                    9..14 => (16, 0),
-                    _ => continue,
-                };
-                for board in [&mut slow, &mut fast] {
-                    if word == 16 {
-                        push(board, &Segment { clocks: 700, velocity: [1 << 25, 0, 0], accel: [1 << 22, 0, 1], aux: 1, tag: 8 });
-                    } else {
-                        write(board, pages::SEGMENTS, word, data);
-                    }
-                }
-            }
-        }
-    }
-}
+mod tests;

@@ -3,10 +3,10 @@
 
 use motion::ramp::{Ramp, VELOCITY_FRACTION};
 use wire::map::{DIR_CLOCKS_MAX, STEP_CLOCKS_MAX, StepType};
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 
-/// One channel. `pulses` is the tally's total with its delta: the count as a sample in this clock
-/// would see it.
+/// One channel. `pulses` is the wide counter's total with its delta: the count as a sample in this
+/// clock would see it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stepgen {
     halted: bool,
@@ -341,7 +341,7 @@ impl Stepgen {
         Ramp {
             position: i64::from(self.fraction),
             velocity: self.v,
-            target: StepRate(self.target),
+            target: Velocity(self.target),
             accel: Accel(self.reach(set)),
         }
     }
@@ -414,18 +414,18 @@ impl Stepgen {
 
     /// No fewer than these clocks until the integer part of the position wants to change.
     fn clocks_to_due(&self, arrives: u64, set: &Settings) -> u64 {
-        let rate = self.v >> VELOCITY_FRACTION;
-        // Clocks at a constant rate until the fraction leaves 0..2^32.
-        let steady = |fraction: u32, rate: i64| match rate {
+        let velocity = self.v >> VELOCITY_FRACTION;
+        // Clocks at a constant velocity until the fraction leaves 0..2^32.
+        let steady = |fraction: u32, velocity: i64| match velocity {
             0 => u64::MAX,
-            1.. => ((1u64 << 32) - u64::from(fraction)).div_ceil(rate as u64) - 1,
-            _ => u64::from(fraction) / rate.unsigned_abs(),
+            1.. => ((1u64 << 32) - u64::from(fraction)).div_ceil(velocity as u64) - 1,
+            _ => u64::from(fraction) / velocity.unsigned_abs(),
         };
         if arrives == 0 {
-            return steady(self.fraction, rate);
+            return steady(self.fraction, velocity);
         }
         // While it ramps no clock moves further than the faster of both ends.
-        let fastest = rate.abs().max(i64::from(self.target).abs()) + 1;
+        let fastest = velocity.abs().max(i64::from(self.target).abs()) + 1;
         let up = steady(self.fraction, fastest).min(steady(self.fraction, -fastest));
         if up >= 64 {
             return up;

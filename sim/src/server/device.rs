@@ -4,13 +4,13 @@ use std::net::Ipv4Addr;
 use std::time::Duration;
 
 use crate::board::Clockwork;
+use crate::environment::PinEnvironment;
 use crate::exchange::{Meter, wants_reply};
 use crate::faults::{Plan, Script};
 use crate::report::{FrameCounts, Report};
 use crate::rig::Rig;
 use crate::segment::{BOARD_PORT, Connection, HOST_IP};
 use crate::soc::Silicon;
-use crate::world::World;
 
 /// The service of the board that a datagram is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -90,9 +90,9 @@ pub trait Device {
     fn forget(&mut self, console: Self::Console);
 
     /// Pins, edges, plant.
-    fn world(&self) -> &World;
+    fn environment(&self) -> &PinEnvironment;
     /// The same, to be changed.
-    fn world_mut(&mut self) -> &mut World;
+    fn environment_mut(&mut self) -> &mut PinEnvironment;
     /// Stops or starts the CPU.
     fn freeze_cpu(&mut self, frozen: bool);
     /// The faults.
@@ -180,10 +180,10 @@ impl<S: Silicon> Device for Rig<S> {
     fn forget(&mut self, console: Connection) {
         self.segment.drop_connection(console);
     }
-    fn world(&self) -> &World {
+    fn environment(&self) -> &PinEnvironment {
         &self.board
     }
-    fn world_mut(&mut self) -> &mut World {
+    fn environment_mut(&mut self) -> &mut PinEnvironment {
         &mut self.board
     }
     fn freeze_cpu(&mut self, frozen: bool) {

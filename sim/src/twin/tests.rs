@@ -3,7 +3,7 @@ use crate::plant::{Axis, Spindle, Switch};
 use wire::describe::Channels;
 use wire::exchange::{Command, Latch, REQUEST_OVERHEAD, Status};
 use wire::map;
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 
 const SIX: Channels = Channels {
     stepgens: 6,
@@ -24,7 +24,7 @@ struct Bench {
 impl Bench {
     fn new(plant: Plant) -> Self {
         Bench {
-            twin: Twin::start(Card::plain(SIX, HZ), plant),
+            twin: Twin::start(BoardFacts::plain(SIX, HZ), plant),
             command: Command::default(),
         }
     }
@@ -89,7 +89,7 @@ impl Bench {
         }
         bench.command.enable = true;
         bench.command.stepgen_enable = 0x3f;
-        bench.command.stepgen = [(StepRate(0), Accel(50_000_000)); 16];
+        bench.command.stepgen = [(Velocity(0), Accel(50_000_000)); 16];
         bench.exchange();
         bench.command.enable_request = true;
         bench.exchange();
@@ -97,9 +97,9 @@ impl Bench {
         bench
     }
 
-    fn rate(&mut self, axis: usize, steps_per_second: f64) {
-        let rate = steps_per_second * 2f64.powi(32) / f64::from(HZ);
-        self.command.stepgen[axis].0 = StepRate(rate as i32);
+    fn velocity(&mut self, axis: usize, steps_per_second: f64) {
+        let velocity = steps_per_second * 2f64.powi(32) / f64::from(HZ);
+        self.command.stepgen[axis].0 = Velocity(velocity as i32);
     }
 
     fn periods(&mut self, n: usize) -> Status {
@@ -121,13 +121,13 @@ fn it_says_what_it_is() {
 #[test]
 fn what_the_host_asks_for_happens_at_the_pins_and_at_the_encoders() {
     let mut bench = Bench::armed(Plant::direct(6));
-    bench.rate(0, 50_000.0);
-    bench.rate(1, -12_345.0);
+    bench.velocity(0, 50_000.0);
+    bench.velocity(1, -12_345.0);
     bench.periods(100);
-    bench.rate(0, 0.0);
-    bench.rate(1, 0.0);
+    bench.velocity(0, 0.0);
+    bench.velocity(1, 0.0);
     let status = bench.periods(40);
-    let edges = &bench.twin.world().edges;
+    let edges = &bench.twin.environment().edges;
     for n in 0..2 {
         let (count, pins) = ((status.stepgen[n].0.0 >> 32) as i32, edges.channel(n).count);
         assert_eq!(
@@ -152,14 +152,14 @@ fn what_the_host_asks_for_happens_at_the_pins_and_at_the_encoders() {
 #[test]
 fn silence_stops_the_machine_and_closes_the_gate() {
     let mut bench = Bench::armed(Plant::default());
-    bench.rate(0, 100_000.0);
+    bench.velocity(0, 100_000.0);
     bench.periods(10);
     let end = bench.twin.clock() + 50 * MS;
     while bench.twin.clock() < end {
         bench.twin.pass(end);
     }
-    assert_eq!(bench.twin.world().pins().gate, 0);
-    assert_eq!(bench.twin.world().edges.violations(), []);
+    assert_eq!(bench.twin.environment().pins().gate, 0);
+    assert_eq!(bench.twin.environment().edges.violations(), []);
     let close = bench.read(regmap::address(
         regmap::watchdog::BASE,
         regmap::watchdog::LAST_CLOSE,
@@ -191,8 +191,8 @@ fn an_index_and_a_probe_are_latched_to_the_step() {
     bench.command.index_arm = 1;
     bench.command.stepgen_index_arm = 1;
     bench.command.stepgen_probe_arm = 2;
-    bench.rate(0, 20_000.0);
-    bench.rate(1, -20_000.0);
+    bench.velocity(0, 20_000.0);
+    bench.velocity(1, -20_000.0);
     bench.periods(40);
     let mut latched = |latch| {
         bench.command.latch = latch;
@@ -236,7 +236,7 @@ fn a_spindle_turns_as_its_pwm_says() {
 
 #[test]
 fn a_visitor_is_greeted_answered_and_let_go() {
-    let mut twin = Twin::start(Card::plain(SIX, HZ), Plant::default());
+    let mut twin = Twin::start(BoardFacts::plain(SIX, HZ), Plant::default());
     let visitor = twin.open(CONSOLE_PORT);
     assert_eq!(twin.heard(visitor), console::PROMPT.as_bytes());
     twin.type_in(visitor, b"status\nquit\n");
@@ -252,27 +252,27 @@ fn a_board_that_starts_anew_forgets_its_session_and_its_counts_but_the_machine_s
     for word in ["reboot", "power"] {
         let mut bench = Bench::armed(Plant::direct(6));
         let boot = bench.read(map::DESCRIBE + 4 * 10);
-        bench.rate(0, 50_000.0);
+        bench.velocity(0, 50_000.0);
         bench.periods(20);
-        let there = bench.twin.world().edges.channel(0).count;
+        let there = bench.twin.environment().edges.channel(0).count;
         assert!(there > 400, "{there}");
         let clock = bench.twin.clock();
         bench.twin.trouble(&word.parse().unwrap()).unwrap();
-        assert_eq!(bench.twin.world().pins().gate, 0, "{word}");
+        assert_eq!(bench.twin.environment().pins().gate, 0, "{word}");
         // The firmware has not started yet.
         assert_eq!(bench.ask(&[0x4e6f_1044, 0, 0x000f_0001, 0, 0]), None);
         bench.twin.pass(clock + STARTING);
         assert_eq!(bench.read(map::SESSION_TOKEN), 0, "{word}");
         assert_ne!(bench.read(map::DESCRIBE + 4 * 10), boot, "{word}");
-        assert_eq!(bench.twin.world().edges.channel(0).count, there);
-        assert_eq!(bench.twin.world().edges.violations(), []);
+        assert_eq!(bench.twin.environment().edges.channel(0).count, there);
+        assert_eq!(bench.twin.environment().edges.violations(), []);
     }
 }
 
 #[test]
 fn a_pulled_cable_stops_the_machine_and_the_phy_says_so() {
     let mut bench = Bench::armed(Plant::default());
-    bench.rate(0, 100_000.0);
+    bench.velocity(0, 100_000.0);
     bench.periods(10);
     bench
         .twin
@@ -282,17 +282,17 @@ fn a_pulled_cable_stops_the_machine_and_the_phy_says_so() {
     while bench.twin.clock() < end {
         bench.twin.pass(end);
     }
-    let pins = bench.twin.world().pins();
+    let pins = bench.twin.environment().pins();
     assert_eq!((pins.gate, pins.link_status), (0, 0));
     let end = bench.twin.clock() + 20 * MS;
     while bench.twin.clock() < end {
         bench.twin.pass(end);
     }
-    assert_eq!(bench.twin.world().pins().link_status, LINK_1000);
+    assert_eq!(bench.twin.environment().pins().link_status, LINK_1000);
     // The session died with its watchdog: what its host still says is refused, and nothing
     // opens the gate.
     assert_eq!(bench.read(map::SESSION_TOKEN), 0);
-    assert_eq!(bench.twin.world().pins().gate, 0);
+    assert_eq!(bench.twin.environment().pins().gate, 0);
 }
 
 #[test]
@@ -304,5 +304,5 @@ fn a_frozen_cpu_answers_nothing_and_the_watchdog_bites_all_the_same() {
     while bench.twin.clock() < end {
         bench.twin.pass(end);
     }
-    assert_eq!(bench.twin.world().pins().gate, 0);
+    assert_eq!(bench.twin.environment().pins().gate, 0);
 }

@@ -2,7 +2,7 @@
 
 use crate::rig::*;
 use crate::stops::client::Client;
-use motion::plan::Planner;
+use jobs::plan::Planner;
 use sim::plant::Plant;
 use wire::exchange::Command;
 use wire::jobs::{End, Request, UNATTENDED};

@@ -3,7 +3,7 @@
 use crate::rig::*;
 use firmware::jobs::abi::TEXT_MAX;
 use sim::plant::Plant;
-use wire::jobs::{End, Request, State, Status, UNATTENDED};
+use wire::jobs::{End, Report, Request, State, Status, UNATTENDED};
 
 /// Says it with the key, or on a board without one.
 fn said(rig: &mut Rig, line: &str) -> String {
@@ -63,6 +63,31 @@ fn a_job_is_listed_started_paused_stopped_and_deleted() {
         said(&mut rig, "job delete my part"),
         "my part is deleted, 1044480 bytes are free\r\n"
     );
+}
+
+#[test]
+fn a_time_is_shown_in_tenths_in_minutes_or_in_hours() {
+    let text = |ms: u32| match (ms / 3_600_000, ms / 60_000) {
+        (0, 0) => format!("{}.{} s", ms / 1000, ms / 100 % 10),
+        (0, minutes) => format!("{minutes} min {:02} s", ms / 1000 % 60),
+        (hours, minutes) => format!("{hours} h {:02} min", minutes % 60),
+    };
+    for dwell in [3, 306, 9000] {
+        let mut rig = Rig::plotter();
+        let lines = format!("G1 X20 F6000\nG1 X0\nG4 P{dwell}\nM2\n");
+        rig.send("x", &file(&program(&lines)));
+        said(&mut rig, "job start x");
+        rig.underway();
+        rig.run(170 * MS);
+        said(&mut rig, "job pause");
+        rig.run(300 * MS);
+        let Report {
+            elapsed, remaining, ..
+        } = rig.report();
+        let shown = format!(", {} passed, {} to go\r\n", text(elapsed), text(remaining));
+        let status = said(&mut rig, "job");
+        assert!(status.contains(&shown), "{status}, not {shown}");
+    }
 }
 
 #[test]

@@ -24,7 +24,7 @@ fn ended(rig: &mut Rig, end: End) {
     rig.run(200 * MS);
     assert_eq!(rig.pins(), pins, "moves on");
     assert_eq!(
-        rig.machine.board.world().pins().gpio_out & 1,
+        rig.machine.board.environment().pins().gpio_out & 1,
         0,
         "the pen is down"
     );
@@ -204,8 +204,8 @@ fn an_unattended_job_runs_on_with_the_cable_pulled() {
     let mut rig = Rig::plotter();
     let program = rig.start("G1 X20 Y10 F9000\nG1 X0 Y7\nM2\n");
     rig.underway();
-    rig.machine.board.world().link(0);
-    rig.machine.board.world().settle();
+    rig.machine.board.environment().link(0);
+    rig.machine.board.environment().settle();
     let report = rig.finish();
     assert_eq!(report.end, End::Done, "{report:?}");
     let (_, steps) = predict(&program, &rig.machine_of());

@@ -47,7 +47,7 @@ fn the_order_is_the_machines_and_the_pen_is_up_before_anything_moves() {
         {
             order.push(report.axis);
         }
-        assert_eq!(rig.machine.board.world().pins().gpio_out & 1, 0);
+        assert_eq!(rig.machine.board.environment().pins().gpio_out & 1, 0);
     }
     assert_eq!(order, [2, 0, 1]);
 }
@@ -149,13 +149,29 @@ fn homing_can_be_stopped_at_any_moment_and_a_pause_is_a_stop() {
 }
 
 #[test]
+fn a_homing_that_goes_on_is_not_continued_and_goes_on() {
+    const CONTINUE: [u8; 2] = [1, 9];
+    for after in [1, 30, 100, 250, 400, 700] {
+        let mut rig = Rig::switched();
+        home(&mut rig, 0);
+        rig.run(after * MS);
+        for code in CONTINUE {
+            assert_eq!(rig.command(code), Status::NotNow, "after {after} ms");
+        }
+        let report = rig.finish();
+        assert_eq!(report.end, End::Done, "after {after} ms: {report:?}");
+        assert!(report.known);
+    }
+}
+
+#[test]
 fn a_job_may_find_the_switches_itself_and_its_pen_comes_back() {
     let mut rig = Rig::switched();
     rig.start("G28\nG1 X5 F6000\nM3\nG1 X10\nG28 X0\nG1 X2 Y4\nM2\n");
     let mut last = false;
     while rig.jobs.executor().busy() {
         rig.turn();
-        let pen = rig.machine.board.world().pins().gpio_out & 1 == 1;
+        let pen = rig.machine.board.environment().pins().gpio_out & 1 == 1;
         let state = rig.jobs.executor().state();
         assert!(
             !(pen && state == State::Calibrating && last),

@@ -1,8 +1,8 @@
 //! A board with jobs and its clients on a simulated network.
 
 use crate::rig::*;
-use firmware::ip::{Ip, Taker, Text};
-use sim::segment::{BOARD_IP, Connection, Segment};
+use firmware::ip::{Ip, StreamHandler, Text};
+use sim::segment::{BOARD_IP, Connection, LanSegment};
 use wire::jobs::{FRAME, Frame, Op, PORT, Request, Status};
 
 /// Where TCP has its ports in a frame without IP options.
@@ -12,7 +12,7 @@ const DESTINATION: usize = 36;
 /// The console's stack, which answers ARP on a board.
 struct Silent;
 
-impl Taker for Silent {
+impl StreamHandler for Silent {
     fn greet(&mut self, _: &mut Text) {}
     fn take(&mut self, bytes: &[u8], _: &mut Text) -> usize {
         bytes.len()
@@ -21,7 +21,7 @@ impl Taker for Silent {
 
 pub struct Lan {
     pub rig: Rig,
-    pub segment: Segment,
+    pub segment: LanSegment,
     arp: Ip,
     /// Hosts that are switched off: their ports.
     pub gone: Vec<u16>,
@@ -37,7 +37,7 @@ impl Lan {
     pub fn of(rig: Rig) -> Self {
         Lan {
             rig,
-            segment: Segment::new(BOARD_IP),
+            segment: LanSegment::new(BOARD_IP),
             arp: Ip::new(),
             gone: Vec::new(),
             loss: 0,

@@ -5,8 +5,8 @@ mod lan;
 mod rig;
 
 mod board;
+mod busy;
 mod console;
-mod door;
 mod ends;
 mod here;
 mod homing;

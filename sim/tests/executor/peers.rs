@@ -1,8 +1,8 @@
-//! Defects of XYPenPlotter, one test each (`motion/src/xypen.rs` describes its behaviour).
+//! Promises that XYPenPlotter breaks, one test each (`jobs/src/xypen.rs` describes what it does).
 
 use crate::rig::*;
-use motion::instruction::{Arc, Feed, Instruction};
-use motion::xypen;
+use jobs::instruction::{Arc, Feed, Instruction};
+use jobs::xypen;
 use wire::Name;
 use wire::jobs::{End, Request, State, Status, UNATTENDED};
 
@@ -101,12 +101,7 @@ fn a_missing_field_moves_nothing() {
 fn a_command_is_acted_on_again_under_a_new_id_and_not_under_the_old_one() {
     let mut rig = Rig::plotter();
     rig.send("job", &file(&program("G91\nG1 X1 F6000\nM2\n")));
-    let start = Request::Command {
-        code: 2,
-        flags: UNATTENDED,
-        keepalive: 0,
-        name: Name::new("job").unwrap(),
-    };
+    let start = unattended(Name::new("job").unwrap());
     let first = rig.ask_as(900, &start);
     assert_eq!(first.0, Status::Normal);
     assert_eq!(rig.finish().end, End::Done);
@@ -150,12 +145,7 @@ fn a_command_is_acted_on_again_under_a_new_id_and_not_under_the_old_one() {
 fn a_start_that_comes_again_behind_another_clients_stop_starts_nothing() {
     let mut rig = Rig::plotter();
     rig.send("job", &file(&program("G1 X50 F6000\nM2\n")));
-    let start = Request::Command {
-        code: 2,
-        flags: UNATTENDED,
-        keepalive: 0,
-        name: Name::new("job").unwrap(),
-    };
+    let start = unattended(Name::new("job").unwrap());
     let first = rig.ask_as(900, &start);
     assert_eq!(first.0, Status::Normal);
     rig.run(200 * MS);
@@ -178,7 +168,7 @@ fn the_last_instructions_are_executed_once() {
     rig.start("G91\nG1 X1 F6000\nG1 X1\nG1 X1\nM2\n");
     let report = rig.finish();
     assert_eq!((report.steps, report.progress), ([240, 0, 0], 100));
-    let pulses = rig.machine.board.world().edges.pulses();
+    let pulses = rig.machine.board.environment().edges.pulses();
     assert_eq!(pulses, 240, "no step more, forwards or backwards");
 }
 

@@ -1,7 +1,7 @@
 //! Programs are executed to the exact step.
 
 use crate::rig::*;
-use motion::instruction::{DWELL_LONGEST, Feed, Instruction};
+use jobs::instruction::{DWELL_LONGEST, Feed, Instruction};
 use proptest::prelude::*;
 use sim::plant::Plant;
 use wire::Name;
@@ -38,7 +38,7 @@ fn the_pen_switches_while_everything_stands_and_is_off_in_the_end() {
     let mut seen = Vec::new();
     while rig.jobs.executor().busy() {
         rig.turn();
-        let pins = *rig.machine.board.world().pins();
+        let pins = *rig.machine.board.environment().pins();
         let (x, pen) = (rig.pins()[0], pins.gpio_out & 1 == 1);
         if seen.last().is_none_or(|(_, last)| *last != pen) {
             seen.push((x, pen));

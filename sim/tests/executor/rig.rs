@@ -1,17 +1,17 @@
 //! A board that executes jobs, and a client.
 
+use ::jobs::instruction::Instruction;
+use ::jobs::plan::{AxisSetup, Output, Planner, Setup as Planned};
+use ::jobs::{Outside, gcode, job};
 use firmware::cores::Board as _;
 use firmware::ip::Text;
-use firmware::jobs::{Jobs, Outside};
+use firmware::jobs::{Network, Program};
 use firmware::machine::{IDLE, Machine};
 use firmware::net::Us;
 use firmware::session::Peer;
-use motion::instruction::Instruction;
-use motion::plan::{AxisSetup, Output, Planner, Setup as Planned};
 use motion::segment::{AXES, Segment};
-use motion::{gcode, job};
-use sim::card::Card;
-use sim::desk::{Desk, Setup};
+use sim::board_facts::BoardFacts;
+use sim::model_board::{ModelBoard, Setup};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part};
 use sim::plant::{Plant, Switch};
@@ -34,7 +34,7 @@ const TURN: u64 = 400;
 pub const ESTOP_INPUT: u32 = 1 << 3;
 
 pub struct Outer<'a> {
-    pub machine: &'a mut Machine<Desk>,
+    pub machine: &'a mut Machine<ModelBoard>,
     pub sent: &'a mut Vec<Vec<u8>>,
 }
 
@@ -42,9 +42,6 @@ impl Outside for Outer<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
         let answer = self.machine.inside(request, reply, Machine::hold_path);
         answer.map_or(0, <[u32]>::len)
-    }
-    fn send_frame(&mut self, frame: &[u8]) {
-        self.sent.push(frame.to_vec());
     }
     fn read_segments(&mut self, word: usize) -> u32 {
         let address = regmap::address(segments::BASE, word);
@@ -57,14 +54,20 @@ impl Outside for Outer<'_> {
     fn now(&mut self) -> u64 {
         self.machine.board.now()
     }
+}
+
+impl Network for Outer<'_> {
+    fn send_frame(&mut self, frame: &[u8]) {
+        self.sent.push(frame.to_vec());
+    }
     fn us(&mut self) -> Us {
         self.machine.us
     }
 }
 
 pub struct Rig {
-    pub machine: Machine<Desk>,
-    pub jobs: Jobs<'static>,
+    pub machine: Machine<ModelBoard>,
+    pub jobs: Program<'static>,
     pub sent: Vec<Vec<u8>>,
     text: Text,
     pub client: u32,
@@ -96,7 +99,7 @@ pub fn switched() -> Plant {
 }
 
 /// A plotter without switches: 80 steps/mm, 200 mm/s, 4000 mm/s^2.
-pub fn plotter() -> jobs::Machine {
+pub fn plotter() -> jobs::MachineConfig {
     let axis = Axis {
         steps_per_km: 80_000_000,
         max_speed: 200_000_000,
@@ -111,7 +114,7 @@ pub fn plotter() -> jobs::Machine {
         dir_invert: false,
         home: None,
     };
-    jobs::Machine {
+    jobs::MachineConfig {
         chord_tolerance: 10_000,
         junction_deviation: 20_000,
         tool_delay: 1000,
@@ -124,7 +127,7 @@ pub fn plotter() -> jobs::Machine {
 }
 
 /// The same with switches as [`switched`] has them.
-pub fn with_switches() -> jobs::Machine {
+pub fn with_switches() -> jobs::MachineConfig {
     let mut machine = plotter();
     for (input, axis) in (0..).zip(&mut machine.axes) {
         axis.home = Some(Home {
@@ -168,8 +171,18 @@ pub fn file(program: &[(Instruction, u32)]) -> Vec<u8> {
     bytes
 }
 
+/// The request to start this job without a client that watches.
+pub fn unattended(name: Name) -> Request<'static> {
+    Request::Command {
+        code: 2,
+        flags: UNATTENDED,
+        keepalive: 0,
+        name,
+    }
+}
+
 /// The machine as the planner knows it.
-pub fn planned(machine: &jobs::Machine) -> Planned {
+pub fn planned(machine: &jobs::MachineConfig) -> Planned {
     Planned {
         clock_hz: CLOCK as u32,
         axes: machine.axes.map(|axis| AxisSetup {
@@ -186,7 +199,7 @@ pub fn planned(machine: &jobs::Machine) -> Planned {
 /// What the planner says it is, from home: its segments, and the steps of each axis at its end.
 pub fn predict(
     program: &[(Instruction, u32)],
-    machine: &jobs::Machine,
+    machine: &jobs::MachineConfig,
 ) -> (Vec<Segment>, [i64; 3]) {
     let setup = planned(machine);
     let mut planner = Planner::<32>::new(&setup).unwrap();
@@ -249,10 +262,10 @@ impl Rig {
             inputs: 4,
             outputs: 4,
         };
-        let mut card = Card::plain(channels, CLOCK as u32);
-        card.jobs = 3;
-        (card.estop_mask, card.estop_level) = (ESTOP_INPUT, ESTOP_INPUT);
-        let mut setup = Setup::new(card, plant);
+        let mut facts = BoardFacts::plain(channels, CLOCK as u32);
+        facts.jobs = 3;
+        (facts.estop_mask, facts.estop_level) = (ESTOP_INPUT, ESTOP_INPUT);
+        let mut setup = Setup::new(facts, plant);
         if keyed {
             let settings = Settings {
                 key: wire::auth::EXAMPLE_KEY,
@@ -266,21 +279,21 @@ impl Rig {
             flash.preload(layout.settings as usize, &bytes);
             setup.flash = Shared::new(flash);
         }
-        let (mut desk, ident) = Desk::power_up(setup);
-        let boot = desk.boot();
-        let mut rig = Rig::of(Machine::start(desk, ident, regmap::ABI, boot), room);
+        let (mut server, ident) = ModelBoard::power_up(setup);
+        let boot = server.boot();
+        let mut rig = Rig::of(Machine::start(server, ident, regmap::ABI, boot), room);
         rig.connect();
         rig
     }
 
-    fn of(mut machine: Machine<Desk>, room: usize) -> Self {
+    fn of(mut machine: Machine<ModelBoard>, room: usize) -> Self {
         let mut sent = Vec::new();
         let memory = vec![0xa5; room].leak();
         let mut outer = Outer {
             machine: &mut machine,
             sent: &mut sent,
         };
-        let jobs = Jobs::new(memory, 0x1234_5678, &mut outer).expect("a board with jobs");
+        let jobs = Program::new(memory, 0x1234_5678, &mut outer).expect("a board with jobs");
         Rig {
             machine,
             jobs,
@@ -311,9 +324,9 @@ impl Rig {
     /// The firmware starts anew; memory, gateware and machine are what they were.
     pub fn restart(self) -> Self {
         let ident = *self.machine.server.ident();
-        let mut desk = self.machine.board;
-        let boot = desk.boot();
-        let mut rig = Rig::of(Machine::start(desk, ident, regmap::ABI, boot), 1 << 20);
+        let mut server = self.machine.board;
+        let boot = server.boot();
+        let mut rig = Rig::of(Machine::start(server, ident, regmap::ABI, boot), 1 << 20);
         rig.connect();
         rig
     }
@@ -321,9 +334,9 @@ impl Rig {
     /// The firmware of a board that a PC streams to starts anew; the PC's program runs on.
     pub fn restart_streamed(mut self) -> Self {
         let ident = *self.machine.server.ident();
-        let mut desk = self.machine.board;
-        let boot = desk.boot();
-        self.machine = Machine::start(desk, ident, regmap::ABI, boot);
+        let mut server = self.machine.board;
+        let boot = server.boot();
+        self.machine = Machine::start(server, ident, regmap::ABI, boot);
         self
     }
 
@@ -341,7 +354,7 @@ impl Rig {
             self.jobs.poll(&mut outer);
         }
         if self.machine.due(IDLE) {
-            self.machine.chores();
+            self.machine.housekeeping();
         }
         self.machine.board.pass(self.now() + self.turn);
     }
@@ -501,7 +514,7 @@ impl Rig {
 
     /// Pulses at the pins, each axis.
     pub fn pins(&mut self) -> [i64; AXES] {
-        let counts = self.machine.board.world().edges.counts();
+        let counts = self.machine.board.environment().edges.counts();
         core::array::from_fn(|axis| counts[axis])
     }
 
@@ -520,7 +533,7 @@ impl Rig {
         report
     }
 
-    pub fn machine_of(&self) -> jobs::Machine {
+    pub fn machine_of(&self) -> jobs::MachineConfig {
         *self.jobs.executor().machine().unwrap()
     }
 
@@ -546,7 +559,7 @@ impl Rig {
 
     pub fn estop(&mut self, pressed: bool) {
         let levels = if pressed { ESTOP_INPUT } else { 0 };
-        self.machine.board.world().gpio_in(levels);
-        self.machine.board.world().settle();
+        self.machine.board.environment().gpio_in(levels);
+        self.machine.board.environment().settle();
     }
 }

@@ -62,12 +62,7 @@ fn a_board_with_a_key_lets_strangers_look_and_stop_and_nothing_else() {
     let mut rig = Rig::keyed(Plant::direct(0));
     let name = Name::new("x").unwrap();
     let (total, crc) = (1, 0);
-    let start = Request::Command {
-        code: 2,
-        flags: UNATTENDED,
-        keepalive: 0,
-        name,
-    };
+    let start = unattended(name);
     for request in [
         Request::Put { total, crc, name },
         Request::Data {
@@ -179,7 +174,7 @@ fn a_stop_that_was_cut_off_while_a_job_is_looked_through_ends_the_job_before_it_
     client.arm(&mut rig, 7);
     rig.estop(true);
     rig.machine.board.pass(rig.now() + 100);
-    rig.machine.chores();
+    rig.machine.housekeeping();
     rig.estop(false);
     client.release(&mut rig);
     assert_eq!(rig.report().state, State::Checking);

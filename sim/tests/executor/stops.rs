@@ -9,7 +9,7 @@ use client::Client;
 use firmware::cores::Board as _;
 use motion::segment::AXES;
 use wire::exchange::STATUS_STEPGEN;
-use wire::jobs::{End, Field, Machine, Request, Status, UNATTENDED};
+use wire::jobs::{End, Field, MachineConfig, Report, Request, Status, UNATTENDED};
 use wire::map;
 use wire::regmap::{status, timebase};
 
@@ -17,7 +17,7 @@ use wire::regmap::{status, timebase};
 const HEAVY: u64 = 500;
 const LONG: &str = "M3\nG1 X100 Y50 F9000\nG1 X0 Y0\nM2\n";
 
-fn heavy(accel: u64) -> Machine {
+fn heavy(accel: u64) -> MachineConfig {
     let mut machine = plotter();
     for axis in &mut machine.axes {
         axis.max_accel = accel * 1_000_000;
@@ -77,16 +77,22 @@ fn brakes_as_configured(rig: &mut Rig, accel: u64) {
     assert!(!rig.machine.board.gate().open(), "the gate is open");
 }
 
+/// The program hangs in the job of a heavy axis, until that stands.
+fn hangs(rig: &mut Rig) -> Report {
+    rig.hangs = true;
+    brakes_as_configured(rig, HEAVY);
+    rig.hangs = false;
+    let report = rig.finish();
+    assert!(report.end == End::Watchdog && report.known, "{report:?}");
+    report
+}
+
 #[test]
 fn a_heavy_axis_brakes_as_configured_when_the_program_hangs_in_a_job() {
     let mut rig = Rig::plotter();
     rig.ok(&Request::PutMachine(heavy(HEAVY)));
     at_speed(&mut rig);
-    rig.hangs = true;
-    brakes_as_configured(&mut rig, HEAVY);
-    rig.hangs = false;
-    let report = rig.finish();
-    assert!(report.end == End::Watchdog && report.known, "{report:?}");
+    let report = hangs(&mut rig);
     assert_eq!(report.steps.map(i64::from), rig.pins());
 }
 
@@ -99,11 +105,7 @@ fn a_job_has_the_grace_its_machine_needs_and_not_the_one_that_was_left_behind() 
     assert_eq!(client.read(&mut rig, map::CONFIG_BOARD + 4), 10 * MS as u32);
     client.release(&mut rig);
     at_speed(&mut rig);
-    rig.hangs = true;
-    brakes_as_configured(&mut rig, HEAVY);
-    rig.hangs = false;
-    let report = rig.finish();
-    assert!(report.end == End::Watchdog && report.known, "{report:?}");
+    hangs(&mut rig);
 }
 
 #[test]
@@ -179,7 +181,7 @@ fn a_machine_that_takes_longer_to_stop_than_its_board_waits_is_refused() {
         } else {
             assert_eq!(
                 (status, &payload[..]),
-                (Status::Machine, &[Field::Stop as u8, 1][..])
+                (Status::MachineConfig, &[Field::Stop as u8, 1][..])
             );
         }
     }
@@ -193,7 +195,7 @@ fn what_linuxcnc_switches_after_a_job_is_not_the_jobs_any_more() {
     client.arm(&mut rig, 0);
     client.command.gpio_out = 1;
     client.exchange(&mut rig);
-    rig.machine.board.world().settle();
+    rig.machine.board.environment().settle();
     rig.machine.board.pass(rig.machine.board.clock() + 10);
-    assert_eq!(rig.machine.board.world().pins().gpio_out & 1, 1);
+    assert_eq!(rig.machine.board.environment().pins().gpio_out & 1, 1);
 }

@@ -36,6 +36,35 @@ fn the_longest_request_comes_in_one_frame() {
 }
 
 #[test]
+fn of_two_requests_in_one_frame_a_call_answers_one() {
+    // A call does one thing: the board's exchange comes between the two.
+    let mut lan = Lan::of(Rig::plotter());
+    let client = lan.dial();
+    assert_eq!(lan.hello(client, 9), Status::Normal);
+    let one = lan.ask(client, &Request::Report).1.len() + jobs::OVERHEAD;
+    lan.run(100 * MS);
+    lan.say(client, &Request::Report);
+    lan.say(client, &Request::Report);
+    let us = lan.rig.now() * 1000 / MS;
+    lan.segment.poll(us);
+    lan.rig.sent.clear();
+    while let Some(frame) = lan.segment.take_frame() {
+        let mut outer = Outer {
+            machine: &mut lan.rig.machine,
+            sent: &mut lan.rig.sent,
+        };
+        lan.rig.jobs.frame(&frame, &mut outer);
+    }
+    let said = |frame: &Vec<u8>| usize::from(u16::from_be_bytes([frame[16], frame[17]])) - 40;
+    let first: Vec<usize> = lan.rig.sent.iter().map(said).collect();
+    assert_eq!(first, [one]);
+    for frame in std::mem::take(&mut lan.rig.sent) {
+        lan.segment.receive(&frame, us, us);
+    }
+    assert_eq!(lan.answers(client, 2).len(), 2);
+}
+
+#[test]
 fn a_client_after_a_long_silence_is_accepted_at_once() {
     let mut lan = Lan::of(Rig::plotter());
     lan.run(2 * SILENCE_MS * MS);

@@ -1,7 +1,7 @@
 //! FPGA G's protocol.
 
 use crate::rig::*;
-use motion::fpgag::{Curve, Move, status};
+use ::jobs::fpgag::{Curve, Move, status};
 use wire::jobs::{self, End, Request, State, Status};
 
 const GCODE: u8 = 1;
@@ -311,7 +311,7 @@ fn the_stop_of_the_words_stops_a_job_and_a_homing() {
 }
 
 /// The plotter with X up to so many steps from home.
-fn up_to(steps: i64) -> jobs::Machine {
+fn up_to(steps: i64) -> jobs::MachineConfig {
     let mut machine = plotter();
     // 80 steps/mm.
     machine.axes[0].highest = steps * 12_500;

@@ -3,12 +3,12 @@
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use ferrocnc_tests::Machine;
+use ferrocnc_tests::BenchMachine;
 use object::{Object, ObjectSection, SectionKind};
 use rand::{Rng, SeedableRng};
 use std::path::{Path, PathBuf};
 use wire::exchange::{self, Command};
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 
 #[derive(Parser)]
 struct Options {
@@ -28,7 +28,7 @@ struct Options {
 
 fn main() -> Result<()> {
     let options = Options::parse();
-    let mut machine = Machine::start_with(&options.soc, &options.firmware);
+    let mut machine = BenchMachine::start_with(&options.soc, &options.firmware);
     let channels = machine.channels();
     let bytes = |words: usize| 4 * words + 42 + 12; // UDP/IP/Ethernet headers, preamble and FCS
     let (rx, tx) = (
@@ -42,7 +42,7 @@ fn main() -> Result<()> {
         let mut command = machine.enabled_command();
         for _ in 0..options.periods {
             for (rate, accel) in command.stepgen.iter_mut().take(channels.stepgens.into()) {
-                *rate = StepRate::from_hz(
+                *rate = Velocity::from_hz(
                     reach * (2.0 * random.random::<f64>() - 1.0),
                     machine.clock_hz(),
                 );

@@ -36,7 +36,7 @@ const LOW: u8 = 4;
 
 /// The machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Machine {
+pub struct MachineConfig {
     /// Largest distance of a chord from its arc, in nm.
     pub chord_tolerance: u32,
     /// Largest distance of a rounded corner from its corner, in nm; 0 stops at every corner.
@@ -183,21 +183,21 @@ impl Field {
     }
 }
 
-impl Machine {
+impl MachineConfig {
     /// Bytes of it.
     pub const BYTES: usize = 32 + AXES * 84;
 
-    /// From its bytes. [`Machine::check`] checks what depends on the board's clock and pins.
-    pub fn parse(payload: &[u8]) -> Result<Machine, Status> {
+    /// From its bytes. [`MachineConfig::check`] checks what depends on the board's clock and pins.
+    pub fn parse(payload: &[u8]) -> Result<MachineConfig, Status> {
         let mut reader = Reader::new(payload);
-        let machine = Machine::fields(&mut reader).ok_or(Status::Malformed)?;
+        let machine = MachineConfig::fields(&mut reader).ok_or(Status::Malformed)?;
         reader.end(machine).ok_or(Status::Malformed)
     }
 
-    fn fields(reader: &mut Reader) -> Option<Machine> {
+    fn fields(reader: &mut Reader) -> Option<MachineConfig> {
         let head = (reader.u8()?, reader.u8()?, reader.u16()?);
         (head == (VERSION, AXES as u8, 0)).then_some(())?;
-        let mut machine = Machine {
+        let mut machine = MachineConfig {
             chord_tolerance: reader.u32()?,
             junction_deviation: reader.u32()?,
             tool_delay: reader.u32()?,

@@ -20,7 +20,7 @@ fn payload_of(fill: impl FnOnce(&mut Writer)) -> Vec<u8> {
 }
 
 /// A typical plotter.
-pub fn plotter() -> Machine {
+pub fn plotter() -> MachineConfig {
     let axis = Axis {
         steps_per_km: 80_000_000,
         max_speed: 200_000_000,
@@ -46,7 +46,7 @@ pub fn plotter() -> Machine {
             debounce: 100,
         }),
     };
-    Machine {
+    MachineConfig {
         chord_tolerance: 10_000,
         junction_deviation: 20_000,
         tool_delay: 150_000,
@@ -100,14 +100,14 @@ fn a_machine_is_as_long_as_it_says_and_is_the_one_that_was_put() {
     let payload = payload_of(|payload| {
         machine.emit(payload);
     });
-    assert_eq!(payload.len(), Machine::BYTES);
-    assert_eq!(Machine::parse(&payload), Ok(machine));
+    assert_eq!(payload.len(), MachineConfig::BYTES);
+    assert_eq!(MachineConfig::parse(&payload), Ok(machine));
     assert_eq!(machine.check(60_000_000, 4, 1), Ok(()));
 }
 
 #[test]
 fn what_is_wrong_with_a_machine_is_named_with_its_axis() {
-    let wrong = |change: fn(&mut Machine), field, axis| {
+    let wrong = |change: fn(&mut MachineConfig), field, axis| {
         let mut machine = plotter();
         change(&mut machine);
         assert_eq!(
@@ -128,7 +128,7 @@ fn what_is_wrong_with_a_machine_is_named_with_its_axis() {
     wrong(|m| m.axes[1].dirhold = 2_000_000, Field::StepTiming, 1);
     // 16 000 steps/s have 62.5 us each.
     wrong(|m| m.axes[1].stepspace = 61_000, Field::TooFast, 1);
-    let home: fn(&mut Machine) -> &mut Home = |m| m.axes[2].home.as_mut().unwrap();
+    let home: fn(&mut MachineConfig) -> &mut Home = |m| m.axes[2].home.as_mut().unwrap();
     let wrong = |change: fn(&mut Home)| {
         let mut machine = plotter();
         change(home(&mut machine));
@@ -274,12 +274,12 @@ proptest! {
             steplen: fast, stepspace: slow, dirsetup: backoff, dirhold: travel, step_invert: flag(2), dir_invert: flag(3),
             home: flag(4).then_some(home),
         };
-        let machine = Machine {
+        let machine = MachineConfig {
             chord_tolerance: tolerance, junction_deviation: deviation, tool_delay: delay, outputs, beam: speed as u16, invert, safe,
             axes: [axis; AXES],
         };
         let payload = payload_of(|payload| { machine.emit(payload); });
-        prop_assert_eq!(Machine::parse(&payload), Ok(machine));
+        prop_assert_eq!(MachineConfig::parse(&payload), Ok(machine));
         // The check of any machine must not panic.
         let _ = machine.check(60_000_000, 32, 32);
     }
@@ -292,7 +292,7 @@ proptest! {
         let _ = Welcome::parse(&bytes);
         let _ = Entry::parse(&bytes);
         let _ = Report::parse(&bytes);
-        if let Ok(machine) = Machine::parse(&bytes) {
+        if let Ok(machine) = MachineConfig::parse(&bytes) {
             let _ = machine.check(60_000_000, 6, 16);
         }
     }

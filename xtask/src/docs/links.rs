@@ -1,19 +1,15 @@
 //! The links of Markdown pages: which there are, and which lead nowhere. It knows inline links and
 //! pictures, `[text](target)`; nothing in fenced blocks or code spans is a link.
 
+use crate::tree;
 use anyhow::{Context, Result};
 use std::collections::HashMap;
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
-/// Folders that hold no pages of ours.
-const SKIPPED: [&str; 3] = ["target", ".git", "node_modules"];
-
 /// Every link to a file or an anchor of this repository that is not there, each as a sentence.
 pub fn dead(root: &Path) -> Result<Vec<String>> {
-    let mut pages = Vec::new();
-    collect(root, Path::new(""), &mut pages)?;
-    pages.sort();
+    let pages = tree::with_ending(root, "md")?;
     let mut texts = HashMap::new();
     for page in &pages {
         let text = fs::read_to_string(root.join(page))
@@ -58,24 +54,6 @@ fn judge(
         Some(text) if anchors(text).iter().any(|known| known == anchor) => None,
         Some(_) => Some(format!("{} has no such heading", file.display())),
     }
-}
-
-/// The pages below a folder, relative to the root.
-fn collect(root: &Path, at: &Path, pages: &mut Vec<PathBuf>) -> Result<()> {
-    let folder = root.join(at);
-    for entry in fs::read_dir(&folder).with_context(|| folder.display().to_string())? {
-        let entry = entry?;
-        let name = entry.file_name();
-        let relative = at.join(&name);
-        if entry.file_type()?.is_dir() {
-            if !SKIPPED.iter().any(|skipped| name == *skipped) {
-                collect(root, &relative, pages)?;
-            }
-        } else if relative.extension().is_some_and(|ending| ending == "md") {
-            pages.push(relative);
-        }
-    }
-    Ok(())
 }
 
 /// A link's file and its anchor.

@@ -8,7 +8,7 @@ fn an_exchange_commits_samples_feeds_and_answers() {
     rig.board.done.clear();
     rig.board.now = 0x1_2345_6789;
     let mut command = rig.command(true, true);
-    command.stepgen[5] = (StepRate(-7), Accel(9));
+    command.stepgen[5] = (Velocity(-7), Accel(9));
     command.pwm[5] = PWM_ENABLE | 100;
     command.gpio_out = 0xa5;
     command.index_arm = 0x11;
@@ -41,7 +41,7 @@ fn an_exchange_commits_samples_feeds_and_answers() {
         (status.stepgen_probe_latched, status.estop),
         (0x1005, 0x1006)
     );
-    assert_eq!(status.stepgen[5].1, StepRate(0x1000 + 8 + 17));
+    assert_eq!(status.stepgen[5].1, Velocity(0x1000 + 8 + 17));
     assert_eq!(status.encoder[0].count, Count(0x1000 + 56));
     assert_eq!(status.encoder[5].edge_time, 0x1000 + 56 + 11);
     assert!(status.state.accepted && status.state.session_yours && status.state.enabled);
@@ -61,19 +61,19 @@ fn with_any_number_of_channels_every_word_is_staged_and_answered_where_it_belong
         let mut command = rig.command(true, true);
         for channel in 0..16 {
             let word = channel as i32;
-            command.stepgen[channel] = (StepRate(-1 - word), Accel(100 + channel as u32));
+            command.stepgen[channel] = (Velocity(-1 - word), Accel(100 + channel as u32));
             command.pwm[channel] = 200 + channel as u32;
         }
         let status = rig.exchange_as(ALICE, &command).unwrap();
         for channel in 0..16 {
-            let (rate, accel) = command.stepgen[channel];
+            let (velocity, accel) = command.stepgen[channel];
             let there = channel < usize::from(channels.stepgens);
             let staged = &rig.board.live[4 + 2 * channel..][..2];
-            let wanted = [rate.0 as u32, accel.0].map(|word| if there { word } else { 0 });
+            let wanted = [velocity.0 as u32, accel.0].map(|word| if there { word } else { 0 });
             assert_eq!(staged, wanted, "stepgen {channel}, {channels:?}");
             let word = 0x1000 + 8 + 3 * channel as u32;
             let position = Position::from_words(word, word + 1);
-            let wanted = (position, StepRate(word as i32 + 2));
+            let wanted = (position, Velocity(word as i32 + 2));
             assert!(!there || status.stepgen[channel] == wanted, "{channels:?}");
 
             let there = channel < usize::from(channels.pwms);
@@ -258,7 +258,7 @@ fn a_disarmed_machine_answers_samples_and_executes_nothing() {
     rig.acquire();
     rig.board.done.clear();
     let mut command = rig.command(true, false);
-    command.stepgen[0].0 = StepRate(1000);
+    command.stepgen[0].0 = Velocity(1000);
     let status = rig.exchange_as(ALICE, &command).unwrap();
     assert_eq!(
         rig.board.done,
@@ -316,24 +316,24 @@ fn an_apply_time_is_set_before_the_strobe_and_the_next_command_replaces_it() {
 }
 
 #[test]
-fn nothing_is_rehearsed_while_a_timed_commit_waits() {
+fn nothing_is_warmed_up_while_a_timed_commit_waits() {
     let mut rig = Rig::armed();
-    assert!(rig.server.may_rehearse());
+    assert!(rig.server.may_warm_up());
     let command = Command {
         apply_at: Some(Clocks(0x5_0000_0007)),
         ..rig.command(true, true)
     };
     rig.exchange_as(ALICE, &command).unwrap();
-    assert!(!rig.server.may_rehearse());
+    assert!(!rig.server.may_warm_up());
     rig.exchange(true, true).unwrap();
-    assert!(rig.server.may_rehearse());
+    assert!(rig.server.may_warm_up());
 }
 
 #[test]
 fn a_setting_that_may_change_while_armed_leaves_the_command_as_it_is() {
     let mut rig = Rig::armed();
     let mut command = rig.command(true, true);
-    command.stepgen[0].0 = StepRate(1000);
+    command.stepgen[0].0 = Velocity(1000);
     rig.exchange_as(ALICE, &command).unwrap();
     rig.board.done.clear();
     rig.write(map::CONFIG_PWM, 2_000).unwrap();

@@ -40,10 +40,10 @@ fn a_stranger_reads_everything_and_changes_nothing() {
 
 #[test]
 fn while_the_machine_is_armed_a_guest_asks_for_little_at_once() {
-    let read = |rig: &mut Rig, who, count: u32| {
+    let read = |rig: &mut Rig, peer, count: u32| {
         let mut words = vec![0x4e6f_1044, 0, 0x000f_0000 | count, 7];
         words.extend((0..count).map(|n| map::STATUS + 4 * n));
-        rig.send_as(who, &words).map(|reply| reply.len())
+        rig.send_as(peer, &words).map(|reply| reply.len())
     };
     let most = wire::GUEST_READS as u32;
     let mut rig = Rig::armed();

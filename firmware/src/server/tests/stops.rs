@@ -59,7 +59,7 @@ fn at_rest_nothing_stale_waits_behind_the_gate() {
     let mut rig = Rig::with_segments();
     rig.arm();
     let mut command = rig.command(true, true);
-    command.stepgen[0].0 = StepRate(1000);
+    command.stepgen[0].0 = Velocity(1000);
     rig.exchange_as(ALICE, &command).unwrap();
     rig.server.poll(&mut rig.board);
     assert_eq!(rig.board.live[4], 1000);

@@ -20,7 +20,7 @@ pub(crate) fn run(address: &Address, command: Option<&str>, as_json: bool) -> Re
         .with_context(|| format!("no console at {}; check address and port", address.socket))?;
     match command {
         Some(command) => {
-            let mut line = Line::new(stream)?;
+            let mut line = TelnetLine::new(stream)?;
             let mut answer = line.ask(command)?;
             // Only a command that needs the key asks for it: a command that only reads costs no
             // extra time.
@@ -55,15 +55,15 @@ enum Login {
 }
 
 /// A console, line by line.
-struct Line {
+struct TelnetLine {
     stream: TcpStream,
     greeted: bool,
 }
 
-impl Line {
+impl TelnetLine {
     fn new(stream: TcpStream) -> Result<Self> {
         stream.set_read_timeout(Some(PATIENCE))?;
-        Ok(Line {
+        Ok(TelnetLine {
             stream,
             greeted: false,
         })
@@ -169,7 +169,7 @@ fn answered(text: &[u8]) -> Option<&[u8]> {
 
 /// Keyboard there, board back, until either ends.
 fn talk(stream: TcpStream) -> Result<()> {
-    let mut line = Line::new(stream)?;
+    let mut line = TelnetLine::new(stream)?;
     match line.login() {
         Ok(Login::Welcome) => eprintln!("logged in with the board's key"),
         Ok(Login::Needless | Login::Unknown) => {}

@@ -6,14 +6,14 @@ mod board;
 use crate::progress::Bar;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand, ValueEnum};
-use ferrocnc::job::machine::Machine;
+use ferrocnc::job::machine::MachineFile;
 use ferrocnc::job::preview::{self, duration};
 use ferrocnc::job::program::{Dialect, Program, ending};
 use ferrocnc::job::svg::{self, Tool, Wish};
 use ferrocnc::job::trace::{self, Trace};
-use motion::gcode::DwellUnit;
-use motion::instruction::Feed;
-use motion::xypen::Quirks;
+use jobs::gcode::DwellUnit;
+use jobs::instruction::Feed;
+use jobs::xypen::Quirks;
 use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::io::Write;
@@ -192,7 +192,7 @@ impl Spoken {
 }
 
 impl Source {
-    fn read(&self) -> Result<(Program, Option<Machine>)> {
+    fn read(&self) -> Result<(Program, Option<MachineFile>)> {
         if ending(&self.file) == "svg" {
             bail!(
                 "{}: a drawing; `ferrocnc job prepare` makes a job of it",
@@ -201,7 +201,7 @@ impl Source {
         }
         let program =
             Program::read(&self.file, &self.dialect.dialect()).map_err(|error| anyhow!(error))?;
-        let machine = self.machine.as_deref().map(Machine::read).transpose();
+        let machine = self.machine.as_deref().map(MachineFile::read).transpose();
         Ok((program, machine.map_err(|error| anyhow!(error))?))
     }
 }
@@ -246,7 +246,7 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
     }
 }
 
-fn traced(program: &Program, machine: Option<&Machine>) -> Result<Trace> {
+fn traced(program: &Program, machine: Option<&MachineFile>) -> Result<Trace> {
     match machine {
         None => Ok(trace::programmed(program)),
         Some(machine) => trace::planned(program, machine).map_err(|error| anyhow!(error)),

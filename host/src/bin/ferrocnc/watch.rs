@@ -3,6 +3,7 @@
 use anyhow::{Context, Result};
 use ferrocnc::client::{Client, Identity};
 use serde_json::{Value, json};
+use std::fmt::{self, Write as _};
 use std::io::Write;
 use std::time::Duration;
 use wire::board::Kind;
@@ -36,6 +37,7 @@ pub(crate) fn run(client: &mut Client, once: bool, interval: u64, as_json: bool)
 }
 
 struct Look {
+    clock_hz: f64,
     status: Status,
     counters: Vec<u32>,
     owner: Option<std::net::SocketAddrV4>,
@@ -61,6 +63,7 @@ impl Look {
         };
         let link = LinkWord::from_word(now.last().copied().unwrap_or(0));
         Ok(Look {
+            clock_hz: identity.describe.clock_hz.into(),
             status,
             counters,
             owner,
@@ -79,19 +82,19 @@ impl Look {
 
     fn to_json(&self, identity: &Identity) -> Value {
         let channels = identity.describe.channels;
-        let clock = f64::from(identity.describe.clock_hz);
+        let clock = self.clock_hz;
         let status = &self.status;
         let blob = identity.blob();
         let name = |kind, n: usize| blob.text(kind, n as u8).unwrap_or("").to_owned();
         let stepgens: Vec<Value> = status.stepgen[..channels.stepgens.into()]
             .iter()
             .enumerate()
-            .map(|(n, (position, rate))| {
+            .map(|(n, (position, velocity))| {
                 json!({
                     "name": name(Kind::Stepgen, n),
                     "pulses": position.pulses(),
                     "position": position.steps(),
-                    "rate_hz": rate.to_hz(clock),
+                    "rate_hz": velocity.to_hz(clock),
                     "rate_limited": status.rate_limited >> n & 1 != 0,
                 })
             })
@@ -138,108 +141,122 @@ impl Look {
     }
 
     fn to_text(&self, identity: &Identity) -> String {
-        use std::fmt::Write;
-        let channels = identity.describe.channels;
-        let clock = f64::from(identity.describe.clock_hz);
-        let blob = identity.blob();
-        let status = &self.status;
-        let word = status.state;
-        let mut text = String::new();
         // Writing to a String cannot fail.
-        let _ = writeln!(
+        let mut text = String::new();
+        let _ = self.write_state(&mut text);
+        let _ = self.write_stepgens(&mut text, identity);
+        let _ = self.write_encoders(&mut text, identity);
+        let inputs = self.levels(identity).join(" ");
+        let _ = writeln!(text, "\ninputs  {inputs}");
+        text
+    }
+
+    /// State, session and link.
+    fn write_state(&self, text: &mut String) -> fmt::Result {
+        let (status, word) = (&self.status, self.status.state);
+        let said = |flag: bool, words: &'static str| if flag { words } else { "" };
+        writeln!(
             text,
             "{}{}{}{}{}{}",
             word.state,
-            if word.enabled { ", outputs live" } else { "" },
+            said(word.enabled, ", outputs live"),
             match word.reason {
                 wire::FaultReason::None => String::new(),
                 reason => format!(", stopped last by: {reason}"),
             },
-            if word.bitten { ", watchdog bitten" } else { "" },
-            if word.external_reset {
-                ", external reset"
-            } else {
-                ""
-            },
-            if word.estop { ", e-stop" } else { "" },
-        );
-        let _ = writeln!(
+            said(word.bitten, ", watchdog bitten"),
+            said(word.external_reset, ", external reset"),
+            said(word.estop, ", e-stop"),
+        )?;
+        writeln!(
             text,
             "session {}, sequence {}, sampled at {:.3} s, positions {}",
             self.owner
                 .map_or("free".to_owned(), |owner| format!("of {owner}")),
             status.sequence,
-            Clocks(status.sample.0).to_seconds(clock),
+            Clocks(status.sample.0).to_seconds(self.clock_hz),
             if word.position_trusted {
                 "trusted"
             } else {
                 "not trusted"
             },
-        );
-        let mut counted = String::new();
-        for (key, count) in self.refusals() {
-            let _ = write!(counted, ", refused {key} {count}");
-        }
-        let _ = writeln!(
+        )?;
+        write!(
             text,
-            "link {}, {} frames thrown away; frames in {}, out {}, exchanges {}{counted}",
+            "link {}, {} frames thrown away; frames in {}, out {}, exchanges {}",
             self.link.speed, self.link.errors, self.counters[0], self.counters[1], self.counters[2]
-        );
-        let _ = writeln!(
+        )?;
+        for (key, count) in self.refusals() {
+            write!(text, ", refused {key} {count}")?;
+        }
+        writeln!(text)
+    }
+
+    fn write_stepgens(&self, text: &mut String, identity: &Identity) -> fmt::Result {
+        writeln!(
             text,
             "\n{:<20} {:>14} {:>16} {:>14}",
             "stepgen", "pulses", "position", "steps/s"
-        );
-        let name = |kind, n: usize| format!("{n:>2} {}", blob.text(kind, n as u8).unwrap_or(""));
-        for (n, (position, rate)) in status.stepgen[..channels.stepgens.into()]
-            .iter()
-            .enumerate()
-        {
-            let limited = if status.rate_limited >> n & 1 != 0 {
+        )?;
+        let count = usize::from(identity.describe.channels.stepgens);
+        for (n, (position, velocity)) in self.status.stepgen[..count].iter().enumerate() {
+            let limited = if self.status.rate_limited >> n & 1 != 0 {
                 " limited"
             } else {
                 ""
             };
-            let _ = writeln!(
+            writeln!(
                 text,
                 "{:<20} {:>14} {:>16.3} {:>14.1}{limited}",
-                name(Kind::Stepgen, n),
+                numbered(identity, Kind::Stepgen, n),
                 position.pulses(),
                 position.steps(),
-                rate.to_hz(clock)
-            );
+                velocity.to_hz(self.clock_hz)
+            )?;
         }
-        let _ = writeln!(
+        Ok(())
+    }
+
+    fn write_encoders(&self, text: &mut String, identity: &Identity) -> fmt::Result {
+        writeln!(
             text,
             "\n{:<20} {:>14} {:>16}",
             "encoder", "count", "latched"
-        );
-        for (n, encoder) in status.encoder[..channels.encoders.into()]
-            .iter()
-            .enumerate()
-        {
-            let latched = if status.index_latched >> n & 1 != 0 {
+        )?;
+        let count = usize::from(identity.describe.channels.encoders);
+        for (n, encoder) in self.status.encoder[..count].iter().enumerate() {
+            let latched = if self.status.index_latched >> n & 1 != 0 {
                 "index"
-            } else if status.probe_latched >> n & 1 != 0 {
+            } else if self.status.probe_latched >> n & 1 != 0 {
                 "probe"
             } else {
                 "-"
             };
-            let _ = writeln!(
+            writeln!(
                 text,
                 "{:<20} {:>14} {latched:>16}",
-                name(Kind::Encoder, n),
+                numbered(identity, Kind::Encoder, n),
                 encoder.count.0 as i32
-            );
+            )?;
         }
-        let levels: Vec<String> = (0..usize::from(channels.inputs))
+        Ok(())
+    }
+
+    /// Name and level of every input.
+    fn levels(&self, identity: &Identity) -> Vec<String> {
+        let blob = identity.blob();
+        (0..usize::from(identity.describe.channels.inputs))
             .map(|n| {
                 let name = blob.text(Kind::Input, n as u8);
                 let name = name.map_or_else(|| format!("{n:02}"), str::to_owned);
-                format!("{name}={}", status.gpio_in >> n & 1)
+                format!("{name}={}", self.status.gpio_in >> n & 1)
             })
-            .collect();
-        let _ = writeln!(text, "\ninputs  {}", levels.join(" "));
-        text
+            .collect()
     }
+}
+
+/// A channel's number and name.
+fn numbered(identity: &Identity, kind: Kind, n: usize) -> String {
+    let blob = identity.blob();
+    format!("{n:>2} {}", blob.text(kind, n as u8).unwrap_or(""))
 }

@@ -40,25 +40,25 @@ impl Bench {
 
     /// One servo period: read, then write as LinuxCNC commands `position`.
     fn step(&mut self, position: f64) -> Target {
-        let (sampled, rate) = (Position(self.fabric.position), self.fabric.rate());
+        let (sampled, velocity) = (Position(self.fabric.position), self.fabric.velocity());
         self.sequence += 1;
         let sample = Sample {
             position: sampled,
-            rate,
+            velocity,
             limited: false,
-            sight: Sight {
+            latch_sample: LatchSample {
                 sequence: self.sequence,
                 live: true,
                 index: self.latch.is_some(),
                 value: self.latch.map(Count),
-                ..Sight::default()
+                ..LatchSample::default()
             },
         };
-        let outlook = Outlook::Commanded {
+        let basis = PredictionBasis::Commanded {
             lead: Clocks(0),
             ahead: self.period.clocks,
         };
-        self.stepgen.sampled(&sample, outlook, self.period);
+        self.stepgen.sampled(&sample, basis, self.period);
         self.stepgen.arms(true, self.sequence + 1);
         self.hal.set("s.position-cmd", position);
         // The prediction of this read is for the next command, one period on; the fabric is
@@ -78,7 +78,7 @@ impl Bench {
     /// The command reaches the board, which had been following the previous one until now.
     fn run(&mut self, target: Target) {
         self.fabric.advance(self.period.clocks.0);
-        self.fabric.target = target.rate;
+        self.fabric.target = target.velocity;
         self.fabric.accel = target.accel;
     }
 
@@ -165,10 +165,10 @@ fn no_course_of_the_command_lags_more_than_one_that_keeps_accelerating() {
                         position: error,
                         velocity: speed,
                     };
-                    let rate = approach(now, 0.0, 0.0, accel, 1.0);
-                    let missing = speed - rate;
+                    let velocity = approach(now, 0.0, 0.0, accel, 1.0);
+                    let missing = speed - velocity;
                     let lost = missing * missing.abs() / (2.0 * accel);
-                    (error + rate + lost, rate)
+                    (error + velocity + lost, velocity)
                 })
                 .collect();
         }
@@ -201,8 +201,8 @@ fn the_prediction_is_what_the_fabric_then_does() {
         let steps = bench.stepgen.steps();
         let there = Ramp::predict(
             Position(sampled.position),
-            sampled.rate(),
-            target.rate,
+            sampled.velocity(),
+            target.velocity,
             target.accel,
             Clocks(60_000),
         );
@@ -238,14 +238,14 @@ fn control_type_switches_while_moving() {
 }
 
 #[test]
-fn a_rate_beyond_the_step_timing_is_clamped_and_said() {
+fn a_velocity_beyond_the_step_timing_is_clamped_and_said() {
     let mut bench = Bench::new(1000.0, 0.0);
     bench.hal.set("s.control-type", true);
     bench.hal.set("s.velocity-cmd", 5000.0);
     let target = bench.step(0.0);
     bench.step(0.0);
     // 500 ns + 500 ns: one step per microsecond.
-    assert_eq!(target.rate, StepRate::from_hz(1e6, f64::from(CLOCK)));
+    assert_eq!(target.velocity, Velocity::from_hz(1e6, f64::from(CLOCK)));
     assert!(bench.hal.get::<bool>("s.rate-limited"));
 }
 
@@ -256,8 +256,8 @@ fn maxvel_holds_in_both_directions() {
     bench.hal.set("s.control-type", true);
     for (asked, given) in [(50.0, 300.0), (-50.0, -300.0), (f64::NAN, 0.0)] {
         bench.hal.set("s.velocity-cmd", asked);
-        let rate = bench.step(0.0).rate;
-        assert_eq!(rate, StepRate::from_hz(given, f64::from(CLOCK)));
+        let velocity = bench.step(0.0).velocity;
+        assert_eq!(velocity, Velocity::from_hz(given, f64::from(CLOCK)));
     }
 }
 
@@ -267,10 +267,10 @@ fn disabled_or_not_live_asks_for_rest() {
     bench.hal.set("s.position-cmd", 5.0);
     let period = bench.period;
     let command = bench.stepgen.command(false, Feedback::Fresh, period);
-    assert_eq!((command.enable, command.rate), (false, StepRate(0)));
+    assert_eq!((command.enable, command.velocity), (false, Velocity(0)));
     bench.hal.set("s.enable", false);
     let command = bench.stepgen.command(true, Feedback::Fresh, period);
-    assert_eq!((command.enable, command.rate), (false, StepRate(0)));
+    assert_eq!((command.enable, command.velocity), (false, Velocity(0)));
 }
 
 #[test]
@@ -349,8 +349,8 @@ fn an_index_moves_the_origin_and_not_the_motor() {
             bench.step(command)
         };
         bench.latch = None;
-        let rate = target.rate.to_hz(f64::from(CLOCK));
-        assert!((rate - 1000.0).abs() < 20.0, "{n}: {rate} steps/s");
+        let velocity = target.velocity.to_hz(f64::from(CLOCK));
+        assert!((velocity - 1000.0).abs() < 20.0, "{n}: {velocity} steps/s");
     }
     assert!(!bench.hal.get::<bool>("s.index-enable"));
     assert_eq!(bench.hal.get::<i32>("s.count-latched"), there as i32);
@@ -392,38 +392,38 @@ fn a_position_reset_holds_the_count_at_zero_and_moves_nothing() {
 fn a_command_applied_later_is_predicted_from_then_on() {
     let mut bench = Bench::new(1.0, 0.0);
     bench.stepgen.before = Target {
-        rate: StepRate::from_hz(1000.0, f64::from(CLOCK)),
+        velocity: Velocity::from_hz(1000.0, f64::from(CLOCK)),
         ..Target::default()
     };
-    bench.stepgen.sent.rate = StepRate::from_hz(2000.0, f64::from(CLOCK));
+    bench.stepgen.sent.velocity = Velocity::from_hz(2000.0, f64::from(CLOCK));
     let sample = Sample {
         position: Position::ZERO,
-        rate: bench.stepgen.before.rate,
+        velocity: bench.stepgen.before.velocity,
         limited: false,
-        sight: Sight::default(),
+        latch_sample: LatchSample::default(),
     };
-    let outlook = Outlook::Commanded {
+    let basis = PredictionBasis::Commanded {
         lead: Clocks(30_000),
         ahead: Clocks(60_000),
     };
-    bench.stepgen.sampled(&sample, outlook, bench.period);
+    bench.stepgen.sampled(&sample, basis, bench.period);
     // Half a millisecond at 1 kHz, one at 2 kHz.
     let fb: f64 = bench.hal.get("s.position-fb");
     assert!((fb - 2.5).abs() < 1e-3, "{fb}");
 }
 
 /// What the board says when nothing is latched.
-fn seen(position: Position, rate: StepRate) -> Sample {
+fn seen(position: Position, velocity: Velocity) -> Sample {
     Sample {
         position,
-        rate,
+        velocity,
         limited: false,
-        sight: Sight::default(),
+        latch_sample: LatchSample::default(),
     }
 }
 
-fn hz(rate: f64) -> StepRate {
-    StepRate::from_hz(rate, f64::from(CLOCK))
+fn hz(velocity: f64) -> Velocity {
+    Velocity::from_hz(velocity, f64::from(CLOCK))
 }
 
 #[test]
@@ -431,7 +431,7 @@ fn an_axis_that_stops_by_itself_is_predicted_to_brake_and_one_behind_a_closed_ga
     let mut bench = Bench::new(100.0, 1000.0);
     let at = Position::from_words(0x8000_0000, 700);
     let sample = seen(at, hz(2000.0));
-    let stopping = Outlook::Stopping {
+    let stopping = PredictionBasis::Stopping {
         ahead: bench.period.clocks,
     };
     bench.stepgen.sampled(&sample, stopping, bench.period);
@@ -440,7 +440,9 @@ fn an_axis_that_stops_by_itself_is_predicted_to_brake_and_one_behind_a_closed_ga
     assert!((fb - 7.0195).abs() < 1e-4, "{fb}");
     let velocity = bench.hal.get::<f64>("s.velocity-fb");
     assert!((velocity - 19.0).abs() < 0.01, "{velocity}");
-    bench.stepgen.sampled(&sample, Outlook::Still, bench.period);
+    bench
+        .stepgen
+        .sampled(&sample, PredictionBasis::Still, bench.period);
     assert_eq!(bench.hal.get::<f64>("s.position-fb"), 7.0);
     assert_eq!(bench.hal.get::<f64>("s.velocity-fb"), 0.0);
 }
@@ -474,9 +476,9 @@ fn while_feedback_is_frozen_a_velocity_falls_and_neither_rises_nor_turns() {
         bench.settle(3);
         bench.hal.set("s.velocity-cmd", asked);
         let target = bench.stepgen.command(true, Feedback::Frozen, period);
-        assert_eq!(target.rate, hz(100.0 * given), "{asked} after {before}");
+        assert_eq!(target.velocity, hz(100.0 * given), "{asked} after {before}");
         let target = bench.stepgen.command(true, Feedback::Bridged, period);
-        assert_eq!(target.rate, hz(100.0 * asked), "one answer is bridged");
+        assert_eq!(target.velocity, hz(100.0 * asked), "one answer is bridged");
     }
 }
 
@@ -484,19 +486,19 @@ fn while_feedback_is_frozen_a_velocity_falls_and_neither_rises_nor_turns() {
 fn while_feedback_is_frozen_a_position_is_followed_by_its_own_velocity_alone() {
     let mut bench = Bench::new(100.0, 0.0);
     let period = bench.period;
-    // An error of 10 units that nobody can be sure of, and a command that moves.
+    // An uncertain error of 10 units, and a command that moves.
     bench.stepgen.last_cmd = Some(10.0);
     bench.hal.set("s.position-cmd", 10.02);
     let target = bench.stepgen.command(true, Feedback::Frozen, period);
-    assert!((target.rate.to_hz(f64::from(CLOCK)) - 2000.0).abs() < 0.1);
+    assert!((target.velocity.to_hz(f64::from(CLOCK)) - 2000.0).abs() < 0.1);
     bench.stepgen.last_cmd = Some(10.0);
     let target = bench.stepgen.command(true, Feedback::Bridged, period);
-    assert!(target.rate.to_hz(f64::from(CLOCK)) > 100_000.0);
+    assert!(target.velocity.to_hz(f64::from(CLOCK)) > 100_000.0);
     // With a limit, no more than it allows in the period.
     bench.hal.set("s.maxaccel", 10.0);
     bench.stepgen.last_cmd = Some(10.0);
     let target = bench.stepgen.command(true, Feedback::Frozen, period);
-    assert_eq!(target.rate, hz(1.0));
+    assert_eq!(target.velocity, hz(1.0));
 }
 
 #[test]
@@ -507,7 +509,7 @@ fn a_match_that_takes_long_is_begun_at_once_unless_a_detour_brings_it_nearer() {
         position: 0.0,
         velocity: 100.0,
     };
-    for (target, rate) in [
+    for (target, velocity) in [
         (0.5, 90.0),
         (0.6, 90.0),
         (0.69, 90.0),
@@ -517,7 +519,7 @@ fn a_match_that_takes_long_is_begun_at_once_unless_a_detour_brings_it_nearer() {
         (-3.0, 90.0),
     ] {
         let given = approach(now, target, 0.0, 10_000.0, 0.001);
-        assert!((given - rate).abs() < 1e-9, "{given} to {target}");
+        assert!((given - velocity).abs() < 1e-9, "{given} to {target}");
     }
 }
 
@@ -534,7 +536,7 @@ fn the_limit_of_acceleration_goes_with_every_command_and_into_the_board_s_settin
 }
 
 #[test]
-fn a_rate_that_the_step_timing_just_allows_is_not_said_to_be_limited() {
+fn a_velocity_that_the_step_timing_just_allows_is_not_said_to_be_limited() {
     let mut bench = Bench::new(1000.0, 0.0);
     bench.hal.set("s.control-type", true);
     for (asked, limited) in [(1000.0, false), (1000.001, true), (-1000.0, false)] {
@@ -545,7 +547,7 @@ fn a_rate_that_the_step_timing_just_allows_is_not_said_to_be_limited() {
     // steplen and stepspace add up.
     bench.hal.set("s.stepspace", 1_500u32);
     bench.stepgen.configure(f64::from(CLOCK));
-    assert_eq!(bench.step(0.0).rate, hz(-500_000.0));
+    assert_eq!(bench.step(0.0).velocity, hz(-500_000.0));
 }
 
 #[test]
@@ -557,8 +559,8 @@ fn a_position_reset_that_the_command_follows_asks_for_no_motion() {
     bench.settle(100);
     bench.hal.set("s.position-reset", true);
     for _ in 0..5 {
-        let rate = bench.step(0.0).rate.to_hz(f64::from(CLOCK));
-        assert!(rate.abs() < 1.0, "{rate} steps/s");
+        let velocity = bench.step(0.0).velocity.to_hz(f64::from(CLOCK));
+        assert!(velocity.abs() < 1.0, "{velocity} steps/s");
     }
     assert_eq!(bench.pulses(), 130);
 }
@@ -569,8 +571,8 @@ fn index_and_probe_are_armed_each_by_its_pin_and_latch_the_place() {
     let at = Position::from_words(0x8000_0000, 345);
     let mut sequence = 10;
     let mut exchange = |bench: &mut Bench, index, probe, value: Option<u32>| {
-        let mut sample = seen(at, StepRate(0));
-        sample.sight = Sight {
+        let mut sample = seen(at, Velocity(0));
+        sample.latch_sample = LatchSample {
             sequence,
             live: true,
             index,
@@ -578,7 +580,9 @@ fn index_and_probe_are_armed_each_by_its_pin_and_latch_the_place() {
             value: value.map(Count),
         };
         let period = bench.period;
-        bench.stepgen.sampled(&sample, Outlook::Still, period);
+        bench
+            .stepgen
+            .sampled(&sample, PredictionBasis::Still, period);
         sequence += 1;
         bench.stepgen.arms(true, sequence)
     };

@@ -4,7 +4,7 @@
 use crate::rig::Rig;
 use firmware::machine::Machine;
 use firmware::session::Peer;
-use sim::desk::Desk;
+use sim::model_board::ModelBoard;
 use wire::exchange::{COMMAND_MAX, Command, REQUEST_OVERHEAD, Status};
 use wire::{MAX_WORDS, map};
 
@@ -17,7 +17,11 @@ const HEADER: u32 = 0x4e6f_1044;
 const RECORD: u32 = 0x000f_0000;
 
 /// What the loop of the firmware does with a datagram of another host; words of the answer.
-pub fn post(machine: &mut Machine<Desk>, words: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
+pub fn post(
+    machine: &mut Machine<ModelBoard>,
+    words: &[u32],
+    reply: &mut [u32; MAX_WORDS],
+) -> usize {
     let answer = machine.datagram(words, HOST, reply);
     let length = answer.map_or(0, <[u32]>::len);
     if machine.server.owes_path() {

@@ -24,7 +24,7 @@
 //! starts anew and its counts with it
 //! (`faults_rtl::a_board_that_starts_anew_under_its_host_is_safe_and_not_armed`); numbers from HAL
 //! (`host`); FPGA G's words, which end at speed as no job does (`words.rs` beside this); a PC that
-//! streams over a real network (`tests/tests/stops.rs`).
+//! streams over a real network (`tests/tests/jobs/strikes.rs`).
 
 mod homing;
 mod job;

@@ -7,7 +7,7 @@ use crate::progress::Bar;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::{Args, Subcommand};
 use ferrocnc::job::client::{self, Board, JobError};
-use ferrocnc::job::machine::Machine;
+use ferrocnc::job::machine::MachineFile;
 use ferrocnc::job::preview::duration;
 use ferrocnc::job::program::{Program, ending};
 use ferrocnc::job::stream::Streamer;
@@ -256,7 +256,7 @@ fn tell(board: &mut Board, machine: Option<&Path>) -> Result<()> {
     let Some(file) = machine else {
         return Ok(());
     };
-    let machine = Machine::read(file).map_err(|error| anyhow!(error))?;
+    let machine = MachineFile::read(file).map_err(|error| anyhow!(error))?;
     let theirs = board.welcome().clock_hz;
     if machine.clock != theirs {
         bail!(

@@ -9,7 +9,7 @@ use motion::segment::AXES;
 use rand::Rng;
 use rand_pcg::Pcg32;
 use sim::plant::{Plant, Switch};
-use wire::jobs::{Home, Machine, Request, State, Status, UNATTENDED};
+use wire::jobs::{Home, MachineConfig, Request, State, Status, UNATTENDED};
 use wire::regmap::{self, segments};
 
 /// A pause is for paths, and nothing is planned that could be missing.
@@ -38,7 +38,7 @@ fn in_mid_homing_every_axis_stands_within_its_own_stop_whatever_the_cause() {
 
 /// A machine, its axes in steps/s^2 and steps/s of the fast search, and its switches.
 struct Search {
-    machine: Machine,
+    machine: MachineConfig,
     axes: [(f64, f64); AXES],
     /// steps/s, the most there is: of the way back to 0.
     top: [f64; AXES],
@@ -128,7 +128,13 @@ fn searches(search: &mut Search, streams: bool, trouble: Trouble) -> (Player, [i
         player.turn();
     }
     let strays = strays(&mut player.rig);
-    player.rig.machine.board.world().edges.clear_violations();
+    player
+        .rig
+        .machine
+        .board
+        .environment()
+        .edges
+        .clear_violations();
     (player, strays)
 }
 

@@ -8,7 +8,7 @@ use firmware::cores::Board as _;
 use motion::segment::AXES;
 use rand::Rng;
 use rand_pcg::Pcg32;
-use wire::jobs::{End, Machine, Request, Status, UNATTENDED};
+use wire::jobs::{End, MachineConfig, Request, Status, UNATTENDED};
 use wire::{Name, map};
 
 const TROUBLES: [Trouble; 10] = [
@@ -45,7 +45,7 @@ fn in_a_streamed_job_every_axis_stands_within_its_own_stop_whatever_the_cause() 
 
 /// A machine, its axes in steps/s^2 and steps/s, and a program that ends at its limits.
 struct Drawing {
-    machine: Machine,
+    machine: MachineConfig,
     axes: [(f64, f64); AXES],
     text: String,
 }
@@ -165,7 +165,13 @@ fn job(seed: u64, streams: bool) -> (Trouble, f64) {
     left_behind(&mut rig, &mut random);
     let mut player = begun(rig, &drawing, trouble, streams);
     let strays = strays(&mut player.rig);
-    player.rig.machine.board.world().edges.clear_violations();
+    player
+        .rig
+        .machine
+        .board
+        .environment()
+        .edges
+        .clear_violations();
     let (segments, _) = predict(&program(&drawing.text), &drawing.machine);
     let clocks: u64 = segments.iter().map(|one| u64::from(one.clocks)).sum();
     let moment = player.rig.now() + random.random_range(0..clocks);

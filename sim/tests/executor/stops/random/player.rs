@@ -4,8 +4,9 @@
 use super::super::client::{Client, HOST, post};
 use super::watch::{TURN, Watch};
 use crate::rig::*;
+use ::jobs::Outside;
 use firmware::cores::{Board as _, Control};
-use firmware::jobs::Outside;
+use firmware::jobs::Network;
 use firmware::net::Us;
 use rand::Rng;
 use rand_pcg::Pcg32;
@@ -40,7 +41,7 @@ pub enum Trouble {
 
 /// The board, from a PC that streams segments to it.
 struct Wire<'a> {
-    rig: &'a mut firmware::machine::Machine<sim::desk::Desk>,
+    rig: &'a mut firmware::machine::Machine<sim::model_board::ModelBoard>,
     number: &'a mut u32,
 }
 
@@ -48,7 +49,6 @@ impl Outside for Wire<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
         post(self.rig, request, reply)
     }
-    fn send_frame(&mut self, _: &[u8]) {}
     fn read_segments(&mut self, word: usize) -> u32 {
         self.rig.board.csr_read(map::SEGMENTS + 4 * word as u32)
     }
@@ -75,6 +75,10 @@ impl Outside for Wire<'_> {
     fn now(&mut self) -> u64 {
         self.rig.board.now()
     }
+}
+
+impl Network for Wire<'_> {
+    fn send_frame(&mut self, _: &[u8]) {}
     fn us(&mut self) -> Us {
         self.rig.us
     }
@@ -120,7 +124,7 @@ impl Player {
             }
         }
         if self.runs && self.rig.machine.due(firmware::machine::IDLE) {
-            self.rig.machine.chores();
+            self.rig.machine.housekeeping();
         }
         self.rig.machine.board.pass(next);
     }
@@ -197,7 +201,7 @@ impl Player {
                 let _over = self.command(10);
             }
             Trouble::EStop => self.rig.estop(true),
-            Trouble::Reset => self.rig.machine.board.world().ext_reset(true),
+            Trouble::Reset => self.rig.machine.board.environment().ext_reset(true),
             Trouble::Trap | Trouble::Jump => return self.restarts(trouble, watch),
         }
         self
@@ -223,7 +227,7 @@ impl Player {
     pub fn recovers(&mut self) {
         (self.runs, self.called, self.rarely, self.next) = (true, true, false, 0);
         self.rig.estop(false);
-        self.rig.machine.board.world().ext_reset(false);
+        self.rig.machine.board.environment().ext_reset(false);
     }
 
     /// Until nothing is going on, and positions were sampled.

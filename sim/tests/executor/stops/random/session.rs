@@ -8,7 +8,7 @@ use firmware::cores::{Board as _, Control};
 use motion::segment::AXES;
 use rand::Rng;
 use rand_pcg::Pcg32;
-use wire::units::{Accel, StepRate};
+use wire::units::{Accel, Velocity};
 use wire::{ResetReason, map};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,7 +129,7 @@ impl Drive {
                     true => Accel::UNLIMITED,
                     false => Accel::from_steps(accel.max(100.0), HZ),
                 };
-                client.command.stepgen[n] = (StepRate::from_hz(rate, HZ), limit);
+                client.command.stepgen[n] = (Velocity::from_hz(rate, HZ), limit);
             }
         }
     }
@@ -176,8 +176,8 @@ fn strikes(cause: Cause, mut rig: Rig, client: &mut Client, watch: &mut Watch) -
     match cause {
         Cause::Silence | Cause::Frozen => {}
         Cause::LinkDown => {
-            rig.machine.board.world().link(0);
-            rig.machine.board.world().settle();
+            rig.machine.board.environment().link(0);
+            rig.machine.board.environment().settle();
         }
         Cause::Disable => {
             client.command.enable = false;
@@ -186,7 +186,7 @@ fn strikes(cause: Cause, mut rig: Rig, client: &mut Client, watch: &mut Watch) -
         Cause::Release => client.release(&mut rig),
         Cause::AcquiredAnew => client.acquire(&mut rig),
         Cause::EStop => rig.estop(true),
-        Cause::Reset => rig.machine.board.world().ext_reset(true),
+        Cause::Reset => rig.machine.board.environment().ext_reset(true),
         Cause::Trap | Cause::Jump => {
             // The first thing that a start does, and a trap before it.
             rig.machine.board.control(Control::Close);
@@ -206,7 +206,7 @@ fn stops(cause: Cause, rig: &mut Rig, clocks: u64, watch: &mut Watch) {
     while rig.now() < end {
         let next = rig.now() + TURN;
         if cause != Cause::Frozen && rig.machine.due(firmware::machine::IDLE) {
-            rig.machine.chores();
+            rig.machine.housekeeping();
         }
         rig.machine.board.pass(next);
         watch.look(rig);
@@ -240,7 +240,7 @@ fn session(seed: u64) -> (Cause, f64) {
     );
     assert!(watch.closed, "{told}: the gate is open");
     for _ in 0..10 {
-        rig.machine.chores();
+        rig.machine.housekeeping();
         rig.machine.board.pass(rig.machine.board.clock() + MS);
     }
     exact(&mut rig, drive.axes.len(), [0; AXES], &told);

@@ -49,7 +49,7 @@ impl Watch {
     }
 
     fn pins(&self, rig: &mut Rig) -> Vec<i64> {
-        rig.machine.board.world().edges.counts()[..self.accel.len()].to_vec()
+        rig.machine.board.environment().edges.counts()[..self.accel.len()].to_vec()
     }
 
     /// Once in every turn.
@@ -134,7 +134,7 @@ fn halts(rig: &mut Rig) -> bool {
 pub fn strays(rig: &mut Rig) -> [i64; AXES] {
     let board = &mut rig.machine.board;
     board.strobe(timebase::STROBE_SAMPLE);
-    let pins = board.world().edges.counts();
+    let pins = board.environment().edges.counts();
     core::array::from_fn(|n| {
         let count = board.latched(status::STEPGEN0_POSITION_HI + n * STATUS_STEPGEN) as i32;
         pins[n] - i64::from(count)
@@ -145,12 +145,12 @@ pub fn strays(rig: &mut Rig) -> [i64; AXES] {
 pub fn exact(rig: &mut Rig, axes: usize, strays: [i64; AXES], told: &str) {
     let board = &mut rig.machine.board;
     board.strobe(timebase::STROBE_SAMPLE);
-    let pins = board.world().edges.counts();
+    let pins = board.environment().edges.counts();
     for (n, pins) in pins.iter().enumerate().take(axes) {
         let count = board.latched(status::STEPGEN0_POSITION_HI + n * STATUS_STEPGEN) as i32;
         let strays = strays.get(n).copied().unwrap_or(0);
         assert_eq!(i64::from(count), *pins - strays, "{told}: axis {n}");
     }
-    let edges = &board.world().edges;
+    let edges = &board.environment().edges;
     assert_eq!(edges.violations(), [], "{told}");
 }

@@ -1,0 +1,583 @@
+//! Ties the lib to the hardware: one loop, no interrupts, no heap.
+
+use crate::soc::{self, Mac, Parts, RxFrame, Soc, TxSlot};
+use core::ffi::c_void;
+use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
+use firmware::exchange::{FRAME_FLAGS, SlotReply};
+use firmware::ip::{Ip, StreamHandler, Text};
+use firmware::jobs::abi;
+use firmware::machine::{IDLE, Machine};
+use firmware::net::{self, Class, Datagram, FastPath, Frame as _, Us};
+use firmware::text::Sink as _;
+use wire::describe::JobsState;
+use wire::{CONSOLE_PORT, MAX_WORDS, Refusal};
+
+/// The loop looks at the MAC this many times between two looks at the clock: about 20 us.
+const POLLS: u32 = 128;
+/// Longest ping or console segment that is answered while the machine is not at rest: to sum, copy
+/// and answer one takes 20 clocks a byte. A console client never sends more, because our window is
+/// smaller.
+const GUEST_FRAME: usize = 256;
+/// 10 ms between two looks at TCP's timers.
+const HOUSEKEEPING_PER_IP: u8 = 10;
+
+/// Everything that runs on the board.
+pub struct App {
+    machine: Machine<Soc>,
+    mac: Mac,
+    fast_path: Option<FastPath>,
+    /// Code outside the fast path ran and may have pushed it out of the instruction cache.
+    cold: bool,
+    ip: &'static mut Ip,
+    line: console::LineEditor,
+    ip_in: u8,
+    /// A copy of [`Ip::busy`]: a look into `Ip` itself costs the next exchange a line of the data
+    /// cache.
+    talking: bool,
+    /// The jobs program.
+    jobs: Option<abi::Entry>,
+    /// The jobs program wants to be called in every turn.
+    restless: bool,
+}
+
+impl App {
+    /// Builds the application and ends start-up.
+    pub fn new(parts: Parts) -> Self {
+        let Parts {
+            soc,
+            mac,
+            memory,
+            boot,
+            ident,
+        } = parts;
+        let mut app = App {
+            machine: Machine::asleep(soc, ident, soc::ABI, boot),
+            ip_in: HOUSEKEEPING_PER_IP,
+            mac,
+            fast_path: None,
+            cold: false,
+            ip: &mut memory.ip,
+            talking: false,
+            jobs: None,
+            restless: false,
+            line: console::LineEditor::default(),
+        };
+        app.machine.wake();
+        defmt::info!("boot {=u32:x}, reset {=u8}", boot.id, boot.reset.code());
+        if ident.abi != soc::ABI {
+            defmt::error!(
+                "ABI: firmware {=u32:x}, gateware {=u32:x}; will not arm",
+                soc::ABI,
+                ident.abi
+            );
+        }
+        app.ip.listen(CONSOLE_PORT, ANSWER_MAX);
+        app.begin_jobs();
+        app.mac.address(net::to_mac(app.machine.us.mac));
+        app
+    }
+
+    /// The loop.
+    #[unsafe(link_section = ".trap.hot.run")]
+    pub fn run(mut self) -> ! {
+        loop {
+            // A tight loop: every other instruction in it adds to the turnaround of a frame.
+            let pending = (0..POLLS).any(|_| self.mac.pending());
+            if pending || self.cold {
+                // There is one call of `exchange`, so that a warm-up runs the same instructions as
+                // a real exchange.
+                let (frame, length, slot) = if pending {
+                    let (frame, length) = self.mac.frame();
+                    (frame, length, self.mac.fast_path_slot())
+                } else {
+                    let length = self.warm_up();
+                    let (frame, slot) = self.mac.warm_up_frame();
+                    (frame, length, slot)
+                };
+                let done = self.exchange(frame, length, slot);
+                // A failed warm-up is not a received frame. Either there is no frame, or it has not
+                // been looked at.
+                let owners = frame.genuine() && (done || self.frame());
+                if self.machine.owes_path() {
+                    hold_path(&mut self.machine);
+                    // It may have pushed a line of the fast path out of the cache.
+                    self.cold = true;
+                }
+                self.housekeeping_if(self.machine.patience(owners));
+            } else {
+                // While a host exchanges, housekeeping runs right after an answer; wait for that
+                // for some periods.
+                self.housekeeping_if(IDLE);
+            }
+            // The jobs program runs here only while there is no exchange that it could delay.
+            if self.restless && self.fast_path.is_none() {
+                self.jobs(core::ptr::null(), abi::POLL);
+            }
+        }
+    }
+
+    /// The fast path. True if the frame was an exchange and is dealt with.
+    #[inline(always)]
+    fn exchange(&mut self, frame: RxFrame, length: usize, mut slot: TxSlot) -> bool {
+        let Some(fast_path) = &self.fast_path else {
+            return false;
+        };
+        let Some(mut command) = fast_path.open(&frame, length) else {
+            return false;
+        };
+        if !self.mac.fast_path_idle() {
+            // The last answer has not left yet, so the host does not wait for an answer to this
+            // frame.
+            return false;
+        }
+        let mut reply = SlotReply::resume(&mut slot);
+        let peer = fast_path.datagram.peer;
+        let served = self.machine.exchange(peer, &mut command, &mut reply);
+        if !frame.genuine() {
+            return true;
+        }
+        match served {
+            Ok(()) => {
+                self.mac.send_fast_path();
+                // Read again: a copy held in a register would push another value out of its
+                // register.
+                let flags = frame.word(FRAME_FLAGS);
+                self.machine.exchanged(flags);
+                self.machine.sent(1);
+            }
+            Err(why) => self.machine.refuse(why),
+        }
+        self.mac.release();
+        self.machine.received();
+        true
+    }
+
+    /// After other code ran: builds an exchange that runs through the fast path and has no effect,
+    /// so that the next exchange finds its instructions in the cache. From a cold cache an exchange
+    /// takes about 1500 clocks longer. Returns the frame's length; 0 if there is nothing to warm
+    /// up. The linker places this function beside the fast path. Elsewhere its own cache lines
+    /// could push out lines that only a real exchange uses.
+    #[inline(never)]
+    #[unsafe(link_section = ".trap.hot.warm_up")]
+    fn warm_up(&mut self) -> usize {
+        self.cold = false;
+        let Some(fast_path) = &self.fast_path else {
+            return 0;
+        };
+        let session = self.machine.session();
+        let token = session.token_for(fast_path.datagram.peer);
+        let sequence = session.last_sequence().wrapping_add(1);
+        match self.mac.warm_up_words() {
+            Some(words) if self.machine.may_warm_up() => {
+                fast_path.warm_up_frame(token, sequence, words)
+            }
+            Some(_) | None => 0,
+        }
+    }
+
+    /// Any frame, the long way. True if it was the owner's.
+    #[inline(never)]
+    fn frame(&mut self) -> bool {
+        self.cold = true;
+        let (frame, length) = self.mac.frame();
+        self.machine.received();
+        match net::classify(&frame, length, &self.machine.us) {
+            Class::Ours(datagram) => {
+                let words = self.copy_payload(&datagram);
+                self.mac.dismiss();
+                match words {
+                    Ok(count) if datagram.length.is_multiple_of(4) => {
+                        self.datagram(&datagram, count);
+                    }
+                    Ok(_) => self.machine.refuse(Refusal::Ragged),
+                    Err(why) => self.machine.refuse(why),
+                }
+                return self.machine.session().is_owner(datagram.peer);
+            }
+            Class::Discovery(datagram) => {
+                let words = self.copy_payload(&datagram);
+                self.mac.dismiss();
+                match words {
+                    Ok(count) if datagram.length.is_multiple_of(4) => {
+                        self.discover(count, datagram.peer.port);
+                    }
+                    Ok(_) => self.machine.refuse(Refusal::Ragged),
+                    Err(why) => self.machine.refuse(why),
+                }
+            }
+            Class::Dhcp(datagram) => {
+                let words = self.copy_payload(&datagram);
+                self.mac.dismiss();
+                let words = self.mac.input.words().get(..words.unwrap_or(0));
+                self.machine.offered(words.unwrap_or(&[]), datagram.length);
+                self.send_broadcasts();
+            }
+            Class::Refused(why) => {
+                self.mac.dismiss();
+                self.machine.refuse(why);
+            }
+            Class::Other
+                if length > GUEST_FRAME && self.fast_path.is_some() && !self.machine.at_rest() =>
+            {
+                self.mac.dismiss();
+                self.machine.refuse(Refusal::Oversized);
+            }
+            Class::Other => {
+                let length = self.mac.take_bytes();
+                let frame = self.mac.input.bytes().get(..length).unwrap_or(&[]);
+                let (at, jobs) = (frame.as_ptr(), abi::ours(frame));
+                if jobs && self.jobs.is_some() {
+                    self.jobs(at, length);
+                } else {
+                    self.talk(Some(length));
+                }
+            }
+            Class::Nothing => self.mac.dismiss(),
+        }
+        false
+    }
+
+    fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
+        // The length of a DHCP server's options need not be a multiple of 4.
+        let count = net::payload_words(datagram.length.next_multiple_of(4))?;
+        let (frame, _) = self.mac.frame();
+        for (index, word) in self.mac.input.words().iter_mut().take(count).enumerate() {
+            *word = net::payload_word(&frame, datagram.options, index);
+        }
+        Ok(count)
+    }
+
+    fn datagram(&mut self, datagram: &Datagram, count: usize) {
+        let Mac { input, output, .. } = &mut self.mac;
+        let words = input.words().get(..count).unwrap_or(&[]);
+        let served = self.machine.datagram(words, datagram.peer, output.words());
+        let Ok(reply) = served else {
+            return;
+        };
+        let reply = reply.len();
+        if reply != 0
+            && let Some(mut slot) = self.mac.slot()
+        {
+            net::emit_headers(&mut slot, &self.machine.us, datagram, reply * 4);
+            let words = self.mac.output.words().get(..reply).unwrap_or(&[]);
+            let length = net::emit_payload(&mut slot, words);
+            self.mac.send(length);
+            self.machine.sent(1);
+        }
+        let opened = self
+            .fast_path
+            .is_some_and(|fast_path| fast_path.datagram.peer == datagram.peer);
+        if !opened && datagram.options == 0 && self.machine.session().is_owner(datagram.peer) {
+            self.open_fast_path(*datagram);
+        }
+        self.restart_if();
+    }
+
+    fn restart_if(&self) {
+        if self.machine.wants_restart() {
+            defmt::warn!("restart on request");
+            // The last answer should leave first, if the wire takes it.
+            let _ = self.mac.wait_fast_path();
+            soc::restart();
+        }
+    }
+
+    /// A host looks for boards, or gives a board its settings.
+    fn discover(&mut self, count: usize, port: u16) {
+        let Mac { input, output, .. } = &mut self.mac;
+        let words = input.words().get(..count).unwrap_or(&[]);
+        let reply = self.machine.discover(words, port, output.words()).len();
+        if reply != 0 {
+            let us = Us {
+                port: wire::DISCOVERY_PORT,
+                ..self.machine.us
+            };
+            self.broadcast(&us, port, reply);
+        }
+    }
+
+    /// Broadcasts what is waiting to be broadcast.
+    #[cold]
+    #[inline(never)]
+    fn send_broadcasts(&mut self) {
+        self.cold = true;
+        if let Some(broadcast) = self.machine.next_broadcast(self.mac.output.words()) {
+            let us = Us {
+                mac: self.machine.us.mac,
+                ip: broadcast.from_ip,
+                port: broadcast.from_port,
+            };
+            self.broadcast(&us, broadcast.to_port, broadcast.words);
+        }
+        self.restart_if();
+        if self.machine.moved() {
+            defmt::info!("address {=u32:x}", self.machine.us.ip);
+            // The session has no owner, or the change of address would have waited.
+            self.close_fast_path();
+            self.ip.reset();
+        }
+    }
+
+    /// Sends words of `output` to 255.255.255.255.
+    fn broadcast(&mut self, us: &Us, port: u16, words: usize) {
+        let Some(mut slot) = self.mac.slot() else {
+            return;
+        };
+        net::emit_headers(&mut slot, us, &Datagram::broadcast(port), words * 4);
+        let words = self.mac.output.words().get(..words).unwrap_or(&[]);
+        let length = net::emit_payload(&mut slot, words);
+        self.mac.send(length);
+        self.machine.sent(1);
+    }
+
+    /// The owner's exchanges take the fast path from now on.
+    fn open_fast_path(&mut self, datagram: Datagram) {
+        let shape = *self.machine.shape();
+        if !self.mac.wait_fast_path() {
+            return;
+        }
+        let length = SlotReply::<TxSlot>::frame_length(&shape);
+        let payload = length - net::HEADERS;
+        let us = self.machine.us;
+        let mut slot = self.mac.fast_path_slot();
+        self.machine.prepare(&mut slot, |slot| {
+            net::emit_headers(slot, &us, &datagram, payload)
+        });
+        self.mac.aim(length);
+        let fast_path = FastPath::new(&us, datagram, shape.command);
+        self.mac.guard(&fast_path);
+        self.fast_path = Some(fast_path);
+    }
+
+    /// The session has no owner: the MAC admits every sender again.
+    #[cold]
+    #[inline(never)]
+    fn close_fast_path(&mut self) {
+        self.fast_path = None;
+        self.mac.open();
+    }
+
+    /// Runs the housekeeping if `periods` of its periods have passed.
+    #[inline(always)]
+    fn housekeeping_if(&mut self, periods: u32) {
+        if self.machine.due(periods) {
+            self.housekeeping();
+        }
+    }
+
+    #[inline(never)]
+    #[unsafe(link_section = ".trap.hot.housekeeping")]
+    fn housekeeping(&mut self) {
+        if let Some((state, reason)) = self.machine.housekeeping() {
+            self.cold = true;
+            defmt::info!("state {=u8}, reason {=u8}", state.code(), reason.code());
+        }
+        if self.machine.has_broadcast() {
+            self.send_broadcasts();
+        }
+        soc::check_stack();
+        // Admits one frame of a guest, a sender that does not own the session. The owner's next
+        // frame is most of a servo period away, and serving one guest takes less. Not while a frame
+        // is pending: that may be a guest's, and with a second one in the other slot there would be
+        // no slot for the owner's frame.
+        if !self.mac.pending() {
+            self.mac.admit();
+        }
+        let session = self.machine.session();
+        if self
+            .fast_path
+            .is_some_and(|fast_path| !session.is_owner(fast_path.datagram.peer))
+        {
+            self.close_fast_path();
+        }
+        // 10 ms are precise enough for TCP's timers.
+        self.ip_in = self.ip_in.wrapping_sub(1);
+        if self.ip_in == 0 {
+            self.ip_in = HOUSEKEEPING_PER_IP;
+            if self.talking {
+                self.talk(None);
+            }
+            // The check is here because the call alone may push lines of the fast path out of the
+            // cache. Without a jobs program no warm-up follows it.
+            if self.jobs.is_some() {
+                self.jobs(core::ptr::null(), abi::POLL);
+            }
+        }
+    }
+
+    /// Looks for a jobs program, starts it and records the result.
+    #[inline(never)]
+    fn begin_jobs(&mut self) {
+        let state = match soc::load(&mut self.machine) {
+            Err(why) => why,
+            Ok(entry) => {
+                self.jobs = Some(entry);
+                if self.jobs(core::ptr::null(), abi::START) & abi::FAILED == 0 {
+                    JobsState::Alive
+                } else {
+                    self.jobs = None;
+                    JobsState::Sdram
+                }
+            }
+        };
+        self.machine.jobs(state);
+    }
+
+    /// Calls the jobs program. Without one the answer is 0.
+    #[cold]
+    #[inline(never)]
+    fn jobs(&mut self, frame: *const u8, length: usize) -> u32 {
+        let Some(entry) = self.jobs else {
+            return 0;
+        };
+        self.cold = true;
+        let rom = abi::Rom {
+            datagram,
+            send,
+            output: self.mac.output.bytes().as_mut_ptr().cast(),
+            us: &raw const self.machine.us,
+            context: (&raw mut *self).cast(),
+        };
+        let answer = entry(&rom, frame, length);
+        self.restless = answer & abi::RESTLESS != 0;
+        answer
+    }
+
+    /// ARP, ping and the console: takes a frame of `length` bytes from `input`, and sends all that
+    /// is due.
+    #[inline(never)]
+    fn talk(&mut self, mut length: Option<usize>) {
+        self.cold = true;
+        while self.converse(length) {
+            self.ask_jobs();
+            length = None;
+        }
+        self.restart_if();
+    }
+
+    /// The jobs program answers the console's line. Its text lies in the buffer where frames are
+    /// built, so no frame is built meanwhile.
+    fn ask_jobs(&mut self) {
+        let line = self.line.job();
+        let trusted = usize::from(self.machine.trusted()) * abi::TRUSTED;
+        let length = line.len() | abi::LINE | trusted;
+        let count = self.jobs(line.as_ptr(), length) >> abi::TEXT;
+        let text = self.mac.output.bytes().get(..count as usize);
+        self.ip.say(text.unwrap_or(&[]));
+        self.ip.say(console::PROMPT.as_bytes());
+    }
+
+    /// Part of [`App::talk`]. True if the jobs program has to answer the console's line.
+    #[inline(always)]
+    fn converse(&mut self, length: Option<usize>) -> bool {
+        let mut asked = false;
+        let now = soc::milliseconds(&mut self.machine.board);
+        let us = self.machine.us;
+        let Mac { input, output, .. } = &mut self.mac;
+        let mut visitor = Visitor {
+            machine: &mut self.machine,
+            line: &mut self.line,
+            jobs: self.jobs.is_some(),
+            asked: &mut asked,
+        };
+        let frame = length.and_then(|length| input.bytes().get(..length));
+        let mut sent = 0;
+        let mut answer = frame
+            .and_then(|frame| self.ip.frame(frame, &us, now, &mut visitor, output.bytes()))
+            .or_else(|| self.ip.poll(&us, now, &mut visitor, output.bytes()));
+        while let Some(length) = answer {
+            output.send(length);
+            sent += 1;
+            answer = self.ip.poll(&us, now, &mut visitor, output.bytes());
+        }
+        self.talking = self.ip.busy();
+        self.machine.sent(sent);
+        asked
+    }
+}
+
+/// The answer is on its way: now there is time to adapt the axes' decelerations.
+#[inline(never)]
+#[unsafe(link_section = ".trap.hot.path")]
+fn hold_path(machine: &mut Machine<Soc>) {
+    machine.hold_path();
+}
+
+/// [`abi::Rom::datagram`].
+extern "C" fn datagram(
+    context: *mut c_void,
+    request: *const u32,
+    words: usize,
+    reply: &mut [u32; MAX_WORDS],
+) -> isize {
+    // SAFETY: `context` is the app that waits in `App::jobs` and touches nothing meanwhile; the
+    // program says how long its request is.
+    let (app, request) = unsafe {
+        (
+            &mut *context.cast::<App>(),
+            core::slice::from_raw_parts(request, words),
+        )
+    };
+    match app.machine.inside(request, reply, hold_path) {
+        Ok(reply) => reply.len() as isize,
+        Err(why) => -1 - why as isize,
+    }
+}
+
+/// [`abi::Rom::send`].
+extern "C" fn send(context: *mut c_void, length: usize) {
+    // SAFETY: as above.
+    let app = unsafe { &mut *context.cast::<App>() };
+    app.mac.output.send(length);
+}
+
+/// A client of the console.
+struct Visitor<'a> {
+    machine: &'a mut Machine<Soc>,
+    line: &'a mut console::LineEditor,
+    /// There is a jobs program, which answers the lines about jobs.
+    jobs: bool,
+    /// The jobs program has to answer a line; no more bytes are taken before that.
+    asked: &'a mut bool,
+}
+
+impl StreamHandler for Visitor<'_> {
+    fn greet(&mut self, out: &mut Text) {
+        *self.line = console::LineEditor::default();
+        self.machine.greet();
+        out.put(console::PROMPT.as_bytes());
+    }
+
+    fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize {
+        if *self.asked {
+            return 0;
+        }
+        let mut used = 0;
+        for byte in bytes {
+            used += 1;
+            if let Some(ask) = self.line.push(*byte) {
+                if !self.machine.may_answer(ask) {
+                    out.put(b"? not while armed\r\n");
+                    out.put(console::PROMPT.as_bytes());
+                    break;
+                }
+                if ask == Ask::Job && self.jobs {
+                    *self.asked = true;
+                    break;
+                }
+                let vitals = Vitals {
+                    stack: soc::stack_used(),
+                    mac_errors: self.machine.board.mac_errors(),
+                };
+                self.machine.answer(ask, &vitals, out);
+                if ask == Ask::Quit {
+                    out.close = true;
+                } else {
+                    out.put(console::PROMPT.as_bytes());
+                }
+                break;
+            }
+        }
+        used
+    }
+}

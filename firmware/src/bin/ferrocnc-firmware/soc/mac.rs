@@ -1,0 +1,309 @@
+//! LiteEth's MAC: two receive slots and two transmit slots, each for one frame.
+//!
+//! The slots hold frames in network order, at an offset of two bytes: a 32-bit load yields a
+//! big-endian word, and everything after the Ethernet header is aligned, so the exchange swaps and
+//! shifts nothing. The IP stack works on bytes and gets its frames copied.
+//!
+//! Transmit slot 0 belongs to the fast path alone, and its headers stay in it. All other frames
+//! use slot 1.
+//!
+//! The filter `rx_admission.sv` is in front of the receive slots. Without a session owner the board
+//! admits all frames addressed to it alone, and of all others one at a time. With an owner it
+//! admits the owner's frames, and one other frame for each call of [`Mac::admit`].
+
+use core::ptr::{read_volatile, write_volatile};
+use firmware::net::{FastPath, Frame, Slot, WARM_UP_WORDS};
+use litex_pac::{Ethmac, RxAdmission};
+use wire::MAX_WORDS;
+use wire::regmap::{self, rx_admission};
+
+/// Longest frame, without FCS.
+const FRAME_MAX: usize = 1514;
+/// Bytes in front of a frame in its slot; the MAC's length registers count them.
+const PAD: usize = 2;
+const FAST_PATH: usize = 0;
+const COMMON: usize = 1;
+
+/// A received frame, in its slot.
+#[derive(Clone, Copy)]
+pub struct RxFrame(*const u32);
+
+impl Frame for RxFrame {
+    #[inline(always)]
+    fn word(&self, index: usize) -> u32 {
+        // SAFETY: the lib reads words of frames with the length that the MAC reported, at most one
+        // word beyond; a slot has 512 words, a frame 379.
+        unsafe { read_volatile(self.0.add(index)) }
+    }
+
+    #[inline(always)]
+    fn genuine(&self) -> bool {
+        // The MAC's slots lie in the upper half of the address space, RAM in the lower.
+        (self.0 as isize) < 0
+    }
+}
+
+const _: () = assert!(regmap::ETHMAC_BASE >> 31 == 1 && regmap::RAM_BASE >> 31 == 0);
+
+/// A frame being written, in its slot.
+pub struct TxSlot(*mut u32);
+
+impl Slot for TxSlot {
+    #[inline(always)]
+    fn put(&mut self, index: usize, word: u32) {
+        // SAFETY: as in `RxFrame`: no answer is longer than a frame.
+        unsafe { write_volatile(self.0.add(index), word) }
+    }
+}
+
+/// A datagram as words for the server, or a frame as bytes for the IP stack; never both at once.
+pub struct Buffer([u32; FRAME_MAX.div_ceil(4)]);
+
+impl Buffer {
+    /// As words of a datagram.
+    pub fn words(&mut self) -> &mut [u32; MAX_WORDS] {
+        const { assert!(FRAME_MAX >= MAX_WORDS * 4) };
+        match self.0.first_chunk_mut() {
+            Some(words) => words,
+            None => unreachable!(), // the assertion above excludes it
+        }
+    }
+
+    /// As bytes of a frame.
+    pub fn bytes(&mut self) -> &mut [u8] {
+        // SAFETY: the same memory; bytes have no alignment and no invalid values.
+        unsafe { core::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), FRAME_MAX) }
+    }
+
+    /// Sends this many of these bytes as a frame, from the common slot; drops them if no frame
+    /// leaves the board.
+    pub fn send(&self, length: usize) {
+        // SAFETY: the MAC's registers, as `Mac` uses them; one hart, and no caller holds a slot
+        // over this call.
+        let regs = unsafe { Ethmac::steal() };
+        if !drained(&regs) {
+            return;
+        }
+        let mut slot = Mac::tx(COMMON);
+        let mut carry = 0;
+        let words = length.min(FRAME_MAX).div_ceil(4);
+        for (index, word) in self.0.iter().take(words).enumerate() {
+            let next = word.swap_bytes();
+            slot.put(index, carry << 16 | next >> 16);
+            carry = next;
+        }
+        slot.put(words, carry << 16);
+        start_common(&regs, length);
+    }
+}
+
+/// Looks at the MAC before it counts as stuck: at least 5 clocks each, so 5 ms or more at 60 MHz;
+/// both slots are sent in 2.5 ms at 10 Mbit/s. A PHY without a cable may stop the transmit clock;
+/// the loop must go on and detect that.
+const DRAIN_LOOKS: u32 = 60_000;
+
+/// Waits until the transmit queue is empty. False if it does not shrink.
+fn drained(regs: &Ethmac) -> bool {
+    (0..DRAIN_LOOKS).any(|_| regs.sram_reader_level().read().bits() == 0)
+}
+
+/// Sets the slot and the length of the next start.
+fn aim(regs: &Ethmac, slot: u32, length: u32) {
+    regs.sram_reader_slot().write(|w| unsafe { w.bits(slot) });
+    regs.sram_reader_length()
+        .write(|w| unsafe { w.bits(length) });
+}
+
+/// Sends the common slot, then selects the fast path's slot again, which the fast path has no time
+/// for.
+fn start_common(regs: &Ethmac, length: usize) {
+    let slot = regs.sram_reader_slot().read().bits();
+    let previous = regs.sram_reader_length().read().bits();
+    aim(regs, COMMON as u32, (length + PAD) as u32);
+    regs.sram_reader_start().write(|w| unsafe { w.bits(1) });
+    aim(regs, slot, previous);
+}
+
+/// The MAC.
+pub struct Mac {
+    regs: Ethmac,
+    admission: RxAdmission,
+    /// The session has no owner: the next guest may come as soon as the last one's slot is free.
+    open: bool,
+    /// Received data that does not take the fast path.
+    pub input: &'static mut Buffer,
+    /// Data to be sent by the server or the IP stack.
+    pub output: &'static mut Buffer,
+}
+
+static mut INPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
+static mut OUTPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
+
+impl Mac {
+    /// The board's only MAC.
+    pub fn new() -> Self {
+        // SAFETY: `super::start` calls this once; no other code touches the MAC, its filter or the
+        // buffers.
+        let (regs, admission, input, output) = unsafe {
+            (
+                Ethmac::steal(),
+                RxAdmission::steal(),
+                &mut *(&raw mut INPUT),
+                &mut *(&raw mut OUTPUT),
+            )
+        };
+        Mac {
+            regs,
+            admission,
+            open: true,
+            input,
+            output,
+        }
+    }
+
+    /// Sets our address. A frame that is not for it needs a ticket, now and whenever the session
+    /// has no owner.
+    pub fn address(&mut self, ours: [u32; 2]) {
+        self.expect([(0, ours[0]), (1, ours[1])]);
+        self.open();
+    }
+
+    /// A frame that is not the owner's needs a ticket.
+    pub fn guard(&mut self, fast_path: &FastPath) {
+        self.expect(fast_path.expected_words());
+        self.admission.mode().write(|w| w.select().owner());
+        self.open = false;
+    }
+
+    /// The session has no owner any more.
+    pub fn open(&mut self) {
+        self.admission.mode().write(|w| w.select().ours());
+        self.open = true;
+        self.admit();
+    }
+
+    fn expect<const N: usize>(&mut self, header: [(usize, u32); N]) {
+        for (index, word) in header {
+            // SAFETY: this page begins with ten words of a header, and no word has a higher number.
+            unsafe {
+                write_volatile(
+                    (rx_admission::BASE as *mut u32).add(rx_admission::HEADER0 + index),
+                    word,
+                )
+            }
+        }
+    }
+
+    /// Issues a ticket for one more guest, if the last one is used up.
+    #[inline(always)]
+    pub fn admit(&self) {
+        self.admission.admit().write(|w| unsafe { w.bits(1) });
+    }
+
+    /// Is there a frame?
+    #[inline(always)]
+    pub fn pending(&self) -> bool {
+        self.regs.sram_writer_ev_pending().read().bits() != 0
+    }
+
+    /// The frame, and its length in bytes without FCS.
+    #[inline(always)]
+    pub fn frame(&self) -> (RxFrame, usize) {
+        let slot = self.regs.sram_writer_slot().read().bits() as usize;
+        let length = self.regs.sram_writer_length().read().bits() as usize - PAD;
+        let base = regmap::ETHMAC_BASE + slot * regmap::ETHMAC_SLOT_SIZE;
+        (RxFrame(base as *const u32), length)
+    }
+
+    /// The frame in `input`, made up by [`firmware::net::FastPath::warm_up_frame`], and a slot that
+    /// is not sent.
+    pub fn warm_up_frame(&mut self) -> (RxFrame, TxSlot) {
+        (
+            RxFrame(self.input.0.as_ptr()),
+            TxSlot(self.output.0.as_mut_ptr()),
+        )
+    }
+
+    /// The place for a warm-up frame.
+    pub fn warm_up_words(&mut self) -> Option<&mut [u32; WARM_UP_WORDS]> {
+        self.input.0.first_chunk_mut()
+    }
+
+    /// Gives the frame's slot back.
+    #[inline(always)]
+    pub fn release(&mut self) {
+        self.regs
+            .sram_writer_ev_pending()
+            .write(|w| unsafe { w.bits(1) });
+    }
+
+    /// As [`Mac::release`], for a frame that did not take the fast path.
+    pub fn dismiss(&mut self) {
+        self.release();
+        if self.open {
+            self.admit();
+        }
+    }
+
+    /// Have all frames been sent, the fast path's slot included?
+    #[inline(always)]
+    pub fn fast_path_idle(&self) -> bool {
+        self.regs.sram_reader_level().read().bits() == 0
+    }
+
+    /// Waits until the fast path's slot may be written: 12 us for the longest frame on the wire,
+    /// 1.2 ms at 10 Mbit/s. False if no frame leaves the board.
+    pub fn wait_fast_path(&self) -> bool {
+        drained(&self.regs)
+    }
+
+    /// The fast path's slot.
+    #[inline(always)]
+    pub fn fast_path_slot(&self) -> TxSlot {
+        Self::tx(FAST_PATH)
+    }
+
+    /// From now on [`Mac::send_fast_path`] sends this many bytes.
+    pub fn aim(&mut self, length: usize) {
+        aim(&self.regs, FAST_PATH as u32, (length + PAD) as u32);
+    }
+
+    /// Sends the fast path's slot, which is still selected.
+    #[inline(always)]
+    pub fn send_fast_path(&mut self) {
+        self.regs
+            .sram_reader_start()
+            .write(|w| unsafe { w.bits(1) });
+    }
+
+    /// The common slot, as soon as it may be written; `None` if no frame leaves the board.
+    pub fn slot(&self) -> Option<TxSlot> {
+        self.wait_fast_path().then(|| Self::tx(COMMON))
+    }
+
+    /// Sends the common slot.
+    pub fn send(&mut self, length: usize) {
+        start_common(&self.regs, length);
+    }
+
+    /// Copies the frame out of its slot as bytes, and frees the slot. Returns the number of bytes.
+    pub fn take_bytes(&mut self) -> usize {
+        let (frame, length) = self.frame();
+        let length = length.min(FRAME_MAX);
+        // Two slot words make a word of bytes in the right order.
+        let mut carry = frame.word(0);
+        for (index, word) in self.input.0.iter_mut().take(length.div_ceil(4)).enumerate() {
+            let next = frame.word(index + 1);
+            *word = (carry << 16 | next >> 16).swap_bytes();
+            carry = next;
+        }
+        self.dismiss();
+        length
+    }
+
+    #[inline(always)]
+    fn tx(slot: usize) -> TxSlot {
+        let slots = regmap::ETHMAC_BASE + regmap::ETHMAC_RX_SLOTS * regmap::ETHMAC_SLOT_SIZE;
+        TxSlot((slots + slot * regmap::ETHMAC_SLOT_SIZE) as *mut u32)
+    }
+}

@@ -1,0 +1,121 @@
+//! What a transport tells the [`Machine`] and asks it, so that it need not know the server in it.
+//! All of it is inlined: the image's fast path runs through it.
+
+use super::Machine;
+use crate::block::{Reply, Request, Shape};
+use crate::console::Ask;
+use crate::cores::Board;
+use crate::exchange::SlotReply;
+use crate::net::Slot;
+use crate::session::{Peer, Session};
+use wire::Refusal;
+use wire::describe::JobsState;
+
+impl<B: Board> Machine<B> {
+    /// Counts a frame that came.
+    #[inline(always)]
+    pub fn received(&mut self) {
+        let counters = self.server.counters_mut();
+        counters.frames_rx = counters.frames_rx.wrapping_add(1);
+    }
+
+    /// Counts frames that were sent.
+    #[inline(always)]
+    pub fn sent(&mut self, frames: u32) {
+        let counters = self.server.counters_mut();
+        counters.frames_tx = counters.frames_tx.wrapping_add(frames);
+    }
+
+    /// Counts a refusal.
+    #[inline(always)]
+    pub fn refuse(&mut self, why: Refusal) {
+        self.server.refuse(why);
+    }
+
+    /// The session.
+    #[inline(always)]
+    pub fn session(&self) -> &Session {
+        self.server.session()
+    }
+
+    /// The lengths of this board's blocks.
+    #[inline(always)]
+    pub fn shape(&self) -> &Shape {
+        self.server.shape()
+    }
+
+    /// Nothing moves, and nothing is armed to move.
+    #[inline(always)]
+    pub fn at_rest(&self) -> bool {
+        self.server.safety().at_rest()
+    }
+
+    /// Writes what all answers to exchanges have in common: [`SlotReply::prepare`].
+    #[inline(always)]
+    pub fn prepare<S: Slot>(&self, slot: &mut S, headers: impl FnOnce(&mut S)) {
+        SlotReply::prepare(slot, headers, &self.server);
+    }
+
+    /// Executes an exchange of `peer`: [`Server::exchange`](crate::server::Server::exchange).
+    #[inline(always)]
+    pub fn exchange(
+        &mut self,
+        peer: Peer,
+        command: &mut impl Request,
+        reply: &mut impl Reply,
+    ) -> Result<(), Refusal> {
+        self.server.exchange(&mut self.board, peer, command, reply)
+    }
+
+    /// Its answer has been sent; `flags` are the command's:
+    /// [`Server::exchanged`](crate::server::Server::exchanged).
+    #[inline(always)]
+    pub fn exchanged(&mut self, flags: u32) {
+        self.server.exchanged(flags);
+    }
+
+    /// Is [`Machine::hold_path`] due?
+    #[inline(always)]
+    pub fn owes_path(&self) -> bool {
+        self.server.owes_path()
+    }
+
+    /// May the fast path be warmed up? [`Server::may_warm_up`](crate::server::Server::may_warm_up).
+    #[inline(always)]
+    pub fn may_warm_up(&self) -> bool {
+        self.server.may_warm_up()
+    }
+
+    /// A client that is allowed to has asked for a restart.
+    #[inline(always)]
+    pub fn wants_restart(&self) -> bool {
+        self.server.wants_restart()
+    }
+
+    /// Has the gateware a core that plays segments?
+    #[inline(always)]
+    pub fn plays_segments(&self) -> bool {
+        self.server.ident().plays_segments()
+    }
+
+    /// Records in the description what became of the jobs program.
+    #[inline(always)]
+    pub fn jobs(&mut self, state: JobsState) {
+        self.server.jobs(state);
+    }
+
+    /// Where the image that runs lies in the flash: its first byte and its length.
+    #[inline(always)]
+    pub fn image(&mut self) -> Option<(u32, u32)> {
+        self.server.flash().image(self.board.spi())
+    }
+
+    /// May the console answer this line now? To write an answer takes up to a servo period, and the
+    /// owner would wait for it. While a job moves the machine, no host waits.
+    #[inline(always)]
+    pub fn may_answer(&self, ask: Ask) -> bool {
+        let short = matches!(ask, Ask::Nothing | Ask::Quit);
+        let jobs = ask == Ask::Job && self.session().is_owner(Peer::INSIDE);
+        short || jobs || self.at_rest()
+    }
+}

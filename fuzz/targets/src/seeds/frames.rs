@@ -1,0 +1,144 @@
+//! Scripts of [`crate::frames`]: datagrams, whole and damaged, TCP of the console, and the rest of
+//! Ethernet.
+
+use super::{Seed, message};
+use crate::byte_reader::bytes;
+use firmware::net::{Datagram, Slot, Us, emit_headers, emit_payload};
+use wire::discovery::Body;
+use wire::{etherbone, map};
+
+type Step = Vec<u8>;
+
+pub(super) fn frames_seeds() -> Vec<Seed> {
+    [datagrams(), fast_path(), console(), others()].concat()
+}
+
+fn script<const N: usize>(name: &'static str, steps: [Step; N]) -> Seed {
+    ("frames", name, steps.concat())
+}
+
+#[derive(Default)]
+struct Bytes(Vec<u32>);
+
+impl Slot for Bytes {
+    fn put(&mut self, index: usize, word: u32) {
+        self.0.resize(self.0.len().max(index + 1), 0);
+        self.0[index] = word;
+    }
+}
+
+/// A raw frame of `frames`: from another board, addressed to ours.
+fn frame(payload: &[u32]) -> Vec<u8> {
+    let us = Us {
+        mac: [2, 3, 4, 5, 6, 7],
+        ip: 0xc0a8_0201,
+        port: 40_000,
+    };
+    let to = Datagram {
+        peer: firmware::session::Peer {
+            ip: 0xc0a8_0232,
+            port: 1234,
+        },
+        mac: (0x10e2, 0xd500_0001),
+        length: 0,
+        options: 0,
+    };
+    let mut slot = Bytes::default();
+    emit_headers(&mut slot, &us, &to, 4 * payload.len());
+    let length = emit_payload(&mut slot, payload);
+    let frame: Vec<u8> = bytes(&slot.0)[2..][..length].to_vec();
+    [&[0][..], &(length as u16).to_be_bytes(), &frame].concat()
+}
+
+/// A datagram to the board; `odd` says what is wrong with its headers.
+fn udp(step: u8, odd: u8, raw: &[u8]) -> Step {
+    [&[step, odd][..], &(raw.len() as u16).to_be_bytes(), raw].concat()
+}
+
+fn later(step: u8) -> Step {
+    vec![7 | step << 3]
+}
+
+fn datagrams() -> Vec<Seed> {
+    let words = [etherbone::HEADER, 0, 0x000f_0001, 7, 0];
+    let read = |odd: u8| udp(1, odd, &bytes(&words));
+    vec![
+        script("raw_read", [frame(&words)]),
+        script("read_with_options", [read(1), vec![3]]),
+        script("fragment", [read(2), vec![0x20, 0]]),
+        script("total_length_off", [read(4), vec![1]]),
+        script("cut_short", [read(0x40), vec![0, 43]]),
+        script("one_byte_wrong", [read(0xa0), vec![0, 50, 1]]),
+        script(
+            "discovery_to_all",
+            [udp(1 | 1 << 3, 8, &message(Body::Discover))],
+        ),
+    ]
+}
+
+/// Exchanges, which the fast path takes.
+fn fast_path() -> Vec<Seed> {
+    let acquire = [etherbone::HEADER, 0, 0x000f_0100, map::SESSION_ACQUIRE, 7];
+    let acquire = udp(1, 0x80, &bytes(&acquire));
+    let exchange = |flags: u8| vec![2, 0, flags];
+    vec![
+        script(
+            "on_the_fast_path",
+            [
+                acquire.clone(),
+                exchange(1),
+                exchange(3),
+                exchange(3),
+                later(4),
+                exchange(0x43),
+            ],
+        ),
+        script(
+            "the_fast_path_and_damage",
+            [acquire, exchange(1), vec![2, 0xa0, 1, 0, 90, 1]],
+        ),
+    ]
+}
+
+fn console() -> Vec<Seed> {
+    let tcp =
+        |flags: u8, text: &[u8]| [&[3, 0, flags, 0, 255, text.len() as u8][..], text].concat();
+    let opened = [tcp(2, b""), tcp(16, b"")].concat();
+    vec![
+        script(
+            "console_says_hello",
+            [
+                opened.clone(),
+                tcp(24, b"status\n"),
+                tcp(16, b""),
+                later(6),
+                tcp(17, b""),
+            ],
+        ),
+        script(
+            "console_says_quit",
+            [opened.clone(), tcp(24, b"quit\n"), tcp(17, b""), later(9)],
+        ),
+        script(
+            "console_dies",
+            [
+                opened.clone(),
+                tcp(24, b"net\n"),
+                later(9),
+                later(10),
+                later(11),
+                later(12),
+            ],
+        ),
+        script("console_is_reset", [opened, tcp(4, b"")]),
+        script("a_segment_for_a_closed_port", [tcp(16, b"x")]),
+    ]
+}
+
+fn others() -> Vec<Seed> {
+    vec![
+        script("ping", [vec![5 | 1 << 6, 0, 0, 8, 0, 7, 0, 1, 1, 2, 3, 4]]),
+        script("arp_request", [vec![6, 0]]),
+        script("runt", [vec![0, 0, 3, 1, 2, 3]]),
+    ]
+}

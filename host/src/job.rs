@@ -1,0 +1,17 @@
+//! Jobs on the PC: makes job files of drawings and programs, draws and checks them. No board is
+//! needed.
+//!
+//! [`program`] reads and writes them, [`svg`] makes one of a drawing, [`machine`] describes the
+//! machine, [`trace`] executes a job with the planner and the integer model of the board,
+//! [`preview`] draws the result; [`client`] talks to boards, [`stream`] executes jobs for a board
+//! without SDRAM; [`fonts`] finds the fonts. Docs: `docs/jobs.md`.
+
+pub mod client;
+pub mod fonts;
+pub mod machine;
+mod order;
+pub mod preview;
+pub mod program;
+pub mod stream;
+pub mod svg;
+pub mod trace;

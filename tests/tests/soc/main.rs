@@ -1,0 +1,7 @@
+//! The release image on the Verilated board: boot, exchange, malformed frames, faults at the pins.
+//!
+//! All input goes through Ethernet frames; all checks are at the pins.
+
+mod datagrams;
+mod exchange;
+mod faults;
