@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Proves the guarantees of the cores, and that every proof can fail. One line per proof; any failure
 # is exit code 1.
-#   gateware/formal/run.sh [CORE...]      JOBS=N: proofs at once (2); OUT=DIR; FORMAL_TIMEOUT=seconds for one proof (600)
+#   gateware/formal/run.sh [CORE...]      JOBS=N: proofs at once (2); OUT=DIR; FORMAL_TIMEOUT=seconds of a core for one proof (600)
 #
 # CORE.proofs lists the proofs of one core, CORE.sv (if there is one) holds the wrappers around it. A line of CORE.proofs is
 #
@@ -80,7 +80,7 @@ model() {  # folder: writes FOLDER/model.smt2 from the sources in it. Relative p
 }
 
 solve() {  # folder log arguments
-    (cd "$1" && nice timeout "$limit" "$smtbmc" -s "$solver" "${@:3}" model.smt2) >"$1/$2.log" 2>&1
+    (cd "$1" && ulimit -t "$limit" && nice "$smtbmc" -s "$solver" "${@:3}" model.smt2) >"$1/$2.log" 2>&1
 }
 
 prove() {  # core line
@@ -125,7 +125,7 @@ verdict() {  # log what
     if grep -q "Status: FAILED" "$1"; then
         echo "$2: $(grep -m1 -oE "Assert failed in .*" "$1" || true) (see $1)"
     else
-        echo "no verdict in $limit s or an error (see $1)"
+        echo "no verdict in $limit s of a core or an error (see $1)"
     fi
 }
 

@@ -477,14 +477,14 @@ impl Client {
     }
 
     /// A tag no earlier request had.
-    pub(crate) fn next_tag(&mut self) -> u32 {
+    pub fn next_tag(&mut self) -> u32 {
         self.tag = self.tag.wrapping_add(1);
         self.tag
     }
 
     /// One try of a whole request: the answer's tag, one of these, and its words. For requests that
     /// must not be executed twice.
-    pub(crate) fn once(
+    pub fn once(
         &self,
         request: &[u32],
         tags: RangeInclusive<u32>,
@@ -497,7 +497,7 @@ impl Client {
     }
 
     /// Waits once more for the answer to what was sent with one of these tags.
-    pub(crate) fn wait(
+    pub fn wait(
         &self,
         tags: RangeInclusive<u32>,
         count: usize,

@@ -4,6 +4,9 @@
 //! boards=192.168.2.50` loads into LinuxCNC. Built as an `rlib` it is everything the tool and the
 //! tests need. Neither needs LinuxCNC to build or link.
 //!
+//! Feature `tool`, on unless it is turned off, has the tool's modules, from [`image`] to [`job`] in
+//! this table. The realtime module uses none of them.
+//!
 //! | module | what it is for |
 //! |---|---|
 //! | [`module`] | what `loadrt` finds: parameters, entry points |
@@ -66,25 +69,34 @@ pub mod address;
 pub mod blocks;
 pub mod client;
 pub mod clock;
+#[cfg(feature = "tool")]
 pub mod discovery;
 pub mod driver;
 pub mod fence;
+#[cfg(feature = "tool")]
 pub mod flash;
+#[cfg(feature = "tool")]
 pub mod flash_file;
 pub mod glue;
 pub mod group;
 pub mod hal;
+#[cfg(feature = "tool")]
 pub mod image;
+#[cfg(feature = "tool")]
 pub mod job;
+#[cfg(feature = "tool")]
 pub mod jtag;
 pub mod keys;
 pub mod link;
 pub mod module;
 pub mod names;
+#[cfg(feature = "tool")]
 pub mod provision;
+#[cfg(feature = "tool")]
 pub mod selftest;
 pub mod settings;
 pub mod sync;
 pub mod turn;
 pub mod uid;
+#[cfg(feature = "tool")]
 pub mod update;

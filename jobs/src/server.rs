@@ -166,10 +166,11 @@ impl<O: Outside> RequestContext<'_, '_, O> {
         self.server.heard = self.now;
         let Ok(Some((frame, _))) = Frame::parse(bytes.get(..self.server.have).unwrap_or(&[]))
         else {
-            self.server.length =
-                jobs::answer(0, Status::Garbled, 0, &mut self.server.answer, |_| {});
-            self.server.last = None;
-            out.put(self.server.answer.get(..self.server.length).unwrap_or(&[]));
+            // The last request is kept: what a stranger sends must not make a start be acted on
+            // twice.
+            let mut answer = [0; FRAME];
+            let length = jobs::answer(0, Status::Garbled, 0, &mut answer, |_| {});
+            out.put(answer.get(..length).unwrap_or(&[]));
             out.close();
             return true;
         };
@@ -195,7 +196,7 @@ impl<O: Outside> RequestContext<'_, '_, O> {
             if status != Status::Normal {
                 self.server.refused = self.server.refused.wrapping_add(1);
             }
-            if greets || self.passes(&frame) {
+            if greets || !self.admitted() || self.passes(&frame, status) {
                 self.server.have = 0;
                 out.put(answer.get(..length).unwrap_or(&[]));
                 return true;
@@ -208,9 +209,14 @@ impl<O: Outside> RequestContext<'_, '_, O> {
         true
     }
 
-    /// A client that only looks or halts, while the request of another one may come again: that one
-    /// stays the last, or its start would be acted on twice, behind a stop.
-    fn passes(&self, frame: &Frame) -> bool {
+    /// This connection may do more than look and halt.
+    fn admitted(&self) -> bool {
+        self.server.known && (!self.server.key || self.server.proven)
+    }
+
+    /// A client that only looks or halts, or is refused, while the request of another one may come
+    /// again: that one stays the last, or its start would be acted on twice, behind a stop.
+    fn passes(&self, frame: &Frame, status: Status) -> bool {
         let anothers = |(client, ..): (u32, u8, u16)| client != self.server.client;
         let harmless = match Request::parse(frame) {
             Ok(Request::Report | Request::List { .. } | Request::GetMachine) => true,
@@ -218,7 +224,7 @@ impl<O: Outside> RequestContext<'_, '_, O> {
             Ok(Request::Segment { command, .. }) => words::halts(command),
             Ok(_) | Err(_) => false,
         };
-        harmless && self.server.last.is_some_and(anothers)
+        (harmless || status != Status::Normal) && self.server.last.is_some_and(anothers)
     }
 
     fn answer(&mut self, frame: &Frame, answer: &mut [u8; FRAME], length: &mut usize) -> Outcome {
@@ -396,7 +402,7 @@ impl<O: Outside> RequestContext<'_, '_, O> {
         match request {
             Request::Hello { .. } => Ok(()),
             _ if !self.server.known => Err(Status::NoHello),
-            _ if !self.server.key || self.server.proven => Ok(()),
+            _ if self.admitted() => Ok(()),
             Request::Command { code, .. } if stop(*code) => Ok(()),
             Request::Segment { command, .. } if words::harmless(*command) => Ok(()),
             Request::List { .. }

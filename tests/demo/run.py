@@ -30,7 +30,7 @@ def watch(mill, samples):
             return mill.wait(2)
         except subprocess.TimeoutExpired:
             done = samples.read_text(errors="replace").count("\n") if samples.exists() else 0
-            print(f"servo period {done}, about 2700 in all", flush=True)
+            print(f"servo period {done}, about 1850 in all", flush=True)
 
 
 def main():

@@ -75,3 +75,35 @@ fn litex_remote_client_reads_the_identifier_and_a_status_word() {
     let identifier = found["identifier"].as_str().unwrap_or_default();
     assert!(identifier.contains("FerroCNC"), "identifier {identifier:?}");
 }
+
+#[test]
+fn the_log_of_the_release_image_is_text_again_in_the_tool() {
+    let simulator = Simulator::start(&["--mode", "free"]);
+    let out = Command::new(ferrocnc_tests::program("ferrocnc"))
+        .args(["--json", "log", &simulator.udp().to_string(), "--elf"])
+        .arg(ferrocnc_tests::parts().1)
+        .output()
+        .expect("the tool runs; `cargo xtask test clients` builds it");
+    assert!(
+        out.status.success(),
+        "{}",
+        String::from_utf8_lossy(&out.stderr)
+    );
+    let said = String::from_utf8_lossy(&out.stdout).into_owned();
+    let frames: Vec<serde_json::Value> = said
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect();
+    let text = |at: usize| frames[at]["text"].as_str().unwrap_or_default();
+    assert!(frames.len() >= 2, "boot and address:\n{said}");
+    // As `defmt::info!` has them in the firmware, with the numbers of this board.
+    assert_eq!(text(0), "boot 0, reset 0", "{said}");
+    assert_eq!(text(1), "address c0a80232", "{said}");
+    for frame in &frames {
+        assert_eq!(frame["level"], "info", "{said}");
+        assert!(
+            frame["timestamp"].is_string(),
+            "without the board's time:\n{said}"
+        );
+    }
+}

@@ -22,9 +22,19 @@ pub struct Parts {
     pub firmware: PathBuf,
 }
 
-/// Builds everything a simulated run needs; what is fresh is left alone.
+/// Builds everything the tests need; what is fresh is left alone.
 pub fn everything() -> Result<Parts> {
     step::heading("build: board, firmware, driver, tools");
+    beside_the_board(host)
+}
+
+/// Builds what the demo needs: not the tool, whose SVG and fonts are most of the host's build.
+pub fn for_the_demo() -> Result<Parts> {
+    step::heading("build: board, firmware, driver, simulator");
+    beside_the_board(driver_and_simulator)
+}
+
+fn beside_the_board(host: fn() -> Result<()>) -> Result<Parts> {
     // Before the others: cargo builds one thing at a time in a folder, and LiteX waited for it.
     let reader = board_reader()?;
     // The last crate of the host's keeps one core busy for a minute: the board is built beside it.
@@ -146,6 +156,20 @@ pub fn host() -> Result<()> {
         "host",
         "build the driver, the tool and the simulator (Rust)",
         "2 min",
+        &mut build,
+    )
+}
+
+/// The driver and the simulator's front end, without the tool.
+fn driver_and_simulator() -> Result<()> {
+    let mut build = Command::new("cargo");
+    build.args(["build", "--release", "--no-default-features"]);
+    build.args(["--package", "ferrocnc", "--lib"]);
+    build.args(["--package", "ferrocnc-sim", "--bin", "ferrocnc-sim"]);
+    step::run(
+        "driver",
+        "build the driver and the simulator (Rust)",
+        "1 min",
         &mut build,
     )
 }

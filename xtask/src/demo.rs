@@ -18,10 +18,10 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     println!("FerroCNC demo: LinuxCNC cuts a program through the simulated board.");
     println!(
-        "The first run installs and builds everything, about 10 minutes on two cores; later ones take 6."
+        "The first run installs and builds everything, about 6 minutes on two cores; later ones take 4."
     );
     setup::run(setup::Need::Everything)?;
-    let parts = build::everything()?;
+    let parts = build::for_the_demo()?;
     build::install_driver()?;
 
     step::heading("run: LinuxCNC, driver, UDP, firmware, gateware");

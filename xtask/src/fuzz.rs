@@ -24,7 +24,7 @@ const INSTRUMENT: &str = "--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sani
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-compares";
 /// Seconds for one input: the slowest there are take 0.7 of a core.
-const PATIENCE: u32 = 20;
+const PATIENCE: u32 = 120;
 /// Seconds for making a finding smaller.
 const MINIMISE: u32 = 20;
 /// Without a terminal, a line this often.
@@ -41,9 +41,21 @@ pub struct Options {
     /// Targets at once.
     #[arg(long, default_value_t = 2)]
     jobs: usize,
+    /// The seed of the random numbers; each run has another one if not said, and prints it.
+    #[arg(long)]
+    seed: Option<u32>,
     /// Run one input and print every step; the name of its folder is the target.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["targets", "seconds", "jobs"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["targets", "seconds", "jobs", "seed"])]
     replay: Option<PathBuf>,
+}
+
+/// How long every target is searched, and with which random numbers.
+#[derive(Clone, Copy)]
+pub struct Search {
+    /// Seconds.
+    pub seconds: u32,
+    /// The seed; another one in each run without.
+    pub seed: Option<u32>,
 }
 
 /// Fuzzes, or replays an input.
@@ -62,7 +74,11 @@ pub fn run(options: &Options) -> Result<()> {
         false => options.targets.clone(),
     };
     setup::run(setup::Need::Fuzz)?;
-    fuzz(&wanted, options.seconds, options.jobs).map(drop)
+    let search = Search {
+        seconds: options.seconds,
+        seed: options.seed,
+    };
+    fuzz(&wanted, search, options.jobs).map(drop)
 }
 
 /// All targets there are, by name.
@@ -79,7 +95,8 @@ pub fn targets() -> Result<Vec<String>> {
 
 /// Builds the targets and runs them, `jobs` at once; says how many found nothing. A finding is an
 /// error.
-pub fn fuzz(names: &[String], seconds: u32, jobs: usize) -> Result<usize> {
+pub fn fuzz(names: &[String], search: Search, jobs: usize) -> Result<usize> {
+    let seconds = search.seconds;
     let binaries = build()?;
     step::heading(&format!("fuzz: {} targets, {seconds} s each", names.len()));
     let screen = MultiProgress::new();
@@ -90,7 +107,7 @@ pub fn fuzz(names: &[String], seconds: u32, jobs: usize) -> Result<usize> {
         while running.len() < jobs.max(1)
             && let Some(name) = waiting.next()
         {
-            running.push(Run::start(name, &binaries, seconds, &screen)?);
+            running.push(Run::start(name, &binaries, search, &screen)?);
         }
         if running.is_empty() {
             break;
@@ -164,7 +181,8 @@ struct Run {
 }
 
 impl Run {
-    fn start(name: &str, binaries: &Path, seconds: u32, screen: &MultiProgress) -> Result<Self> {
+    fn start(name: &str, binaries: &Path, search: Search, screen: &MultiProgress) -> Result<Self> {
+        let seconds = search.seconds;
         let corpus = target("fuzz/corpus").join(name);
         let findings = findings(name);
         for folder in [&corpus, &findings] {
@@ -181,6 +199,9 @@ impl Run {
             .arg(&corpus)
             .args(committed(name))
             .current_dir(root());
+        if let Some(seed) = search.seed {
+            command.arg(format!("-seed={seed}"));
+        }
         let child = step::at_priority(&command)
             .stdin(Stdio::null())
             .stdout(out.try_clone()?)

@@ -9,7 +9,8 @@
 //! * no request but a Hello is executed on a connection that has not begun with one;
 //! * a refused request has changed nothing (a Commit of a garbled upload starts it again, and says
 //!   so);
-//! * a repeated request has the same answer, to the byte, and is not executed again;
+//! * a repeated request has the same answer, to the byte, and is not executed again, unless it
+//!   only looks or halts, or was refused, beside the last request of another client;
 //! * the console's answers fit their buffer and do not disturb a terminal;
 //! * the machine is armed only while the executor is busy, and no pulse leaves while it is not.
 
@@ -70,6 +71,9 @@ struct Bench<'m> {
     /// This connection has begun with a Hello.
     known: bool,
     id: u16,
+    /// This connection's client, and the one whose request the board keeps.
+    client: u32,
+    kept: Option<u32>,
     /// The last request and its answer, if a repetition must get the same.
     last: Option<(Vec<u8>, Vec<u8>)>,
     story: Vec<String>,
@@ -92,6 +96,8 @@ pub fn script(data: &[u8]) -> String {
         reading: Vec::new(),
         known: false,
         id: 0,
+        client: 0,
+        kept: None,
         last: None,
         story: Vec::new(),
     };
@@ -228,6 +234,21 @@ fn name(input: &mut ByteReader) -> Name {
             Name::cut(["a", "b", "c", "a longer name, of 31 characters"][usize::from(n % 4)])
         }
         _ => Name::cut(&String::from_utf8_lossy(input.some())),
+    }
+}
+
+/// Only looks or halts.
+fn harmless(request: Request) -> bool {
+    match request {
+        Request::Report | Request::List { .. } | Request::GetMachine => true,
+        Request::Command { code, .. } => {
+            let command = jobs::Command::from_code(code);
+            matches!(command, Some(jobs::Command::Stop | jobs::Command::Pause))
+        }
+        Request::Segment { command, .. } => {
+            ::jobs::fpgag::Command::from_code(command) == Some(::jobs::fpgag::Command::Stop)
+        }
+        _ => false,
     }
 }
 
@@ -472,8 +493,17 @@ impl Bench<'_> {
                 "refused: {before:#?} {after:#?}\n{story:#?}"
             );
         }
+        let asked = Request::parse(&asked);
+        if let (Ok(Request::Hello { client }), Status::Normal) = (&asked, status) {
+            self.client = *client;
+        }
         let greets = matches!(op, Some(Op::Hello | Op::Challenge | Op::Respond));
-        let repeats = self.known && !greets;
+        let beside = self.kept.is_some_and(|kept| kept != self.client);
+        let passes = beside && (status != Status::Normal || asked.is_ok_and(harmless));
+        let repeats = self.known && !greets && !passes;
+        if repeats {
+            self.kept = Some(self.client);
+        }
         self.last = repeats.then(|| (request.to_vec(), answer.to_vec()));
     }
 

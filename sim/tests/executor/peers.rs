@@ -163,6 +163,33 @@ fn a_start_that_comes_again_behind_another_clients_stop_starts_nothing() {
 }
 
 #[test]
+fn a_start_that_comes_again_behind_a_refused_stranger_starts_nothing() {
+    let mut rig = Rig::plotter();
+    rig.send("job", &file(&program("G1 X50 F6000\nM2\n")));
+    let start = unattended(Name::new("job").unwrap());
+    let first = rig.ask_as(900, &start);
+    assert_eq!(first.0, Status::Normal);
+    rig.run(2000 * MS);
+    assert!(!rig.jobs.executor().busy(), "done");
+    // The answer is lost with its connection. A stranger sends no frame, or none that it may.
+    let owner = rig.client;
+    rig.knock();
+    rig.bytes(&[0xff; wire::jobs::FRAME]);
+    rig.knock();
+    assert_eq!(rig.ask_as(1, &start).0, Status::NoHello);
+    rig.client = 8;
+    rig.connect();
+    assert_eq!(
+        rig.command_with(2, UNATTENDED, 0, "none"),
+        Status::NoSuchJob
+    );
+    rig.client = owner;
+    rig.connect();
+    assert_eq!(rig.ask_as(900, &start), first, "acted on once, long ago");
+    assert!(!rig.jobs.executor().busy(), "started twice");
+}
+
+#[test]
 fn the_last_instructions_are_executed_once() {
     let mut rig = Rig::plotter();
     rig.start("G91\nG1 X1 F6000\nG1 X1\nG1 X1\nM2\n");

@@ -366,13 +366,18 @@ impl Rig {
         }
     }
 
-    /// A new connection of this client.
-    pub fn connect(&mut self) -> Welcome {
+    /// A new connection.
+    pub fn knock(&mut self) {
         let mut outer = Outer {
             machine: &mut self.machine,
             sent: &mut self.sent,
         };
         self.jobs.visit(&mut outer);
+    }
+
+    /// A new connection of this client.
+    pub fn connect(&mut self) -> Welcome {
+        self.knock();
         let client = self.client;
         let (status, payload) = self.ask(&Request::Hello { client });
         assert_eq!(status, Status::Normal);

@@ -1,13 +1,11 @@
-//! Drivers with embedded-hal's traits, for the devices that have one.
+//! Drivers of devices that boards have anywhere: the status LED, and the flash behind
+//! embedded-hal's `SpiDevice`, which the flash code of the library is written against.
 
-use super::Soc;
 use core::convert::Infallible;
-use embedded_hal::delay::DelayNs;
-use embedded_hal::digital::{ErrorType, OutputPin, StatefulOutputPin};
 use embedded_hal::spi::{self, Operation, SpiDevice};
-use firmware::cores::{Board as _, Led};
+use firmware::cores::Led;
 
-/// The status LED: as a pin through the trait, with patterns otherwise.
+/// The status LED, which shows patterns.
 pub struct StatusLed<'r>(&'r litex_pac::Led);
 
 impl<'r> StatusLed<'r> {
@@ -22,32 +20,6 @@ impl<'r> StatusLed<'r> {
         self.0
             .pattern()
             .write(|w| unsafe { w.bits(pattern as u32) });
-    }
-}
-
-impl ErrorType for StatusLed<'_> {
-    type Error = Infallible;
-}
-
-impl OutputPin for StatusLed<'_> {
-    fn set_low(&mut self) -> Result<(), Infallible> {
-        self.show(Led::Off);
-        Ok(())
-    }
-
-    fn set_high(&mut self) -> Result<(), Infallible> {
-        self.show(Led::On);
-        Ok(())
-    }
-}
-
-impl StatefulOutputPin for StatusLed<'_> {
-    fn is_set_high(&mut self) -> Result<bool, Infallible> {
-        Ok(self.0.pattern().read().bits() == Led::On as u32)
-    }
-
-    fn is_set_low(&mut self) -> Result<bool, Infallible> {
-        Ok(self.0.pattern().read().bits() == Led::Off as u32)
     }
 }
 
@@ -123,15 +95,5 @@ impl SpiDevice for FlashSpi {
         }
         self.select(false);
         Ok(())
-    }
-}
-
-impl DelayNs for Soc {
-    /// Waits by the wall clock, at least the given time.
-    fn delay_ns(&mut self, ns: u32) {
-        let per_us = u64::from(self.ident().clock_hz / 1_000_000);
-        let clocks = (u64::from(ns) * per_us).div_ceil(1000);
-        let start = self.now();
-        while self.now() - start < clocks {}
     }
 }
