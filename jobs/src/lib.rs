@@ -48,7 +48,6 @@ mod check;
 mod follower;
 mod homing;
 mod program;
-mod progress;
 mod words;
 
 use self::executor::Executor;

@@ -11,7 +11,7 @@
 
 use crate::fpgag::{CURVE_WORDS, Command, Curve, Error, Move, WORDS, status};
 use crate::player::{Limits, Player, Word};
-use motion::segment::AXES;
+use motion::segment::{AXES, Segment};
 
 /// Largest number of waiting instructions.
 const DEPTH: usize = 64;
@@ -60,9 +60,9 @@ impl Words {
         }
     }
 
-    /// The queue of instructions.
-    pub fn player(&mut self) -> &mut Player<DEPTH> {
-        &mut self.player
+    /// The next segment; `None`: there is none now.
+    pub fn poll(&mut self) -> Option<Segment> {
+        self.player.poll(self.executes)
     }
 
     /// Sets the limits for new instructions; a waiting one is checked again when it begins.

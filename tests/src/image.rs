@@ -219,8 +219,7 @@ impl Code {
         }
     }
 
-    /// What the one or two instructions before `at` put into `register`, if that is a constant
-    /// address.
+    /// What the one or two instructions before `at` put into `register`, if that is a constant.
     fn constant(&self, at: u32, register: u32) -> Option<u32> {
         if register == 0 {
             return Some(0);
@@ -231,8 +230,15 @@ impl Code {
         match opcode {
             0x17 if rd == register => Some(before.wrapping_add(word & !0xfff)),
             0x37 if rd == register => Some(word & !0xfff),
+            // slli of what the one before made.
+            0x13 if rd == register && word >> 12 & 7 == 1 => {
+                Some(self.constant(before, word >> 15 & 31)? << (word >> 20 & 31))
+            }
             0x13 if rd == register && word >> 12 & 7 == 0 => {
                 let base = word >> 15 & 31;
+                if base == 0 {
+                    return Some(i_immediate(word));
+                }
                 let upper = *self.words.get(&before.checked_sub(4)?)?;
                 let made = matches!(upper & 0x7f, 0x17 | 0x37) && upper >> 7 & 31 == base;
                 let base = made.then(|| self.constant(before, base)).flatten()?;
@@ -704,6 +710,16 @@ mod tests {
             &[],
         );
         assert_eq!(code.deepest("main").unwrap().bytes, 0xf5c0 + 16);
+    }
+
+    #[test]
+    fn a_frame_that_is_a_shifted_number_is_counted_whole() {
+        let li = 0x0170_0693; // li a3, 23
+        let slli = 0x0086_9693; // slli a3, a3, 8
+        let (sub, add) = (0x40d1_0133, 0x00d1_0133); // sub sp, sp, a3; add sp, sp, a3
+        let main = [li, slli, sub, li, slli, add, RET];
+        let code = code(&[("main", &main)], &[]);
+        assert_eq!(code.deepest("main").unwrap().bytes, 23 << 8);
     }
 
     #[test]

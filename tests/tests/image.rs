@@ -26,7 +26,7 @@ const IN_THE_JOBS_PROGRAM: &Justified = &[
         "the queue's head is counted modulo the queue's length",
     ),
     (
-        "Executor>::settle",
+        "Planner<32>>::begin_at",
         1,
         "steps by steps per km: `Machinery::new` takes no 0",
     ),

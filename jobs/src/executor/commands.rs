@@ -1,16 +1,18 @@
 //! What clients ask for: which command is taken in which phase, and what it changes.
 
-use super::setup::{limits, setup};
-use super::{Executor, Phase, Starter};
+use super::Executor;
+use super::order::{Order, Starter, Work, asked};
+use super::phase::{Hold, Phase};
+use super::setup::limits;
 use crate::check::Check;
 use crate::instruction::Instruction;
-use crate::plan::{Output, Planner};
+use crate::plan::Output;
 use crate::store::Store;
 use crate::words::Words;
 use crate::{Outside, fpgag};
 use motion::segment::AXES;
 use wire::Name;
-use wire::jobs::{self, Command, End, KEEPALIVE_MS, Status, UNATTENDED};
+use wire::jobs::{self, Command, End, Status};
 
 /// 5 s: a client that sends words sends the next ones long before that.
 const WORDS_KEEPALIVE_MS: u16 = 5000;
@@ -27,75 +29,39 @@ impl Executor {
         out: &mut impl Outside,
     ) -> Result<(), Status> {
         let command = Command::from_code(code).ok_or(Status::UnknownCode)?;
+        let clock_hz = self.board.clock_hz;
+        let starter = || Starter::new(client, (flags, keepalive), clock_hz, now);
         match command {
-            Command::Welcome => Ok(()),
-            Command::Stop => {
-                self.stop(End::Stopped, out);
-                Ok(())
-            }
-            Command::Continue | Command::Unpause => self.go_on(out),
-            Command::Pause => self.pause(out),
+            Command::Welcome => {}
+            Command::Stop => self.stop(End::Stopped, out),
+            Command::Continue | Command::Unpause => self.hold(false, out)?,
+            Command::Pause => self.hold(true, out)?,
             Command::Start => {
                 let job = store.get(name)?;
-                let starter = self.starter(client, flags, keepalive, now)?;
+                let starter = starter()?;
                 self.may_begin(out)?;
-                let homed = self.homed;
-                self.begin(starter, Phase::Check);
-                self.program.job(store, job);
-                (self.job, self.name, self.calibrates) = (Some(job), *name, false);
-                self.check = Check::new(homed);
-                Ok(())
+                self.begin(Order::new(starter, Work::Job(job), *name), Phase::Check);
+                self.path.program.job(store, job);
+                self.check = Check::new(self.known.homed);
             }
             Command::Calibrate => {
-                let starter = self.starter(client, flags, keepalive, now)?;
+                let starter = starter()?;
                 let axes = self.asked(flags, Status::NoSwitch, |axis| axis.home.is_some())?;
                 self.may_begin(out)?;
-                self.begin(starter, Phase::Open(0));
-                self.program.only(Instruction::Home { axes });
-                (self.job, self.name, self.calibrates) = (None, Name::EMPTY, true);
-                Ok(())
+                let order = Order::new(starter, Work::Homing, Name::EMPTY);
+                self.begin(order, Phase::Open(0));
+                self.path.program.only(Instruction::Home { axes });
             }
             Command::Here => {
                 let axes = self.asked(flags, Status::HasSwitch, |axis| axis.home.is_none())?;
                 self.may_begin(out)?;
-                self.here(axes, out)
+                self.here(axes, out)?;
             }
         }
-    }
-
-    /// Declares that these axes are at 0.
-    fn here(&mut self, axes: [bool; AXES], out: &mut impl Outside) -> Result<(), Status> {
-        let (state, positions) = self.inside.look(out).ok_or(Status::NotNow)?;
-        if state.enabled {
-            // The axis may still be on its way to rest.
-            return Err(Status::NotNow);
-        }
-        self.positions = positions;
-        let chosen = axes.into_iter().enumerate().filter(|(_, chosen)| *chosen);
-        for (axis, _) in chosen {
-            if let Some(position) = positions.get(axis) {
-                self.zero(axis, *position);
-            }
-        }
-        self.settle();
         Ok(())
     }
 
-    fn starter(&self, client: u32, flags: u8, keepalive: u16, now: u64) -> Result<Starter, Status> {
-        let attended = flags & UNATTENDED == 0;
-        if attended && !KEEPALIVE_MS.contains(&keepalive) {
-            return Err(Status::Value);
-        }
-        let per_ms = u64::from(self.clock_hz / 1000);
-        Ok(Starter {
-            client,
-            patience: attended.then_some(u64::from(keepalive) * per_ms),
-            heard: now,
-        })
-    }
-
-    /// The axes a command names, all of which have to be suitable; or all suitable ones if it names
-    /// none.
+    /// The axes a command names, or all that are fit for it.
     fn asked(
         &self,
         flags: u8,
@@ -103,19 +69,24 @@ impl Executor {
         fit: impl Fn(&jobs::Axis) -> bool,
     ) -> Result<[bool; AXES], Status> {
         let machine = self.machine.as_ref().ok_or(Status::NoMachine)?;
-        let fit = machine.axes.each_ref().map(fit);
-        let asked = flags & !UNATTENDED;
-        if asked >> AXES != 0 {
-            return Err(Status::Value);
+        asked(flags, machine.axes.each_ref().map(fit), refusal)
+    }
+
+    /// Declares that these axes are at 0.
+    fn here(&mut self, axes: [bool; AXES], out: &mut impl Outside) -> Result<(), Status> {
+        let look = self.board.inside.look(out);
+        let (state, positions) = look.ok_or(Status::NotNow)?;
+        if state.enabled {
+            // The axis may still be on its way to rest.
+            return Err(Status::NotNow);
         }
-        let axes: [bool; AXES] = core::array::from_fn(|axis| asked >> axis & 1 == 1);
-        let refused = axes.iter().zip(fit).any(|(asked, fit)| *asked && !fit);
-        match (asked, refused) {
-            (0, _) if fit == [false; AXES] => Err(refusal),
-            (0, _) => Ok(fit),
-            (_, true) => Err(refusal),
-            (_, false) => Ok(axes),
+        self.known.at(positions);
+        let chosen = positions.into_iter().zip(axes).enumerate();
+        for (axis, (position, _)) in chosen.filter(|(_, (_, chosen))| *chosen) {
+            self.known.zero(axis, position);
         }
+        self.path.settle(self.known.places());
+        Ok(())
     }
 
     fn may_begin(&mut self, out: &mut impl Outside) -> Result<(), Status> {
@@ -123,11 +94,21 @@ impl Executor {
             Err(Status::NotNow)
         } else if self.machine.is_none() {
             Err(Status::NoMachine)
-        } else if self.inside.owned(out) {
+        } else if self.board.inside.owned(out) {
             Err(Status::Owned)
         } else {
             self.look_for_cuts(out);
             Ok(())
+        }
+    }
+
+    fn begin(&mut self, order: Order, phase: Phase) {
+        self.order = order;
+        self.phase = phase;
+        self.outcome.begin();
+        self.reached.clear();
+        if let Some(machine) = &self.machine {
+            self.path.clear(machine, self.board.clock_hz);
         }
     }
 
@@ -141,7 +122,7 @@ impl Executor {
         out: &mut impl Outside,
     ) -> Result<u32, Status> {
         let command = fpgag::Command::from_code(command).ok_or(Status::UnknownCode)?;
-        if self.busy() && !self.streams {
+        if self.busy() && !self.order.streams() {
             // Whatever moves, a client that says stop means it.
             if command == fpgag::Command::Stop {
                 self.stop(End::Stopped, out);
@@ -149,7 +130,7 @@ impl Executor {
             }
             return Err(Status::NotNow);
         }
-        let machine = self.machine.ok_or(Status::NoMachine)?;
+        let machine = self.machine.as_ref().ok_or(Status::NoMachine)?;
         match command {
             fpgag::Command::Empty => Ok(0),
             fpgag::Command::Status => Ok(self.words.as_ref().map_or(0, Words::status)),
@@ -160,11 +141,12 @@ impl Executor {
                 Ok(0)
             }
             fpgag::Command::Gcode => {
-                let limits = limits(&machine, &self.limits(), self.clock_hz);
+                let limits = limits(machine, &self.path.limits(), self.board.clock_hz);
                 if !self.busy() && self.words.is_none() {
-                    let (_, positions) = self.inside.look(out).ok_or(Status::NotNow)?;
-                    self.positions = positions;
-                    self.words = Some(Words::new(limits, self.places()));
+                    let look = self.board.inside.look(out);
+                    let (_, positions) = look.ok_or(Status::NotNow)?;
+                    self.known.at(positions);
+                    self.words = Some(Words::new(limits, self.known.places()));
                 }
                 let queue = self.words.as_mut().ok_or(Status::NotNow)?;
                 // The machine may have been changed since the first words came.
@@ -177,104 +159,52 @@ impl Executor {
                     return Ok(0);
                 }
                 self.look_for_cuts(out);
-                if self.homed != [true; AXES] {
+                if !self.known.all_homed() {
                     return Err(Status::NotNow);
                 }
-                let starter = self.starter(client, 0, WORDS_KEEPALIVE_MS, now)?;
+                let clock_hz = self.board.clock_hz;
+                let starter = Starter::new(client, (0, WORDS_KEEPALIVE_MS), clock_hz, now)?;
                 self.may_begin(out)?;
-                self.begin(starter, Phase::Open(0));
-                (self.streams, self.calibrates) = (true, false);
-                (self.job, self.name) = (None, Name::EMPTY);
+                let order = Order::new(starter, Work::Words, Name::EMPTY);
+                self.begin(order, Phase::Open(0));
                 Ok(0)
             }
         }
     }
 
-    pub(super) fn begin(&mut self, starter: Starter, phase: Phase) {
-        self.streams = false;
-        self.starter = starter;
-        self.phase = phase;
-        (self.ending, self.end) = (End::Done, End::None);
-        self.trouble = (0xff, None);
-        (self.instruction, self.segment, self.waiting) = (None, None, None);
-        (self.from, self.micros, self.total) = ([0; AXES], 0, 0);
-        self.paused = false;
-        self.reached.clear();
-        if let Some(machine) = &self.machine
-            && let Ok(mut planner) = Planner::new(&setup(machine, self.clock_hz))
-        {
-            planner.set_override(self.percent.into());
-            self.planner = Some(planner);
-        }
-    }
-
-    fn go_on(&mut self, out: &mut impl Outside) -> Result<(), Status> {
-        match self.phase {
-            Phase::Held => {
-                self.phase = Phase::Play;
-                Ok(())
-            }
-            Phase::Check | Phase::Open(_) | Phase::Play if !self.calibrates => {
-                if core::mem::take(&mut self.paused) {
-                    self.core.pass(true, out);
+    /// Pause, or continue.
+    fn hold(&mut self, pause: bool, out: &mut impl Outside) -> Result<(), Status> {
+        match (self.phase.hold(self.order.homes()), pause) {
+            (Hold::Path, _) => {
+                let paused = core::mem::replace(&mut self.order.paused, pause);
+                if pause || paused {
+                    self.board.core.pass(!pause, out);
                 }
-                Ok(())
             }
-            // A homing is never paused, so there is nothing to continue: it goes on as it is.
-            Phase::Check
-            | Phase::Open(_)
-            | Phase::Play
-            | Phase::Lift
-            | Phase::Home
-            | Phase::Idle
-            | Phase::Rest
-            | Phase::Brake
-            | Phase::Quit
-            | Phase::Close(_) => Err(Status::NotNow),
+            (Hold::Waits, true) => {}
+            (Hold::Waits, false) => self.phase = Phase::Play,
+            (Hold::Ends, true) => self.stop(End::Stopped, out),
+            (Hold::Ends, false) | (Hold::Refused, _) => return Err(Status::NotNow),
         }
-    }
-
-    fn pause(&mut self, out: &mut impl Outside) -> Result<(), Status> {
-        match self.phase {
-            Phase::Held => Ok(()),
-            Phase::Check | Phase::Open(_) | Phase::Play if !self.calibrates => {
-                self.paused = true;
-                self.core.pass(false, out);
-                Ok(())
-            }
-            // A homing is not a path that can be held: a pause ends it.
-            Phase::Check | Phase::Open(_) | Phase::Play | Phase::Lift | Phase::Home => {
-                self.stop(End::Stopped, out);
-                Ok(())
-            }
-            Phase::Idle | Phase::Rest | Phase::Brake | Phase::Quit | Phase::Close(_) => {
-                Err(Status::NotNow)
-            }
-        }
+        Ok(())
     }
 
     /// Ends the current work, along the path.
     pub(super) fn stop(&mut self, why: End, out: &mut impl Outside) {
-        match self.phase {
-            Phase::Idle | Phase::Brake | Phase::Quit | Phase::Rest | Phase::Close(_) => return,
-            Phase::Check | Phase::Open(0) => self.phase = Phase::Idle,
-            Phase::Open(_) | Phase::Held => self.phase = Phase::Close(0),
-            Phase::Play | Phase::Lift => {
-                if self.phase == Phase::Lift {
-                    // What the program does behind the switches is not to begin.
-                    self.waiting = Some(Output::End);
-                }
-                self.core.pass(false, out);
-                self.phase = Phase::Brake;
-            }
-            Phase::Home => {
-                self.velocities = self.rest();
-                self.phase = Phase::Rest;
-            }
+        let Some(next) = self.phase.stopped() else {
+            return;
+        };
+        if next == Phase::Idle {
+            return self.over(why);
         }
-        self.ending = why;
-        if self.phase == Phase::Idle {
-            self.over(why);
+        if self.phase == Phase::Lift {
+            // What the program does behind the switches is not to begin.
+            self.path.waiting = Some(Output::End);
         }
+        if next == Phase::Brake {
+            self.board.core.pass(false, out);
+        }
+        self.outcome.ending = why;
+        self.phase = next;
     }
 }

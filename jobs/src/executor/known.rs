@@ -1,15 +1,58 @@
-//! What is known of the axes' positions: a switch makes one known, a cut pulse makes it doubtful.
+//! Where the axes are, and what that is worth: a switch makes a position known, a cut pulse makes
+//! it doubtful.
 
-use super::Executor;
-use crate::Outside;
 use motion::segment::AXES;
-use wire::FaultReason;
 use wire::exchange::StateWord;
-use wire::jobs::End;
+use wire::jobs::MachineConfig;
+use wire::units::Position;
 
-impl Executor {
+/// What is known of the axes' positions.
+#[derive(Debug)]
+pub struct Known {
+    /// Integrators, when they were last read.
+    positions: [i64; AXES],
+    /// Where they are at 0.
+    offset: [i64; AXES],
+    /// Axes that have no switch: they are where they are said to be.
+    switchless: [bool; AXES],
+    /// Axes that found their switch, or have none.
+    pub homed: [bool; AXES],
+    /// Pulses may have been cut off while the axis moved, and its switch has not been found since.
+    cut: [bool; AXES],
+    /// The board's last answer said that no pulses were cut off since it was armed.
+    trusted: bool,
+    /// How often they were, as far as is known of.
+    cuts: u32,
+}
+
+impl Known {
+    /// Of a board that has seen so many cuts. `restarted`: its counts have started again, wherever
+    /// the axes stand.
+    pub fn new(restarted: bool, cuts: u32) -> Self {
+        Known {
+            positions: [Position::ZERO.0; AXES],
+            offset: [0; AXES],
+            switchless: [false; AXES],
+            homed: [false; AXES],
+            cut: [restarted; AXES],
+            trusted: false,
+            cuts,
+        }
+    }
+
+    /// Another machine: no switch of it was found yet.
+    pub fn machine(&mut self, machine: &MachineConfig) {
+        self.switchless = machine.axes.map(|axis| axis.home.is_none());
+        self.homed = self.switchless;
+    }
+
+    /// The integrators were read.
+    pub fn at(&mut self, positions: [i64; AXES]) {
+        self.positions = positions;
+    }
+
     /// This axis is at 0 where its integrator is at `position`.
-    pub(super) fn zero(&mut self, axis: usize, position: i64) {
+    pub fn zero(&mut self, axis: usize, position: i64) {
         if let (Some(offset), Some(homed), Some(cut)) = (
             self.offset.get_mut(axis),
             self.homed.get_mut(axis),
@@ -21,78 +64,49 @@ impl Executor {
         }
     }
 
-    /// Another client may have driven the axes.
-    pub(super) fn look_for_cuts(&mut self, out: &mut impl Outside) {
-        if let Some(state) = self.inside.state(out) {
-            self.seen(state);
-        }
-        self.count_cuts(out);
-    }
-
-    /// It may have armed again behind a stop that was cut off, and then the state says nothing of
-    /// that.
-    pub(super) fn count_cuts(&mut self, out: &mut impl Outside) {
-        if let Some(cuts) = self.inside.cuts(out)
-            && core::mem::replace(&mut self.cuts, cuts) != cuts
-        {
-            self.forget();
-        }
-    }
-
     /// Positions as planner and words use them: 0 is home.
-    pub(super) fn places(&self) -> [i64; AXES] {
-        core::array::from_fn(|axis| {
-            let offset = self.offset.get(axis).copied().unwrap_or(0);
-            let position = self.positions.get(axis).copied().unwrap_or(0);
-            position.wrapping_sub(offset)
-        })
-    }
-
-    /// The planner starts from the axes' current positions.
-    pub(super) fn settle(&mut self) {
-        let at = self.places();
-        if let Some(planner) = &mut self.planner {
-            let _at_rest = planner.begin_at(at);
+    pub fn places(&self) -> [i64; AXES] {
+        let mut places = self.positions;
+        for (place, offset) in places.iter_mut().zip(self.offset) {
+            *place = place.wrapping_sub(offset);
         }
-    }
-
-    /// Records the reason. The gateware is faster than the firmware's state machine, so this runs
-    /// once more at the end.
-    pub(super) fn explain(&mut self, state: Option<StateWord>) {
-        self.ending = match state.map_or(FaultReason::None, |state| state.reason) {
-            FaultReason::EStop => End::EStop,
-            FaultReason::ExternalReset => End::ExternalReset,
-            FaultReason::Watchdog => End::Watchdog,
-            FaultReason::None
-            | FaultReason::HostDisable
-            | FaultReason::SessionLost
-            | FaultReason::LinkDown
-            | FaultReason::FirmwareFault
-            | FaultReason::JobUnderrun
-            | FaultReason::AbiMismatch => self.ending,
-        };
-        match state {
-            Some(state) => self.seen(state),
-            None => self.forget(),
-        }
+        places
     }
 
     /// Takes the board's word on whether pulses may have been cut off since it was armed. From a
     /// restart to the first arming that is in doubt, and the board's counts have started again.
-    pub(super) fn seen(&mut self, state: StateWord) {
+    pub fn seen(&mut self, state: StateWord) {
         let trusted = core::mem::replace(&mut self.trusted, state.position_trusted);
         if trusted && !state.position_trusted {
             self.forget();
         }
     }
 
-    /// Marks all positions as unknown.
-    pub(super) fn forget(&mut self) {
-        self.cut = [true; AXES];
-        if let Some(machine) = &self.machine {
-            for (homed, axis) in self.homed.iter_mut().zip(&machine.axes) {
-                *homed &= axis.home.is_none();
-            }
+    /// Takes the board's count of cuts. It may have armed again behind a stop that was cut off, and
+    /// then the state says nothing of that.
+    pub fn counted(&mut self, cuts: Option<u32>) {
+        if let Some(cuts) = cuts
+            && core::mem::replace(&mut self.cuts, cuts) != cuts
+        {
+            self.forget();
         }
+    }
+
+    /// Marks all positions as unknown.
+    pub fn forget(&mut self) {
+        self.cut = [true; AXES];
+        for (homed, switchless) in self.homed.iter_mut().zip(self.switchless) {
+            *homed &= switchless;
+        }
+    }
+
+    /// All axes were homed.
+    pub fn all_homed(&self) -> bool {
+        self.homed == [true; AXES]
+    }
+
+    /// All positions are right.
+    pub fn complete(&self) -> bool {
+        self.all_homed() && self.cut == [false; AXES]
     }
 }

@@ -1,13 +1,14 @@
 //! The machine in the units of the planner, of FPGA G's words and of the segments core.
 
-use crate::plan::{AxisSetup, Setup};
+use super::LOOK_AHEAD;
+use crate::plan::{AxisSetup, Planner, Setup, SetupError};
 use crate::player::Limits;
 use motion::segment::AXES;
-use wire::jobs::MachineConfig;
+use wire::jobs::{Field, MachineConfig};
 
-/// The planner's settings.
-pub fn setup(machine: &MachineConfig, clock_hz: u32) -> Setup {
-    Setup {
+/// The planner for this machine, or what it cannot plan with.
+pub fn planner(machine: &MachineConfig, clock_hz: u32) -> Result<Planner<LOOK_AHEAD>, (Field, u8)> {
+    let setup = Setup {
         clock_hz,
         axes: machine.axes.map(|axis| AxisSetup {
             steps_per_km: axis.steps_per_km,
@@ -17,7 +18,14 @@ pub fn setup(machine: &MachineConfig, clock_hz: u32) -> Setup {
         chord_tolerance: machine.chord_tolerance,
         junction_deviation: machine.junction_deviation,
         aux_settle: machine.tool_delay,
-    }
+    };
+    Planner::new(&setup).map_err(|error| match error {
+        SetupError::Clock => (Field::Board, 0),
+        SetupError::Scale(axis) => (Field::Scale, axis as u8),
+        SetupError::Speed(axis) => (Field::Speed, axis as u8),
+        SetupError::Accel(axis) => (Field::Acceleration, axis as u8),
+        SetupError::Tolerance => (Field::ChordTolerance, 0),
+    })
 }
 
 /// The limits of the words.
