@@ -526,7 +526,7 @@ impl Executor {
             self.failed(state, out);
         } else if let Some(segment) = self.path.segment.take() {
             core.push(&segment, out);
-            self.reached.segment(0, segment.clocks);
+            self.reached.segment(self.path.number(), segment.clocks);
             core.start(out);
             return true;
         } else if state.idle() && state.level() == 0 {

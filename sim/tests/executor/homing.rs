@@ -187,6 +187,26 @@ fn a_job_may_find_the_switches_itself_and_its_pen_comes_back() {
     );
 }
 
+#[test]
+fn a_homing_in_a_job_is_the_line_it_stands_on_while_the_tool_is_lifted() {
+    let mut rig = Rig::switched();
+    let mut machine = with_switches();
+    machine.tool_delay = 100_000;
+    rig.ok(&Request::PutMachine(machine));
+    rig.start("G28\nG1 X5 F6000\nM3\nG1 X10\nG28 X0\nG1 X2 Y4\nM2\n");
+    let (mut line, mut progress) = (0, 0);
+    while rig.jobs.executor().busy() {
+        let report = rig.report();
+        assert!(
+            report.line >= line && report.progress >= progress,
+            "back from line {line}, {progress} %: {report:?}"
+        );
+        (line, progress) = (report.line, report.progress);
+        rig.run(5 * MS);
+    }
+    assert_eq!(rig.finish().end, End::Done);
+}
+
 /// A tool that takes 100 ms to lift, about to be lifted before the switches are looked for.
 fn slow_tool() -> Rig {
     let mut rig = Rig::new(switched());
