@@ -14,8 +14,8 @@ use sim::plant::Plant;
 use sim::server::{self, Mode, Options, Server};
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, SocketAddrV4, TcpListener, TcpStream};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use wire::describe::Channels;
@@ -219,8 +219,8 @@ pub struct Scissors {
 }
 
 impl Scissors {
-    /// In front of the board at `to`; the first connection lasts for the first of `lengths`, and so
-    /// on; those after them last.
+    /// In front of the board at `to`; a connection lasts for the first of `lengths` until one was
+    /// cut, then for the second, and so on; those after them last.
     pub fn new(to: SocketAddrV4, lengths: &[usize]) -> Self {
         Scissors::cutting(
             to,
@@ -244,9 +244,9 @@ impl Scissors {
         let cuts = Arc::<AtomicUsize>::default();
         let told = cuts.clone();
         std::thread::spawn(move || {
-            let lengths = Mutex::new(lengths.into_iter());
             for host in listener.incoming().flatten() {
-                let length = lengths.lock().expect("one thread").next();
+                // A connection that the host gave up is not the one to be cut: the next one is.
+                let length = lengths.get(told.load(Ordering::Relaxed)).copied();
                 let Ok(board) = TcpStream::connect(to) else {
                     continue;
                 };
