@@ -22,10 +22,10 @@ fn main() {
         println!("cargo:rustc-link-arg-bin=ferrocnc-firmware=-T{script}");
     }
     println!("cargo:rustc-link-arg-bin=ferrocnc-firmware=--defsym=_hart_stack_size={STACK}");
-    let jobs = Path::new(&manifest).join("jobs.x");
-    println!("cargo:rerun-if-changed={}", jobs.display());
+    let services = Path::new(&manifest).join("services.x");
+    println!("cargo:rerun-if-changed={}", services.display());
     println!(
-        "cargo:rustc-link-arg-bin=ferrocnc-jobs=-T{}",
-        jobs.display()
+        "cargo:rustc-link-arg-bin=ferrocnc-services=-T{}",
+        services.display()
     );
 }

@@ -1,6 +1,6 @@
 #!/bin/bash
-# Builds the firmware image, target/firmware/ferrocnc-firmware.elf, and the jobs program of boards
-# with SDRAM, target/firmware/ferrocnc-jobs.bin, and prints their sizes.
+# Builds the firmware image, target/firmware/ferrocnc-firmware.elf, and the services of boards
+# with SDRAM, target/firmware/ferrocnc-services.bin, and prints their sizes.
 #
 #   firmware/build.sh [cargo arguments]
 #
@@ -51,9 +51,9 @@ else
     exit 1
 fi
 
-for name in ferrocnc-firmware ferrocnc-jobs; do
+for name in ferrocnc-firmware ferrocnc-services; do
     built=$out/$target/firmware-image/$name
     cmp -s "$built" "$out/$name.elf" || cp "$built" "$out/$name.elf"
 done
 "$root/firmware/size.py" "$out/ferrocnc-firmware.elf"
-"$root/firmware/program.py" "$out/ferrocnc-jobs.elf" "$out/ferrocnc-jobs.bin"
+"$root/firmware/program.py" "$out/ferrocnc-services.elf" "$out/ferrocnc-services.bin"

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Makes the jobs program from its ELF file: the bytes from the SDRAM's first on, length and magic
-after them, the CRC in front. The layout is defined in `firmware::jobs::abi`."""
+"""Makes the services from its ELF file: the bytes from the SDRAM's first on, length and magic
+after them, the CRC in front. The layout is defined in `firmware::services::abi`."""
 
 import struct
 import sys
@@ -41,7 +41,7 @@ def main():
     data = complete(image(elf.read_bytes()))
     if not out.exists() or out.read_bytes() != data:
         out.write_bytes(data)
-    print(f"jobs program {len(data)} bytes of {ROOM}, with .bss and stack after them")
+    print(f"services {len(data)} bytes of {ROOM}, with .bss and stack after them")
 
 
 if __name__ == "__main__":

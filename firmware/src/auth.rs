@@ -152,6 +152,12 @@ impl Auth {
         self.friend = false;
     }
 
+    /// Another client of the console has the word: `friend` says whether it has proved that it has
+    /// the key. Returns that of the client before.
+    pub fn change(&mut self, friend: bool) -> bool {
+        core::mem::replace(&mut self.friend, friend)
+    }
+
     /// Checks the console client's answer to the challenge for [`by_port`] of the console.
     pub fn login(&mut self, answer: &Words) -> Result<(), Refusal> {
         self.friend = false;

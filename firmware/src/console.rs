@@ -2,8 +2,8 @@
 //!
 //! Lines come in, text goes out. A command that changes something (`restart`) needs a machine at
 //! rest, a session without an owner and, if the board has a key, a `login` ([`crate::auth`]). No
-//! command can stop a machine that a host drives. Lines that begin with `job` are for the jobs
-//! program, which has its own rules ([`crate::jobs`]). The console ignores lines that are too long,
+//! command can stop a machine that a host drives. Lines that begin with `job` are for the services,
+//! which have their own rules for them ([`crate::services`]). The console ignores lines that are too long,
 //! control bytes and telnet's option negotiation.
 
 use crate::auth::{Words, by_port};
@@ -86,7 +86,7 @@ pub enum Ask {
     Settings,
     /// A challenge, or the answer to one.
     Login(Option<Words>),
-    /// Something for the jobs program: [`LineEditor::job`].
+    /// Something for the part of the services that knows jobs: [`LineEditor::line`].
     Job,
     /// Restart the firmware.
     Restart,
@@ -170,53 +170,57 @@ pub struct LineEditor {
     text: heapless::String<LINE_MAX>,
     too_long: bool,
     telnet: u8,
-    /// The line is complete, and kept for the jobs program.
-    job: bool,
+    /// The line is complete, and kept until the next byte comes.
+    complete: bool,
 }
 
 impl LineEditor {
+    /// No byte yet.
+    pub const fn new() -> Self {
+        LineEditor {
+            text: heapless::String::new(),
+            too_long: false,
+            telnet: 0,
+            complete: false,
+        }
+    }
+
     /// Takes one byte; returns the line's meaning when the line is complete.
+    pub fn push(&mut self, byte: u8) -> Option<Ask> {
+        self.collect(byte).then(|| Ask::parse(self.line()))
+    }
+
+    /// Takes one byte; true if the line is complete ([`LineEditor::line`]).
     // Inlined in two places it would cost half a KiB.
     #[inline(never)]
-    pub fn push(&mut self, byte: u8) -> Option<Ask> {
+    pub fn collect(&mut self, byte: u8) -> bool {
         const IAC: u8 = 255;
         const WILL: u8 = 251;
         const DONT: u8 = 254;
-        if self.job {
-            *self = LineEditor::default();
+        if self.complete {
+            *self = LineEditor::new();
         }
         if self.telnet > 0 {
             // IAC WILL/WONT/DO/DONT option; any other IAC command is two bytes.
             self.telnet = u8::from(self.telnet == 1 && (WILL..=DONT).contains(&byte)) * 2;
-            return None;
+            return false;
         }
         match byte {
             IAC => self.telnet = 1,
-            b'\n' => {
-                let ask = if self.too_long {
-                    Ask::Unknown
-                } else {
-                    Ask::parse(&self.text)
-                };
-                if ask == Ask::Job {
-                    self.job = true;
-                } else {
-                    *self = LineEditor::default();
-                }
-                return Some(ask);
-            }
+            b'\n' => self.complete = true,
             8 | 127 => {
                 self.text.pop();
             }
             b' '..=b'~' => self.too_long |= self.text.push(byte as char).is_err(),
             _ => {}
         }
-        None
+        self.complete
     }
 
-    /// The line that was [`Ask::Job`], until the next byte comes.
-    pub fn job(&self) -> &str {
-        &self.text
+    /// The line that is complete, until the next byte comes. One that was too long is a line that
+    /// means nothing.
+    pub fn line(&self) -> &str {
+        if self.too_long { "!" } else { &self.text }
     }
 }
 

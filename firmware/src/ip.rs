@@ -153,6 +153,11 @@ impl Text {
         self.bytes.get(..self.used).unwrap_or(&[])
     }
 
+    /// Is there anything to be sent, or to be closed?
+    pub fn some(&self) -> bool {
+        self.used > 0 || self.close
+    }
+
     /// Bytes that still fit.
     pub fn room(&self) -> usize {
         TEXT - self.used

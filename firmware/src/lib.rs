@@ -34,8 +34,8 @@
 //! | [`settings`] | the two copies of what a board keeps over a power cycle |
 //! | [`discovery`] | lets hosts find the board and set its settings, whatever its address |
 //! | [`dhcp`] | an address from a server, or the static one after 10 s |
-//! | [`ip`] | ARP, ping and the console's TCP connection |
-//! | [`jobs`] | what the board does without a PC, in a program of its own |
+//! | [`ip`] | ARP, ping and the console's TCP connection where there are no services |
+//! | [`services`] | TCP/IP, consoles and jobs, in a program of their own that the machine outlives |
 //! | [`link`] | up or down, speed, errors |
 //! | `path_stop` | decelerations that keep the axes on their line when no commands come any more |
 //! | [`log`] | the ring `ferrocnc log` reads |
@@ -58,7 +58,6 @@ pub mod exchange;
 pub mod flash;
 pub mod images;
 pub mod ip;
-pub mod jobs;
 pub mod link;
 pub mod log;
 pub mod machine;
@@ -69,6 +68,7 @@ pub mod postmortem;
 pub mod safety;
 pub mod server;
 pub mod service;
+pub mod services;
 pub mod session;
 pub mod settings;
 pub mod text;

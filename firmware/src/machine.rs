@@ -44,6 +44,8 @@ use wire::{DISCOVERY_PORT, FaultReason, MAX_WORDS, Name, Refusal, State};
 const BEHIND_AN_ANSWER: u32 = 1;
 /// Without a frame it waits longer, so that it does not run between a request and its answer.
 pub const IDLE: u32 = 3;
+/// What the console says when it has no time to answer.
+pub const NOT_WHILE_ARMED: &[u8] = b"? not while armed\r\n";
 /// Bytes of the board information ROM that are read.
 pub const BLOB_MAX: usize = wire::regmap::BOARD_ROM_SIZE;
 
@@ -92,6 +94,22 @@ pub struct Machine<B> {
     housekeeping_every: u32,
     second_at: u32,
     second: u32,
+    /// A bit for each client of the services' consoles: it has proved that it has the key.
+    friends: u8,
+}
+
+/// What a console's client gets besides the text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reply {
+    /// Nothing.
+    Said,
+    /// The end of the connection.
+    Close,
+    /// No text yet: the services answer this line.
+    Job {
+        /// The client may do more than look.
+        trusted: bool,
+    },
 }
 
 impl<B: Board> Machine<B> {
@@ -127,6 +145,7 @@ impl<B: Board> Machine<B> {
             housekeeping_every: ident.clock_hz / HOUSEKEEPING_PER_SECOND,
             second_at: 0,
             second: 0,
+            friends: 0,
         }
     }
 
@@ -188,8 +207,8 @@ impl<B: Board> Machine<B> {
         self.server.datagram(&mut self.board, words, peer, reply)
     }
 
-    /// The same for a datagram of the jobs program, which runs on this board and needs no key. It
-    /// gets its answer at once, so `hold` runs right after it: [`Machine::hold_path`], or a
+    /// The same for a datagram of the services, which run on this board and need no key. They
+    /// get their answer at once, so `hold` runs right after it: [`Machine::hold_path`], or a
     /// function that calls it.
     pub fn inside<'r>(
         &mut self,
@@ -234,7 +253,7 @@ impl<B: Board> Machine<B> {
 
     /// Periods of housekeeping that may pass behind a frame; `owners`: the owner's. While a host
     /// owns the board, a frame of another one may be right in front of the owner's: housekeeping,
-    /// and with it a turn of the jobs program, waits for the answer to that.
+    /// and with it a turn of the services, waits for the answer to that.
     #[inline(always)]
     pub fn patience(&self, owners: bool) -> u32 {
         let owner = || self.server.session().owner();
@@ -442,6 +461,48 @@ impl<B: Board> Machine<B> {
     /// May the client of the console do more than look?
     pub fn trusted(&self) -> bool {
         self.server.auth.trusted()
+    }
+
+    /// Answers a line of the services' console number `visitor`, and asks for the next one; no line:
+    /// a client has connected. Each client logs in for itself.
+    #[inline(never)]
+    pub fn converse(
+        &mut self,
+        visitor: usize,
+        line: Option<&str>,
+        vitals: &Vitals,
+        out: &mut dyn Sink,
+    ) -> Reply {
+        let bit = 1 << (visitor % 8);
+        let before = self
+            .server
+            .auth
+            .change(self.friends & bit != 0 && line.is_some());
+        let reply = match line.map(Ask::parse) {
+            None => Reply::Said,
+            Some(ask) if !self.may_answer(ask) => {
+                out.put(NOT_WHILE_ARMED);
+                Reply::Said
+            }
+            Some(Ask::Job) => Reply::Job {
+                trusted: self.trusted(),
+            },
+            Some(ask) => {
+                self.answer(ask, vitals, out);
+                match ask == Ask::Quit {
+                    true => Reply::Close,
+                    false => Reply::Said,
+                }
+            }
+        };
+        self.friends &= !bit;
+        if self.server.auth.change(before) {
+            self.friends |= bit;
+        }
+        if reply == Reply::Said {
+            out.put(console::PROMPT.as_bytes());
+        }
+        reply
     }
 
     /// Answers a line of the console. Afterwards the server may want a restart.

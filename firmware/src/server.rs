@@ -144,8 +144,9 @@ impl Server {
         &self.ident
     }
 
-    /// Records in the description what became of the jobs program.
+    /// Records in the description what became of the services, and with them of jobs.
     pub fn jobs(&mut self, state: JobsState) {
+        self.ident.features &= !(JobsState::MASK << JobsState::AT);
         self.ident.features |= state.code() << JobsState::AT;
     }
 

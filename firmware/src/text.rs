@@ -9,6 +9,39 @@ pub trait Sink {
     fn put(&mut self, text: &[u8]);
 }
 
+/// Room for an answer, as bytes; what does not fit is lost.
+#[derive(Debug)]
+pub struct Paper<'a> {
+    bytes: &'a mut [u8],
+    used: usize,
+}
+
+impl<'a> Paper<'a> {
+    /// An empty buffer.
+    pub fn new(bytes: &'a mut [u8]) -> Self {
+        Paper { bytes, used: 0 }
+    }
+
+    /// Bytes used.
+    pub fn used(&self) -> usize {
+        self.used
+    }
+
+    /// Bytes that still fit.
+    pub fn room(&self) -> usize {
+        self.bytes.len() - self.used
+    }
+}
+
+impl Sink for Paper<'_> {
+    fn put(&mut self, text: &[u8]) {
+        if let Some(place) = self.bytes.get_mut(self.used..self.used + text.len()) {
+            place.copy_from_slice(text);
+            self.used += text.len();
+        }
+    }
+}
+
 /// Writes pieces of text to a sink.
 pub struct Out<'s>(pub &'s mut dyn Sink);
 

@@ -325,10 +325,10 @@ class Design:
         return image.pack(self.board, self.work, f"{TOP}{seed}.config", read_image(self.options.firmware), self.folder, self._program())
 
     def _program(self):
-        """The jobs program that was built with this firmware, if the board executes jobs by itself."""
+        """The services that were built with this firmware, if the board has SDRAM."""
         if not self.board.sdram:
             return b""
-        path = Path(self.options.firmware).with_name("ferrocnc-jobs.bin")
+        path = Path(self.options.firmware).with_name("ferrocnc-services.bin")
         try:
             return path.read_bytes()
         except OSError as e:

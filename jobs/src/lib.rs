@@ -14,8 +14,8 @@
 //!                                    inside --> datagram     the board's own server
 //! ```
 //!
-//! [`Jobs`] combines all of it over an [`Outside`]. The board's program adds the TCP stack and the
-//! debug console (`firmware::jobs`); `ferrocnc job serve` runs it on a PC, for a board without
+//! [`Jobs`] combines all of it over an [`Outside`]. The board's services add the TCP stack and the
+//! debug console (`firmware::services`); `ferrocnc job serve` runs it on a PC, for a board without
 //! SDRAM; the simulator and the tests run it over models. The host also uses the upper line, and
 //! [`plan`] to say how long a job takes.
 //!

@@ -1,4 +1,4 @@
-//! The program that executes jobs, beside the firmware of a twin: [`firmware::jobs`] with a piece
+//! The program that executes jobs, beside the firmware of a twin: [`firmware::services`] with a piece
 //! of this machine's memory for SDRAM.
 //!
 //! Its TCP is the machine's own: a client's bytes go to the job server as they come. On a board the
@@ -6,12 +6,14 @@
 
 use ::jobs::server::BusyReply;
 use ::jobs::{AHEAD, Outside};
+use firmware::console::Vitals;
 use firmware::cores::Board as _;
 use firmware::ip::Text;
-use firmware::jobs::Network;
-use firmware::jobs::abi::TEXT_MAX;
-use firmware::machine::Machine;
+use firmware::machine::{Machine, Reply};
 use firmware::net::Us;
+use firmware::services::port::Place;
+use firmware::services::{Network, TEXT_MAX};
+use firmware::text::Sink;
 use wire::MAX_WORDS;
 use wire::jobs::{self, FRAME, Op, Status};
 use wire::regmap::{self, segments};
@@ -24,7 +26,7 @@ pub const TURN: u64 = 12_000;
 /// Clocks between two looks while there is nothing to do: what the ROM's loop takes for that.
 const IDLE_MS: u64 = 1;
 /// The SDRAM, less what the program itself takes at its beginning.
-const ROOM: usize = regmap::SDRAM_SIZE - firmware::jobs::abi::ROOM;
+const ROOM: usize = regmap::SDRAM_SIZE - firmware::services::abi::ROOM;
 /// The id of the program; on a board it is the program's CRC.
 const PROGRAM: u32 = 0x7477_696e;
 
@@ -55,12 +57,15 @@ impl Network for Outer<'_> {
     fn us(&mut self) -> Us {
         self.0.us
     }
+    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
+        self.0.converse(visitor, line, &Vitals::default(), out)
+    }
 }
 
 /// The program.
 #[derive(Debug)]
 pub struct Program {
-    jobs: firmware::jobs::Program<'static>,
+    jobs: firmware::services::Program<'static>,
     /// The client that has the line.
     visitor: Option<usize>,
     /// Received bytes that are not yet read.
@@ -86,8 +91,10 @@ impl Program {
     pub fn start(machine: &mut Machine<ModelBoard>, clock_hz: u32) -> Option<Self> {
         // Never freed: there are few boards, and each lives as long as its simulator.
         let memory = vec![0; ROOM].leak();
+        let place = Box::leak(Box::new(Place::new()));
+        let mut outer = Outer(machine);
         Some(Program {
-            jobs: firmware::jobs::Program::new(memory, PROGRAM, &mut Outer(machine))?,
+            jobs: firmware::services::Program::new(memory, place, PROGRAM, &mut outer)?,
             visitor: None,
             ahead: Vec::new(),
             callers: Vec::new(),

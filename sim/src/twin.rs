@@ -625,7 +625,7 @@ impl Device for Twin {
             };
             match self.jobs.as_mut().filter(|_| ask == Ask::Job) {
                 Some(program) => {
-                    let text = program.line(visitor.line.job(), &mut self.machine);
+                    let text = program.line(visitor.line.line(), &mut self.machine);
                     visitor.out.0.extend(text);
                     self.jobs_at = self.machine.board.clock() + ACCESS;
                 }

@@ -24,6 +24,8 @@ const BROADCAST: [u8; 6] = [0xff; 6];
 pub const LONGEST: usize = 1514;
 /// Bytes of that ping: its frame has 256.
 const PING_ARMED: usize = 214;
+/// Servo periods for a handshake with the console.
+const HANDSHAKE: usize = 20;
 /// Bytes a gigabit wire takes in a servo period of a millisecond, gaps and preambles included.
 const WIRE_BYTES: u64 = 125_000;
 
@@ -533,8 +535,12 @@ impl BenchMachine {
         command: &mut Command,
         lines: &[&'l str],
     ) -> Vec<(&'l str, Option<u64>)> {
-        let connected = self.rig.tcp_connect(CONSOLE_PORT);
-        let connection = connected.unwrap_or_else(|error| panic!("{error}"));
+        // The owner goes on meanwhile: the services take some servo periods for a handshake.
+        let connection = self.rig.segment.connect(CONSOLE_PORT);
+        for _ in 0..HANDSHAKE {
+            self.period_with(command, &[], 0);
+        }
+        assert!(self.rig.segment.established(connection), "no console");
         let settle = |machine: &mut Self, command: &mut Command| {
             for _ in 0..6 {
                 machine.period_with(command, &[], 0);

@@ -92,13 +92,19 @@ pub struct Deepest {
     pub way: Vec<(String, u32)>,
 }
 
-/// What the jobs program calls back: it has a stack of its own, in SDRAM (`firmware::jobs::abi`).
-pub const CALLED_BACK: [&str; 2] = [
+/// What the services call back: they have a stack of their own, in SDRAM
+/// (`firmware::services::abi`).
+pub const CALLED_BACK: [&str; 3] = [
     "ferrocnc_firmware::app::datagram",
     "ferrocnc_firmware::app::send",
+    "ferrocnc_firmware::app::console",
 ];
-/// The entry of the jobs program, in its header: only the ROM calls it.
-const WAY_IN: &str = "jobs_entry";
+/// The entry of the services, in its header: only the ROM calls it.
+const WAY_IN: &str = "services_entry";
+/// Takes the stack back from services that failed: it is as it was when they were called.
+const WAY_BACK: &str = "services_leave";
+/// What was saved there.
+const SAVED: i64 = 64;
 
 impl Code {
     /// Reads the image.
@@ -138,7 +144,7 @@ impl Code {
             let symbol = symbols.find(|symbol| symbol.name() == Ok(name));
             symbol.map(|symbol| symbol.address() as u32)
         };
-        if let (Some(top), Some(end)) = (place("__jobs_stack"), place("__jobs_bss_end")) {
+        if let (Some(top), Some(end)) = (place("__services_stack"), place("__services_bss_end")) {
             code.stack = top - end;
         }
         for symbol in file.symbols() {
@@ -402,6 +408,7 @@ impl Code {
             }
             // Start-up puts it at the top.
             0x13 if function == 7 && name == "_abs_start" => Ok(0),
+            0x03 if name == WAY_BACK => Ok(SAVED),
             _ => Err(format!(
                 "{name} moves the stack at {at:#x} in a way not understood"
             )),

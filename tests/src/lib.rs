@@ -16,6 +16,7 @@ pub mod lan;
 pub mod mill;
 pub mod pins;
 pub mod plotter;
+pub mod services;
 mod simulator;
 pub mod stops;
 pub mod wired;
@@ -29,7 +30,7 @@ use sim::segment::{BOARD_PORT, HOST_IP};
 use sim::soc::Silicon;
 use sim::{Rig, exchange::Spread};
 use std::path::PathBuf;
-use wire::describe::{Channels, Describe};
+use wire::describe::{Channels, Describe, FEATURES_AT, JobsState};
 use wire::exchange::{Command, Status};
 use wire::regmap::command;
 use wire::state::State;
@@ -51,6 +52,8 @@ const DIRHOLD_NS: u64 = 2_000;
 pub const STOP_ACCEL: f64 = 1e8;
 /// Watchdog timeout, ns: five missed 1 kHz periods, hostmot2's default.
 const WATCHDOG_NS: u64 = 5_000_000;
+/// The services have been loaded long before that.
+const LOADING_MS: u32 = 1000;
 /// Longest soft stop, ns.
 const GRACE_NS: u64 = 10_000_000;
 
@@ -192,6 +195,20 @@ impl BenchMachine {
         let mut rig = Rig::boot(setup).unwrap_or_else(|error| panic!("{error}"));
         let image = Image::read(&firmware, rig.board.silicon().rom_words())
             .unwrap_or_else(|error| panic!("{error}"));
+        // The services are loaded while no host owns the board.
+        let loading = |rig: &mut Rig| {
+            let features = rig.read_word(map::DESCRIBE + 4 * FEATURES_AT as u32);
+            features.is_none_or(|word| JobsState::of(word) == JobsState::Loading)
+        };
+        for _ in 0..LOADING_MS {
+            if !loading(&mut rig) {
+                break;
+            }
+            rig.run_ms(1);
+        }
+        // What was asked while they started is answered late.
+        rig.run_ms(2);
+        rig.take_datagrams();
         let describe = description(&mut rig);
         BenchMachine {
             rig,

@@ -45,7 +45,7 @@ const PROGRAM: u32 = 0x4000_0000;
 /// What the build left for the SDRAM.
 pub fn program() -> Vec<u8> {
     let (_, firmware) = parts();
-    let path = firmware.with_file_name("ferrocnc-jobs.bin");
+    let path = firmware.with_file_name("ferrocnc-services.bin");
     std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
@@ -84,8 +84,6 @@ pub fn on_flash(trailer: Trailer, nor: Nor) -> Setup {
     let mut setup = Setup::new(&soc, &firmware);
     setup.flash = Some(Shared::new(nor));
     setup.trailer = trailer;
-    // Reading the program takes its time: 4 clocks a bit, and as much again.
-    setup.boot_clocks = 20_000_000;
     setup
 }
 

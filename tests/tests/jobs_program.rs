@@ -1,10 +1,11 @@
-//! The jobs program on the Verilated board: the release image finds it behind the bitstream in the
-//! flash, puts it into the SDRAM and lets it answer on the port of jobs; without it, or with a
-//! damaged one, everything else works.
+//! The services on the Verilated board: the release image finds them behind the bitstream in the
+//! flash, puts them into the SDRAM and lets them answer on the port of jobs; without them, or with
+//! damaged ones, everything else works.
 
 use ferrocnc_tests::BenchMachine;
 use ferrocnc_tests::bench::Bench;
 use ferrocnc_tests::flash::{self, Boots};
+use ferrocnc_tests::services::sealed;
 use ferrocnc_tests::wired::{golden, on_flash, program, setup};
 use sim::nor::{Part, Times};
 use sim::segment::Connection;
@@ -75,19 +76,6 @@ fn empty_job() -> Vec<u8> {
     let mut writer = jobs::job::Writer::new("x");
     let mut bytes = writer.header().to_vec();
     writer.finish(|block| bytes.extend(block));
-    bytes
-}
-
-/// Words again behind a change: the CRC made right.
-fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
-    let words: Vec<u32> = bytes
-        .as_chunks()
-        .0
-        .iter()
-        .map(|word| u32::from_le_bytes(*word))
-        .collect();
-    let crc = wire::crc::crc32_words(&words[1..]);
-    bytes[..4].copy_from_slice(&crc.to_le_bytes());
     bytes
 }
 

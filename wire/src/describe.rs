@@ -47,7 +47,7 @@ codes! {
     JobsState: u32 {
         /// The gateware has no segments.
         None = 0, "none";
-        /// The jobs program runs.
+        /// The services run.
         Alive = 1, "ready";
         /// The SDRAM does not keep what is written into it.
         Sdram = 2, "the SDRAM failed its test";
@@ -60,21 +60,29 @@ codes! {
         /// The board has no SDRAM and executes no job by itself; its owner may write the segments'
         /// registers.
         Streamed = 6, "a PC streams them (ferrocnc job serve)";
+        /// The services failed while the board ran; the machine is as it was. The board loads them
+        /// again when it starts.
+        Ended = 7, "the services failed; restart the board";
+        /// The board copies the services from its flash. It goes on with that whenever no host owns
+        /// it.
+        Loading = 8, "the services are being loaded";
     }
 }
 
 impl JobsState {
     /// Lowest of its bits in the features.
     pub const AT: u32 = 16;
+    /// The four of them, moved down.
+    pub const MASK: u32 = 15;
 
     /// May the owner write [`crate::map::SEGMENTS`]?
     pub const fn streamed(features: u32) -> bool {
-        features >> Self::AT & 7 == Self::Streamed as u32
+        features >> Self::AT & Self::MASK == Self::Streamed as u32
     }
 
     /// From the features; an unknown code counts as damaged.
     pub fn of(features: u32) -> Self {
-        Self::from_code(features >> Self::AT & 7).unwrap_or(Self::Damaged)
+        Self::from_code(features >> Self::AT & Self::MASK).unwrap_or(Self::Damaged)
     }
 }
 

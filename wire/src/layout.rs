@@ -341,7 +341,7 @@ fn constants(out: &mut impl Write) -> Result {
     codes! { out; ResetReason: PowerUp Requested Panic Trap Unknown }
     codes! { out; GateClose: Never Bite ExternalReset Order SoftStop EStop SystemReset }
     codes! { out; LinkSpeed: Down M10 M100 M1000 }
-    codes! { out; JobsState: None Alive Sdram Missing Damaged Foreign Streamed }
+    codes! { out; JobsState: None Alive Sdram Missing Damaged Foreign Streamed Ended Loading }
     codes! { out; StepgenConfig: Steplen Stepspace Dirsetup Dirhold StopAccel Mode }
     codes! { out; StepType: StepDir UpDown Quadrature }
     codes! { out; CountMode: X4 X2 X1 Counter StepDir UpDown }

@@ -325,6 +325,7 @@ impl Level {
             }
             Level::Soc => Ok(board_tests("image", "1 min", "2")?
                 + board_tests("jobs_program", "4 min", "2")?
+                + board_tests("services", "3 min", "2")?
                 + board_tests("path_stop", "1 min", "2")?
                 + board_tests("soc", "3 min", "2")?
                 + board_tests("flood", "5 min", "2")?

@@ -129,7 +129,7 @@ fn what_begins_with_job_is_kept_for_the_program_until_the_next_byte() {
         assert_eq!(line.push(byte), None);
     }
     assert_eq!(line.push(b'\n'), Some(Ask::Job));
-    assert_eq!(line.job(), "  job start my part 2");
+    assert_eq!(line.line(), "  job start my part 2");
     assert_eq!(line.push(b'x'), None);
     assert_eq!(line.push(b'\n'), Some(Ask::Unknown));
     assert_eq!(ask(b"job\njob list\nnet\n"), [Ask::Job, Ask::Job, Ask::Net]);

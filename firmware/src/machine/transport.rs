@@ -98,7 +98,7 @@ impl<B: Board> Machine<B> {
         self.server.ident().plays_segments()
     }
 
-    /// Records in the description what became of the jobs program.
+    /// Records in the description what became of the services.
     #[inline(always)]
     pub fn jobs(&mut self, state: JobsState) {
         self.server.jobs(state);
@@ -108,6 +108,13 @@ impl<B: Board> Machine<B> {
     #[inline(always)]
     pub fn image(&mut self) -> Option<(u32, u32)> {
         self.server.flash().image(self.board.spi())
+    }
+
+    /// May the services be loaded now? That reads the flash, and each piece takes as long as a
+    /// guest's frame.
+    #[inline(always)]
+    pub fn may_load(&self) -> bool {
+        self.session().owner().is_none() && !self.server.flash().busy()
     }
 
     /// May the console answer this line now? To write an answer takes up to a servo period, and the

@@ -18,9 +18,9 @@ use crate::byte_reader::ByteReader;
 use ::jobs::instruction::{Arc, Feed, Instruction};
 use ::jobs::job::Writer;
 use firmware::ip::Text;
-use firmware::jobs::Program;
-use firmware::jobs::abi::TEXT_MAX;
 use firmware::machine::{IDLE, Machine};
+use firmware::services::port::Place;
+use firmware::services::{Program, TEXT_MAX};
 use motion::segment::AXES;
 use sim::board_facts::BoardFacts;
 use sim::jobs::Outer;
@@ -88,7 +88,8 @@ pub fn jobs(data: &[u8]) {
 pub fn script(data: &[u8]) -> String {
     let mut memory = vec![0xa5; ROOM];
     let mut machine = board();
-    let program = Program::new(&mut memory, 7, &mut Outer(&mut machine));
+    let mut place = Place::new();
+    let program = Program::new(&mut memory, &mut place, 7, &mut Outer(&mut machine));
     let mut bench = Bench {
         jobs: program.expect("a board with jobs"),
         machine,

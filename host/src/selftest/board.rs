@@ -41,10 +41,9 @@ fn sdram(facts: &Facts) -> Finding {
         return Finding::skipped(check, "not used", "the board file has no jobs", "");
     }
     match JobsState::of(facts.describe.features) {
-        JobsState::Alive => Finding::good(
-            check,
-            "passed its test at start; the jobs program runs in it",
-        ),
+        JobsState::Alive => {
+            Finding::good(check, "passed its test at start; the services run in it")
+        }
         JobsState::Streamed => {
             Finding::skipped(check, "not used", "the board file says sdram = false", "")
         }
@@ -57,8 +56,20 @@ fn sdram(facts: &Facts) -> Finding {
         state @ (JobsState::Missing | JobsState::Damaged | JobsState::Foreign) => Finding::note(
             check,
             format!("passed its test at start; jobs: {}", state.text()),
-            "the jobs program did not come from the flash whole and of this build",
+            "the services did not come from the flash whole and of this build",
             "`ferrocnc update` with this board's .bit",
+        ),
+        JobsState::Loading => Finding::note(
+            check,
+            "not tested yet",
+            "the services are loaded while no host owns the board",
+            "run this again in a second, without LinuxCNC",
+        ),
+        JobsState::Ended => Finding::bad(
+            check,
+            "passed its test at start; the services failed since",
+            "the SDRAM loses what is in it, or the services have a defect",
+            "restart the board; if it happens again, send the log (`ferrocnc log`)",
         ),
         JobsState::None => Finding::bad(
             check,
@@ -190,6 +201,8 @@ pub(super) mod tests {
         };
         assert_eq!(sdram(JobsState::Sdram), Bad);
         assert_eq!(sdram(JobsState::Damaged), Note);
+        assert_eq!(sdram(JobsState::Loading), Note);
+        assert_eq!(sdram(JobsState::Ended), Bad);
         assert_eq!(sdram(JobsState::Streamed), Skipped);
         assert_eq!(verdicts(|f| f.panics = 1), [Good, Good, Bad, Good]);
         assert_eq!(

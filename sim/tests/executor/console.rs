@@ -1,7 +1,7 @@
 //! `job` at the debug console: the same store, the same executor, the same refusals as over TCP.
 
 use crate::rig::*;
-use firmware::jobs::abi::TEXT_MAX;
+use firmware::services::TEXT_MAX;
 use sim::plant::Plant;
 use wire::jobs::{End, Report, Request, State, Status, UNATTENDED};
 

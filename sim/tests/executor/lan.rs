@@ -1,7 +1,6 @@
 //! A board with jobs and its clients on a simulated network.
 
 use crate::rig::*;
-use firmware::ip::{Ip, StreamHandler, Text};
 use sim::segment::{BOARD_IP, Connection, LanSegment};
 use wire::jobs::{FRAME, Frame, Op, PORT, Request, Status};
 
@@ -9,20 +8,9 @@ use wire::jobs::{FRAME, Frame, Op, PORT, Request, Status};
 const SOURCE: usize = 34;
 const DESTINATION: usize = 36;
 
-/// The console's stack, which answers ARP on a board.
-struct Silent;
-
-impl StreamHandler for Silent {
-    fn greet(&mut self, _: &mut Text) {}
-    fn take(&mut self, bytes: &[u8], _: &mut Text) -> usize {
-        bytes.len()
-    }
-}
-
 pub struct Lan {
     pub rig: Rig,
     pub segment: LanSegment,
-    arp: Ip,
     /// Hosts that are switched off: their ports.
     pub gone: Vec<u16>,
     /// Of 256 frames so many are lost, each way.
@@ -38,7 +26,6 @@ impl Lan {
         Lan {
             rig,
             segment: LanSegment::new(BOARD_IP),
-            arp: Ip::new(),
             gone: Vec::new(),
             loss: 0,
             dice: 1,
@@ -65,12 +52,6 @@ impl Lan {
             if self.lost(&frame) {
                 continue;
             }
-            if frame[12..14] == [8, 6] {
-                let (board, mut answer) = (self.rig.machine.us, [0; 1514]);
-                let length = self.arp.frame(&frame, &board, 0, &mut Silent, &mut answer);
-                self.segment.receive(&answer[..length.unwrap()], us, us);
-                continue;
-            }
             let mut outer = Outer {
                 machine: &mut self.rig.machine,
                 sent: &mut self.rig.sent,
@@ -95,7 +76,12 @@ impl Lan {
 
     /// A connection, if it comes about within so many milliseconds.
     pub fn dial_within(&mut self, ms: u64) -> Option<Connection> {
-        let connection = self.segment.connect(PORT);
+        self.dial_at(PORT, ms)
+    }
+
+    /// The same at another port.
+    pub fn dial_at(&mut self, port: u16, ms: u64) -> Option<Connection> {
+        let connection = self.segment.connect(port);
         let end = self.rig.now() + ms * MS;
         while !self.segment.established(connection) {
             if self.rig.now() > end || self.segment.closed(connection) {

@@ -7,6 +7,7 @@ mod rig;
 mod board;
 mod busy;
 mod console;
+mod consoles;
 mod ends;
 mod here;
 mod homing;

@@ -3,12 +3,15 @@
 use ::jobs::instruction::Instruction;
 use ::jobs::plan::{AxisSetup, Output, Planner, Setup as Planned};
 use ::jobs::{Outside, gcode, job};
+use firmware::console::Vitals;
 use firmware::cores::Board as _;
 use firmware::ip::Text;
-use firmware::jobs::{Network, Program};
-use firmware::machine::{IDLE, Machine};
+use firmware::machine::{IDLE, Machine, Reply};
 use firmware::net::Us;
+use firmware::services::port::Place;
+use firmware::services::{Network, Program, TEXT_MAX};
 use firmware::session::Peer;
+use firmware::text::Sink;
 use motion::segment::{AXES, Segment};
 use sim::board_facts::BoardFacts;
 use sim::model_board::{ModelBoard, Setup};
@@ -62,6 +65,10 @@ impl Network for Outer<'_> {
     }
     fn us(&mut self) -> Us {
         self.machine.us
+    }
+    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
+        let vitals = Vitals::default();
+        self.machine.converse(visitor, line, &vitals, out)
     }
 }
 
@@ -293,7 +300,9 @@ impl Rig {
             machine: &mut machine,
             sent: &mut sent,
         };
-        let jobs = Program::new(memory, 0x1234_5678, &mut outer).expect("a board with jobs");
+        let place = Box::leak(Box::new(Place::new()));
+        let jobs = Program::new(memory, place, 0x1234_5678, &mut outer);
+        let jobs = jobs.expect("a board with jobs");
         Rig {
             machine,
             jobs,
@@ -386,7 +395,7 @@ impl Rig {
 
     /// A line of the debug console that begins with `job`; returns the answer.
     pub fn say(&mut self, line: &str, trusted: bool) -> String {
-        let mut room = [0; firmware::jobs::abi::TEXT_MAX];
+        let mut room = [0; TEXT_MAX];
         let mut outer = Outer {
             machine: &mut self.machine,
             sent: &mut self.sent,

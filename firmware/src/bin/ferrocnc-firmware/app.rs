@@ -1,14 +1,14 @@
 //! Ties the lib to the hardware: one loop, no interrupts, no heap.
 
-use crate::soc::{self, Mac, Parts, RxFrame, Soc, TxSlot};
+use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc, TxSlot};
 use core::ffi::c_void;
 use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
 use firmware::ip::{Ip, StreamHandler, Text};
-use firmware::jobs::abi;
-use firmware::machine::{IDLE, Machine};
+use firmware::machine::{IDLE, Machine, NOT_WHILE_ARMED};
 use firmware::net::{self, Class, Datagram, FastPath, Frame as _, Us};
-use firmware::text::Sink as _;
+use firmware::services::abi;
+use firmware::text::{Paper, Sink as _};
 use wire::describe::JobsState;
 use wire::{CONSOLE_PORT, MAX_WORDS, Refusal};
 
@@ -34,10 +34,12 @@ pub struct App {
     /// A copy of [`Ip::busy`]: a look into `Ip` itself costs the next exchange a line of the data
     /// cache.
     talking: bool,
-    /// The jobs program.
-    jobs: Option<abi::Entry>,
-    /// The jobs program wants to be called in every turn.
+    /// The services, if they run.
+    services: Option<abi::Entry>,
+    /// They want to be called in every turn.
     restless: bool,
+    /// They are being loaded.
+    loader: Option<Loader>,
 }
 
 impl App {
@@ -58,8 +60,9 @@ impl App {
             cold: false,
             ip: &mut memory.ip,
             talking: false,
-            jobs: None,
+            services: None,
             restless: false,
+            loader: Some(Loader::new()),
             line: console::LineEditor::default(),
         };
         app.machine.wake();
@@ -72,7 +75,8 @@ impl App {
             );
         }
         app.ip.listen(CONSOLE_PORT, ANSWER_MAX);
-        app.begin_jobs();
+        app.machine.jobs(JobsState::Loading);
+        app.load();
         app.mac.address(net::to_mac(app.machine.us.mac));
         app
     }
@@ -109,9 +113,9 @@ impl App {
                 // for some periods.
                 self.housekeeping_if(IDLE);
             }
-            // The jobs program runs here only while there is no exchange that it could delay.
-            if self.restless && self.fast_path.is_none() {
-                self.jobs(core::ptr::null(), abi::POLL);
+            // The services run here only while there is no exchange that they could delay.
+            if self.fast_path.is_none() && (self.restless || self.loader.is_some()) {
+                self.leisure();
             }
         }
     }
@@ -225,11 +229,11 @@ impl App {
             Class::Other => {
                 let length = self.mac.take_bytes();
                 let frame = self.mac.input.bytes().get(..length).unwrap_or(&[]);
-                let (at, jobs) = (frame.as_ptr(), abi::ours(frame));
-                if jobs && self.jobs.is_some() {
-                    self.jobs(at, length);
-                } else {
+                if self.services.is_none() {
                     self.talk(Some(length));
+                } else if abi::ours(frame, &self.machine.us) {
+                    let at = frame.as_ptr();
+                    self.services(at, length);
                 }
             }
             Class::Nothing => self.mac.dismiss(),
@@ -392,93 +396,105 @@ impl App {
         }
         // 10 ms are precise enough for TCP's timers.
         self.ip_in = self.ip_in.wrapping_sub(1);
-        if self.ip_in == 0 {
+        let due = self.ip_in == 0;
+        if due {
             self.ip_in = HOUSEKEEPING_PER_IP;
             if self.talking {
                 self.talk(None);
             }
-            // The check is here because the call alone may push lines of the fast path out of the
-            // cache. Without a jobs program no warm-up follows it.
-            if self.jobs.is_some() {
-                self.jobs(core::ptr::null(), abi::POLL);
-            }
+        }
+        // The check is here because the call alone may push lines of the fast path out of the
+        // cache. Without services no warm-up follows it.
+        if self.services.is_some() && (due || self.restless) {
+            self.services(core::ptr::null(), abi::POLL);
         }
     }
 
-    /// Looks for a jobs program, starts it and records the result.
+    /// No host exchanges: a turn of the services, or the next piece of them from the flash.
+    #[cold]
     #[inline(never)]
-    fn begin_jobs(&mut self) {
-        let state = match soc::load(&mut self.machine) {
-            Err(why) => why,
-            Ok(entry) => {
-                self.jobs = Some(entry);
-                if self.jobs(core::ptr::null(), abi::START) & abi::FAILED == 0 {
-                    JobsState::Alive
-                } else {
-                    self.jobs = None;
-                    JobsState::Sdram
+    fn leisure(&mut self) {
+        if self.loader.is_none() {
+            self.services(core::ptr::null(), abi::POLL);
+        } else if self.machine.may_load() {
+            self.load();
+        }
+    }
+
+    /// Loads a piece of the services. Behind the last one it starts them, and records the result.
+    #[inline(never)]
+    fn load(&mut self) {
+        let Some(loader) = &mut self.loader else {
+            return;
+        };
+        let state = match loader.step(&mut self.machine) {
+            None => return,
+            Some(Err(why)) => why,
+            Some(Ok(entry)) => {
+                self.services = Some(entry);
+                let answer = self.services(core::ptr::null(), abi::START);
+                if answer & abi::FAILED != 0 {
+                    self.services = None;
+                }
+                match (self.services, answer) {
+                    (Some(_), _) => JobsState::Alive,
+                    (None, abi::DEAD) => JobsState::Ended,
+                    (None, _) => JobsState::Sdram,
                 }
             }
         };
+        self.loader = None;
         self.machine.jobs(state);
+        // The clients of the ROM's console have to connect again.
+        if self.services.is_some() {
+            self.ip.reset();
+            self.talking = false;
+        }
     }
 
-    /// Calls the jobs program. Without one the answer is 0.
+    /// Calls the services. Without them the answer is 0. If they fail, the machine goes on without
+    /// them.
     #[cold]
     #[inline(never)]
-    fn jobs(&mut self, frame: *const u8, length: usize) -> u32 {
-        let Some(entry) = self.jobs else {
+    fn services(&mut self, frame: *const u8, length: usize) -> u32 {
+        let Some(entry) = self.services else {
             return 0;
         };
         self.cold = true;
         let rom = abi::Rom {
             datagram,
             send,
+            console,
             output: self.mac.output.bytes().as_mut_ptr().cast(),
             us: &raw const self.machine.us,
             context: (&raw mut *self).cast(),
         };
-        let answer = entry(&rom, frame, length);
+        let answer = soc::call_services(entry, &rom, frame, length);
         self.restless = answer & abi::RESTLESS != 0;
+        if answer == abi::DEAD {
+            self.services = None;
+            self.machine.jobs(JobsState::Ended);
+            let (cause, at) = soc::last_trap();
+            defmt::error!("services failed: cause {=u32} at {=u32:x}", cause, at);
+        }
+        // The last text of a console should leave first.
+        if !self.restless {
+            self.restart_if();
+        }
         answer
     }
 
-    /// ARP, ping and the console: takes a frame of `length` bytes from `input`, and sends all that
-    /// is due.
+    /// ARP, ping and the console, where there are no services: takes a frame of `length` bytes from
+    /// `input`, and sends all that is due.
     #[inline(never)]
-    fn talk(&mut self, mut length: Option<usize>) {
+    fn talk(&mut self, length: Option<usize>) {
         self.cold = true;
-        while self.converse(length) {
-            self.ask_jobs();
-            length = None;
-        }
-        self.restart_if();
-    }
-
-    /// The jobs program answers the console's line. Its text lies in the buffer where frames are
-    /// built, so no frame is built meanwhile.
-    fn ask_jobs(&mut self) {
-        let line = self.line.job();
-        let trusted = usize::from(self.machine.trusted()) * abi::TRUSTED;
-        let length = line.len() | abi::LINE | trusted;
-        let count = self.jobs(line.as_ptr(), length) >> abi::TEXT;
-        let text = self.mac.output.bytes().get(..count as usize);
-        self.ip.say(text.unwrap_or(&[]));
-        self.ip.say(console::PROMPT.as_bytes());
-    }
-
-    /// Part of [`App::talk`]. True if the jobs program has to answer the console's line.
-    #[inline(always)]
-    fn converse(&mut self, length: Option<usize>) -> bool {
-        let mut asked = false;
         let now = soc::milliseconds(&mut self.machine.board);
         let us = self.machine.us;
         let Mac { input, output, .. } = &mut self.mac;
         let mut visitor = Visitor {
             machine: &mut self.machine,
             line: &mut self.line,
-            jobs: self.jobs.is_some(),
-            asked: &mut asked,
         };
         let frame = length.and_then(|length| input.bytes().get(..length));
         let mut sent = 0;
@@ -492,7 +508,7 @@ impl App {
         }
         self.talking = self.ip.busy();
         self.machine.sent(sent);
-        asked
+        self.restart_if();
     }
 }
 
@@ -510,7 +526,7 @@ extern "C" fn datagram(
     words: usize,
     reply: &mut [u32; MAX_WORDS],
 ) -> isize {
-    // SAFETY: `context` is the app that waits in `App::jobs` and touches nothing meanwhile; the
+    // SAFETY: `context` is the app that waits in `App::services` and touches nothing meanwhile; the
     // program says how long its request is.
     let (app, request) = unsafe {
         (
@@ -529,46 +545,57 @@ extern "C" fn send(context: *mut c_void, length: usize) {
     // SAFETY: as above.
     let app = unsafe { &mut *context.cast::<App>() };
     app.mac.output.send(length);
+    app.machine.sent(1);
 }
 
-/// A client of the console.
+/// [`abi::Rom::console`].
+extern "C" fn console(context: *mut c_void, visitor: usize, line: *const u8, length: usize) -> u32 {
+    // SAFETY: as above; the program says how long its line is.
+    let (app, line) = unsafe {
+        (
+            &mut *context.cast::<App>(),
+            (!line.is_null()).then(|| core::slice::from_raw_parts(line, length)),
+        )
+    };
+    let line = line.map(|line| core::str::from_utf8(line).unwrap_or("!"));
+    let mut paper = Paper::new(app.mac.output.bytes());
+    let vitals = vitals(&app.machine);
+    let reply = app.machine.converse(visitor, line, &vitals, &mut paper);
+    let text = paper.used();
+    abi::reply_to_word(reply, text)
+}
+
+fn vitals(machine: &Machine<Soc>) -> Vitals {
+    Vitals {
+        stack: soc::stack_used(),
+        mac_errors: machine.board.mac_errors(),
+    }
+}
+
+/// A client of the ROM's own console.
 struct Visitor<'a> {
     machine: &'a mut Machine<Soc>,
     line: &'a mut console::LineEditor,
-    /// There is a jobs program, which answers the lines about jobs.
-    jobs: bool,
-    /// The jobs program has to answer a line; no more bytes are taken before that.
-    asked: &'a mut bool,
 }
 
 impl StreamHandler for Visitor<'_> {
     fn greet(&mut self, out: &mut Text) {
-        *self.line = console::LineEditor::default();
+        *self.line = console::LineEditor::new();
         self.machine.greet();
         out.put(console::PROMPT.as_bytes());
     }
 
     fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize {
-        if *self.asked {
-            return 0;
-        }
         let mut used = 0;
         for byte in bytes {
             used += 1;
             if let Some(ask) = self.line.push(*byte) {
                 if !self.machine.may_answer(ask) {
-                    out.put(b"? not while armed\r\n");
+                    out.put(NOT_WHILE_ARMED);
                     out.put(console::PROMPT.as_bytes());
                     break;
                 }
-                if ask == Ask::Job && self.jobs {
-                    *self.asked = true;
-                    break;
-                }
-                let vitals = Vitals {
-                    stack: soc::stack_used(),
-                    mac_errors: self.machine.board.mac_errors(),
-                };
+                let vitals = vitals(self.machine);
                 self.machine.answer(ask, &vitals, out);
                 if ask == Ask::Quit {
                     out.close = true;

@@ -5,7 +5,7 @@
 //!     a frame?   fast path      answer it, then the housekeeping that is due
 //!                plain UDP      Etherbone server
 //!                discovery      found, gets settings; an address from DHCP
-//!                anything else  ARP, ping, console
+//!                anything else  ARP, ping, TCP: the services in SDRAM, or what there is of it here
 //!     none, and housekeeping is overdue: do it
 //! ```
 //!

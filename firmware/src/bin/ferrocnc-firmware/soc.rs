@@ -3,15 +3,15 @@
 
 mod clock;
 mod hal;
-mod jobs;
 mod logger;
 mod mac;
 mod postmortem;
+mod services;
 mod stack;
 
-pub use jobs::load;
 pub use mac::{Mac, RxFrame, TxSlot};
-pub use postmortem::restart;
+pub use postmortem::{last_trap, restart};
+pub use services::{Loader, call as call_services};
 pub use stack::{check as check_stack, used as stack_used};
 
 use crate::memory::Memory;

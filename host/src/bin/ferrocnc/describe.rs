@@ -97,6 +97,8 @@ fn jobs(features: u32) -> Option<(JobsState, String)> {
         JobsState::Missing => {
             "`ferrocnc update` with this board's .bit; an image loaded by JTAG has none"
         }
+        JobsState::Ended => "the machine goes on without them; `ferrocnc log` says where",
+        JobsState::Loading => "it goes on whenever no host owns the board",
         JobsState::Damaged | JobsState::Foreign => "`ferrocnc update` with this board's .bit",
     };
     Some((state, format!("{}: {remedy}", state.text())))
@@ -343,7 +345,7 @@ mod tests {
             assert_eq!(told, *state);
             assert!(seen.insert(text.clone()), "{text}");
         }
-        assert_eq!(seen.len(), 7);
+        assert_eq!(seen.len(), 9);
         let (_, text) = jobs(FEATURE_JOBS | 2 << JobsState::AT).expect("segments");
         assert!(text.starts_with("the SDRAM failed its test: "), "{text}");
     }

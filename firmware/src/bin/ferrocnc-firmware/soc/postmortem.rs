@@ -37,6 +37,11 @@ pub fn word(offset: u32) -> u32 {
     record().word(offset)
 }
 
+/// The cause of the last trap, and where it came from.
+pub fn last_trap() -> (u32, u32) {
+    (mcause::read().code() as u32, mepc::read() as u32)
+}
+
 /// Restarts on request.
 pub fn restart() -> ! {
     record().part(ResetReason::Requested);
@@ -76,6 +81,8 @@ fn panic(info: &PanicInfo<'_>) -> ! {
 
 #[unsafe(export_name = "ExceptionHandler")]
 fn exception(_frame: &riscv_rt::TrapFrame) -> ! {
+    // A trap in the services ends them; the gate stays as it is.
+    super::services::leave(mepc::read());
     die()
 }
 

@@ -6,8 +6,10 @@ use super::watch::{TURN, Watch};
 use crate::rig::*;
 use ::jobs::Outside;
 use firmware::cores::{Board as _, Control};
-use firmware::jobs::Network;
+use firmware::machine::Reply;
 use firmware::net::Us;
+use firmware::services::Network;
+use firmware::text::Sink;
 use rand::Rng;
 use rand_pcg::Pcg32;
 use wire::describe::JobsState;
@@ -81,6 +83,9 @@ impl Network for Wire<'_> {
     fn send_frame(&mut self, _: &[u8]) {}
     fn us(&mut self) -> Us {
         self.rig.us
+    }
+    fn console(&mut self, _: usize, _: Option<&str>, _: &mut dyn Sink) -> Reply {
+        Reply::Said
     }
 }
 

@@ -4,10 +4,10 @@
 //! One difference: a console cannot promise to keep asking, so a job that is started here runs
 //! unattended.
 
-use crate::text::{Out, Sink};
-use jobs::Outside;
+use crate::text::{Out, Paper, Sink};
 use jobs::executor::Executor;
 use jobs::store::Store;
+use jobs::{Jobs, Outside};
 use wire::Name;
 use wire::jobs::{AXES, Command, End, Entry, NAME, Report, Status, UNATTENDED};
 
@@ -97,53 +97,36 @@ fn axes(text: &str) -> Option<u8> {
     })
 }
 
-/// Buffer for the answer; what does not fit is lost.
-#[derive(Debug)]
-pub struct Paper<'a> {
-    bytes: &'a mut [u8],
-    used: usize,
-}
-
-impl<'a> Paper<'a> {
-    /// An empty buffer.
-    pub fn new(bytes: &'a mut [u8]) -> Self {
-        Paper { bytes, used: 0 }
-    }
-
-    /// Bytes used.
-    pub fn used(&self) -> usize {
-        self.used
-    }
-
-    fn room(&self) -> usize {
-        self.bytes.len() - self.used
-    }
-}
-
-impl Sink for Paper<'_> {
-    fn put(&mut self, text: &[u8]) {
-        if let Some(place) = self.bytes.get_mut(self.used..self.used + text.len()) {
-            place.copy_from_slice(text);
-            self.used += text.len();
-        }
-    }
+/// Executes a line from a client of the console, and answers. `trusted`: the client has proved the
+/// key, or there is none.
+pub fn answer(
+    jobs: &mut Jobs,
+    line: &str,
+    trusted: bool,
+    now: u64,
+    paper: &mut Paper,
+    out: &mut impl Outside,
+) {
+    let (store, executor) = jobs.works();
+    let mut visit = Visit {
+        store,
+        executor,
+        now,
+        trusted,
+    };
+    visit.answer(line, paper, out);
 }
 
 /// One line from a client of the console.
-pub struct Visit<'a, 'm> {
-    /// The store.
-    pub store: &'a mut Store<'m>,
-    /// The executor.
-    pub executor: &'a mut Executor,
-    /// The time.
-    pub now: u64,
-    /// The client has proved the key, or there is none.
-    pub trusted: bool,
+struct Visit<'a, 'm> {
+    store: &'a mut Store<'m>,
+    executor: &'a mut Executor,
+    now: u64,
+    trusted: bool,
 }
 
 impl Visit<'_, '_> {
-    /// Executes the line, and answers.
-    pub fn answer(&mut self, line: &str, paper: &mut Paper, out: &mut impl Outside) {
+    fn answer(&mut self, line: &str, paper: &mut Paper, out: &mut impl Outside) {
         let ask = match Ask::parse(line) {
             None => return Out(paper).text("? try job help").end(),
             Some(Ok(ask)) if !self.trusted && !ask.harmless() => {

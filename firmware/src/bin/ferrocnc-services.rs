@@ -1,95 +1,96 @@
-//! The jobs program: the functions the ROM has no room for, in SDRAM. Its interface to the ROM is
-//! in [`firmware::jobs::abi`].
+//! The services: the functions the ROM has no room for, and those that may fail while the machine
+//! goes on, in SDRAM. Their interface to the ROM is in [`firmware::services::abi`].
 #![no_std]
 #![no_main]
 
 use core::arch::global_asm;
 use core::mem::MaybeUninit;
+use core::ptr::null;
 use core::slice;
-use firmware::jobs::abi::{
-    FAILED, Header, INTERFACE, LINE, RESTLESS, ROOM, Rom, START, TEXT, TEXT_MAX, TRUSTED,
-};
-use firmware::jobs::memory::{self, Cells};
-use firmware::jobs::{Network, Program};
+use firmware::machine::Reply;
 use firmware::net::Us;
+use firmware::services::abi::{
+    FAILED, FRAME_MAX, Header, INTERFACE, RESTLESS, ROOM, Rom, START, word_to_reply,
+};
+use firmware::services::memory::{self, Cells};
+use firmware::services::port::Place;
+use firmware::services::{Network, Program};
+use firmware::text::Sink;
 use jobs::Outside;
 use wire::MAX_WORDS;
 use wire::regmap::{self, CSR_PAGE, SDRAM_BASE, SDRAM_SIZE};
+
+/// Shorter frames end in zeros.
+const SHORTEST: usize = 60;
 
 const _: () = assert!(SDRAM_BASE == 0x4000_0000 && ROOM == 512 * 1024);
 
 global_asm!(include_str!("saves.s"));
 
-// The ROM's stack pointer is saved here, and the program's own stack is used.
+// The ROM's stack pointer is saved here, and the program's own stack is used. The ROM has saved its
+// own registers, in case this does not return.
 global_asm!(
-    ".section .text.jobs_entry",
-    ".global jobs_entry",
-    "jobs_entry:",
-    "    la      t0, __jobs_stack",
+    ".section .text.services_entry",
+    ".global services_entry",
+    "services_entry:",
+    "    la      t0, __services_stack",
     "    sw      ra, -4(t0)",
     "    sw      sp, -8(t0)",
     "    addi    sp, t0, -16",
-    "    call    jobs_main",
-    "    la      t0, __jobs_stack",
+    "    call    services_main",
+    "    la      t0, __services_stack",
     "    lw      ra, -4(t0)",
     "    lw      sp, -8(t0)",
     "    ret",
 );
 
 unsafe extern "C" {
-    safe fn jobs_entry(rom: &Rom, frame: *const u8, length: usize) -> u32;
-    static mut __jobs_bss: u32;
-    static mut __jobs_bss_end: u32;
+    safe fn services_entry(rom: &Rom, frame: *const u8, length: usize) -> u32;
+    static mut __services_bss: u32;
+    static mut __services_bss_end: u32;
 }
 
 #[unsafe(no_mangle)]
-#[unsafe(link_section = ".jobs.header")]
-static JOBS_HEADER: Header = Header {
+#[unsafe(link_section = ".services.header")]
+static SERVICES_HEADER: Header = Header {
     crc: 0,
     interface: INTERFACE,
     abi: regmap::ABI,
-    entry: jobs_entry,
+    entry: services_entry,
 };
 
 /// The program's state; in `.bss`, and initialised from [`START`] on.
-static mut JOBS: MaybeUninit<Program<'static>> = MaybeUninit::uninit();
+static mut PROGRAM: MaybeUninit<Program<'static>> = MaybeUninit::uninit();
+/// The memory of its sockets.
+static mut PLACE: MaybeUninit<Place<'static>> = MaybeUninit::uninit();
 
-/// Runs on the program's own stack; its contract is [`firmware::jobs::abi::Entry`].
+/// Runs on the program's own stack; its contract is [`firmware::services::abi::Entry`].
 #[unsafe(no_mangle)]
-extern "C" fn jobs_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
+extern "C" fn services_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
     let mut rom = Calls(rom);
     // SAFETY: the ROM makes one call at a time, and the callbacks do not call again.
-    let place = unsafe { &mut *(&raw mut JOBS) };
+    let place = unsafe { &mut *(&raw mut PROGRAM) };
     if frame.is_null() && length == START {
         return match start(&mut rom) {
-            Some(jobs) => {
-                place.write(jobs);
+            Some(program) => {
+                place.write(program);
                 0
             }
             None => FAILED,
         };
     }
     // SAFETY: the ROM makes no call before START, and none after a START that FAILED.
-    let jobs = unsafe { place.assume_init_mut() };
-    if length & LINE != 0 {
-        // SAFETY: the ROM gives the line's length, and does not touch the line while it waits.
-        // Nothing is sent meanwhile, so no other code writes to the answer's place.
-        let (line, room) = unsafe {
-            (
-                slice::from_raw_parts(frame, length % LINE),
-                &mut *rom.0.output,
-            )
-        };
-        let (room, _) = room.split_at_mut(TEXT_MAX);
-        let written = jobs.line(line, length & TRUSTED != 0, room, &mut rom);
-        return (written as u32) << TEXT | RESTLESS;
-    }
-    if !frame.is_null() {
+    let program = unsafe { place.assume_init_mut() };
+    let restless = if frame.is_null() {
+        program.poll(&mut rom)
+    } else {
         // SAFETY: the ROM gives the frame's length. An answer is written to another place.
         let frame = unsafe { slice::from_raw_parts(frame, length) };
-        jobs.frame(frame, &mut rom);
-    }
-    if jobs.poll(&mut rom) { RESTLESS } else { 0 }
+        program.frame(frame, &mut rom);
+        // A turn says what the jobs have to do.
+        true
+    };
+    u32::from(restless) * RESTLESS
 }
 
 /// `None` if the SDRAM has an error, or the board has no jobs.
@@ -97,16 +98,18 @@ fn start(rom: &mut Calls) -> Option<Program<'static>> {
     clear();
     // SAFETY: the first word is the image's CRC, which was right. The test below overwrites it.
     let program = unsafe { (SDRAM_BASE as *const u32).read_volatile() };
-    let used = (&raw const __jobs_bss_end) as usize - SDRAM_BASE;
+    let used = (&raw const __services_bss_end) as usize - SDRAM_BASE;
     let memory = memory::size(&mut Sdram, used, SDRAM_SIZE)?.checked_sub(ROOM)?;
     // SAFETY: from the end of the program to the SDRAM's end; no other code uses it.
     let memory = unsafe { slice::from_raw_parts_mut((SDRAM_BASE + ROOM) as *mut u8, memory) };
-    Program::new(memory, program, rom)
+    // SAFETY: this runs once, and is the only reference.
+    let place = unsafe { (*(&raw mut PLACE)).write(Place::new()) };
+    Program::new(memory, place, program, rom)
 }
 
 /// Clears all memory that is not in the image.
 fn clear() {
-    let (mut at, end) = (&raw mut __jobs_bss, &raw mut __jobs_bss_end);
+    let (mut at, end) = (&raw mut __services_bss, &raw mut __services_bss_end);
     while at < end {
         // SAFETY: the linker's bounds of `.bss`, which is not in use yet.
         unsafe {
@@ -170,6 +173,28 @@ impl Network for Calls<'_> {
         }
     }
 
+    fn send_with<R>(&mut self, length: usize, write: impl FnOnce(&mut [u8]) -> R) -> R {
+        // SAFETY: as above. It is not the buffer of the frame that came.
+        let room = unsafe { &mut *self.0.output };
+        if let Some(short) = room.first_chunk_mut::<SHORTEST>() {
+            *short = [0; SHORTEST];
+        }
+        let (frame, _) = room.split_at_mut(length.min(FRAME_MAX));
+        let result = write(frame);
+        (self.0.send)(self.0.context, length.min(FRAME_MAX));
+        result
+    }
+
+    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
+        let (at, length) = line.map_or((null(), 0), |line| (line.as_ptr(), line.len()));
+        let word = (self.0.console)(self.0.context, visitor, at, length);
+        let (reply, text) = word_to_reply(word);
+        // SAFETY: as above.
+        let room = unsafe { &*self.0.output };
+        out.put(room.get(..text).unwrap_or(&[]));
+        reply
+    }
+
     fn us(&mut self) -> Us {
         // SAFETY: valid while the ROM waits.
         unsafe { *self.0.us }
@@ -180,11 +205,11 @@ fn segments(word: usize) -> *mut u32 {
     (regmap::segments::BASE + word % (CSR_PAGE / 4) * 4) as *mut u32
 }
 
-/// Traps into the ROM's handler, which writes a record and restarts the board with its gate closed.
+/// Traps into the ROM's handler, which ends this call and makes no other: the machine goes on.
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo) -> ! {
     loop {
-        // SAFETY: an illegal instruction; it traps and does nothing else.
-        unsafe { core::arch::asm!("unimp") };
+        // SAFETY: it traps and does nothing else.
+        unsafe { core::arch::asm!("ebreak") };
     }
 }

@@ -1,0 +1,241 @@
+//! Starts the SDRAM; finds, copies, checks and calls the services, and outlives them. The program
+//! tests the rest of the SDRAM: the ROM has no room for that, and a right CRC shows that the
+//! program's own memory works.
+
+use super::{ABI, Soc};
+use core::arch::global_asm;
+use firmware::cores::Board as _;
+use firmware::machine::Machine;
+use firmware::nor::Nor;
+use firmware::services::abi::{self, Header};
+use litex_pac::Sdram;
+use wire::describe::JobsState;
+use wire::images::program_length;
+use wire::regmap::sdram::{
+    DFII_CONTROL_CKE, DFII_CONTROL_ODT, DFII_CONTROL_RESET_N, DFII_CONTROL_SEL,
+    DFII_PI0_COMMAND_CAS as CAS, DFII_PI0_COMMAND_CS as CS, DFII_PI0_COMMAND_RAS as RAS,
+    DFII_PI0_COMMAND_WE as WE,
+};
+use wire::regmap::{ROM_SIZE, SDRAM_BASE};
+
+/// CS with RAS, CAS and WE: precharge, refresh, mode register.
+const PRECHARGE: u32 = CS | WE | RAS;
+const REFRESH: u32 = CS | CAS | RAS;
+const MODE: u32 = CS | WE | CAS | RAS;
+/// Address bit 10 with a precharge: all banks.
+const ALL: u32 = 1 << 10;
+/// Mode register: bursts of one word, two clocks from column to data.
+const CL_2: u32 = 2 << 4;
+/// Clock enable; the clock has been running for a long time.
+const BY_HAND: u32 = DFII_CONTROL_CKE | DFII_CONTROL_ODT | DFII_CONTROL_RESET_N;
+/// The controller does the rest.
+const BY_HARDWARE: u32 = DFII_CONTROL_SEL;
+/// More refreshes than any data sheet requires.
+const REFRESHES: u32 = 8;
+/// Clocks: 200 us at up to 125 MHz.
+const REST: u32 = 25_000;
+
+/// The beginning of the SDRAM.
+struct Room([u32; abi::ROOM / 4]);
+
+/// Bytes of a piece: 20 000 clocks to read and to sum it, as long as a guest's frame.
+const PIECE: usize = 256;
+
+/// Copies and checks the program, a piece at a time.
+pub struct Loader {
+    /// The program's first byte in the flash.
+    from: u32,
+    /// Its length in bytes; 0 before the first piece.
+    length: usize,
+    done: usize,
+    check: abi::Check,
+}
+
+impl Loader {
+    /// Before the first piece.
+    pub fn new() -> Self {
+        Loader {
+            from: 0,
+            length: 0,
+            done: 0,
+            check: abi::Check::new(),
+        }
+    }
+
+    /// The next piece. At the end: the program's entry, or the state to report.
+    #[inline(never)]
+    pub fn step(&mut self, machine: &mut Machine<Soc>) -> Option<Result<abi::Entry, JobsState>> {
+        // SAFETY: no other code uses the SDRAM yet, it is at least this large, and it is aligned.
+        let room = unsafe { &mut *(SDRAM_BASE as *mut Room) };
+        if self.length == 0 {
+            return self.begin(machine, room).err().map(Err);
+        }
+        let count = PIECE.min(self.length - self.done);
+        let words = room.0.get_mut(self.done / 4..).unwrap_or(&mut []);
+        let mut nor = Nor(machine.board.spi());
+        let at = self.from.wrapping_add(self.done as u32);
+        let _ = nor.read(at, bytes(words, count));
+        self.check.add(words.get(..count / 4).unwrap_or(&[]));
+        self.done += count;
+        if self.done < self.length {
+            return None;
+        }
+        Some(match self.check.verdict(&room.0, ABI) {
+            JobsState::Alive => {
+                // SAFETY: discards cached instructions, if there are any. The words are the
+                // complete header of a program linked to this address.
+                unsafe {
+                    core::arch::asm!("fence.i");
+                    Ok((*(SDRAM_BASE as *const Header)).entry)
+                }
+            }
+            state => Err(state),
+        })
+    }
+
+    /// Starts the SDRAM and finds the program.
+    fn begin(&mut self, machine: &mut Machine<Soc>, room: &mut Room) -> Result<(), JobsState> {
+        if !machine.plays_segments() {
+            return Err(JobsState::None);
+        }
+        if !wake(&mut machine.board) {
+            return Err(JobsState::Streamed);
+        }
+        let (start, length) = machine.image().ok_or(JobsState::Missing)?;
+        let end = start + length;
+        let mut nor = Nor(machine.board.spi());
+        let _ = nor.read(end.wrapping_sub(8), bytes(&mut room.0, 8));
+        let [first, second, ..] = room.0;
+        let length = program_length([first, second]).filter(|length| *length > 0);
+        self.length = length.ok_or(JobsState::Missing)?;
+        self.from = end.wrapping_sub(self.length as u32);
+        Ok(())
+    }
+}
+
+/// The first bytes of these words.
+fn bytes(words: &mut [u32], count: usize) -> &mut [u8] {
+    // SAFETY: the same memory, and no more of it.
+    unsafe {
+        core::slice::from_raw_parts_mut(words.as_mut_ptr().cast(), count.min(words.len() * 4))
+    }
+}
+
+// The services are called with the ROM's registers saved, and what is in them is taken from there
+// if they do not come back. `services_sp` is the stack pointer while they run, and 0 otherwise.
+global_asm!(
+    ".option push",
+    ".option norelax",
+    ".section .bss.services_sp,\"aw\",@nobits",
+    ".balign 4",
+    "services_sp: .zero 4",
+    ".section .text.services_call,\"ax\",@progbits",
+    ".type services_call, @function",
+    ".global services_call",
+    "services_call:",
+    "    addi    sp, sp, -64",
+    "    sw      ra, 60(sp)",
+    "    sw      s0, 56(sp)",
+    "    sw      s1, 52(sp)",
+    "    sw      s2, 48(sp)",
+    "    sw      s3, 44(sp)",
+    "    sw      s4, 40(sp)",
+    "    sw      s5, 36(sp)",
+    "    sw      s6, 32(sp)",
+    "    sw      s7, 28(sp)",
+    "    sw      s8, 24(sp)",
+    "    sw      s9, 20(sp)",
+    "    sw      s10, 16(sp)",
+    "    sw      s11, 12(sp)",
+    "    sw      gp, 8(sp)",
+    "    sw      tp, 4(sp)",
+    "    la      t0, services_sp",
+    "    sw      sp, 0(t0)",
+    "    jalr    a3",
+    "    la      t0, services_sp",
+    "    sw      zero, 0(t0)",
+    "    lw      ra, 60(sp)",
+    "    addi    sp, sp, 64",
+    "    ret",
+    ".section .text.services_leave,\"ax\",@progbits",
+    ".type services_leave, @function",
+    ".global services_leave",
+    "services_leave:",
+    "    la      t0, services_sp",
+    "    lw      sp, 0(t0)",
+    "    sw      zero, 0(t0)",
+    "    lw      ra, 60(sp)",
+    "    lw      s0, 56(sp)",
+    "    lw      s1, 52(sp)",
+    "    lw      s2, 48(sp)",
+    "    lw      s3, 44(sp)",
+    "    lw      s4, 40(sp)",
+    "    lw      s5, 36(sp)",
+    "    lw      s6, 32(sp)",
+    "    lw      s7, 28(sp)",
+    "    lw      s8, 24(sp)",
+    "    lw      s9, 20(sp)",
+    "    lw      s10, 16(sp)",
+    "    lw      s11, 12(sp)",
+    "    lw      gp, 8(sp)",
+    "    lw      tp, 4(sp)",
+    "    li      a0, {dead}",
+    "    addi    sp, sp, 64",
+    "    ret",
+    ".option pop",
+    dead = const abi::DEAD,
+);
+
+unsafe extern "C" {
+    /// Calls the entry; the result is [`abi::DEAD`] if [`leave`] ended the call.
+    fn services_call(rom: &abi::Rom, frame: *const u8, length: usize, entry: abi::Entry) -> u32;
+    safe fn services_leave() -> !;
+    static services_sp: u32;
+}
+
+/// Calls the services.
+pub fn call(entry: abi::Entry, rom: &abi::Rom, frame: *const u8, length: usize) -> u32 {
+    // SAFETY: the entry of a program whose header was checked; it keeps the registers a function
+    // has to keep, and if it ends otherwise they are restored.
+    unsafe { services_call(rom, frame, length, entry) }
+}
+
+/// Ends the call of the services if `pc`, where a trap came from, is in them; otherwise returns. A
+/// trap in a function they called back is the ROM's own.
+pub fn leave(pc: usize) {
+    // SAFETY: one hart; a word of the ROM's memory.
+    let within = unsafe { (&raw const services_sp).read_volatile() } != 0;
+    // Behind the ROM is their code, or none that they went astray to.
+    if within && pc >= ROM_SIZE {
+        services_leave();
+    }
+}
+
+/// Starts the SDRAM as its data sheets require. False: there is no controller, its page reads 0.
+#[inline(never)]
+fn wake(board: &mut Soc) -> bool {
+    // SAFETY: no other code touches these registers; every value below is a valid command.
+    let regs = unsafe { Sdram::steal() };
+    regs.dfii_control().write(|w| unsafe { w.bits(BY_HAND) });
+    regs.dfii_pi0_baddress().write(|w| unsafe { w.bits(0) });
+    for step in 0..=REFRESHES + 2 {
+        // The first command requires 200 us of rest before it; between the others a few clocks
+        // would be enough.
+        let start = board.now_lo();
+        while board.now_lo().wrapping_sub(start) < REST {}
+        let (address, command) = match step {
+            0 => (ALL, PRECHARGE),
+            1..=REFRESHES => (0, REFRESH),
+            _ => (CL_2, MODE),
+        };
+        regs.dfii_pi0_address()
+            .write(|w| unsafe { w.bits(address) });
+        regs.dfii_pi0_command()
+            .write(|w| unsafe { w.bits(command) });
+        regs.dfii_pi0_command_issue()
+            .write(|w| unsafe { w.bits(1) });
+    }
+    regs.dfii_control()
+        .write(|w| unsafe { w.bits(BY_HARDWARE) });
+    regs.dfii_control().read().bits() == BY_HARDWARE
+}

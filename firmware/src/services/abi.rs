@@ -1,0 +1,323 @@
+//! The interface between the ROM and the services; it is as narrow as possible.
+//!
+//! The services are a second link unit of this crate (`src/bin/ferrocnc-services.rs`), linked to
+//! the beginning of the SDRAM. In its slot of the flash the program follows the bitstream, and its
+//! last byte is the image's last:
+//!
+//! ```text
+//!   0 CRC-32 of all words after it   1 interface   2 ABI number   3 entry
+//!   ... code and data ...
+//!   the last two words: length in bytes, magic "FJOB"
+//! ```
+//!
+//! Words have the softcore's byte order, lowest byte first; the CRC takes the highest byte first,
+//! as usual. The ROM copies the program page by page while no host owns the board, checks it
+//! ([`Check`]) and calls its entry ([`Entry`]) from the frame loop, never between a request and its
+//! answer: with a frame for it ([`ours`]), and from time to time without one, behind an answer to
+//! the board's owner if there is one. The program switches to a stack of its own. It calls back
+//! through [`Rom`], and that is the whole interface: it asks the board with the same datagrams as a
+//! host, as the peer [`crate::session::Peer::INSIDE`].
+//!
+//! A call does one thing: it takes a frame, lets one connection answer one request, or sends one
+//! segment. A panic or a trap in the program ends the call with [`DEAD`]: the ROM keeps its own
+//! registers, and is never called by the program again.
+
+use crate::console::ANSWER_MAX;
+use crate::machine::Reply;
+use crate::net::Us;
+use core::ffi::c_void;
+use wire::MAX_WORDS;
+use wire::crc::Crc32;
+use wire::describe::JobsState;
+use wire::images::PROGRAM_MAX;
+
+/// Version of this interface. The program starts only if both sides have the same.
+pub const INTERFACE: u32 = 4;
+/// Bytes at the beginning of the SDRAM for the program: code, data and stack. The jobs get the
+/// rest.
+pub const ROOM: usize = PROGRAM_MAX;
+
+/// The header.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub struct Header {
+    /// CRC-32 of all words after this one. Inserted after linking.
+    pub crc: u32,
+    /// [`INTERFACE`].
+    pub interface: u32,
+    /// The register map the program was built for.
+    pub abi: u32,
+    /// The function to call.
+    pub entry: Entry,
+}
+
+/// The ROM's call. With a frame: `frame` and its length. Without: null and [`POLL`]; the first call
+/// of all is null and [`START`]. The result is [`RESTLESS`], [`FAILED`], [`DEAD`] or 0.
+pub type Entry = extern "C" fn(rom: &Rom, frame: *const u8, length: usize) -> u32;
+
+/// Length of a call without a frame: time has passed.
+pub const POLL: usize = 0;
+/// Length of the first call, without a frame.
+pub const START: usize = 1;
+/// Result: call again in the next turn of the loop. Otherwise 10 ms are soon enough.
+pub const RESTLESS: u32 = 1;
+/// Result of [`START`]: the SDRAM has an error, and the program must not be called again.
+pub const FAILED: u32 = 4;
+/// Result that the ROM puts in the program's place: it panicked or trapped, and must not be called
+/// again.
+pub const DEAD: u32 = 8;
+
+/// The functions and data the program may use; valid for one call.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub struct Rom {
+    /// Argument of the functions below.
+    pub context: *mut c_void,
+    /// Executes a datagram of `words` words on this board's own server, with room for its answer.
+    /// Returns the answer's words, or -1 less the code of the [`wire::Refusal`].
+    pub datagram: extern "C" fn(
+        context: *mut c_void,
+        request: *const u32,
+        words: usize,
+        reply: &mut [u32; MAX_WORDS],
+    ) -> isize,
+    /// Sends this many bytes of `output` as an Ethernet frame, without its FCS.
+    pub send: extern "C" fn(context: *mut c_void, length: usize),
+    /// Answers a line of one of the consoles into `output`; a null line: a client has connected.
+    /// Returns a [`Reply`] as [`reply_to_word`] puts it.
+    pub console:
+        extern "C" fn(context: *mut c_void, visitor: usize, line: *const u8, length: usize) -> u32,
+    /// Room for a frame to be sent, or for a console's answer; never that of the frame that came.
+    pub output: *mut [u8; FRAME_MAX],
+    /// The board's addresses.
+    pub us: *const Us,
+}
+
+/// Longest frame, without its FCS.
+pub const FRAME_MAX: usize = 1514;
+
+const _: () = assert!(ANSWER_MAX <= FRAME_MAX && FRAME_MAX < CLOSE as usize);
+
+/// In the word of a reply: hang up behind the text.
+const CLOSE: u32 = 1 << 16;
+/// In the word of a reply: the line is about jobs, and the services answer it.
+const JOB: u32 = 1 << 17;
+/// With [`JOB`]: the client may do more than look.
+const TRUSTED: u32 = 1 << 18;
+
+/// The bytes of text in `output`, and what to do.
+pub fn reply_to_word(reply: Reply, text: usize) -> u32 {
+    let code = match reply {
+        Reply::Said => 0,
+        Reply::Close => CLOSE,
+        Reply::Job { trusted } => JOB | u32::from(trusted) * TRUSTED,
+    };
+    code | text as u32
+}
+
+/// The inverse of [`reply_to_word`].
+pub fn word_to_reply(word: u32) -> (Reply, usize) {
+    let reply = if word & JOB != 0 {
+        let trusted = word & TRUSTED != 0;
+        Reply::Job { trusted }
+    } else if word & CLOSE != 0 {
+        Reply::Close
+    } else {
+        Reply::Said
+    };
+    (reply, (word % CLOSE) as usize)
+}
+
+/// Is this frame for the services: ARP about our address, or a ping or TCP to it? The ROM asks
+/// before it calls, because a call from a cold cache takes thousands of clocks.
+pub fn ours(frame: &[u8], us: &Us) -> bool {
+    let ip = us.ip.to_be_bytes();
+    let about = |at: usize| frame.get(at..at + 4) == Some(&ip) && us.ip != 0;
+    match frame.get(12..14) {
+        Some([8, 6]) => about(38),
+        Some([8, 0]) => {
+            let kind = matches!(frame.get(23), Some(1 | 6));
+            kind && frame.starts_with(&us.mac) && about(30)
+        }
+        Some(_) | None => false,
+    }
+}
+
+/// Is this a program for this ROM? It takes the SDRAM's content in pieces, with the length that its
+/// last words give.
+#[derive(Clone, Copy, Debug)]
+pub struct Check {
+    crc: Crc32,
+    begun: bool,
+}
+
+impl Default for Check {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Check {
+    /// Before the first word.
+    pub const fn new() -> Self {
+        let crc = Crc32::new();
+        Check { crc, begun: false }
+    }
+
+    /// The next words.
+    pub fn add(&mut self, words: &[u32]) {
+        // The first word is the CRC itself.
+        let from = usize::from(!self.begun && !words.is_empty());
+        self.begun |= from > 0;
+        self.crc.update_words(words.get(from..).unwrap_or(&[]));
+    }
+
+    /// All words were added; `words` begin as the program does.
+    pub fn verdict(&self, words: &[u32], abi: u32) -> JobsState {
+        let [crc, rest @ ..] = words else {
+            return JobsState::Missing;
+        };
+        if *crc != self.crc.value() {
+            JobsState::Damaged
+        } else if !rest.starts_with(&[INTERFACE, abi]) {
+            JobsState::Foreign
+        } else {
+            JobsState::Alive
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wire::crc::crc32_words;
+    use wire::images::{PROGRAM_MAGIC as MAGIC, program_length as length};
+
+    const ABI: u32 = 0x1234_5678;
+
+    /// A program that consists of data only.
+    fn program() -> Vec<u32> {
+        let mut words = vec![0, INTERFACE, ABI, 0x4000_0020];
+        words.extend((0..100).map(|n| n * 0x0101_0101));
+        words.extend([0, MAGIC]);
+        let last = words.len() - 2;
+        words[last] = words.len() as u32 * 4;
+        sealed(words)
+    }
+
+    fn sealed(mut words: Vec<u32>) -> Vec<u32> {
+        words[0] = crc32_words(&words[1..]);
+        words
+    }
+
+    /// All of it at once, in halves, and word by word.
+    fn check(words: &[u32], abi: u32) -> JobsState {
+        let verdict = |piece: usize| {
+            let mut check = Check::new();
+            words.chunks(piece).for_each(|words| check.add(words));
+            check.verdict(words, abi)
+        };
+        let all = [words.len().max(1), words.len() / 2 + 1, 1].map(verdict);
+        assert!(all.iter().all(|state| *state == all[0]), "{all:?}");
+        all[0]
+    }
+
+    const US: Us = Us {
+        mac: [2, 0, 0, 0, 0, 7],
+        ip: 0xc0a8_0232,
+        port: 1234,
+    };
+
+    /// An IPv4 frame to us of this protocol.
+    fn frame(protocol: u8) -> Vec<u8> {
+        let mut frame = vec![0; 60];
+        frame[..6].copy_from_slice(&US.mac);
+        frame[12..14].copy_from_slice(&[8, 0]);
+        frame[14] = 0x45;
+        frame[23] = protocol;
+        frame[30..34].copy_from_slice(&US.ip.to_be_bytes());
+        frame
+    }
+
+    /// An ARP request about this address.
+    fn arp(about: u32) -> Vec<u8> {
+        let mut frame = vec![0xff; 42];
+        frame[12..14].copy_from_slice(&[8, 6]);
+        frame[38..].copy_from_slice(&about.to_be_bytes());
+        frame
+    }
+
+    #[test]
+    fn the_programs_frames_are_arp_pings_and_tcp_to_this_board_and_no_others() {
+        assert!(ours(&frame(6), &US) && ours(&frame(1), &US));
+        assert!(!ours(&frame(17), &US), "UDP");
+        assert!(ours(&arp(US.ip), &US));
+        assert!(!ours(&arp(US.ip + 1), &US), "a neighbour's");
+        let nobody = Us { ip: 0, ..US };
+        assert!(!ours(&arp(0), &nobody), "without an address");
+        let mut others = frame(6);
+        others[30] ^= 1;
+        assert!(!ours(&others, &US), "another address");
+        let mut others = frame(6);
+        others[0] ^= 1;
+        assert!(!ours(&others, &US), "another MAC");
+        for (frame, needed) in [(frame(6), 34), (arp(US.ip), 42)] {
+            for length in 0..needed {
+                assert!(!ours(&frame[..length], &US), "{length} bytes of it");
+            }
+        }
+    }
+
+    #[test]
+    fn a_reply_comes_through_as_it_was() {
+        for reply in [
+            Reply::Said,
+            Reply::Close,
+            Reply::Job { trusted: false },
+            Reply::Job { trusted: true },
+        ] {
+            for text in [0, 1, ANSWER_MAX] {
+                assert_eq!(word_to_reply(reply_to_word(reply, text)), (reply, text));
+            }
+        }
+    }
+
+    #[test]
+    fn a_whole_program_for_this_map_is_started() {
+        let words = program();
+        assert_eq!(length([words[104], words[105]]), Some(424));
+        assert_eq!(check(&words, ABI), JobsState::Alive);
+    }
+
+    #[test]
+    fn a_bit_that_fell_over_anywhere_starts_nothing() {
+        for at in 0..program().len() {
+            for bit in [0, 13, 31] {
+                let mut words = program();
+                words[at] ^= 1 << bit;
+                assert_ne!(check(&words, ABI), JobsState::Alive, "word {at} bit {bit}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_program_for_another_map_or_interface_says_so() {
+        assert_eq!(check(&program(), ABI + 1), JobsState::Foreign);
+        let mut words = program();
+        words[1] += 1;
+        assert_eq!(check(&sealed(words), ABI), JobsState::Foreign);
+    }
+
+    #[test]
+    fn what_ends_in_no_length_is_no_program() {
+        for last in [
+            [0xffff_ffff, 0xffff_ffff],
+            [440, 0],
+            [441, MAGIC],
+            [ROOM as u32 + 4, MAGIC],
+        ] {
+            assert_eq!(length(last), None, "{last:x?}");
+        }
+        assert_eq!(check(&[], ABI), JobsState::Missing);
+    }
+}

@@ -1,0 +1,592 @@
+//! The TCP connections of the board: three consoles, the client of jobs, and the clients that come
+//! while another one has the line for jobs.
+//!
+//! Each connection has its own socket, and its own set for it. A segment goes to the connection of
+//! its sender; one that opens a connection goes to the first place that is free. A place is free,
+//! too, while it only waits for late segments, and if its handshake is not finished in time. A
+//! segment for no connection is refused by smoltcp. A reset has to hit the very number that is
+//! expected next (RFC 5961; smoltcp takes all of its window). smoltcp drops the SYN of a connected
+//! client: one that has begun anew resets the old connection at the next look whether it is there.
+//!
+//! A turn looks at one connection, and does one thing for it: it answers a request, or sends a
+//! segment. After ten seconds of silence a client is asked whether it is still there.
+
+use super::stack::Stack;
+use super::{Network, job_lines};
+use crate::console::{ANSWER_MAX, LineEditor, PROMPT};
+use crate::ip::Text;
+use crate::machine::Reply;
+use crate::text::{Paper, Sink};
+use ::jobs::server::BusyReply;
+use ::jobs::{AHEAD, Jobs};
+use core::num::NonZeroU32;
+use smoltcp::iface::{SocketHandle, SocketSet, SocketStorage};
+use smoltcp::socket::tcp::{Socket, SocketBuffer, State};
+use smoltcp::time::{Duration, Instant};
+use wire::CONSOLE_PORT;
+use wire::jobs::{PORT, SILENCE_SECONDS};
+
+/// Consoles at a time.
+pub const CONSOLES: usize = 3;
+/// Clients told Busy at a time, and one place for the next. When a client takes that place, the one
+/// that has waited longest is dropped.
+const BUSY: usize = 5;
+/// The connection that has the line for jobs.
+const LINE: usize = CONSOLES;
+const FIRST_BUSY: usize = LINE + 1;
+const CONNECTIONS: usize = FIRST_BUSY + BUSY;
+
+/// Bytes a client of a console may send ahead: two of the longest lines. So its frames are short
+/// enough to be taken while a host moves the machine.
+const CONSOLE_AHEAD: usize = 128;
+/// Bytes that a client told Busy may send ahead: a Hello and a command.
+const BUSY_AHEAD: usize = 128;
+/// Room for what the client has not acknowledged yet: the longest answer.
+const TEXT: usize = crate::ip::TEXT;
+const _: () = assert!(TEXT >= ANSWER_MAX && TEXT >= wire::jobs::FRAME);
+
+/// A handshake that takes longer yields to the next client.
+const HANDSHAKE_MS: u32 = 250;
+/// After so much silence a client is asked whether it is still there.
+const KEEP_ALIVE: Duration = Duration::from_secs(10);
+/// A client that has answered nothing for so long is gone.
+const GONE: Duration = Duration::from_secs(92);
+/// A client has so much time to close its half behind ours.
+const CLOSING_MS: u32 = 30_000;
+
+const FIN: u8 = 1;
+const SYN: u8 = 2;
+const RST: u8 = 4;
+const ACK: u8 = 16;
+
+/// The memory of the sockets, given to [`super::Program::new`].
+pub struct Place<'m> {
+    sockets: [[SocketStorage<'m>; 1]; CONNECTIONS],
+    buffers: [u8; BUFFERS],
+}
+
+/// Bytes of all buffers.
+const BUFFERS: usize = CONNECTIONS * TEXT + CONSOLES * CONSOLE_AHEAD + AHEAD + BUSY * BUSY_AHEAD;
+
+impl Default for Place<'_> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl core::fmt::Debug for Place<'_> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("Place")
+    }
+}
+
+impl Place<'_> {
+    /// Without a socket.
+    pub const fn new() -> Self {
+        Place {
+            sockets: [const { [SocketStorage::EMPTY] }; CONNECTIONS],
+            buffers: [0; BUFFERS],
+        }
+    }
+}
+
+/// The other end of a connection.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Peer {
+    ip: [u8; 4],
+    port: [u8; 2],
+}
+
+/// What a TCP segment says in its first bytes; smoltcp checks the rest.
+#[derive(Clone, Copy, Debug)]
+struct Segment {
+    mac: [u8; 6],
+    peer: Peer,
+    to: u16,
+    sequence: u32,
+    flags: u8,
+}
+
+impl Segment {
+    fn parse(frame: &[u8]) -> Option<Self> {
+        let tcp = frame.get(12..14)? == [8, 0] && *frame.get(23)? == 6;
+        let at = 14 + usize::from(frame.get(14)? & 15) * 4;
+        let header = frame.get(at..at + 14).filter(|_| tcp)?;
+        Some(Segment {
+            mac: *frame.get(6..12)?.first_chunk()?,
+            peer: Peer {
+                ip: *frame.get(26..30)?.first_chunk()?,
+                port: *header.first_chunk()?,
+            },
+            to: u16::from_be_bytes(*header.get(2..)?.first_chunk()?),
+            sequence: u32::from_be_bytes(*header.get(4..)?.first_chunk()?),
+            flags: *header.last()?,
+        })
+    }
+
+    /// Does it ask for a new connection?
+    fn opens(&self) -> bool {
+        self.flags & (SYN | ACK | RST | FIN) == SYN
+    }
+}
+
+/// A connection, or a place for one.
+struct Connection<'m> {
+    sockets: SocketSet<'m>,
+    handle: SocketHandle,
+    peer: Peer,
+    /// The client's MAC address is to be told to the stack.
+    introduce: Option<[u8; 6]>,
+    /// The number of the first byte of the client's that was not read.
+    expected: u32,
+    /// When it was opened, or when we closed it; milliseconds.
+    since: u32,
+    greeted: bool,
+    closing: bool,
+}
+
+impl<'m> Connection<'m> {
+    fn socket(&mut self) -> &mut Socket<'m> {
+        self.sockets.get_mut(self.handle)
+    }
+
+    fn state(&self) -> State {
+        self.sockets.get::<Socket>(self.handle).state()
+    }
+
+    fn used(&self) -> bool {
+        !matches!(self.state(), State::Listen | State::Closed)
+    }
+
+    /// May another client have this place?
+    fn free(&self, ms: u32) -> bool {
+        match self.state() {
+            State::Listen | State::Closed | State::TimeWait => true,
+            State::SynReceived => ms.wrapping_sub(self.since) >= HANDSHAKE_MS,
+            State::SynSent
+            | State::Established
+            | State::FinWait1
+            | State::FinWait2
+            | State::CloseWait
+            | State::Closing
+            | State::LastAck => false,
+        }
+    }
+
+    /// Forgets the client, and listens.
+    fn listen(&mut self, port: u16) {
+        (self.introduce, self.greeted, self.closing) = (None, false, false);
+        let socket = self.socket();
+        socket.abort();
+        // A port that is not 0, and a socket that is closed: it cannot fail.
+        let _ = socket.listen(port);
+    }
+
+    /// Passes the client's bytes on; `take` says how many it took.
+    fn read(&mut self, take: impl FnOnce(&[u8]) -> usize) -> usize {
+        let taken = self.socket().recv(|bytes| {
+            let taken = match bytes {
+                [] => 0,
+                bytes => take(bytes),
+            };
+            (taken, taken)
+        });
+        let taken = taken.unwrap_or(0);
+        self.expected = self.expected.wrapping_add(taken as u32);
+        taken
+    }
+
+    /// Is this a reset that its sender guessed?
+    fn guessed(&mut self, segment: &Segment) -> bool {
+        let ended = matches!(
+            self.state(),
+            State::CloseWait | State::LastAck | State::Closing | State::TimeWait
+        );
+        let waits = self.socket().recv_queue() as u32 + u32::from(ended);
+        let expected = self.expected.wrapping_add(waits);
+        segment.flags & RST != 0 && segment.sequence != expected
+    }
+
+    /// Ends the connection behind what is to be sent.
+    fn close(&mut self, ms: u32) {
+        if !self.closing {
+            (self.closing, self.since) = (true, ms);
+            self.socket().close();
+        }
+    }
+
+    /// Bytes that still fit behind what is to be sent.
+    fn room(&mut self) -> usize {
+        let socket = self.socket();
+        socket.send_capacity() - socket.send_queue()
+    }
+}
+
+/// The clock in milliseconds. There is no 64-bit division in it.
+#[derive(Clone, Copy, Debug)]
+struct Millis {
+    per_ms: NonZeroU32,
+    at: u64,
+    ms: u32,
+}
+
+impl Millis {
+    fn pass(&mut self, now: u64) -> u32 {
+        let passed = u32::try_from(now.wrapping_sub(self.at)).unwrap_or(u32::MAX);
+        let ms = passed / self.per_ms;
+        self.at = self.at.wrapping_add(u64::from(ms * self.per_ms.get()));
+        self.ms = self.ms.wrapping_add(ms);
+        self.ms
+    }
+}
+
+/// The connections.
+pub struct Port<'m> {
+    stack: Stack,
+    connections: [Connection<'m>; CONNECTIONS],
+    /// For frames of no connection.
+    none: SocketSet<'m>,
+    lines: [LineEditor; CONSOLES],
+    busy: [BusyReply; BUSY],
+    clock: Millis,
+    /// The connection that is looked at next, and how many were looked at in vain.
+    next: usize,
+    in_vain: usize,
+    /// An answer.
+    text: Text,
+}
+
+impl core::fmt::Debug for Port<'_> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("Port").field("stack", &self.stack).finish()
+    }
+}
+
+/// The port that this connection listens at.
+const fn port_of(index: usize) -> u16 {
+    if index < CONSOLES { CONSOLE_PORT } else { PORT }
+}
+
+impl<'m> Port<'m> {
+    /// Listens at all ports.
+    pub fn new(place: &'m mut Place<'m>, clock_hz: u32, out: &mut impl Network) -> Self {
+        let Place { sockets, buffers } = place;
+        let mut buffers = &mut buffers[..];
+        let mut cut = |length: usize| {
+            let (piece, rest) = core::mem::take(&mut buffers).split_at_mut(length);
+            buffers = rest;
+            SocketBuffer::new(piece)
+        };
+        let mut storages = sockets.iter_mut();
+        let connections = core::array::from_fn(|index| {
+            let ahead = match index {
+                LINE => AHEAD,
+                0..LINE => CONSOLE_AHEAD,
+                _ => BUSY_AHEAD,
+            };
+            let mut socket = Socket::new(cut(ahead), cut(TEXT));
+            socket.set_keep_alive(Some(KEEP_ALIVE));
+            socket.set_timeout(Some(GONE));
+            // An answer follows at once, and acknowledges the request.
+            socket.set_ack_delay(None);
+            socket.set_nagle_enabled(false);
+            let storage = storages.next().map_or(&mut [][..], |storage| storage);
+            let mut sockets = SocketSet::new(storage);
+            let handle = sockets.add(socket);
+            let mut connection = Connection {
+                sockets,
+                handle,
+                peer: Peer::default(),
+                introduce: None,
+                expected: 0,
+                since: 0,
+                greeted: false,
+                closing: false,
+            };
+            connection.listen(port_of(index));
+            connection
+        });
+        let now = out.now();
+        let us = out.us();
+        let mut stack = Stack::new(now ^ u64::from(us.ip) << 32, out);
+        stack.settle(us);
+        Port {
+            stack,
+            connections,
+            none: SocketSet::new(&mut [][..]),
+            lines: [const { LineEditor::new() }; CONSOLES],
+            busy: [const { BusyReply::new() }; BUSY],
+            clock: Millis {
+                per_ms: NonZeroU32::new(clock_hz / 1000).unwrap_or(NonZeroU32::MIN),
+                at: now,
+                ms: 0,
+            },
+            next: 0,
+            in_vain: 0,
+            text: Text::new(),
+        }
+    }
+
+    /// Takes a frame. What it asks for is answered in later turns, but for ARP and ping.
+    pub fn frame(&mut self, jobs: &mut Jobs, frame: &[u8], out: &mut impl Network) {
+        let now = out.now();
+        let ms = self.clock.pass(now);
+        let instant = Instant::from_millis(ms);
+        if self.settle(out) {
+            return;
+        }
+        let segment = Segment::parse(frame);
+        let Some((segment, index)) = segment.and_then(|segment| {
+            let index = self.place_for(&segment, ms)?;
+            Some((segment, index))
+        }) else {
+            self.stack.take(frame, &mut self.none, instant, out);
+            return;
+        };
+        (self.next, self.in_vain) = (index, 0);
+        let Some(connection) = self.connections.get_mut(index) else {
+            return;
+        };
+        let listened = connection.state() == State::Listen;
+        if connection.guessed(&segment) {
+            return;
+        }
+        self.stack
+            .take(frame, &mut connection.sockets, instant, out);
+        if listened && connection.state() == State::SynReceived {
+            connection.peer = segment.peer;
+            connection.expected = segment.sequence.wrapping_add(1);
+            connection.since = ms;
+            connection.introduce = Some(segment.mac);
+            self.opened(index, jobs, now, ms, out);
+        }
+    }
+
+    /// A client begins its handshake.
+    fn opened(&mut self, index: usize, jobs: &mut Jobs, now: u64, ms: u32, out: &mut impl Network) {
+        if let Some(line) = self.lines.get_mut(index) {
+            *line = LineEditor::new();
+        } else if index == LINE {
+            // A client has the time of silence from its first frame on, not from its predecessor's
+            // last.
+            jobs.request_context(now, out).greet();
+        } else if self.connections[FIRST_BUSY..]
+            .iter()
+            .all(|connection| !connection.free(ms))
+        {
+            let waited = |connection: &&mut Connection| ms.wrapping_sub(connection.since);
+            let busy = self.connections[FIRST_BUSY..].iter_mut();
+            if let Some(connection) = busy.max_by_key(waited) {
+                connection.listen(PORT);
+            }
+        }
+    }
+
+    /// The connection that this segment is for. One that opens another gets a place that listens.
+    fn place_for(&mut self, segment: &Segment, ms: u32) -> Option<usize> {
+        let (opens, to) = (segment.opens(), segment.to);
+        let known = self
+            .connections
+            .iter()
+            .enumerate()
+            .position(|(index, connection)| {
+                connection.peer == segment.peer && port_of(index) == to && connection.used()
+            });
+        match known {
+            // A client may begin anew with the port it had.
+            Some(index) if opens && self.connections[index].state() == State::TimeWait => {
+                self.connections[index].listen(to);
+                Some(index)
+            }
+            Some(index) => Some(index),
+            None if opens => {
+                let mut all = self.connections.iter_mut().enumerate();
+                let (index, connection) =
+                    all.find(|(index, connection)| port_of(*index) == to && connection.free(ms))?;
+                if connection.state() != State::Listen {
+                    connection.listen(to);
+                }
+                Some(index)
+            }
+            None => None,
+        }
+    }
+
+    /// Our address. True if there is none.
+    fn settle(&mut self, out: &mut impl Network) -> bool {
+        let us = out.us();
+        if self.stack.settle(us) {
+            for (index, connection) in self.connections.iter_mut().enumerate() {
+                connection.listen(port_of(index));
+            }
+        }
+        us.ip == 0
+    }
+
+    /// Is there something to do soon?
+    pub fn busy(&self) -> bool {
+        let used = || self.connections.iter().filter(|it| it.used()).count();
+        self.in_vain < CONNECTIONS && self.in_vain < used()
+    }
+
+    /// Does one thing for the next connection. True if there was something to do.
+    pub fn turn(&mut self, jobs: &mut Jobs, now: u64, out: &mut impl Network) -> bool {
+        let ms = self.clock.pass(now);
+        if self.settle(out) {
+            return false;
+        }
+        let rest = (self.next..CONNECTIONS).chain(0..self.next);
+        let Some(index) = { rest }.find(|index| self.connections[*index].used()) else {
+            return false;
+        };
+        self.next = (index + 1) % CONNECTIONS;
+        let done = self.look_at(index, jobs, (now, ms), out);
+        self.in_vain = if done {
+            0
+        } else {
+            self.in_vain.saturating_add(1)
+        };
+        done
+    }
+
+    fn look_at(
+        &mut self,
+        index: usize,
+        jobs: &mut Jobs,
+        (now, ms): (u64, u32),
+        out: &mut impl Network,
+    ) -> bool {
+        let instant = Instant::from_millis(ms);
+        let connection = &mut self.connections[index];
+        if let Some(mac) = connection.introduce.take() {
+            let who = (mac, connection.peer.ip);
+            self.stack.introduce(who, &mut self.none, instant, out);
+            return true;
+        }
+        let waited = ms.wrapping_sub(connection.since);
+        let over = match index {
+            _ if connection.closing => waited >= CLOSING_MS,
+            0..LINE => false,
+            LINE => jobs.server().silent(now),
+            _ => waited >= SILENCE_SECONDS * 1000,
+        };
+        if over {
+            connection.listen(port_of(index));
+            return false;
+        }
+        // What still comes behind the last answer is dropped, so that the client can end, too.
+        if connection.closing && connection.read(<[u8]>::len) > 0 {
+            return true;
+        }
+        // Answers leave before the next request is looked at; an acknowledgement leaves with one.
+        let speaks = connection.socket().send_queue() > 0;
+        if speaks && self.stack.send(&mut connection.sockets, instant, out) {
+            return true;
+        }
+        let open = matches!(connection.state(), State::Established | State::CloseWait);
+        let done = open
+            && match index {
+                0..LINE => self.console(index, jobs, now, out),
+                LINE => self.request(jobs, now, out),
+                _ => self.busy_reply(index, jobs, now, out),
+            };
+        let connection = &mut self.connections[index];
+        if done {
+            self.finish(index, ms);
+            return true;
+        }
+        let heard = connection.socket().recv_queue() == 0;
+        if connection.state() == State::CloseWait && heard && !connection.closing {
+            connection.close(ms);
+            return true;
+        }
+        !speaks && self.stack.send(&mut connection.sockets, instant, out)
+    }
+
+    /// Sends what is in the text, and ends the connection if that is wanted.
+    fn finish(&mut self, index: usize, ms: u32) {
+        let connection = &mut self.connections[index];
+        // There is room: nothing is asked before.
+        let _ = connection.socket().send_slice(self.text.bytes());
+        if self.text.close {
+            connection.close(ms);
+        }
+        self.text.clear();
+    }
+
+    /// Takes bytes of a console's client, at most one line, and answers it.
+    fn console(&mut self, index: usize, jobs: &mut Jobs, now: u64, out: &mut impl Network) -> bool {
+        let connection = &mut self.connections[index];
+        if connection.room() < ANSWER_MAX {
+            return false;
+        }
+        let Some(editor) = self.lines.get_mut(index) else {
+            return false;
+        };
+        if !connection.greeted {
+            connection.greeted = true;
+            out.console(index, None, &mut self.text);
+            return true;
+        }
+        let mut whole = false;
+        let used = connection.read(|bytes| {
+            let end = bytes.iter().position(|byte| editor.collect(*byte));
+            whole = end.is_some();
+            end.map_or(bytes.len(), |end| end + 1)
+        });
+        if !whole {
+            return used > 0;
+        }
+        match out.console(index, Some(editor.line()), &mut self.text) {
+            Reply::Said => {}
+            Reply::Close => self.text.close = true,
+            Reply::Job { trusted } => {
+                let mut room = [0; super::TEXT_MAX];
+                let mut paper = Paper::new(&mut room);
+                job_lines::answer(jobs, editor.line(), trusted, now, &mut paper, out);
+                let used = paper.used();
+                self.text.put(room.get(..used).unwrap_or(&[]));
+                self.text.put(PROMPT.as_bytes());
+            }
+        }
+        true
+    }
+
+    /// Takes bytes of the client of jobs, at most one request.
+    fn request(&mut self, jobs: &mut Jobs, now: u64, out: &mut impl Network) -> bool {
+        let connection = &mut self.connections[LINE];
+        if connection.room() < wire::jobs::FRAME {
+            return false;
+        }
+        let mut context = jobs.request_context(now, out);
+        let text = &mut self.text;
+        let taken = connection.read(|bytes| context.take(bytes, text));
+        taken > 0 || self.text.some()
+    }
+
+    /// Takes bytes of a client that was told Busy.
+    fn busy_reply(
+        &mut self,
+        index: usize,
+        jobs: &mut Jobs,
+        now: u64,
+        out: &mut impl Network,
+    ) -> bool {
+        let connection = &mut self.connections[index];
+        let Some(busy) = self.busy.get_mut(index - FIRST_BUSY) else {
+            return false;
+        };
+        if connection.room() < wire::jobs::FRAME {
+            return false;
+        }
+        let mut caller = jobs.caller(busy, now, out);
+        let text = &mut self.text;
+        if !connection.greeted {
+            connection.greeted = true;
+            caller.greet(text);
+            return true;
+        }
+        let taken = connection.read(|bytes| caller.take(bytes, text));
+        taken > 0 || self.text.some()
+    }
+}

@@ -1,0 +1,131 @@
+//! The services fail while the machine moves: the Verilated board with a program that panics, or
+//! meets an instruction that is none, when a ping comes. And three consoles at once.
+//!
+//! Panics cannot be excluded here as in the ROM's image (`image`): smoltcp has some 90 places that
+//! may panic, and other ones with each release. These tests are in that list's place.
+
+use ferrocnc_tests::flood::Kind;
+use ferrocnc_tests::services::{broken, sealed};
+use ferrocnc_tests::wired::{program, setup};
+use ferrocnc_tests::{BenchMachine, seed};
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+use sim::segment::CONSOLE_PORT;
+use wire::describe::JobsState;
+use wire::exchange::Command;
+use wire::map;
+use wire::state::State;
+use wire::units::{Accel, Velocity};
+
+/// As in `flood`: no call of the services may cost more.
+const BOUND: u64 = 18_000;
+/// What `panic!` is in them.
+const EBREAK: u32 = 0x0010_0073;
+const ILLEGAL: u32 = 0;
+
+fn state(machine: &mut BenchMachine) -> JobsState {
+    JobsState::of(machine.read(map::DESCRIBE + 9 * 4))
+}
+
+fn moving(machine: &mut BenchMachine) -> Command {
+    machine.make_ready();
+    let mut command = machine.enabled_command();
+    for (n, (rate, accel)) in command.stepgen.iter_mut().take(3).enumerate() {
+        *rate = Velocity::from_hz(20e3 * (n as f64 - 1.4), machine.clock_hz());
+        *accel = Accel::from_steps(1e8, machine.clock_hz());
+    }
+    for _ in 0..5 {
+        machine.exchange_and_wait(&mut command);
+    }
+    command
+}
+
+/// The services fail at a ping while three axes move.
+fn outlives(what: &str, code: &[u32]) {
+    let mut machine = BenchMachine::boot(setup(&sealed(broken(program(), "icmpv4_reply", code))));
+    assert_eq!(state(&mut machine), JobsState::Alive, "{what}");
+    let mut command = moving(&mut machine);
+    let (mut worst, mut rng) = (0, Pcg64Mcg::seed_from_u64(seed()));
+    for period in 0..30 {
+        let frames = match period {
+            5 => vec![machine.frame(Kind::PingArmed, &mut rng)],
+            _ => Vec::new(),
+        };
+        let answer = machine.period_with(&mut command, &frames, frames.len());
+        let answer = answer.unwrap_or_else(|| panic!("{what}: no answer in period {period}"));
+        assert_eq!(answer.status.state.state, State::Armed, "{what}");
+        worst = worst.max(answer.turnaround);
+    }
+    println!("{what}: {worst} clocks");
+    assert!(worst <= BOUND, "{what}: {worst} clocks");
+    assert!(machine.gate_open(), "{what}");
+    assert_eq!(state(&mut machine), JobsState::Ended, "{what}");
+    for (rate, _) in &mut command.stepgen {
+        *rate = Velocity(0);
+    }
+    for _ in 0..5 {
+        machine.exchange_and_wait(&mut command);
+    }
+    let status = machine.exchange_and_wait(&mut command);
+    for axis in 0..3 {
+        let told = status.stepgen[axis].0.pulses();
+        assert_eq!(told, machine.pulses(axis), "{what}: axis {axis}");
+        assert!(machine.edges(axis) > 0, "{what}: axis {axis} moved");
+    }
+    assert_eq!(machine.timing_violations(), 0);
+    // What is left in the ROM answers now.
+    machine.run_millis(200);
+    assert!(machine.ping().is_some(), "{what}: the ROM's ping");
+    assert!(machine.console("status\n").contains("session"), "{what}");
+    let refused = machine.rig().tcp_connect(wire::jobs::PORT).is_err();
+    assert!(refused, "{what}: no jobs any more");
+}
+
+#[test]
+fn a_panic_in_the_services_of_a_moving_machine_ends_them_and_not_the_motion() {
+    outlives("panic", &[EBREAK]);
+}
+
+#[test]
+fn an_illegal_instruction_in_the_services_of_a_moving_machine_ends_them_and_not_the_motion() {
+    outlives("illegal instruction", &[ILLEGAL]);
+}
+
+#[test]
+fn services_that_fail_when_they_start_leave_a_board_that_does_everything_else() {
+    let code = sealed(broken(program(), "services_main", &[EBREAK]));
+    let mut machine = BenchMachine::boot(setup(&code));
+    assert_eq!(state(&mut machine), JobsState::Ended);
+    assert!(machine.ping().is_some());
+    assert!(machine.console("status\n").contains("session"));
+    moving(&mut machine);
+}
+
+#[test]
+fn three_clients_have_a_console_at_once() {
+    let mut machine = BenchMachine::boot(setup(&program()));
+    let rig = machine.rig();
+    let all: Vec<_> = (0..3)
+        .map(|n| {
+            let connected = rig.tcp_connect(CONSOLE_PORT);
+            connected.unwrap_or_else(|error| panic!("console {n}: {error}"))
+        })
+        .collect();
+    assert!(rig.tcp_connect(CONSOLE_PORT).is_err(), "a fourth");
+    let mut heard = vec![String::new(); 3];
+    for (client, line) in all.iter().zip(["status\n", "job status\n", "settings\n"]) {
+        rig.segment.send(*client, line.as_bytes());
+        // The board has two places for frames.
+        rig.run_ms(1);
+    }
+    for _ in 0..40 {
+        rig.run_ms(1);
+        for (client, heard) in all.iter().zip(&mut heard) {
+            heard.push_str(&String::from_utf8_lossy(&rig.segment.recv(*client)));
+        }
+    }
+    for (heard, word) in heard.iter().zip(["session  ", "stopped", "192.168.2.50"]) {
+        assert!(heard.contains(word), "{heard}");
+        assert_eq!(heard.matches("ferrocnc> ").count(), 2, "{heard}");
+    }
+}
