@@ -57,7 +57,7 @@ module sdram #(
     localparam logic [9:0] MODE = 10'h020;    // bursts of one word, CL 2
     localparam logic [4:0] CLOSES = 5'd9;     // the step that closes all banks
 
-    logic [9:0]          interval = 10'(T_REFI - 1);  // clocks until the next refresh is due
+    logic [10:0]         interval = 11'(T_REFI - 1);  // clocks until the next refresh is due
     logic                due = 1'b0;          // a refresh, or a step of the start
     logic [4:0]          step = READY ? 5'd0 : 5'(STEPS);  // of the start, down to 0
     logic [2:0]          rest = 3'd0;         // clocks until the next command may follow
@@ -106,10 +106,10 @@ module sdram #(
     assign word  = dq_in;
 
     always_ff @(posedge clk) begin
-        interval <= interval - 10'd1;
+        interval <= interval - 11'd1;
         due      <= due & ~(refreshes | starts);
-        if (interval == 10'd0) begin
-            interval <= 10'(T_REFI - 1);
+        if (interval == 11'd0) begin
+            interval <= 11'(T_REFI - 1);
             due      <= 1'b1;
             if (~ready) step <= step - 5'd1;
         end
@@ -139,9 +139,10 @@ module sdram #(
     end
 
 `ifdef FORMAL  // what gateware/formal proves, from the commands as the chip sees them, for any word `f_at`
-    localparam int T_RC = 4, T_MRD = 2, PAUSE = 12_000;  // at 60 MHz: 63 ns, 2 clocks, 200 us
+    localparam int T_RC = 4, T_MRD = 2;                  // at 60 MHz: 63 ns, 2 clocks
+    localparam int PAUSE = (START - 1) * T_REFI;         // of the start
     localparam logic [6:0] BOUND = 7'd42;                // clocks from a request to its end
-    localparam logic [9:0] LATE = 10'd14;                // a refresh behind its time
+    localparam logic [10:0] LATE = 11'd14;               // a refresh behind its time
     (* anyconst *) logic [ROW_BITS+BANK_BITS+COL_BITS-1:0] f_at;
     wire [ROW_BITS-1:0]  f_its_row = f_at[ROW_BITS+BANK_BITS+COL_BITS-1:BANK_BITS+COL_BITS];
     wire [BANK_BITS-1:0] f_bank    = f_at[BANK_BITS+COL_BITS-1:COL_BITS];
@@ -203,7 +204,8 @@ module sdram #(
     // Progress: the clocks a request may still need, and a refresh.
     logic [6:0] f_wait = 7'd0;      // clocks that this request has waited
     logic       f_again = 1'b0;     // a refresh has become due meanwhile
-    wire  [9:0] f_past = 10'(T_REFI - 1) - interval;   // clocks since the last one became due
+    logic       f_owed = 1'b0;      // this interval's refresh has not been done
+    wire  [10:0] f_past = 11'(T_REFI - 1) - interval;   // clocks since the last one became due
     wire  [6:0] f_rest = {4'd0, rest}, f_hold = {4'd0, hold > rest ? hold : rest};
     wire  [6:0] f_column = {4'd0, column};
     wire  [6:0] f_last = 7'd7, f_open_it = 7'(T_RCD), f_close_it = 7'(T_RP), f_refresh_it = 7'(T_RFC);
@@ -217,7 +219,8 @@ module sdram #(
     wire        f_waits = want & ready & ~reset;
     always_ff @(posedge clk) begin
         f_wait  <= f_waits & ~taken ? f_wait + 7'd1 : 7'd0;
-        f_again <= f_waits & ~taken & (f_again | (interval == 10'd0));
+        f_again <= f_waits & ~taken & (f_again | (interval == 11'd0));
+        f_owed  <= ready & ~reset & ((interval == 11'd0) | (f_owed & ~f_ref));
     end
 
     // The chip's answer, and a client that keeps its request until it is taken.
@@ -236,20 +239,25 @@ module sdram #(
     end
 
 `ifdef PROVE_all_of_it_at_full_size
-    `define PROVE_rows_are_opened_and_closed_in_time
-    `define PROVE_a_column_is_of_the_open_row
-    `define PROVE_the_chip_rests_behind_refresh_and_mode
-    `define PROVE_every_interval_has_its_refresh
-    `define PROVE_the_lines_have_one_driver
-    `define PROVE_what_is_read_is_what_was_written
-    `define PROVE_a_request_is_done_in_time
+`define PROVE_rows_are_opened_and_closed_in_time
+`define PROVE_a_column_is_of_the_open_row
+`define PROVE_the_chip_rests_behind_refresh_and_mode
+`define PROVE_every_interval_has_its_refresh
+`define PROVE_the_lines_have_one_driver
+`define PROVE_what_is_read_is_what_was_written
+`define PROVE_a_request_is_done_in_time
+`define PROVE_the_chip_is_started_before_it_is_used
 `endif
     always_comb begin
+`ifdef PROVE_all_of_it_at_full_size  // 200 us; 4096 refreshes in 64 ms, and 2048 in 32
+        assert (PAUSE >= 12_000);
+        assert ((4096 * T_REFI + 14 < 3_840_000) & (2048 * T_REFI + 14 < 1_920_000));
+`endif
 `ifndef BROKEN
         assert (open[f_bank] == f_open);
         assert (~f_open | (rows[f_bank] == f_row));
         assert (rest <= 3'd4 & hold <= 3'd2);
-        assert (interval <= 10'(T_REFI - 1));
+        assert (interval <= 11'(T_REFI - 1));
         assert ({1'b0, f_since_act} + {2'd0, rest} >= 5'(T_RCD));
         assert ({1'b0, f_since_pre} + {2'd0, rest} >= 5'(T_RP));
         assert ({1'b0, f_since_ref} + {2'd0, rest} >= 5'(T_RFC));
@@ -262,15 +270,16 @@ module sdram #(
         assert (step <= 5'(STEPS));
         assert (~ready | ((step == 5'd0) & f_modes));
         assert (ready | (step != 5'd0) | due);
-        assert (ready | ~due | (f_past + {3'd0, f_hold} <= LATE));
+        assert (ready | ~due | (f_past + {4'd0, f_hold} <= LATE));
         assert ((open != '0) | (hold == 3'd0));
         assert (ready | ~((step < CLOSES) | ((step == CLOSES) & ~due)) | ((open == '0) & ~f_open & f_closed));
         assert (f_refreshes <= 4'd8);
+        assert (~ready | (f_age >= 15'(PAUSE)));
         assert (~ready | (f_closed & (f_refreshes == 4'd8)));
         assert (ready | (step >= CLOSES) | due | ({1'b0, f_refreshes} >= 5'd9 - ((step == 5'd0) ? 5'd1 : step)));
         assert (ready | (step >= CLOSES) | ~due | ({1'b0, f_refreshes} >= 5'd8 - step));
         assert (ready | (step == 5'(STEPS)) | (f_age == 15'd32767)
-            | (f_age >= (15'(STEPS) - {10'd0, step} - 15'd1) * 15'(T_REFI) + {5'd0, f_past}));
+            | (f_age >= (15'(STEPS) - {10'd0, step} - 15'd1) * 15'(T_REFI) + {4'd0, f_past}));
         assert (ready | (column == 3'd0));
         // Data.
         assert (f_reading == coming[1:0]);
@@ -284,9 +293,11 @@ module sdram #(
         assert ((column == 3'd0) | (f_asking & ~f_store_before & (rest == 3'd0)));
         assert ((column == 3'd0) | (open[f_at_before[BANK_BITS+COL_BITS-1:COL_BITS]]
             & (rows[f_at_before[BANK_BITS+COL_BITS-1:COL_BITS]] == f_at_before[ROW_BITS+BANK_BITS+COL_BITS-1:BANK_BITS+COL_BITS])));
-        assert (~(ready & due) | (f_past + {3'd0, f_until} <= LATE));
+        assert (~f_owed | (ready & due));
+        assert (~(ready & due) | (f_past + {4'd0, f_until} <= LATE));
+        assert (f_wait < BOUND);
         assert ((f_wait == 7'd0) | f_asking);
-        assert (~f_again | ((f_wait != 7'd0) & (f_past <= {3'd0, f_wait})));
+        assert (~f_again | ((f_wait != 7'd0) & (f_past <= {4'd0, f_wait})));
         assert (~(f_waits & ~f_again) | (f_wait + f_left <= 7'd21));
         assert (~(f_waits & f_again) | (f_wait + f_left < BOUND));
 `endif
@@ -309,9 +320,8 @@ module sdram #(
         if ((f_command == 3'b011) | ~ras_n & ~cas_n & ready) assert (f_modes);
 `endif
 `ifdef PROVE_every_interval_has_its_refresh
-        if (ready & (interval == 10'd0)) assert (~due);
-        if (ready & due) assert (f_past <= LATE);
-        if (ready & f_ref) assert (due);
+        if (f_owed) assert (f_past <= LATE);
+        if (interval == 11'd0) assert (~f_owed);
 `endif
 `ifdef PROVE_the_lines_have_one_driver
         if (drives) assert ((f_reading == 2'd0) & (f_command == 3'b100));
