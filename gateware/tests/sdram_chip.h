@@ -8,7 +8,7 @@
 #include <vector>
 
 struct Times {  // ns, but where it says clocks
-    double rcd = 20, rp = 20, ras = 42, rc = 63, rfc = 70, rrd = 14, ras_max = 100'000, pause = 200'000;
+    double rcd = 21, rp = 21, ras = 42, rc = 63, rfc = 80, rrd = 14, ras_max = 100'000, pause = 200'000;
     unsigned rdl = 2, mrd = 2;         // clocks
     unsigned rows = 4096;              // refreshes
     double every = 64'000'000;         // within which all of them come
