@@ -35,6 +35,10 @@ class SdramBridge(LiteXModule):
     """A wishbone slave in front of the controller. It keeps two lines: the last one addressed, and
     the one after it or before it."""
 
+    # LiteX gives every memory a port for registers. With a second port that writes, the lines would
+    # be 512 flip-flops.
+    autocsr_exclude = {"lines"}
+
     def __init__(self, port):
         self.bus = bus = wishbone.Interface(data_width=32, address_width=32, addressing="word")
 
