@@ -100,29 +100,11 @@ def _bit(name, lsb, doc):
 
 # The pages --------------------------------------------------------------------------------------------------------
 
-# LiteDRAM's registers, on boards with jobs only; `soc` compares them with what was built.
-SDRAM = Bank("sdram", 5, "sdram", "LiteDRAM's controller: firmware starts the SDRAM by hand, command by command, and then leaves it to the hardware. Boards without jobs do not have it.", (
-    Reg("dfii_control", "rw", "Selects what drives the SDRAM.", (
-        _bit("sel", 0, "1: the controller; 0: the registers below."),
-        _bit("cke", 1, "Clock enable; wired high on the cards."),
-        _bit("odt", 2, "Unused with an SDRAM."),
-        _bit("reset_n", 3, "Unused with an SDRAM."),
+# On boards with SDRAM only; `soc` compares it with what was built.
+SDRAM = Bank("sdram", 5, "sdram", "The SDRAM's controller, which starts the SDRAM by itself after power-up and after a reset of the system. Boards without SDRAM do not have it: the page reads 0.", (
+    Reg("status", "ro", "State of the SDRAM.", (
+        _bit("ready", 0, "1: it has been started, 0.4 ms after power-up or a reset at 60 MHz."),
     )),
-    Reg("dfii_pi0_command", "rw", "The next command, as levels: 1 is active.", (
-        _bit("cs", 0, "Chip select."),
-        _bit("we", 1, "Write enable."),
-        _bit("cas", 2, "Column address strobe."),
-        _bit("ras", 3, "Row address strobe."),
-        _bit("wren", 4, "Drives `dfii_pi0_wrdata`."),
-        _bit("rden", 5, "Catches `dfii_pi0_rddata`."),
-        _bit("cs_top", 6, "Unused."),
-        _bit("cs_bottom", 7, "Unused."),
-    )),
-    Reg("dfii_pi0_command_issue", "rw", "Writing any value issues the command, for one clock; reads 0, no unit."),
-    Reg("dfii_pi0_address", "rw", "Address lines of the command, or the mode register's value."),
-    Reg("dfii_pi0_baddress", "rw", "Bank lines of the command."),
-    Reg("dfii_pi0_wrdata", "rw", "Data of a command with `wren`."),
-    Reg("dfii_pi0_rddata", "ro", "Data of the last command with `rden`."),
 ))
 
 IDENT = Bank("ident", 8, "ident", "The gateware's identity. Constant; the firmware reads it at boot before anything else.", (

@@ -1,9 +1,10 @@
-"""The bridge from the bus to the SDRAM: it caches lines as they come, and queues stores.
+"""The bridge from the bus to the SDRAM: it caches lines as they come, and answers a store before it
+is done.
 
-    cyc stb  _/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\\_     a line that is not here: 8 commands in a row, its words are handed on
-    cmd      ____/01234567\\______________        as they come
-    rdata    ______________/01234567\\____
-    ack      _______________/01234567\\___
+    cyc stb  _/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\\_     a line that is not here: its words are handed on as they come
+    want     ____/‾‾‾‾‾‾‾‾‾‾‾\\___________
+    word     ___________/01234567\\____
+    ack      ____________/01234567\\___
 
     cyc stb  _/‾‾‾‾‾‾‾‾‾‾\\_                       one that is here, because it follows the last one: a word a clock
     ack      ___/01234567\\_
@@ -16,33 +17,43 @@ it knows, or reads the word's line first.
 from migen import Cat, If, Memory, Mux, Signal
 from migen.genlib.fsm import FSM, NextState, NextValue
 from litex.gen import LiteXModule
-from litex.soc.interconnect import stream, wishbone
+from litex.soc.interconnect import wishbone
 
 LINE = 8  # words of a line of VexRiscv's caches
-STORES = 4  # words that may be on their way to the SDRAM
 BURST = 0b010  # wishbone: the next word is the one behind this
 
 
+class Port:
+    """The client's side of `gateware/rtl/sdram.sv`."""
+
+    def __init__(self, bits):
+        self.want, self.store, self.at, self.data = Signal(), Signal(), Signal(bits), Signal(32)
+        self.taken, self.valid, self.word = Signal(), Signal(), Signal(32)
+
+
 class SdramBridge(LiteXModule):
-    """A wishbone slave on a native port of LiteDRAM. It keeps two lines: the last one addressed,
-    and the one after it or before it."""
+    """A wishbone slave in front of the controller. It keeps two lines: the last one addressed, and
+    the one after it or before it."""
+
+    # LiteX gives every memory a port for registers. With a second port that writes, the lines would
+    # be 512 flip-flops.
+    autocsr_exclude = {"lines"}
 
     def __init__(self, port):
         self.bus = bus = wishbone.Interface(data_width=32, address_width=32, addressing="word")
 
         # # #
 
-        bits = len(port.cmd.addr)
+        bits = len(port.at)
         adr, data, sel, store = Signal(bits), Signal(32), Signal(4), Signal()
         tags, whole = [Signal(bits - 3) for _ in range(2)], [Signal() for _ in range(2)]
         self.specials.lines = lines = Memory(32, 2 * LINE)
         put, get = lines.get_port(write_capable=True), lines.get_port(async_read=True)
         self.specials += put, get
 
-        # The line that is being read: which of the two, words requested, words received.
-        filling, filled, asked, came = Signal(), Signal(), Signal(4), Signal(4)
-        asking = Signal()
-        self.comb += asking.eq(filling & ~asked[3])
+        # The line that is being read: which of the two, whether it is still requested, words
+        # received.
+        filling, filled, asking, came = Signal(), Signal(), Signal(), Signal(4)
 
         # Is the addressed line here, or coming? Is its word here?
         here = [(tag == adr[3:]) & (known | (filling & (filled == n))) for n, (tag, known) in enumerate(zip(tags, whole))]
@@ -58,30 +69,23 @@ class SdramBridge(LiteXModule):
 
         def fill(n):
             return [
-                NextValue(filling, 1), NextValue(filled, n), NextValue(asked, 0), NextValue(came, 0),
+                NextValue(filling, 1), NextValue(filled, n), NextValue(asking, 1), NextValue(came, 0),
                 If(n, NextValue(tags[1], adr[3:]), NextValue(whole[1], 0)).Else(NextValue(tags[0], adr[3:]), NextValue(whole[0], 0)),
             ]
 
-        # Stores: the command at once, the word when the SDRAM needs it.
-        self.queue = queue = stream.SyncFIFO([("data", 32)], STORES, buffered=False)
-        stores, goes = Signal(), Signal()
+        # A store waits until the line has come: then its word is in the line, or the line is
+        # another one, and the lines' write port is free.
+        stores, done = Signal(), Signal()
         self.comb += [
-            queue.source.connect(port.wdata, keep={"valid", "ready", "data"}),
-            port.wdata.we.eq(0xF),
-            queue.sink.data.eq(data),
-            queue.sink.valid.eq(goes & port.cmd.ready),
-            # Not into a line that is still coming, and not while a word of another line comes: the
-            # lines have one write port.
-            goes.eq(stores & queue.sink.ready & ~asking & (~hit | (Mux(way, whole[1], whole[0]) & ~port.rdata.valid))),
-            port.cmd.valid.eq(asking | goes),
-            port.cmd.we.eq(~asking),
-            port.cmd.addr.eq(Mux(asking, Cat(asked[:3], Mux(filled, tags[1], tags[0])), adr)),
-            port.cmd.last.eq(~asking | (asked == LINE - 1)),
-            port.rdata.ready.eq(1),
+            port.want.eq(asking | (stores & ~filling)),
+            port.store.eq(~asking),
+            port.at.eq(Cat(Mux(asking, 0, adr[:3]), Mux(asking, Mux(filled, tags[1], tags[0]), adr[3:]))),
+            port.data.eq(data),
+            done.eq(stores & ~filling & port.taken),
             If(stores,
-                put.adr.eq(Cat(adr[:3], way)), put.dat_w.eq(data), put.we.eq(goes & port.cmd.ready & hit),
+                put.adr.eq(Cat(adr[:3], way)), put.dat_w.eq(data), put.we.eq(done & hit),
             ),
-            If(port.rdata.valid, put.adr.eq(Cat(came[:3], filled)), put.dat_w.eq(port.rdata.data), put.we.eq(1)),
+            If(port.valid, put.adr.eq(Cat(came[:3], filled)), put.dat_w.eq(port.word), put.we.eq(1)),
         ]
 
         # A master that ends its cycle in between (a reset of the CPU) gets no answer to a question
@@ -121,12 +125,12 @@ class SdramBridge(LiteXModule):
             stores.eq(1),
             takes.eq(1),
             NextValue(told, 1),
-            If(goes & port.cmd.ready, NextState("IDLE")),
+            If(done, NextState("IDLE")),
         )
         self.sync += [
             If(~bus.cyc, live.eq(0)),
-            If(asking & port.cmd.ready, asked.eq(asked + 1)),
-            If(port.rdata.valid,
+            If(port.taken, asking.eq(0)),
+            If(port.valid,
                 came.eq(came + 1),
                 If(came == LINE - 1, filling.eq(0), If(filled, whole[1].eq(1)).Else(whole[0].eq(1)))),
         ]

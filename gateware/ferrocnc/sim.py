@@ -20,7 +20,7 @@ from litex.soc.interconnect.csr import CSRField, CSRStatus, CSRStorage
 from . import banks, regmap as rm, rgmii, sdram, soc as ferro
 from .board import blob
 
-CHIP = Path(__file__).resolve().parents[2] / "sim" / "verilator" / "sdram.sv"
+CHIP = Path(__file__).resolve().parents[2] / "sim" / "verilator" / "sdram_chip.sv"
 COPPER = CHIP.with_name("copper.sv")
 
 PORTS = (
@@ -102,15 +102,15 @@ class _PadRegisters(Module):
 
 
 def _sdram(soc, platform, board):
-    """The wires of an SDRAM, and a model of the chip (`sdram.sv`): GENSDRPHY as on the card, its
-    pad registers included."""
-    chips = sdram.module(board).geom_settings
+    """The wires of an SDRAM, and a model of the chip (`sdram_chip.sv`): the pads' registers are those
+    of the card."""
+    chips = sdram.geometry(board)
     dq = Signal(32)
     dq.out, dq.drives, dq.back = Signal(32), Signal(32), Signal(32)
-    pads = SimpleNamespace(dq=dq, a=Signal(chips.addressbits), ba=Signal(chips.bankbits), **{name: Signal(reset=1) for name in ("ras_n", "cas_n", "we_n")})
+    pads = SimpleNamespace(dq=dq, a=Signal(chips.row), ba=Signal(chips.bank), **{name: Signal(reset=1) for name in ("ras_n", "cas_n", "we_n")})
     platform.add_source(str(CHIP), "systemverilog")
     soc.specials += Instance("sdram_chip",
-        p_BANK_BITS=chips.bankbits, p_ROW_BITS=chips.rowbits, p_COL_BITS=chips.colbits,
+        p_BANK_BITS=chips.bank, p_ROW_BITS=chips.row, p_COL_BITS=chips.column,
         i_clk=ClockSignal(), i_ras_n=pads.ras_n, i_cas_n=pads.cas_n, i_we_n=pads.we_n, i_ba=pads.ba, i_a=pads.a,
         i_drives=dq.drives[0], i_d=dq.out, o_q=dq.back)
     return pads

@@ -210,12 +210,12 @@ def check_map(soc):
         region, built = soc.bus.regions["main_ram"], soc.csr.regions[rm.SDRAM.name]
         assert (region.origin, region.size) == rm.SDRAM_RAM, f"main_ram: built at {region.origin:#x}, {region.size:#x} bytes"
         assert built.origin == rm.SDRAM.base, f"{rm.SDRAM.name}: not on page {rm.SDRAM.page}"
-        assert [csr.name for csr in built.obj] == [reg.name for reg in rm.SDRAM.regs], f"{rm.SDRAM.name}: LiteDRAM's registers are {[csr.name for csr in built.obj]}"
+        assert [csr.name for csr in built.obj] == [reg.name for reg in rm.SDRAM.regs], f"{rm.SDRAM.name}: its registers are {[csr.name for csr in built.obj]}"
 
 
 def all_banks(soc):
     """Every bank of the map in address order: LiteX's as built, ours with all channels present, and
-    LiteDRAM's, which only some boards have, as checked by `check_map`."""
+    the SDRAM's, which only some boards have, as checked by `check_map`."""
     return litex_banks(soc) + list(rm.BANKS)
 
 

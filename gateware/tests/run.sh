@@ -56,7 +56,7 @@ for bench in "$here"/*.cpp; do
         top=$dir/sdram_bridge.v lint="-Wno-lint -Wno-style -Wno-COMBDLY"
         "$root/target/venv/bin/python" "$here/sdram_bridge_top.py" "$dir"
     fi
-    stamp=$(cat "$bench" "$here/bench.h" "$top" $more "$rtl"/*.sv | cksum)
+    stamp=$(cat "$bench" "$here"/*.h "$top" $more "$rtl"/*.sv | cksum)
     if [ ! -x "$dir/V$core" ] || [ "$(cat "$dir/stamp" 2>/dev/null)" != "$stamp" ]; then
         # PROCASSINIT: the cores rely on power-up values, which the ECP5 has; nothing else is waived.
         # CFG_CXXFLAGS_PCH_I: empty in the PyPI package, and g++ then fails on the precompiled header.

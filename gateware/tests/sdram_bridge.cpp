@@ -1,62 +1,29 @@
 // The SDRAM bridge under two caches and a CPU that is reset in between: every word read is the last
 // one stored, a line comes in one burst, and a store is answered before it is done. Behind it there
-// is a port like LiteDRAM's: it takes commands in order, at any time, the word of a store at any
-// time, and gives those of loads some clocks later.
+// are the controller and a chip that checks its times.
 #include "Vsdram_bridge.h"
-#include "bench.h"
-#include <array>
-#include <deque>
+#include "sdram_chip.h"
+#include <algorithm>
 
-static const unsigned WORDS = 1024, LINE = 8, LATENCY = 7;
-
-struct Sdram {
-    Bench<Vsdram_bridge> &b;
-    std::array<uint32_t, WORDS> words{};
-    struct Command { bool we; uint32_t at; };
-    std::deque<Command> commands;
-    std::deque<std::pair<uint64_t, uint32_t>> loads;  // the clock they come in, the word
-    bool eager = false;  // as fast as LiteDRAM in an open row
-    uint64_t stores = 0, lines = 0;
-
-    void before() {  // its outputs for this clock
-        auto &c = *b.core;
-        c.cmd_ready = commands.size() < 8 && (eager || !b.random.one_in(3));
-        c.wdata_ready = 0;
-        if (!commands.empty() && commands.front().we && (eager || b.random.one_in(3))) c.wdata_ready = 1;
-        c.rdata_valid = !loads.empty() && loads.front().first <= b.clocks;
-        c.rdata = c.rdata_valid ? loads.front().second : uint32_t(b.random.next());
-    }
-    void after() {  // the pins' levels at this edge; called before it
-        auto &c = *b.core;
-        if (c.rdata_valid) loads.pop_front();
-        if (c.wdata_ready) {
-            CHECK(b, c.wdata_valid && c.wdata_we == 15, "the SDRAM takes a word that is not there");
-            words[commands.front().at] = c.wdata;
-            commands.pop_front();
-            stores++;
-        } else if (!commands.empty() && !commands.front().we && (eager || !b.random.one_in(4))) {
-            loads.push_back({b.clocks + LATENCY, words[commands.front().at]});
-            lines += commands.front().at % LINE == 0;
-            commands.pop_front();
-        }
-        if (c.cmd_valid && c.cmd_ready) commands.push_back({bool(c.cmd_we), c.cmd_addr});
-    }
-};
+static const unsigned BANK_BITS = 1, ROW_BITS = 11, COL_BITS = 8, WORDS = 1u << (BANK_BITS + ROW_BITS + COL_BITS), LINE = 8;
 
 struct Master {
     Bench<Vsdram_bridge> &b;
-    Sdram sdram{b};
-    std::array<uint32_t, WORDS> words{};   // the CPU's view
-    std::array<uint32_t, WORDS> others{};  // and what they may be after an interrupted store
+    Chip<Vsdram_bridge> chip{b, BANK_BITS, ROW_BITS, COL_BITS};
+    struct { bool ras_n = true, cas_n = true, we_n = true, drives = false; unsigned ba = 0, a = 0; uint32_t d = 0; } pins;  // the pads' registers
+    std::vector<uint32_t> words = std::vector<uint32_t>(WORDS);   // the CPU's view
+    std::vector<uint32_t> others = std::vector<uint32_t>(WORDS);  // and what they may be after an interrupted store
 
     bool clock() {  // one clock; true if there was an ack
-        sdram.before();
+        auto &c = *b.core;
         b.settle();
-        const bool ack = b.core->ack;
-        CHECK(b, !ack || (b.core->cyc && b.core->stb), "an answer without a request");
-        seen = b.core->dat_r;
-        sdram.after();
+        const bool ack = c.ack;
+        CHECK(b, !ack || (c.cyc && c.stb), "an answer without a request");
+        seen = c.dat_r;
+        const uint32_t caught = chip.clock(pins.ras_n, pins.cas_n, pins.we_n, pins.ba, pins.a, pins.drives, pins.d);
+        pins = {bool(c.ras_n), bool(c.cas_n), bool(c.we_n), bool(c.drives), c.ba, c.a, c.dq_out};
         b.edge();
+        c.dq_in = caught;
         return ack;
     }
     uint32_t seen = 0;
@@ -109,11 +76,10 @@ int main(int argc, char **argv) {
     Bench<Vsdram_bridge> b("sdram_bridge", argc, argv);
     Random &r = b.random;
     Master m{b};
-    for (unsigned at = 0; at < WORDS; at++) m.words[at] = m.others[at] = m.sdram.words[at] = r.next();
+    for (unsigned at = 0; at < WORDS; at++) m.words[at] = m.others[at] = m.chip.words[at] = r.next();
     uint64_t loads = 0, stores = 0, torn = 0;
-    m.rest(3);
+    while (!b.core->ready) m.rest(1);
     for (unsigned round = 0; round < 120000; round++) {
-        m.sdram.eager = round / 1000 % 2;
         // A few lines in turn, so that they meet in the bridge; and the last ones, after which the
         // addresses wrap.
         const unsigned line = r.one_in(8) ? r.below(WORDS / LINE) : r.one_in(9) ? WORDS / LINE - 1 : (round / 50 + r.below(4)) % (WORDS / LINE);
@@ -133,22 +99,36 @@ int main(int argc, char **argv) {
         }
         if (r.one_in(2)) m.rest(r.below(r.one_in(5) ? 60 : 6));
     }
-    // The duration with an SDRAM that is not busy.
-    m.sdram.eager = true;
-    m.rest(100);
-    for (unsigned line : {3, 9}) m.load(line * LINE, LINE, true), m.rest(40);
-    const unsigned far = m.load(0, LINE, true);
+    // The durations without a refresh in between: a line in a row that is open, closed, and behind
+    // another row of its bank; the one that follows; stores.
+    const auto quiet = [&] {
+        m.rest(40);
+        while (b.core->ras_n || b.core->cas_n) m.rest(1);
+        m.rest(20);
+    };
+    quiet();
+    const unsigned closed = m.load(0x1000, LINE, true);
     m.rest(40);
-    const unsigned next = m.load(LINE, LINE, true);
+    const unsigned next = m.load(0x1008, LINE, true);
     m.rest(40);
+    const unsigned open = m.load(0x1040, LINE, true);
+    m.rest(40);
+    const unsigned other = m.load(0x2040, LINE, true);
+    m.rest(40);
+    quiet();
+    const unsigned first = m.store(0x3100, 1, 15);
+    m.rest(20);
+    unsigned all = 0;
+    for (unsigned n = 0; n < 8; n++) all += m.store(0x3101 + n, n, 15);
+    m.rest(20);
+    unsigned spread = 0;
+    for (unsigned n = 0; n < 8; n++) spread += m.store(0x4000 * (n + 1), n, 15);
     CHECK(b, next == LINE + 2, "a line that is here takes %u clocks", next);
-    CHECK(b, far > LINE + 2 && far <= LINE + LATENCY + 6, "a line that is not here takes %u clocks", far);
-    unsigned first = m.store(0x100, 1, 15), all = first;
-    for (unsigned n = 1; n < 4; n++) all += m.store(0x100 + n, n, 15);
-    CHECK(b, first == 2 && all == 8, "stores wait: %u, four take %u", first, all);
+    CHECK(b, open == 14 && closed == 16 && other == 18, "a line that is not here takes %u, %u, %u clocks", open, closed, other);
+    CHECK(b, first == 2 && all == 16, "stores wait: %u, eight take %u", first, all);
     m.rest(60);
     for (unsigned at = 0; at < WORDS; at++)
-        CHECK(b, m.sdram.words[at] == m.words[at] || m.sdram.words[at] == m.others[at], "%x is %08x in the SDRAM, stored was %08x", at, m.sdram.words[at], m.words[at]);
-    return b.pass("%llu loads, %llu stores, %llu torn; a line in %u clocks, %u if it follows the last, a store in %u", (unsigned long long)loads,
-                  (unsigned long long)stores, (unsigned long long)torn, far, next, first);
+        CHECK(b, m.chip.words[at] == m.words[at] || m.chip.words[at] == m.others[at], "%x is %08x in the SDRAM, stored was %08x", at, m.chip.words[at], m.words[at]);
+    return b.pass("%llu loads, %llu stores, %llu torn; a line in %u, %u or %u clocks (row open, closed, another one), %u if it follows the last; a store in %u, eight in %u, in as many rows %u",
+                  (unsigned long long)loads, (unsigned long long)stores, (unsigned long long)torn, open, closed, other, next, first, all, spread);
 }

@@ -1,35 +1,38 @@
 #!/usr/bin/env python3
 """Writes the bench of the SDRAM bridge: `python sdram_bridge_top.py DIR` makes DIR/sdram_bridge.v,
-the bridge with its bus and LiteDRAM's port as pins."""
+the bridge with its bus as pins, and the SDRAM's controller behind it with its own."""
 
 import sys
 from pathlib import Path
 
-from migen import ClockDomain
-from litedram.common import LiteDRAMNativePort
+from migen import ClockDomain, Instance, Signal
 from litex.gen import LiteXModule
 from litex.gen.fhdl import verilog
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from ferrocnc.sdram_bridge import SdramBridge  # noqa: E402
+from ferrocnc.sdram_bridge import Port, SdramBridge  # noqa: E402
 
-BITS = 10  # of a word's address: few, so that all accesses hit the same words
+BANK, ROW, COLUMN = 1, 11, 8  # bits: the smaller of the cards' SDRAMs
 
 
 class Top(LiteXModule):
     def __init__(self):
         self.cd_sys = ClockDomain(reset_less=True)
-        port = LiteDRAMNativePort("both", BITS, 32)
+        port = Port(BANK + ROW + COLUMN)
         self.bridge = SdramBridge(port)
         bus = self.bridge.bus
+        pins = {name: Signal(width) for name, width in (
+            ("ready", 1), ("ras_n", 1), ("cas_n", 1), ("we_n", 1), ("ba", BANK), ("a", ROW), ("drives", 1), ("dq_out", 32), ("dq_in", 32))}
+        self.specials += Instance("sdram",
+            p_BANK_BITS=BANK, p_ROW_BITS=ROW, p_COL_BITS=COLUMN,
+            i_clk=self.cd_sys.clk, i_reset=0, i_want=port.want, i_store=port.store, i_at=port.at, i_data=port.data,
+            o_taken=port.taken, o_valid=port.valid, o_word=port.word,
+            **{("i_" if name == "dq_in" else "o_") + name: pin for name, pin in pins.items()})
         self.ports = {
             "clk": self.cd_sys.clk,
             "adr": bus.adr, "dat_w": bus.dat_w, "dat_r": bus.dat_r, "sel": bus.sel, "cyc": bus.cyc, "stb": bus.stb, "we": bus.we,
-            "cti": bus.cti, "ack": bus.ack,
-            "cmd_valid": port.cmd.valid, "cmd_ready": port.cmd.ready, "cmd_we": port.cmd.we, "cmd_addr": port.cmd.addr,
-            "wdata_valid": port.wdata.valid, "wdata_ready": port.wdata.ready, "wdata": port.wdata.data, "wdata_we": port.wdata.we,
-            "rdata_valid": port.rdata.valid, "rdata": port.rdata.data,
+            "cti": bus.cti, "ack": bus.ack, **pins,
         }
 
 
@@ -39,7 +42,8 @@ def main():
         signal.name_override = name
     out = Path(sys.argv[1])
     out.mkdir(parents=True, exist_ok=True)
-    (out / "sdram_bridge.v").write_text(str(verilog.convert(top, set(top.ports.values()), name="sdram_bridge")))
+    text = str(verilog.convert(top, set(top.ports.values()), name="sdram_bridge"))
+    (out / "sdram_bridge.v").write_text(text.replace("`timescale 1ns / 1ps\n", ""))  # the core has none
 
 
 main()

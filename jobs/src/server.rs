@@ -186,7 +186,7 @@ impl<O: Outside> RequestContext<'_, '_, O> {
         );
         let again = !greets && self.server.known && self.server.last == Some(number);
         if !again {
-            let mut answer = self.server.answer;
+            let mut answer = [0; FRAME];
             let mut length = 0;
             let outcome = self.answer(&frame, &mut answer, &mut length);
             let status = match outcome {
@@ -202,7 +202,7 @@ impl<O: Outside> RequestContext<'_, '_, O> {
                 return true;
             }
             (self.server.answer, self.server.length) = (answer, length);
-            self.server.last = Some((self.server.client, frame.op, frame.id));
+            self.server.last = Some(number);
         }
         self.server.have = 0;
         out.put(self.server.answer.get(..self.server.length).unwrap_or(&[]));

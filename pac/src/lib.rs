@@ -1812,422 +1812,52 @@ pub mod ethphy {
         impl crate::Resettable for MdioRSpec {}
     }
 }
-#[doc = "LiteDRAM's controller: firmware starts the SDRAM by hand, command by command, and then leaves it to the hardware. Boards without jobs do not have it."]
+#[doc = "The SDRAM's controller, which starts the SDRAM by itself after power-up and after a reset of the system. Boards without SDRAM do not have it: the page reads 0."]
 pub type Sdram = crate::Periph<sdram::RegisterBlock, 0xf000_2800>;
 impl core::fmt::Debug for Sdram {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Sdram").finish()
     }
 }
-#[doc = "LiteDRAM's controller: firmware starts the SDRAM by hand, command by command, and then leaves it to the hardware. Boards without jobs do not have it."]
+#[doc = "The SDRAM's controller, which starts the SDRAM by itself after power-up and after a reset of the system. Boards without SDRAM do not have it: the page reads 0."]
 pub mod sdram {
     #[repr(C)]
     #[doc = "Register block"]
     pub struct RegisterBlock {
-        dfii_control: DfiiControl,
-        dfii_pi0_command: DfiiPi0Command,
-        dfii_pi0_command_issue: DfiiPi0CommandIssue,
-        dfii_pi0_address: DfiiPi0Address,
-        dfii_pi0_baddress: DfiiPi0Baddress,
-        dfii_pi0_wrdata: DfiiPi0Wrdata,
-        dfii_pi0_rddata: DfiiPi0Rddata,
+        status: Status,
     }
     impl RegisterBlock {
-        #[doc = "0x00 - Selects what drives the SDRAM."]
+        #[doc = "0x00 - State of the SDRAM."]
         #[inline(always)]
-        pub const fn dfii_control(&self) -> &DfiiControl {
-            &self.dfii_control
-        }
-        #[doc = "0x04 - The next command, as levels: 1 is active."]
-        #[inline(always)]
-        pub const fn dfii_pi0_command(&self) -> &DfiiPi0Command {
-            &self.dfii_pi0_command
-        }
-        #[doc = "0x08 - Writing any value issues the command, for one clock; reads 0, no unit."]
-        #[inline(always)]
-        pub const fn dfii_pi0_command_issue(&self) -> &DfiiPi0CommandIssue {
-            &self.dfii_pi0_command_issue
-        }
-        #[doc = "0x0c - Address lines of the command, or the mode register's value."]
-        #[inline(always)]
-        pub const fn dfii_pi0_address(&self) -> &DfiiPi0Address {
-            &self.dfii_pi0_address
-        }
-        #[doc = "0x10 - Bank lines of the command."]
-        #[inline(always)]
-        pub const fn dfii_pi0_baddress(&self) -> &DfiiPi0Baddress {
-            &self.dfii_pi0_baddress
-        }
-        #[doc = "0x14 - Data of a command with `wren`."]
-        #[inline(always)]
-        pub const fn dfii_pi0_wrdata(&self) -> &DfiiPi0Wrdata {
-            &self.dfii_pi0_wrdata
-        }
-        #[doc = "0x18 - Data of the last command with `rden`."]
-        #[inline(always)]
-        pub const fn dfii_pi0_rddata(&self) -> &DfiiPi0Rddata {
-            &self.dfii_pi0_rddata
+        pub const fn status(&self) -> &Status {
+            &self.status
         }
     }
-    #[doc = "DFII_CONTROL (rw) register accessor: Selects what drives the SDRAM.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_control::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_control::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_control`] module"]
-    #[doc(alias = "DFII_CONTROL")]
-    pub type DfiiControl = crate::Reg<dfii_control::DfiiControlSpec>;
-    #[doc = "Selects what drives the SDRAM."]
-    pub mod dfii_control {
-        #[doc = "Register `DFII_CONTROL` reader"]
-        pub type R = crate::R<DfiiControlSpec>;
-        #[doc = "Register `DFII_CONTROL` writer"]
-        pub type W = crate::W<DfiiControlSpec>;
-        #[doc = "Field `sel` reader - 1: the controller; 0: the registers below."]
-        pub type SelR = crate::BitReader;
-        #[doc = "Field `sel` writer - 1: the controller; 0: the registers below."]
-        pub type SelW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `cke` reader - Clock enable; wired high on the cards."]
-        pub type CkeR = crate::BitReader;
-        #[doc = "Field `cke` writer - Clock enable; wired high on the cards."]
-        pub type CkeW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `odt` reader - Unused with an SDRAM."]
-        pub type OdtR = crate::BitReader;
-        #[doc = "Field `odt` writer - Unused with an SDRAM."]
-        pub type OdtW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `reset_n` reader - Unused with an SDRAM."]
-        pub type ResetNR = crate::BitReader;
-        #[doc = "Field `reset_n` writer - Unused with an SDRAM."]
-        pub type ResetNW<'a, REG> = crate::BitWriter<'a, REG>;
+    #[doc = "STATUS (r) register accessor: State of the SDRAM.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@status`] module"]
+    #[doc(alias = "STATUS")]
+    pub type Status = crate::Reg<status::StatusSpec>;
+    #[doc = "State of the SDRAM."]
+    pub mod status {
+        #[doc = "Register `STATUS` reader"]
+        pub type R = crate::R<StatusSpec>;
+        #[doc = "Field `ready` reader - 1: it has been started, 0.4 ms after power-up or a reset at 60 MHz."]
+        pub type ReadyR = crate::BitReader;
         impl R {
-            #[doc = "Bit 0 - 1: the controller; 0: the registers below."]
+            #[doc = "Bit 0 - 1: it has been started, 0.4 ms after power-up or a reset at 60 MHz."]
             #[inline(always)]
-            pub fn sel(&self) -> SelR {
-                SelR::new((self.bits & 1) != 0)
-            }
-            #[doc = "Bit 1 - Clock enable; wired high on the cards."]
-            #[inline(always)]
-            pub fn cke(&self) -> CkeR {
-                CkeR::new(((self.bits >> 1) & 1) != 0)
-            }
-            #[doc = "Bit 2 - Unused with an SDRAM."]
-            #[inline(always)]
-            pub fn odt(&self) -> OdtR {
-                OdtR::new(((self.bits >> 2) & 1) != 0)
-            }
-            #[doc = "Bit 3 - Unused with an SDRAM."]
-            #[inline(always)]
-            pub fn reset_n(&self) -> ResetNR {
-                ResetNR::new(((self.bits >> 3) & 1) != 0)
+            pub fn ready(&self) -> ReadyR {
+                ReadyR::new((self.bits & 1) != 0)
             }
         }
-        impl W {
-            #[doc = "Bit 0 - 1: the controller; 0: the registers below."]
-            #[inline(always)]
-            pub fn sel(&mut self) -> SelW<'_, DfiiControlSpec> {
-                SelW::new(self, 0)
-            }
-            #[doc = "Bit 1 - Clock enable; wired high on the cards."]
-            #[inline(always)]
-            pub fn cke(&mut self) -> CkeW<'_, DfiiControlSpec> {
-                CkeW::new(self, 1)
-            }
-            #[doc = "Bit 2 - Unused with an SDRAM."]
-            #[inline(always)]
-            pub fn odt(&mut self) -> OdtW<'_, DfiiControlSpec> {
-                OdtW::new(self, 2)
-            }
-            #[doc = "Bit 3 - Unused with an SDRAM."]
-            #[inline(always)]
-            pub fn reset_n(&mut self) -> ResetNW<'_, DfiiControlSpec> {
-                ResetNW::new(self, 3)
-            }
-        }
-        #[doc = "Selects what drives the SDRAM.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_control::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_control::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct DfiiControlSpec;
-        impl crate::RegisterSpec for DfiiControlSpec {
+        #[doc = "State of the SDRAM.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct StatusSpec;
+        impl crate::RegisterSpec for StatusSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`dfii_control::R`](R) reader structure"]
-        impl crate::Readable for DfiiControlSpec {}
-        #[doc = "`write(|w| ..)` method takes [`dfii_control::W`](W) writer structure"]
-        impl crate::Writable for DfiiControlSpec {
-            type Safety = crate::Unsafe;
-        }
-        #[doc = "`reset()` method sets DFII_CONTROL to value 0"]
-        impl crate::Resettable for DfiiControlSpec {}
-    }
-    #[doc = "DFII_PI0_COMMAND (rw) register accessor: The next command, as levels: 1 is active.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_command::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_command::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_pi0_command`] module"]
-    #[doc(alias = "DFII_PI0_COMMAND")]
-    pub type DfiiPi0Command = crate::Reg<dfii_pi0_command::DfiiPi0CommandSpec>;
-    #[doc = "The next command, as levels: 1 is active."]
-    pub mod dfii_pi0_command {
-        #[doc = "Register `DFII_PI0_COMMAND` reader"]
-        pub type R = crate::R<DfiiPi0CommandSpec>;
-        #[doc = "Register `DFII_PI0_COMMAND` writer"]
-        pub type W = crate::W<DfiiPi0CommandSpec>;
-        #[doc = "Field `cs` reader - Chip select."]
-        pub type CsR = crate::BitReader;
-        #[doc = "Field `cs` writer - Chip select."]
-        pub type CsW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `we` reader - Write enable."]
-        pub type WeR = crate::BitReader;
-        #[doc = "Field `we` writer - Write enable."]
-        pub type WeW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `cas` reader - Column address strobe."]
-        pub type CasR = crate::BitReader;
-        #[doc = "Field `cas` writer - Column address strobe."]
-        pub type CasW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `ras` reader - Row address strobe."]
-        pub type RasR = crate::BitReader;
-        #[doc = "Field `ras` writer - Row address strobe."]
-        pub type RasW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `wren` reader - Drives `dfii_pi0_wrdata`."]
-        pub type WrenR = crate::BitReader;
-        #[doc = "Field `wren` writer - Drives `dfii_pi0_wrdata`."]
-        pub type WrenW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `rden` reader - Catches `dfii_pi0_rddata`."]
-        pub type RdenR = crate::BitReader;
-        #[doc = "Field `rden` writer - Catches `dfii_pi0_rddata`."]
-        pub type RdenW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `cs_top` reader - Unused."]
-        pub type CsTopR = crate::BitReader;
-        #[doc = "Field `cs_top` writer - Unused."]
-        pub type CsTopW<'a, REG> = crate::BitWriter<'a, REG>;
-        #[doc = "Field `cs_bottom` reader - Unused."]
-        pub type CsBottomR = crate::BitReader;
-        #[doc = "Field `cs_bottom` writer - Unused."]
-        pub type CsBottomW<'a, REG> = crate::BitWriter<'a, REG>;
-        impl R {
-            #[doc = "Bit 0 - Chip select."]
-            #[inline(always)]
-            pub fn cs(&self) -> CsR {
-                CsR::new((self.bits & 1) != 0)
-            }
-            #[doc = "Bit 1 - Write enable."]
-            #[inline(always)]
-            pub fn we(&self) -> WeR {
-                WeR::new(((self.bits >> 1) & 1) != 0)
-            }
-            #[doc = "Bit 2 - Column address strobe."]
-            #[inline(always)]
-            pub fn cas(&self) -> CasR {
-                CasR::new(((self.bits >> 2) & 1) != 0)
-            }
-            #[doc = "Bit 3 - Row address strobe."]
-            #[inline(always)]
-            pub fn ras(&self) -> RasR {
-                RasR::new(((self.bits >> 3) & 1) != 0)
-            }
-            #[doc = "Bit 4 - Drives `dfii_pi0_wrdata`."]
-            #[inline(always)]
-            pub fn wren(&self) -> WrenR {
-                WrenR::new(((self.bits >> 4) & 1) != 0)
-            }
-            #[doc = "Bit 5 - Catches `dfii_pi0_rddata`."]
-            #[inline(always)]
-            pub fn rden(&self) -> RdenR {
-                RdenR::new(((self.bits >> 5) & 1) != 0)
-            }
-            #[doc = "Bit 6 - Unused."]
-            #[inline(always)]
-            pub fn cs_top(&self) -> CsTopR {
-                CsTopR::new(((self.bits >> 6) & 1) != 0)
-            }
-            #[doc = "Bit 7 - Unused."]
-            #[inline(always)]
-            pub fn cs_bottom(&self) -> CsBottomR {
-                CsBottomR::new(((self.bits >> 7) & 1) != 0)
-            }
-        }
-        impl W {
-            #[doc = "Bit 0 - Chip select."]
-            #[inline(always)]
-            pub fn cs(&mut self) -> CsW<'_, DfiiPi0CommandSpec> {
-                CsW::new(self, 0)
-            }
-            #[doc = "Bit 1 - Write enable."]
-            #[inline(always)]
-            pub fn we(&mut self) -> WeW<'_, DfiiPi0CommandSpec> {
-                WeW::new(self, 1)
-            }
-            #[doc = "Bit 2 - Column address strobe."]
-            #[inline(always)]
-            pub fn cas(&mut self) -> CasW<'_, DfiiPi0CommandSpec> {
-                CasW::new(self, 2)
-            }
-            #[doc = "Bit 3 - Row address strobe."]
-            #[inline(always)]
-            pub fn ras(&mut self) -> RasW<'_, DfiiPi0CommandSpec> {
-                RasW::new(self, 3)
-            }
-            #[doc = "Bit 4 - Drives `dfii_pi0_wrdata`."]
-            #[inline(always)]
-            pub fn wren(&mut self) -> WrenW<'_, DfiiPi0CommandSpec> {
-                WrenW::new(self, 4)
-            }
-            #[doc = "Bit 5 - Catches `dfii_pi0_rddata`."]
-            #[inline(always)]
-            pub fn rden(&mut self) -> RdenW<'_, DfiiPi0CommandSpec> {
-                RdenW::new(self, 5)
-            }
-            #[doc = "Bit 6 - Unused."]
-            #[inline(always)]
-            pub fn cs_top(&mut self) -> CsTopW<'_, DfiiPi0CommandSpec> {
-                CsTopW::new(self, 6)
-            }
-            #[doc = "Bit 7 - Unused."]
-            #[inline(always)]
-            pub fn cs_bottom(&mut self) -> CsBottomW<'_, DfiiPi0CommandSpec> {
-                CsBottomW::new(self, 7)
-            }
-        }
-        #[doc = "The next command, as levels: 1 is active.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_command::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_command::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct DfiiPi0CommandSpec;
-        impl crate::RegisterSpec for DfiiPi0CommandSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`dfii_pi0_command::R`](R) reader structure"]
-        impl crate::Readable for DfiiPi0CommandSpec {}
-        #[doc = "`write(|w| ..)` method takes [`dfii_pi0_command::W`](W) writer structure"]
-        impl crate::Writable for DfiiPi0CommandSpec {
-            type Safety = crate::Unsafe;
-        }
-        #[doc = "`reset()` method sets DFII_PI0_COMMAND to value 0"]
-        impl crate::Resettable for DfiiPi0CommandSpec {}
-    }
-    #[doc = "DFII_PI0_COMMAND_ISSUE (rw) register accessor: Writing any value issues the command, for one clock; reads 0, no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_command_issue::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_command_issue::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_pi0_command_issue`] module"]
-    #[doc(alias = "DFII_PI0_COMMAND_ISSUE")]
-    pub type DfiiPi0CommandIssue = crate::Reg<dfii_pi0_command_issue::DfiiPi0CommandIssueSpec>;
-    #[doc = "Writing any value issues the command, for one clock; reads 0, no unit."]
-    pub mod dfii_pi0_command_issue {
-        #[doc = "Register `DFII_PI0_COMMAND_ISSUE` reader"]
-        pub type R = crate::R<DfiiPi0CommandIssueSpec>;
-        #[doc = "Register `DFII_PI0_COMMAND_ISSUE` writer"]
-        pub type W = crate::W<DfiiPi0CommandIssueSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        impl W {}
-        #[doc = "Writing any value issues the command, for one clock; reads 0, no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_command_issue::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_command_issue::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct DfiiPi0CommandIssueSpec;
-        impl crate::RegisterSpec for DfiiPi0CommandIssueSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`dfii_pi0_command_issue::R`](R) reader structure"]
-        impl crate::Readable for DfiiPi0CommandIssueSpec {}
-        #[doc = "`write(|w| ..)` method takes [`dfii_pi0_command_issue::W`](W) writer structure"]
-        impl crate::Writable for DfiiPi0CommandIssueSpec {
-            type Safety = crate::Unsafe;
-        }
-        #[doc = "`reset()` method sets DFII_PI0_COMMAND_ISSUE to value 0"]
-        impl crate::Resettable for DfiiPi0CommandIssueSpec {}
-    }
-    #[doc = "DFII_PI0_ADDRESS (rw) register accessor: Address lines of the command, or the mode register's value.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_address::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_address::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_pi0_address`] module"]
-    #[doc(alias = "DFII_PI0_ADDRESS")]
-    pub type DfiiPi0Address = crate::Reg<dfii_pi0_address::DfiiPi0AddressSpec>;
-    #[doc = "Address lines of the command, or the mode register's value."]
-    pub mod dfii_pi0_address {
-        #[doc = "Register `DFII_PI0_ADDRESS` reader"]
-        pub type R = crate::R<DfiiPi0AddressSpec>;
-        #[doc = "Register `DFII_PI0_ADDRESS` writer"]
-        pub type W = crate::W<DfiiPi0AddressSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        impl W {}
-        #[doc = "Address lines of the command, or the mode register's value.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_address::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_address::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct DfiiPi0AddressSpec;
-        impl crate::RegisterSpec for DfiiPi0AddressSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`dfii_pi0_address::R`](R) reader structure"]
-        impl crate::Readable for DfiiPi0AddressSpec {}
-        #[doc = "`write(|w| ..)` method takes [`dfii_pi0_address::W`](W) writer structure"]
-        impl crate::Writable for DfiiPi0AddressSpec {
-            type Safety = crate::Unsafe;
-        }
-        #[doc = "`reset()` method sets DFII_PI0_ADDRESS to value 0"]
-        impl crate::Resettable for DfiiPi0AddressSpec {}
-    }
-    #[doc = "DFII_PI0_BADDRESS (rw) register accessor: Bank lines of the command.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_baddress::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_baddress::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_pi0_baddress`] module"]
-    #[doc(alias = "DFII_PI0_BADDRESS")]
-    pub type DfiiPi0Baddress = crate::Reg<dfii_pi0_baddress::DfiiPi0BaddressSpec>;
-    #[doc = "Bank lines of the command."]
-    pub mod dfii_pi0_baddress {
-        #[doc = "Register `DFII_PI0_BADDRESS` reader"]
-        pub type R = crate::R<DfiiPi0BaddressSpec>;
-        #[doc = "Register `DFII_PI0_BADDRESS` writer"]
-        pub type W = crate::W<DfiiPi0BaddressSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        impl W {}
-        #[doc = "Bank lines of the command.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_baddress::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_baddress::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct DfiiPi0BaddressSpec;
-        impl crate::RegisterSpec for DfiiPi0BaddressSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`dfii_pi0_baddress::R`](R) reader structure"]
-        impl crate::Readable for DfiiPi0BaddressSpec {}
-        #[doc = "`write(|w| ..)` method takes [`dfii_pi0_baddress::W`](W) writer structure"]
-        impl crate::Writable for DfiiPi0BaddressSpec {
-            type Safety = crate::Unsafe;
-        }
-        #[doc = "`reset()` method sets DFII_PI0_BADDRESS to value 0"]
-        impl crate::Resettable for DfiiPi0BaddressSpec {}
-    }
-    #[doc = "DFII_PI0_WRDATA (rw) register accessor: Data of a command with `wren`.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_wrdata::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_wrdata::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_pi0_wrdata`] module"]
-    #[doc(alias = "DFII_PI0_WRDATA")]
-    pub type DfiiPi0Wrdata = crate::Reg<dfii_pi0_wrdata::DfiiPi0WrdataSpec>;
-    #[doc = "Data of a command with `wren`."]
-    pub mod dfii_pi0_wrdata {
-        #[doc = "Register `DFII_PI0_WRDATA` reader"]
-        pub type R = crate::R<DfiiPi0WrdataSpec>;
-        #[doc = "Register `DFII_PI0_WRDATA` writer"]
-        pub type W = crate::W<DfiiPi0WrdataSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        impl W {}
-        #[doc = "Data of a command with `wren`.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_wrdata::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`dfii_pi0_wrdata::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct DfiiPi0WrdataSpec;
-        impl crate::RegisterSpec for DfiiPi0WrdataSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`dfii_pi0_wrdata::R`](R) reader structure"]
-        impl crate::Readable for DfiiPi0WrdataSpec {}
-        #[doc = "`write(|w| ..)` method takes [`dfii_pi0_wrdata::W`](W) writer structure"]
-        impl crate::Writable for DfiiPi0WrdataSpec {
-            type Safety = crate::Unsafe;
-        }
-        #[doc = "`reset()` method sets DFII_PI0_WRDATA to value 0"]
-        impl crate::Resettable for DfiiPi0WrdataSpec {}
-    }
-    #[doc = "DFII_PI0_RDDATA (r) register accessor: Data of the last command with `rden`.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_rddata::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@dfii_pi0_rddata`] module"]
-    #[doc(alias = "DFII_PI0_RDDATA")]
-    pub type DfiiPi0Rddata = crate::Reg<dfii_pi0_rddata::DfiiPi0RddataSpec>;
-    #[doc = "Data of the last command with `rden`."]
-    pub mod dfii_pi0_rddata {
-        #[doc = "Register `DFII_PI0_RDDATA` reader"]
-        pub type R = crate::R<DfiiPi0RddataSpec>;
-        impl core::fmt::Debug for R {
-            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
-                write!(f, "{}", self.bits())
-            }
-        }
-        #[doc = "Data of the last command with `rden`.\n\nYou can [`read`](crate::Reg::read) this register and get [`dfii_pi0_rddata::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct DfiiPi0RddataSpec;
-        impl crate::RegisterSpec for DfiiPi0RddataSpec {
-            type Ux = u32;
-        }
-        #[doc = "`read()` method returns [`dfii_pi0_rddata::R`](R) reader structure"]
-        impl crate::Readable for DfiiPi0RddataSpec {}
-        #[doc = "`reset()` method sets DFII_PI0_RDDATA to value 0"]
-        impl crate::Resettable for DfiiPi0RddataSpec {}
+        #[doc = "`read()` method returns [`status::R`](R) reader structure"]
+        impl crate::Readable for StatusSpec {}
+        #[doc = "`reset()` method sets STATUS to value 0"]
+        impl crate::Resettable for StatusSpec {}
     }
 }
 #[doc = "The gateware's identity. Constant; the firmware reads it at boot before anything else."]

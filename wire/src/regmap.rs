@@ -11,7 +11,7 @@
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
 /// exchange's layout (`wire/layout.txt`).
-pub const ABI: u32 = 0x50af4d5a;
+pub const ABI: u32 = 0x7ddd9564;
 /// The value of [`ident::MAGIC`]: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
@@ -196,53 +196,19 @@ pub mod ethphy {
     pub const MDIO_R_R: u32 = 1 << 0;
 }
 
-/// LiteDRAM's controller: firmware starts the SDRAM by hand, command by command, and then
-/// leaves it to the hardware. Boards without jobs do not have it.
+/// The SDRAM's controller, which starts the SDRAM by itself after power-up and after a reset of
+/// the system. Boards without SDRAM do not have it: the page reads 0.
 pub mod sdram {
     /// Number of the page.
     pub const PAGE: u32 = 5;
     /// First byte of the page.
     pub const BASE: usize = 0xf0002800;
     /// Registers on the page.
-    pub const WORDS: usize = 7;
-    /// Selects what drives the SDRAM. (rw)
-    pub const DFII_CONTROL: usize = 0;
-    /// 1: the controller; 0: the registers below.
-    pub const DFII_CONTROL_SEL: u32 = 1 << 0;
-    /// Clock enable; wired high on the cards.
-    pub const DFII_CONTROL_CKE: u32 = 1 << 1;
-    /// Unused with an SDRAM.
-    pub const DFII_CONTROL_ODT: u32 = 1 << 2;
-    /// Unused with an SDRAM.
-    pub const DFII_CONTROL_RESET_N: u32 = 1 << 3;
-    /// The next command, as levels: 1 is active. (rw)
-    pub const DFII_PI0_COMMAND: usize = 1;
-    /// Chip select.
-    pub const DFII_PI0_COMMAND_CS: u32 = 1 << 0;
-    /// Write enable.
-    pub const DFII_PI0_COMMAND_WE: u32 = 1 << 1;
-    /// Column address strobe.
-    pub const DFII_PI0_COMMAND_CAS: u32 = 1 << 2;
-    /// Row address strobe.
-    pub const DFII_PI0_COMMAND_RAS: u32 = 1 << 3;
-    /// Drives `dfii_pi0_wrdata`.
-    pub const DFII_PI0_COMMAND_WREN: u32 = 1 << 4;
-    /// Catches `dfii_pi0_rddata`.
-    pub const DFII_PI0_COMMAND_RDEN: u32 = 1 << 5;
-    /// Unused.
-    pub const DFII_PI0_COMMAND_CS_TOP: u32 = 1 << 6;
-    /// Unused.
-    pub const DFII_PI0_COMMAND_CS_BOTTOM: u32 = 1 << 7;
-    /// Writing any value issues the command, for one clock; reads 0, no unit. (rw)
-    pub const DFII_PI0_COMMAND_ISSUE: usize = 2;
-    /// Address lines of the command, or the mode register's value. (rw)
-    pub const DFII_PI0_ADDRESS: usize = 3;
-    /// Bank lines of the command. (rw)
-    pub const DFII_PI0_BADDRESS: usize = 4;
-    /// Data of a command with `wren`. (rw)
-    pub const DFII_PI0_WRDATA: usize = 5;
-    /// Data of the last command with `rden`. (ro)
-    pub const DFII_PI0_RDDATA: usize = 6;
+    pub const WORDS: usize = 1;
+    /// State of the SDRAM. (ro)
+    pub const STATUS: usize = 0;
+    /// 1: it has been started, 0.4 ms after power-up or a reset at 60 MHz.
+    pub const STATUS_READY: u32 = 1 << 0;
 }
 
 /// The gateware's identity. Constant; the firmware reads it at boot before anything else.

@@ -18,7 +18,7 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     println!("FerroCNC demo: LinuxCNC cuts a program through the simulated board.");
     println!(
-        "The first run installs and builds everything, about 6 minutes on two cores; later ones take 4."
+        "The first run installs and builds everything, about 7 minutes on two cores; later ones take 4."
     );
     setup::run(setup::Need::Everything)?;
     let parts = build::for_the_demo()?;
@@ -36,7 +36,7 @@ pub fn run(options: &Options) -> Result<()> {
     step::run(
         "demo",
         "LinuxCNC homes and runs the program in lockstep",
-        "5 min",
+        "3 min",
         &mut demo,
     )?;
 

@@ -87,8 +87,11 @@ def configure(options, out):
         machine = machine.replace("HALFILE = mill.hal", f"HALFILE = {os.path.basename(options.hal)}")
     if options.lockstep:
         machine = set_value(machine, "PACKET_READ_TIMEOUT", 2_000_000_000)
-        # user-request-enable is up for this long by the wall clock; a servo period may take a quarter of a second.
-        machine = re.sub(r"(?m)(^\[EMCIO\]\n(?:#.*\n)*CYCLE_TIME = ).*$", r"\g<1>2.0", machine)
+        # user-request-enable is up for this long by the wall clock; a servo period may take a quarter of a second, and one
+        # whose answer is lost longer.
+        machine, found = re.subn(r"(?m)(^\[EMCIO\]\n(?:[^\[\n].*\n)*?CYCLE_TIME = ).*$", r"\g<1>1.0", machine)
+        if not found:
+            sys.exit("no CYCLE_TIME of EMCIO in the INI file")
     if options.patient:
         machine = set_value(machine, "PACKET_READ_TIMEOUT", 100_000_000)
         machine = set_value(machine, "WATCHDOG_NS", 500_000_000)

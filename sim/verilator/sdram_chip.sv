@@ -11,7 +11,7 @@
 // back is that fraction shorter.
 module sdram_chip #(
     parameter int BANK_BITS = 2, ROW_BITS = 11, COL_BITS = 8,
-    parameter int T_RCD = 1, T_RP = 1, T_RAS = 3, T_RFC = 4, T_WR = 1,   // clocks at 60 MHz, rounded up from 15, 15, 40, 55 and 15 ns
+    parameter int T_RCD = 2, T_RP = 2, T_RAS = 3, T_RFC = 5, T_WR = 2,   // clocks at 60 MHz, rounded up from 21, 21, 42 and 80 ns; the last one is 2 clocks
     parameter int T_REF = 3_840_000                                      // 64 ms
 ) (
     input  logic                 clk,
