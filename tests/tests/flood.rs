@@ -23,7 +23,7 @@ const BOUND: u64 = 18_000;
 /// Servo periods under each kind of flood.
 const PERIODS: usize = 25;
 /// Frames of a guest of each kind, one every third period: once in every of the ten periods in one
-/// of which the jobs program has its turn.
+/// of which the services have their turn.
 const TRIES: usize = 10;
 /// Fewer at the board with jobs: what differs there is what the firmware does with a frame it has
 /// let in.

@@ -253,8 +253,8 @@ mod tests {
         assert!(!ours(&frame(17), &US), "UDP");
         assert!(ours(&arp(US.ip), &US));
         assert!(!ours(&arp(US.ip + 1), &US), "a neighbour's");
-        let nobody = Us { ip: 0, ..US };
-        assert!(!ours(&arp(0), &nobody), "without an address");
+        let no_address = Us { ip: 0, ..US };
+        assert!(!ours(&arp(0), &no_address), "without an address");
         let mut others = frame(6);
         others[30] ^= 1;
         assert!(!ours(&others, &US), "another address");

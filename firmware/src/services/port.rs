@@ -459,8 +459,8 @@ impl<'m> Port<'m> {
         let instant = Instant::from_millis(ms);
         let connection = &mut self.connections[index];
         if let Some(mac) = connection.introduce.take() {
-            let who = (mac, connection.peer.ip);
-            self.stack.introduce(who, &mut self.none, instant, out);
+            let client = (mac, connection.peer.ip);
+            self.stack.introduce(client, &mut self.none, instant, out);
             return true;
         }
         let waited = ms.wrapping_sub(connection.since);
