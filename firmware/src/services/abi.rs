@@ -110,7 +110,7 @@ pub fn reply_to_word(reply: Reply, text: usize) -> u32 {
     let code = match reply {
         Reply::Said => 0,
         Reply::Close => CLOSE,
-        Reply::Job { trusted } => JOB | u32::from(trusted) * TRUSTED,
+        Reply::Job { trusted } => JOB | (u32::from(trusted) * TRUSTED),
     };
     code | text as u32
 }
