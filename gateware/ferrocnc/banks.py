@@ -286,6 +286,8 @@ class Cores(LiteXModule):
         self.sync += If(snapshot, caught.eq(now))
         self.specials += Instance("pace", i_clk=self.clk, i_changed=self.eth_beat, i_catch_it=snapshot, o_caught=beats)
         fabric.live(b, "eth_beats", beats)
+        self.leash = Signal()
+        self.specials += Instance("leash", i_clk=self.clk, i_rst=self.rst, i_set=fabric.pulse(b, "leash"), i_clocks=fabric.data[:24], o_irq=self.leash)
 
         # Each slot stores the time when its frame was complete, so that a frame that had to queue
         # keeps its own time.

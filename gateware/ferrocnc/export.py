@@ -185,6 +185,7 @@ def regmap_rs(banks, abi):
     out += _const("ROLE_GOLDEN", rm.ROLE_GOLDEN, "Third word of a trailer: the golden image.", "u32")
     out += _const("ETHMAC_RX_SLOTS", rm.ETHMAC_RX_SLOTS, "Receive slots; the first is at [`ETHMAC_BASE`].")
     out += _const("ETHMAC_TX_SLOTS", rm.ETHMAC_TX_SLOTS, "Transmit slots; the first follows the last receive slot.")
+    out += _const("LEASH_IRQ", f"{rm.LEASH_IRQ}", "The line of `timebase.leash` among the CPU's external interrupts; no other is used.", "u32")
     out += _const("ETHMAC_SLOT_SIZE", f"0x{rm.ETHMAC_SLOT:x}", "Bytes of one slot.")
     for name, value, what in (
         ("STEPGEN", rm.MAX_STEPGEN, "Step generators"), ("ENCODER", rm.MAX_ENCODER, "Encoders"), ("PWM", rm.MAX_PWM, "PWM generators"),

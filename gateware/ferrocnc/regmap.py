@@ -27,6 +27,7 @@ ROLE_GOLDEN = 2
 ETHMAC_RX_SLOTS = 2
 ETHMAC_TX_SLOTS = 2
 ETHMAC_SLOT = 0x800
+LEASH_IRQ = 31  # the leash's line among the CPU's interrupts; no other is used
 
 # Channels ---------------------------------------------------------------------------------------------------------
 
@@ -151,6 +152,7 @@ TIMEBASE = Bank("timebase", 9, "timebase", "The 64-bit wall clock and the two st
     )),
     Reg("eth_beats", "ro", "The PHY's receive clock, in units of 4 of its clocks since power-up, a count, as caught by the last write to `snapshot`: "
         "on the same clock as `now_lo`, so two looks give the ratio of both clocks."),
+    Reg("leash", "wo", "Clocks until the CPU is interrupted, in bits 23:0, counted from this write; the interrupt stays until the next write. 0: none."),
 ))
 
 WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no CPU.", (

@@ -101,6 +101,7 @@ class FerroSoC(SoCCore):
             cores.frame_pending.eq(fifo.source.valid),
             cores.pending_slot.eq(fifo.source.payload.slot),
             cores.eth_beat.eq(self.ethphy.beat),
+            self.cpu.interrupt[rm.LEASH_IRQ].eq(cores.leash),
         ]
         self.rx_admission = slots.RxAdmission(self.ethmac.interface, cores.fabric)
 

@@ -2180,6 +2180,7 @@ pub mod timebase {
         strobe: Strobe,
         status: Status,
         eth_beats: EthBeats,
+        leash: Leash,
     }
     impl RegisterBlock {
         #[doc = "0x00 - Low word of the wall clock, in clocks since power-up, as caught by the last write to `snapshot`."]
@@ -2231,6 +2232,11 @@ pub mod timebase {
         #[inline(always)]
         pub const fn eth_beats(&self) -> &EthBeats {
             &self.eth_beats
+        }
+        #[doc = "0x28 - Clocks until the CPU is interrupted, in bits 23:0, counted from this write; the interrupt stays until the next write. 0: none."]
+        #[inline(always)]
+        pub const fn leash(&self) -> &Leash {
+            &self.leash
         }
     }
     #[doc = "NOW_LO (r) register accessor: Low word of the wall clock, in clocks since power-up, as caught by the last write to `snapshot`.\n\nYou can [`read`](crate::Reg::read) this register and get [`now_lo::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@now_lo`] module"]
@@ -2493,6 +2499,31 @@ pub mod timebase {
         impl crate::Readable for EthBeatsSpec {}
         #[doc = "`reset()` method sets ETH_BEATS to value 0"]
         impl crate::Resettable for EthBeatsSpec {}
+    }
+    #[doc = "LEASH (w) register accessor: Clocks until the CPU is interrupted, in bits 23:0, counted from this write; the interrupt stays until the next write. 0: none.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`leash::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@leash`] module"]
+    #[doc(alias = "LEASH")]
+    pub type Leash = crate::Reg<leash::LeashSpec>;
+    #[doc = "Clocks until the CPU is interrupted, in bits 23:0, counted from this write; the interrupt stays until the next write. 0: none."]
+    pub mod leash {
+        #[doc = "Register `LEASH` writer"]
+        pub type W = crate::W<LeashSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<LeashSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Clocks until the CPU is interrupted, in bits 23:0, counted from this write; the interrupt stays until the next write. 0: none.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`leash::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct LeashSpec;
+        impl crate::RegisterSpec for LeashSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`leash::W`](W) writer structure"]
+        impl crate::Writable for LeashSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets LEASH to value 0"]
+        impl crate::Resettable for LeashSpec {}
     }
 }
 #[doc = "The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no CPU."]

@@ -22,6 +22,10 @@ const BOUND: u64 = 18_000;
 /// What `panic!` is in them.
 const EBREAK: u32 = 0x0010_0073;
 const ILLEGAL: u32 = 0;
+/// `j .`
+const FOR_EVER: u32 = 0x0000_006f;
+/// `lui sp, 0x12345`: where there is no memory.
+const LOST_STACK: u32 = 0x1234_5137;
 
 fn state(machine: &mut BenchMachine) -> JobsState {
     JobsState::of(machine.read(map::DESCRIBE + 9 * 4))
@@ -89,6 +93,16 @@ fn a_panic_in_the_services_of_a_moving_machine_ends_them_and_not_the_motion() {
 #[test]
 fn an_illegal_instruction_in_the_services_of_a_moving_machine_ends_them_and_not_the_motion() {
     outlives("illegal instruction", &[ILLEGAL]);
+}
+
+#[test]
+fn an_endless_loop_in_the_services_of_a_moving_machine_ends_them_and_not_the_motion() {
+    outlives("endless loop", &[FOR_EVER]);
+}
+
+#[test]
+fn services_that_lost_their_stack_and_trap_end_themselves_and_not_the_motion() {
+    outlives("lost stack", &[LOST_STACK, EBREAK]);
 }
 
 #[test]

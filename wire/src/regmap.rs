@@ -11,7 +11,7 @@
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
 /// exchange's layout (`wire/layout.txt`).
-pub const ABI: u32 = 0x71065e49;
+pub const ABI: u32 = 0xf1329b41;
 /// The value of [`ident::MAGIC`]: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
@@ -46,6 +46,8 @@ pub const ROLE_GOLDEN: u32 = 2;
 pub const ETHMAC_RX_SLOTS: usize = 2;
 /// Transmit slots; the first follows the last receive slot.
 pub const ETHMAC_TX_SLOTS: usize = 2;
+/// The line of `timebase.leash` among the CPU's external interrupts; no other is used.
+pub const LEASH_IRQ: u32 = 31;
 /// Bytes of one slot.
 pub const ETHMAC_SLOT_SIZE: usize = 0x800;
 /// Step generators the map has room for.
@@ -275,7 +277,7 @@ pub mod timebase {
     /// First byte of the page.
     pub const BASE: usize = 0xf0004800;
     /// Registers on the page.
-    pub const WORDS: usize = 10;
+    pub const WORDS: usize = 11;
     /// Low word of the wall clock, in clocks since power-up, as caught by the last write to
     /// `snapshot`. (ro)
     pub const NOW_LO: usize = 0;
@@ -312,6 +314,9 @@ pub mod timebase {
     /// the last write to `snapshot`: on the same clock as `now_lo`, so two looks give the ratio of
     /// both clocks. (ro)
     pub const ETH_BEATS: usize = 9;
+    /// Clocks until the CPU is interrupted, in bits 23:0, counted from this write; the interrupt
+    /// stays until the next write. 0: none. (wo)
+    pub const LEASH: usize = 10;
 }
 
 /// The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no

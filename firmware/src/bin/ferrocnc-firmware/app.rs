@@ -21,6 +21,14 @@ const GUEST_FRAME: usize = 256;
 /// 10 ms between two looks at TCP's timers.
 const HOUSEKEEPING_PER_IP: u8 = 10;
 
+/// Longest call of the services in clocks, behind which they are ended: while an owner moves the
+/// machine, ...
+const MOVING: u32 = 20_000;
+/// ... while the owner's machine is at rest, well before a watchdog bites, ...
+const AT_REST: u32 = 100_000;
+/// ... and while there is no owner.
+const LEISURE: u32 = 0xff_ffff;
+
 /// Everything that runs on the board.
 pub struct App {
     machine: Machine<Soc>,
@@ -75,6 +83,7 @@ impl App {
             );
         }
         app.ip.listen(CONSOLE_PORT, ANSWER_MAX);
+        soc::watch_services();
         app.machine.jobs(JobsState::Loading);
         app.load();
         app.mac.address(net::to_mac(app.machine.us.mac));
@@ -469,7 +478,13 @@ impl App {
             us: &raw const self.machine.us,
             context: (&raw mut *self).cast(),
         };
-        let answer = soc::call_services(entry, &rom, frame, length);
+        let clocks = match (&self.fast_path, frame.is_null() && length == abi::START) {
+            (_, true) => 0,
+            (None, false) => LEISURE,
+            (Some(_), false) if self.machine.at_rest() => AT_REST,
+            (Some(_), false) => MOVING,
+        };
+        let answer = soc::call_services(entry, &rom, frame, length, clocks);
         self.restless = answer & abi::RESTLESS != 0;
         if answer == abi::DEAD {
             self.services = None;
@@ -534,10 +549,12 @@ extern "C" fn datagram(
             core::slice::from_raw_parts(request, words),
         )
     };
-    match app.machine.inside(request, reply, hold_path) {
+    let answer = match app.machine.inside(request, reply, hold_path) {
         Ok(reply) => reply.len() as isize,
         Err(why) => -1 - why as isize,
-    }
+    };
+    soc::resume_services();
+    answer
 }
 
 /// [`abi::Rom::send`].
@@ -546,6 +563,7 @@ extern "C" fn send(context: *mut c_void, length: usize) {
     let app = unsafe { &mut *context.cast::<App>() };
     app.mac.output.send(length);
     app.machine.sent(1);
+    soc::resume_services();
 }
 
 /// [`abi::Rom::console`].
@@ -562,6 +580,7 @@ extern "C" fn console(context: *mut c_void, visitor: usize, line: *const u8, len
     let vitals = vitals(&app.machine);
     let reply = app.machine.converse(visitor, line, &vitals, &mut paper);
     let text = paper.used();
+    soc::resume_services();
     abi::reply_to_word(reply, text)
 }
 

@@ -81,8 +81,6 @@ fn panic(info: &PanicInfo<'_>) -> ! {
 
 #[unsafe(export_name = "ExceptionHandler")]
 fn exception(_frame: &riscv_rt::TrapFrame) -> ! {
-    // A trap in the services ends them; the gate stays as it is.
-    super::services::leave(mepc::read());
     die()
 }
 

@@ -11,7 +11,7 @@ use firmware::services::abi::{self, Header};
 use litex_pac::Sdram;
 use wire::describe::JobsState;
 use wire::images::program_length;
-use wire::regmap::{ROM_SIZE, SDRAM_BASE};
+use wire::regmap::{LEASH_IRQ, RAM_BASE, ROM_SIZE, SDRAM_BASE};
 
 /// Clocks until there is an SDRAM, or none: its controller starts it in 0.4 ms at 60 MHz, in clocks
 /// twice as many at most at 125.
@@ -105,6 +105,11 @@ fn bytes(words: &mut [u32], count: usize) -> &mut [u8] {
 
 // The services are called with the ROM's registers saved, and what is in them is taken from there
 // if they do not come back. `services_sp` is the stack pointer while they run, and 0 otherwise.
+//
+// Every trap comes to `services_trap`. One that comes from the services, or from where they went
+// astray to, ends them, and their stack pointer is not used. The leash's interrupt may come while
+// the ROM does what they asked for: it waits until that is done (`resume`). All others are the
+// ROM's own.
 global_asm!(
     ".option push",
     ".option norelax",
@@ -133,7 +138,9 @@ global_asm!(
     "    sw      tp, 4(sp)",
     "    la      t0, services_sp",
     "    sw      sp, 0(t0)",
+    "    csrsi   mstatus, 8",
     "    jalr    a3",
+    "    csrci   mstatus, 8",
     "    la      t0, services_sp",
     "    sw      zero, 0(t0)",
     "    lw      ra, 60(sp)",
@@ -164,33 +171,88 @@ global_asm!(
     "    li      a0, {dead}",
     "    addi    sp, sp, 64",
     "    ret",
+    ".section .text.services_trap,\"ax\",@progbits",
+    ".balign 4",
+    ".type services_trap, @function",
+    ".global services_trap",
+    "services_trap:",
+    "    csrw    mscratch, t0",
+    "    la      t0, services_sp",
+    "    lw      t0, 0(t0)",
+    "    beqz    t0, 1f",
+    "    csrr    t0, mepc",
+    "    srli    t0, t0, {behind_rom}",
+    "    beqz    t0, 2f",
+    "    j       services_leave",
+    "2:",
+    "    csrr    t0, mcause",
+    "    bgez    t0, 1f",
+    "    li      t0, 0x80",
+    "    csrc    mstatus, t0",
+    "    csrr    t0, mscratch",
+    "    mret",
+    "1:  csrr    t0, mscratch",
+    "    j       _start_trap",
     ".option pop",
+    behind_rom = const BEHIND_ROM,
     dead = const abi::DEAD,
 );
 
+/// Addresses of the ROM have no bits from here on, all others have.
+const BEHIND_ROM: u32 = 20;
+const _: () = assert!(ROM_SIZE <= 1 << BEHIND_ROM && RAM_BASE >= 1 << BEHIND_ROM);
+/// Where an external interrupt is enabled in `mie`.
+const EXTERNAL: u32 = 1 << 11;
+
 unsafe extern "C" {
-    /// Calls the entry; the result is [`abi::DEAD`] if [`leave`] ended the call.
+    /// Calls the entry; the result is [`abi::DEAD`] if the services did not come back.
     fn services_call(rom: &abi::Rom, frame: *const u8, length: usize, entry: abi::Entry) -> u32;
-    safe fn services_leave() -> !;
-    static services_sp: u32;
+    fn services_trap();
 }
 
-/// Calls the services.
-pub fn call(entry: abi::Entry, rom: &abi::Rom, frame: *const u8, length: usize) -> u32 {
+/// Every trap comes to `services_trap` from now on, and the leash's interrupt is one.
+pub fn watch() {
+    // SAFETY: a trap handler, aligned to a word. 0xbc0 is VexRiscv's mask of external interrupts;
+    // they are enabled in `mstatus` around a call only.
+    unsafe {
+        core::arch::asm!(
+            "csrw mtvec, {trap}",
+            "csrw 0xbc0, {leash}",
+            "csrs mie, {external}",
+            trap = in(reg) services_trap as *const (),
+            leash = in(reg) 1u32 << LEASH_IRQ,
+            external = in(reg) EXTERNAL,
+        );
+    }
+}
+
+/// Calls the services, which have to come back within so many clocks.
+pub fn call(
+    entry: abi::Entry,
+    rom: &abi::Rom,
+    frame: *const u8,
+    length: usize,
+    clocks: u32,
+) -> u32 {
+    leash(clocks);
     // SAFETY: the entry of a program whose header was checked; it keeps the registers a function
     // has to keep, and if it ends otherwise they are restored.
-    unsafe { services_call(rom, frame, length, entry) }
+    let answer = unsafe { services_call(rom, frame, length, entry) };
+    leash(0);
+    answer
 }
 
-/// Ends the call of the services if `pc`, where a trap came from, is in them; otherwise returns. A
-/// trap in a function they called back is the ROM's own.
-pub fn leave(pc: usize) {
-    // SAFETY: one hart; a word of the ROM's memory.
-    let within = unsafe { (&raw const services_sp).read_volatile() } != 0;
-    // Behind the ROM is their code, or none that they went astray to.
-    if within && pc >= ROM_SIZE {
-        services_leave();
-    }
+/// The interrupt after so many clocks; 0: none.
+fn leash(clocks: u32) {
+    // SAFETY: a register that does nothing else.
+    let timebase = unsafe { litex_pac::Timebase::steal() };
+    timebase.leash().write(|w| unsafe { w.bits(clocks) });
+}
+
+/// The services asked for something, and it is done: the leash's interrupt may come again.
+pub fn resume() {
+    // SAFETY: as in `services_call`, which is waiting for the services.
+    unsafe { core::arch::asm!("csrsi mstatus, 8") }
 }
 
 /// Waits until the SDRAM has been started. False: there is no controller, its page reads 0.
