@@ -28,8 +28,14 @@ const PANICKING: &[&str] = &[
 /// Below lie start-up, traps and the fast path. No code takes their addresses, so a number this
 /// small in the data is a number.
 const CALLED_BY_NAME: u32 = 0x800;
-/// In riscv-rt's tables of exceptions and interrupts only; `_start_trap_rust` names them, too.
-const HANDLERS: &[&str] = &["_default_abort", "DefaultHandler", "ExceptionHandler"];
+/// In riscv-rt's tables of exceptions and interrupts only; `_start_trap_rust` names them, too. And
+/// the trap vector itself, where only the processor goes.
+const HANDLERS: &[&str] = &[
+    "_default_abort",
+    "DefaultHandler",
+    "ExceptionHandler",
+    "services_trap",
+];
 const RA: u32 = 1;
 const SP: u32 = 2;
 const T0: u32 = 5;
@@ -94,11 +100,7 @@ pub struct Deepest {
 
 /// What the services call back: they have a stack of their own, in SDRAM
 /// (`firmware::services::abi`).
-pub const CALLED_BACK: [&str; 3] = [
-    "ferrocnc_firmware::app::datagram",
-    "ferrocnc_firmware::app::send",
-    "ferrocnc_firmware::app::console",
-];
+pub const CALLED_BACK: [&str; 3] = ["services_datagram", "services_send", "services_console"];
 /// The entry of the services, in its header: only the ROM calls it.
 const WAY_IN: &str = "services_entry";
 /// Takes the stack back from services that failed: it is as it was when they were called.

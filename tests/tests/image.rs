@@ -157,7 +157,7 @@ fn what_plans_motion_can_panic_nowhere_but_where_that_cannot_happen() {
 fn the_stack_holds_the_longest_way_through_the_image_and_a_trap_at_its_end() {
     let code = Code::read(&parts().1);
     let run = longest(&code, "_abs_start");
-    let trap = longest(&code, "_default_start_trap");
+    let trap = longest(&code, "services_trap");
     fits(&code, run.bytes + trap.bytes);
 }
 
@@ -166,7 +166,7 @@ fn the_services_stack_holds_its_longest_way_what_it_calls_back_and_a_trap() {
     let (image, code) = (Code::read(&parts().1), Code::read(&services()));
     let run = longest(&code, "services_main");
     let back = CALLED_BACK.map(|entry| longest(&image, entry).bytes);
-    let trap = longest(&image, "_default_start_trap");
+    let trap = longest(&image, "services_trap");
     fits(
         &code,
         run.bytes + back.into_iter().max().unwrap_or(0) + trap.bytes,

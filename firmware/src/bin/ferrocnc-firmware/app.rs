@@ -1,6 +1,8 @@
-//! Ties the lib to the hardware: one loop, no interrupts, no heap.
+//! Ties the lib to the hardware: one loop, no heap, and no interrupt
+//! but the one that ends services which do not come back.
 
 use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc, TxSlot};
+use core::arch::global_asm;
 use core::ffi::c_void;
 use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
@@ -471,9 +473,9 @@ impl App {
         };
         self.cold = true;
         let rom = abi::Rom {
-            datagram,
-            send,
-            console,
+            datagram: services_datagram,
+            send: services_send,
+            console: services_console,
             output: self.mac.output.bytes().as_mut_ptr().cast(),
             us: &raw const self.machine.us,
             context: (&raw mut *self).cast(),
@@ -534,6 +536,42 @@ fn hold_path(machine: &mut Machine<Soc>) {
     machine.hold_path();
 }
 
+// What the services call: the functions below, and the way back that enables the leash's interrupt.
+global_asm!(
+    ".macro called_back name, function",
+    ".section .text.services_\\name,\"ax\",@progbits",
+    ".type services_\\name, @function",
+    ".global services_\\name",
+    "services_\\name:",
+    "    addi    sp, sp, -16",
+    "    sw      ra, 12(sp)",
+    "    call    \\function",
+    "    j       services_back",
+    ".endm",
+    "called_back datagram, {datagram}",
+    "called_back send, {send}",
+    "called_back console, {console}",
+    datagram = sym datagram,
+    send = sym send,
+    console = sym console,
+);
+
+unsafe extern "C" {
+    safe fn services_datagram(
+        context: *mut c_void,
+        request: *const u32,
+        words: usize,
+        reply: &mut [u32; MAX_WORDS],
+    ) -> isize;
+    safe fn services_send(context: *mut c_void, length: usize);
+    safe fn services_console(
+        context: *mut c_void,
+        visitor: usize,
+        line: *const u8,
+        length: usize,
+    ) -> u32;
+}
+
 /// [`abi::Rom::datagram`].
 extern "C" fn datagram(
     context: *mut c_void,
@@ -549,12 +587,10 @@ extern "C" fn datagram(
             core::slice::from_raw_parts(request, words),
         )
     };
-    let answer = match app.machine.inside(request, reply, hold_path) {
+    match app.machine.inside(request, reply, hold_path) {
         Ok(reply) => reply.len() as isize,
         Err(why) => -1 - why as isize,
-    };
-    soc::resume_services();
-    answer
+    }
 }
 
 /// [`abi::Rom::send`].
@@ -563,7 +599,6 @@ extern "C" fn send(context: *mut c_void, length: usize) {
     let app = unsafe { &mut *context.cast::<App>() };
     app.mac.output.send(length);
     app.machine.sent(1);
-    soc::resume_services();
 }
 
 /// [`abi::Rom::console`].
@@ -580,7 +615,6 @@ extern "C" fn console(context: *mut c_void, visitor: usize, line: *const u8, len
     let vitals = vitals(&app.machine);
     let reply = app.machine.converse(visitor, line, &vitals, &mut paper);
     let text = paper.used();
-    soc::resume_services();
     abi::reply_to_word(reply, text)
 }
 

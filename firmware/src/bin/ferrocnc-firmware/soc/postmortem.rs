@@ -51,8 +51,8 @@ pub fn restart() -> ! {
 /// Starts the firmware again. The gateware keeps its positions and its clock.
 fn again() -> ! {
     close_gate();
-    // SAFETY: the reset vector; everything is initialised again from there. Interrupts were never
-    // enabled.
+    // SAFETY: the reset vector; everything is initialised again from there. Interrupts are
+    // enabled in a call of the services only.
     unsafe { asm!("fence.i", "jr zero", options(noreturn)) }
 }
 
@@ -106,7 +106,7 @@ fn die() -> ! {
             return;
         }
         let cause = mcause::read();
-        // No interrupt is ever enabled; if one comes anyway, report it.
+        // The leash's interrupt does not come here; if another one does, report it.
         out.either(cause.is_interrupt(), "interrupt ", "trap: cause ");
         out.number(cause.code() as u32);
         out.text(" at 0x").hex(mepc::read() as u32);

@@ -108,8 +108,9 @@ fn bytes(words: &mut [u32], count: usize) -> &mut [u8] {
 //
 // Every trap comes to `services_trap`. One that comes from the services, or from where they went
 // astray to, ends them, and their stack pointer is not used. The leash's interrupt may come while
-// the ROM does what they asked for: it waits until that is done (`resume`). All others are the
-// ROM's own.
+// the ROM does what they asked for: it is enabled again by the instruction that returns to them
+// (`services_back`).
+// All others are the ROM's own.
 global_asm!(
     ".option push",
     ".option norelax",
@@ -193,6 +194,17 @@ global_asm!(
     "    mret",
     "1:  csrr    t0, mscratch",
     "    j       _start_trap",
+    ".section .text.services_back,\"ax\",@progbits",
+    ".type services_back, @function",
+    ".global services_back",
+    "services_back:",
+    "    lw      ra, 12(sp)",
+    "    addi    sp, sp, 16",
+    "    csrci   mstatus, 8",
+    "    csrw    mepc, ra",
+    "    li      t0, 0x1880",
+    "    csrs    mstatus, t0",
+    "    mret",
     ".option pop",
     behind_rom = const BEHIND_ROM,
     dead = const abi::DEAD,
@@ -247,12 +259,6 @@ fn leash(clocks: u32) {
     // SAFETY: a register that does nothing else.
     let timebase = unsafe { litex_pac::Timebase::steal() };
     timebase.leash().write(|w| unsafe { w.bits(clocks) });
-}
-
-/// The services asked for something, and it is done: the leash's interrupt may come again.
-pub fn resume() {
-    // SAFETY: as in `services_call`, which is waiting for the services.
-    unsafe { core::arch::asm!("csrsi mstatus, 8") }
 }
 
 /// Waits until the SDRAM has been started. False: there is no controller, its page reads 0.
