@@ -497,12 +497,13 @@ impl Far {
         }
         self.owns = false;
         let mut words = [0; 8];
-        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-        request.write_record(map::SESSION_RELEASE, token.len() as u8);
-        request.extend(token);
         let tag = self.client.next_tag();
-        request.read_record(tag, &[map::SESSION_OWNER_PORT]);
-        let _gone = self.client.once(request.words(), tag..=tag, 1);
+        let request = etherbone::Request::new(&mut words)
+            .write(map::SESSION_RELEASE, token)
+            .read(tag, &[map::SESSION_OWNER_PORT]);
+        if let Some(request) = request.words() {
+            let _gone = self.client.once(request, tag..=tag, 1);
+        }
     }
 
     /// Each try has a sequence number of its own: one that was executed is not executed again, and
@@ -516,18 +517,13 @@ impl Far {
         }
         let end = Instant::now() + PATIENCE;
         let first = self.sequence.wrapping_add(1);
-        let mut words = [0; MAX_WORDS];
+        let (mut words, mut block) = ([0; MAX_WORDS], block.to_vec());
         while Instant::now() < end {
             self.sequence = self.sequence.wrapping_add(1);
-            let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-            let [token, _, rest @ ..] = block else {
-                return None;
-            };
-            request.write_record(map::COMMAND, block.len() as u8);
-            request.extend(&[*token, self.sequence]);
-            request.extend(rest);
+            *block.get_mut(1)? = self.sequence;
+            let request = etherbone::Request::new(&mut words).write(map::COMMAND, &block);
             let tags = first..=self.sequence;
-            match self.client.once(request.words(), tags, self.status_words) {
+            match self.client.once(request.words()?, tags, self.status_words) {
                 Ok(Some(answer)) => return Some(answer),
                 Ok(None) => {}
                 Err(_) => std::thread::sleep(TRY),
@@ -568,22 +564,17 @@ impl Far {
         };
         let number = last.wrapping_add(1);
         let mut words = [0; MAX_WORDS];
-        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-        request.write_record(map::SESSION_SEGMENTS, 1);
-        request.push(number);
+        let mut request =
+            etherbone::Request::new(&mut words).write(map::SESSION_SEGMENTS, &[number]);
         for run in waiting.chunk_by(|(one, _), (next, _)| one + 1 == *next) {
-            request.write_record(address(run[0].0), run.len() as u8);
-            for (_, value) in run {
-                request.push(*value);
-            }
+            let values: Vec<u32> = run.iter().map(|(_, value)| *value).collect();
+            request = request.write(address(run[0].0), &values);
         }
         let tag = self.client.next_tag();
-        if !request.read_record(tag, reads) {
-            return None;
-        }
+        let request = request.read(tag, reads).words()?;
         let end = Instant::now() + PATIENCE;
         while Instant::now() < end {
-            if let Ok(Some((_, said))) = self.client.once(request.words(), tag..=tag, reads.len()) {
+            if let Ok(Some((_, said))) = self.client.once(request, tag..=tag, reads.len()) {
                 self.number = Some(number);
                 return Some(said);
             }
