@@ -34,14 +34,14 @@ mod watch;
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg32;
+use sim::stimulus::from_environment;
 
 /// Of each kind, unless told otherwise.
 const CASES: u64 = 25;
 
 fn seeds() -> std::ops::Range<u64> {
-    let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse().ok());
-    let first = number("FERROCNC_SEED").unwrap_or(1);
-    first..first + number("FERROCNC_STOPS").unwrap_or(CASES)
+    let first = from_environment("FERROCNC_SEED", 1);
+    first..first + from_environment("FERROCNC_STOPS", CASES)
 }
 
 fn dice(seed: u64) -> Pcg32 {
