@@ -321,7 +321,7 @@ impl<'t> Flasher<'t> {
         self.operate(Op::Protect, 0, 0, None).map(|_| ())
     }
 
-    /// Has the firmware start anew. There is no answer, because the board restarts.
+    /// Has the firmware restart. There is no answer, because the board restarts.
     pub fn restart(&mut self) {
         // Silence is what a restart looks like.
         let _ = self.client.transact(

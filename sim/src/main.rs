@@ -38,7 +38,7 @@ counted from that moment:
   pull plug                          the cable is out, is in again
   host-pause@TIME..TIME              the host is neither heard nor hears; then everything at once
   freeze                             the CPU's clock stands
-  reboot power                       the board starts anew; power forgets the start before (--backend model)
+  reboot power                       the board restarts; power forgets the start before (--backend model)
   off seed=N                         all trouble ends; what the dice are thrown from
 
 In front to-board: or from-board: for one direction, behind @TIME or @TIME..TIME of the board's time for when:

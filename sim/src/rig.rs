@@ -391,7 +391,7 @@ impl<S: Silicon> Rig<S> {
         Ok(())
     }
 
-    /// The whole board starts anew, as its reset makes it.
+    /// The whole board restarts, as its reset makes it.
     pub fn reboot(&mut self) {
         self.board.reset(|_| {});
     }

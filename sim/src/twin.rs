@@ -310,7 +310,7 @@ impl Twin {
         }
     }
 
-    /// The whole board starts anew, as its reset pin makes it; with `power` the memory of its last
+    /// The whole board restarts, as its reset pin makes it; with `power` the memory of its last
     /// start is lost as well.
     pub fn reboot(&mut self, power: bool) {
         let board = &mut self.machine.board;

@@ -351,7 +351,7 @@ fn firmware_hangs_or_panics() {
     assert_eq!(mill.pulses(), at);
     mill.is_stopped_for_good();
     assert_eq!(said(&mill, "has restarted"), 1, "{:?}", mill.hal.said());
-    // Counts began anew in the board; LinuxCNC's position did not jump, and none of them moves.
+    // Counts began again in the board; LinuxCNC's position did not jump, and none of them moves.
     mill.switch_on();
     mill.run(50);
     mill.nothing_is_wrong();

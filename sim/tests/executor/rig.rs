@@ -321,7 +321,7 @@ impl Rig {
         rig
     }
 
-    /// The firmware starts anew; memory, gateware and machine are what they were.
+    /// The firmware restarts; memory, gateware and machine are what they were.
     pub fn restart(self) -> Self {
         let ident = *self.machine.server.ident();
         let mut server = self.machine.board;
@@ -331,7 +331,7 @@ impl Rig {
         rig
     }
 
-    /// The firmware of a board that a PC streams to starts anew; the PC's program runs on.
+    /// The firmware of a board that a PC streams to restarts; the PC's program runs on.
     pub fn restart_streamed(mut self) -> Self {
         let ident = *self.machine.server.ident();
         let mut server = self.machine.board;

@@ -118,7 +118,7 @@ fn answer(challenge: [u32; 4], nonce: u32) -> [u32; 4] {
 }
 
 /// A host drives the axes, its stop is cut off, and it goes on as after any e-stop: it acquires
-/// anew, arms and gives the session back.
+/// again, arms and gives the session back.
 fn cut_off_and_armed_again(rig: &mut Rig) {
     let mut client = Client::of(rig);
     client.arm(rig, 7);

@@ -33,9 +33,9 @@ pub enum Trouble {
     Reset,
     /// The program comes to speak to the board and to nothing else: no more segments.
     Starved,
-    /// The firmware traps, which closes the gate, and starts anew.
+    /// The firmware traps, which closes the gate, and restarts.
     Trap,
-    /// It begins anew without a word.
+    /// It begins again without a word.
     Jump,
 }
 
