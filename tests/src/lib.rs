@@ -20,6 +20,7 @@ mod simulator;
 pub mod stops;
 pub mod wired;
 
+pub use sim::stimulus::{from_environment, seed};
 pub use simulator::{Simulator, control};
 
 use sim::edges;
@@ -82,20 +83,6 @@ pub fn root() -> &'static std::path::Path {
         .expect("the crate lies in the workspace")
 }
 
-/// The seed of this run: `FERROCNC_SEED`, or one from the clock. Printed, and part of every message
-/// that depends on it.
-pub fn seed() -> u64 {
-    let given = std::env::var("FERROCNC_SEED")
-        .ok()
-        .and_then(|text| text.parse().ok());
-    let seed = given.unwrap_or_else(|| {
-        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-        now.map_or(1, |since| since.as_millis() as u64)
-    });
-    println!("FERROCNC_SEED={seed}");
-    seed
-}
-
 /// What a board says of itself.
 pub fn description<S: Silicon>(rig: &mut Rig<S>) -> Describe {
     let words = rig
@@ -103,18 +90,6 @@ pub fn description<S: Silicon>(rig: &mut Rig<S>) -> Describe {
         .expect("the board describes itself");
     let words = words.try_into().expect("as many words as were asked for");
     Describe::parse(&words).unwrap_or_else(|error| panic!("{error}"))
-}
-
-/// What the environment says, or this.
-pub fn from_environment<T>(name: &str, otherwise: T) -> T
-where
-    T: std::str::FromStr<Err: std::fmt::Display>,
-{
-    let Ok(text) = std::env::var(name) else {
-        return otherwise;
-    };
-    text.parse()
-        .unwrap_or_else(|error| panic!("{name}={text}: {error}"))
 }
 
 /// Where pictures are left: in the folder `FERROCNC_REPORTS` says, else in `target/reports`.
