@@ -66,11 +66,7 @@ impl Shape {
 
 /// The words of an answer before its sequence number: header, padding, record header.
 pub const fn reply_head(shape: &Shape) -> [u32; 3] {
-    [
-        etherbone::HEADER,
-        0,
-        etherbone::BYTE_ENABLE | (shape.status as u32) << 8,
-    ]
+    [etherbone::HEADER, 0, etherbone::record(shape.status, 0)]
 }
 
 /// A command block in memory, already checked to be whole.

@@ -34,6 +34,13 @@ const NO_TYPE: u32 = 3;
 /// accident.
 const TIMEOUT_MIN_PER_SECOND: u32 = 10_000;
 
+/// Where each kind of setting begins in the window; the kinds with channels are as long as each
+/// other.
+const PWMS: u32 = map::CONFIG_PWM - map::CONFIG;
+const ENCODERS: u32 = map::CONFIG_ENCODER - map::CONFIG;
+const BOARD: u32 = map::CONFIG_BOARD - map::CONFIG;
+const BOARD_END: u32 = BOARD + 4 * map::BOARD_CONFIG_WORDS;
+const KIND: u32 = map::CONFIG_PWM - map::CONFIG_STEPGEN;
 const DEBOUNCE: u32 = map::CONFIG_DEBOUNCE - map::CONFIG;
 const DEBOUNCE_END: u32 = DEBOUNCE + 4 * IN_MAX as u32;
 
@@ -41,10 +48,10 @@ const DEBOUNCE_END: u32 = DEBOUNCE + 4 * IN_MAX as u32;
 #[inline(never)]
 pub fn setting_at(address: u32, channels: Channels) -> Option<Setting> {
     let offset = address.checked_sub(map::CONFIG)?;
-    let channel = (offset % 0x400 / map::CONFIG_STRIDE) as u8;
+    let channel = (offset % KIND / map::CONFIG_STRIDE) as u8;
     let word = offset % map::CONFIG_STRIDE / 4;
     let setting = match offset {
-        0..0x400 if channel < channels.stepgens => {
+        0..PWMS if channel < channels.stepgens => {
             let field = match word {
                 0 => StepgenConfig::Steplen,
                 1 => StepgenConfig::Stepspace,
@@ -56,17 +63,17 @@ pub fn setting_at(address: u32, channels: Channels) -> Option<Setting> {
             };
             Setting::Stepgen(channel, field)
         }
-        0x400..0x800 if channel < channels.pwms => match word {
+        PWMS..ENCODERS if channel < channels.pwms => match word {
             0 => Setting::PwmPeriod(channel),
             1 => Setting::PwmMode(channel),
             _ => return None,
         },
-        0x800..0xc00 if channel < channels.encoders => match word {
+        ENCODERS..BOARD if channel < channels.encoders => match word {
             0 => Setting::EncoderMode(channel),
             1 => Setting::EncoderFilter(channel),
             _ => return None,
         },
-        0xc00..0xc14 => Setting::Board(match word {
+        BOARD..BOARD_END => Setting::Board(match word {
             0 => BoardConfig::WatchdogTimeout,
             1 => BoardConfig::WatchdogGrace,
             2 => BoardConfig::GpioSafe,

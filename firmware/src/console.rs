@@ -467,9 +467,9 @@ fn stepgen<B: Board>(only: Option<u8>, server: &Server, board: &mut B, out: &mut
         let at = status::STEPGEN0_POSITION_LO + status::STEPGEN_STRIDE * usize::from(n);
         // The upper word of a position counts pulses.
         let pulses = board.latched(at + 1) as i32;
-        let rate = board.latched(at + 2) as i32;
+        let velocity = board.latched(at + 2) as i32;
         // Steps/s in integers: a softcore has no `f64`.
-        let hz = (i64::from(rate) * i64::from(server.ident().clock_hz)) >> 32;
+        let hz = (i64::from(velocity) * i64::from(server.ident().clock_hz)) >> 32;
         out.number(n.into())
             .text(": ")
             .signed(pulses)

@@ -8,6 +8,7 @@ use crate::{log, postmortem};
 use std::collections::HashMap;
 use std::vec::Vec;
 use wire::describe::{Channels, FEATURE_JOBS};
+use wire::etherbone::{HEADER, record};
 use wire::exchange::{Command, REQUEST_OVERHEAD, STATUS_MAX, Status};
 use wire::regmap::{self, command, segments, status, timebase};
 use wire::{MAX_WORDS, Refusal, ResetReason, map};
@@ -403,8 +404,8 @@ impl Rig {
     }
 
     pub fn read_as(&mut self, peer: Peer, address: u32) -> Result<u32, Refusal> {
-        let reply = self.send_as(peer, &[0x4e6f_1044, 0, 0x000f_0001, 0x77, address])?;
-        assert_eq!(reply[..4], [0x4e6f_1044, 0, 0x000f_0100, 0x77]);
+        let reply = self.send_as(peer, &[HEADER, 0, record(0, 1), 0x77, address])?;
+        assert_eq!(reply[..4], [HEADER, 0, record(1, 0), 0x77]);
         Ok(reply[4])
     }
 
@@ -413,7 +414,7 @@ impl Rig {
     }
 
     pub fn write_as(&mut self, peer: Peer, address: u32, value: u32) -> Result<(), Refusal> {
-        let reply = self.send_as(peer, &[0x4e6f_1044, 0, 0x000f_0100, address, value])?;
+        let reply = self.send_as(peer, &[HEADER, 0, record(1, 0), address, value])?;
         assert!(reply.is_empty(), "a write was answered");
         Ok(())
     }

@@ -14,7 +14,7 @@
 //!     a discovery datagram   Machine::discover; a DHCP server's: Machine::offered
 //!     has_broadcast          Machine::next_broadcast, and broadcast it
 //!     moved                  the address changed: tell the IP stack
-//!     server.wants_restart   leave ResetReason::Requested in the postmortem record, start anew
+//!     server.wants_restart   leave ResetReason::Requested in the postmortem record, restart
 //! ```
 //!
 //! The log belongs to the board: defmt's ring on the softcore, other storage in a model

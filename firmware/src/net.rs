@@ -286,7 +286,7 @@ impl FastPath {
             udp_length,
             ip_sum: fold(add(add(version, PROTOCOL_UDP), peers)),
             udp_sum: fold(add(add(lengths, peers), ports)),
-            record: wire::etherbone::BYTE_ENABLE | (command_words as u32) << 8,
+            record: wire::etherbone::record(command_words, 0),
             datagram,
         }
     }

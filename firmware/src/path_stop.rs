@@ -4,8 +4,8 @@
 //! In gateware every step generator brakes alone, at its own `stop_accel` and without a CPU. With
 //! the values the host configured, a slow axis would stand long before a fast one, and the tool
 //! would leave its line. So after the answer to every executed command the firmware adapts the
-//! decelerations to each other: with `v` the largest rates between the command and the watchdog's
-//! bite and `a` the configured decelerations,
+//! decelerations to each other: with `v` the largest velocities between the command and the
+//! watchdog's bite and `a` the configured decelerations,
 //!
 //! ```text
 //!   T = max v[j] / a[j]        the axis that needs longest sets the time
@@ -19,9 +19,9 @@
 //! conveyor: velocity mode). Every other axis keeps its configured value. So does an axis that is
 //! configured with 0, which stops at once.
 //!
-//! While the segments core is not idle, all axes keep their configured values. The command's rates
-//! are 0 then and do not describe the motion, and the motion will have changed when the watchdog
-//! bites. In a soft stop a job leaves its path, but keeps its acceleration limits.
+//! While the segments core is not idle, all axes keep their configured values. The command's
+//! velocities are 0 then and do not describe the motion, and the motion will have changed when the
+//! watchdog bites. In a soft stop a job leaves its path, but keeps its acceleration limits.
 //!
 //! # How exact
 //!
@@ -34,9 +34,9 @@
 //!   of this computation: if the CPU dies in them, an axis brakes with the value for the command
 //!   before, and must still come to rest.
 //! * If the stop comes between the command and the bite, all axes stand within `T`: none is faster
-//!   than the rate its deceleration was computed for. On a straight line all rates change in
-//!   proportion, and the axes stay on it. In a corner an axis that slows down stands earlier, by
-//!   what its rate has changed since the command.
+//!   than the velocity its deceleration was computed for. On a straight line all velocities change
+//!   in proportion, and the axes stay on it. In a corner an axis that slows down stands earlier, by
+//!   what its velocity has changed since the command.
 
 use crate::cores::{Board, Setting};
 use wire::exchange::{COMMAND_STEPGEN, FLAG_ALONE_SHIFT, MAX_CHANNELS, STATUS_STEPGEN};
@@ -70,7 +70,7 @@ pub(crate) struct PathStop {
 struct Axis {
     /// What the host configured.
     configured: u32,
-    /// Its rate on the path; 0 if it is not on the path.
+    /// Its velocity on the path; 0 if it is not on the path.
     speed: u32,
 }
 

@@ -369,7 +369,7 @@ impl Server {
     pub(crate) fn step(&mut self, event: Event, now: u64) -> Effects {
         let (next, effects) = self.safety.step(event, now);
         let before = core::mem::replace(&mut self.safety, next);
-        // What a start finds is no cut of this start: counts begin anew with it.
+        // What a start finds is no cut of this start: counts begin again with it.
         let lost = before.position_trusted() && !next.position_trusted();
         if lost && before.state() != wire::State::Boot {
             self.counters.cuts = self.counters.cuts.wrapping_add(1);

@@ -559,17 +559,16 @@ pub(crate) fn single_record(words: &[u32]) -> Option<(u32, &[u32])> {
 pub(crate) const SESSION_WORDS: [u32; 8] = [
     map::SESSION_TOKEN,
     map::SESSION_LAST_SEQ,
-    // Of the describe block: wire version, both channel words, boot id, reset reason, gate close.
-    map::DESCRIBE + 4,
-    map::DESCRIBE + 4 * 7,
-    map::DESCRIBE + 4 * 8,
-    map::DESCRIBE + 4 * 10,
-    map::DESCRIBE + 4 * 16,
-    map::DESCRIBE + 4 * 17,
+    describe::address(describe::WIRE_VERSION_AT),
+    describe::address(describe::CHANNELS_AT),
+    describe::address(describe::CHANNELS_AT + 1),
+    describe::address(describe::BOOT_ID_AT),
+    describe::address(describe::RESET_REASON_AT),
+    describe::address(describe::GATE_CLOSE_AT),
 ];
 
 /// The describe block's features.
-const FEATURES: u32 = map::DESCRIBE + 4 * wire::describe::FEATURES_AT as u32;
+const FEATURES: u32 = describe::address(describe::FEATURES_AT);
 
 /// A challenge.
 pub(crate) const CHALLENGE_WORDS: [u32; wire::auth::WORDS] = [

@@ -68,7 +68,7 @@ impl BoardClock {
         }
     }
 
-    /// The board's clock has jumped: begin anew.
+    /// The board's clock has jumped: begin again.
     pub fn forget(&mut self) {
         *self = BoardClock::new(self.hz as u32);
     }

@@ -33,7 +33,7 @@ pub const WAIT: Duration = Duration::from_millis(1500);
 const AGAIN: Duration = Duration::from_millis(400);
 /// 8 s: settings are saved in a second, by a slow flash in three.
 const SET_PATIENCE: Duration = Duration::from_secs(8);
-/// A board that starts anew: less than 1 s, up to 10 s more until a DHCP server that is not there
+/// A board that restarts: less than 1 s, up to 10 s more until a DHCP server that is not there
 /// is given up.
 const RESTART_PATIENCE: Duration = Duration::from_secs(15);
 
@@ -196,7 +196,7 @@ impl Finder {
         found.ok_or(DiscoveryError::Silent(uid))
     }
 
-    /// Gives the board with this id settings; it starts anew with them. If it has a key, that is
+    /// Gives the board with this id settings; it restarts with them. If it has a key, that is
     /// looked for there.
     pub fn set(
         &self,
@@ -233,7 +233,7 @@ impl Finder {
                     .find(uid)
                     .map_err(|error| DiscoveryError::Key(uid, error))?;
             } else if tries >= PROOFS {
-                // More than once: its Done was lost, and it started anew with another challenge.
+                // More than once: its Done was lost, and it restarted with another challenge.
                 (at, tries) = (at + 1, 0);
             }
             let Some((key, _)) = found.get(at) else {
@@ -245,7 +245,7 @@ impl Finder {
         }
     }
 
-    /// Waits until the board with this id has started anew and says of itself what was asked for.
+    /// Waits until the board with this id has restarted and says of itself what was asked for.
     pub fn until(
         &self,
         uid: [u32; 2],

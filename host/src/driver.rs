@@ -54,7 +54,7 @@
 //!
 //! A new session is configured from the parameters again and starts disarmed; arming needs `enable`
 //! and a new rising edge of `enable-request`. Positions are the board's and survive. If the fabric
-//! was reset, its counts began anew: its clock went backwards, or it says that it was switched on
+//! was reset, its counts began again: its clock went backwards, or it says that it was switched on
 //! and is no older than the silence was long. The difference is kept here: HAL's position does not
 //! jump. It is not called trusted until the machine is armed again.
 //!

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use wire::exchange::StateWord;
 use wire::flash::{Layout, LinkWord, Op, OpResult, OpWord, Origin, PAGE, Running, Slot};
 use wire::settings::{self, Settings, SettingsError};
-use wire::{State, map};
+use wire::{State, describe, map};
 
 /// How long one question is repeated before the tool looks for the cause of the silence: three
 /// tries.
@@ -32,8 +32,7 @@ const LOOKS: [u32; 8] = [
     map::FLASH_ADDRESS,
     map::FLASH_OP_LENGTH,
     map::FLASH_CRC,
-    // The state word of the describe block.
-    map::DESCRIBE + 4 * 14,
+    describe::address(describe::STATE_AT),
     map::SESSION_TOKEN,
     map::SESSION_OWNER_IP,
     map::SESSION_OWNER_PORT,
@@ -322,7 +321,7 @@ impl<'t> Flasher<'t> {
         self.operate(Op::Protect, 0, 0, None).map(|_| ())
     }
 
-    /// Has the firmware start anew. There is no answer, because the board restarts.
+    /// Has the firmware restart. There is no answer, because the board restarts.
     pub fn restart(&mut self) {
         // Silence is what a restart looks like.
         let _ = self.client.transact(

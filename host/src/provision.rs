@@ -265,7 +265,7 @@ pub fn set_by_uid(
     Ok(finder.until(uid, |here| change.is_in_force(&settings, here))?)
 }
 
-/// Changes the settings of the board at an address. They are saved and the board starts anew; what
+/// Changes the settings of the board at an address. They are saved and the board restarts; what
 /// it will then have.
 pub fn set_at(client: Client, change: &Change) -> Result<Settings, ProvisionError> {
     let mut client = client;
@@ -316,7 +316,7 @@ pub fn set_key(
     Ok(())
 }
 
-/// Has a board forget its settings and start anew with what is built into its bitstream.
+/// Has a board forget its settings and restart with what is built into its bitstream.
 pub fn forget_at(client: Client) -> Result<(), ProvisionError> {
     let mut flasher = Flasher::new(client, crate::client::PATIENCE, |_| {});
     flasher.may_write()?;

@@ -237,7 +237,7 @@ fn an_acceleration_that_is_none_lets_an_axis_neither_move_nor_stop_without_a_lim
         5e-324,
     ] {
         let mut rig = Rig::new();
-        // At rest and disarmed, so that the board's own stop is set anew, too.
+        // At rest and disarmed, so that the board's own stop is set again, too.
         let ((_, _), stop) = axis(&rig);
         assert_eq!(stop, Accel::from_steps(1000.0 * 800.0, 60e6).0);
         rig.hal.set("ferrocnc.0.stepgen.x.maxaccel", bad);
@@ -251,8 +251,8 @@ fn an_acceleration_that_is_none_lets_an_axis_neither_move_nor_stop_without_a_lim
         rig.hal.set("ferrocnc.0.stepgen.x.velocity-cmd", 10.0);
         rig.hal.set("ferrocnc.0.stepgen.x.enable", true);
         rig.run(30);
-        let ((rate, accel), _) = axis(&rig);
-        assert!(rate.0 > 0);
+        let ((velocity, accel), _) = axis(&rig);
+        assert!(velocity.0 > 0);
         assert_eq!(accel, limit, "moving with {bad}");
         rig.hal.set("ferrocnc.0.stepgen.x.enable", false);
         rig.run(2);

@@ -159,8 +159,8 @@ fn the_top_speed_is_what_the_gateware_can_do_and_keeps_its_sign() {
     for (asked, hz) in [(1e3, 500e3), (-1e3, -500e3), (1e12, 500e3), (-1e20, -500e3)] {
         rig.hal.set("ferrocnc.0.stepgen.x.velocity-cmd", asked);
         rig.run(2);
-        let (rate, _) = rig.board.look().command.stepgen[0];
-        assert_eq!(rate, Velocity::from_hz(hz, clock), "asked for {asked}");
+        let (velocity, _) = rig.board.look().command.stepgen[0];
+        assert_eq!(velocity, Velocity::from_hz(hz, clock), "asked for {asked}");
         assert!(rig.hal.get::<bool>("ferrocnc.0.stepgen.x.rate-limited"));
     }
     let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));

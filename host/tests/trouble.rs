@@ -315,7 +315,7 @@ fn a_board_off_for_longer_than_it_had_been_on_moves_no_position() {
     {
         let mut board = rig.board.look();
         board.power_cycle();
-        // Its clock is beyond where it was: that it began anew cannot be seen there.
+        // Its clock is beyond where it was: that it began again cannot be seen there.
         board.advance(60_000_000 * 600);
         board.knobs.unplugged = false;
     }

@@ -4,6 +4,7 @@
 use crate::Outside;
 use motion::segment::AXES;
 use wire::describe::{self, Channels, Describe};
+use wire::etherbone::record;
 use wire::exchange::{
     COMMAND_MAX, Command, REQUEST_OVERHEAD, STATUS_HEAD, STATUS_STEPGEN, StateWord, Status,
 };
@@ -262,7 +263,7 @@ fn set<const N: usize>(base: u32, words: [u32; N], out: &mut impl Outside) -> bo
     let mut request = [0; 5 + 2 * SETTINGS];
     let mut reply = [0; MAX_WORDS];
     let addresses = (base..).step_by(4).take(N);
-    let head = [etherbone::HEADER, 0, record(N as u32, N), base];
+    let head = [etherbone::HEADER, 0, record(N, N), base];
     let all = head.into_iter().chain(words).chain([0]).chain(addresses);
     let mut length = 0;
     for (place, word) in request.iter_mut().zip(all) {
@@ -272,9 +273,4 @@ fn set<const N: usize>(base: u32, words: [u32; N], out: &mut impl Outside) -> bo
     let answered = out.datagram(request.get(..length).unwrap_or(&[]), &mut reply);
     let there = reply.get(..answered).and_then(|reply| reply.get(4..));
     there == Some(&words[..])
-}
-
-/// A record's header for this many writes and reads.
-const fn record(writes: u32, reads: usize) -> u32 {
-    etherbone::BYTE_ENABLE | writes << 8 | reads as u32
 }

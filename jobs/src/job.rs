@@ -126,7 +126,7 @@ impl fmt::Display for Error {
             Error::Order => write!(f, "a block where it does not belong"),
             Error::Version { theirs } => write!(
                 f,
-                "the job is of version {theirs}, this reads {VERSION}: prepare it anew"
+                "the job is of version {theirs}, this reads {VERSION}: prepare it again"
             ),
             Error::Instruction(code) => write!(
                 f,

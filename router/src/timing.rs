@@ -2,7 +2,7 @@
 
 use crate::netlist::Net;
 
-/// What every pin of a design means to its clocks. Delays of wires are given to it anew for every
+/// What every pin of a design means to its clocks. Delays of wires are given to it again for every
 /// look.
 pub struct Timing {
     /// Nets, each behind all it depends on.

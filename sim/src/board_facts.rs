@@ -33,13 +33,14 @@ pub struct BoardFacts {
 }
 
 /// The board files that the twin carries.
-const BUILT_IN: [(&str, &str); 3] = [
+const BUILT_IN: [(&str, &str); 4] = [
     (
         "75b_v8_14o11i6s6e6p",
         include_str!("../../boards/75b_v8_14o11i6s6e6p.toml"),
     ),
     ("max", include_str!("../../boards/max.toml")),
     ("mill6", include_str!("../../boards/mill6.toml")),
+    ("plotter", include_str!("../../boards/plotter.toml")),
 ];
 
 impl BoardFacts {
@@ -58,7 +59,7 @@ impl BoardFacts {
             return Err(Error::Board {
                 name: name.into(),
                 why: format!(
-                    "there is no {} and it is none of {:?}; elaborate it (`cargo xtask sim`) or give --channels and --clock",
+                    "there is no {} and it is none of {:?}; elaborate it (`python -m ferrocnc elaborate` in gateware/) or give --channels and --clock",
                     folder.join("board.bin").display(),
                     BUILT_IN.map(|(known, _)| known)
                 ),
@@ -210,7 +211,7 @@ mod tests {
         for (name, _) in BUILT_IN {
             let facts = BoardFacts::named(name).unwrap();
             assert!(
-                facts.channels.stepgens >= 6 && facts.clock_hz >= 40_000_000,
+                facts.channels.stepgens >= 3 && facts.clock_hz >= 40_000_000,
                 "{facts:?}"
             );
             assert_eq!(BoardFacts::named(name).unwrap(), facts);

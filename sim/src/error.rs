@@ -24,7 +24,7 @@ pub enum Error {
     },
     /// `manifest.json` is not what the gateware elaboration writes.
     #[error(
-        "{path} is not a SoC manifest: {source}; elaborate the board again (`cargo xtask sim`)"
+        "{path} is not a SoC manifest: {source}; elaborate the board again (`python -m ferrocnc elaborate` in gateware/)"
     )]
     Manifest {
         /// The file.
@@ -49,9 +49,7 @@ pub enum Error {
         why: String,
     },
     /// The Verilated library is missing or is no such library.
-    #[error(
-        "cannot load {path}: {source}; build it with `cargo xtask sim` or sim/verilator/build.sh"
-    )]
+    #[error("cannot load {path}: {source}; build it with sim/verilator/build.sh")]
     Load {
         /// The shared library.
         path: PathBuf,

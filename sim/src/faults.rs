@@ -65,7 +65,7 @@ pub enum Kind {
     HostPause,
     /// The CPU's clock stands still.
     Freeze,
-    /// The board starts anew, memory of its last start kept.
+    /// The board restarts, memory of its last start kept.
     Reboot,
     /// The board's supply fails and comes back: nothing is kept but its flash.
     Power,
@@ -109,7 +109,7 @@ pub enum Act {
     Link(bool),
     /// The CPU's clock stands (`true`) or goes.
     Freeze(bool),
-    /// A start anew; `true` after the supply had failed.
+    /// A restart; `true` after the supply had failed.
     Reboot(bool),
 }
 

@@ -49,6 +49,7 @@ pub mod rig;
 pub mod segment;
 pub mod server;
 pub mod soc;
+pub mod stimulus;
 pub mod twin;
 
 pub use board::Board;

@@ -21,6 +21,9 @@ use sim::server::{Device, Mode, Options, Server};
 use sim::twin::Twin;
 use wire::describe::Channels;
 
+#[cfg(test)]
+mod pages;
+
 const PLANT_HELP: &str = concat!(
     "What else is wired to the board. Its axes and spindles take the place of the encoders on the motors. Such a file:\n\n",
     include_str!("../plant.example.toml")
@@ -38,7 +41,7 @@ counted from that moment:
   pull plug                          the cable is out, is in again
   host-pause@TIME..TIME              the host is neither heard nor hears; then everything at once
   freeze                             the CPU's clock stands
-  reboot power                       the board starts anew; power forgets the start before (--backend model)
+  reboot power                       the board restarts; power forgets the start before (--backend model)
   off seed=N                         all trouble ends; what the dice are thrown from
 
 In front to-board: or from-board: for one direction, behind @TIME or @TIME..TIME of the board's time for when:
@@ -91,8 +94,8 @@ struct Arguments {
     /// Firmware ELF.
     #[arg(long, value_name = "ELF", required_if_eq("backend", "rtl"))]
     firmware: Option<PathBuf>,
-    /// Model: which board, by the name of its file under boards/ (mill6, max, or any that has been
-    /// elaborated).
+    /// Model: which board, by the name of its file under boards/ (mill6, max, plotter, or any that
+    /// has been elaborated).
     #[arg(long, value_name = "NAME", default_value = "mill6")]
     board: String,
     /// Model: a board of so many stepgens,encoders,PWMs,inputs,outputs instead of a named one.

@@ -114,7 +114,7 @@ struct EthClock {
 #[derive(Debug)]
 pub struct ModelBoard {
     pub(crate) model: model::Board,
-    /// Clocks of the environment before this model began: a board that starts anew counts from 0,
+    /// Clocks of the environment before this model began: a board that restarts counts from 0,
     /// the environment does not.
     before: u64,
     pub(crate) environment: PinEnvironment,
@@ -138,7 +138,7 @@ impl ModelBoard {
     /// Switches a board on and brings it to where the firmware starts; returns it with its
     /// identity.
     pub fn power_up(setup: Setup) -> (Self, Ident) {
-        // Its own time begins anew, its cells do not.
+        // Its own time begins again, its cells do not.
         let trailer = {
             let mut chip = setup.flash.chip();
             chip.power_up();

@@ -362,7 +362,7 @@ impl Nor {
     }
 
     /// Power is back: latches and volatile bits are as after a power-up, no cut is planned, time
-    /// begins anew.
+    /// begins again.
     pub fn power_up(&mut self) {
         self.live = self.kept;
         (self.enabled, self.volatile_enabled, self.reset_enabled) = (false, false, false);

@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use wire::etherbone;
 use wire::images::Trailer;
+use wire::{MAX_WORDS, Request};
 
 use crate::board::{Board, Stop, TraceWindow};
 use crate::edges::Recorder;
@@ -391,7 +391,7 @@ impl<S: Silicon> Rig<S> {
         Ok(())
     }
 
-    /// The whole board starts anew, as its reset makes it.
+    /// The whole board restarts, as its reset makes it.
     pub fn reboot(&mut self) {
         self.board.reset(|_| {});
     }
@@ -523,15 +523,9 @@ impl<S: Silicon> Rig<S> {
 
     /// Read words over Etherbone, at most 255; `None` when the board does not answer as asked.
     pub fn read_words(&mut self, addresses: &[u32]) -> Option<Vec<u32>> {
-        let count = u8::try_from(addresses.len()).ok()?;
-        let mut words = vec![
-            etherbone::HEADER,
-            0,
-            etherbone::BYTE_ENABLE | u32::from(count),
-            0,
-        ];
-        words.extend(addresses);
-        let reply = self.exchange(&bytes(&words))?.words();
+        let mut words = [0; MAX_WORDS];
+        let request = Request::new(&mut words).read(0, addresses).words()?;
+        let reply = self.exchange(&bytes(request))?.words();
         // Packet header, record header, return base.
         (reply.len() == 4 + addresses.len()).then(|| reply[4..].to_vec())
     }
@@ -574,14 +568,10 @@ impl<S: Silicon> Rig<S> {
     /// Write words over Etherbone (no answer is expected: writes have none), and give the board a
     /// tenth of a millisecond.
     pub fn write_words(&mut self, base: u32, values: &[u32]) {
-        let mut words = vec![
-            etherbone::HEADER,
-            0,
-            etherbone::BYTE_ENABLE | (values.len() as u32 & 0xff) << 8,
-            base,
-        ];
-        words.extend(values);
-        self.post((HOST_IP, RIG_PORT), BOARD_PORT, &bytes(&words));
+        let mut words = [0; MAX_WORDS];
+        let request = Request::new(&mut words).write(base, values).words();
+        let request = request.expect("words for one record");
+        self.post((HOST_IP, RIG_PORT), BOARD_PORT, &bytes(request));
         self.run(6000);
     }
 

@@ -609,13 +609,13 @@ mod tests {
         let reply = arp_reply(&mut s, BOARD_IP, HOST_IP, ArpOperation::Reply);
         s.receive(&reply, 0, 0);
         assert_eq!(s.board_mac(), Some(BOARD_MAC));
-        // The stack answers for the default host, the segment for a guest; a stranger gets no
+        // The stack answers for the default host, the segment for another host it knows; others get no
         // answer.
-        let guest = Ipv4Addr::new(192, 168, 2, 77);
-        s.host_mac(guest);
+        let known = Ipv4Addr::new(192, 168, 2, 77);
+        s.host_mac(known);
         for (target, answered) in [
             (HOST_IP, true),
-            (guest, true),
+            (known, true),
             (Ipv4Addr::new(192, 168, 2, 78), false),
         ] {
             let request = arp_reply(&mut s, BOARD_IP, target, ArpOperation::Request);

@@ -127,7 +127,7 @@ pub struct Server<D: Device> {
 /// Sys clocks simulated between two looks at the outside world when time runs by itself: about a
 /// millisecond of the machine's time.
 const SLICE: u64 = 1000;
-/// A paced board that is later than this starts counting anew instead of hurrying.
+/// A paced board that is later than this starts counting again instead of hurrying.
 const LATE: Duration = Duration::from_millis(100);
 /// Shorter sleeps are longer than asked for anyway.
 const NAP: Duration = Duration::from_micros(50);

@@ -310,7 +310,7 @@ impl Twin {
         }
     }
 
-    /// The whole board starts anew, as its reset pin makes it; with `power` the memory of its last
+    /// The whole board restarts, as its reset pin makes it; with `power` the memory of its last
     /// start is lost as well.
     pub fn reboot(&mut self, power: bool) {
         let board = &mut self.machine.board;
@@ -456,15 +456,9 @@ impl Twin {
         } else {
             let peer = Peer { ip: HOST, port: 0 };
             let mut word = |address| {
-                let words = [
-                    wire::etherbone::HEADER,
-                    0,
-                    wire::etherbone::BYTE_ENABLE | 1,
-                    0,
-                    address,
-                ];
-                let mut buffer = [0; MAX_WORDS];
-                let reply = self.machine.datagram(&words, peer, &mut buffer).ok()?;
+                let (mut words, mut buffer) = ([0; 5], [0; MAX_WORDS]);
+                let request = wire::Request::new(&mut words).read(0, &[address]).words()?;
+                let reply = self.machine.datagram(request, peer, &mut buffer).ok()?;
                 reply.get(4).copied()
             };
             Counters::gather(|base, words| (0..words).map(|n| word(base + 4 * n)).collect())

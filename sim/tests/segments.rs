@@ -19,6 +19,7 @@ use sim::model::Board;
 use sim::model::board::{Build, Bus, pages};
 use sim::model::segments::{reason, refused};
 use sim::soc::{Cores, CoresPins, Pins};
+use sim::stimulus::{Chance, Write, before_a_job, from_environment, seed};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use wire::describe::Channels;
@@ -32,7 +33,11 @@ const CLEAR: u32 = watchdog::CONTROL_KEY_CLEAR;
 const PUSH: u32 = segments::PUSH as u32;
 const CONTROL: u32 = segments::CONTROL as u32;
 const PACE: u32 = segments::PACE as u32;
+const SLEW: u32 = segments::SLEW as u32;
+const MASK: u32 = segments::MASK as u32;
 const STATUS: u32 = segments::STATUS as u32;
+const BEGUN: u32 = segments::BEGUN as u32;
+const LEFT: u32 = segments::LEFT as u32;
 const START: u32 = segments::CONTROL_COMMAND_START;
 const QUIT: u32 = segments::CONTROL_COMMAND_QUIT;
 const FORGET: u32 = segments::CONTROL_COMMAND_CLEAR;
@@ -50,17 +55,6 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
         .expect("the workspace")
-}
-
-fn from_environment<T: std::str::FromStr>(name: &str, usual: T) -> T {
-    let given = std::env::var(name).ok().and_then(|text| text.parse().ok());
-    given.unwrap_or(usual)
-}
-
-fn seed() -> u64 {
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    let now = now.expect("a clock").as_nanos() as u64;
-    from_environment("FERROCNC_SEED", now)
 }
 
 /// The Verilated cores and their model, side by side.
@@ -151,7 +145,7 @@ impl Pair {
 
 struct Stimulus {
     random: Pcg32,
-    writes: VecDeque<(u32, u32, u32)>,
+    writes: VecDeque<Write>,
     registers: Vec<(u32, u32)>,
     /// Velocities at the end of the segment pushed last.
     velocity: [i32; AXES],
@@ -192,77 +186,64 @@ impl Stimulus {
         }
     }
 
-    fn below(&mut self, n: u32) -> u32 {
-        self.random.random_range(0..n.max(1))
-    }
-
-    fn one_in(&mut self, n: u32) -> bool {
-        self.below(n) == 0
-    }
-
-    fn spread(&mut self) -> u32 {
-        let shift = self.below(32);
-        self.random.random::<u32>() >> shift
-    }
-
     fn write(&mut self, page: u32, word: u32, data: u32) {
         self.writes.push_back((page, word, data));
     }
 
     fn settings(&mut self) {
-        self.fast = self.one_in(3);
-        let patient = self.one_in(2);
+        self.fast = self.random.one_in(3);
+        let patient = self.random.one_in(2);
         for n in 0..4 {
             for word in 0..4 {
                 let most = if patient { 3 } else { 40 };
-                let time = self.below(most);
+                let time = self.random.below(most);
                 self.write(pages::STEPGEN + n, word, time);
             }
-            let stop = if self.fast || self.one_in(4) {
+            let stop = if self.fast || self.random.one_in(4) {
                 0
             } else {
-                self.spread() | 1 << 29
+                self.random.spread() | 1 << 29
             };
             self.write(pages::STEPGEN + n, 4, stop);
-            let mode = self.below(32);
+            let mode = self.random.below(32);
             self.write(pages::STEPGEN + n, 5, mode);
         }
         for word in [1, 2] {
             let bits = self.random.random();
             self.write(pages::GPIO, word, bits);
         }
-        let slew = if self.one_in(3) {
+        let slew = if self.random.one_in(3) {
             0
         } else {
-            self.spread() | 1 << 18
+            self.random.spread() | 1 << 18
         };
-        self.write(pages::SEGMENTS, 19, slew);
+        self.write(pages::SEGMENTS, SLEW, slew);
         for word in [20, 21] {
             let bits = self.random.random();
             self.write(pages::SEGMENTS, word, bits);
         }
-        let timeout = if self.one_in(6) { 9000 } else { 400_000 };
+        let timeout = if self.random.one_in(6) { 9000 } else { 400_000 };
         self.write(pages::WATCHDOG, 0, timeout);
-        let grace = if self.one_in(2) { 300 } else { 50_000 };
+        let grace = if self.random.one_in(2) { 300 } else { 50_000 };
         self.write(pages::WATCHDOG, 1, grace);
-        self.greedy = !self.one_in(2);
+        self.greedy = !self.random.one_in(2);
     }
 
     fn segment(&mut self) {
         self.to_go = match self.to_go.checked_sub(1) {
             Some(left) => left,
-            None => 1 + self.below(90),
+            None => 1 + self.random.below(90),
         };
-        self.complete = self.to_go == 0 && !self.one_in(5);
-        let clocks = match self.below(12) {
+        self.complete = self.to_go == 0 && !self.random.one_in(5);
+        let clocks = match self.random.below(12) {
             0 => 64,
-            1 => self.below(64),
-            _ => 64 + self.below(700),
+            1 => self.random.below(64),
+            _ => 64 + self.random.below(700),
         };
         let top = if self.fast { 1 << 28 } else { 1 << 24 };
         let mut words = vec![clocks, self.random.random()];
         for n in 0..AXES {
-            let velocity = match self.below(8) {
+            let velocity = match self.random.below(8) {
                 _ if self.to_go == 0 => 0,
                 0 => 0,
                 1 => self.velocity[n],
@@ -271,24 +252,28 @@ impl Stimulus {
             };
             let away = u64::from(velocity.abs_diff(self.velocity[n])) << 24;
             let needed = away.div_ceil(u64::from(clocks.max(64)) - 2);
-            let accel = match self.below(12) {
+            let accel = match self.random.below(12) {
                 0 => 0,
-                1 => self.spread(),
+                1 => self.random.spread(),
                 _ => needed.min(u32::MAX.into()) as u32,
             };
             self.velocity[n] = velocity;
             words.extend([velocity as u32, accel]);
         }
-        let missing = if self.one_in(25) { self.below(8) } else { 99 };
-        let first = self.below(8);
+        let missing = if self.random.one_in(25) {
+            self.random.below(8)
+        } else {
+            99
+        };
+        let first = self.random.below(8);
         for n in 0..8 {
             let at = (first + n) % 8;
             if at != missing {
                 self.write(pages::SEGMENTS, at, words[at as usize]);
             }
         }
-        if self.one_in(50) {
-            let at = self.below(16);
+        if self.random.one_in(50) {
+            let at = self.random.below(16);
             let data = self.random.random();
             self.write(pages::SEGMENTS, at, data);
         }
@@ -300,14 +285,18 @@ impl Stimulus {
         for n in 0..4 {
             let velocity = self.random.random_range(-(1i32 << 24)..1 << 24);
             self.write(pages::COMMAND, 4 + 2 * n, velocity as u32);
-            let accel = self.spread() | 1 << 22;
+            let accel = self.random.spread() | 1 << 22;
             self.write(pages::COMMAND, 5 + 2 * n, accel);
         }
-        let enables = if self.one_in(4) { self.below(16) } else { 15 };
+        let enables = if self.random.one_in(4) {
+            self.random.below(16)
+        } else {
+            15
+        };
         self.write(pages::COMMAND, 0, enables);
         let outputs = self.random.random();
         self.write(pages::COMMAND, 1, outputs);
-        let strobe = 1 + self.below(3);
+        let strobe = 1 + self.random.below(3);
         self.write(pages::TIMEBASE, 7, strobe);
     }
 
@@ -324,39 +313,41 @@ impl Stimulus {
         self.token += 1;
         let token = self.token;
         self.write(pages::WATCHDOG, 2, token);
-        if self.one_in(100) || (failed && self.one_in(4)) {
+        if self.random.one_in(100) || (failed && self.random.one_in(4)) {
             self.write(pages::WATCHDOG, 3, CLEAR);
             self.write(pages::WATCHDOG, 3, ARM);
             self.write(pages::TIMEBASE, 7, 1);
         }
-        if failed && self.one_in(3) {
+        if failed && self.random.one_in(3) {
             self.write(pages::SEGMENTS, CONTROL, FORGET);
         }
         let wants = match () {
-            () if self.complete => self.one_in(300),
-            () if self.greedy => level < 60 || self.one_in(6),
+            () if self.complete => self.random.one_in(300),
+            () if self.greedy => level < 60 || self.random.one_in(6),
             () if state == 0 => level < 10,
-            () => self.one_in(14),
+            () => self.random.one_in(14),
         };
         if wants {
             self.segment();
         }
-        if (state == 0 && (level > 8 || self.complete) && self.one_in(3)) || self.one_in(60) {
+        if (state == 0 && (level > 8 || self.complete) && self.random.one_in(3))
+            || self.random.one_in(60)
+        {
             self.write(pages::SEGMENTS, CONTROL, START);
         }
-        match self.below(1203) {
+        match self.random.below(1203) {
             0 | 1 => self.write(pages::WATCHDOG, 3, STOP),
             2 => self.write(pages::WATCHDOG, 3, SOFT),
             3..6 => self.write(pages::SEGMENTS, CONTROL, QUIT),
             6 => {
-                let any = self.spread();
+                let any = self.random.spread();
                 self.write(pages::SEGMENTS, CONTROL, any);
             }
             7..12 => self.write(pages::SEGMENTS, CONTROL, FORGET),
             12..20 => self.host(),
             20..32 => self.write(pages::SEGMENTS, PACE, 0),
             32..52 => {
-                let pace = self.below(70_000);
+                let pace = self.random.below(70_000);
                 self.write(pages::SEGMENTS, PACE, pace);
             }
             52..200 => self.write(pages::SEGMENTS, PACE, 1 << 16),
@@ -411,7 +402,7 @@ impl Seen {
             "starts after which a pulse held time",
             u64::from((status & !self.status) >> 25 & 1),
         );
-        let begun = pair.board.peek(pages::SEGMENTS, 23);
+        let begun = pair.board.peek(pages::SEGMENTS, BEGUN);
         self.add("segments", begun.wrapping_sub(self.begun).into());
         let m = pair.board.pins();
         self.add("edges of STEP", (m.step ^ self.steps).count_ones().into());
@@ -433,11 +424,11 @@ fn random(seed: u64, clocks: u64) -> (BTreeMap<&'static str, u64>, f64) {
         if stimulus.writes.is_empty() {
             if gap == 0 {
                 stimulus.deed(pair.status());
-                gap = stimulus.below(300);
+                gap = stimulus.random.below(300);
             }
             gap -= u32::from(gap != 0);
         }
-        let pause = stimulus.one_in(3);
+        let pause = stimulus.random.one_in(3);
         match stimulus.writes.pop_front() {
             Some((page, word, data)) if !pause => {
                 pair.clock(page << 9 | word, Some(data));
@@ -449,7 +440,7 @@ fn random(seed: u64, clocks: u64) -> (BTreeMap<&'static str, u64>, f64) {
                     stimulus.writes.rotate_right(1);
                 }
                 debug_assert_eq!(last, stimulus.writes.len());
-                let at = stimulus.below(stimulus.registers.len() as u32) as usize;
+                let at = stimulus.random.below(stimulus.registers.len() as u32) as usize;
                 let (page, word) = stimulus.registers[at];
                 pair.clock(page << 9 | word, None);
             }
@@ -529,30 +520,17 @@ fn prediction(segments: &[Segment]) -> (MotionState, [Edges; AXES]) {
 }
 
 /// Brings the cores to where a job can begin.
-fn preparation() -> VecDeque<(u32, u32, u32)> {
-    let mut writes = VecDeque::new();
-    for n in 0..4 {
-        let times = [4, 4, 1, 1, 1 << 24, 0];
-        writes.extend(
-            (0..)
-                .zip(times)
-                .map(|(word, data)| (pages::STEPGEN + n, word, data)),
-        );
-    }
+fn preparation() -> VecDeque<Write> {
+    let mut writes = VecDeque::from_iter(before_a_job(4, [4, 4, 1, 1, 1 << 24, 0]));
     writes.extend([
-        (pages::WATCHDOG, 0, u32::MAX),
-        (pages::WATCHDOG, 1, 1000),
-        (pages::WATCHDOG, 3, CLEAR),
-        (pages::WATCHDOG, 3, ARM),
-        (pages::TIMEBASE, 7, 1),
-        (pages::SEGMENTS, 19, 1 << 20),
-        (pages::SEGMENTS, 21, 0xf_ffff),
+        (pages::SEGMENTS, SLEW, 1 << 20),
+        (pages::SEGMENTS, MASK, 0xf_ffff),
     ]);
     writes
 }
 
-/// The counts of the tallies are where the axes are.
-fn tallies_agree(pair: &mut Pair, machine: &MotionState) {
+/// The wide counts are where the axes are.
+fn counts_agree(pair: &mut Pair, machine: &MotionState) {
     pair.clock(pages::TIMEBASE << 9 | 7, Some(2));
     for _ in 0..40 {
         pair.clock(0, None);
@@ -622,8 +600,8 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
         asked |= writes.front() == Some(&(pages::SEGMENTS, CONTROL, START));
         started |= state != 0;
 
-        let begun = pair.board.peek(pages::SEGMENTS, 23) as usize;
-        let left = pair.board.peek(pages::SEGMENTS, 24);
+        let begun = pair.board.peek(pages::SEGMENTS, BEGUN) as usize;
+        let left = pair.board.peek(pages::SEGMENTS, LEFT);
         let pins = pair.pins;
         let write = writes.pop_front();
         let address = write.map_or(0, |(page, word, _)| page << 9 | word);
@@ -631,7 +609,8 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
         if first.is_none() && begun == 1 {
             first = Some(pair.clock);
         }
-        stood += u64::from(state == 2 && pair.board.peek(pages::SEGMENTS, 24) == left && begun > 0);
+        stood +=
+            u64::from(state == 2 && pair.board.peek(pages::SEGMENTS, LEFT) == left && begun > 0);
         let risen = pair.pins.step & !pins.step;
         for (axis, expected) in expected.iter_mut().enumerate() {
             if risen >> axis & 1 == 0 {
@@ -660,10 +639,10 @@ fn predicted(seed: u64, segments: usize, scaled: bool) -> (u64, u64, u64) {
     let missing: usize = expected.iter().map(VecDeque::len).sum();
     assert_eq!(missing, 0, "seed {seed}: edges predicted and not emitted");
     assert_eq!(
-        pair.board.peek(pages::SEGMENTS, 23) as usize,
+        pair.board.peek(pages::SEGMENTS, BEGUN) as usize,
         segments.len()
     );
-    tallies_agree(&mut pair, &machine);
+    counts_agree(&mut pair, &machine);
     (edges, pair.clock, stood)
 }
 

@@ -10,8 +10,9 @@ use sim::plant::Plant;
 use sim::server::{Device, Service};
 use sim::twin::Twin;
 use wire::auth::WORDS;
-use wire::describe::{Channels, FEATURE_KEY, FEATURES_AT};
+use wire::describe::{self, Channels, FEATURE_KEY};
 use wire::discovery::{Body, Message, WORDS_MAX};
+use wire::etherbone::{HEADER, record};
 use wire::exchange::{Command, Status};
 use wire::flash::{BLOCK, Op, OpResult, OpWord, PAGE, Slot};
 use wire::map;
@@ -120,15 +121,12 @@ impl Bench {
 
     /// One datagram: these writes in order, then these reads.
     pub fn transact(&mut self, writes: &[(u32, &[u32])], reads: &[u32]) -> Option<Vec<u32>> {
-        let mut words = vec![wire::etherbone::HEADER, 0];
-        let head = |writes: usize, reads: usize| {
-            wire::etherbone::BYTE_ENABLE | (writes as u32) << 8 | reads as u32
-        };
+        let mut words = vec![HEADER, 0];
         for (base, data) in writes {
-            words.extend([head(data.len(), 0), *base]);
+            words.extend([record(data.len(), 0), *base]);
             words.extend(*data);
         }
-        words.extend([head(0, reads.len()), 0]);
+        words.extend([record(0, reads.len()), 0]);
         words.extend(reads);
         let reply = self.post(Service::Etherbone, &words)?;
         // Records without reads are answered by nothing.
@@ -157,7 +155,7 @@ impl Bench {
     /// Starts an operation and waits for its end; on a board with a key as the owner, after the
     /// answer to a challenge.
     pub fn op(&mut self, op: Op, address: u32, length: u32, buffer: &[u32]) -> Went {
-        if self.read(map::DESCRIBE + 4 * FEATURES_AT as u32) & FEATURE_KEY != 0
+        if self.read(describe::address(describe::FEATURES_AT)) & FEATURE_KEY != 0
             && self.read(map::SESSION_OWNER_PORT) != u32::from(self.port)
         {
             self.show_key();

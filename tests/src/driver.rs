@@ -3,7 +3,8 @@
 use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
 
-use wire::describe::Channels;
+use wire::describe::{self, Channels};
+use wire::etherbone::{HEADER, record};
 use wire::exchange::{Command, Status};
 use wire::map;
 
@@ -32,12 +33,12 @@ impl Driver {
                 .channels,
             command: Command::default(),
         };
-        let write = |address, value| [0x4e6f_1044, 0, 0x000f_0100, address, value];
+        let write = |address, value| [HEADER, 0, record(1, 0), address, value];
         driver.send(&write(map::SESSION_ACQUIRE, 0x1234_5678));
         driver.command.token = driver.read(map::SESSION_TOKEN);
         driver.command.sequence = driver.read(map::SESSION_LAST_SEQ);
         // A second: enough for a busy computer to come back here.
-        let second = driver.read(map::DESCRIBE + 0x18);
+        let second = driver.read(describe::address(describe::CLOCK_HZ_AT));
         driver.send(&write(map::CONFIG_BOARD, second));
         driver.command.enable = true;
         for request in [false, false, true, true, true] {
@@ -63,7 +64,7 @@ impl Driver {
     }
 
     fn read(&self, address: u32) -> u32 {
-        self.ask(&[0x4e6f_1044, 0, 0x000f_0001, 0, address])[4]
+        self.ask(&[HEADER, 0, record(0, 1), 0, address])[4]
     }
 
     /// One exchange.

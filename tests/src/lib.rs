@@ -21,6 +21,7 @@ mod simulator;
 pub mod stops;
 pub mod wired;
 
+pub use sim::stimulus::{from_environment, seed};
 pub use simulator::{Simulator, control};
 
 use sim::edges;
@@ -85,20 +86,6 @@ pub fn root() -> &'static std::path::Path {
         .expect("the crate lies in the workspace")
 }
 
-/// The seed of this run: `FERROCNC_SEED`, or one from the clock. Printed, and part of every message
-/// that depends on it.
-pub fn seed() -> u64 {
-    let given = std::env::var("FERROCNC_SEED")
-        .ok()
-        .and_then(|text| text.parse().ok());
-    let seed = given.unwrap_or_else(|| {
-        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-        now.map_or(1, |since| since.as_millis() as u64)
-    });
-    println!("FERROCNC_SEED={seed}");
-    seed
-}
-
 /// What a board says of itself.
 pub fn description<S: Silicon>(rig: &mut Rig<S>) -> Describe {
     let words = rig
@@ -106,18 +93,6 @@ pub fn description<S: Silicon>(rig: &mut Rig<S>) -> Describe {
         .expect("the board describes itself");
     let words = words.try_into().expect("as many words as were asked for");
     Describe::parse(&words).unwrap_or_else(|error| panic!("{error}"))
-}
-
-/// What the environment says, or this.
-pub fn from_environment<T>(name: &str, otherwise: T) -> T
-where
-    T: std::str::FromStr<Err: std::fmt::Display>,
-{
-    let Ok(text) = std::env::var(name) else {
-        return otherwise;
-    };
-    text.parse()
-        .unwrap_or_else(|error| panic!("{name}={text}: {error}"))
 }
 
 /// Where pictures are left: in the folder `FERROCNC_REPORTS` says, else in `target/reports`.
@@ -666,9 +641,9 @@ fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
     )
 }
 
-/// A program of this workspace: of the release build, or in the folder `FERROCNC_PROGRAMS` names.
+/// A program of this workspace, built beside the tests, or in the folder `FERROCNC_PROGRAMS` names.
 pub fn program(name: &str) -> PathBuf {
     let folder = std::env::var_os("FERROCNC_PROGRAMS").map(PathBuf::from);
-    let release = || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/release");
-    folder.unwrap_or_else(release).join(name)
+    let built = || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/tests");
+    folder.unwrap_or_else(built).join(name)
 }

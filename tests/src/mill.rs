@@ -30,7 +30,7 @@ use sim::twin::Twin;
 use wire::describe::Channels;
 use wire::exchange::{Command, Status};
 use wire::units::{Accel, Velocity};
-use wire::{Refusal, map};
+use wire::{Refusal, Request, etherbone, map};
 
 /// A servo period, ns.
 pub const PERIOD_NS: i64 = 1_000_000;
@@ -406,7 +406,7 @@ impl Mill {
 
     /// A word of the board, read by a host without the session.
     pub fn look(&mut self, address: u32) -> u32 {
-        let request = words(&[0x4e6f_1044, 0, 0x000f_0001, 0, address]);
+        let request = words(&[etherbone::HEADER, 0, etherbone::record(0, 1), 0, address]);
         let answer = self
             .stranger(50_505, &request)
             .expect("every host may read");
@@ -545,17 +545,22 @@ impl Owner {
 
     /// A word of the board.
     pub fn read(&mut self, address: u32) -> u32 {
-        let answer = self.ask(&words(&[0x4e6f_1044, 0, 0x000f_0001, 0, address]));
+        let answer = self.ask(&words(&[
+            etherbone::HEADER,
+            0,
+            etherbone::record(0, 1),
+            0,
+            address,
+        ]));
         let answer = answer.expect("an answer to a read");
         u32::from_be_bytes(answer[16..20].try_into().expect("a word"))
     }
 
     /// Words into the board.
     pub fn write(&mut self, address: u32, values: &[u32]) {
-        let count = values.len() as u32;
-        let head = [0x4e6f_1044, 0, 0x000f_0000 | count << 8, address];
-        let all: Vec<u32> = head.iter().chain(values).copied().collect();
-        assert_eq!(self.ask(&words(&all)), None);
+        let mut buffer = [0; wire::MAX_WORDS];
+        let request = Request::new(&mut buffer).write(address, values).words();
+        assert_eq!(self.ask(&words(request.expect("room"))), None);
     }
 
     /// The command as it stands, as a datagram, with the next sequence number.

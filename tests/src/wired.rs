@@ -40,7 +40,7 @@ const THINKS: u64 = 120_000;
 /// Bytes of one frame, as the board says in its handshake.
 const PIECE: usize = 1460;
 /// Where the jobs program lies.
-const PROGRAM: u32 = 0x4000_0000;
+const PROGRAM: u32 = wire::regmap::SDRAM_BASE as u32;
 
 /// What the build left for the SDRAM.
 pub fn program() -> Vec<u8> {

@@ -68,7 +68,7 @@ fn abi_mismatch() {
     let error = error.to_string();
     let ours = format!(
         "{:#010x}",
-        litex_pac_abi(&mut Owner::of(Twin::power_up(Mill::setup())))
+        abi_of(&mut Owner::of(Twin::power_up(Mill::setup())))
     );
     assert!(
         error.contains("0xdeadbeef") && error.contains(&ours),
@@ -89,8 +89,8 @@ fn abi_mismatch() {
 }
 
 /// The register map this firmware was built for, as a whole board says it.
-fn litex_pac_abi(owner: &mut Owner) -> u32 {
-    owner.read(map::DESCRIBE + 8)
+fn abi_of(owner: &mut Owner) -> u32 {
+    owner.read(wire::describe::address(wire::describe::ABI_FIRMWARE_AT))
 }
 
 #[test]
@@ -351,7 +351,7 @@ fn firmware_hangs_or_panics() {
     assert_eq!(mill.pulses(), at);
     mill.is_stopped_for_good();
     assert_eq!(said(&mill, "has restarted"), 1, "{:?}", mill.hal.said());
-    // Counts began anew in the board; LinuxCNC's position did not jump, and none of them moves.
+    // Counts began again in the board; LinuxCNC's position did not jump, and none of them moves.
     mill.switch_on();
     mill.run(50);
     mill.nothing_is_wrong();

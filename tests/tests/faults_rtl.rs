@@ -155,7 +155,7 @@ fn cable_pulled_replugged() {
 
 #[test]
 fn a_board_that_starts_anew_under_its_host_is_safe_and_not_armed() {
-    // The board is started anew under its host: outputs are safe at once, and the board is not
+    // The board is restarted under its host: outputs are safe at once, and the board is not
     // armed afterwards.
     let (mut machine, mut command) = cutting();
     machine.trouble("reboot");

@@ -209,7 +209,7 @@ fn discovery_is_answered_by_broadcast_and_a_set_moves_the_board() {
         ..set
     };
     assert!(done.contains(&expected), "{done:?}");
-    // It starts anew by itself, at its new address.
+    // It restarts by itself, at its new address.
     rig.segment = LanSegment::new(Ipv4Addr::new(192, 168, 2, 99));
     rig.wait_ready(6_000_000)
         .unwrap_or_else(|error| panic!("{error}"));

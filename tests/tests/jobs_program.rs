@@ -27,7 +27,7 @@ fn board(behind: &[u8]) -> BenchMachine {
 }
 
 fn state(machine: &mut BenchMachine) -> JobsState {
-    let features = machine.read(map::DESCRIBE + 9 * 4);
+    let features = machine.read(wire::describe::address(wire::describe::FEATURES_AT));
     assert_ne!(features & FEATURE_JOBS, 0, "the gateware has segments");
     JobsState::of(features)
 }

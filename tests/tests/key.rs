@@ -12,11 +12,11 @@ use sim::nor::{Part, Times};
 use sim::rig::Rig;
 use sim::segment::{BOARD_IP, HOST_IP};
 use std::net::Ipv4Addr;
-use wire::describe::{FEATURE_KEY, FEATURES_AT};
+use wire::describe::{self, FEATURE_KEY};
 use wire::discovery::{Body, Message, WORDS_MAX, proof};
 use wire::flash::{Op, OpResult};
 use wire::settings::Settings;
-use wire::{CONSOLE_PORT, DISCOVERY_PORT, MAX_WORDS, Refusal, ReplyWriter, etherbone, map};
+use wire::{CONSOLE_PORT, DISCOVERY_PORT, MAX_WORDS, Refusal, Request, map};
 
 const UID: [u32; 2] = [0xd162_0c8a, 0x1b2c_3d4e];
 const KEY: [u32; 4] = [0x5eed_0001, 0x5eed_0002, 0x5eed_0003, 0x5eed_0004];
@@ -63,12 +63,12 @@ fn power_up(flash: &Shared, factory_pin: bool) -> Rig {
 /// One datagram with these records from this port; the words read, if it was answered.
 fn ask(rig: &mut Rig, port: u16, writes: &[(u32, &[u32])], reads: &[u32]) -> Option<Vec<u32>> {
     let mut words = [0; MAX_WORDS];
-    let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
+    let mut request = Request::new(&mut words);
     for (base, words) in writes {
-        assert!(request.write_record(*base, words.len() as u8) && request.extend(words));
+        request = request.write(*base, words);
     }
-    assert!(request.read_record(7, reads));
-    send(rig, port, &to_bytes(request.words()))
+    let request = request.read(7, reads).words().expect("room");
+    send(rig, port, &to_bytes(request))
 }
 
 /// Sends two milliseconds after the datagram before: while a host owns the session one frame of
@@ -88,11 +88,11 @@ fn challenge(rig: &mut Rig, port: u16) -> [u32; 4] {
 /// A whole acquisition with this answer, as it goes over the wire.
 fn acquisition(answer: [u32; 4], nonce: u32) -> Vec<u8> {
     let mut words = [0; MAX_WORDS];
-    let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-    assert!(request.write_record(map::SESSION_RESPONSE, 4) && request.extend(&answer));
-    assert!(request.write_record(map::SESSION_ACQUIRE, 1) && request.push(nonce));
-    assert!(request.read_record(7, &[map::SESSION_TOKEN]));
-    to_bytes(request.words())
+    let request = Request::new(&mut words)
+        .write(map::SESSION_RESPONSE, &answer)
+        .write(map::SESSION_ACQUIRE, &[nonce])
+        .read(7, &[map::SESSION_TOKEN]);
+    to_bytes(request.words().expect("room"))
 }
 
 fn owner(rig: &mut Rig) -> u32 {
@@ -100,7 +100,7 @@ fn owner(rig: &mut Rig) -> u32 {
 }
 
 fn features(rig: &mut Rig) -> u32 {
-    let word = map::DESCRIBE + 4 * FEATURES_AT as u32;
+    let word = describe::address(describe::FEATURES_AT);
     ask(rig, MALLORY, &[], &[word]).expect("every host may read")[0]
 }
 

@@ -22,6 +22,7 @@ use sim::model::Board;
 use sim::model::board::{Build, Bus, pages};
 use sim::pads::Pad;
 use sim::soc::{Cores, CoresPins, Pins};
+use sim::stimulus::{Chance, Write};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use wire::describe::Channels;
@@ -50,7 +51,7 @@ struct Stimulus {
     pins: Pins,
     rst: bool,
     /// Bus writes that wait, by page and word.
-    writes: VecDeque<(u32, u32, u32)>,
+    writes: VecDeque<Write>,
     /// Registers worth reading.
     registers: Vec<(u32, u32)>,
     shafts: Vec<Shaft>,
@@ -112,20 +113,6 @@ impl Stimulus {
         }
     }
 
-    fn one_in(&mut self, n: u32) -> bool {
-        self.random.random_range(0..n) == 0
-    }
-
-    fn below(&mut self, n: u32) -> u32 {
-        self.random.random_range(0..n.max(1))
-    }
-
-    /// Any word, small and large ones alike.
-    fn spread(&mut self) -> u32 {
-        let shift = self.below(32);
-        self.random.random::<u32>() >> shift
-    }
-
     fn write(&mut self, page: u32, word: u32, data: u32) {
         self.writes.push_back((page, word, data));
     }
@@ -135,122 +122,130 @@ impl Stimulus {
         let c = self.channels;
         for n in 0..c.stepgens.into() {
             let page = pages::STEPGEN + n;
-            let short = |s: &mut Self| match s.below(6) {
+            let short = |s: &mut Self| match s.random.below(6) {
                 0 => 0,
                 1 => 1,
-                2 => s.below(8),
-                3 => s.below(100),
-                4 => s.below(600),
-                _ => s.below(1 << 13),
+                2 => s.random.below(8),
+                3 => s.random.below(100),
+                4 => s.random.below(600),
+                _ => s.random.below(1 << 13),
             };
             let (steplen, stepspace) = (short(self), short(self));
             let (dirsetup, dirhold) = (short(self), short(self));
             self.write(page, 0, steplen);
             self.write(page, 1, stepspace);
-            let long = self.one_in(12);
-            let dirsetup = if long { self.below(1 << 16) } else { dirsetup };
+            let long = self.random.one_in(12);
+            let dirsetup = if long {
+                self.random.below(1 << 16)
+            } else {
+                dirsetup
+            };
             self.write(page, 2, dirsetup);
             self.write(page, 3, dirhold);
-            let stop = if self.one_in(3) {
+            let stop = if self.random.one_in(3) {
                 0
             } else {
-                self.spread() | 1 << 24
+                self.random.spread() | 1 << 24
             };
             self.write(page, 4, stop);
-            let mode = self.below(32);
+            let mode = self.random.below(32);
             self.write(page, 5, mode);
         }
         for n in 0..c.encoders.into() {
             // Only x4 half of the time: that is what machines use.
-            let mode = self.below(256) & if self.one_in(2) { 0xf8 } else { 0xff };
-            let filter = match self.below(4) {
+            let mode = self.random.below(256) & if self.random.one_in(2) { 0xf8 } else { 0xff };
+            let filter = match self.random.below(4) {
                 0 => 0,
-                1 => self.below(4),
-                2 => self.below(30),
-                _ => self.below(256),
+                1 => self.random.below(4),
+                2 => self.random.below(30),
+                _ => self.random.below(256),
             };
             self.write(pages::ENCODER + n, 0, mode);
             self.write(pages::ENCODER + n, 1, filter);
-            let gap = if self.one_in(4) {
+            let gap = if self.random.one_in(4) {
                 3
             } else {
-                3 + self.below(40)
+                3 + self.random.below(40)
             };
             let shaft = &mut self.shafts[n as usize];
             shaft.gap = if filter < 40 { gap + filter } else { gap * 8 };
         }
         for n in 0..c.pwms.into() {
-            let period = match self.below(5) {
-                0 => self.below(4),
+            let period = match self.random.below(5) {
+                0 => self.random.below(4),
                 1 => 3000,
-                2 => self.below(20),
-                _ => self.below(400),
+                2 => self.random.below(20),
+                _ => self.random.below(400),
             };
             self.write(pages::PWM + n, 0, period);
-            let mode = self.below(32);
+            let mode = self.random.below(32);
             self.write(pages::PWM + n, 1, mode);
         }
-        for (word, data) in [(1, self.spread()), (2, self.spread())] {
+        for (word, data) in [(1, self.random.spread()), (2, self.random.spread())] {
             self.write(pages::GPIO, word, data);
         }
-        let probe = self.below(u32::from(c.inputs.max(1))) | self.below(4) << 8;
+        let probe = self.random.below(u32::from(c.inputs.max(1))) | self.random.below(4) << 8;
         self.write(pages::GPIO, 7, probe);
-        let led = self.below(8);
+        let led = self.random.below(8);
         self.write(pages::LED, 0, led);
         for n in 0..u32::from(c.inputs) {
-            let limit = if self.one_in(2) { 0 } else { self.below(40) };
+            let limit = if self.random.one_in(2) {
+                0
+            } else {
+                self.random.below(40)
+            };
             self.write(pages::DEBOUNCE, n, limit);
         }
-        let timeout = if self.one_in(5) {
-            self.below(3000)
+        let timeout = if self.random.one_in(5) {
+            self.random.below(3000)
         } else {
             20_000
         };
         self.write(pages::WATCHDOG, 0, timeout);
-        let grace = if self.one_in(2) {
-            self.below(500)
+        let grace = if self.random.one_in(2) {
+            self.random.below(500)
         } else {
             8_000
         };
         self.write(pages::WATCHDOG, 1, grace);
-        self.servo_every = 60 + self.below(3000);
-        self.fed = !self.one_in(6);
-        self.busy = !self.one_in(3);
-        self.noise = if self.one_in(4) { 3000 } else { 60_000 };
+        self.servo_every = 60 + self.random.below(3000);
+        self.fed = !self.random.one_in(6);
+        self.busy = !self.random.one_in(3);
+        self.noise = if self.random.one_in(4) { 3000 } else { 60_000 };
     }
 
     /// What a host does once per servo period.
     fn servo_period(&mut self) {
         let c = self.channels;
         for n in 0..u32::from(c.stepgens) {
-            let velocity = match self.below(10) {
+            let velocity = match self.random.below(10) {
                 0 => 0,
                 1 => 1,
                 2 => !0,
                 3 => 0x7fff_ffff,
                 4 => 0x8000_0000,
-                5 | 6 => self.spread(),
-                7 | 8 => self.spread().wrapping_neg(),
+                5 | 6 => self.random.spread(),
+                7 | 8 => self.random.spread().wrapping_neg(),
                 _ => self.random.random(),
             };
-            let accel = match self.below(6) {
+            let accel = match self.random.below(6) {
                 0 => 0,
                 1 => u32::MAX,
-                _ => self.spread() | 1 << 16,
+                _ => self.random.spread() | 1 << 16,
             };
             self.write(pages::COMMAND, 4 + 2 * n, velocity);
             self.write(pages::COMMAND, 5 + 2 * n, accel);
         }
         for n in 0..u32::from(c.pwms) {
-            let width = match self.below(6) {
+            let width = match self.random.below(6) {
                 0 => 0,
                 1 => 0x1fff_ffff,
                 2 => 3000 << 8,
-                3 => self.below(1 << 25),
-                _ => self.below(400 << 8),
+                3 => self.random.below(1 << 25),
+                _ => self.random.below(400 << 8),
             };
-            let enable = if self.one_in(8) { 0 } else { 1 << 30 };
-            let direction = self.below(2) << 31;
+            let enable = if self.random.one_in(8) { 0 } else { 1 << 30 };
+            let direction = self.random.below(2) << 31;
             self.write(pages::COMMAND, 36 + n, width | enable | direction);
         }
         let mostly = |s: &mut Self| s.random.random::<u32>() | s.random.random::<u32>();
@@ -268,54 +263,54 @@ impl Stimulus {
             let token = self.token;
             self.write(pages::WATCHDOG, 2, token);
         }
-        let key = match self.below(12) {
+        let key = match self.random.below(12) {
             0..8 => ARM,
-            8 if self.one_in(2) => CLEAR,
-            9 if self.one_in(2) => self.random.random(),
+            8 if self.random.one_in(2) => CLEAR,
+            9 if self.random.one_in(2) => self.random.random(),
             9 => SOFT,
-            10 if self.one_in(6) => STOP,
+            10 if self.random.one_in(6) => STOP,
             _ => 0,
         };
         if key == ARM {
             self.write(pages::WATCHDOG, 3, CLEAR);
         }
         self.write(pages::WATCHDOG, 3, key);
-        if self.one_in(4) {
+        if self.random.one_in(4) {
             self.write(pages::TIMEBASE, 2, 0);
         }
     }
 
-    /// Arms and strobes as close together as the bus can carry them: what a rotation of the tallies
+    /// Arms and strobes as close together as the bus can carry them: what a rotation of the wide counters
     /// has to sort out.
     fn storm(&mut self) {
         for _ in 0..8 {
-            let word = [0, 2, 3][self.below(3) as usize];
-            let arms = if self.one_in(2) { 0 } else { !0 };
+            let word = [0, 2, 3][self.random.below(3) as usize];
+            let arms = if self.random.one_in(2) { 0 } else { !0 };
             // Enables of stepgens stay: a storm is about latches.
             let arms = if word == 0 { arms | 0xffff } else { arms };
             self.write(pages::COMMAND, word, arms);
-            let strobes = 1 + self.below(3);
+            let strobes = 1 + self.random.below(3);
             self.write(pages::TIMEBASE, 7, strobes);
         }
-        self.marks = 4 + self.below(40);
+        self.marks = 4 + self.random.below(40);
         self.flap = 40;
     }
 
     fn strobe(&mut self) {
-        let strobes = match self.below(8) {
+        let strobes = match self.random.below(8) {
             0 => 1,
             1 => 2,
-            2 => self.below(8),
+            2 => self.random.below(8),
             3 => 6,
             _ => 3,
         };
         if strobes & 4 != 0 {
             // Times just past and just to come, and never.
             let now = u64::from(self.chapter_clock());
-            let at = match self.below(5) {
+            let at = match self.random.below(5) {
                 0 => u64::MAX,
                 1 => 0,
-                _ => now + u64::from(self.below(400)),
+                _ => now + u64::from(self.random.below(400)),
             };
             self.write(pages::TIMEBASE, 6, u32::MAX);
             self.write(pages::TIMEBASE, 5, at as u32);
@@ -335,16 +330,16 @@ impl Stimulus {
                 self.shafts[n].left -= 1;
                 continue;
             }
-            if self.one_in(50) {
+            if self.random.one_in(50) {
                 self.shafts[n].forward = !self.shafts[n].forward;
             }
-            let lies = self.shafts[n].lies && self.one_in(20);
-            if self.one_in(400) {
+            let lies = self.shafts[n].lies && self.random.one_in(20);
+            if self.random.one_in(400) {
                 self.shafts[n].lies = !self.shafts[n].lies;
             }
             let gap = self.shafts[n].gap;
-            let jitter = if self.one_in(4) {
-                self.below(3 * gap + 1)
+            let jitter = if self.random.one_in(4) {
+                self.random.below(3 * gap + 1)
             } else {
                 0
             };
@@ -367,24 +362,24 @@ impl Stimulus {
             self.pins.enc_i ^= self.random.random::<u16>() & self.random.random::<u16>();
             self.pins.step_index ^= self.random.random::<u16>() & self.random.random::<u16>();
         }
-        if self.one_in(self.marks) {
-            let n = self.below(16);
-            match self.below(4) {
+        if self.random.one_in(self.marks) {
+            let n = self.random.below(16);
+            match self.random.below(4) {
                 0 | 1 => self.pins.enc_i ^= 1 << n,
                 2 => self.pins.enc_mask ^= 1 << n,
                 _ => self.pins.step_index ^= 1 << n,
             }
         }
         // Glitches of a clock or two.
-        if self.one_in(500) {
-            let n = self.below(16);
+        if self.random.one_in(500) {
+            let n = self.random.below(16);
             self.pins.enc_a ^= 1 << n;
         }
-        if self.one_in(150) {
-            let n = self.below(self.channels.inputs.into());
+        if self.random.one_in(150) {
+            let n = self.random.below(self.channels.inputs.into());
             // E-stop inputs seldom, or the gate never stays open.
             let stops = self.estop_mask >> n & 1 != 0;
-            if !stops || self.one_in(self.noise / 100) || self.pins.gpio_in >> n & 1 != 0 {
+            if !stops || self.random.one_in(self.noise / 100) || self.pins.gpio_in >> n & 1 != 0 {
                 self.pins.gpio_in ^= 1 << n;
             }
         }
@@ -393,22 +388,22 @@ impl Stimulus {
             if self.reset_left == 0 {
                 self.pins.ext_reset = 0;
             }
-        } else if self.one_in(self.noise * 3) {
+        } else if self.random.one_in(self.noise * 3) {
             self.pins.ext_reset = 1;
-            self.reset_left = 1 + self.below(20);
+            self.reset_left = 1 + self.random.below(20);
         }
         // A short that comes and goes. It is seen, and what drives the pins does not know of it.
-        if self.one_in(3000) {
-            self.pins.pad_fault = self.below(4) as u8;
+        if self.random.one_in(3000) {
+            self.pins.pad_fault = self.random.below(4) as u8;
             (self.pins.pad_at, self.pins.pad_to) = (self.pad(), self.pad());
         }
-        self.rst = self.one_in(self.noise * 5);
+        self.rst = self.random.one_in(self.noise * 5);
     }
 
     /// A pad that there is, by number.
     fn pad(&mut self) -> u8 {
         let c = self.channels;
-        let pads = match self.below(7) {
+        let pads = match self.random.below(7) {
             0 => (0..c.stepgens).map(Pad::Step).collect::<Vec<_>>(),
             1 => (0..c.stepgens).map(Pad::Dir).collect(),
             2 => (0..c.stepgens).map(Pad::StepN).collect(),
@@ -417,7 +412,7 @@ impl Stimulus {
             5 => (0..c.pwms).map(Pad::PwmDir).collect(),
             _ => (0..c.outputs).map(Pad::Output).collect(),
         };
-        let n = self.below(pads.len() as u32) as usize;
+        let n = self.random.below(pads.len() as u32) as usize;
         pads.get(n).map_or(0, |pad| pad.number())
     }
 
@@ -427,7 +422,7 @@ impl Stimulus {
         if self.chapter % 30_000 == 1 {
             self.settings();
         }
-        if self.one_in(1500) && self.writes.is_empty() {
+        if self.random.one_in(1500) && self.writes.is_empty() {
             self.storm();
         }
         self.servo += 1;
@@ -439,24 +434,24 @@ impl Stimulus {
             rst: self.rst,
             ..Bus::default()
         };
-        if self.one_in(700) {
-            bus.frame_done = Some(self.one_in(2));
+        if self.random.one_in(700) {
+            bus.frame_done = Some(self.random.one_in(2));
         }
-        bus.beat = self.one_in(2);
-        if self.one_in(300) {
-            bus.frame_pending = Some(self.one_in(2));
+        bus.beat = self.random.one_in(2);
+        if self.random.one_in(300) {
+            bus.frame_pending = Some(self.random.one_in(2));
         }
         // Writes as close as the bus can carry them, and with the CPU's pauses.
         let writes = if self.busy { 1 } else { 3 };
-        if !self.writes.is_empty() && self.one_in(writes) {
+        if !self.writes.is_empty() && self.random.one_in(writes) {
             let (page, word, data) = self.writes.pop_front().expect("not empty");
             bus.write = Some((page << 9 | word, data));
             return (page << 9 | word, bus);
         }
-        let address = if self.one_in(60) {
-            self.below(1 << 15)
+        let address = if self.random.one_in(60) {
+            self.random.below(1 << 15)
         } else {
-            let at = self.below(self.registers.len() as u32) as usize;
+            let at = self.random.below(self.registers.len() as u32) as usize;
             let (page, word) = self.registers[at];
             page << 9 | word
         };

@@ -21,10 +21,33 @@ use crate::state::{GateClose, ResetReason};
 pub const MAGIC: u32 = 0x4643_5231;
 /// Words before the board blob.
 pub const WORDS: usize = 18;
+/// Where the wire version is, in words.
+pub const WIRE_VERSION_AT: usize = 1;
+/// Where the firmware's register map is, in words.
+pub const ABI_FIRMWARE_AT: usize = 2;
+/// Where the clock is, in words.
+pub const CLOCK_HZ_AT: usize = 6;
+/// Where the first of the two words with the channels is, in words.
+pub const CHANNELS_AT: usize = 7;
 /// Where the features are, in words.
 pub const FEATURES_AT: usize = 9;
+/// Where the boot id is, in words.
+pub const BOOT_ID_AT: usize = 10;
+/// Where the state is, in words.
+pub const STATE_AT: usize = 14;
+/// Where the obstacles are, in words.
+pub const OBSTACLES_AT: usize = 15;
+/// Where the reason of the last start is, in words.
+pub const RESET_REASON_AT: usize = 16;
+/// Where the reason of the gate's last close is, in words.
+pub const GATE_CLOSE_AT: usize = 17;
 /// Where the board blob begins, in words.
 pub const BLOB_AT: usize = 64;
+
+/// The address of a word of the description.
+pub const fn address(word: usize) -> u32 {
+    crate::map::DESCRIBE + 4 * word as u32
+}
 
 /// Obstacle to arming: gateware and firmware were built from different register maps.
 pub const OBSTACLE_ABI: u32 = 1 << 0;
@@ -186,37 +209,39 @@ impl Describe {
         if words[0] != MAGIC {
             return Err(DescribeError::Magic(words[0]));
         }
-        if words[1] != crate::WIRE_VERSION {
+        if words[WIRE_VERSION_AT] != crate::WIRE_VERSION {
             return Err(DescribeError::Version {
                 ours: crate::WIRE_VERSION,
-                theirs: words[1],
+                theirs: words[WIRE_VERSION_AT],
             });
         }
         let malformed = |_| DescribeError::Malformed;
-        let channels = Channels::from_words(words[7], words[8]).map_err(malformed)?;
-        let state = exchange::StateWord::from_word(words[14]).map_err(malformed)?;
+        let channels =
+            Channels::from_words(words[CHANNELS_AT], words[CHANNELS_AT + 1]).map_err(malformed)?;
+        let state = exchange::StateWord::from_word(words[STATE_AT]).map_err(malformed)?;
         let reset_reason =
-            ResetReason::from_code(words[16] as u8).ok_or(DescribeError::Malformed)?;
-        let gate_close = GateClose::from_code(words[17] as u8).ok_or(DescribeError::Malformed)?;
+            ResetReason::from_code(words[RESET_REASON_AT] as u8).ok_or(DescribeError::Malformed)?;
+        let gate_close =
+            GateClose::from_code(words[GATE_CLOSE_AT] as u8).ok_or(DescribeError::Malformed)?;
         let lengths_agree = words[11] as usize == exchange::command_words(channels)
             && words[12] as usize == exchange::status_words(channels);
         let blob_fits = words[13] <= (crate::map::DESCRIBE_LEN / 4) - BLOB_AT as u32;
-        if !lengths_agree || !blob_fits || words[6] == 0 {
+        if !lengths_agree || !blob_fits || words[CLOCK_HZ_AT] == 0 {
             return Err(DescribeError::Malformed);
         }
         Ok(Describe {
-            wire_version: words[1],
-            abi_firmware: words[2],
+            wire_version: words[WIRE_VERSION_AT],
+            abi_firmware: words[ABI_FIRMWARE_AT],
             abi_gateware: words[3],
             firmware_version: words[4],
             gateware_version: words[5],
-            clock_hz: words[6],
+            clock_hz: words[CLOCK_HZ_AT],
             channels,
             features: words[FEATURES_AT],
-            boot_id: words[10],
+            boot_id: words[BOOT_ID_AT],
             blob_words: words[13],
             state,
-            obstacles: words[15],
+            obstacles: words[OBSTACLES_AT],
             reset_reason,
             gate_close,
         })

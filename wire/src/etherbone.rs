@@ -32,6 +32,11 @@ pub const HEADER_WORDS: usize = 2;
 /// The only valid byte enable, at its place in a record header.
 pub const BYTE_ENABLE: u32 = 0x000f_0000;
 
+/// The header of a record that writes and reads this many words, each at most 255.
+pub const fn record(writes: usize, reads: usize) -> u32 {
+    BYTE_ENABLE | (writes as u32) << 8 | reads as u32
+}
+
 const MAGIC: u32 = 0x4e6f;
 const FLAG_PROBE: u32 = 1 << 8;
 const FLAG_PROBE_REPLY: u32 = 1 << 9;
@@ -229,7 +234,7 @@ impl<'b> ReplyWriter<'b> {
 
     /// Opens a record that carries `count` words for `base`; push exactly that many afterwards.
     pub fn write_record(&mut self, base: u32, count: u8) -> bool {
-        self.push(BYTE_ENABLE | u32::from(count) << 8) && self.push(base)
+        self.push(record(count.into(), 0)) && self.push(base)
     }
 
     /// A whole record that reads `addresses` and asks for the words under `return_base`.
@@ -237,9 +242,7 @@ impl<'b> ReplyWriter<'b> {
         let Ok(count) = u8::try_from(addresses.len()) else {
             return false;
         };
-        self.push(BYTE_ENABLE | u32::from(count))
-            && self.push(return_base)
-            && self.extend(addresses)
+        self.push(record(0, count.into())) && self.push(return_base) && self.extend(addresses)
     }
 
     /// The packet so far.

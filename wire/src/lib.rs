@@ -25,7 +25,7 @@
 //! | [`refusal`] | every reason why a datagram is dropped, each with its own counter |
 //! | [`layout`] | the layout of the exchange as text, for the ABI number |
 //! | [`regmap`] | the register map: what lies in the service window, and the board's memory |
-//! | [`units`] | step rate, acceleration, position and counts as types |
+//! | [`units`] | velocity, acceleration, position and counts as types |
 //!
 //! Everything on the wire except [`jobs`] is big-endian 32-bit words. In memory, words are `u32` in
 //! the machine's own order: a transport converts once ([`words_from_bytes`], [`words_to_bytes`]),

@@ -97,10 +97,10 @@ impl core::fmt::Display for SettingsError {
             SettingsError::Magic => f.write_str("no settings are saved"),
             SettingsError::Version(theirs) => write!(
                 f,
-                "the saved settings have layout {theirs}, this side knows {VERSION}; set them anew"
+                "the saved settings have layout {theirs}, this side knows {VERSION}; set them again"
             ),
             SettingsError::Crc => {
-                f.write_str("the saved settings are damaged (CRC); set them anew")
+                f.write_str("the saved settings are damaged (CRC); set them again")
             }
             SettingsError::Value(word) => {
                 write!(f, "word {word} of the settings is out of range")

@@ -132,7 +132,7 @@ mod tests {
     const CLOCK: f64 = 60e6;
 
     #[test]
-    fn one_unit_of_rate_is_finer_than_the_design_asks() {
+    fn one_unit_of_velocity_is_finer_than_the_design_asks() {
         assert!(Velocity(1).to_hz(50e6) <= 0.012);
         assert!(Accel(1).to_steps(50e6).unwrap() <= 0.1);
     }
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_and_limits_are_rounded_to_the_nearest_unit() {
+    fn velocities_and_limits_are_rounded_to_the_nearest_unit() {
         let unit = Velocity(1).to_hz(CLOCK);
         for (units, rounded) in [(2.4, 2), (2.6, 3), (-2.4, -2), (-2.6, -3), (-0.4, 0)] {
             assert_eq!(Velocity::from_hz(units * unit, CLOCK), Velocity(rounded));
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_survive_the_round_trip_at_the_edges() {
+    fn velocities_survive_the_round_trip_at_the_edges() {
         for units in [0, 1, -1, i32::MAX, -i32::MAX, 71_583] {
             assert_eq!(
                 Velocity::from_hz(Velocity(units).to_hz(CLOCK), CLOCK),

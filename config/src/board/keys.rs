@@ -202,7 +202,7 @@ pub const KEYS: &[Key] = &[
     must(
         "network",
         Kind::Table(NETWORK),
-        "a table with ipv4 and udp_port, and mac if it shall have one of its own",
+        "a table with ipv4 and udp_port, and mac where the board is not to make one",
     ),
     may(
         "modified",

@@ -4,7 +4,7 @@ use hmac::{Hmac, Mac};
 use proptest::prelude::*;
 use std::vec::Vec;
 use wire::auth::{EXAMPLE_CHALLENGE, EXAMPLE_KEY, EXAMPLE_TAG};
-use wire::{MAX_WORDS, ReplyWriter, etherbone, map};
+use wire::{MAX_WORDS, Request, etherbone, map};
 
 const KEY: Words = [0xfeed_0001, 2, 3, 4];
 const WRONG: Words = [0xfeed_0001, 2, 3, 5];
@@ -143,13 +143,11 @@ fn a_tag_is_good_for_one_purpose() {
 /// An acquisition, as a host sends it.
 fn acquisition(nonce: u32, answer: Words) -> Vec<u32> {
     let mut words = [0; MAX_WORDS];
-    let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-    request.write_record(map::SESSION_RESPONSE, 4);
-    request.extend(&answer);
-    request.write_record(map::SESSION_ACQUIRE, 1);
-    request.push(nonce);
-    request.read_record(0x77, &[map::SESSION_TOKEN]);
-    request.words().to_vec()
+    let request = Request::new(&mut words)
+        .write(map::SESSION_RESPONSE, &answer)
+        .write(map::SESSION_ACQUIRE, &[nonce])
+        .read(0x77, &[map::SESSION_TOKEN]);
+    request.words().unwrap().to_vec()
 }
 
 impl Rig {
@@ -187,7 +185,7 @@ impl Rig {
 }
 
 /// The describe block's features.
-const FEATURES: u32 = map::DESCRIBE + 4 * wire::describe::FEATURES_AT as u32;
+const FEATURES: u32 = wire::describe::address(wire::describe::FEATURES_AT);
 
 #[test]
 fn a_board_with_a_key_says_so_and_gives_its_session_to_a_client_with_the_key() {
@@ -233,7 +231,7 @@ fn an_answer_is_whole_and_in_front_of_the_nonce_or_there_is_none() {
     let mut rig = Rig::locked();
     let right = rig.answer(ALICE, &KEY, 7);
     let record = |base, words: &[u32]| {
-        let head = [0x000f_0000 | (words.len() as u32) << 8, base];
+        let head = [etherbone::record(words.len(), 0), base];
         [&head[..], words].concat()
     };
     let packet = |records: &[Vec<u32>]| [&[etherbone::HEADER, 0][..], &records.concat()].concat();

@@ -606,14 +606,19 @@ fn while_an_operation_runs_nothing_else_is_taken_and_the_machine_is_not_armed() 
     ] {
         assert_eq!(rig.write(address, value), Err(Refusal::Busy), "{address:x}");
     }
-    let obstacles = rig.read(map::DESCRIBE + 4 * 15).unwrap();
+    let obstacles = rig
+        .read(wire::describe::address(wire::describe::OBSTACLES_AT))
+        .unwrap();
     assert_eq!(obstacles, wire::describe::OBSTACLE_FLASH);
     for (enable, request) in [(true, false), (true, true), (true, true), (true, true)] {
         let status = rig.exchange(enable, request).unwrap();
         assert_eq!(status.state.state, wire::State::Disarmed);
     }
     settle(&mut rig);
-    assert_eq!(rig.read(map::DESCRIBE + 4 * 15), Ok(0));
+    assert_eq!(
+        rig.read(wire::describe::address(wire::describe::OBSTACLES_AT)),
+        Ok(0)
+    );
     let status = rig.exchange(true, true).unwrap();
     assert_eq!(
         status.state.state,

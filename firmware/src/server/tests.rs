@@ -4,6 +4,7 @@ use crate::fake::*;
 use proptest::prelude::*;
 use wire::auth::Purpose;
 use wire::describe::Channels;
+use wire::etherbone::HEADER;
 use wire::exchange::{Command, Latch, PWM_ENABLE, STATUS_MAX, Status};
 use wire::map::{BoardConfig, StepgenConfig};
 use wire::regmap::{command, timebase};
@@ -17,5 +18,3 @@ mod segments;
 mod settings;
 mod stops;
 mod windows;
-
-const HEADER: u32 = 0x4e6f_1044;

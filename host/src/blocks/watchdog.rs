@@ -70,7 +70,7 @@ impl Watchdog {
         }
     }
 
-    /// The machine was armed: the minimum starts anew.
+    /// The machine was armed: the minimum starts again.
     pub fn armed(&self) {
         self.margin_min.set(u32::MAX);
     }

@@ -108,7 +108,7 @@ impl Driver {
         self.tell_restart(why);
     }
 
-    /// The board has started anew, by its own word or by its clock.
+    /// The board has restarted, by its own word or by its clock.
     pub(super) fn tell_restart(&mut self, why: ResetReason) {
         self.condition.restarted = true;
         self.notifier.once(

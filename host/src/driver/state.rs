@@ -33,7 +33,7 @@ pub(super) struct Blocks {
 }
 
 impl Blocks {
-    /// The fabric began to count anew.
+    /// The fabric began to count again.
     pub(super) fn rebase(&mut self) {
         for stepgen in &mut self.stepgens {
             stepgen.rebase();
@@ -146,7 +146,7 @@ pub(super) struct Condition {
     pub(super) halted: bool,
     /// Commands later than this one say `enable` false until the board has stopped.
     pub(super) halting: Option<u32>,
-    /// The board started anew and was not armed since.
+    /// The board restarted and was not armed since.
     pub(super) restarted: bool,
     /// It said that its fabric is a new one; the first sample will tell.
     pub(super) new_fabric: bool,

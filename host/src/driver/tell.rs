@@ -18,7 +18,7 @@ pub(super) enum Event {
     Silent,
     /// The servo thread came later than the watchdog waits.
     HeldUp,
-    /// The board has started anew.
+    /// The board has restarted.
     Restarted,
     /// Something else answers at its address.
     Stranger,

@@ -50,7 +50,7 @@ const TURNS: usize = 64;
 const NAP: Duration = Duration::from_micros(250);
 /// The same without a client and without a job.
 const SLEEP: Duration = Duration::from_millis(2);
-/// Clients beside the guest; one more, and the first of them has to go.
+/// Clients beside the one that is connected; one more, and the first of them has to go.
 const CALLERS: usize = 16;
 /// The time the axes may take to come to rest when this program is told to end.
 const FAREWELL: Duration = Duration::from_secs(10);
@@ -110,8 +110,8 @@ pub struct Streamer {
     far: Far,
     listener: TcpListener,
     at: SocketAddr,
-    guest: Option<Guest>,
-    /// They came while the guest was there.
+    connection: Option<Connection>,
+    /// They came while another client was connected.
     callers: Vec<Caller>,
 }
 
@@ -156,7 +156,7 @@ impl Streamer {
             far,
             listener,
             at,
-            guest: None,
+            connection: None,
             callers: Vec::new(),
         })
     }
@@ -173,7 +173,7 @@ impl Streamer {
             self.hear_callers();
             self.go_on();
         }
-        self.guest = None;
+        self.connection = None;
         self.stop();
         let end = Instant::now() + FAREWELL;
         while self.jobs.executor().busy() && Instant::now() < end {
@@ -185,15 +185,15 @@ impl Streamer {
     fn go_on(&mut self) {
         let mut lively = false;
         for _ in 0..TURNS {
-            if let Some(guest) = &mut self.guest {
-                lively |= guest.serve(&mut self.jobs, &mut self.far);
+            if let Some(connection) = &mut self.connection {
+                lively |= connection.serve(&mut self.jobs, &mut self.far);
             }
             self.jobs.poll(&mut self.far);
         }
         let executor = self.jobs.executor();
         lively |= core::mem::take(&mut self.far.wrote) || executor.state() == State::Checking;
         if !lively {
-            let idle = self.guest.is_none() && !executor.busy();
+            let idle = self.connection.is_none() && !executor.busy();
             std::thread::sleep(if idle { SLEEP } else { NAP });
         }
     }
@@ -231,17 +231,17 @@ impl Streamer {
 
     /// Accepts a client; one at a time.
     fn accept_client(&mut self) {
-        if let Some(guest) = &mut self.guest
-            && !guest.hear()
+        if let Some(connection) = &mut self.connection
+            && !connection.hear()
         {
             // Requests in front of the end of a connection are executed.
-            while !guest.leaves && guest.serve(&mut self.jobs, &mut self.far) {}
-            self.guest = None;
+            while !connection.leaves && connection.serve(&mut self.jobs, &mut self.far) {}
+            self.connection = None;
         }
         let Ok((mut stream, _)) = self.listener.accept() else {
             return;
         };
-        if self.guest.is_some() {
+        if self.connection.is_some() {
             let mut frame = [0; FRAME];
             let length = wire::jobs::answer(Op::Hello.code(), Status::Busy, 0, &mut frame, |_| {});
             // A client that is gone needs no answer.
@@ -258,7 +258,7 @@ impl Streamer {
             }
         } else if stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok() {
             self.jobs.visit(&mut self.far);
-            self.guest = Some(Guest {
+            self.connection = Some(Connection {
                 stream,
                 ahead: Vec::new(),
                 answers: Vec::new(),
@@ -321,7 +321,7 @@ impl Caller {
 
 /// The client of the jobs.
 #[derive(Debug)]
-struct Guest {
+struct Connection {
     stream: TcpStream,
     /// Received bytes that are not yet read.
     ahead: Vec<u8>,
@@ -331,7 +331,7 @@ struct Guest {
     leaves: bool,
 }
 
-impl Guest {
+impl Connection {
     /// Receives and sends what the network takes. False: the client is gone.
     fn hear(&mut self) -> bool {
         while !self.answers.is_empty() {
@@ -497,12 +497,13 @@ impl Far {
         }
         self.owns = false;
         let mut words = [0; 8];
-        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-        request.write_record(map::SESSION_RELEASE, token.len() as u8);
-        request.extend(token);
         let tag = self.client.next_tag();
-        request.read_record(tag, &[map::SESSION_OWNER_PORT]);
-        let _gone = self.client.once(request.words(), tag..=tag, 1);
+        let request = etherbone::Request::new(&mut words)
+            .write(map::SESSION_RELEASE, token)
+            .read(tag, &[map::SESSION_OWNER_PORT]);
+        if let Some(request) = request.words() {
+            let _gone = self.client.once(request, tag..=tag, 1);
+        }
     }
 
     /// Each try has a sequence number of its own: one that was executed is not executed again, and
@@ -516,18 +517,13 @@ impl Far {
         }
         let end = Instant::now() + PATIENCE;
         let first = self.sequence.wrapping_add(1);
-        let mut words = [0; MAX_WORDS];
+        let (mut words, mut block) = ([0; MAX_WORDS], block.to_vec());
         while Instant::now() < end {
             self.sequence = self.sequence.wrapping_add(1);
-            let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-            let [token, _, rest @ ..] = block else {
-                return None;
-            };
-            request.write_record(map::COMMAND, block.len() as u8);
-            request.extend(&[*token, self.sequence]);
-            request.extend(rest);
+            *block.get_mut(1)? = self.sequence;
+            let request = etherbone::Request::new(&mut words).write(map::COMMAND, &block);
             let tags = first..=self.sequence;
-            match self.client.once(request.words(), tags, self.status_words) {
+            match self.client.once(request.words()?, tags, self.status_words) {
                 Ok(Some(answer)) => return Some(answer),
                 Ok(None) => {}
                 Err(_) => std::thread::sleep(TRY),
@@ -568,22 +564,17 @@ impl Far {
         };
         let number = last.wrapping_add(1);
         let mut words = [0; MAX_WORDS];
-        let mut request = ReplyWriter::new(&mut words, etherbone::HEADER);
-        request.write_record(map::SESSION_SEGMENTS, 1);
-        request.push(number);
+        let mut request =
+            etherbone::Request::new(&mut words).write(map::SESSION_SEGMENTS, &[number]);
         for run in waiting.chunk_by(|(one, _), (next, _)| one + 1 == *next) {
-            request.write_record(address(run[0].0), run.len() as u8);
-            for (_, value) in run {
-                request.push(*value);
-            }
+            let values: Vec<u32> = run.iter().map(|(_, value)| *value).collect();
+            request = request.write(address(run[0].0), &values);
         }
         let tag = self.client.next_tag();
-        if !request.read_record(tag, reads) {
-            return None;
-        }
+        let request = request.read(tag, reads).words()?;
         let end = Instant::now() + PATIENCE;
         while Instant::now() < end {
-            if let Ok(Some((_, said))) = self.client.once(request.words(), tag..=tag, reads.len()) {
+            if let Ok(Some((_, said))) = self.client.once(request, tag..=tag, reads.len()) {
                 self.number = Some(number);
                 return Some(said);
             }

@@ -41,7 +41,7 @@ pub struct Sample {
     /// The host's time when it had the answer.
     pub after: Duration,
     /// The wall clock's low word and the Ethernet clock's beats as the gateware caught them
-    /// together; none if it counts no such clock, or caught them anew while they were read.
+    /// together; none if it counts no such clock, or caught them again while they were read.
     pub caught: Option<[u32; 2]>,
 }
 
@@ -127,7 +127,7 @@ pub fn judge(samples: &[Sample], hz: u32, speed: LinkSpeed, readback: bool) -> V
             "ethernet clock",
             "not measured",
             "this board's gateware has no counter in that clock",
-            "build and flash it anew: `ferrocnc update` with a .bit of this version",
+            "build and flash it again: `ferrocnc update` with a .bit of this version",
         ),
     };
     vec![system(samples, hz), ethernet]

@@ -177,7 +177,7 @@ fn look(
             "output pads",
             "not read",
             "this board's gateware has no read-back",
-            "build and flash it anew: `ferrocnc update` with a .bit of this version; or a jumper from the pin to an input: --loop",
+            "build and flash it again: `ferrocnc update` with a .bit of this version; or a jumper from the pin to an input: --loop",
         ),
     });
     Ok(())

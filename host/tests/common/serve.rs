@@ -75,7 +75,8 @@ impl Mind {
             }
             map::SESSION_RELEASE if owner => Ok(()),
             map::CONFIG..map::COMMAND if owner => {
-                let live_safe = (0x400..0x800).contains(&(address & 0xfff)) && address & 0x3c == 0;
+                let live_safe = (map::CONFIG_PWM..map::CONFIG_ENCODER).contains(&address)
+                    && address.is_multiple_of(map::CONFIG_STRIDE);
                 if self.gate && !live_safe {
                     Err(Refusal::Armed)
                 } else {

@@ -1,6 +1,7 @@
 use super::*;
 use crate::plant::{Axis, Spindle, Switch};
-use wire::describe::Channels;
+use wire::describe::{self, Channels};
+use wire::etherbone::{HEADER, record};
 use wire::exchange::{Command, Latch, REQUEST_OVERHEAD, Status};
 use wire::map;
 use wire::units::{Accel, Velocity};
@@ -41,15 +42,12 @@ impl Bench {
     }
 
     fn read(&mut self, address: u32) -> u32 {
-        self.ask(&[0x4e6f_1044, 0, 0x000f_0001, 0, address])
+        self.ask(&[HEADER, 0, record(0, 1), 0, address])
             .expect("an answer")[4]
     }
 
     fn write(&mut self, address: u32, value: u32) {
-        assert_eq!(
-            self.ask(&[0x4e6f_1044, 0, 0x000f_0100, address, value]),
-            None
-        );
+        assert_eq!(self.ask(&[HEADER, 0, record(1, 0), address, value]), None);
     }
 
     /// One servo period.
@@ -251,7 +249,7 @@ fn a_visitor_is_greeted_answered_and_let_go() {
 fn a_board_that_starts_anew_forgets_its_session_and_its_counts_but_the_machine_stays_where_it_is() {
     for word in ["reboot", "power"] {
         let mut bench = Bench::armed(Plant::direct(6));
-        let boot = bench.read(map::DESCRIBE + 4 * 10);
+        let boot = bench.read(describe::address(describe::BOOT_ID_AT));
         bench.velocity(0, 50_000.0);
         bench.periods(20);
         let there = bench.twin.environment().edges.channel(0).count;
@@ -260,10 +258,14 @@ fn a_board_that_starts_anew_forgets_its_session_and_its_counts_but_the_machine_s
         bench.twin.trouble(&word.parse().unwrap()).unwrap();
         assert_eq!(bench.twin.environment().pins().gate, 0, "{word}");
         // The firmware has not started yet.
-        assert_eq!(bench.ask(&[0x4e6f_1044, 0, 0x000f_0001, 0, 0]), None);
+        assert_eq!(bench.ask(&[HEADER, 0, record(0, 1), 0, 0]), None);
         bench.twin.pass(clock + STARTING);
         assert_eq!(bench.read(map::SESSION_TOKEN), 0, "{word}");
-        assert_ne!(bench.read(map::DESCRIBE + 4 * 10), boot, "{word}");
+        assert_ne!(
+            bench.read(describe::address(describe::BOOT_ID_AT)),
+            boot,
+            "{word}"
+        );
         assert_eq!(bench.twin.environment().edges.channel(0).count, there);
         assert_eq!(bench.twin.environment().edges.violations(), []);
     }
@@ -299,7 +301,7 @@ fn a_pulled_cable_stops_the_machine_and_the_phy_says_so() {
 fn a_frozen_cpu_answers_nothing_and_the_watchdog_bites_all_the_same() {
     let mut bench = Bench::armed(Plant::default());
     bench.twin.freeze_cpu(true);
-    assert_eq!(bench.ask(&[0x4e6f_1044, 0, 0x000f_0001, 0, 0]), None);
+    assert_eq!(bench.ask(&[HEADER, 0, record(0, 1), 0, 0]), None);
     let end = bench.twin.clock() + 8 * MS;
     while bench.twin.clock() < end {
         bench.twin.pass(end);

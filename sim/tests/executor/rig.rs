@@ -26,7 +26,7 @@ use wire::jobs::{
 };
 use wire::regmap::{self, segments};
 use wire::settings::Settings;
-use wire::{MAX_WORDS, Name};
+use wire::{MAX_WORDS, Name, etherbone};
 
 /// Slower than any board: the models go clock by clock while axes move.
 pub const CLOCK: u64 = 4_000_000;
@@ -330,7 +330,7 @@ impl Rig {
         rig
     }
 
-    /// The firmware starts anew; memory, gateware and machine are what they were.
+    /// The firmware restarts; memory, gateware and machine are what they were.
     pub fn restart(self) -> Self {
         let ident = *self.machine.server.ident();
         let mut server = self.machine.board;
@@ -340,7 +340,7 @@ impl Rig {
         rig
     }
 
-    /// The firmware of a board that a PC streams to starts anew; the PC's program runs on.
+    /// The firmware of a board that a PC streams to restarts; the PC's program runs on.
     pub fn restart_streamed(mut self) -> Self {
         let ident = *self.machine.server.ident();
         let mut server = self.machine.board;
@@ -554,9 +554,9 @@ impl Rig {
     /// A LinuxCNC somewhere takes the session; false: it cannot.
     pub fn linuxcnc(&mut self) -> bool {
         let request = [
-            0x4e6f_1044,
+            etherbone::HEADER,
             0,
-            0x000f_0101,
+            etherbone::record(1, 1),
             wire::map::SESSION_ACQUIRE,
             7,
             0,

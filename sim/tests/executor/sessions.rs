@@ -3,6 +3,7 @@
 use crate::rig::*;
 use crate::stops::client::Client;
 use sim::plant::Plant;
+use wire::etherbone::{HEADER, record};
 use wire::jobs::{End, Request, State, Status, UNATTENDED};
 use wire::{Name, jobs};
 
@@ -49,7 +50,7 @@ fn nothing_from_the_wire_is_taken_for_the_program() {
     let mut rig = Rig::plotter();
     rig.start("G1 X20 F6000\nG1 X0\nM2\n");
     rig.underway();
-    let read = [0x4e6f_1044, 0, 0x000f_0001, 0, wire::map::SESSION_TOKEN];
+    let read = [HEADER, 0, record(0, 1), 0, wire::map::SESSION_TOKEN];
     let mut reply = [0; wire::MAX_WORDS];
     let inside = firmware::session::Peer::INSIDE;
     let answer = rig.machine.datagram(&read, inside, &mut reply);
@@ -117,7 +118,7 @@ fn answer(challenge: [u32; 4], nonce: u32) -> [u32; 4] {
 }
 
 /// A host drives the axes, its stop is cut off, and it goes on as after any e-stop: it acquires
-/// anew, arms and gives the session back.
+/// again, arms and gives the session back.
 fn cut_off_and_armed_again(rig: &mut Rig) {
     let mut client = Client::of(rig);
     client.arm(rig, 7);

@@ -206,7 +206,7 @@ fn what_arrived_garbled_and_what_is_no_job_are_told_apart() {
         });
     }
     assert_eq!(rig.status(&Request::Commit), Status::Crc);
-    assert!(list(&mut rig).is_empty(), "begins anew");
+    assert!(list(&mut rig).is_empty(), "begins again");
     assert!(rig.send("x", &good).ready);
     // No job at all, a cut one, and two in one.
     let cut = &good[..good.len() - 12];

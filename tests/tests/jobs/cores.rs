@@ -5,12 +5,9 @@ use ferrocnc_tests::drawing::{self, TOLERANCE, Watch};
 use ferrocnc_tests::pins::{self, Prediction};
 use sim::model::board::pages;
 use sim::soc::{Cores, CoresPins};
+use sim::stimulus::before_a_job;
 use std::collections::VecDeque;
 use std::path::PathBuf;
-
-const ARM: u32 = wire::regmap::watchdog::CONTROL_KEY_ARM;
-
-const CLEAR: u32 = wire::regmap::watchdog::CONTROL_KEY_CLEAR;
 
 const PUSH: u32 = wire::regmap::segments::PUSH as u32;
 
@@ -28,23 +25,10 @@ fn play(told: &Prediction, timing: [u32; 4]) -> Vec<pins::Event> {
     );
     let mut cores = Cores::load(&folder).unwrap_or_else(|error| panic!("{error}"));
     let mut pins = CoresPins::default();
-    let mut writes: VecDeque<(u32, u32, u32)> = VecDeque::new();
-    for n in 0..3 {
-        let words = timing.into_iter().chain([1 << 24, 0]);
-        writes.extend(
-            (0..)
-                .zip(words)
-                .map(|(word, data)| (pages::STEPGEN + n, word, data)),
-        );
-    }
-    writes.extend([
-        (pages::WATCHDOG, 0, u32::MAX),
-        (pages::WATCHDOG, 1, 1000),
-        (pages::WATCHDOG, 3, CLEAR),
-        (pages::WATCHDOG, 3, ARM),
-        (pages::TIMEBASE, 7, 1),
-        (pages::SEGMENTS, MASK, 1),
-    ]);
+    let [steplen, stepspace, dirsetup, dirhold] = timing;
+    let words = [steplen, stepspace, dirsetup, dirhold, 1 << 24, 0];
+    let mut writes = VecDeque::from_iter(before_a_job(3, words));
+    writes.push_back((pages::SEGMENTS, MASK, 1));
     let mut segments = told.segments.iter();
     let (mut watch, mut started, mut status) = (Watch::default(), false, 0);
     for clock in 0.. {

@@ -8,6 +8,7 @@
 mod clients;
 mod cores;
 mod drawings;
+mod guide;
 mod rig;
 mod streamed;
 mod strikes;

@@ -195,7 +195,7 @@ fn three_boards_with_one_address_are_told_apart_and_named_one_by_one() {
             assert_eq!(answer, expected, "board {own:x} told what is for {uid:x}");
         }
     }
-    // They have started anew by themselves.
+    // They have restarted by themselves.
     for (n, bench) in (0u32..).zip(&mut boards) {
         bench.pass(200);
         let Body::Here(here) = bench.present().body else {

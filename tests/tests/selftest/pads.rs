@@ -158,7 +158,7 @@ fn gateware_without_read_back_is_told_as_such_and_tested_as_far_as_it_goes() {
     for check in ["ethernet clock", "output pads"] {
         let skipped = finding(&report, check);
         assert_eq!(skipped.verdict, Verdict::Skipped);
-        assert!(skipped.remedy.contains("flash it anew"), "{skipped:?}");
+        assert!(skipped.remedy.contains("flash it again"), "{skipped:?}");
     }
     assert!(
         finding(&report, "output 0 out-00")

@@ -87,6 +87,34 @@ fn xtask_commands(page: &str) -> Vec<String> {
     found
 }
 
+/// The word behind each `cargo xtask` in code spans of a source's messages and comments.
+fn xtask_words(text: &str) -> Vec<&str> {
+    let spans = text.split("`cargo xtask ").skip(1);
+    let end = |span: &str| span.find(|c: char| !c.is_ascii_lowercase() && c != '-');
+    spans
+        .map(|span| &span[..end(span).unwrap_or(span.len())])
+        .filter(|word| !word.is_empty())
+        .collect()
+}
+
+#[test]
+fn every_command_of_xtask_in_a_source_is_one() {
+    let known = crate::Cli::command();
+    let (mut wrong, mut tried) = (Vec::new(), 0);
+    for ending in ["rs", "py", "sh", "sv", "cpp", "toml", "hal", "yml"] {
+        for file in tree::with_ending(root(), ending).unwrap() {
+            for word in xtask_words(&read(&root().join(&file))) {
+                tried += 1;
+                if known.find_subcommand(word).is_none() {
+                    wrong.push(format!("{}: cargo xtask {word}", file.display()));
+                }
+            }
+        }
+    }
+    assert!(tried > 40, "only {tried} commands found");
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
 /// The words of a command without what explains it: a comment, or text behind two blanks. Words
 /// that stand for others (`NAME`, `..`, `[..]`, `a|b`) are left out with all behind them; then it
 /// is not whole.

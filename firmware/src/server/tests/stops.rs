@@ -1,6 +1,7 @@
 //! Bites, releases, boards that never arm, and the state word.
 
 use super::*;
+use wire::describe;
 
 #[test]
 fn a_bite_kills_the_session_and_recovery_needs_resync_and_edge() {
@@ -95,10 +96,19 @@ fn a_board_of_another_abi_describes_itself_and_never_arms() {
         assert_eq!(status.state.reason, FaultReason::AbiMismatch);
         assert!(!status.state.enabled);
     }
-    assert_eq!(rig.read(4 * 2), Ok(ABI));
-    assert_eq!(rig.read(4 * 3), Ok(1));
+    assert_eq!(
+        rig.read(describe::address(describe::ABI_FIRMWARE_AT)),
+        Ok(ABI)
+    );
+    assert_eq!(
+        rig.read(describe::address(describe::ABI_FIRMWARE_AT + 1)),
+        Ok(1)
+    );
     assert_eq!((rig.server.abi(), rig.server.ident().abi), (ABI, 1));
-    assert_eq!(rig.read(4 * 15), Ok(wire::describe::OBSTACLE_ABI));
+    assert_eq!(
+        rig.read(describe::address(describe::OBSTACLES_AT)),
+        Ok(describe::OBSTACLE_ABI)
+    );
 }
 
 #[test]

@@ -114,7 +114,10 @@ fn the_description_is_one_the_host_understands() {
         (wire::ResetReason::Requested, GateClose::Never)
     );
     rig.board.close = GateClose::EStop as u32;
-    assert_eq!(rig.read(4 * 17), Ok(5));
+    assert_eq!(
+        rig.read(wire::describe::address(wire::describe::GATE_CLOSE_AT)),
+        Ok(5)
+    );
     assert_eq!(rig.read(0xfc), Ok(0));
     assert_eq!(rig.read(0x108), Ok(0xb10b_0002));
     assert_eq!(rig.read(0x10c), Ok(0), "behind the blob");

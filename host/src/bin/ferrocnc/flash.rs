@@ -25,7 +25,7 @@ pub(crate) enum Flash {
         #[command(flatten)]
         cable: Cable,
     },
-    /// Read the flash and compare it; settings and slot B are not looked at. The board starts anew.
+    /// Read the flash and compare it; settings and slot B are not looked at. The board restarts.
     Verify {
         /// NAME.flash
         file: PathBuf,

@@ -10,7 +10,7 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// A board that starts anew is back within seconds; one that asks a DHCP server later, and perhaps
+/// A board that restarts is back within seconds; one that asks a DHCP server later, and perhaps
 /// elsewhere.
 const RESTART: Duration = Duration::from_secs(15);
 
@@ -104,7 +104,7 @@ fn set(address: &str, key: Option<Key>, as_json: bool) -> Result<()> {
         );
     } else if let Some(fingerprint) = fingerprint {
         println!(
-            "board {} has the key in {} (fingerprint {fingerprint}); copy that file to every computer that shall drive the board",
+            "board {} has the key in {} (fingerprint {fingerprint}); copy that file to every computer that is to drive the board",
             uid_text(uid),
             home.display()
         );
@@ -135,7 +135,7 @@ fn untaken(error: ProvisionError, address: &str, pending: Option<(&Path, bool)>)
     }
 }
 
-/// Waits until the board has started anew with the key in this file, or without any.
+/// Waits until the board has restarted with the key in this file, or without any.
 fn arrived(address: &str, pending: Option<&Path>) -> Result<()> {
     let began = Instant::now();
     loop {

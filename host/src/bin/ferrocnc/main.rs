@@ -87,7 +87,7 @@ enum Command {
     },
     /// Every board on the segment, at any address.
     Discover(discover::Discover),
-    /// Address, name, MAC and port of a board. It starts anew with them.
+    /// Address, name, MAC and port of a board. It restarts with them.
     Set(set::Set),
     /// Is this board all right? Looks at memory, flash, link and clock; with --outputs and --loop
     /// at pins and jumpers, too.

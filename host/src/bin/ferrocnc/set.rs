@@ -138,10 +138,10 @@ fn at(client: Client, change: &Change, factory: bool, as_json: bool) -> Result<(
         );
     } else if settings.dhcp {
         println!(
-            "saved; the board starts anew and asks a DHCP server ({ip} if none answers). ferrocnc discover shows its address"
+            "saved; the board restarts and asks a DHCP server ({ip} if none answers). ferrocnc discover shows its address"
         );
     } else {
-        println!("saved; the board starts anew at {ip}:{}", settings.port);
+        println!("saved; the board restarts at {ip}:{}", settings.port);
     }
     Ok(())
 }

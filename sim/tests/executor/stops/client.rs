@@ -5,6 +5,7 @@ use crate::rig::Rig;
 use firmware::machine::Machine;
 use firmware::session::Peer;
 use sim::model_board::ModelBoard;
+use wire::etherbone::{HEADER, record};
 use wire::exchange::{COMMAND_MAX, Command, REQUEST_OVERHEAD, Status};
 use wire::{MAX_WORDS, map};
 
@@ -13,8 +14,6 @@ pub const HOST: Peer = Peer {
     ip: 0xc0a8_0201,
     port: 40_000,
 };
-const HEADER: u32 = 0x4e6f_1044;
-const RECORD: u32 = 0x000f_0000;
 
 /// What the loop of the firmware does with a datagram of another host; words of the answer.
 pub fn post(
@@ -51,7 +50,7 @@ impl Client {
         let request = [
             HEADER,
             0,
-            RECORD | 0x101,
+            record(1, 1),
             map::SESSION_ACQUIRE,
             nonce,
             0,
@@ -64,14 +63,14 @@ impl Client {
     }
 
     pub fn write(&self, rig: &mut Rig, base: u32, words: &[u32]) {
-        let mut request = vec![HEADER, 0, RECORD | (words.len() as u32) << 8, base];
+        let mut request = vec![HEADER, 0, record(words.len(), 0), base];
         request.extend(words);
         post(&mut rig.machine, &request, &mut [0; MAX_WORDS]);
     }
 
     pub fn read(&self, rig: &mut Rig, address: u32) -> u32 {
         let mut reply = [0; MAX_WORDS];
-        let request = [HEADER, 0, RECORD | 1, 0, address];
+        let request = [HEADER, 0, record(0, 1), 0, address];
         post(&mut rig.machine, &request, &mut reply);
         reply[4]
     }

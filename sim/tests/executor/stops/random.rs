@@ -13,7 +13,7 @@
 //! | link down | `LinkDown` |
 //! | LinuxCNC exits, `unloadrt`, a host that panics | `Release`, `Disable`; without a word `Silence` |
 //! | one of several boards dies | `Disable`: that is what its neighbours are sent |
-//! | the firmware panics, traps, or begins anew without a word | `Trap`, `Jump` |
+//! | the firmware panics, traps, or begins again without a word | `Trap`, `Jump` |
 //! | external reset, e-stop | `Reset`, `EStop` |
 //! | stop and pause, from any client; the starter falls silent | `Stop`, `Pause`, `Silence` |
 //! | no segment in time | `Starved` |
@@ -21,7 +21,7 @@
 //! | what a session left behind | before every job |
 //!
 //! Elsewhere, because another part notices or because nothing is left to be judged: the whole board
-//! starts anew and its counts with it
+//! restarts and its counts with it
 //! (`faults_rtl::a_board_that_starts_anew_under_its_host_is_safe_and_not_armed`); numbers from HAL
 //! (`host`); FPGA G's words, which end at speed as no job does (`words.rs` beside this); a PC that
 //! streams over a real network (`tests/tests/jobs/strikes.rs`).
@@ -34,14 +34,14 @@ mod watch;
 
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg32;
+use sim::stimulus::from_environment;
 
 /// Of each kind, unless told otherwise.
 const CASES: u64 = 25;
 
 fn seeds() -> std::ops::Range<u64> {
-    let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse().ok());
-    let first = number("FERROCNC_SEED").unwrap_or(1);
-    first..first + number("FERROCNC_STOPS").unwrap_or(CASES)
+    let first = from_environment("FERROCNC_SEED", 1);
+    first..first + from_environment("FERROCNC_STOPS", CASES)
 }
 
 fn dice(seed: u64) -> Pcg32 {

@@ -14,7 +14,7 @@ use rand::Rng;
 use rand_pcg::Pcg32;
 use wire::describe::JobsState;
 use wire::jobs::{self, Request, Status};
-use wire::{MAX_WORDS, ResetReason, map};
+use wire::{MAX_WORDS, ResetReason, etherbone, map};
 
 /// Clocks between two calls of a program that is starved: longer than between two of its exchanges,
 /// which come first.
@@ -35,9 +35,9 @@ pub enum Trouble {
     Reset,
     /// The program comes to speak to the board and to nothing else: no more segments.
     Starved,
-    /// The firmware traps, which closes the gate, and starts anew.
+    /// The firmware traps, which closes the gate, and restarts.
     Trap,
-    /// It begins anew without a word.
+    /// It begins again without a word.
     Jump,
 }
 
@@ -60,7 +60,7 @@ impl Outside for Wire<'_> {
         }
         let next = self.rig.server.session().segments().wrapping_add(1);
         *self.number = next;
-        let (header, record) = (0x4e6f_1044, 0x000f_0100);
+        let (header, record) = (etherbone::HEADER, etherbone::record(1, 0));
         let at = map::SEGMENTS + 4 * word as u32;
         let request = [
             header,

@@ -21,9 +21,9 @@ enum Cause {
     AcquiredAnew,
     EStop,
     Reset,
-    /// The firmware traps, which closes the gate, and starts anew.
+    /// The firmware traps, which closes the gate, and restarts.
     Trap,
-    /// It begins anew without a word, as a call to nowhere makes it.
+    /// It begins again without a word, as a call to nowhere makes it.
     Jump,
 }
 
