@@ -135,6 +135,25 @@ fn services_that_lost_their_stack_and_trap_end_themselves_and_not_the_motion() {
 }
 
 #[test]
+fn services_that_failed_are_loaded_again_at_rest_and_three_times_at_most() {
+    let code = sealed(broken(program(), "icmpv4_reply", &[EBREAK]));
+    let mut machine = BenchMachine::boot(setup(&code));
+    for life in 0..4 {
+        let alive = (0..60).any(|_| {
+            machine.run_millis(10);
+            state(&mut machine) == JobsState::Alive
+        });
+        assert!(alive, "life {life}");
+        // The ping ends them, and nothing answers it.
+        assert!(machine.ping().is_none(), "life {life}");
+        assert_eq!(state(&mut machine), JobsState::Ended, "life {life}");
+    }
+    machine.run_millis(600);
+    assert_eq!(state(&mut machine), JobsState::Ended);
+    assert!(machine.ping().is_some(), "the ROM's");
+}
+
+#[test]
 fn services_that_fail_when_they_start_leave_a_board_that_does_everything_else() {
     let code = sealed(broken(program(), "services_main", &[EBREAK]));
     let mut machine = BenchMachine::boot(setup(&code));

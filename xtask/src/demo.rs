@@ -18,7 +18,7 @@ pub struct Options {
 pub fn run(options: &Options) -> Result<()> {
     println!("FerroCNC demo: LinuxCNC cuts a program through the simulated board.");
     println!(
-        "The first run installs and builds everything, about 7 minutes on two cores; later ones take 4."
+        "The first run installs and builds everything, about 6 minutes on two cores; later ones take 4."
     );
     let parts = build::everything()?;
     build::install_driver()?;

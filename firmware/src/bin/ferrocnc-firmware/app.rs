@@ -31,6 +31,9 @@ const AT_REST: u32 = 100_000;
 /// ... and while there is no owner.
 const LEISURE: u32 = 0xff_ffff;
 
+/// How often services that failed are loaded again.
+const RELOADS: u8 = 3;
+
 /// Everything that runs on the board.
 pub struct App {
     machine: Machine<Soc>,
@@ -50,6 +53,8 @@ pub struct App {
     restless: bool,
     /// They are being loaded.
     loader: Option<Loader>,
+    /// How often they are still loaded again when they fail.
+    reloads: u8,
 }
 
 impl App {
@@ -73,6 +78,7 @@ impl App {
             services: None,
             restless: false,
             loader: Some(Loader::new()),
+            reloads: RELOADS,
             line: console::LineEditor::default(),
         };
         app.machine.wake();
@@ -438,10 +444,13 @@ impl App {
         let Some(loader) = &mut self.loader else {
             return;
         };
-        let state = match loader.step(&mut self.machine) {
-            None => return,
-            Some(Err(why)) => why,
-            Some(Ok(entry)) => {
+        let Some(verdict) = loader.step(&mut self.machine) else {
+            return;
+        };
+        self.loader = None;
+        let state = match verdict {
+            Err(why) => why,
+            Ok(entry) => {
                 self.services = Some(entry);
                 let answer = self.services(core::ptr::null(), abi::START);
                 if answer & abi::FAILED != 0 {
@@ -454,7 +463,6 @@ impl App {
                 }
             }
         };
-        self.loader = None;
         self.machine.jobs(state);
         // The clients of the ROM's console have to connect again.
         if self.services.is_some() {
@@ -491,6 +499,10 @@ impl App {
         if answer == abi::DEAD {
             self.services = None;
             self.machine.jobs(JobsState::Ended);
+            if let Some(left) = self.reloads.checked_sub(1) {
+                self.reloads = left;
+                self.loader = Some(Loader::new());
+            }
             let (cause, at) = soc::last_trap();
             defmt::error!("services failed: cause {=u32} at {=u32:x}", cause, at);
         }
