@@ -168,7 +168,7 @@ impl BenchMachine {
                 self.udp((HOST_IP, port), BOARD_PORT, &payload)
             }
             Kind::Multicast => self.multicast(short, rng),
-            Kind::Discovery => self.discovery(rng),
+            Kind::Discovery => self.discovery(rng.random()),
             Kind::Runt => {
                 let whole = self.rig.segment.udp(INTRUDER, BOARD_PORT, &[0; 4]);
                 bare(&whole[..rng.random_range(0..whole.len())])
@@ -239,9 +239,10 @@ impl BenchMachine {
         ))
     }
 
-    fn discovery(&mut self, rng: &mut Pcg64Mcg) -> Vec<u8> {
+    /// A question to all boards, as it goes over the wire.
+    pub fn discovery(&mut self, nonce: u32) -> Vec<u8> {
         let ask = wire::discovery::Message {
-            nonce: rng.random(),
+            nonce,
             uid: [0, 0],
             body: wire::discovery::Body::Discover,
         };
