@@ -20,7 +20,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from . import ecp5, image, netlist, regmap as rm, rgmii, soc as ferro, tools
+from . import ecp5, image, netlist, regmap as rm, rgmii, settled, soc as ferro, tools
 from .board import BoardError, pins_missing, read_board
 
 TOP = "top"
@@ -53,12 +53,10 @@ def elaborate(board, out, all_pins=True):
 
 
 def _settle(out):
-    """Removes the date and LiteX's drawings, which have no fixed order, from top.v, and the
-    machine's paths from top.ys: yosys names cells after the files and lines they come from."""
-    top = (out / f"{TOP}.v").read_text(encoding="utf-8")
-    top = re.sub(r"^/\*.*?^\*/$", "", top[top.index("`timescale"):], flags=re.M | re.S)
-    code = [line for line in top.splitlines(keepends=True) if not line.startswith("//")]
-    (out / f"{TOP}.v").write_text("".join(code), encoding="utf-8", newline="\n")
+    """Removes what changes from run to run from top.v, and the machine's paths from top.ys: yosys
+    names cells after the files and lines they come from."""
+    top = settled.verilog((out / f"{TOP}.v").read_text(encoding="utf-8"))
+    (out / f"{TOP}.v").write_text(top, encoding="utf-8", newline="\n")
     (out / "src").mkdir(exist_ok=True)
 
     def near(match):

@@ -17,7 +17,7 @@ from litex.build.io import SDRTristate
 from litex.build.sim import common as sim_common
 from litex.soc.interconnect.csr import CSRField, CSRStatus, CSRStorage
 
-from . import banks, regmap as rm, rgmii, sdram, soc as ferro
+from . import banks, regmap as rm, rgmii, sdram, settled, soc as ferro
 from .board import blob
 
 CHIP = Path(__file__).resolve().parents[2] / "sim" / "verilator" / "sdram_chip.sv"
@@ -203,7 +203,7 @@ def elaborate(board, out):
 def _self_contained(top):
     """One file without `$readmemh`: a shared library has no folder to read from. The simulator
     loads the ROM."""
-    text = top.main_source
+    text = settled.verilog(top.main_source)
     rom = re.compile(r"^(\(\*[^\n]*\*\)\s*)?reg \[31:0\] rom\[0:\d+\];", re.M)
     assert len(rom.findall(text)) == ("module sim (" in text), "sim.v: the ROM's array is not where it used to be"
     text = rom.sub(lambda m: m.group(0)[:-1] + " /*verilator public_flat_rw*/;", text)

@@ -673,9 +673,9 @@ fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
     )
 }
 
-/// A program of this workspace: of the release build, or in the folder `FERROCNC_PROGRAMS` names.
+/// A program of this workspace, built beside the tests, or in the folder `FERROCNC_PROGRAMS` names.
 pub fn program(name: &str) -> PathBuf {
     let folder = std::env::var_os("FERROCNC_PROGRAMS").map(PathBuf::from);
-    let release = || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/release");
-    folder.unwrap_or_else(release).join(name)
+    let built = || std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/tests");
+    folder.unwrap_or_else(built).join(name)
 }

@@ -29,7 +29,6 @@ pub enum What {
 pub fn run(what: What, exchanges: u64, hours: u64) -> Result<()> {
     match what {
         What::Exchange => {
-            setup::run(setup::Need::Everything)?;
             let parts = build::everything()?;
             exchange(&parts)
         }
@@ -56,18 +55,8 @@ pub fn run(what: What, exchanges: u64, hours: u64) -> Result<()> {
 pub fn exchange(parts: &build::Parts) -> Result<()> {
     step::heading("bench: exchange");
     std::fs::create_dir_all(target("reports"))?;
-    let mut bench = Command::new("cargo");
+    let mut bench = Command::new(build::bench_exchange()?);
     bench
-        .args([
-            "run",
-            "--quiet",
-            "--release",
-            "--package",
-            "ferrocnc-tests",
-            "--bin",
-            "bench-exchange",
-            "--",
-        ])
         .arg("--soc")
         .arg(&parts.soc)
         .arg("--firmware")
@@ -89,7 +78,7 @@ pub fn exchange(parts: &build::Parts) -> Result<()> {
 fn jobs() -> Result<()> {
     setup::run(setup::Need::Everything)?;
     build::firmware()?;
-    build::host()?;
+    build::test_programs()?;
     build::simulated_board(build::JOBS_BOARD)?;
     build::simulated_cores(build::CORES_BOARD)?;
     step::heading("bench: jobs");

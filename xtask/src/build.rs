@@ -22,24 +22,22 @@ pub struct Parts {
     pub firmware: PathBuf,
 }
 
-/// Builds everything the tests need; what is fresh is left alone.
+/// Sets up and builds what a run of LinuxCNC on the simulated board needs: board, firmware, driver,
+/// simulator; what is fresh is left alone.
 pub fn everything() -> Result<Parts> {
-    step::heading("build: board, firmware, driver, tools");
-    beside_the_board(host)
-}
-
-/// Builds what the demo needs: not the tool, whose SVG and fonts are most of the host's build.
-pub fn for_the_demo() -> Result<Parts> {
+    // The reader of board files comes first: cargo builds one thing at a time in a folder, and LiteX
+    // waits for it. It needs nothing of what is set up.
+    let reader = std::thread::scope(|scope| {
+        let reader = scope.spawn(board_reader);
+        setup::run(setup::Need::Everything)?;
+        reader
+            .join()
+            .unwrap_or_else(|_| bail!("the build of the reader panicked"))
+    })?;
     step::heading("build: board, firmware, driver, simulator");
-    beside_the_board(driver_and_simulator)
-}
-
-fn beside_the_board(host: fn() -> Result<()>) -> Result<Parts> {
-    // Before the others: cargo builds one thing at a time in a folder, and LiteX waited for it.
-    let reader = board_reader()?;
     // The last crate of the host's keeps one core busy for a minute: the board is built beside it.
     std::thread::scope(|scope| {
-        let host = scope.spawn(host);
+        let host = scope.spawn(driver_and_simulator);
         let firmware = firmware();
         let soc = elaborate_and_verilate(BOARD, &reader);
         host.join()
@@ -141,27 +139,9 @@ pub fn simulated_cores(board: &str) -> Result<()> {
     )
 }
 
-/// The driver, the tool and the simulator's front end.
-pub fn host() -> Result<()> {
-    let mut build = Command::new("cargo");
-    build.args([
-        "build",
-        "--release",
-        "--package",
-        "ferrocnc",
-        "--package",
-        "ferrocnc-sim",
-    ]);
-    step::run(
-        "host",
-        "build the driver, the tool and the simulator (Rust)",
-        "2 min",
-        &mut build,
-    )
-}
-
-/// The driver and the simulator's front end, without the tool.
-fn driver_and_simulator() -> Result<()> {
+/// The driver and the simulator's front end. Not the tool, whose SVG and fonts are most of the host's
+/// build: the tests build their own, with their profile.
+pub fn driver_and_simulator() -> Result<()> {
     let mut build = Command::new("cargo");
     build.args(["build", "--release", "--no-default-features"]);
     build.args(["--package", "ferrocnc", "--lib"]);
@@ -174,18 +154,41 @@ fn driver_and_simulator() -> Result<()> {
     )
 }
 
-/// Every program of the tests that need a board, in one call of cargo: both cores have work while
-/// they are built.
+/// Every program of the tests that need a board, and the tool they start, in two calls of cargo:
+/// both cores have work while they are built.
 pub fn test_programs() -> Result<()> {
+    let mut tool = Command::new("cargo");
+    tool.arg("build").args(BOARD_TESTS);
+    tool.args(["--package", "ferrocnc", "--bin", "ferrocnc"]);
+    step::run(
+        "test-tool",
+        "build the tool for the tests (Rust)",
+        "2 min",
+        &mut tool,
+    )?;
     let mut build = Command::new("cargo");
     build.args(["test", "--no-run"]).args(BOARD_TESTS);
     build.args(["--test", "*"]);
     step::run(
         "test-programs",
         "build the tests against the simulated board (Rust)",
-        "5 min",
+        "3 min",
         &mut build,
     )
+}
+
+/// The program that measures exchanges. Returns where it is.
+pub fn bench_exchange() -> Result<PathBuf> {
+    let mut build = Command::new("cargo");
+    build.arg("build").args(BOARD_TESTS);
+    build.args(["--bin", "bench-exchange"]);
+    step::run(
+        "bench-exchange-build",
+        "build the bench of the exchange (Rust)",
+        "2 min",
+        &mut build,
+    )?;
+    Ok(target("tests/bench-exchange"))
 }
 
 /// What cargo is told of them, the same in every call: for other packages at once it would find

@@ -1,7 +1,7 @@
 //! The main job: LinuxCNC cuts a program through the real driver, over UDP, into the release
 //! firmware on the Verilated gateware; then the tool path is rebuilt from the STEP/DIR edges.
 
-use crate::{build, python, setup, step, target};
+use crate::{build, python, step, target};
 use anyhow::{Context, Result};
 use clap::Args;
 use std::process::Command;
@@ -20,8 +20,7 @@ pub fn run(options: &Options) -> Result<()> {
     println!(
         "The first run installs and builds everything, about 7 minutes on two cores; later ones take 4."
     );
-    setup::run(setup::Need::Everything)?;
-    let parts = build::for_the_demo()?;
+    let parts = build::everything()?;
     build::install_driver()?;
 
     step::heading("run: LinuxCNC, driver, UDP, firmware, gateware");

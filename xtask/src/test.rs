@@ -100,49 +100,7 @@ pub fn run(options: &Options) -> Result<()> {
         Options { levels, .. } if levels.is_empty() => ALL,
         Options { levels, .. } => levels,
     };
-    if levels
-        .iter()
-        .any(|level| !matches!(level, Level::Lint | Level::Unit))
-    {
-        setup::run(setup::Need::Everything)?;
-    } else if levels.contains(&Level::Lint) {
-        setup::run(setup::Need::Gateware)?;
-    }
-    let needs_board = |level: &Level| {
-        matches!(
-            level,
-            Level::Soc
-                | Level::Faults
-                | Level::Peers
-                | Level::Provision
-                | Level::Clients
-                | Level::Linuxcnc
-        )
-    };
-    if levels.iter().any(needs_board) {
-        build::everything()?;
-    }
-    if levels.contains(&Level::Soc) || levels.contains(&Level::Jobs) {
-        build::simulated_board(build::JOBS_BOARD)?;
-    }
-    if levels.contains(&Level::Lockstep) {
-        build::simulated_cores(build::BOARD)?;
-        build::simulated_cores(build::CORES_BOARD)?;
-    }
-    if levels.contains(&Level::Jobs) {
-        build::firmware()?;
-        build::simulated_cores(build::CORES_BOARD)?;
-    }
-    if levels.contains(&Level::Jobs) {
-        build::host()?;
-    }
-    if levels.iter().any(|level| level.runs_linuxcnc()) {
-        build::host()?;
-        build::install_driver()?;
-    }
-    if levels.iter().any(|level| level.takes_boards()) {
-        build::test_programs()?;
-    }
+    prepare(levels)?;
     let outcomes = side_by_side(levels);
     report(&outcomes)?;
     step::heading("the pyramid");
@@ -166,6 +124,38 @@ pub fn run(options: &Options) -> Result<()> {
             "{failed} of {} levels failed; their logs are in target/logs",
             levels.len()
         );
+    }
+    Ok(())
+}
+
+/// Sets up and builds what the levels need.
+fn prepare(levels: &[Level]) -> Result<()> {
+    let any = |wanted: fn(Level) -> bool| levels.iter().any(|level| wanted(*level));
+    if any(Level::needs_board) {
+        build::everything()?;
+    } else if any(|level| !matches!(level, Level::Lint | Level::Unit)) {
+        setup::run(setup::Need::Everything)?;
+    } else if any(|level| level == Level::Lint) {
+        setup::run(setup::Need::Gateware)?;
+    }
+    if any(|level| matches!(level, Level::Soc | Level::Jobs)) {
+        build::simulated_board(build::JOBS_BOARD)?;
+    }
+    if any(|level| level == Level::Lockstep) {
+        build::simulated_cores(build::BOARD)?;
+    }
+    if any(|level| matches!(level, Level::Lockstep | Level::Jobs)) {
+        build::simulated_cores(build::CORES_BOARD)?;
+    }
+    if any(|level| level == Level::Jobs) {
+        build::firmware()?;
+    }
+    if any(Level::runs_linuxcnc) {
+        build::driver_and_simulator()?;
+        build::install_driver()?;
+    }
+    if any(Level::takes_boards) {
+        build::test_programs()?;
     }
     Ok(())
 }
@@ -248,6 +238,19 @@ fn report(outcomes: &[Outcome]) -> Result<()> {
 }
 
 impl Level {
+    /// It runs the Verilated board that the demo runs.
+    fn needs_board(self) -> bool {
+        matches!(
+            self,
+            Level::Soc
+                | Level::Faults
+                | Level::Peers
+                | Level::Provision
+                | Level::Clients
+                | Level::Linuxcnc
+        )
+    }
+
     /// LinuxCNC's HAL is one per machine.
     fn runs_linuxcnc(self) -> bool {
         matches!(self, Level::Twin | Level::Linuxcnc)
