@@ -22,8 +22,11 @@ const INTRUDER: Endpoint = (INTRUDER_IP, STRANGER);
 const BROADCAST: [u8; 6] = [0xff; 6];
 /// Longest frame of ordinary Ethernet, without FCS.
 pub const LONGEST: usize = 1514;
-/// Bytes of that ping: its frame has 256.
-const PING_ARMED: usize = 214;
+/// Bytes of the longest pings that are answered while the machine moves: frames of 128 bytes on a
+/// board with services, and of 256.
+const PING_ARMED: [usize; 2] = [86, 214];
+/// Bytes in segments of TCP with such frames.
+const TCP_ARMED: [usize; 2] = [74, 202];
 /// Servo periods for a handshake with the console.
 const HANDSHAKE: usize = 20;
 /// Bytes a gigabit wire takes in a servo period of a millisecond, gaps and preambles included.
@@ -58,11 +61,15 @@ pub enum Kind {
     Pause,
     /// Ping, short or as long as it gets.
     Ping,
-    /// The longest ping that is answered while the machine moves.
+    /// The longest ping that is answered while the machine moves, on every board.
     PingArmed,
+    /// The longest on a board without services.
+    LongPingArmed,
     /// Opens a connection to the console, or pretends to have one.
     Tcp,
-    /// The same at the port of jobs.
+    /// The longest segments that are taken while the machine moves, to no connection there is.
+    TcpArmed,
+    /// Short and long ones at the port of jobs.
     Jobs,
     /// A part of a datagram to the board's port.
     Fragment,
@@ -71,7 +78,7 @@ pub enum Kind {
 }
 
 /// All of them; [`Kind::Mix`] is the last.
-pub const KINDS: [Kind; 18] = [
+pub const KINDS: [Kind; 20] = [
     Kind::Arp,
     Kind::ShortRead,
     Kind::LongRead,
@@ -86,7 +93,9 @@ pub const KINDS: [Kind; 18] = [
     Kind::Pause,
     Kind::Ping,
     Kind::PingArmed,
+    Kind::LongPingArmed,
     Kind::Tcp,
+    Kind::TcpArmed,
     Kind::Jobs,
     Kind::Fragment,
     Kind::Mix,
@@ -168,7 +177,7 @@ impl BenchMachine {
                 self.udp((HOST_IP, port), BOARD_PORT, &payload)
             }
             Kind::Multicast => self.multicast(short, rng),
-            Kind::Discovery => self.discovery(rng),
+            Kind::Discovery => self.discovery(rng.random()),
             Kind::Runt => {
                 let whole = self.rig.segment.udp(INTRUDER, BOARD_PORT, &[0; 4]);
                 bare(&whole[..rng.random_range(0..whole.len())])
@@ -185,9 +194,19 @@ impl BenchMachine {
                 gmii::encode(&ethernet([1, 0x80, 0xc2, 0, 0, 1], from, 0x8808, &rest))
             }
             Kind::Ping => self.echo(if short { 8 } else { 1472 }, rng),
-            Kind::PingArmed => self.echo(PING_ARMED, rng),
-            Kind::Tcp => self.tcp(CONSOLE_PORT, short, rng),
-            Kind::Jobs => self.tcp(wire::jobs::PORT, short, rng),
+            Kind::PingArmed => self.echo(PING_ARMED[0], rng),
+            Kind::LongPingArmed => self.echo(PING_ARMED[1], rng),
+            Kind::Tcp => self.short_or_long(CONSOLE_PORT, short, rng),
+            Kind::TcpArmed => {
+                let to = *[CONSOLE_PORT, wire::jobs::PORT, rng.random()]
+                    .choose(rng)
+                    .unwrap_or(&CONSOLE_PORT);
+                // As SYN of a new client, or of a connection that is none.
+                let flags = if short { 2 } else { 0x18 };
+                let length = *TCP_ARMED.choose(rng).unwrap_or(&0);
+                self.tcp(to, flags, length, rng)
+            }
+            Kind::Jobs => self.short_or_long(wire::jobs::PORT, short, rng),
             Kind::Fragment => {
                 let fragment = *[0x2000, 0x2001, 0x0001, 0x1fff].choose(rng).unwrap_or(&1);
                 gmii::encode(&self.ip(
@@ -214,9 +233,13 @@ impl BenchMachine {
         gmii::encode(&segment.echo_request(INTRUDER_IP, 1, number, &payload))
     }
 
-    fn tcp(&mut self, to: u16, short: bool, rng: &mut Pcg64Mcg) -> Vec<u8> {
-        let data = vec![b'x'; if short { 0 } else { 1400 }];
-        let flags = if short { 2 } else { rng.random() };
+    fn short_or_long(&mut self, to: u16, short: bool, rng: &mut Pcg64Mcg) -> Vec<u8> {
+        let (flags, length) = if short { (2, 0) } else { (rng.random(), 1400) };
+        self.tcp(to, flags, length, rng)
+    }
+
+    fn tcp(&mut self, to: u16, flags: u8, length: usize, rng: &mut Pcg64Mcg) -> Vec<u8> {
+        let data = vec![b'x'; length];
         let tcp = tcp_segment_to(to, rng.random(), flags, rng.random(), 0, &data);
         gmii::encode(&self.ip(INTRUDER_IP, 6, 0, &tcp))
     }
@@ -239,9 +262,10 @@ impl BenchMachine {
         ))
     }
 
-    fn discovery(&mut self, rng: &mut Pcg64Mcg) -> Vec<u8> {
+    /// A question to all boards, as it goes over the wire.
+    pub fn discovery(&mut self, nonce: u32) -> Vec<u8> {
         let ask = wire::discovery::Message {
-            nonce: rng.random(),
+            nonce,
             uid: [0, 0],
             body: wire::discovery::Body::Discover,
         };

@@ -27,7 +27,7 @@ pub use simulator::{Simulator, control};
 use sim::edges;
 use sim::firmware::Image;
 use sim::rig::{RIG_PORT, Setup};
-use sim::segment::{BOARD_PORT, HOST_IP};
+use sim::segment::{BOARD_PORT, Datagram, HOST_IP};
 use sim::soc::Silicon;
 use sim::{Rig, exchange::Spread};
 use std::path::PathBuf;
@@ -580,16 +580,23 @@ impl BenchMachine {
         self.clock() - raised
     }
 
-    /// A bit flips in the instruction memory: the next ping runs into an illegal instruction. Once
-    /// the gate has closed the memory is as it was, as after a soft error.
+    /// A bit flips in the instruction memory: the next discovery runs into an illegal instruction.
+    /// Once the gate has closed the memory is as it was, as after a soft error. Not a ping: on a
+    /// board with services that is theirs, and what traps in them closes no gate.
     pub fn trap_cpu(&mut self) {
         let mut broken = self.image.words.clone();
-        let (start, end) = symbol(&parts().1, "2ip4ping");
+        let (start, end) = symbol(&parts().1, "9discovery4here");
         for word in &mut broken[start / 4..end / 4] {
             *word = 0;
         }
         self.rig.board.silicon().load_rom(&broken);
-        assert_eq!(self.rig.ping(), None, "a trapped CPU answers no ping");
+        let question = self.discovery(7);
+        self.rig.take_datagrams();
+        self.rig.inject_wire(question);
+        self.run_millis(10);
+        let told = self.rig.take_datagrams();
+        let answers = |(it, _): &(Datagram, _)| it.from.1 == wire::DISCOVERY_PORT;
+        assert!(!told.iter().any(answers), "a trapped CPU answers nothing");
         assert!(!self.gate_open(), "the trap must have closed the gate");
         let whole = self.image.words.clone();
         self.rig.board.silicon().load_rom(&whole);

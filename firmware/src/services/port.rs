@@ -36,9 +36,9 @@ const LINE: usize = CONSOLES;
 const FIRST_BUSY: usize = LINE + 1;
 const CONNECTIONS: usize = FIRST_BUSY + BUSY;
 
-/// Bytes a client of a console may send ahead: two of the longest lines. So its frames are short
-/// enough to be taken while a host moves the machine.
-const CONSOLE_AHEAD: usize = 128;
+/// Bytes a client of a console may send ahead: the longest line. So its frames are short enough to
+/// be taken while a host moves the machine.
+const CONSOLE_AHEAD: usize = crate::console::LINE_MAX;
 /// Bytes that a client told Busy may send ahead: a Hello and a command.
 const BUSY_AHEAD: usize = 128;
 /// Room for what the client has not acknowledged yet: the longest answer.
