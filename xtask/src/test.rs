@@ -168,21 +168,21 @@ struct Outcome {
 }
 
 /// Runs the levels in two lanes, because most levels keep one core busy and wait for it. The first
-/// lane begins with the levels that run LinuxCNC, which is one per machine, and then helps the
-/// second. The second lane runs at low priority: LinuxCNC keeps its pace beside it. One level
-/// alone, or one core, makes one lane.
+/// lane begins with the levels whose programs keep a pace, and then helps the second. The second
+/// lane runs at low priority: LinuxCNC and a streamed job keep their pace beside it. One level alone,
+/// or one core, makes one lane.
 fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
-    let (linuxcnc, others): (VecDeque<Level>, VecDeque<Level>) =
-        levels.iter().partition(|level| level.runs_linuxcnc());
-    let waiting = Mutex::new((linuxcnc, others));
+    let (paced, others): (VecDeque<Level>, VecDeque<Level>) =
+        levels.iter().partition(|level| level.keeps_a_pace());
+    let waiting = Mutex::new((paced, others));
     let done = Mutex::new(Vec::new());
     let lane = |first: bool| {
         loop {
             let level = {
                 let mut waiting = waiting.lock().unwrap_or_else(PoisonError::into_inner);
-                let (linuxcnc, others) = &mut *waiting;
+                let (paced, others) = &mut *waiting;
                 match first {
-                    true => linuxcnc.pop_front().or_else(|| others.pop_back()),
+                    true => paced.pop_front().or_else(|| others.pop_back()),
                     false => others.pop_front(),
                 }
             };
@@ -254,6 +254,12 @@ impl Level {
     /// LinuxCNC's HAL is one per machine.
     fn runs_linuxcnc(self) -> bool {
         matches!(self, Level::Twin | Level::Linuxcnc)
+    }
+
+    /// It runs LinuxCNC, which is one per machine, or a PC that streams a job to a twin whose watchdog
+    /// goes by the clock on the wall.
+    fn keeps_a_pace(self) -> bool {
+        self.runs_linuxcnc() || self == Level::Jobs
     }
 
     /// Its tests are programs of the `tests` crate.
