@@ -102,7 +102,7 @@ fn start(rom: &mut Calls) -> Option<Program<'static>> {
     let memory = memory::size(&mut Sdram, used, SDRAM_SIZE)?.checked_sub(ROOM)?;
     // SAFETY: from the end of the program to the SDRAM's end; no other code uses it.
     let memory = unsafe { slice::from_raw_parts_mut((SDRAM_BASE + ROOM) as *mut u8, memory) };
-    // SAFETY: this runs once, and is the only reference.
+    // SAFETY: this runs once behind each loading, and is the only reference.
     let place = unsafe { (*(&raw mut PLACE)).write(Place::new()) };
     Program::new(memory, place, program, rom)
 }

@@ -1,5 +1,5 @@
-//! Ties the lib to the hardware: one loop, no heap, and no interrupt
-//! but the one that ends services which do not come back.
+//! Ties the lib to the hardware: one loop, no heap, and no interrupt but the one that ends services
+//! which do not come back.
 
 use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc, TxSlot};
 use core::arch::global_asm;

@@ -22,8 +22,9 @@ static mut BUSY: bool = false;
 #[defmt::global_logger]
 struct Logger;
 
-// SAFETY: one hart, no interrupts, and the trap handler never returns to the code it interrupted:
-// no other code can interleave. A panic inside a log statement finds BUSY set and logs nothing.
+// SAFETY: one hart. The one interrupt, of the leash, logs nothing where it interrupts the ROM, and
+// no other trap returns to the code it came from: no other code can interleave. A panic inside a log
+// statement finds BUSY set and logs nothing.
 unsafe impl defmt::Logger for Logger {
     fn acquire() {
         // SAFETY: see the impl.

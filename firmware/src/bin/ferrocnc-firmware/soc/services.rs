@@ -47,7 +47,7 @@ impl Loader {
     /// The next piece. At the end: the program's entry, or the state to report.
     #[inline(never)]
     pub fn step(&mut self, machine: &mut Machine<Soc>) -> Option<Result<abi::Entry, JobsState>> {
-        // SAFETY: no other code uses the SDRAM yet, it is at least this large, and it is aligned.
+        // SAFETY: no program runs in the SDRAM, it is at least this large, and it is aligned.
         let room = unsafe { &mut *(SDRAM_BASE as *mut Room) };
         if self.length == 0 {
             return self.begin(machine, room).err().map(Err);
@@ -109,8 +109,7 @@ fn bytes(words: &mut [u32], count: usize) -> &mut [u8] {
 // Every trap comes to `services_trap`. One that comes from the services, or from where they went
 // astray to, ends them, and their stack pointer is not used. The leash's interrupt may come while
 // the ROM does what they asked for: it is enabled again by the instruction that returns to them
-// (`services_back`).
-// All others are the ROM's own.
+// (`services_back`). All others are the ROM's own.
 global_asm!(
     ".option push",
     ".option norelax",
