@@ -484,6 +484,11 @@ fn when_the_board_restarts_in_the_middle_of_a_job_it_says_so_and_knows_neither_j
     let list = wired.with(|board| board.list());
     assert_eq!(list.expect("none").len(), 0);
     goes_on(&mut wired);
+    // A job does not make them known; the operator does. The next test has them at home and known.
+    let report = wired.with(|board| board.report()).expect("a report");
+    assert!(!report.known, "{report:?}");
+    let report = wired.with(|board| board.here([true; 3]));
+    assert!(report.expect("no axis has a switch").known);
 }
 
 #[test]
