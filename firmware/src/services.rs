@@ -12,9 +12,11 @@
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
+pub mod line_editor;
 pub mod memory;
 pub mod port;
 pub mod stack;
+pub mod telnet;
 
 mod job_lines;
 
