@@ -158,6 +158,11 @@ impl<'m> Program<'m> {
         works || port.busy()
     }
 
+    /// Is a client connected, at a console or for jobs?
+    pub fn visited(&self) -> bool {
+        self.port.visited()
+    }
+
     /// Is there work of the connections for the next turn?
     pub fn busy(&self) -> bool {
         self.port.busy()

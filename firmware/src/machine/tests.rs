@@ -317,6 +317,18 @@ fn a_lease_waits_until_no_host_owns_the_session() {
 }
 
 #[test]
+fn a_lease_of_an_address_that_no_host_can_have_is_none() {
+    let (mut machine, _) = with_dhcp();
+    for ip in [0, 0x7f00_0001, 0xe000_00fb, u32::MAX] {
+        machine.leased(Some(Lease { ip, ..LEASE }));
+        assert!(!machine.moved(), "{ip:08x}");
+    }
+    let prefix = 33;
+    machine.leased(Some(Lease { prefix, ..LEASE }));
+    assert!(!machine.moved());
+}
+
+#[test]
 fn a_lease_that_was_not_asked_for_changes_nothing() {
     let mut machine = machine(Notebook::new());
     let before = machine.us;

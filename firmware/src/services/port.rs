@@ -472,6 +472,11 @@ impl<'m> Port<'m> {
         us.ip == 0
     }
 
+    /// Is a client connected?
+    pub fn visited(&self) -> bool {
+        self.connections.iter().any(Connection::used)
+    }
+
     /// Is there something to do soon?
     pub fn busy(&self) -> bool {
         let used = || self.connections.iter().filter(|it| it.used()).count();

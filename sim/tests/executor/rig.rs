@@ -505,7 +505,7 @@ impl Rig {
     /// Until nothing is going on; how it ended.
     pub fn finish(&mut self) -> Report {
         for _ in 0..200_000 {
-            if !self.jobs.executor().busy() {
+            if !self.jobs.executor().expect("jobs").busy() {
                 // Positions are sampled now and then.
                 self.run(30 * MS);
                 return self.report();
@@ -548,7 +548,7 @@ impl Rig {
     }
 
     pub fn machine_of(&self) -> jobs::MachineConfig {
-        *self.jobs.executor().machine().unwrap()
+        *self.jobs.executor().expect("jobs").machine().unwrap()
     }
 
     /// A LinuxCNC somewhere takes the session; false: it cannot.
