@@ -1,10 +1,12 @@
 #!/usr/bin/env python3
-"""LinuxCNC against the simulated board, in lockstep: starts both, waits for the program's end, keeps what they recorded.
+"""LinuxCNC against the simulated board, in lockstep: starts both, waits for the program's end,
+keeps what they recorded.
 
     run.py SOC FIRMWARE.elf OUT [--program FILE.ngc]
 
-Leaves in OUT: samples.csv (every servo period as LinuxCNC saw it), edges.bin (every step at the pins), sim.json (the
-simulator's report), result.json and the logs. Uses only the standard library; needs the driver installed.
+Leaves in OUT: samples.csv (every servo period as LinuxCNC saw it), edges.bin (every step at the
+pins), sim.json (the simulator's report), result.json and the logs. Uses only the standard library;
+needs the driver installed.
 """
 
 import argparse

@@ -25,8 +25,8 @@ pub struct Parts {
 /// Sets up and builds what a run of LinuxCNC on the simulated board needs: board, firmware, driver,
 /// simulator; what is fresh is left alone.
 pub fn everything() -> Result<Parts> {
-    // The reader of board files comes first: cargo builds one thing at a time in a folder, and LiteX
-    // waits for it. It needs nothing of what is set up.
+    // The reader of board files comes first: cargo builds one thing at a time in a folder, and
+    // LiteX waits for it. It needs nothing of what is set up.
     let reader = std::thread::scope(|scope| {
         let reader = scope.spawn(board_reader);
         setup::run(setup::Need::Everything)?;
@@ -139,8 +139,8 @@ pub fn simulated_cores(board: &str) -> Result<()> {
     )
 }
 
-/// The driver and the simulator's front end. Not the tool, whose SVG and fonts are most of the host's
-/// build: the tests build their own, with their profile.
+/// The driver and the simulator's front end. Not the tool, whose SVG and fonts are most of the
+/// host's build: the tests build their own, with their profile.
 pub fn driver_and_simulator() -> Result<()> {
     let mut build = Command::new("cargo");
     build.args(["build", "--release", "--no-default-features"]);

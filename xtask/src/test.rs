@@ -169,8 +169,8 @@ struct Outcome {
 
 /// Runs the levels in two lanes, because most levels keep one core busy and wait for it. The first
 /// lane begins with the levels whose programs keep a pace, and then helps the second. The second
-/// lane runs at low priority: LinuxCNC and a streamed job keep their pace beside it. One level alone,
-/// or one core, makes one lane.
+/// lane runs at low priority: LinuxCNC and a streamed job keep their pace beside it. One level
+/// alone, or one core, makes one lane.
 fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
     let (paced, others): (VecDeque<Level>, VecDeque<Level>) =
         levels.iter().partition(|level| level.keeps_a_pace());
@@ -256,8 +256,8 @@ impl Level {
         matches!(self, Level::Twin | Level::Linuxcnc)
     }
 
-    /// It runs LinuxCNC, which is one per machine, or a PC that streams a job to a twin whose watchdog
-    /// goes by the clock on the wall.
+    /// It runs LinuxCNC, which is one per machine, or a PC that streams a job to a twin whose
+    /// watchdog goes by the clock on the wall.
     fn keeps_a_pace(self) -> bool {
         self.runs_linuxcnc() || self == Level::Jobs
     }
