@@ -132,12 +132,31 @@ pub fn run(options: &Options) -> Result<()> {
 fn prepare(levels: &[Level]) -> Result<()> {
     let any = |wanted: fn(Level) -> bool| levels.iter().any(|level| wanted(*level));
     if any(Level::needs_board) {
-        build::everything()?;
+        build::everything(build::driver)?;
     } else if any(|level| !matches!(level, Level::Lint | Level::Unit)) {
         setup::run(setup::Need::Everything)?;
     } else if any(|level| level == Level::Lint) {
         setup::run(setup::Need::Gateware)?;
     }
+    // Verilator keeps one core busy for a part of its time, and so does cargo.
+    std::thread::scope(|scope| {
+        let simulations = scope.spawn(|| simulations(levels));
+        if any(Level::runs_linuxcnc) {
+            build::driver()?;
+            build::install_driver()?;
+        }
+        if any(Level::takes_boards) {
+            build::test_programs()?;
+        }
+        simulations
+            .join()
+            .unwrap_or_else(|_| bail!("the build of the simulations panicked"))
+    })
+}
+
+/// Verilates what the levels need besides the board of the demo.
+fn simulations(levels: &[Level]) -> Result<()> {
+    let any = |wanted: fn(Level) -> bool| levels.iter().any(|level| wanted(*level));
     if any(|level| matches!(level, Level::Soc | Level::Jobs)) {
         build::simulated_board(build::JOBS_BOARD)?;
     }
@@ -149,13 +168,6 @@ fn prepare(levels: &[Level]) -> Result<()> {
     }
     if any(|level| level == Level::Jobs) {
         build::firmware()?;
-    }
-    if any(Level::runs_linuxcnc) {
-        build::driver_and_simulator()?;
-        build::install_driver()?;
-    }
-    if any(Level::takes_boards) {
-        build::test_programs()?;
     }
     Ok(())
 }
