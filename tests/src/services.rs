@@ -19,8 +19,8 @@ pub fn broken(mut program: Vec<u8>, part: &str, code: &[u32]) -> Vec<u8> {
     program
 }
 
-/// The first bytes of the program, with the length and the magic that end one. The ROM loads it in a
-/// fiftieth of the time; nothing in it is to be called.
+/// The first bytes of the program, with the length and the magic that end one. The ROM loads it in
+/// a fiftieth of the time; nothing in it is to be called.
 pub fn beginning(program: &[u8]) -> Vec<u8> {
     let mut bytes = program[..BEGINNING].to_vec();
     bytes.extend((BEGINNING as u32 + 8).to_le_bytes());

@@ -163,7 +163,8 @@ fn without_a_whole_program_of_this_build_there_are_no_jobs_and_everything_else_w
         bytes
     };
     let middle = good.len() / 2;
-    // What is looked at before the program runs is the same for a short one. It runs if it is right.
+    // What is looked at before the program runs is the same for a short one. It runs if it is
+    // right.
     let short = beginning(&good);
     let boards = [
         ("none at all", Vec::new(), JobsState::Missing),

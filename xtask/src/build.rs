@@ -22,8 +22,8 @@ pub struct Parts {
     pub firmware: PathBuf,
 }
 
-/// Sets up and builds board and firmware, and beside them what `host` builds of the host's programs;
-/// what is fresh is left alone.
+/// Sets up and builds board and firmware, and beside them what `host` builds of the host's
+/// programs; what is fresh is left alone.
 pub fn everything(host: fn() -> Result<()>) -> Result<Parts> {
     // The reader of board files comes first: cargo builds one thing at a time in a folder, and
     // LiteX waits for it. It needs nothing of what is set up.
@@ -139,8 +139,8 @@ pub fn simulated_cores(board: &str) -> Result<()> {
     )
 }
 
-/// The driver and the simulator's front end, which the demo needs. Not the tool, whose SVG and fonts
-/// are most of the host's build.
+/// The driver and the simulator's front end, which the demo needs. Not the tool, whose SVG and
+/// fonts are most of the host's build.
 pub fn driver_and_simulator() -> Result<()> {
     let simulator = ["--package", "ferrocnc-sim", "--bin", "ferrocnc-sim"];
     let title = "build the driver and the simulator (Rust)";
