@@ -459,8 +459,8 @@ impl<B: Board> Machine<B> {
         self.server.auth.trusted()
     }
 
-    /// Answers a line of the services' console number `visitor`, and asks for the next one; no line:
-    /// a client has connected. Each client logs in for itself.
+    /// Answers a line of the services' console number `visitor`, and asks for the next one; no
+    /// line: a client has connected. Each client logs in for itself.
     #[inline(never)]
     pub fn converse(
         &mut self,

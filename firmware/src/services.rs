@@ -1,6 +1,6 @@
-//! The services: TCP/IP, consoles and jobs. This is a separate program in SDRAM, because the ROM has
-//! no room for it, and because the machine has to outlive it: a panic in here ends the services,
-//! not the motion.
+//! The services: TCP/IP, consoles and jobs. This is a separate program in SDRAM, because the ROM
+//! has no room for it, and because the machine has to outlive it: a panic in here ends the
+//! services, not the motion.
 //!
 //! ```text
 //!   frames --> stack (smoltcp) --> port --+--> consoles --> the ROM's text, and job_lines

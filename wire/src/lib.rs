@@ -2,8 +2,8 @@
 //!
 //! Both ends link this crate, the firmware on the softcore and the driver in LinuxCNC. So a fact
 //! about the wire is written once, and this rustdoc is the specification. The crate knows no
-//! sockets and no clocks and accesses no register; it has no dependencies, allocates nothing, and after a
-//! successful `new_checked` no function of it can panic.
+//! sockets and no clocks and accesses no register; it has no dependencies, allocates nothing, and
+//! after a successful `new_checked` no function of it can panic.
 //!
 //! | module | content |
 //! |---|---|
