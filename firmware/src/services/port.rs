@@ -11,6 +11,7 @@
 //! A turn looks at one connection, and does one thing for it: it answers a request, or sends a
 //! segment. After ten seconds of silence a client is asked whether it is still there.
 
+use super::shut::{NOD, nod};
 use super::stack::Stack;
 use super::{Network, job_lines};
 use crate::console::{ANSWER_MAX, LineEditor, PROMPT};
@@ -196,15 +197,27 @@ impl<'m> Connection<'m> {
         taken
     }
 
-    /// Is this a reset that its sender guessed?
-    fn guessed(&mut self, segment: &Segment) -> bool {
+    /// The number that the client's next byte will have.
+    fn next_number(&mut self) -> u32 {
         let ended = matches!(
             self.state(),
             State::CloseWait | State::LastAck | State::Closing | State::TimeWait
         );
         let waits = self.socket().recv_queue() as u32 + u32::from(ended);
-        let expected = self.expected.wrapping_add(waits);
-        segment.flags & RST != 0 && segment.sequence != expected
+        self.expected.wrapping_add(waits)
+    }
+
+    /// Is this a reset that its sender guessed?
+    fn guessed(&mut self, segment: &Segment) -> bool {
+        segment.flags & RST != 0 && segment.sequence != self.next_number()
+    }
+
+    /// The acknowledgement of a segment that comes while there is no room for its bytes.
+    fn nod_at_a_shut_window(&mut self, frame: &[u8]) -> Option<[u8; NOD]> {
+        let next = self.next_number();
+        let socket = self.socket();
+        let shut = socket.recv_queue() == socket.recv_capacity() && socket.send_queue() > 0;
+        shut.then(|| nod(frame, next))?
     }
 
     /// Ends the connection behind what is to be sent.
@@ -351,6 +364,9 @@ impl<'m> Port<'m> {
         if connection.guessed(&segment) {
             return;
         }
+        if let Some(nod) = connection.nod_at_a_shut_window(frame) {
+            self.stack.take(&nod, &mut connection.sockets, instant, out);
+        }
         self.stack
             .take(frame, &mut connection.sockets, instant, out);
         if listened && connection.state() == State::SynReceived {
@@ -471,8 +487,11 @@ impl<'m> Port<'m> {
             _ => waited >= SILENCE_SECONDS * 1000,
         };
         if over {
+            // A reset: a client that is still there need not wait for its own clock.
+            connection.socket().abort();
+            self.stack.send(&mut connection.sockets, instant, out);
             connection.listen(port_of(index));
-            return false;
+            return true;
         }
         // What still comes behind the last answer is dropped, so that the client can end, too.
         if connection.closing && connection.read(<[u8]>::len) > 0 {
