@@ -11,7 +11,8 @@
 //!                            Machine::hold_path once it is sent
 //!     none, and due(IDLE)    Machine::housekeeping
 //!     a byte of the console  console::LineEditor::push, and its result into Machine::answer
-//!     a discovery datagram   Machine::discover; a DHCP server's: Machine::offered
+//!     a discovery datagram   Machine::discover
+//!     the services           Machine::leased: an address from a DHCP server, or none any more
 //!     has_broadcast          Machine::next_broadcast, and broadcast it
 //!     moved                  the address changed: tell the IP stack
 //!     server.wants_restart   leave ResetReason::Requested in the postmortem record, restart
@@ -23,7 +24,6 @@
 use crate::auth::{Words, by_port};
 use crate::console::{self, Ask, Vitals};
 use crate::cores::{Board, Control, Ident, Setting};
-use crate::dhcp::{self, Client};
 use crate::discovery::{self, Act, Names, Waiting};
 use crate::net::{self, Us};
 use crate::postmortem::Boot;
@@ -46,6 +46,9 @@ const BEHIND_AN_ANSWER: u32 = 1;
 pub const IDLE: u32 = 3;
 /// What the console says when it has no time to answer.
 pub const NOT_WHILE_ARMED: &[u8] = b"? not while armed\r\n";
+/// 10 s without a lease: three tries of the services. A board on a bench without a server should be
+/// usable before its user gives up. The services go on asking.
+pub const FALLBACK_SECONDS: u32 = 10;
 /// Bytes of the board information ROM that are read.
 pub const BLOB_MAX: usize = wire::regmap::BOARD_ROM_SIZE;
 
@@ -70,6 +73,17 @@ pub struct Broadcast {
     pub words: usize,
 }
 
+/// An address from a DHCP server, which the services have asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lease {
+    /// Our address.
+    pub ip: u32,
+    /// Bits of its netmask.
+    pub prefix: u8,
+    /// The router, 0 for none.
+    pub gateway: u32,
+}
+
 /// A board and the server that judges its datagrams.
 #[derive(Debug)]
 pub struct Machine<B> {
@@ -82,11 +96,12 @@ pub struct Machine<B> {
     /// Bits of the netmask, and the gateway (0 for none).
     pub net: (u8, u32),
     names: Names,
-    client: Client,
+    /// The settings ask for an address from a DHCP server.
+    dhcp: bool,
+    lease: Option<Lease>,
     waiting: Option<Waiting>,
     /// The result of a Set that has to be answered, if there is one.
     done: Option<OpResult>,
-    ask: bool,
     /// The address changed and the transport has not been told.
     moved: bool,
     told: State,
@@ -135,10 +150,10 @@ impl<B: Board> Machine<B> {
             },
             net: (0, 0),
             names: Names::default(),
-            client: Client::off(),
+            dhcp: false,
+            lease: None,
             waiting: None,
             done: None,
-            ask: false,
             moved: false,
             told: State::Boot,
             housekeeping_at: 0,
@@ -153,21 +168,20 @@ impl<B: Board> Machine<B> {
     /// and ends start-up.
     #[inline(never)]
     pub fn wake(&mut self) {
-        let (ident, boot) = (self.server.ident, self.server.boot);
+        let ident = self.server.ident;
         self.board.control(Control::Close);
         defaults(&mut self.board, &ident);
-        self.find_itself(&ident, boot);
+        self.find_itself(&ident);
         self.server.start(&mut self.board);
         let now = self.board.now_lo();
         self.housekeeping_at = now;
         self.second_at = now;
         self.told = self.server.safety().state();
-        self.ask = self.client.tick(0);
     }
 
     /// Reads the built-in and the saved settings: the board's identity and addresses.
     #[inline(never)]
-    fn find_itself(&mut self, ident: &Ident, boot: Boot) {
+    fn find_itself(&mut self, ident: &Ident) {
         let mut built = Built::new();
         built.read(&mut self.board, ident);
         self.names = built.names;
@@ -176,7 +190,6 @@ impl<B: Board> Machine<B> {
         let flash = &mut self.server.flash;
         let spi = self.board.spi();
         flash.start(spi, trailer, built.idcode, built.settings, factory);
-        let [uid_hi, uid_lo] = flash.uid();
         let settings = flash.settings();
         self.server.auth.lock(settings.key);
         if settings.mac != [0; 6] {
@@ -184,10 +197,9 @@ impl<B: Board> Machine<B> {
         }
         self.us.port = settings.port;
         self.net = (settings.prefix, settings.gateway);
-        if settings.dhcp {
-            // The board has no address while it asks a DHCP server.
-            self.client = Client::on(boot.id ^ uid_hi ^ uid_lo.rotate_left(16));
-        } else {
+        self.dhcp = settings.dhcp;
+        if !settings.dhcp {
+            // The board has no address while the services ask a DHCP server.
             self.us.ip = settings.ip;
         }
         self.server.ip = self.us.ip;
@@ -314,8 +326,7 @@ impl<B: Board> Machine<B> {
         self.second_at = self.second_at.wrapping_add(clock_hz);
         self.second = self.second.wrapping_add(1);
         self.server.auth.tick();
-        if self.client.enabled() {
-            self.ask |= self.client.tick(self.second);
+        if self.dhcp {
             self.settle();
         }
     }
@@ -323,9 +334,9 @@ impl<B: Board> Machine<B> {
     /// Puts the current address into force. It does not change while a host owns the session.
     fn settle(&mut self) {
         let settings = self.server.flash.settings();
-        let (ip, net) = match self.client.lease() {
+        let (ip, net) = match self.lease {
             Some(lease) => (lease.ip, (lease.prefix, lease.gateway)),
-            None if self.client.gave_up(self.second) => {
+            None if self.second >= FALLBACK_SECONDS => {
                 (settings.ip, (settings.prefix, settings.gateway))
             }
             None => return,
@@ -359,11 +370,8 @@ impl<B: Board> Machine<B> {
                 return &[];
             }
         };
-        let dhcp = self
-            .client
-            .lease()
-            .is_some_and(|lease| lease.ip == self.us.ip);
-        let here = || discovery::here(&self.server, &self.us, dhcp, &self.names);
+        let leased = self.lease.is_some_and(|lease| lease.ip == self.us.ip);
+        let here = || discovery::here(&self.server, &self.us, leased, &self.names);
         let body = match discovery::judge(&message, &self.server, self.waiting, here) {
             Act::Nothing => return &[],
             Act::Answer(body) => body,
@@ -404,11 +412,11 @@ impl<B: Board> Machine<B> {
         Err(challenge)
     }
 
-    /// Takes a datagram of this many bytes that came to [`dhcp::PORT`].
-    pub fn offered(&mut self, words: &[u32], length: usize) {
-        let client = &mut self.client;
-        self.ask |= client.take(self.us.mac, words, length, self.second);
-        if client.enabled() {
+    /// The services have an address from a DHCP server, or have lost it. It comes into force when no
+    /// host owns the session.
+    pub fn leased(&mut self, lease: Option<Lease>) {
+        self.lease = lease;
+        if self.dhcp {
             self.settle();
         }
     }
@@ -417,39 +425,26 @@ impl<B: Board> Machine<B> {
     /// after a datagram.
     #[inline(always)]
     pub fn has_broadcast(&self) -> bool {
-        self.ask || self.moved || self.done.is_some()
+        self.moved || self.done.is_some()
     }
 
     /// Writes what is to be broadcast into `words`. The answer to a Set that was saved is the last
     /// one: the machine wants a restart after it.
     pub fn next_broadcast(&mut self, words: &mut [u32; MAX_WORDS]) -> Option<Broadcast> {
-        if let (Some(result), Some(waiting)) = (self.done.take(), self.waiting.take()) {
-            if result == OpResult::Ok {
-                self.server.restart();
-            }
-            let message = Message {
-                nonce: waiting.nonce,
-                uid: self.server.flash.uid(),
-                body: Body::Done(result),
-            };
-            return Some(Broadcast {
-                from_ip: self.us.ip,
-                from_port: DISCOVERY_PORT,
-                to_port: waiting.port,
-                words: emit(&message, words).len(),
-            });
+        let (result, waiting) = (self.done.take()?, self.waiting.take()?);
+        if result == OpResult::Ok {
+            self.server.restart();
         }
-        if !core::mem::take(&mut self.ask) {
-            return None;
-        }
-        let name = self.server.flash.settings().name;
-        let place = words.first_chunk_mut()?;
-        self.client.emit(self.us.mac, name.text(), place);
+        let message = Message {
+            nonce: waiting.nonce,
+            uid: self.server.flash.uid(),
+            body: Body::Done(result),
+        };
         Some(Broadcast {
-            from_ip: self.client.lease().map_or(0, |lease| lease.ip),
-            from_port: dhcp::PORT,
-            to_port: dhcp::SERVER_PORT,
-            words: dhcp::WORDS,
+            from_ip: self.us.ip,
+            from_port: DISCOVERY_PORT,
+            to_port: waiting.port,
+            words: emit(&message, words).len(),
         })
     }
 

@@ -150,6 +150,20 @@ impl Server {
         self.ident.features |= state.code() << JobsState::AT;
     }
 
+    /// Has the board the memory that the services need?
+    pub fn has_sdram(&self) -> bool {
+        match JobsState::of(self.ident.features) {
+            JobsState::None | JobsState::Streamed => false,
+            JobsState::Alive
+            | JobsState::Sdram
+            | JobsState::Missing
+            | JobsState::Damaged
+            | JobsState::Foreign
+            | JobsState::Ended
+            | JobsState::Loading => true,
+        }
+    }
+
     /// The lengths of this board's blocks.
     pub fn shape(&self) -> &Shape {
         &self.shape

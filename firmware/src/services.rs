@@ -5,13 +5,17 @@
 //! ```text
 //!   frames --> stack (smoltcp) --> port --+--> consoles --> the ROM's text, and job_lines
 //!                                         +--> jobs::Jobs --> datagram, segments core
+//!                                         +--> lease: an address from a DHCP server
 //! ```
 //!
-//! The jobs themselves are in the crate [`jobs`](::jobs), which a PC can run, too. This module has
+//! Jobs are there on boards with the segments core. They are in the crate [`jobs`](::jobs), which a
+//! PC can run, too. This module has
 //! what only a board has: TCP without an operating system ([`stack`], [`port`]), the consoles'
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
+pub mod facts;
+pub mod lease;
 pub mod memory;
 pub mod port;
 pub mod stack;
@@ -22,12 +26,12 @@ mod shut;
 mod tests;
 
 use self::port::{Place, Port};
-use crate::console::{ANSWER_MAX, PROMPT};
-use crate::ip::Text;
-use crate::machine::Reply;
-use crate::net::Us;
-use crate::text::{Paper, Sink};
+use crate::console::{ANSWER_MAX, NO_JOBS, PROMPT};
+use crate::machine::{Lease, Reply};
+use crate::net::{UdpPorts, Us};
+use crate::text::{Out, Paper, Sink, Text};
 use ::jobs::executor::Executor;
+use ::jobs::inside::Inside;
 use ::jobs::server::{Answer, BusyReply};
 use ::jobs::{Jobs, Outside};
 
@@ -46,6 +50,8 @@ pub trait Network: Outside {
     }
     /// Our addresses.
     fn us(&mut self) -> Us;
+    /// A DHCP server has given the board an address, or the lease is over.
+    fn leased(&mut self, lease: Option<Lease>);
     /// Answers a line of console `visitor`: [`crate::machine::Machine::converse`].
     fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply;
 }
@@ -53,10 +59,14 @@ pub trait Network: Outside {
 /// Longest answer to a line about jobs: the console's longest answer without the prompt after it.
 pub const TEXT_MAX: usize = ANSWER_MAX - PROMPT.len();
 
+/// UDP ports the program listens at.
+pub const PORTS: UdpPorts = [lease::PORT, 0, 0, 0, 0, 0, 0, 0];
+
 /// The program.
 #[derive(Debug)]
 pub struct Program<'m> {
-    jobs: Jobs<'m>,
+    /// Not on boards without the segments core.
+    jobs: Option<Jobs<'m>>,
     port: Port<'m>,
 }
 
@@ -72,38 +82,41 @@ impl Answer for Text {
 
 impl<'m> Program<'m> {
     /// A program that keeps its jobs in `memory`, and its sockets in `place`. `program` is the
-    /// CRC-32 that identifies it. There is no program for a board that does not answer or has no
-    /// segments core.
+    /// CRC-32 that identifies it. There is no program for a board that does not answer.
     pub fn new(
         memory: &'m mut [u8],
         place: &'m mut Place<'m>,
         program: u32,
         out: &mut impl Network,
     ) -> Option<Self> {
-        let jobs = Jobs::new(memory, program, out)?;
-        let port = Port::new(place, jobs.executor().clock_hz(), out);
+        let (_, board) = Inside::new(out)?;
+        let jobs = Jobs::new(memory, program, out);
+        let port = Port::new(place, jobs.is_some(), board.clock_hz, out);
         Some(Program { jobs, port })
     }
 
-    /// The executor.
-    pub fn executor(&self) -> &Executor {
-        self.jobs.executor()
+    /// The executor, on boards with jobs.
+    pub fn executor(&self) -> Option<&Executor> {
+        self.jobs.as_ref().map(Jobs::executor)
     }
 
-    /// Takes a frame: ARP, a ping, or a TCP segment.
+    /// Takes a frame of [`crate::net::Class::Services`].
     pub fn frame(&mut self, frame: &[u8], out: &mut impl Network) {
-        self.port.frame(&mut self.jobs, frame, out);
+        self.port.frame(self.jobs.as_mut(), frame, out);
     }
 
     /// A client is there, over a connection that is not this program's: the simulator has its own
     /// sockets.
     pub fn visit(&mut self, out: &mut impl Outside) {
-        self.jobs.visit(out);
+        if let Some(jobs) = &mut self.jobs {
+            jobs.visit(out);
+        }
     }
 
     /// Takes bytes of that connection: [`Jobs::said`].
     pub fn said(&mut self, bytes: &[u8], answer: &mut Text, out: &mut impl Outside) -> usize {
-        self.jobs.said(bytes, answer, out)
+        let jobs = self.jobs.as_mut();
+        jobs.map_or(0, |jobs| jobs.said(bytes, answer, out))
     }
 
     /// Takes bytes of another connection while there is one: [`Jobs::busy_reply`].
@@ -114,7 +127,8 @@ impl<'m> Program<'m> {
         answer: &mut Text,
         out: &mut impl Outside,
     ) -> usize {
-        self.jobs.busy_reply(busy, bytes, answer, out)
+        let jobs = self.jobs.as_mut();
+        jobs.map_or(0, |jobs| jobs.busy_reply(busy, bytes, answer, out))
     }
 
     /// Answers a line about jobs into `room`; returns the answer's length in bytes. `trusted`: the
@@ -128,20 +142,44 @@ impl<'m> Program<'m> {
     ) -> usize {
         let line = core::str::from_utf8(line).unwrap_or("");
         let mut paper = Paper::new(room);
-        let now = out.now();
-        job_lines::answer(&mut self.jobs, line, trusted, now, &mut paper, out);
+        job_line(self.jobs.as_mut(), line, trusted, &mut paper, out);
         paper.used()
     }
 
     /// Does a piece of work: a segment, a frame, a block of a job. True while there is more work.
     pub fn poll(&mut self, out: &mut impl Network) -> bool {
         let Program { jobs, port } = self;
-        let works = jobs.poll_beside(out, |jobs, _, now, out| port.turn(jobs, now, out));
+        let works = match jobs {
+            Some(jobs) => {
+                jobs.poll_beside(out, |jobs, _, now, out| port.turn(Some(jobs), now, out))
+            }
+            None => {
+                let now = out.now();
+                port.turn(None, now, out)
+            }
+        };
         works || port.busy()
     }
 
     /// Is there work of the connections for the next turn?
     pub fn busy(&self) -> bool {
         self.port.busy()
+    }
+}
+
+/// Answers a line about jobs.
+fn job_line(
+    jobs: Option<&mut Jobs>,
+    line: &str,
+    trusted: bool,
+    paper: &mut Paper,
+    out: &mut impl Outside,
+) {
+    match jobs {
+        Some(jobs) => {
+            let now = out.now();
+            job_lines::answer(jobs, line, trusted, now, paper, out);
+        }
+        None => Out(paper).text(NO_JOBS).end(),
     }
 }

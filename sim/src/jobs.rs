@@ -8,8 +8,8 @@ use ::jobs::server::BusyReply;
 use ::jobs::{AHEAD, Outside};
 use firmware::console::Vitals;
 use firmware::cores::Board as _;
-use firmware::ip::Text;
-use firmware::machine::{Machine, Reply};
+use firmware::text::Text;
+use firmware::machine::{Lease, Machine, Reply};
 use firmware::net::Us;
 use firmware::services::port::Place;
 use firmware::services::{Network, TEXT_MAX};
@@ -57,6 +57,9 @@ impl Network for Outer<'_> {
     fn us(&mut self) -> Us {
         self.0.us
     }
+    fn leased(&mut self, lease: Option<Lease>) {
+        self.0.leased(lease);
+    }
     fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
         self.0.converse(visitor, line, &Vitals::default(), out)
     }
@@ -87,7 +90,7 @@ pub struct Said {
 }
 
 impl Program {
-    /// On this board; `None` if it has no segments.
+    /// On this board; `None` if it does not answer.
     pub fn start(machine: &mut Machine<ModelBoard>, clock_hz: u32) -> Option<Self> {
         // Never freed: there are few boards, and each lives as long as its simulator.
         let memory = vec![0; ROOM].leak();

@@ -16,7 +16,7 @@ use firmware::console::{self, Ask, Vitals};
 use firmware::machine::{IDLE, Machine};
 use firmware::postmortem::Record;
 use firmware::session::Peer;
-use firmware::{dhcp, text};
+use firmware::{services, text};
 use wire::describe::JobsState;
 use wire::regmap;
 use wire::{MAX_WORDS, ResetReason};
@@ -30,6 +30,7 @@ use crate::exchange::{Meter, StatusHead, is_request, sequence, wants_reply};
 use crate::faults::{Act, Cargo, Direction, OneWay, Plan, Script};
 use crate::gmii;
 use crate::jobs;
+use crate::lease::DhcpClient;
 use crate::model_board::{ACCESS, ModelBoard, Setup, ident};
 use crate::plant::Plant;
 use crate::report::{Counters, FrameCounts, Report, Seen};
@@ -138,6 +139,8 @@ pub struct Twin {
     /// What executes jobs, and when it is called next.
     jobs: Option<jobs::Program>,
     jobs_at: u64,
+    /// What asks DHCP servers.
+    dhcp: Option<DhcpClient>,
     busy: Duration,
     busy_clocks: u64,
 }
@@ -146,28 +149,30 @@ fn payload(words: &[u32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
-fn jobs_program(
+/// The services of a board: jobs where there are segments, and what asks DHCP servers.
+fn programs(
     machine: &mut Machine<ModelBoard>,
     facts: &BoardFacts,
     sdram: bool,
-) -> Option<jobs::Program> {
-    if facts.jobs == 0 {
-        return None;
-    }
-    if facts.streamed {
-        machine.server.jobs(JobsState::Streamed);
-        return None;
+) -> (Option<jobs::Program>, Option<DhcpClient>) {
+    if !facts.sdram {
+        machine.server.jobs(match facts.jobs {
+            0 => JobsState::None,
+            _ => JobsState::Streamed,
+        });
+        return (None, None);
     }
     if !sdram {
         machine.server.jobs(JobsState::Sdram);
-        return None;
+        return (None, None);
     }
-    let program = jobs::Program::start(machine, facts.clock_hz);
-    machine.server.jobs(match program {
-        Some(_) => JobsState::Alive,
-        None => JobsState::Missing,
-    });
-    program
+    let program = match facts.jobs {
+        0 => None,
+        _ => jobs::Program::start(machine, facts.clock_hz),
+    };
+    machine.server.jobs(JobsState::Alive);
+    let dhcp = DhcpClient::start(machine, facts.clock_hz);
+    (program, dhcp)
 }
 
 impl Twin {
@@ -182,12 +187,13 @@ impl Twin {
         let (mut model_board, ident) = ModelBoard::power_up(setup);
         let boot = model_board.boot();
         let mut machine = Machine::start(model_board, ident, regmap::ABI, boot);
-        let jobs = jobs_program(&mut machine, &facts, sdram);
+        let (jobs, dhcp) = programs(&mut machine, &facts, sdram);
         let clockwork = Clockwork::new(facts.clock_hz.into());
         Twin {
             housekeeping_at: machine.board.clock(),
             jobs_at: machine.board.clock(),
             jobs,
+            dhcp,
             machine,
             facts,
             sdram,
@@ -250,10 +256,7 @@ impl Twin {
             };
             self.frames.from_board += 1;
             let reply = Reply {
-                service: match broadcast.from_port {
-                    dhcp::PORT => Service::Dhcp,
-                    _ => Service::Discovery,
-                },
+                service: Service::Discovery,
                 port: broadcast.to_port,
                 payload: payload(&buffer[..broadcast.words]),
             };
@@ -354,7 +357,7 @@ impl Twin {
             regmap::ABI,
             boot,
         );
-        self.jobs = jobs_program(&mut self.machine, &self.facts, self.sdram);
+        (self.jobs, self.dhcp) = programs(&mut self.machine, &self.facts, self.sdram);
     }
 
     fn housekeeping(&mut self) {
@@ -364,6 +367,15 @@ impl Twin {
             eprintln!("sim: {state}, reason {reason}");
         }
         self.send_broadcasts();
+        let client = self.dhcp.as_mut();
+        if let Some(payload) = client.and_then(|client| client.turn(&mut self.machine)) {
+            self.frames.from_board += 1;
+            self.send(Reply {
+                service: Service::Dhcp,
+                port: services::lease::SERVER_PORT,
+                payload,
+            });
+        }
         if self.machine.server.wants_restart() {
             self.machine.board.record.part(ResetReason::Requested);
             self.begin();
@@ -394,8 +406,9 @@ impl Twin {
                 self.machine.discover(words, request.port, &mut buffer)
             }
             Service::Dhcp => {
-                let (words, count) = words();
-                self.machine.offered(&words[..count], request.payload.len());
+                if let Some(dhcp) = &mut self.dhcp {
+                    dhcp.take(&request.payload, &mut self.machine);
+                }
                 &[]
             }
         };

@@ -77,6 +77,8 @@ codes! {
         Image = 6, "the slot holds no whole image for this board";
         /// There is no flash.
         NoFlash = 7, "no flash answers";
+        /// Settings that ask for DHCP, on a board without SDRAM.
+        NoDhcp = 8, "refused: a board without SDRAM cannot ask a DHCP server; give it a static address";
     }
 }
 

@@ -7,14 +7,14 @@ use core::arch::global_asm;
 use core::mem::MaybeUninit;
 use core::ptr::null;
 use core::slice;
-use firmware::machine::Reply;
+use firmware::machine::{Lease, Reply};
 use firmware::net::Us;
 use firmware::services::abi::{
     FAILED, FRAME_MAX, Header, INTERFACE, RESTLESS, ROOM, Rom, START, word_to_reply,
 };
 use firmware::services::memory::{self, Cells};
 use firmware::services::port::Place;
-use firmware::services::{Network, Program};
+use firmware::services::{Network, PORTS, Program};
 use firmware::text::Sink;
 use jobs::Outside;
 use wire::MAX_WORDS;
@@ -57,6 +57,7 @@ static SERVICES_HEADER: Header = Header {
     interface: INTERFACE,
     abi: regmap::ABI,
     entry: services_entry,
+    ports: PORTS,
 };
 
 /// The program's state; in `.bss`, and initialised from [`START`] on.
@@ -93,7 +94,7 @@ extern "C" fn services_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
     u32::from(restless) * RESTLESS
 }
 
-/// `None` if the SDRAM has an error, or the board has no jobs.
+/// `None` if the SDRAM has an error.
 fn start(rom: &mut Calls) -> Option<Program<'static>> {
     clear();
     // SAFETY: the first word is the image's CRC, which was right. The test below overwrites it.
@@ -193,6 +194,15 @@ impl Network for Calls<'_> {
         let room = unsafe { &*self.0.output };
         out.put(room.get(..text).unwrap_or(&[]));
         reply
+    }
+
+    fn leased(&mut self, lease: Option<Lease>) {
+        let Lease {
+            ip,
+            prefix,
+            gateway,
+        } = lease.unwrap_or_default();
+        (self.0.leased)(self.0.context, ip, prefix.into(), gateway);
     }
 
     fn us(&mut self) -> Us {

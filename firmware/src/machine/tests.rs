@@ -1,4 +1,5 @@
 use super::*;
+use wire::describe::JobsState;
 use crate::fake::*;
 use wire::GateClose;
 
@@ -248,8 +249,8 @@ fn a_board_that_is_armed_or_owned_is_not_told_anything() {
     assert!(machine.board.chip.writes.is_empty());
 }
 
-#[test]
-fn a_board_with_dhcp_asks_falls_back_after_ten_seconds_and_asks_on() {
+/// A board whose settings ask for DHCP.
+fn with_dhcp() -> (Machine<Notebook>, Settings) {
     let mut board = Notebook::new();
     let settings = Settings {
         dhcp: true,
@@ -258,25 +259,90 @@ fn a_board_with_dhcp_asks_falls_back_after_ten_seconds_and_asks_on() {
     let mut words = [0; 128];
     wire::words_to_bytes(&settings.to_words(), &mut words);
     board.chip.put(0x1f_0000, &words);
-    let mut machine = machine(board);
+    (machine(board), settings)
+}
+
+/// A second passes.
+fn second(machine: &mut Machine<Notebook>) {
+    machine.board.now += u64::from(CLOCK);
+    machine.due(IDLE);
+    machine.housekeeping();
+}
+
+const LEASE: Lease = Lease {
+    ip: 0x0a07_0037,
+    prefix: 16,
+    gateway: 0x0a07_0001,
+};
+
+#[test]
+fn a_board_with_dhcp_falls_back_to_its_static_address_after_ten_seconds() {
+    let (mut machine, settings) = with_dhcp();
     assert_eq!(machine.us.ip, 0, "none yet");
-    let asked = broadcasts(&mut machine);
-    assert_eq!((asked[0].0.from_ip, asked[0].0.to_port), (0, 67));
-    let mut seconds = Vec::new();
-    for second in 1..=16 {
-        machine.board.now += u64::from(CLOCK);
-        machine.due(IDLE);
-        if broadcasts(&mut machine)
-            .iter()
-            .any(|(broadcast, _)| broadcast.to_port == 67)
-        {
-            seconds.push(second);
-        }
-        let ip = if second < 10 { 0 } else { settings.ip };
-        assert_eq!(machine.us.ip, ip, "second {second}");
+    for passed in 1..=16 {
+        second(&mut machine);
+        let ip = if passed < 10 { 0 } else { settings.ip };
+        assert_eq!(machine.us.ip, ip, "second {passed}");
     }
-    assert_eq!(seconds, [2, 6, 14]);
     assert!(machine.moved() && !machine.moved());
+    machine.leased(Some(LEASE));
+    assert_eq!((machine.us.ip, machine.net), (LEASE.ip, (16, LEASE.gateway)));
+    assert!(machine.moved(), "a server that comes later");
+    machine.leased(None);
+    assert_eq!(machine.us.ip, settings.ip, "the lease is over");
+}
+
+#[test]
+fn a_lease_waits_until_no_host_owns_the_session() {
+    let (mut machine, _) = with_dhcp();
+    machine.leased(Some(LEASE));
+    assert!(machine.moved());
+    let answer = ask(&mut machine, &message(UID, Body::Discover));
+    let Some(Body::Here(here)) = answer.map(|answer| answer.body) else {
+        panic!("{answer:?}");
+    };
+    assert!(here.dhcp && here.ip == LEASE.ip);
+    let mut rig = Rig::new();
+    rig.acquire();
+    core::mem::swap(&mut machine.server.session, &mut rig.server.session);
+    let other = Lease {
+        ip: LEASE.ip + 1,
+        ..LEASE
+    };
+    machine.leased(Some(other));
+    assert!(!machine.moved() && machine.us.ip == LEASE.ip);
+    core::mem::swap(&mut machine.server.session, &mut rig.server.session);
+    second(&mut machine);
+    assert!(machine.moved() && machine.us.ip == other.ip);
+}
+
+#[test]
+fn a_lease_that_was_not_asked_for_changes_nothing() {
+    let mut machine = machine(Notebook::new());
+    let before = machine.us;
+    machine.leased(Some(LEASE));
+    second(&mut machine);
+    assert!(!machine.moved() && machine.us == before);
+}
+
+#[test]
+fn a_board_without_sdram_refuses_settings_that_ask_for_dhcp() {
+    let settings = Settings {
+        dhcp: true,
+        ..Settings::default()
+    };
+    for (state, taken) in [
+        (JobsState::None, false),
+        (JobsState::Streamed, false),
+        (JobsState::Alive, true),
+        (JobsState::Ended, true),
+    ] {
+        let mut machine = machine(Notebook::new());
+        machine.jobs(state);
+        let answer = ask(&mut machine, &message(UID, Body::Set(settings)));
+        let refused = message(UID, Body::Done(OpResult::NoDhcp));
+        assert_eq!(answer, (!taken).then_some(refused), "{state}");
+    }
 }
 
 #[test]

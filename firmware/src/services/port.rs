@@ -13,11 +13,10 @@
 
 use super::shut::{NOD, nod};
 use super::stack::Stack;
-use super::{Network, job_lines};
+use super::{Network, facts, job_line, lease};
 use crate::console::{ANSWER_MAX, LineEditor, PROMPT};
-use crate::ip::Text;
 use crate::machine::Reply;
-use crate::text::{Paper, Sink};
+use crate::text::{Paper, Sink, Text};
 use ::jobs::server::BusyReply;
 use ::jobs::{AHEAD, Jobs};
 use core::num::NonZeroU32;
@@ -43,7 +42,7 @@ const CONSOLE_AHEAD: usize = crate::console::LINE_MAX;
 /// Bytes that a client told Busy may send ahead: a Hello and a command.
 const BUSY_AHEAD: usize = 128;
 /// Room for what the client has not acknowledged yet: the longest answer.
-const TEXT: usize = crate::ip::TEXT;
+const TEXT: usize = crate::text::TEXT_ROOM;
 const _: () = assert!(TEXT >= ANSWER_MAX && TEXT >= wire::jobs::FRAME);
 
 /// A handshake that takes longer yields to the next client.
@@ -62,6 +61,7 @@ const ACK: u8 = 16;
 
 /// The memory of the sockets, given to [`super::Program::new`].
 pub struct Place<'m> {
+    lease: lease::Place<'m>,
     sockets: [[SocketStorage<'m>; 1]; CONNECTIONS],
     buffers: [u8; BUFFERS],
 }
@@ -85,10 +85,19 @@ impl Place<'_> {
     /// Without a socket.
     pub const fn new() -> Self {
         Place {
+            lease: lease::Place::new(),
             sockets: [const { [SocketStorage::EMPTY] }; CONNECTIONS],
             buffers: [0; BUFFERS],
         }
     }
+}
+
+/// The destination port, if this is UDP.
+fn udp_port(frame: &[u8]) -> Option<u16> {
+    let udp = frame.get(12..14)? == [8, 0] && *frame.get(23)? == 17;
+    let at = 14 + usize::from(frame.get(14)? & 15) * 4;
+    let port = frame.get(at + 2..)?.first_chunk()?;
+    udp.then(|| u16::from_be_bytes(*port))
 }
 
 /// The other end of a connection.
@@ -256,7 +265,11 @@ impl Millis {
 /// The connections.
 pub struct Port<'m> {
     stack: Stack,
+    /// If the board's address comes from a DHCP server.
+    lease: Option<lease::Client<'m>>,
     connections: [Connection<'m>; CONNECTIONS],
+    /// Connections that can be used: on boards without jobs the consoles.
+    count: usize,
     /// For frames of no connection.
     none: SocketSet<'m>,
     lines: [LineEditor; CONSOLES],
@@ -281,9 +294,19 @@ const fn port_of(index: usize) -> u16 {
 }
 
 impl<'m> Port<'m> {
-    /// Listens at all ports.
-    pub fn new(place: &'m mut Place<'m>, clock_hz: u32, out: &mut impl Network) -> Self {
-        let Place { sockets, buffers } = place;
+    /// Listens at all ports; at that of jobs if there are `jobs`.
+    pub fn new(
+        place: &'m mut Place<'m>,
+        jobs: bool,
+        clock_hz: u32,
+        out: &mut impl Network,
+    ) -> Self {
+        let Place {
+            lease,
+            sockets,
+            buffers,
+        } = place;
+        let count = if jobs { CONNECTIONS } else { CONSOLES };
         let mut buffers = &mut buffers[..];
         let mut cut = |length: usize| {
             let (piece, rest) = core::mem::take(&mut buffers).split_at_mut(length);
@@ -316,16 +339,26 @@ impl<'m> Port<'m> {
                 greeted: false,
                 closing: false,
             };
-            connection.listen(port_of(index));
+            if index < count {
+                connection.listen(port_of(index));
+            }
             connection
         });
         let now = out.now();
         let us = out.us();
-        let mut stack = Stack::new(now ^ u64::from(us.ip) << 32, out);
+        let settings = facts::settings(out);
+        let lease = settings
+            .dhcp
+            .then(|| lease::Client::new(lease, &settings.name));
+        let [a, b, c, d, e, f] = us.mac;
+        let mac = u64::from_be_bytes([a, b, c, d, e, f, 0, 0]);
+        let mut stack = Stack::new(now ^ mac ^ u64::from(us.ip) << 32, out);
         stack.settle(us);
         Port {
             stack,
+            lease,
             connections,
+            count,
             none: SocketSet::new(&mut [][..]),
             lines: [const { LineEditor::new() }; CONSOLES],
             busy: [const { BusyReply::new() }; BUSY],
@@ -341,11 +374,17 @@ impl<'m> Port<'m> {
     }
 
     /// Takes a frame. What it asks for is answered in later turns, but for ARP and ping.
-    pub fn frame(&mut self, jobs: &mut Jobs, frame: &[u8], out: &mut impl Network) {
+    pub fn frame(&mut self, jobs: Option<&mut Jobs>, frame: &[u8], out: &mut impl Network) {
         let now = out.now();
         let ms = self.clock.pass(now);
         let instant = Instant::from_millis(ms);
-        if self.settle(out) {
+        let nowhere = self.settle(out);
+        if let Some(lease) = &mut self.lease
+            && udp_port(frame) == Some(lease::PORT)
+        {
+            return lease.take(frame, &mut self.stack, instant, out);
+        }
+        if nowhere {
             return;
         }
         let segment = Segment::parse(frame);
@@ -379,13 +418,22 @@ impl<'m> Port<'m> {
     }
 
     /// A client begins its handshake.
-    fn opened(&mut self, index: usize, jobs: &mut Jobs, now: u64, ms: u32, out: &mut impl Network) {
+    fn opened(
+        &mut self,
+        index: usize,
+        jobs: Option<&mut Jobs>,
+        now: u64,
+        ms: u32,
+        out: &mut impl Network,
+    ) {
         if let Some(line) = self.lines.get_mut(index) {
             *line = LineEditor::new();
         } else if index == LINE {
             // A client has the time of silence from its first frame on, not from its predecessor's
             // last.
-            jobs.request_context(now, out).greet();
+            if let Some(jobs) = jobs {
+                jobs.request_context(now, out).greet();
+            }
         } else if self.connections[FIRST_BUSY..]
             .iter()
             .all(|connection| !connection.free(ms))
@@ -416,7 +464,7 @@ impl<'m> Port<'m> {
             }
             Some(index) => Some(index),
             None if opens => {
-                let mut all = self.connections.iter_mut().enumerate();
+                let mut all = self.connections.iter_mut().enumerate().take(self.count);
                 let (index, connection) =
                     all.find(|(index, connection)| port_of(*index) == to && connection.free(ms))?;
                 if connection.state() != State::Listen {
@@ -432,7 +480,8 @@ impl<'m> Port<'m> {
     fn settle(&mut self, out: &mut impl Network) -> bool {
         let us = out.us();
         if self.stack.settle(us) {
-            for (index, connection) in self.connections.iter_mut().enumerate() {
+            let connections = self.connections.iter_mut().enumerate();
+            for (index, connection) in connections.take(self.count) {
                 connection.listen(port_of(index));
             }
         }
@@ -446,9 +495,21 @@ impl<'m> Port<'m> {
     }
 
     /// Does one thing for the next connection. True if there was something to do.
-    pub fn turn(&mut self, jobs: &mut Jobs, now: u64, out: &mut impl Network) -> bool {
+    pub fn turn(
+        &mut self,
+        jobs: Option<&mut Jobs>,
+        now: u64,
+        out: &mut impl Network,
+    ) -> bool {
         let ms = self.clock.pass(now);
-        if self.settle(out) {
+        let nowhere = self.settle(out);
+        let instant = Instant::from_millis(ms);
+        if let Some(lease) = &mut self.lease
+            && lease.turn(&mut self.stack, instant, out)
+        {
+            return true;
+        }
+        if nowhere {
             return false;
         }
         let rest = (self.next..CONNECTIONS).chain(0..self.next);
@@ -468,7 +529,7 @@ impl<'m> Port<'m> {
     fn look_at(
         &mut self,
         index: usize,
-        jobs: &mut Jobs,
+        jobs: Option<&mut Jobs>,
         (now, ms): (u64, u32),
         out: &mut impl Network,
     ) -> bool {
@@ -483,7 +544,7 @@ impl<'m> Port<'m> {
         let over = match index {
             _ if connection.closing => waited >= CLOSING_MS,
             0..LINE => false,
-            LINE => jobs.server().silent(now),
+            LINE => jobs.as_ref().is_some_and(|jobs| jobs.server().silent(now)),
             _ => waited >= SILENCE_SECONDS * 1000,
         };
         if over {
@@ -504,10 +565,12 @@ impl<'m> Port<'m> {
         }
         let open = matches!(connection.state(), State::Established | State::CloseWait);
         let done = open
-            && match index {
-                0..LINE => self.console(index, jobs, now, out),
-                LINE => self.request(jobs, now, out),
-                _ => self.busy_reply(index, jobs, now, out),
+            && match (index, jobs) {
+                (0..LINE, jobs) => self.console(index, jobs, out),
+                (LINE, Some(jobs)) => self.request(jobs, now, out),
+                (_, Some(jobs)) => self.busy_reply(index, jobs, now, out),
+                // Nothing listens there.
+                (_, None) => false,
             };
         let connection = &mut self.connections[index];
         if done {
@@ -534,7 +597,12 @@ impl<'m> Port<'m> {
     }
 
     /// Takes bytes of a console's client, at most one line, and answers it.
-    fn console(&mut self, index: usize, jobs: &mut Jobs, now: u64, out: &mut impl Network) -> bool {
+    fn console(
+        &mut self,
+        index: usize,
+        jobs: Option<&mut Jobs>,
+        out: &mut impl Network,
+    ) -> bool {
         let connection = &mut self.connections[index];
         if connection.room() < ANSWER_MAX {
             return false;
@@ -562,7 +630,7 @@ impl<'m> Port<'m> {
             Reply::Job { trusted } => {
                 let mut room = [0; super::TEXT_MAX];
                 let mut paper = Paper::new(&mut room);
-                job_lines::answer(jobs, editor.line(), trusted, now, &mut paper, out);
+                job_line(jobs, editor.line(), trusted, &mut paper, out);
                 let used = paper.used();
                 self.text.put(room.get(..used).unwrap_or(&[]));
                 self.text.put(PROMPT.as_bytes());

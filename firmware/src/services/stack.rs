@@ -8,7 +8,7 @@ use super::Network;
 use crate::net::Us;
 use smoltcp::iface::{Config, Interface, PollResult, SocketSet};
 use smoltcp::phy::{Device, DeviceCapabilities, Medium, RxToken, TxToken};
-use smoltcp::time::Instant;
+use smoltcp::time::{Duration, Instant};
 use smoltcp::wire::{EthernetAddress, IpCidr, Ipv4Address, Ipv4Cidr};
 
 /// Bytes of the longest frame.
@@ -83,6 +83,13 @@ impl Stack {
             out,
         };
         self.iface.poll_egress(now, &mut wire, sockets) == PollResult::SocketStateChanged
+    }
+
+    /// When one of these sockets has something to send; at most a second from now.
+    pub fn due(&mut self, sockets: &SocketSet, now: Instant) -> Instant {
+        let second = now + Duration::from_secs(1);
+        let due = self.iface.poll_at(now, sockets);
+        due.map_or(second, |due| due.min(second))
     }
 
     /// A client's MAC address, from its own frame: smoltcp would ask for it, and asks only once a

@@ -17,7 +17,7 @@
 use crate::byte_reader::ByteReader;
 use ::jobs::instruction::{Arc, Feed, Instruction};
 use ::jobs::job::Writer;
-use firmware::ip::Text;
+use firmware::text::Text;
 use firmware::machine::{IDLE, Machine};
 use firmware::services::port::Place;
 use firmware::services::{Program, TEXT_MAX};

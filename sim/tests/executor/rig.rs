@@ -5,7 +5,7 @@ use ::jobs::plan::{AxisSetup, Output, Planner, Setup as Planned};
 use ::jobs::{Outside, gcode, job};
 use firmware::console::Vitals;
 use firmware::cores::Board as _;
-use firmware::ip::Text;
+use firmware::text::Text;
 use firmware::machine::{IDLE, Machine, Reply};
 use firmware::net::Us;
 use firmware::services::port::Place;

@@ -158,7 +158,7 @@ impl Player {
         let mut out = [0; jobs::FRAME];
         let length = request.emit(self.rig.id, &mut out);
         self.rig.id = self.rig.id.wrapping_add(1);
-        let mut text = firmware::ip::Text::new();
+        let mut text = firmware::text::Text::new();
         let mut taken = 0;
         for _ in 0..100_000 {
             let mut wire = Wire {
