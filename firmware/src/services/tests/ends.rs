@@ -13,7 +13,7 @@ const HANDSHAKE_MS: u64 = 250;
 /// A client has so much time to end its half behind the board's.
 const CLOSING_MS: u64 = 30_000;
 /// The ROM calls every 10 ms, and the board asks and answers in turns.
-const MORE_MS: u64 = 1000;
+const MORE_MS: u64 = 200;
 
 /// After how many milliseconds this client gets in; it knocks every `every`.
 fn enters_after(board: &mut Board, host: &Host, every: u64, limit: u64) -> u64 {
@@ -42,7 +42,9 @@ fn clients_that_die_without_a_word_leave_their_consoles_within_92_s() {
     let next = Host::new(4);
     assert!(!next.clone().knocks(&mut board), "three at a time");
     let asked = board.wait(GONE_MS - 2_000);
-    assert!(asked.len() <= 3 * 12, "{} questions", asked.len());
+    assert!(asked.len() <= 3 * 10, "{} questions", asked.len());
+    let tcp = |(_, frame): &(u64, Vec<u8>)| segment_of(frame).is_some();
+    assert!(asked.iter().all(tcp), "ARP for a client that was there");
     assert!(!next.clone().knocks(&mut board), "92 s are not over");
     let ms = enters_after(&mut board, &next, 10, 2_000 + MORE_MS);
     assert!(ms > 0, "it was kept out until then");

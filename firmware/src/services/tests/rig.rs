@@ -1,7 +1,7 @@
 //! The board of these tests: the services over a real server, with a console that repeats lines.
 
 use crate::fake;
-use crate::machine::Reply;
+use crate::machine::{Lease, Reply};
 use crate::net::Us;
 use crate::services::port::Place;
 use crate::services::{Network, Program};
@@ -76,6 +76,7 @@ impl Network for World {
     fn us(&mut self) -> Us {
         self.us
     }
+    fn leased(&mut self, _: Option<Lease>) {}
     fn console(&mut self, _: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
         let Some(line) = line else {
             out.put(PROMPT.as_bytes());
