@@ -21,6 +21,9 @@ pub mod port;
 pub mod stack;
 
 mod job_lines;
+mod shut;
+#[cfg(test)]
+mod tests;
 
 use self::port::{Place, Port};
 use crate::console::{ANSWER_MAX, NO_JOBS, PROMPT};

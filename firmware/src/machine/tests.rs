@@ -1,7 +1,7 @@
 use super::*;
-use wire::describe::JobsState;
 use crate::fake::*;
 use wire::GateClose;
+use wire::describe::JobsState;
 
 fn ident() -> Ident {
     *Rig::new().server.ident()
@@ -286,7 +286,10 @@ fn a_board_with_dhcp_falls_back_to_its_static_address_after_ten_seconds() {
     }
     assert!(machine.moved() && !machine.moved());
     machine.leased(Some(LEASE));
-    assert_eq!((machine.us.ip, machine.net), (LEASE.ip, (16, LEASE.gateway)));
+    assert_eq!(
+        (machine.us.ip, machine.net),
+        (LEASE.ip, (16, LEASE.gateway))
+    );
     assert!(machine.moved(), "a server that comes later");
     machine.leased(None);
     assert_eq!(machine.us.ip, settings.ip, "the lease is over");
