@@ -12,6 +12,7 @@
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
+pub mod mdns;
 pub mod memory;
 pub mod port;
 pub mod stack;
