@@ -12,10 +12,13 @@
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
+pub mod journal;
 pub mod mdns;
 pub mod memory;
 pub mod port;
+pub mod sntp;
 pub mod stack;
+pub mod syslog;
 
 mod job_lines;
 
