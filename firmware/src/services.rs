@@ -12,7 +12,9 @@
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
+pub mod http;
 pub mod journal;
+pub mod look;
 pub mod mdns;
 pub mod memory;
 pub mod port;
