@@ -12,6 +12,7 @@
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
+pub mod events;
 pub mod http;
 pub mod journal;
 pub mod look;
