@@ -11,8 +11,8 @@ use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::time::{Duration, Instant};
 use wire::mdns::{A, FERROCNC, GROUP, IN, Message, PORT, PTR, Record, SRV, TXT, UID, Writer};
 
-/// How long a name is looked for. A board answers within 120 ms; one that still asks whether its name
-/// is taken, within two seconds.
+/// How long a name is looked for. A board answers within 120 ms; one that still asks whether its
+/// name is taken, within two seconds.
 pub const WAIT: Duration = Duration::from_millis(3000);
 /// Between two repetitions of a question, because datagrams may be lost.
 const AGAIN: Duration = Duration::from_millis(700);

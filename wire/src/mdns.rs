@@ -33,8 +33,8 @@ pub const NSEC: u16 = 47;
 pub const ANY: u16 = 255;
 /// The internet.
 pub const IN: u16 = 1;
-/// Bit of a question's class: an answer by unicast is welcome. Of a record's: it replaces all others
-/// of its name and kind.
+/// Bit of a question's class: an answer by unicast is welcome. Of a record's: it replaces all
+/// others of its name and kind.
 pub const TOP: u16 = 0x8000;
 /// Bit of the header's flags: a response.
 pub const RESPONSE: u16 = 0x8000;

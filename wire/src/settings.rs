@@ -9,8 +9,8 @@
 //!                                               31 CRC-32 of words 0..30
 //! ```
 //!
-//! Words 22 and 23 were zero before there were these servers. An older firmware takes settings with a
-//! server for invalid ones, and those built into the image apply.
+//! Words 22 and 23 were zero before there were these servers. An older firmware takes settings with
+//! a server for invalid ones, and those built into the image apply.
 //!
 //! There are two copies in flash, a sector each. The newest whole one is in force; a save writes
 //! the other one, so a power cut at any moment leaves the old or the new. The board numbers the

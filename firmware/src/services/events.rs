@@ -1,6 +1,6 @@
-//! What is worth a line of the log: changes of what the board says of itself, seen by looking at its
-//! words from turn to turn. So the log needs nothing of the ROM, and misses what came and went between
-//! two looks.
+//! What is worth a line of the log: changes of what the board says of itself, seen by looking at
+//! its words from turn to turn. So the log needs nothing of the ROM, and misses what came and went
+//! between two looks.
 
 use super::journal::{Journal, Severity, Stamp};
 use super::look::ask;

@@ -1,5 +1,5 @@
-//! A log of events that outlives a restart of the firmware and of the services: a ring of entries in
-//! SDRAM that no program clears. It does not outlive a loss of power.
+//! A log of events that outlives a restart of the firmware and of the services: a ring of entries
+//! in SDRAM that no program clears. It does not outlive a loss of power.
 //!
 //! ```text
 //!   word 0 magic   1 number   2 boot id   3 seconds since power-up   4 Unix time, 0 unknown
@@ -8,8 +8,8 @@
 //!
 //! An entry's number says where it stands, so there is no head that could be wrong. What is found
 //! at the start is an entry only if magic, number, place and CRC fit: memory after power-up is an
-//! empty journal, and an entry that was being written when the power or the program went is skipped.
-//! The magic is taken away first and written last.
+//! empty journal, and an entry that was being written when the power or the program went is
+//! skipped. The magic is taken away first and written last.
 
 use crate::text::Out;
 use wire::crc::crc32;

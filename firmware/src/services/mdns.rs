@@ -1,10 +1,10 @@
 //! Answers multicast DNS: `NAME.local`, and the services `_ferrocnc._udp` and `_http._tcp`.
 //!
 //! A name is asked for three times, a quarter of a second apart, before it is the board's; if
-//! another device has it, the board takes it with a number behind it. Then the records are announced
-//! twice. A question is answered in the next turn, or up to 120 ms later if other devices may
-//! answer, too; what the sender knows already is left out. A question from another port than 5353
-//! is one of plain DNS and gets its answer itself, with a short time to live.
+//! another device has it, the board takes it with a number behind it. Then the records are
+//! announced twice. A question is answered in the next turn, or up to 120 ms later if other devices
+//! may answer, too; what the sender knows already is left out. A question from another port than
+//! 5353 is one of plain DNS and gets its answer itself, with a short time to live.
 //!
 //! A datagram is read once, up to sixteen questions and 32 records of it, and leaves behind only a
 //! set of records to be sent. A turn sends at most one message. There is no goodbye: a board loses

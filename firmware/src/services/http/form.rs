@@ -1,7 +1,7 @@
 //! Values as HTML and as JSON: one description of the page, two forms.
 //!
-//! Each value has a place in the JSON, `axes.0.position`, and its cell in the HTML has that place as
-//! `data-k`: so the page's script needs no list of its own.
+//! Each value has a place in the JSON, `axes.0.position`, and its cell in the HTML has that place
+//! as `data-k`: so the page's script needs no list of its own.
 
 use crate::text::{Out, Sink};
 
@@ -147,7 +147,7 @@ pub fn escape_json(text: &str, out: &mut Out) {
 /// With two decimals, cut towards 0. No division of 64 bits.
 fn fixed(value: i64, out: &mut Out) {
     let size = value.unsigned_abs();
-    let hundredths = ((size & 0xffff_ffff) * 100 >> 32) as u32;
+    let hundredths = (((size & 0xffff_ffff) * 100) >> 32) as u32;
     let whole = (size >> 32) as u32;
     out.text(if value < 0 && (whole | hundredths) != 0 {
         "-"

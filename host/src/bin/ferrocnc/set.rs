@@ -40,8 +40,8 @@ pub(crate) struct Set {
     /// Its UDP port for LinuxCNC.
     #[arg(long)]
     port: Option<u16>,
-    /// Where it sends its events, as syslog (RFC 5424, UDP port 514); 0.0.0.0 for nowhere. In its own
-    /// network.
+    /// Where it sends its events, as syslog (RFC 5424, UDP port 514); 0.0.0.0 for nowhere. In its
+    /// own network.
     #[arg(long, value_name = "IP")]
     syslog: Option<Ipv4Addr>,
     /// Where it asks for the time of its log (SNTP); 0.0.0.0 for nowhere. In its own network.
