@@ -14,11 +14,18 @@
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
+pub mod events;
 pub mod facts;
+pub mod http;
+pub mod journal;
 pub mod lease;
+pub mod look;
+pub mod mdns;
 pub mod memory;
 pub mod port;
+pub mod sntp;
 pub mod stack;
+pub mod syslog;
 
 mod job_lines;
 mod shut;

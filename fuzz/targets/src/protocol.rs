@@ -205,6 +205,9 @@ fn change(input: &mut ByteReader, settings: &Settings) {
         name: given(5).then_some(Name::cut(&String::from_utf8_lossy(input.some()))),
         mac: given(6).then_some(input.array()),
         port: given(7).then_some(port),
+        // Bits 0 and 2 mean an address each already; servers come with them.
+        syslog: given(0).then_some(gateway.into()),
+        sntp: given(2).then_some(ip.into()),
     };
     if let Ok(changed) = change.apply(settings) {
         assert_eq!(Settings::parse(&changed.to_words()), Ok(changed));
