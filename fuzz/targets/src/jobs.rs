@@ -17,10 +17,10 @@
 use crate::byte_reader::ByteReader;
 use ::jobs::instruction::{Arc, Feed, Instruction};
 use ::jobs::job::Writer;
-use firmware::text::Text;
 use firmware::machine::{IDLE, Machine};
 use firmware::services::port::Place;
 use firmware::services::{Program, TEXT_MAX};
+use firmware::text::Text;
 use motion::segment::AXES;
 use sim::board_facts::BoardFacts;
 use sim::jobs::Outer;
@@ -258,7 +258,8 @@ impl Bench<'_> {
         let idle = (!self.jobs.executor().expect("jobs").busy()).then(|| self.pulses());
         let asked = self.act(input);
         self.holds();
-        if let Some(pulses) = idle.filter(|_| !asked && !self.jobs.executor().expect("jobs").busy()) {
+        if let Some(pulses) = idle.filter(|_| !asked && !self.jobs.executor().expect("jobs").busy())
+        {
             assert_eq!(
                 self.pulses(),
                 pulses,

@@ -228,7 +228,10 @@ impl Cable {
         };
         let mut nor = Nor::new(Part::W25Q16JV.with(Times::QUICK), UID);
         let layout = wire::flash::Layout::of(nor.part().bytes as u32).expect("a known size");
-        nor.preload(layout.settings_copy(0) as usize, &bytes(&settings.to_words()));
+        nor.preload(
+            layout.settings_copy(0) as usize,
+            &bytes(&settings.to_words()),
+        );
         Cable {
             machine: crate::watched::start_on(Shared::new(nor)),
             sent: Vec::new(),

@@ -187,9 +187,8 @@ pub(super) mod tests {
             verdicts(|f| f.describe.features = 0),
             [Good, Skipped, Good, Good]
         );
-        let sdram = |state: JobsState| {
-            verdicts(|f| f.describe.features = state.code() << JobsState::AT)[1]
-        };
+        let sdram =
+            |state: JobsState| verdicts(|f| f.describe.features = state.code() << JobsState::AT)[1];
         assert_eq!(sdram(JobsState::Sdram), Bad);
         assert_eq!(sdram(JobsState::Damaged), Note);
         assert_eq!(sdram(JobsState::Loading), Note);
