@@ -567,9 +567,10 @@ impl<'m> Port<'m> {
         }
         let waited = ms.wrapping_sub(connection.since);
         let over = match index {
-            _ if connection.closing => waited >= CLOSING_MS,
-            0..LINE => false,
+            // The one line for jobs waits for its client's end no longer than for a request.
+            0..LINE => connection.closing && waited >= CLOSING_MS,
             LINE => jobs.as_ref().is_some_and(|jobs| jobs.server().silent(now)),
+            // A place for Busy is not held open longer either.
             _ => waited >= SILENCE_SECONDS * 1000,
         };
         if over {
