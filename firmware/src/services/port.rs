@@ -51,7 +51,7 @@ const HANDSHAKE_MS: u32 = 250;
 /// After so many strangers and so much time a client's MAC address is told to the stack again,
 /// which keeps 16 of them for a minute: no connection waits for ARP, and a client that does not
 /// answer ARP any more is asked over its connection until it is gone.
-const FORGOTTEN: u32 = 8;
+const FORGOTTEN: u32 = 16 - CONNECTIONS as u32;
 const EXPIRES_MS: u32 = 50_000;
 /// After so much silence a client is asked whether it is still there.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
@@ -555,7 +555,9 @@ impl<'m> Port<'m> {
         });
         if !known {
             let client = (connection.mac, connection.peer.ip);
-            self.strangers = self.strangers.wrapping_add(1);
+            // Only the first time: the connections must not drive each other out.
+            let new = connection.introduced.is_none();
+            self.strangers = self.strangers.wrapping_add(u32::from(new));
             connection.introduced = Some((self.strangers, ms));
             self.stack.introduce(client, &mut self.none, instant, out);
             return true;
