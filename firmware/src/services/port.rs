@@ -21,7 +21,6 @@ use ::jobs::server::BusyReply;
 use ::jobs::{AHEAD, Jobs};
 use core::num::NonZeroU32;
 use smoltcp::iface::{SocketHandle, SocketSet, SocketStorage};
-use smoltcp::socket::Socket as AnySocket;
 use smoltcp::socket::tcp::{Socket, SocketBuffer, State};
 use smoltcp::time::{Duration, Instant};
 use wire::CONSOLE_PORT;
@@ -198,11 +197,6 @@ impl<'m> Connection<'m> {
         socket.abort();
         // A port that is not 0, and a socket that is closed: it cannot fail.
         let _ = socket.listen(port);
-        // The set remembers that the last client's MAC address was not known, and would be silent
-        // for a second.
-        if let AnySocket::Tcp(socket) = self.sockets.remove(self.handle) {
-            self.handle = self.sockets.add(socket);
-        }
     }
 
     /// Passes the client's bytes on; `take` says how many it took.
