@@ -21,7 +21,6 @@ use ::jobs::server::BusyReply;
 use ::jobs::{AHEAD, Jobs};
 use core::num::NonZeroU32;
 use smoltcp::iface::{SocketHandle, SocketSet, SocketStorage};
-use smoltcp::socket::Socket as AnySocket;
 use smoltcp::socket::tcp::{Socket, SocketBuffer, State};
 use smoltcp::time::{Duration, Instant};
 use wire::CONSOLE_PORT;
@@ -51,7 +50,7 @@ const HANDSHAKE_MS: u32 = 250;
 /// After so many strangers and so much time a client's MAC address is told to the stack again,
 /// which keeps 16 of them for a minute: no connection waits for ARP, and a client that does not
 /// answer ARP any more is asked over its connection until it is gone.
-const FORGOTTEN: u32 = 8;
+const FORGOTTEN: u32 = 16 - CONNECTIONS as u32;
 const EXPIRES_MS: u32 = 50_000;
 /// After so much silence a client is asked whether it is still there.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
@@ -198,11 +197,6 @@ impl<'m> Connection<'m> {
         socket.abort();
         // A port that is not 0, and a socket that is closed: it cannot fail.
         let _ = socket.listen(port);
-        // The set remembers that the last client's MAC address was not known, and would be silent
-        // for a second.
-        if let AnySocket::Tcp(socket) = self.sockets.remove(self.handle) {
-            self.handle = self.sockets.add(socket);
-        }
     }
 
     /// Passes the client's bytes on; `take` says how many it took.
@@ -560,7 +554,9 @@ impl<'m> Port<'m> {
         });
         if !known {
             let client = (connection.mac, connection.peer.ip);
-            self.strangers = self.strangers.wrapping_add(1);
+            // Only the first time: the connections must not drive each other out.
+            let new = connection.introduced.is_none();
+            self.strangers = self.strangers.wrapping_add(u32::from(new));
             connection.introduced = Some((self.strangers, ms));
             self.stack.introduce(client, &mut self.none, instant, out);
             return true;
