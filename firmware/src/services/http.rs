@@ -24,8 +24,11 @@ use jobs::Outside;
 
 /// TCP port.
 pub const PORT: u16 = 80;
+/// Around a piece: its length in eight digits and two ends of a line; behind the last one a piece
+/// of no bytes.
+const FRAMING: usize = 8 + 2 + 2 + 5;
 /// Bytes that [`Connection::turn`] writes at most.
-pub const TURN_MAX: usize = PIECE + 16;
+pub const TURN_MAX: usize = PIECE + FRAMING;
 /// A request has to be whole within this time.
 const REQUEST_MS: u32 = 5000;
 /// A client has to take the whole answer within this time.

@@ -506,6 +506,18 @@ fn names() -> impl Strategy<Value = Vec<(u8, u8, String)>> {
     proptest::collection::vec((1u8..8, 0u8..32, name), 0..12)
 }
 
+#[test]
+fn a_full_last_piece_with_its_framing_fits_into_a_turn() {
+    let mut written = String::new();
+    let request = Request {
+        ask: Ask::Json,
+        head: false,
+        pieces: true,
+    };
+    put(&request, &[b'x'; PIECE], true, &mut written);
+    assert_eq!(written.len(), TURN_MAX);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
