@@ -3,8 +3,8 @@
 //! Lines come in, text goes out. A command that changes something (`restart`) needs a machine at
 //! rest, a session without an owner and, if the board has a key, a `login` ([`crate::auth`]). No
 //! command can stop a machine that a host drives. Lines that begin with `job` are for the services,
-//! which have their own rules for them ([`crate::services`]). The console ignores lines that are too long,
-//! control bytes and telnet's option negotiation.
+//! which have their own rules for them ([`crate::services`]). The console ignores lines that are
+//! too long, control bytes and telnet's option negotiation.
 
 use crate::auth::{Words, by_port};
 use crate::cores::{Board, Setting};

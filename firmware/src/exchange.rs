@@ -104,9 +104,9 @@ impl Server {
             gate = self.commit(board, &head, gate)?;
         }
 
-        // Answer with the sampled status page. The compiler would build a function of its own twice,
-        // once for damaged commands, and a warm-up would load the wrong one. `session_yours` and
-        // `accepted` are true here, because anything else was refused above.
+        // Answer with the sampled status page. The compiler would build a function of its own
+        // twice, once for damaged commands, and a warm-up would load the wrong one. `session_yours`
+        // and `accepted` are true here, because anything else was refused above.
         let [arrival_lo, arrival_hi] = [board.arrival_lo(), board.arrival_hi()];
         let [sample_lo, sample_hi] = [
             board.latched(status::SAMPLE_LO),

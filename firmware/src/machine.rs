@@ -36,7 +36,7 @@ use wire::discovery::{Body, Message, proof};
 use wire::flash::{OpResult, OpWord};
 use wire::images::{Trailer, idcode_of};
 use wire::map::{BoardConfig, StepgenConfig};
-use wire::settings::Settings;
+use wire::settings::{Settings, unicast};
 use wire::{DISCOVERY_PORT, FaultReason, MAX_WORDS, Name, Refusal, State};
 
 /// Housekeeping is due after an answer to the owner once one of its periods has passed: the next
@@ -415,7 +415,8 @@ impl<B: Board> Machine<B> {
     /// The services have an address from a DHCP server, or have lost it. It comes into force when no
     /// host owns the session.
     pub fn leased(&mut self, lease: Option<Lease>) {
-        self.lease = lease;
+        // A server may offer anything.
+        self.lease = lease.filter(|lease| unicast(lease.ip) && lease.prefix <= 32);
         if self.dhcp {
             self.settle();
         }
@@ -458,8 +459,8 @@ impl<B: Board> Machine<B> {
         self.server.auth.trusted()
     }
 
-    /// Answers a line of the services' console number `visitor`, and asks for the next one; no line:
-    /// a client has connected. Each client logs in for itself.
+    /// Answers a line of the services' console number `visitor`, and asks for the next one; no
+    /// line: a client has connected. Each client logs in for itself.
     #[inline(never)]
     pub fn converse(
         &mut self,

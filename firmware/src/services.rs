@@ -1,6 +1,6 @@
-//! The services: TCP/IP, consoles and jobs. This is a separate program in SDRAM, because the ROM has
-//! no room for it, and because the machine has to outlive it: a panic in here ends the services,
-//! not the motion.
+//! The services: TCP/IP, consoles and jobs. This is a separate program in SDRAM, because the ROM
+//! has no room for it, and because the machine has to outlive it: a panic in here ends the
+//! services, not the motion.
 //!
 //! ```text
 //!   frames --> stack (smoltcp) --> port --+--> consoles --> the ROM's text, and job_lines
@@ -14,15 +14,25 @@
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
+pub mod events;
 pub mod facts;
+pub mod http;
+pub mod journal;
 pub mod lease;
 pub mod line_editor;
+pub mod look;
+pub mod mdns;
 pub mod memory;
 pub mod port;
+pub mod sntp;
 pub mod stack;
+pub mod syslog;
 pub mod telnet;
 
 mod job_lines;
+mod shut;
+#[cfg(test)]
+mod tests;
 
 use self::port::{Place, Port};
 use crate::console::{ANSWER_MAX, NO_JOBS, PROMPT};
@@ -158,6 +168,11 @@ impl<'m> Program<'m> {
             }
         };
         works || port.busy()
+    }
+
+    /// Is a client connected, at a console or for jobs?
+    pub fn visited(&self) -> bool {
+        self.port.visited()
     }
 
     /// Is there work of the connections for the next turn?

@@ -393,18 +393,18 @@ int main(int argc, char **argv) {
         drive(low ? ~0u : 0);
         k.write("gpio.probe", input | 1 << 8 | low << 9);
         k.run(40);
-        const uint32_t who_e = r.next() & ((1u << encoders) - 1), who_s = r.next() & ((1u << steps) - 1);
+        const uint32_t chosen_e = r.next() & ((1u << encoders) - 1), chosen_s = r.next() & ((1u << steps) - 1);
         for (unsigned n = 0; n < steps; n++) k.write(nth("command.stepgen", n, "_velocity"), 0);
-        arm(0, who_e, 0, who_s);
+        arm(0, chosen_e, 0, chosen_s);
         flags(0, 0, 0, 0);
         drive(low ? ~(1u << input) : 1u << input);
         k.run(40);
         sample();
-        flags(0, who_e, 0, who_s);
+        flags(0, chosen_e, 0, chosen_s);
         for (unsigned n = 0; n < encoders; n++)
-            if (who_e >> n & 1) k.expect(nth("status.encoder", n, "_latch"), k.read(nth("status.encoder", n, "_count")));
+            if (chosen_e >> n & 1) k.expect(nth("status.encoder", n, "_latch"), k.read(nth("status.encoder", n, "_count")));
         for (unsigned n = 0; n < steps; n++)
-            if (who_s >> n & 1) k.expect(nth("status.stepgen", n, "_latch"), k.read(nth("status.stepgen", n, "_position_hi")));
+            if (chosen_s >> n & 1) k.expect(nth("status.stepgen", n, "_latch"), k.read(nth("status.stepgen", n, "_position_hi")));
         arm(0, 0, 0, 0);
         flags(0, 0, 0, 0);
         k.write("gpio.probe", 0);

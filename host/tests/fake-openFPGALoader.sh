@@ -1,6 +1,6 @@
 #!/bin/sh
-# What openFPGALoader prints, case by case ($FAKE), with nothing behind it. Texts of version 0.10 (Debian 12) and 1.0.
-# Every call is noted in $FAKE_LOG.
+# What openFPGALoader prints, case by case ($FAKE), with nothing behind it. Texts of version 0.10
+# (Debian 12) and 1.0. Every call is noted in $FAKE_LOG.
 echo "$@" >> "$FAKE_LOG"
 case "$*" in
 --list-cables)

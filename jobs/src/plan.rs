@@ -337,7 +337,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         &mut self.lines[(self.head + index) % DEPTH]
     }
 
-    // ---- into the buffer ---------------------------------------------------------------------------------------
+    // ---- into the buffer ------------------------------------------------------------------------
 
     fn line_to(&mut self, to: Place, feed: Feed) {
         if to == self.at {
@@ -505,7 +505,7 @@ impl<const DEPTH: usize> Planner<DEPTH> {
         true
     }
 
-    // ---- out of the buffer -------------------------------------------------------------------------------------
+    // ---- out of the buffer ----------------------------------------------------------------------
 
     fn begin_line(&mut self) -> bool {
         let flushing = self.then.is_some() && self.chords.is_none() && self.pending.is_none();

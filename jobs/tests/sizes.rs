@@ -1,4 +1,5 @@
-//! The memory that `docs/jobs.md` names, on a PC. Bounds, because each compiler has a layout of its own.
+//! The memory that `docs/jobs.md` names, on a PC. Bounds, because each compiler has a layout of its
+//! own.
 
 use jobs::executor::LOOK_AHEAD;
 use jobs::{gcode, plan::Planner};

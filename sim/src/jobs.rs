@@ -1,5 +1,5 @@
-//! The program that executes jobs, beside the firmware of a twin: [`firmware::services`] with a piece
-//! of this machine's memory for SDRAM.
+//! The program that executes jobs, beside the firmware of a twin: [`firmware::services`] with a
+//! piece of this machine's memory for SDRAM.
 //!
 //! Its TCP is the machine's own: a client's bytes go to the job server as they come. On a board the
 //! loop calls it; here it is called when something has come and every [`TURN`] while it has work.
@@ -8,12 +8,12 @@ use ::jobs::server::BusyReply;
 use ::jobs::{AHEAD, Outside};
 use firmware::console::Vitals;
 use firmware::cores::Board as _;
-use firmware::text::Text;
 use firmware::machine::{Lease, Machine, Reply};
 use firmware::net::Us;
 use firmware::services::port::Place;
 use firmware::services::{Network, TEXT_MAX};
 use firmware::text::Sink;
+use firmware::text::Text;
 use wire::MAX_WORDS;
 use wire::jobs::{self, FRAME, Op, Status};
 use wire::regmap::{self, segments};

@@ -130,7 +130,7 @@ impl DhcpClient {
 }
 
 /// A datagram from a server, as it comes to every client.
-fn framed(payload: &[u8]) -> Vec<u8> {
+pub fn framed(payload: &[u8]) -> Vec<u8> {
     let all = Ipv4Address::BROADCAST;
     let udp = UdpRepr {
         src_port: SERVER_PORT,
@@ -163,7 +163,7 @@ fn framed(payload: &[u8]) -> Vec<u8> {
 }
 
 /// What a datagram of the client carries.
-fn payload(frame: &[u8]) -> Option<Vec<u8>> {
+pub fn payload(frame: &[u8]) -> Option<Vec<u8>> {
     let frame = EthernetFrame::new_checked(frame).ok()?;
     let ip = Ipv4Packet::new_checked(frame.payload()).ok()?;
     let udp = UdpPacket::new_checked(ip.payload()).ok()?;

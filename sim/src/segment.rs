@@ -609,8 +609,8 @@ mod tests {
         let reply = arp_reply(&mut s, BOARD_IP, HOST_IP, ArpOperation::Reply);
         s.receive(&reply, 0, 0);
         assert_eq!(s.board_mac(), Some(BOARD_MAC));
-        // The stack answers for the default host, the segment for another host it knows; others get no
-        // answer.
+        // The stack answers for the default host, the segment for another host it knows; others get
+        // no answer.
         let known = Ipv4Addr::new(192, 168, 2, 77);
         s.host_mac(known);
         for (target, answered) in [

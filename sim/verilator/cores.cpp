@@ -36,7 +36,8 @@ struct Cores {
         model->eval();
     }
 
-    // What `copper.sv` is on the simulated board: the pads as they are driven, and one thing that is wrong with them.
+    // What `copper.sv` is on the simulated board: the pads as they are driven, and one thing that
+    // is wrong with them.
     void pads(const CoresPins &p) {
         Vcores &m = *model;
         uint32_t seen[7] = {m.step, m.dir, m.step_n, m.dir_n, m.pwm, m.pwm_dir, m.outputs};

@@ -1,10 +1,14 @@
 #!/bin/bash
-# Turn the cores and banks of a board into a shared library for the lock-step test (tests/tests/lockstep.rs).
+# Turn the cores and banks of a board into a shared library for the lock-step test
+# (tests/tests/lockstep.rs).
 #
-#   sim/verilator/cores.sh [NAME [DIR]]        boards/NAME.toml (mill6) or tests/boards/NAME.toml -> DIR/libferrocnc_cores.so (target/sim/cores-NAME)
+#   sim/verilator/cores.sh [NAME [DIR]]
 #
-# RTL=DIR takes the cores from elsewhere: a broken one must make the test fail. Skips in a blink when no input changed.
-# Verilator and Python as for build.sh.
+# Reads boards/NAME.toml (mill6) or tests/boards/NAME.toml; writes DIR/libferrocnc_cores.so
+# (target/sim/cores-NAME).
+#
+# RTL=DIR takes the cores from elsewhere: a broken one must make the test fail. Skips in a blink
+# when no input changed. Verilator and Python as for build.sh.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 repo=$(cd "$here/../.." && pwd)

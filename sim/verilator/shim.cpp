@@ -1,12 +1,14 @@
 // A Verilated SoC behind a small C ABI.
 //
-// It knows clocks, pins, the firmware ROM and the waveform file. It knows no frames, no time modes and no boards: those
-// live in Rust (sim/src), which loads the library made from this file at run time, so that building the Rust side needs no
-// FPGA tool. `Pins` is mirrored by `sim/src/soc.rs`; change both, and ABI_VERSION with them.
+// It knows clocks, pins, the firmware ROM and the waveform file. It knows no frames, no time modes
+// and no boards: those live in Rust (sim/src), which loads the library made from this file at run
+// time, so that building the Rust side needs no FPGA tool. `Pins` is mirrored by `sim/src/soc.rs`;
+// change both, and ABI_VERSION with them.
 //
-// build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM (array in the root), FC_RAM (likewise, optional), FC_PC and FC_PC_VALID (optional), FC_BEGUN and FC_LEVEL (optional),
-// FC_DATA_LOW and FC_ROW_LOW (optional),
-// FC_CLOCKS with a generated fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or FC_TRACE_VCD.
+// build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM
+// (array in the root), FC_RAM (likewise, optional), FC_PC and FC_PC_VALID (optional), FC_BEGUN and
+// FC_LEVEL (optional), FC_DATA_LOW and FC_ROW_LOW (optional), FC_CLOCKS with a generated
+// fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or FC_TRACE_VCD.
 
 #include <cstddef>
 #include <cstdint>
@@ -54,7 +56,8 @@ struct Pins {
 };
 static_assert(sizeof(Pins) == 48, "mirrored in sim/src/soc.rs");
 
-// What sits at the flash's wires: told every level of CS and SCK that is new, with MOSI as it stands; answers with MISO's.
+// What sits at the flash's wires: told every level of CS and SCK that is new, with MOSI as it
+// stands; answers with MISO's.
 using OnSpi = uint8_t (*)(void* context, uint8_t cs_n, uint8_t sck, uint8_t mosi);
 
 struct Soc {
@@ -78,7 +81,8 @@ struct Soc {
         model = std::make_unique<FC_MODEL>(&context, "soc");
     }
 
-    // A scope asks the thread for the context to leave, which is that of the model made last, and that one may be gone.
+    // A scope asks the thread for the context to leave, which is that of the model made last, and
+    // that one may be gone.
     ~Soc() {
         Verilated::threadContextp(&context);
         model.reset();
@@ -156,9 +160,9 @@ void fc_free(void* soc) { delete static_cast<Soc*>(soc); }
 
 // One rising edge of the clocks named in `clocks` (bit 0 sys, bit 1 eth), at time_ps.
 //
-// Nothing in the SoC listens to a falling edge, so a clock's way down needs no evaluation of its own: it is folded into the
-// next call (or, where build.sh found Verilator's memory of the clock level, that memory is set to low). The waveform build
-// draws both edges properly.
+// Nothing in the SoC listens to a falling edge, so a clock's way down needs no evaluation of its
+// own: it is folded into the next call (or, where build.sh found Verilator's memory of the clock
+// level, that memory is set to low). The waveform build draws both edges properly.
 void fc_rise(void* handle, Pins* pins, uint32_t clocks, uint64_t time_ps) {
     Soc& soc = *static_cast<Soc*>(handle);
     FC_MODEL& m = *soc.model;
@@ -186,7 +190,8 @@ void fc_rise(void* handle, Pins* pins, uint32_t clocks, uint64_t time_ps) {
         m.eth_clk = 1;
         FC_ETH_LOW(root)
     }
-    // cpu_freeze gates a clock that we keep high: moved between sys edges it would make an edge of its own.
+    // cpu_freeze gates a clock that we keep high: moved between sys edges it would make an edge of
+    // its own.
     Pins in = *pins;
     if (soc.settled && !(clocks & SYS)) in.cpu_freeze = soc.driven.cpu_freeze;
     // eval() first works out what hangs on the inputs alone; they seldom change (5 % of the time).
@@ -203,7 +208,8 @@ void fc_rise(void* handle, Pins* pins, uint32_t clocks, uint64_t time_ps) {
     }
 #else
     soc.drive(*pins);
-    // Evaluate low only when a clock that must rise now is still high; lower every clock while at it.
+    // Evaluate low only when a clock that must rise now is still high; lower every clock while at
+    // it.
     if (((clocks & SYS) && m.sys_clk) || ((clocks & ETH) && m.eth_clk)) {
         m.sys_clk = 0;
         m.eth_clk = 0;
@@ -252,7 +258,8 @@ uint32_t fc_ram_read(void* handle, uint32_t index) {
 #endif
 }
 
-// Address of the instruction that is leaving the CPU's pipeline in this clock; all ones when none is.
+// Address of the instruction that is leaving the CPU's pipeline in this clock; all ones when none
+// is.
 uint32_t fc_pc(void* handle) {
 #if defined(FC_PC)
     auto* root = static_cast<Soc*>(handle)->model->rootp;

@@ -1,10 +1,12 @@
 #!/usr/bin/env python3
-"""LiteX's own RemoteServer and RemoteClient against a board: the identifier, a status word, a describe word.
+"""LiteX's own RemoteServer and RemoteClient against a board: the identifier, a status word, a
+describe word.
 
     remote_client.py ADDRESS:PORT CSR.CSV
 
-Everything between the TCP client and the UDP datagram is LiteX's. Only the local UDP port is ours to choose: CommUDP
-binds the board's port on every interface, which is taken when the simulated board listens on the same machine.
+Everything between the TCP client and the UDP datagram is LiteX's. Only the local UDP port is ours
+to choose: CommUDP binds the board's port on every interface, which is taken when the simulated
+board listens on the same machine.
 """
 
 import json

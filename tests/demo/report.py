@@ -3,9 +3,9 @@
 
     report.py OUT --json REPORT.json
 
-Reads what run.py left in OUT; writes OUT/path.png, OUT/path.svg and the report, prints a table, and fails when the pins
-disagree with the firmware's counts, an axis does not stand on its step at rest, or is further off in motion than the
-arithmetic of the position loop allows (`allowed`).
+Reads what run.py left in OUT; writes OUT/path.png, OUT/path.svg and the report, prints a table, and
+fails when the pins disagree with the firmware's counts, an axis does not stand on its step at rest,
+or is further off in motion than the arithmetic of the position loop allows (`allowed`).
 """
 
 import argparse
@@ -50,8 +50,9 @@ class Pins:
 
 
 def clock_offset(pins, clocks, counts):
-    """The harness counts clocks from power-up, the board from the end of its reset. Finds the difference that makes the
-    pins agree with every count the firmware reported, and says how many still disagree."""
+    """The harness counts clocks from power-up, the board from the end of its reset. Finds the
+    difference that makes the pins agree with every count the firmware reported, and says how many
+    still disagree."""
     best = min(range(0, 300), key=lambda offset: sum(disagreements(pins, clocks + offset, counts)))
     return best, sum(disagreements(pins, clocks + best, counts))
 
@@ -61,18 +62,20 @@ def disagreements(pins, clocks, counts):
 
 
 def loop_lag(ratio):
-    """How far behind its command the position loop falls (`host/src/blocks/stepgen.rs`), in A T^2: A is the command's acceleration,
-    T the servo period, `ratio` is A over `maxaccel`.
+    """How far behind its command the position loop falls (`host/src/blocks/stepgen.rs`), in A T^2:
+    A is the command's acceleration, T the servo period, `ratio` is A over `maxaccel`.
 
-    The loop asks for the command's own speed of the period, and the stepgen ramps there with `maxaccel`: D the change of speed, it
-    loses D^2 / 2 maxaccel of way. The loop foresees that, and takes half of what is left of it back in each period. With x the
-    error and d the speed that is missing at a period's beginning, both in units of A and T, and e = x + ratio d |d| / 2,
+    The loop asks for the command's own speed of the period, and the stepgen ramps there with
+    `maxaccel`: D the change of speed, it loses D^2 / 2 maxaccel of way. The loop foresees that, and
+    takes half of what is left of it back in each period. With x the error and d the speed that is
+    missing at a period's beginning, both in units of A and T, and e = x + ratio d |d| / 2,
 
         x' = x / 2 - ratio d |d| / 4 + ratio D |D| / 2,    D = d + e / 2,    d' = u - e / 2,    u from -1 to 1.
 
-    While A lasts, u = -1, that comes to rest at D = -1, d = -(1 - ratio / 2): the lag below. No other course of u lags more, if
-    `maxaccel` is at least twice A: all of 11 periods of -1, 0 and 1 have been tried. Below that a command that turns its
-    acceleration over in every period can do worse, so nothing is claimed.
+    While A lasts, u = -1, that comes to rest at D = -1, d = -(1 - ratio / 2): the lag below. No
+    other course of u lags more, if `maxaccel` is at least twice A: all of 11 periods of -1, 0 and 1
+    have been tried. Below that a command that turns its acceleration over in every period can do
+    worse, so nothing is claimed.
     """
     assert ratio <= 0.5, f"maxaccel is {1 / ratio:.2f} times the acceleration, and the bound is for twice and more"
     return ratio - ratio * (1 - ratio / 2) ** 2 / 2
@@ -81,8 +84,9 @@ def loop_lag(ratio):
 def allowed(axis, command, intervals, clock_hz):
     """How many steps the pins may be off the command in motion, for each period.
 
-    Half a step, for a pin knows whole steps and the stepgen rounds to the nearest; the lag of the loop; and for each clock that a
-    command came early or late its way, twice: the loop takes half of it back in each period, and 1 + 1/2 + 1/4 ... = 2.
+    Half a step, for a pin knows whole steps and the stepgen rounds to the nearest; the lag of the
+    loop; and for each clock that a command came early or late its way, twice: the loop takes half
+    of it back in each period, and 1 + 1/2 + 1/4 ... = 2.
     """
     period = 1e-3
     accel = axis["accel_steps"] * period**2
@@ -103,7 +107,8 @@ def analyse(samples, edges, simulator, result):
     report = {"axes": [], "samples_compared": int(fresh.size), "samples_pins_differ_from_counts": unequal}
     deviations = []
     rows = np.arange(1, len(samples) - ROWS_TO_ARRIVAL)
-    # Before the machine is on, LinuxCNC's commanded position follows the feedback; nothing to compare.
+    # Before the machine is on, LinuxCNC's commanded position follows the feedback; nothing to
+    # compare.
     rows = rows[samples["machine_on"][rows] > 0]
     for n, axis in enumerate(AXES):
         command = samples[f"{axis}_cmd"] * scales[n]

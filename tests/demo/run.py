@@ -1,10 +1,12 @@
 #!/usr/bin/env python3
-"""LinuxCNC against the simulated board, in lockstep: starts both, waits for the program's end, keeps what they recorded.
+"""LinuxCNC against the simulated board, in lockstep: starts both, waits for the program's end,
+keeps what they recorded.
 
-    run.py SOC FIRMWARE.elf OUT [--program FILE.ngc]
+    run.py SOC FIRMWARE.elf OUT [--program FILE.ngc] [--simulator FILE]
 
-Leaves in OUT: samples.csv (every servo period as LinuxCNC saw it), edges.bin (every step at the pins), sim.json (the
-simulator's report), result.json and the logs. Uses only the standard library; needs the driver installed.
+Leaves in OUT: samples.csv (every servo period as LinuxCNC saw it), edges.bin (every step at the
+pins), sim.json (the simulator's report), result.json and the logs. Uses only the standard library;
+needs the driver installed.
 """
 
 import argparse
@@ -39,6 +41,7 @@ def main():
     parser.add_argument("firmware")
     parser.add_argument("out", type=Path)
     parser.add_argument("--program", help="G-code file; the mill's own short one when not given")
+    parser.add_argument("--simulator", type=Path, default=ROOT / "target/release/ferrocnc-sim")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "samples.raw").unlink(missing_ok=True)
@@ -46,7 +49,7 @@ def main():
     board = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
     simulator = subprocess.Popen(
         [
-            ROOT / "target/release/ferrocnc-sim",
+            options.simulator,
             *("--soc", options.soc, "--firmware", options.firmware, "--mode", "lockstep", "--silence-ms", "600000"),
             *("--udp", board, "--console", f"127.0.0.1:{free_port(socket.SOCK_STREAM)}"),
             *("--report", options.out / "sim.json", "--edges", options.out / "edges.bin"),

@@ -2,8 +2,8 @@
 //! a host that speaks the protocol the way the driver does.
 //!
 //! [`BenchMachine`] arranges in one line what a test needs (started, acquired, armed) and asks one
-//! thing at a time. `FERROCNC_SOC` and `FERROCNC_FIRMWARE`, set by `cargo xtask test`, name the board and
-//! the image.
+//! thing at a time. `FERROCNC_SOC` and `FERROCNC_FIRMWARE`, set by `cargo xtask test`, name the
+//! board and the image.
 
 pub mod bench;
 pub mod drawing;

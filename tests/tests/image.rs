@@ -92,7 +92,8 @@ fn plans(function: &str) -> bool {
     planner.iter().any(|part| function.contains(part)) && !function.contains("poll_beside")
 }
 
-/// Every panic of `code` in these functions is in `justified`, which is what may be there at most; how many there are.
+/// Every panic of `code` in these functions is in `justified`, which is what may be there at most;
+/// how many there are.
 fn panics_only_where(code: &Code, of: impl Fn(&str) -> bool, justified: &Justified) -> usize {
     let mut panics = code.panics();
     panics.retain(|panic| of(&panic.function));

@@ -196,6 +196,8 @@ fn linuxcnc_cuts_the_demo_program_and_the_pins_agree() {
     let run = Command::new("python3")
         .arg(root().join("tests/demo/run.py"))
         .args([&soc, &firmware, &folder])
+        .arg("--simulator")
+        .arg(ferrocnc_tests::program("ferrocnc-sim"))
         .stdin(Stdio::null())
         .stdout(file.try_clone().expect("its log"))
         .stderr(file)

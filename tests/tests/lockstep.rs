@@ -280,8 +280,8 @@ impl Stimulus {
         }
     }
 
-    /// Arms and strobes as close together as the bus can carry them: what a rotation of the wide counters
-    /// has to sort out.
+    /// Arms and strobes as close together as the bus can carry them: what a rotation of the wide
+    /// counters has to sort out.
     fn storm(&mut self) {
         for _ in 0..8 {
             let word = [0, 2, 3][self.random.below(3) as usize];

@@ -26,8 +26,8 @@ const EBREAK: u32 = 0x0010_0073;
 const ILLEGAL: u32 = 0;
 /// `j .`
 const FOR_EVER: u32 = 0x0000_006f;
-/// In place of `services_main`: start and turns are over at once, behind a frame the ROM is asked for
-/// ever to execute a datagram of no words.
+/// In place of `services_main`: start and turns are over at once, behind a frame the ROM is asked
+/// for ever to execute a datagram of no words.
 const ASKS_FOR_EVER: [u32; 11] = [
     0x0005_9663, // bnez a1, 1f
     0x0000_0513, // li a0, 0

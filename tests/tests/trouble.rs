@@ -386,8 +386,8 @@ fn at_rest(twin: &Simulator) -> bool {
 
 /// How often `loss.ngc` goes round.
 const ROUNDS: &str = "repeat [3]";
-/// How long the driver waits for an answer, ns. The bucket overflows when this computer stands still
-/// for five times as long. Every lost frame costs as much.
+/// How long the driver waits for an answer, ns. The bucket overflows when this computer stands
+/// still for five times as long. Every lost frame costs as much.
 const LOSSY_PATIENCE: u64 = 500_000_000;
 
 /// The mill cuts `loss.ngc` with so many rounds while frames are lost with this probability each

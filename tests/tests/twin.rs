@@ -192,9 +192,9 @@ fn off_at_rest(result: &Value) -> Vec<i64> {
 /// where it was sent.
 ///
 /// In Debian 12's LinuxCNC, 2.9.0~pre1, task and motion can use one command buffer at the same time
-/// (LinuxCNC #2386, fixed by #2479 in May 2023): motion then executes a half-written command wrongly
-/// or not at all. It was seen once in a gate, and not in 300 runs made to see it again. If the
-/// program does not end a second time, the test fails.
+/// (LinuxCNC #2386, fixed by #2479 in May 2023): motion then executes a half-written command
+/// wrongly or not at all. It was seen once in a gate, and not in 300 runs made to see it again. If
+/// the program does not end a second time, the test fails.
 fn waits_for_itself(result: &Value) -> bool {
     let text = result["text"].as_str().unwrap_or_default();
     let still = text.starts_with("nothing happened") && text.contains("the program ends");

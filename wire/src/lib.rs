@@ -2,8 +2,8 @@
 //!
 //! Both ends link this crate, the firmware on the softcore and the driver in LinuxCNC. So a fact
 //! about the wire is written once, and this rustdoc is the specification. The crate knows no
-//! sockets and no clocks and accesses no register; it has no dependencies, allocates nothing, and after a
-//! successful `new_checked` no function of it can panic.
+//! sockets and no clocks and accesses no register; it has no dependencies, allocates nothing, and
+//! after a successful `new_checked` no function of it can panic.
 //!
 //! | module | content |
 //! |---|---|
@@ -19,6 +19,7 @@
 //! | [`settings`] | the settings of a board that outlive a power cycle |
 //! | [`images`] | bitstreams in flash: meta page, stub pages, the trailer of the ROM |
 //! | [`discovery`] | finding boards at any address, and giving them an address |
+//! | [`mdns`] | multicast DNS: `NAME.local`, and which boards there are |
 //! | [`jobs`] | over TCP: programs the board executes by itself, and its operator's commands |
 //! | [`name`] | names of 32 bytes |
 //! | [`crc`] | the CRC of the whole project |
@@ -27,7 +28,7 @@
 //! | [`regmap`] | the register map: what lies in the service window, and the board's memory |
 //! | [`units`] | velocity, acceleration, position and counts as types |
 //!
-//! Everything on the wire except [`jobs`] is big-endian 32-bit words. In memory, words are `u32` in
+//! Everything on the wire except [`jobs`] and [`mdns`] is big-endian 32-bit words. In memory, words are `u32` in
 //! the machine's own order: a transport converts once ([`words_from_bytes`], [`words_to_bytes`]),
 //! all other code reads numbers.
 #![no_std]
@@ -47,6 +48,7 @@ pub mod images;
 pub mod jobs;
 pub mod layout;
 pub mod map;
+pub mod mdns;
 pub mod name;
 pub mod refusal;
 pub mod regmap;

@@ -29,7 +29,7 @@ pub enum What {
 pub fn run(what: What, exchanges: u64, hours: u64) -> Result<()> {
     match what {
         What::Exchange => {
-            let parts = build::everything()?;
+            let parts = build::everything(build::driver)?;
             exchange(&parts)
         }
         What::Gateware => gateware(),

@@ -22,11 +22,11 @@ pub struct Parts {
     pub firmware: PathBuf,
 }
 
-/// Sets up and builds what a run of LinuxCNC on the simulated board needs: board, firmware, driver,
-/// simulator; what is fresh is left alone.
-pub fn everything() -> Result<Parts> {
-    // The reader of board files comes first: cargo builds one thing at a time in a folder, and LiteX
-    // waits for it. It needs nothing of what is set up.
+/// Sets up and builds board and firmware, and beside them what `host` builds of the host's
+/// programs; what is fresh is left alone.
+pub fn everything(host: fn() -> Result<()>) -> Result<Parts> {
+    // The reader of board files comes first: cargo builds one thing at a time in a folder, and
+    // LiteX waits for it. It needs nothing of what is set up.
     let reader = std::thread::scope(|scope| {
         let reader = scope.spawn(board_reader);
         setup::run(setup::Need::Everything)?;
@@ -34,10 +34,10 @@ pub fn everything() -> Result<Parts> {
             .join()
             .unwrap_or_else(|_| bail!("the build of the reader panicked"))
     })?;
-    step::heading("build: board, firmware, driver, simulator");
+    step::heading("build: board, firmware, driver");
     // The last crate of the host's keeps one core busy for a minute: the board is built beside it.
     std::thread::scope(|scope| {
-        let host = scope.spawn(driver_and_simulator);
+        let host = scope.spawn(host);
         let firmware = firmware();
         let soc = elaborate_and_verilate(BOARD, &reader);
         host.join()
@@ -139,19 +139,26 @@ pub fn simulated_cores(board: &str) -> Result<()> {
     )
 }
 
-/// The driver and the simulator's front end. Not the tool, whose SVG and fonts are most of the host's
-/// build: the tests build their own, with their profile.
+/// The driver and the simulator's front end, which the demo needs. Not the tool, whose SVG and
+/// fonts are most of the host's build.
 pub fn driver_and_simulator() -> Result<()> {
+    let simulator = ["--package", "ferrocnc-sim", "--bin", "ferrocnc-sim"];
+    let title = "build the driver and the simulator (Rust)";
+    step::run("driver", title, "1 min", release_driver().args(simulator))
+}
+
+/// The driver alone, which the tests need: they build the simulator and the tool with their own
+/// profile.
+pub fn driver() -> Result<()> {
+    let title = "build the driver (Rust)";
+    step::run("driver", title, "15 s", &mut release_driver())
+}
+
+fn release_driver() -> Command {
     let mut build = Command::new("cargo");
     build.args(["build", "--release", "--no-default-features"]);
     build.args(["--package", "ferrocnc", "--lib"]);
-    build.args(["--package", "ferrocnc-sim", "--bin", "ferrocnc-sim"]);
-    step::run(
-        "driver",
-        "build the driver and the simulator (Rust)",
-        "1 min",
-        &mut build,
-    )
+    build
 }
 
 /// Every program of the tests that need a board, and the tool they start, in two calls of cargo:

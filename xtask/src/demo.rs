@@ -20,7 +20,7 @@ pub fn run(options: &Options) -> Result<()> {
     println!(
         "The first run installs and builds everything, about 6 minutes on two cores; later ones take 4."
     );
-    let parts = build::everything()?;
+    let parts = build::everything(build::driver_and_simulator)?;
     build::install_driver()?;
 
     step::heading("run: LinuxCNC, driver, UDP, firmware, gateware");

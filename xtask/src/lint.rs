@@ -9,6 +9,8 @@ mod hardware;
 mod lengths;
 mod licences;
 #[cfg(test)]
+mod widths;
+#[cfg(test)]
 mod words;
 
 use crate::{root, setup, step, target, tree};

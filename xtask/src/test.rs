@@ -132,12 +132,31 @@ pub fn run(options: &Options) -> Result<()> {
 fn prepare(levels: &[Level]) -> Result<()> {
     let any = |wanted: fn(Level) -> bool| levels.iter().any(|level| wanted(*level));
     if any(Level::needs_board) {
-        build::everything()?;
+        build::everything(build::driver)?;
     } else if any(|level| !matches!(level, Level::Lint | Level::Unit)) {
         setup::run(setup::Need::Everything)?;
     } else if any(|level| level == Level::Lint) {
         setup::run(setup::Need::Gateware)?;
     }
+    // Verilator keeps one core busy for a part of its time, and so does cargo.
+    std::thread::scope(|scope| {
+        let simulations = scope.spawn(|| simulations(levels));
+        if any(Level::runs_linuxcnc) {
+            build::driver()?;
+            build::install_driver()?;
+        }
+        if any(Level::takes_boards) {
+            build::test_programs()?;
+        }
+        simulations
+            .join()
+            .unwrap_or_else(|_| bail!("the build of the simulations panicked"))
+    })
+}
+
+/// Verilates what the levels need besides the board of the demo.
+fn simulations(levels: &[Level]) -> Result<()> {
+    let any = |wanted: fn(Level) -> bool| levels.iter().any(|level| wanted(*level));
     if any(|level| matches!(level, Level::Soc | Level::Jobs)) {
         build::simulated_board(build::JOBS_BOARD)?;
     }
@@ -149,13 +168,6 @@ fn prepare(levels: &[Level]) -> Result<()> {
     }
     if any(|level| level == Level::Jobs) {
         build::firmware()?;
-    }
-    if any(Level::runs_linuxcnc) {
-        build::driver_and_simulator()?;
-        build::install_driver()?;
-    }
-    if any(Level::takes_boards) {
-        build::test_programs()?;
     }
     Ok(())
 }
@@ -169,8 +181,8 @@ struct Outcome {
 
 /// Runs the levels in two lanes, because most levels keep one core busy and wait for it. The first
 /// lane begins with the levels whose programs keep a pace, and then helps the second. The second
-/// lane runs at low priority: LinuxCNC and a streamed job keep their pace beside it. One level alone,
-/// or one core, makes one lane.
+/// lane runs at low priority: LinuxCNC and a streamed job keep their pace beside it. One level
+/// alone, or one core, makes one lane.
 fn side_by_side(levels: &[Level]) -> Vec<Outcome> {
     let (paced, others): (VecDeque<Level>, VecDeque<Level>) =
         levels.iter().partition(|level| level.keeps_a_pace());
@@ -256,8 +268,8 @@ impl Level {
         matches!(self, Level::Twin | Level::Linuxcnc)
     }
 
-    /// It runs LinuxCNC, which is one per machine, or a PC that streams a job to a twin whose watchdog
-    /// goes by the clock on the wall.
+    /// It runs LinuxCNC, which is one per machine, or a PC that streams a job to a twin whose
+    /// watchdog goes by the clock on the wall.
     fn keeps_a_pace(self) -> bool {
         self.runs_linuxcnc() || self == Level::Jobs
     }

@@ -9,9 +9,9 @@ use wire::{MAX_WORDS, Request, etherbone, map};
 const KEY: Words = [0xfeed_0001, 2, 3, 4];
 const WRONG: Words = [0xfeed_0001, 2, 3, 5];
 
-// ---- The tag -----------------------------------------------------------------------------------------
+// ---- The tag ------------------------------------------------------------------------------------
 
-fn somebody_elses_tag(key: &Words, message: &[u32]) -> Words {
+fn tag_of_the_hmac_crate(key: &Words, message: &[u32]) -> Words {
     let bytes: Vec<u8> = key.iter().flat_map(|word| word.to_be_bytes()).collect();
     let mut hmac = Hmac::<sha2::Sha256>::new_from_slice(&bytes).unwrap();
     for word in message {
@@ -25,7 +25,7 @@ proptest! {
     #[test]
     fn a_tag_is_the_hmac_crates(key: Words, message in proptest::collection::vec(any::<u32>(), 0..46), split in 0..46usize) {
         let split = split.min(message.len());
-        prop_assert_eq!(tag(&key, &message[..split], &message[split..]), somebody_elses_tag(&key, &message));
+        prop_assert_eq!(tag(&key, &message[..split], &message[split..]), tag_of_the_hmac_crate(&key, &message));
     }
 }
 
@@ -35,7 +35,7 @@ fn the_example_of_the_specification_comes_out() {
     assert_eq!(tag(&EXAMPLE_KEY, &head, &[7]), EXAMPLE_TAG);
 }
 
-// ---- Challenges --------------------------------------------------------------------------------------
+// ---- Challenges ---------------------------------------------------------------------------------
 
 fn acquiring(key: &Words, challenge: Words, nonce: u32) -> Words {
     tag(key, &Purpose::Acquire.head(challenge), &[nonce])
@@ -138,7 +138,7 @@ fn a_tag_is_good_for_one_purpose() {
     }
 }
 
-// ---- Acquiring: every refusal ------------------------------------------------------------------------
+// ---- Acquiring: every refusal -------------------------------------------------------------------
 
 /// An acquisition, as a host sends it.
 fn acquisition(nonce: u32, answer: Words) -> Vec<u32> {
@@ -335,7 +335,7 @@ fn a_token_under_a_key_cannot_be_computed_from_public_words() {
     assert_ne!(rig.read(map::SESSION_TOKEN), Ok(session.token_for(ALICE)));
 }
 
-// ---- Replay ------------------------------------------------------------------------------------------
+// ---- Replay -------------------------------------------------------------------------------------
 
 /// The actions of hosts, and the passing of time.
 #[derive(Clone, Copy, Debug)]
@@ -426,7 +426,7 @@ proptest! {
     }
 }
 
-// ---- The console -------------------------------------------------------------------------------------
+// ---- The console --------------------------------------------------------------------------------
 
 fn asked(auth: &mut Auth) -> Words {
     let challenge = *auth.challenge(by_port(wire::CONSOLE_PORT));

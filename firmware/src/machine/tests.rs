@@ -1,7 +1,7 @@
 use super::*;
-use wire::describe::JobsState;
 use crate::fake::*;
 use wire::GateClose;
+use wire::describe::JobsState;
 
 fn ident() -> Ident {
     *Rig::new().server.ident()
@@ -286,7 +286,10 @@ fn a_board_with_dhcp_falls_back_to_its_static_address_after_ten_seconds() {
     }
     assert!(machine.moved() && !machine.moved());
     machine.leased(Some(LEASE));
-    assert_eq!((machine.us.ip, machine.net), (LEASE.ip, (16, LEASE.gateway)));
+    assert_eq!(
+        (machine.us.ip, machine.net),
+        (LEASE.ip, (16, LEASE.gateway))
+    );
     assert!(machine.moved(), "a server that comes later");
     machine.leased(None);
     assert_eq!(machine.us.ip, settings.ip, "the lease is over");
@@ -314,6 +317,18 @@ fn a_lease_waits_until_no_host_owns_the_session() {
     core::mem::swap(&mut machine.server.session, &mut rig.server.session);
     second(&mut machine);
     assert!(machine.moved() && machine.us.ip == other.ip);
+}
+
+#[test]
+fn a_lease_of_an_address_that_no_host_can_have_is_none() {
+    let (mut machine, _) = with_dhcp();
+    for ip in [0, 0x7f00_0001, 0xe000_00fb, u32::MAX] {
+        machine.leased(Some(Lease { ip, ..LEASE }));
+        assert!(!machine.moved(), "{ip:08x}");
+    }
+    let prefix = 33;
+    machine.leased(Some(Lease { prefix, ..LEASE }));
+    assert!(!machine.moved());
 }
 
 #[test]

@@ -209,7 +209,11 @@ fn a_group_is_heard_at_the_services_ports_only_and_not_without_services() {
     let unheard = classify(&bytes, query.len(), &US, &[0; 8]);
     assert_eq!(unheard, Class::Nothing);
     // The neighbours of that MAC address.
-    for mac in [[1, 0, 0x5f, 0, 0, 0xfb], [0, 0, 0x5e, 0, 0, 0xfb], [1, 1, 0x5e, 0, 0, 0xfb]] {
+    for mac in [
+        [1, 0, 0x5f, 0, 0, 0xfb],
+        [0, 0, 0x5e, 0, 0, 0xfb],
+        [1, 1, 0x5e, 0, 0, 0xfb],
+    ] {
         assert_eq!(look(&to(5353, mac, ip)), Class::Nothing, "{mac:x?}");
     }
 }

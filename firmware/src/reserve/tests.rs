@@ -44,7 +44,9 @@ fn echo_request(payload: &[u8]) -> Vec<u8> {
     let length = (20 + icmp.len()) as u16;
     let mut ip = vec![0x45, 0];
     ip.extend(length.to_be_bytes());
-    ip.extend([0xbe, 0xef, 0x40, 0, 64, 1, 0, 0, 192, 168, 2, 1, 192, 168, 2, 50]);
+    ip.extend([
+        0xbe, 0xef, 0x40, 0, 64, 1, 0, 0, 192, 168, 2, 1, 192, 168, 2, 50,
+    ]);
     let check = !sum(&ip);
     ip[10..12].copy_from_slice(&check.to_be_bytes());
     [&US.mac[..], &THEIRS, &[8, 0], &ip, &icmp].concat()

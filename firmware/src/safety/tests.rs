@@ -500,7 +500,7 @@ fn a_start_that_was_not_asked_for_may_have_cut_pulses_off() {
     }
 }
 
-// ---- resync --------------------------------------------------------------------------------------------------------
+// ---- resync -------------------------------------------------------------------------------------
 
 /// Request low, high, high: arms if nothing prevents it.
 fn ask(mut machine: Safety, gate: Gate) -> Safety {
@@ -561,7 +561,7 @@ fn an_open_gate_at_rest_is_closed_before_anything_is_cleared() {
     assert_eq!(effects.order, Some(Control::Close));
 }
 
-// ---- reasons and trust ---------------------------------------------------------------------------------------------
+// ---- reasons and trust --------------------------------------------------------------------------
 
 #[test]
 fn the_first_fault_is_the_reason_and_a_fault_outweighs_the_hosts_wish() {

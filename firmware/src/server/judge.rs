@@ -65,7 +65,7 @@ impl Judge<'_> {
                 if value != map::REBOOT_KEY {
                     return Err(Refusal::Value);
                 }
-                self.owner_or_nobody()?;
+                self.owned_by_this_peer_or_free()?;
                 self.at_rest()?;
                 self.flash_idle()
             }
@@ -81,7 +81,7 @@ impl Judge<'_> {
             }
             map::FLASH..FLASH_END => {
                 Flash::check_write(address, value)?;
-                self.owner_or_nobody()?;
+                self.owned_by_this_peer_or_free()?;
                 self.at_rest()?;
                 self.flash_idle()?;
                 // Writes after this one in the same datagram come while the operation runs.
@@ -120,7 +120,7 @@ impl Judge<'_> {
     }
 
     /// With a key, only the owner: it has proved that it has the key.
-    fn owner_or_nobody(&self) -> Result<(), Refusal> {
+    fn owned_by_this_peer_or_free(&self) -> Result<(), Refusal> {
         match self.session.owner() {
             Some(_) => self.owner(),
             None if self.auth.locked() => Err(Refusal::Key),

@@ -11,6 +11,7 @@
 //! A turn looks at one connection, and does one thing for it: it answers a request, or sends a
 //! segment. After ten seconds of silence a client is asked whether it is still there.
 
+use super::shut::{NOD, nod};
 use super::stack::Stack;
 use super::{Network, facts, job_line, lease};
 use crate::console::{ANSWER_MAX, LineEditor, PROMPT};
@@ -46,6 +47,11 @@ const _: () = assert!(TEXT >= ANSWER_MAX && TEXT >= wire::jobs::FRAME);
 
 /// A handshake that takes longer yields to the next client.
 const HANDSHAKE_MS: u32 = 250;
+/// After so many strangers and so much time a client's MAC address is told to the stack again,
+/// which keeps 16 of them for a minute: no connection waits for ARP, and a client that does not
+/// answer ARP any more is asked over its connection until it is gone.
+const FORGOTTEN: u32 = 16 - CONNECTIONS as u32;
+const EXPIRES_MS: u32 = 50_000;
 /// After so much silence a client is asked whether it is still there.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 /// A client that has answered nothing for so long is gone.
@@ -144,8 +150,10 @@ struct Connection<'m> {
     sockets: SocketSet<'m>,
     handle: SocketHandle,
     peer: Peer,
-    /// The client's MAC address is to be told to the stack.
-    introduce: Option<[u8; 6]>,
+    /// The client's MAC address, of its SYN.
+    mac: [u8; 6],
+    /// [`Port::strangers`] and the milliseconds when it was told to the stack.
+    introduced: Option<(u32, u32)>,
     /// The number of the first byte of the client's that was not read.
     expected: u32,
     /// When it was opened, or when we closed it; milliseconds.
@@ -184,7 +192,7 @@ impl<'m> Connection<'m> {
 
     /// Forgets the client, and listens.
     fn listen(&mut self, port: u16) {
-        (self.introduce, self.greeted, self.closing) = (None, false, false);
+        (self.introduced, self.greeted, self.closing) = (None, false, false);
         let socket = self.socket();
         socket.abort();
         // A port that is not 0, and a socket that is closed: it cannot fail.
@@ -205,15 +213,27 @@ impl<'m> Connection<'m> {
         taken
     }
 
-    /// Is this a reset that its sender guessed?
-    fn guessed(&mut self, segment: &Segment) -> bool {
+    /// The number that the client's next byte will have.
+    fn next_number(&mut self) -> u32 {
         let ended = matches!(
             self.state(),
             State::CloseWait | State::LastAck | State::Closing | State::TimeWait
         );
         let waits = self.socket().recv_queue() as u32 + u32::from(ended);
-        let expected = self.expected.wrapping_add(waits);
-        segment.flags & RST != 0 && segment.sequence != expected
+        self.expected.wrapping_add(waits)
+    }
+
+    /// Is this a reset that its sender guessed?
+    fn guessed(&mut self, segment: &Segment) -> bool {
+        segment.flags & RST != 0 && segment.sequence != self.next_number()
+    }
+
+    /// The acknowledgement of a segment that comes while there is no room for its bytes.
+    fn nod_at_a_shut_window(&mut self, frame: &[u8]) -> Option<[u8; NOD]> {
+        let next = self.next_number();
+        let socket = self.socket();
+        let shut = socket.recv_queue() == socket.recv_capacity() && socket.send_queue() > 0;
+        shut.then(|| nod(frame, next))?
     }
 
     /// Ends the connection behind what is to be sent.
@@ -236,16 +256,19 @@ impl<'m> Connection<'m> {
 struct Millis {
     per_ms: NonZeroU32,
     at: u64,
-    ms: u32,
+    /// smoltcp's clock must not begin anew, as 32 bits would every 50 days.
+    ms: u64,
 }
 
 impl Millis {
-    fn pass(&mut self, now: u64) -> u32 {
+    /// The milliseconds for smoltcp, and their lower half for differences.
+    fn pass(&mut self, now: u64) -> (Instant, u32) {
         let passed = u32::try_from(now.wrapping_sub(self.at)).unwrap_or(u32::MAX);
         let ms = passed / self.per_ms;
         self.at = self.at.wrapping_add(u64::from(ms * self.per_ms.get()));
-        self.ms = self.ms.wrapping_add(ms);
-        self.ms
+        self.ms = self.ms.wrapping_add(u64::from(ms));
+        let instant = Instant::from_millis(self.ms.cast_signed());
+        (instant, self.ms as u32)
     }
 }
 
@@ -257,6 +280,8 @@ pub struct Port<'m> {
     connections: [Connection<'m>; CONNECTIONS],
     /// Connections that can be used: on boards without jobs the consoles.
     count: usize,
+    /// Hosts that the stack may have learned the MAC address of, a count. It keeps 16.
+    strangers: u32,
     /// For frames of no connection.
     none: SocketSet<'m>,
     lines: [LineEditor; CONSOLES],
@@ -320,7 +345,8 @@ impl<'m> Port<'m> {
                 sockets,
                 handle,
                 peer: Peer::default(),
-                introduce: None,
+                mac: [0; 6],
+                introduced: None,
                 expected: 0,
                 since: 0,
                 greeted: false,
@@ -346,6 +372,7 @@ impl<'m> Port<'m> {
             lease,
             connections,
             count,
+            strangers: 0,
             none: SocketSet::new(&mut [][..]),
             lines: [const { LineEditor::new() }; CONSOLES],
             busy: [const { BusyReply::new() }; BUSY],
@@ -363,8 +390,7 @@ impl<'m> Port<'m> {
     /// Takes a frame. What it asks for is answered in later turns, but for ARP and ping.
     pub fn frame(&mut self, jobs: Option<&mut Jobs>, frame: &[u8], out: &mut impl Network) {
         let now = out.now();
-        let ms = self.clock.pass(now);
-        let instant = Instant::from_millis(ms);
+        let (instant, ms) = self.clock.pass(now);
         let nowhere = self.settle(out);
         if let Some(lease) = &mut self.lease
             && udp_port(frame) == Some(lease::PORT)
@@ -379,6 +405,7 @@ impl<'m> Port<'m> {
             let index = self.place_for(&segment, ms)?;
             Some((segment, index))
         }) else {
+            self.strangers = self.strangers.wrapping_add(1);
             self.stack.take(frame, &mut self.none, instant, out);
             return;
         };
@@ -390,13 +417,17 @@ impl<'m> Port<'m> {
         if connection.guessed(&segment) {
             return;
         }
+        if let Some(nod) = connection.nod_at_a_shut_window(frame) {
+            self.stack.take(&nod, &mut connection.sockets, instant, out);
+        }
         self.stack
             .take(frame, &mut connection.sockets, instant, out);
         if listened && connection.state() == State::SynReceived {
             connection.peer = segment.peer;
             connection.expected = segment.sequence.wrapping_add(1);
             connection.since = ms;
-            connection.introduce = Some(segment.mac);
+            connection.mac = segment.mac;
+            connection.introduced = None;
             self.opened(index, jobs, now, ms, out);
         }
     }
@@ -472,6 +503,11 @@ impl<'m> Port<'m> {
         us.ip == 0
     }
 
+    /// Is a client connected?
+    pub fn visited(&self) -> bool {
+        self.connections.iter().any(Connection::used)
+    }
+
     /// Is there something to do soon?
     pub fn busy(&self) -> bool {
         let used = || self.connections.iter().filter(|it| it.used()).count();
@@ -479,15 +515,9 @@ impl<'m> Port<'m> {
     }
 
     /// Does one thing for the next connection. True if there was something to do.
-    pub fn turn(
-        &mut self,
-        jobs: Option<&mut Jobs>,
-        now: u64,
-        out: &mut impl Network,
-    ) -> bool {
-        let ms = self.clock.pass(now);
+    pub fn turn(&mut self, jobs: Option<&mut Jobs>, now: u64, out: &mut impl Network) -> bool {
+        let (instant, ms) = self.clock.pass(now);
         let nowhere = self.settle(out);
-        let instant = Instant::from_millis(ms);
         if let Some(lease) = &mut self.lease
             && lease.turn(&mut self.stack, instant, out)
         {
@@ -501,7 +531,7 @@ impl<'m> Port<'m> {
             return false;
         };
         self.next = (index + 1) % CONNECTIONS;
-        let done = self.look_at(index, jobs, (now, ms), out);
+        let done = self.look_at(index, jobs, (now, instant, ms), out);
         self.in_vain = if done {
             0
         } else {
@@ -514,26 +544,37 @@ impl<'m> Port<'m> {
         &mut self,
         index: usize,
         jobs: Option<&mut Jobs>,
-        (now, ms): (u64, u32),
+        (now, instant, ms): (u64, Instant, u32),
         out: &mut impl Network,
     ) -> bool {
-        let instant = Instant::from_millis(ms);
         let connection = &mut self.connections[index];
-        if let Some(mac) = connection.introduce.take() {
-            let client = (mac, connection.peer.ip);
+        let known = connection.introduced.is_some_and(|(strangers, since)| {
+            self.strangers.wrapping_sub(strangers) < FORGOTTEN
+                && ms.wrapping_sub(since) < EXPIRES_MS
+        });
+        if !known {
+            let client = (connection.mac, connection.peer.ip);
+            // Only the first time: the connections must not drive each other out.
+            let new = connection.introduced.is_none();
+            self.strangers = self.strangers.wrapping_add(u32::from(new));
+            connection.introduced = Some((self.strangers, ms));
             self.stack.introduce(client, &mut self.none, instant, out);
             return true;
         }
         let waited = ms.wrapping_sub(connection.since);
         let over = match index {
-            _ if connection.closing => waited >= CLOSING_MS,
-            0..LINE => false,
+            // The one line for jobs waits for its client's end no longer than for a request.
+            0..LINE => connection.closing && waited >= CLOSING_MS,
             LINE => jobs.as_ref().is_some_and(|jobs| jobs.server().silent(now)),
+            // A place for Busy is not held open longer either.
             _ => waited >= SILENCE_SECONDS * 1000,
         };
         if over {
+            // A reset: a client that is still there need not wait for its own clock.
+            connection.socket().abort();
+            self.stack.send(&mut connection.sockets, instant, out);
             connection.listen(port_of(index));
-            return false;
+            return true;
         }
         // What still comes behind the last answer is dropped, so that the client can end, too.
         if connection.closing && connection.read(<[u8]>::len) > 0 {
@@ -578,12 +619,7 @@ impl<'m> Port<'m> {
     }
 
     /// Takes bytes of a console's client, at most one line, and answers it.
-    fn console(
-        &mut self,
-        index: usize,
-        jobs: Option<&mut Jobs>,
-        out: &mut impl Network,
-    ) -> bool {
+    fn console(&mut self, index: usize, jobs: Option<&mut Jobs>, out: &mut impl Network) -> bool {
         let connection = &mut self.connections[index];
         if connection.room() < ANSWER_MAX {
             return false;

@@ -17,10 +17,10 @@
 use crate::byte_reader::ByteReader;
 use ::jobs::instruction::{Arc, Feed, Instruction};
 use ::jobs::job::Writer;
-use firmware::text::Text;
 use firmware::machine::{IDLE, Machine};
 use firmware::services::port::Place;
 use firmware::services::{Program, TEXT_MAX};
+use firmware::text::Text;
 use motion::segment::AXES;
 use sim::board_facts::BoardFacts;
 use sim::jobs::Outer;
@@ -255,10 +255,11 @@ fn harmless(request: Request) -> bool {
 
 impl Bench<'_> {
     fn step(&mut self, input: &mut ByteReader) {
-        let idle = (!self.jobs.executor().busy()).then(|| self.pulses());
+        let idle = (!self.jobs.executor().expect("jobs").busy()).then(|| self.pulses());
         let asked = self.act(input);
         self.holds();
-        if let Some(pulses) = idle.filter(|_| !asked && !self.jobs.executor().busy()) {
+        if let Some(pulses) = idle.filter(|_| !asked && !self.jobs.executor().expect("jobs").busy())
+        {
             assert_eq!(
                 self.pulses(),
                 pulses,
@@ -383,7 +384,7 @@ impl Bench<'_> {
 
     fn holds(&self) {
         let armed = self.machine.server.safety().state() == State::Armed;
-        let busy = self.jobs.executor().busy();
+        let busy = self.jobs.executor().expect("jobs").busy();
         assert!(!armed || busy, "armed without work\n{:#?}", self.story);
     }
 
@@ -551,9 +552,9 @@ impl Bench<'_> {
             None => format!("job {said}"),
         };
         // Without the key no work begins.
-        let busy = self.jobs.executor().busy();
+        let busy = self.jobs.executor().expect("jobs").busy();
         self.line(&line, how & 1 != 0);
-        let begun = !busy && self.jobs.executor().busy();
+        let begun = !busy && self.jobs.executor().expect("jobs").busy();
         assert!(how & 1 != 0 || !begun, "{line:?}\n{:#?}", self.story);
         self.tell(|| line);
     }
@@ -575,7 +576,7 @@ impl Bench<'_> {
         Shot {
             list: self.line("job list", true),
             status: self.line("job status", true),
-            machine: self.jobs.executor().machine().copied(),
+            machine: self.jobs.executor().expect("jobs").machine().copied(),
         }
     }
 }

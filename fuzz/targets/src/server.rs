@@ -14,7 +14,7 @@ use crate::byte_reader::{ByteReader, words};
 use crate::watched::{self, Deeds, Watched};
 use firmware::console::Vitals;
 use firmware::cores::Board;
-use firmware::machine::Machine;
+use firmware::machine::{Lease, Machine};
 use firmware::session::Peer;
 use std::sync::atomic::Ordering::Relaxed;
 use wire::describe::Channels;
@@ -217,8 +217,14 @@ impl Bench {
             }
             11 => self.discovery(input),
             12 => {
-                let offer = input.many();
-                self.machine.offered(&words(offer), offer.len());
+                let (ip, gateway) = (input.word(), input.word());
+                let prefix = input.byte();
+                let lease = Lease {
+                    ip,
+                    prefix,
+                    gateway,
+                };
+                self.machine.leased((prefix != 0).then_some(lease));
                 self.tell(|| "a DHCP server".to_owned());
                 self.untouched();
             }

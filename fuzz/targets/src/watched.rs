@@ -193,6 +193,11 @@ pub fn start() -> Machine<Watched> {
         Shared::new(Nor::new(part, UID))
     });
     BLANK.set(Some(flash.clone()));
+    start_on(flash)
+}
+
+/// A board with this flash.
+pub fn start_on(flash: Shared) -> Machine<Watched> {
     let setup = Setup {
         flash,
         ..Setup::new(FACTS.with(BoardFacts::clone), Plant::direct(3))

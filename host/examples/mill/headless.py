@@ -7,11 +7,12 @@ Started by LinuxCNC as [DISPLAY]DISPLAY; what to do comes in the environment:
   FERROCNC_OUT      directory for samples.csv and result.json (default .)
   FERROCNC_PATIENCE seconds of the wall clock without any progress before giving up (default 120)
 
-The exit code says how it went: 0 the program ran and every axis stands on the step it was sent to, 2 LinuxCNC did not come
-up, 3 no progress, 4 the machine dropped out, 5 it stands somewhere else, 6 LinuxCNC reported an error.
+The exit code says how it went: 0 the program ran and every axis stands on the step it was sent to,
+2 LinuxCNC did not come up, 3 no progress, 4 the machine dropped out, 5 it stands somewhere else, 6
+LinuxCNC reported an error.
 
-Nothing here depends on how fast the machine's time passes: behind a simulated board one servo period may take a tenth of a
-second. Patience is counted from the last thing that changed.
+Nothing here depends on how fast the machine's time passes: behind a simulated board one servo
+period may take a tenth of a second. Patience is counted from the last thing that changed.
 """
 
 import csv
@@ -29,7 +30,8 @@ PROGRAM = os.path.abspath(os.environ.get("FERROCNC_PROGRAM", os.path.join(HERE, 
 OUT = os.path.abspath(os.environ.get("FERROCNC_OUT", "."))
 PATIENCE = float(os.environ.get("FERROCNC_PATIENCE", "120"))
 AXES = "xyz"
-# The position loop halves what is left every period: 80 periods after the last command nothing can be left.
+# The position loop halves what is left every period: 80 periods after the last command nothing can
+# be left.
 STILL_PERIODS = 80
 # Servo periods in which something must have happened.
 MOST_PERIODS = 3000
@@ -100,8 +102,9 @@ class Machine:
         return ", ".join(f"{name} {getattr(stat, name)}" for name in names)
 
     def wait(self, condition, what, keep_on=True, again=None):
-        """Until the condition holds. Gives up when the board's time stands still for PATIENCE, or when it passes without
-        anything happening. `again` repeats a request that may have been overheard."""
+        """Until the condition holds. Gives up when the board's time stands still for PATIENCE, or
+        when it passes without anything happening. `again` repeats a request that may have been
+        overheard."""
         seen, since = (self.progress(), periods()), time.time()
         change, change_at = periods(), time.time()
         asked = time.time()
@@ -264,7 +267,8 @@ def analyse(scales, accels, maxaccels):
         commands = [float(row[1 + n]) * scale for row in rows]
         feedback = [float(row[4 + n]) * scale for row in rows]
         counts = [int(row[7 + n]) for row in rows]
-        # The command of period k is for its end; the counts read in period k + 2 were sampled there.
+        # The command of period k is for its end; the counts read in period k + 2 were sampled
+        # there.
         first, last = (moved[0], moved[-1]) if moved else (0, 0)
         span = range(first, min(last + 200, len(rows) - 2))
         off = [abs(counts[k + 2] - commands[k]) for k in span]

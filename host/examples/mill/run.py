@@ -3,9 +3,10 @@
 
   host/examples/mill/run.py --board 127.0.0.1:1234 --out target/mill --lockstep
 
-Copies this configuration to OUT/config, fills in the options, starts LinuxCNC and hands back headless.py's exit code.
-samples.csv and result.json appear in OUT. Needs the module as /usr/lib/linuxcnc/modules/ferrocnc.so (--module makes that
-link when root), and nothing else of LinuxCNC running: HAL exists once per machine.
+Copies this configuration to OUT/config, fills in the options, starts LinuxCNC and hands back
+headless.py's exit code. samples.csv and result.json appear in OUT. Needs the module as
+/usr/lib/linuxcnc/modules/ferrocnc.so (--module makes that link when root), and nothing else of
+LinuxCNC running: HAL exists once per machine.
 """
 
 import argparse
@@ -23,7 +24,8 @@ SHIPPED = "/usr/share/doc/linuxcnc/examples/sample-configs/sim/axis/rose_engine"
 DEFAULT_PROGRAM = os.path.join(HERE, "programs/rcone_short.ngc")
 # What LinuxCNC asks "still running, restart it?" about.
 LOCK = "/tmp/linuxcnc.lock"
-# HAL's and LinuxCNC's shared memory. What a crash left behind holds a locked mutex and hangs everything after it.
+# HAL's and LinuxCNC's shared memory. What a crash left behind holds a locked mutex and hangs
+# everything after it.
 KEYS = ("0x48414c32", "0x48484c34", "0x00000064")
 
 
@@ -45,8 +47,8 @@ def arguments():
 
 
 def shipped_program(config):
-    """The shipped subroutine the default program calls. Machines that install no documentation (dpkg's path-exclude) do not have
-    it; then it is fetched out of the same package."""
+    """The shipped subroutine the default program calls. Machines that install no documentation
+    (dpkg's path-exclude) do not have it; then it is fetched out of the same package."""
     if os.path.exists(os.path.join(SHIPPED, "rcone.ngc")):
         return
     print("no rcone.ngc on this machine (documentation excluded?); taking it out of the package linuxcnc-uspace")
@@ -87,8 +89,8 @@ def configure(options, out):
         machine = machine.replace("HALFILE = mill.hal", f"HALFILE = {os.path.basename(options.hal)}")
     if options.lockstep:
         machine = set_value(machine, "PACKET_READ_TIMEOUT", 2_000_000_000)
-        # user-request-enable is up for this long by the wall clock; a servo period may take a quarter of a second, and one
-        # whose answer is lost longer.
+        # user-request-enable is up for this long by the wall clock; a servo period may take a
+        # quarter of a second, and one whose answer is lost longer.
         machine, found = re.subn(r"(?m)(^\[EMCIO\]\n(?:[^\[\n].*\n)*?CYCLE_TIME = ).*$", r"\g<1>1.0", machine)
         if not found:
             sys.exit("no CYCLE_TIME of EMCIO in the INI file")
@@ -111,7 +113,8 @@ def alive(name):
 
 
 def sweep():
-    """Removes what a LinuxCNC that crashed left behind; one that runs is left alone and we are not started."""
+    """Removes what a LinuxCNC that crashed left behind; one that runs is left alone and we are not
+    started."""
     if alive("rtapi_app"):
         sys.exit("LinuxCNC or another HAL session is running; end it first")
     if os.path.exists(LOCK):

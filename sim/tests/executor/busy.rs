@@ -100,7 +100,7 @@ impl Held {
     }
 
     fn state(&mut self) -> State {
-        self.lan.rig.jobs.executor().state()
+        self.lan.rig.jobs.executor().expect("jobs").state()
     }
 }
 
@@ -194,7 +194,7 @@ fn nothing_else_is_done_for_a_second_client() {
         );
         assert_eq!(held.state(), State::Running, "{request:?}");
     }
-    let executor = held.lan.rig.jobs.executor();
+    let executor = held.lan.rig.jobs.executor().expect("jobs");
     assert!(executor.busy());
 }
 

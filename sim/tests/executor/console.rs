@@ -96,7 +96,7 @@ fn a_job_started_at_the_console_is_drawn_to_its_end_without_further_input() {
     let program = program("G1 X5 Y3 F6000\nM2\n");
     rig.send("x", &file(&program));
     said(&mut rig, "job start x");
-    while rig.jobs.executor().busy() {
+    while rig.jobs.executor().expect("jobs").busy() {
         rig.run(MS);
     }
     let (_, steps) = predict(&program, &rig.machine_of());

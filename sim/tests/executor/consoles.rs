@@ -81,7 +81,7 @@ fn half_lines_of_three_clients_do_not_mix() {
 }
 
 #[test]
-fn who_logs_in_opens_nothing_for_the_other_clients() {
+fn a_login_opens_nothing_for_the_other_clients() {
     let mut lan = Lan::of(Rig::keyed(Plant::direct(0)));
     let [one, two, _] = three(&mut lan);
     let heard = asks(&mut lan, one, "login");
@@ -143,7 +143,7 @@ fn a_client_that_vanished_leaves_its_console_to_the_next_within_two_minutes() {
 }
 
 #[test]
-fn a_port_that_nobody_listens_at_refuses_at_once() {
+fn a_port_without_a_listener_refuses_at_once() {
     let mut lan = Lan::of(Rig::plotter());
     console(&mut lan);
     let from = lan.rig.now();

@@ -5,13 +5,13 @@ use ::jobs::plan::{AxisSetup, Output, Planner, Setup as Planned};
 use ::jobs::{Outside, gcode, job};
 use firmware::console::Vitals;
 use firmware::cores::Board as _;
-use firmware::text::Text;
 use firmware::machine::{IDLE, Machine, Reply};
 use firmware::net::Us;
 use firmware::services::port::Place;
 use firmware::services::{Network, Program, TEXT_MAX};
 use firmware::session::Peer;
 use firmware::text::Sink;
+use firmware::text::Text;
 use motion::segment::{AXES, Segment};
 use sim::board_facts::BoardFacts;
 use sim::model_board::{ModelBoard, Setup};
@@ -505,7 +505,7 @@ impl Rig {
     /// Until nothing is going on; how it ended.
     pub fn finish(&mut self) -> Report {
         for _ in 0..200_000 {
-            if !self.jobs.executor().busy() {
+            if !self.jobs.executor().expect("jobs").busy() {
                 // Positions are sampled now and then.
                 self.run(30 * MS);
                 return self.report();
@@ -548,7 +548,7 @@ impl Rig {
     }
 
     pub fn machine_of(&self) -> jobs::MachineConfig {
-        *self.jobs.executor().machine().unwrap()
+        *self.jobs.executor().expect("jobs").machine().unwrap()
     }
 
     /// A LinuxCNC somewhere takes the session; false: it cannot.

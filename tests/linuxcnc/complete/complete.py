@@ -1,5 +1,6 @@
 #!/usr/bin/python3
-"""The "display" of complete.ini: homes, runs the program, says in result.json where the probe tripped and where everything stands.
+"""The "display" of complete.ini: homes, runs the program, says in result.json where the probe
+tripped and where everything stands.
 
 headless.py of the mill does the work; this adds columns and asks LinuxCNC for the probe.
 """

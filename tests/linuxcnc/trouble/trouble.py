@@ -1,13 +1,15 @@
 #!/usr/bin/python3
-"""The "display" of a machine that gets into trouble: homes, cuts, something happens in the middle of a G1, and an operator puts it right.
+"""The "display" of a machine that gets into trouble: homes, cuts, something happens in the middle
+of a G1, and an operator puts it right.
 
   FERROCNC_CONTROL   host:port of the simulated board's control channel
   FERROCNC_TROUBLE   what to say there when the axis is at speed: pull, reboot, power. `kill` ends LinuxCNC's realtime process instead
-                     and leaves; `none` is the morning after: nothing happens, but where everything stands is looked at first
+                     and leaves; `none` is the morning after: nothing happens, but where everything
+                     stands is looked at first
   FERROCNC_MEND      what to say there when the machine stands: plug, or nothing
 
-headless.py of the mill does the work. result.json says in the board's own clocks when what happened (`marks`), so that the pins
-can be looked at for every stretch of it.
+headless.py of the mill does the work. result.json says in the board's own clocks when what happened
+(`marks`), so that the pins can be looked at for every stretch of it.
 """
 
 import json
@@ -30,7 +32,8 @@ CONTROL = os.environ["FERROCNC_CONTROL"].rsplit(":", 1)
 AT_SPEED = 30.0
 # Servo periods in which a machine that was going to jump would have.
 LOOK = 300
-# Clocks of the board from the trouble to the look at what stands: 0.5 s, ten times what stopping takes.
+# Clocks of the board from the trouble to the look at what stands: 0.5 s, ten times what stopping
+# takes.
 SETTLED = 30_000_000
 
 

@@ -614,7 +614,11 @@ extern "C" fn leased(context: *mut c_void, ip: u32, prefix: u32, gateway: u32) {
     // SAFETY: as above.
     let app = unsafe { &mut *context.cast::<App>() };
     let prefix = u8::try_from(prefix).unwrap_or(0);
-    let lease = Lease { ip, prefix, gateway };
+    let lease = Lease {
+        ip,
+        prefix,
+        gateway,
+    };
     app.machine.leased((prefix != 0).then_some(lease));
 }
 

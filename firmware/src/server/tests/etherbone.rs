@@ -2,7 +2,7 @@
 
 use super::*;
 
-// ---- Golden vectors (LiteEth, LiteX RemoteClient) ------------------------------------------------
+// ---- Golden vectors (LiteEth, LiteX RemoteClient) -----------------------------------------------
 
 #[test]
 fn a_probe_is_echoed() {
@@ -60,7 +60,7 @@ fn an_empty_record_is_refused_and_harmless() {
     );
 }
 
-// ---- Behaviours on which LiteEth trips --------------------------------------------------------------
+// ---- Behaviours on which LiteEth trips ----------------------------------------------------------
 
 #[test]
 fn the_answer_depends_on_no_port() {
@@ -253,7 +253,7 @@ proptest! {
     }
 }
 
-// ---- All or nothing ---------------------------------------------------------------------------------
+// ---- All or nothing -----------------------------------------------------------------------------
 
 #[test]
 fn a_bad_last_word_stops_the_first_record_too() {

@@ -127,7 +127,10 @@ fn answer(kind: DhcpMessageType, number: u32, seconds: u32) -> Vec<u8> {
         &from,
         &to,
         length,
-        |body| repr.emit(&mut DhcpPacket::new_unchecked(body)).expect("room"),
+        |body| {
+            repr.emit(&mut DhcpPacket::new_unchecked(body))
+                .expect("room")
+        },
         &sums,
     );
     bytes
@@ -243,7 +246,10 @@ fn a_lease_is_renewed_for_a_day_and_lost_when_the_server_is() {
     });
     assert!(bench.board.leased.iter().all(Option::is_some));
     // Half of ten minutes, a day long.
-    assert!((280..=300).contains(&messages), "{messages} renewals, {arp} ARP");
+    assert!(
+        (280..=300).contains(&messages),
+        "{messages} renewals, {arp} ARP"
+    );
     bench.pass(1_300_000, |_, _| None);
     assert_eq!(bench.board.leased.last(), Some(&None), "it is over");
     assert_eq!(bench.board.ip, 0);

@@ -23,8 +23,8 @@ static mut BUSY: bool = false;
 struct Logger;
 
 // SAFETY: one hart. The one interrupt, of the leash, logs nothing where it interrupts the ROM, and
-// no other trap returns to the code it came from: no other code can interleave. A panic inside a log
-// statement finds BUSY set and logs nothing.
+// no other trap returns to the code it came from: no other code can interleave. A panic inside a
+// log statement finds BUSY set and logs nothing.
 unsafe impl defmt::Logger for Logger {
     fn acquire() {
         // SAFETY: see the impl.

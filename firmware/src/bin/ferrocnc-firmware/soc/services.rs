@@ -1,6 +1,6 @@
-//! Waits for the SDRAM; finds, copies, checks and calls the services, and outlives them. The program
-//! tests the rest of the SDRAM: the ROM has no room for that, and a right CRC shows that the
-//! program's own memory works.
+//! Waits for the SDRAM; finds, copies, checks and calls the services, and outlives them. The
+//! program tests the rest of the SDRAM: the ROM has no room for that, and a right CRC shows that
+//! the program's own memory works.
 
 use super::{ABI, Soc};
 use core::arch::global_asm;

@@ -238,7 +238,7 @@ impl Player {
     /// Until nothing is going on, and positions were sampled.
     pub fn settles(&mut self) {
         for _ in 0..50_000 {
-            if !self.rig.jobs.executor().busy() {
+            if !self.rig.jobs.executor().expect("jobs").busy() {
                 break;
             }
             self.turn();

@@ -1,0 +1,184 @@
+//! The board of these tests: the services over a real server, with a console that repeats lines.
+
+use crate::fake;
+use crate::machine::{Lease, Reply};
+use crate::net::Us;
+use crate::services::port::Place;
+use crate::services::{Network, Program};
+use crate::session::Peer;
+use crate::text::Sink;
+use ::jobs::Outside;
+use std::boxed::Box;
+use std::string::String;
+use std::vec::Vec;
+use std::{format, vec};
+use wire::MAX_WORDS;
+use wire::regmap::segments;
+
+pub const US: Us = Us {
+    mac: [2, 0, 0, 0, 0, 1],
+    ip: 0xc0a8_0232,
+    port: 1234,
+};
+/// Clocks of a millisecond.
+pub const MS: u64 = fake::CLOCK as u64 / 1000;
+/// What a client of the console hears first, and behind every answer.
+pub const PROMPT: &str = "> ";
+/// Axes of a job.
+const AXES: u32 = 3;
+/// Bytes for jobs.
+const ROOM: usize = 64 * 1024;
+/// The ROM calls so often when there is nothing to do.
+pub const TICK_MS: u64 = 10;
+/// No frame and no moment gives the program more turns of work than this.
+const TURNS: usize = 200;
+
+/// What the services see of the board.
+pub struct World {
+    server: fake::Rig,
+    pub us: Us,
+    pub sent: Vec<Vec<u8>>,
+    /// Lines that were taken from clients of consoles.
+    pub lines: usize,
+}
+
+impl Outside for World {
+    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
+        let Ok(answer) = self.server.send_as(Peer::INSIDE, request) else {
+            return 0;
+        };
+        reply[..answer.len()].copy_from_slice(&answer);
+        answer.len()
+    }
+    fn read_segments(&mut self, word: usize) -> u32 {
+        match word {
+            segments::SHAPE => AXES | 16 << 8,
+            _ => 0,
+        }
+    }
+    fn write_segments(&mut self, _: usize, _: u32) {}
+    fn now(&mut self) -> u64 {
+        self.server.board.now
+    }
+}
+
+/// What the console says to a line: it once, or many times behind "more".
+pub fn echo(line: &str) -> String {
+    let times = if line.starts_with("more") { 60 } else { 1 };
+    format!("{}\r\n{PROMPT}", line.repeat(times))
+}
+
+impl Network for World {
+    fn send_frame(&mut self, frame: &[u8]) {
+        assert!(frame.len() <= super::super::abi::FRAME_MAX);
+        self.sent.push(frame.to_vec());
+    }
+    fn us(&mut self) -> Us {
+        self.us
+    }
+    fn leased(&mut self, _: Option<Lease>) {}
+    fn console(&mut self, _: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
+        let Some(line) = line else {
+            out.put(PROMPT.as_bytes());
+            return Reply::Said;
+        };
+        self.lines += 1;
+        match line {
+            "quit" => return Reply::Close,
+            "quiet" => {}
+            line => out.put(echo(line).as_bytes()),
+        }
+        Reply::Said
+    }
+}
+
+pub struct Board {
+    pub world: World,
+    pub program: Program<'static>,
+    restless: bool,
+}
+
+impl Board {
+    pub fn new() -> Self {
+        Board::started(1)
+    }
+
+    /// A board whose services start so many milliseconds after power-up.
+    pub fn started(ms: u64) -> Self {
+        let mut world = World {
+            server: fake::Rig::with_segments(),
+            us: US,
+            sent: Vec::new(),
+            lines: 0,
+        };
+        world.server.board.now = ms * MS;
+        let place = Box::leak(Box::new(Place::new()));
+        let memory = vec![0xa5; ROOM].leak();
+        let program = Program::new(memory, place, 0x1234_5678, &mut world);
+        Board {
+            program: program.expect("a board with jobs"),
+            world,
+            restless: false,
+        }
+    }
+
+    pub fn ms(&self) -> u64 {
+        self.world.server.board.now / MS
+    }
+
+    /// A frame comes in; nothing else happens.
+    pub fn take(&mut self, frame: &[u8]) {
+        self.program.frame(frame, &mut self.world);
+        self.restless = true;
+    }
+
+    /// One call without a frame.
+    pub fn turn(&mut self) {
+        self.restless = self.program.poll(&mut self.world);
+    }
+
+    /// Turns as long as there is work.
+    pub fn work(&mut self) {
+        self.turn();
+        for _ in 0..TURNS {
+            if !self.restless {
+                return;
+            }
+            self.turn();
+        }
+        panic!("the program is never done, {} ms", self.ms());
+    }
+
+    /// A frame, and the board's answers.
+    pub fn frame(&mut self, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.take(frame);
+        self.work();
+        self.sent()
+    }
+
+    pub fn sent(&mut self) -> Vec<Vec<u8>> {
+        std::mem::take(&mut self.world.sent)
+    }
+
+    /// Time passes, and nothing is called.
+    pub fn hold(&mut self, clocks: u64) {
+        self.world.server.board.now += clocks;
+    }
+
+    /// Time passes, with a turn every 10 ms; the frames that were sent, and when.
+    pub fn wait(&mut self, ms: u64) -> Vec<(u64, Vec<u8>)> {
+        self.wait_by(ms, TICK_MS)
+    }
+
+    /// The same with a turn so often.
+    pub fn wait_by(&mut self, ms: u64, tick: u64) -> Vec<(u64, Vec<u8>)> {
+        let (end, mut sent) = (self.ms() + ms, Vec::new());
+        while self.ms() < end {
+            self.hold(tick.min(end - self.ms()) * MS);
+            self.work();
+            let at = self.ms();
+            sent.extend(self.sent().into_iter().map(|frame| (at, frame)));
+        }
+        sent
+    }
+}
