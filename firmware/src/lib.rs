@@ -40,14 +40,12 @@
 //! | [`log`] | the ring `ferrocnc log` reads |
 //! | [`postmortem`] | what survives a panic |
 //! | [`text`] | text in pieces, without `core::fmt` |
-//! | [`console`] | a text console for `telnet`: to look, and with the key to restart |
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
 pub mod auth;
 pub mod block;
 pub mod config;
-pub mod console;
 pub mod cores;
 pub mod describe;
 pub mod discovery;

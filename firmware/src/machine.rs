@@ -1,4 +1,4 @@
-//! The firmware without its IP stack: start-up, datagrams, housekeeping, console.
+//! The firmware without its IP stack: start-up, datagrams, housekeeping, what clients may.
 //!
 //! The image wraps this in frames and a TCP socket. The simulated board calls it from its own UDP
 //! and TCP sockets, with models behind [`Board`]. Both call it in this order:
@@ -10,7 +10,7 @@
 //!                            Machine::due(Machine::patience), Machine::housekeeping;
 //!                            Machine::hold_path once it is sent
 //!     none, and due(IDLE)    Machine::housekeeping
-//!     a byte of the console  console::LineEditor::push, and its result into Machine::answer
+//!     a client of a console  Machine::visit: may it?
 //!     a discovery datagram   Machine::discover
 //!     the services           Machine::leased: an address from a DHCP server, or none any more
 //!     has_broadcast          Machine::next_broadcast, and broadcast it
@@ -22,14 +22,12 @@
 //! ([`crate::log::Ring`]). [`Machine::housekeeping`] returns the events that are worth a log line.
 
 use crate::auth::{Words, by_port};
-use crate::console::{self, Ask, Vitals};
 use crate::cores::{Board, Control, Ident, Setting};
 use crate::discovery::{self, Act, Names, Waiting};
 use crate::net::{self, Us};
 use crate::postmortem::Boot;
 use crate::server::Server;
 use crate::session::Peer;
-use crate::text::Sink;
 use wire::auth::Purpose;
 use wire::board::{Blob, Kind};
 use wire::discovery::{Body, Message, proof};
@@ -44,8 +42,6 @@ use wire::{DISCOVERY_PORT, FaultReason, MAX_WORDS, Name, Refusal, State};
 const BEHIND_AN_ANSWER: u32 = 1;
 /// Without a frame it waits longer, so that it does not run between a request and its answer.
 pub const IDLE: u32 = 3;
-/// What the console says when it has no time to answer.
-pub const NOT_WHILE_ARMED: &[u8] = b"? not while armed\r\n";
 /// 10 s without a lease: three tries of the services. A board on a bench without a server should be
 /// usable before its user gives up. The services go on asking.
 pub const FALLBACK_SECONDS: u32 = 10;
@@ -111,20 +107,6 @@ pub struct Machine<B> {
     second: u32,
     /// A bit for each client of the services' consoles: it has proved that it has the key.
     friends: u8,
-}
-
-/// What a console's client gets besides the text.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reply {
-    /// Nothing.
-    Said,
-    /// The end of the connection.
-    Close,
-    /// No text yet: the services answer this line.
-    Job {
-        /// The client may do more than look.
-        trusted: bool,
-    },
 }
 
 impl<B: Board> Machine<B> {
@@ -448,71 +430,6 @@ impl<B: Board> Machine<B> {
             words: emit(&message, words).len(),
         })
     }
-
-    /// A new client is at the console.
-    pub fn greet(&mut self) {
-        self.server.auth.greet();
-    }
-
-    /// May the client of the console do more than look?
-    pub fn trusted(&self) -> bool {
-        self.server.auth.trusted()
-    }
-
-    /// Answers a line of the services' console number `visitor`, and asks for the next one; no
-    /// line: a client has connected. Each client logs in for itself.
-    #[inline(never)]
-    pub fn converse(
-        &mut self,
-        visitor: usize,
-        line: Option<&str>,
-        vitals: &Vitals,
-        out: &mut dyn Sink,
-    ) -> Reply {
-        let bit = 1 << (visitor % 8);
-        let before = self
-            .server
-            .auth
-            .change(self.friends & bit != 0 && line.is_some());
-        let reply = match line.map(Ask::parse) {
-            None => Reply::Said,
-            Some(ask) if !self.may_answer(ask) => {
-                out.put(NOT_WHILE_ARMED);
-                Reply::Said
-            }
-            Some(Ask::Job) => Reply::Job {
-                trusted: self.trusted(),
-            },
-            Some(ask) => {
-                self.answer(ask, vitals, out);
-                match ask == Ask::Quit {
-                    true => Reply::Close,
-                    false => Reply::Said,
-                }
-            }
-        };
-        self.friends &= !bit;
-        if self.server.auth.change(before) {
-            self.friends |= bit;
-        }
-        if reply == Reply::Said {
-            out.put(console::PROMPT.as_bytes());
-        }
-        reply
-    }
-
-    /// Answers a line of the console. Afterwards the server may want a restart.
-    #[inline]
-    pub fn answer(&mut self, ask: Ask, vitals: &Vitals, out: &mut dyn Sink) {
-        console::answer(
-            ask,
-            &mut self.server,
-            &mut self.board,
-            &self.us,
-            vitals,
-            out,
-        );
-    }
 }
 
 /// The board's settings before a host configures it: slow enough for any drive, with the watchdog
@@ -602,6 +519,9 @@ impl Built {
 }
 
 mod transport;
+mod visitors;
+
+pub use visitors::{Verb, Verdict, WORDS as VISIT_WORDS};
 
 #[cfg(test)]
 mod tests;

@@ -86,7 +86,7 @@ pub struct Server {
     /// The number of frames at the last look, and when it last changed.
     frames: (u32, u64),
     restart: bool,
-    /// True from power-up until the first datagram: the boot id is still the same as after every
+    /// True from power-up until the first datagram of a host: the boot id is still the same as after every
     /// power-up.
     nameless: bool,
     /// The address in force, shown in the flash window.
@@ -531,7 +531,8 @@ impl Server {
         let now = board.now();
         let arrival = board.arrival_lo();
         self.auth.stir(arrival);
-        if self.nameless {
+        // The services ask at the same time after every power-up.
+        if self.nameless && peer != Peer::INSIDE {
             self.nameless = false;
             self.boot.id = board.rename_boot(arrival);
         }

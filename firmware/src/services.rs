@@ -3,7 +3,7 @@
 //! services, not the motion.
 //!
 //! ```text
-//!   frames --> stack (smoltcp) --> port --+--> consoles --> the ROM's text, and job_lines
+//!   frames --> stack (smoltcp) --> port --+--> consoles, and job_lines for jobs
 //!                                         +--> jobs::Jobs --> datagram, segments core
 //!                                         +--> lease: an address from a DHCP server
 //! ```
@@ -14,6 +14,7 @@
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
+pub mod console;
 pub mod events;
 pub mod facts;
 pub mod http;
@@ -35,10 +36,9 @@ mod shut;
 mod tests;
 
 use self::port::{Place, Port};
-use crate::console::{ANSWER_MAX, NO_JOBS, PROMPT};
-use crate::machine::{Lease, Reply};
+use crate::machine::{Lease, VISIT_WORDS, Verb, Verdict};
 use crate::net::{UdpPorts, Us};
-use crate::text::{Out, Paper, Sink, Text};
+use crate::text::{Sink, Text};
 use ::jobs::executor::Executor;
 use ::jobs::inside::Inside;
 use ::jobs::server::{Answer, BusyReply};
@@ -61,12 +61,9 @@ pub trait Network: Outside {
     fn us(&mut self) -> Us;
     /// A DHCP server has given the board an address, or the lease is over.
     fn leased(&mut self, lease: Option<Lease>);
-    /// Answers a line of console `visitor`: [`crate::machine::Machine::converse`].
-    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply;
+    /// Judges what the client of console `visitor` asks for: [`crate::machine::Machine::visit`].
+    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict;
 }
-
-/// Longest answer to a line about jobs: the console's longest answer without the prompt after it.
-pub const TEXT_MAX: usize = ANSWER_MAX - PROMPT.len();
 
 /// UDP ports the program listens at.
 pub const PORTS: UdpPorts = [lease::PORT, 0, 0, 0, 0, 0, 0, 0];
@@ -100,7 +97,7 @@ impl<'m> Program<'m> {
     ) -> Option<Self> {
         let (_, board) = Inside::new(out)?;
         let jobs = Jobs::new(memory, program, out);
-        let port = Port::new(place, jobs.is_some(), board.clock_hz, out);
+        let port = Port::new(place, jobs.is_some(), &board, out);
         Some(Program { jobs, port })
     }
 
@@ -140,19 +137,9 @@ impl<'m> Program<'m> {
         jobs.map_or(0, |jobs| jobs.busy_reply(busy, bytes, answer, out))
     }
 
-    /// Answers a line about jobs into `room`; returns the answer's length in bytes. `trusted`: the
-    /// console's client has proved the board's key, or there is no key.
-    pub fn line(
-        &mut self,
-        line: &[u8],
-        trusted: bool,
-        room: &mut [u8],
-        out: &mut impl Outside,
-    ) -> usize {
-        let line = core::str::from_utf8(line).unwrap_or("");
-        let mut paper = Paper::new(room);
-        job_line(self.jobs.as_mut(), line, trusted, &mut paper, out);
-        paper.used()
+    /// The jobs, on boards that have them.
+    pub fn jobs(&mut self) -> Option<&mut Jobs<'m>> {
+        self.jobs.as_mut()
     }
 
     /// Does a piece of work: a segment, a frame, a block of a job. True while there is more work.
@@ -178,22 +165,5 @@ impl<'m> Program<'m> {
     /// Is there work of the connections for the next turn?
     pub fn busy(&self) -> bool {
         self.port.busy()
-    }
-}
-
-/// Answers a line about jobs.
-fn job_line(
-    jobs: Option<&mut Jobs>,
-    line: &str,
-    trusted: bool,
-    paper: &mut Paper,
-    out: &mut impl Outside,
-) {
-    match jobs {
-        Some(jobs) => {
-            let now = out.now();
-            job_lines::answer(jobs, line, trusted, now, paper, out);
-        }
-        None => Out(paper).text(NO_JOBS).end(),
     }
 }

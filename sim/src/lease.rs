@@ -6,12 +6,11 @@
 
 use crate::jobs::Outer;
 use crate::model_board::ModelBoard;
-use firmware::machine::{Lease, Machine, Reply};
+use firmware::machine::{Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
 use firmware::services::lease::{Client, PORT, Place, SERVER_PORT};
 use firmware::services::stack::Stack;
 use firmware::services::{Network, facts};
-use firmware::text::Sink;
 use jobs::Outside;
 use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::time::Instant;
@@ -72,8 +71,8 @@ impl Network for Cable<'_> {
     fn leased(&mut self, lease: Option<Lease>) {
         self.board.leased(lease);
     }
-    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
-        self.board.console(visitor, line, out)
+    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict {
+        self.board.console(visitor, verb, words)
     }
 }
 

@@ -12,11 +12,13 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use firmware::console::{self, Ask, Vitals};
+use ::jobs::inside::Inside;
 use firmware::machine::{IDLE, Machine};
 use firmware::postmortem::Record;
+use firmware::services;
+use firmware::services::console::{Console, Reader, Visit};
+use firmware::services::port::CONSOLES;
 use firmware::session::Peer;
-use firmware::{services, text};
 use wire::describe::JobsState;
 use wire::regmap;
 use wire::{MAX_WORDS, ResetReason};
@@ -53,25 +55,15 @@ const ENVELOPE: usize = 8 + 14 + 20 + 8 + 4;
 /// The host's address on the board's cable, as the Verilated board sees it.
 const HOST: u32 = 0xc0a8_0201;
 
-/// Text of the console on its way out.
-#[derive(Debug, Default)]
-struct Paper(Vec<u8>);
-
-impl text::Sink for Paper {
-    fn put(&mut self, text: &[u8]) {
-        self.0.extend_from_slice(text);
-    }
-}
-
-/// A client at the console.
+/// A client at a console, or at the port of jobs.
 #[derive(Debug, Default)]
 struct Visitor {
-    line: console::LineEditor,
-    out: Paper,
+    console: Console,
+    /// Its number at the board; `None`: it is at the port of jobs.
+    number: Option<usize>,
+    out: Vec<u8>,
     said_goodbye: bool,
     gone: bool,
-    /// A client of the jobs, not of the console.
-    jobs: bool,
 }
 
 /// A datagram on its way to the board.
@@ -139,6 +131,8 @@ pub struct Twin {
     /// What executes jobs, and when it is called next.
     jobs: Option<jobs::Program>,
     jobs_at: u64,
+    /// For the consoles, if the services run.
+    reader: Option<Reader>,
     /// What asks DHCP servers.
     dhcp: Option<DhcpClient>,
     busy: Duration,
@@ -149,22 +143,23 @@ fn payload(words: &[u32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
-/// The services of a board: jobs where there are segments, and what asks DHCP servers.
+/// The services of a board: jobs where there are segments, what asks DHCP servers, and what the
+/// consoles read with.
 fn programs(
     machine: &mut Machine<ModelBoard>,
     facts: &BoardFacts,
     sdram: bool,
-) -> (Option<jobs::Program>, Option<DhcpClient>) {
+) -> (Option<jobs::Program>, Option<DhcpClient>, Option<Reader>) {
     if !facts.sdram {
         machine.server.jobs(match facts.jobs {
             0 => JobsState::None,
             _ => JobsState::Streamed,
         });
-        return (None, None);
+        return (None, None, None);
     }
     if !sdram {
         machine.server.jobs(JobsState::Sdram);
-        return (None, None);
+        return (None, None, None);
     }
     let program = match facts.jobs {
         0 => None,
@@ -172,7 +167,12 @@ fn programs(
     };
     machine.server.jobs(JobsState::Alive);
     let dhcp = DhcpClient::start(machine, facts.clock_hz);
-    (program, dhcp)
+    let board = Inside::new(&mut jobs::Outer(machine));
+    (
+        program,
+        dhcp,
+        board.map(|(_, board)| Reader::new(board.channels, board.clock_hz)),
+    )
 }
 
 impl Twin {
@@ -187,12 +187,13 @@ impl Twin {
         let (mut model_board, ident) = ModelBoard::power_up(setup);
         let boot = model_board.boot();
         let mut machine = Machine::start(model_board, ident, regmap::ABI, boot);
-        let (jobs, dhcp) = programs(&mut machine, &facts, sdram);
+        let (jobs, dhcp, reader) = programs(&mut machine, &facts, sdram);
         let clockwork = Clockwork::new(facts.clock_hz.into());
         Twin {
             housekeeping_at: machine.board.clock(),
             jobs_at: machine.board.clock(),
             jobs,
+            reader,
             dhcp,
             machine,
             facts,
@@ -357,7 +358,7 @@ impl Twin {
             regmap::ABI,
             boot,
         );
-        (self.jobs, self.dhcp) = programs(&mut self.machine, &self.facts, self.sdram);
+        (self.jobs, self.dhcp, self.reader) = programs(&mut self.machine, &self.facts, self.sdram);
     }
 
     fn housekeeping(&mut self) {
@@ -441,9 +442,31 @@ impl Twin {
             return false;
         };
         let visitor = &mut self.visitors[said.visitor];
-        visitor.out.0.extend(said.bytes);
+        visitor.out.extend(said.bytes);
         visitor.said_goodbye |= said.close;
         true
+    }
+
+    /// What a client at a console types, and hears. It takes no time here.
+    fn converse(&mut self, client: usize, bytes: &[u8]) {
+        let visitor = &mut self.visitors[client];
+        let (Some(number), Some(reader)) = (visitor.number, &mut self.reader) else {
+            return;
+        };
+        if visitor.said_goodbye {
+            return;
+        }
+        let mut visit = Visit {
+            visitor: number,
+            reader,
+            jobs: self.jobs.as_mut().and_then(jobs::Program::jobs),
+            out: &mut jobs::Outer(&mut self.machine),
+        };
+        let (said, close) = jobs::converse(&mut visitor.console, bytes, &mut visit);
+        visitor.out.extend(said);
+        visitor.said_goodbye = close;
+        // A line may have started a job.
+        self.jobs_at = self.jobs_at.min(self.machine.board.clock() + ACCESS);
     }
 
     fn answer(&mut self, request: Request) -> bool {
@@ -599,53 +622,39 @@ impl Device for Twin {
     fn open(&mut self, port: u16) -> usize {
         let mut visitor = Visitor::default();
         if port == CONSOLE_PORT {
-            self.machine.greet();
-            visitor.out.0.extend(console::PROMPT.bytes());
+            let taken = |number: &usize| {
+                let mut all = self.visitors.iter();
+                all.any(|it| it.number == Some(*number) && !it.gone && !it.said_goodbye)
+            };
+            visitor.number = (0..CONSOLES).find(|number| !taken(number));
+            // No console is free, or nothing listens there.
+            visitor.said_goodbye = visitor.number.is_none() || self.reader.is_none();
         } else {
-            visitor.jobs = true;
             let number = self.visitors.len();
             let program = self.jobs.as_mut();
             match program.map(|program| program.open(number, &mut self.machine)) {
                 Some(None) => self.jobs_at = self.jobs_at.min(self.clock() + ACCESS),
-                Some(Some(busy)) => visitor.out.0.extend(busy),
+                Some(Some(busy)) => visitor.out.extend(busy),
                 // No service listens there.
                 None => visitor.said_goodbye = true,
             }
         }
         self.visitors.push(visitor);
-        self.visitors.len() - 1
+        let last = self.visitors.len() - 1;
+        self.converse(last, &[]);
+        last
     }
 
     fn type_in(&mut self, console: usize, bytes: &[u8]) -> usize {
         if self.frozen || !self.script.link() || self.clock() < self.starting {
             return 0;
         }
-        if self.visitors[console].jobs {
+        if self.visitors[console].number.is_none() {
             let program = self.jobs.as_mut();
             self.jobs_at = self.jobs_at.min(self.machine.board.clock() + ACCESS);
             return program.map_or(bytes.len(), |program| program.type_in(console, bytes));
         }
-        let visitor = &mut self.visitors[console];
-        for byte in bytes {
-            let Some(ask) = visitor.line.push(*byte) else {
-                continue;
-            };
-            match self.jobs.as_mut().filter(|_| ask == Ask::Job) {
-                Some(program) => {
-                    let text = program.line(visitor.line.line(), &mut self.machine);
-                    visitor.out.0.extend(text);
-                    self.jobs_at = self.machine.board.clock() + ACCESS;
-                }
-                None => self
-                    .machine
-                    .answer(ask, &Vitals::default(), &mut visitor.out),
-            }
-            if ask == Ask::Quit {
-                visitor.said_goodbye = true;
-                break;
-            }
-            visitor.out.0.extend(console::PROMPT.bytes());
-        }
+        self.converse(console, bytes);
         bytes.len()
     }
 
@@ -653,7 +662,7 @@ impl Device for Twin {
         if !self.script.link() {
             return Vec::new();
         }
-        std::mem::take(&mut self.visitors[console].out.0)
+        std::mem::take(&mut self.visitors[console].out)
     }
 
     fn untold(&mut self, console: usize) -> usize {

@@ -5,17 +5,13 @@
 
 use core::arch::global_asm;
 use core::mem::MaybeUninit;
-use core::ptr::null;
 use core::slice;
-use firmware::machine::{Lease, Reply};
+use firmware::machine::{Lease, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
-use firmware::services::abi::{
-    FAILED, FRAME_MAX, Header, INTERFACE, RESTLESS, ROOM, Rom, START, word_to_reply,
-};
+use firmware::services::abi::{FAILED, FRAME_MAX, Header, INTERFACE, RESTLESS, ROOM, Rom, START};
 use firmware::services::memory::{self, Cells};
 use firmware::services::port::Place;
 use firmware::services::{Network, PORTS, Program};
-use firmware::text::Sink;
 use jobs::Outside;
 use wire::MAX_WORDS;
 use wire::regmap::{self, CSR_PAGE, SDRAM_BASE, SDRAM_SIZE};
@@ -186,14 +182,13 @@ impl Network for Calls<'_> {
         result
     }
 
-    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
-        let (at, length) = line.map_or((null(), 0), |line| (line.as_ptr(), line.len()));
-        let word = (self.0.console)(self.0.context, visitor, at, length);
-        let (reply, text) = word_to_reply(word);
-        // SAFETY: as above.
-        let room = unsafe { &*self.0.output };
-        out.put(room.get(..text).unwrap_or(&[]));
-        reply
+    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict {
+        Verdict::from_code((self.0.console)(
+            self.0.context,
+            visitor,
+            verb as u32,
+            words,
+        ))
     }
 
     fn leased(&mut self, lease: Option<Lease>) {

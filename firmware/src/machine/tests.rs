@@ -138,14 +138,6 @@ fn a_change_of_state_is_told_once() {
     assert_eq!(machine.housekeeping(), Some(told));
 }
 
-#[test]
-fn the_console_answers_through_the_machine() {
-    let mut machine = machine(Notebook::new());
-    let mut text = String::new();
-    machine.answer(Ask::Net, &Vitals::default(), &mut text);
-    assert!(text.contains("192.168.2.50:1234"), "{text}");
-}
-
 fn ask(machine: &mut Machine<Notebook>, message: &Message) -> Option<Message> {
     let mut words = [0; wire::discovery::WORDS_MAX];
     let mut reply = [0; MAX_WORDS];
@@ -403,4 +395,27 @@ fn the_factory_pin_at_start_gives_the_built_in_address() {
     assert_eq!(machine(board.clone()).us.ip, 0x0a00_0002);
     board.factory = true;
     assert_eq!(machine(board).us.ip, 0xc0a8_0232);
+}
+
+#[test]
+fn the_services_question_at_start_up_does_not_name_the_boot() {
+    let boot = Boot {
+        reset: wire::ResetReason::PowerUp,
+        ..BOOT
+    };
+    let mut machine = Machine::start(Notebook::new(), ident(), ABI, boot);
+    let mut reply = [0; MAX_WORDS];
+    let words = [
+        wire::etherbone::HEADER,
+        0,
+        wire::etherbone::record(0, 1),
+        0,
+        0,
+    ];
+    machine
+        .inside(&words, &mut reply, Machine::hold_path)
+        .unwrap();
+    assert_eq!(machine.server.boot(), boot);
+    machine.datagram(&words, ALICE, &mut reply).unwrap();
+    assert_ne!(machine.server.boot().id, boot.id);
 }

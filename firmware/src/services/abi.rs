@@ -22,8 +22,7 @@
 //! segment. A panic or a trap in the program ends the call with [`DEAD`]: the ROM keeps its own
 //! registers, and is never called by the program again.
 
-use crate::console::ANSWER_MAX;
-use crate::machine::Reply;
+use crate::machine::VISIT_WORDS;
 use crate::net::{UdpPorts, Us};
 use core::ffi::c_void;
 use wire::MAX_WORDS;
@@ -32,7 +31,7 @@ use wire::describe::JobsState;
 use wire::images::PROGRAM_MAX;
 
 /// Version of this interface. The program starts only if both sides have the same.
-pub const INTERFACE: u32 = 5;
+pub const INTERFACE: u32 = 6;
 /// Bytes at the beginning of the SDRAM for the program: code, data and stack. The jobs get the
 /// rest.
 pub const ROOM: usize = PROGRAM_MAX;
@@ -85,13 +84,17 @@ pub struct Rom {
     ) -> isize,
     /// Sends this many bytes of `output` as an Ethernet frame, without its FCS.
     pub send: extern "C" fn(context: *mut c_void, length: usize),
-    /// Answers a line of one of the consoles into `output`; a null line: a client has connected.
-    /// Returns a [`Reply`] as [`reply_to_word`] puts it.
-    pub console:
-        extern "C" fn(context: *mut c_void, visitor: usize, line: *const u8, length: usize) -> u32,
+    /// Judges what the client of console `visitor` asks for: the code of a
+    /// [`crate::machine::Verb`] and its words. Returns that of a [`crate::machine::Verdict`].
+    pub console: extern "C" fn(
+        context: *mut c_void,
+        visitor: usize,
+        verb: u32,
+        words: &mut [u32; VISIT_WORDS],
+    ) -> u32,
     /// A DHCP server's address: [`crate::machine::Lease`]; prefix 0: there is none any more.
     pub leased: extern "C" fn(context: *mut c_void, ip: u32, prefix: u32, gateway: u32),
-    /// Room for a frame to be sent, or for a console's answer; never that of the frame that came.
+    /// Room for a frame to be sent; never that of the frame that came.
     pub output: *mut [u8; FRAME_MAX],
     /// The board's addresses.
     pub us: *const Us,
@@ -99,38 +102,6 @@ pub struct Rom {
 
 /// Longest frame, without its FCS.
 pub const FRAME_MAX: usize = 1514;
-
-const _: () = assert!(ANSWER_MAX <= FRAME_MAX && FRAME_MAX < CLOSE as usize);
-
-/// In the word of a reply: hang up behind the text.
-const CLOSE: u32 = 1 << 16;
-/// In the word of a reply: the line is about jobs, and the services answer it.
-const JOB: u32 = 1 << 17;
-/// With [`JOB`]: the client may do more than look.
-const TRUSTED: u32 = 1 << 18;
-
-/// The bytes of text in `output`, and what to do.
-pub fn reply_to_word(reply: Reply, text: usize) -> u32 {
-    let code = match reply {
-        Reply::Said => 0,
-        Reply::Close => CLOSE,
-        Reply::Job { trusted } => JOB | (u32::from(trusted) * TRUSTED),
-    };
-    code | text as u32
-}
-
-/// The inverse of [`reply_to_word`].
-pub fn word_to_reply(word: u32) -> (Reply, usize) {
-    let reply = if word & JOB != 0 {
-        let trusted = word & TRUSTED != 0;
-        Reply::Job { trusted }
-    } else if word & CLOSE != 0 {
-        Reply::Close
-    } else {
-        Reply::Said
-    };
-    (reply, (word % CLOSE) as usize)
-}
 
 /// Is this a program for this ROM? It takes the SDRAM's content in pieces, with the length that its
 /// last words give.
@@ -209,20 +180,6 @@ mod tests {
         let all = [words.len().max(1), words.len() / 2 + 1, 1].map(verdict);
         assert!(all.iter().all(|state| *state == all[0]), "{all:?}");
         all[0]
-    }
-
-    #[test]
-    fn a_reply_comes_through_as_it_was() {
-        for reply in [
-            Reply::Said,
-            Reply::Close,
-            Reply::Job { trusted: false },
-            Reply::Job { trusted: true },
-        ] {
-            for text in [0, 1, ANSWER_MAX] {
-                assert_eq!(word_to_reply(reply_to_word(reply, text)), (reply, text));
-            }
-        }
     }
 
     #[test]

@@ -11,12 +11,13 @@
 //! A turn looks at one connection, and does one thing for it: it answers a request, or sends a
 //! segment. After ten seconds of silence a client is asked whether it is still there.
 
+use super::console::{Console, PIECE_MAX, Reader, Visit};
+use super::line_editor::LINE_MAX;
 use super::shut::{NOD, nod};
 use super::stack::Stack;
-use super::{Network, facts, job_line, lease};
-use crate::console::{ANSWER_MAX, LineEditor, PROMPT};
-use crate::machine::Reply;
-use crate::text::{Paper, Sink, Text};
+use super::{Network, facts, lease};
+use crate::machine::{VISIT_WORDS, Verb, Verdict};
+use crate::text::Text;
 use ::jobs::server::BusyReply;
 use ::jobs::{AHEAD, Jobs};
 use core::num::NonZeroU32;
@@ -24,6 +25,7 @@ use smoltcp::iface::{SocketHandle, SocketSet, SocketStorage};
 use smoltcp::socket::tcp::{Socket, SocketBuffer, State};
 use smoltcp::time::{Duration, Instant};
 use wire::CONSOLE_PORT;
+use wire::describe::Describe;
 use wire::jobs::{PORT, SILENCE_SECONDS};
 
 /// Consoles at a time.
@@ -38,12 +40,17 @@ const CONNECTIONS: usize = FIRST_BUSY + BUSY;
 
 /// Bytes a client of a console may send ahead: the longest line. So its frames are short enough to
 /// be taken while a host moves the machine.
-const CONSOLE_AHEAD: usize = crate::console::LINE_MAX;
+const CONSOLE_AHEAD: usize = LINE_MAX;
 /// Bytes that a client told Busy may send ahead: a Hello and a command.
 const BUSY_AHEAD: usize = 128;
 /// Room for what the client has not acknowledged yet: the longest answer.
 const TEXT: usize = crate::text::TEXT_ROOM;
-const _: () = assert!(TEXT >= ANSWER_MAX && TEXT >= wire::jobs::FRAME);
+const _: () = assert!(TEXT >= LEISURE + PIECE_MAX && TEXT >= wire::jobs::FRAME);
+/// Text of a console that is made in one turn while the machine is at rest, ...
+const LEISURE: usize = 512;
+/// ... and that may wait for an acknowledgement while it is not: to send more in one segment takes
+/// longer than the owner should wait.
+const SHORT: usize = 256;
 
 /// A handshake that takes longer yields to the next client.
 const HANDSHAKE_MS: u32 = 250;
@@ -284,7 +291,8 @@ pub struct Port<'m> {
     strangers: u32,
     /// For frames of no connection.
     none: SocketSet<'m>,
-    lines: [LineEditor; CONSOLES],
+    consoles: [Console; CONSOLES],
+    reader: Reader,
     busy: [BusyReply; BUSY],
     clock: Millis,
     /// The connection that is looked at next, and how many were looked at in vain.
@@ -310,7 +318,7 @@ impl<'m> Port<'m> {
     pub fn new(
         place: &'m mut Place<'m>,
         jobs: bool,
-        clock_hz: u32,
+        board: &Describe,
         out: &mut impl Network,
     ) -> Self {
         let Place {
@@ -374,10 +382,11 @@ impl<'m> Port<'m> {
             count,
             strangers: 0,
             none: SocketSet::new(&mut [][..]),
-            lines: [const { LineEditor::new() }; CONSOLES],
+            consoles: [const { Console::new() }; CONSOLES],
+            reader: Reader::new(board.channels, board.clock_hz),
             busy: [const { BusyReply::new() }; BUSY],
             clock: Millis {
-                per_ms: NonZeroU32::new(clock_hz / 1000).unwrap_or(NonZeroU32::MIN),
+                per_ms: NonZeroU32::new(board.clock_hz / 1000).unwrap_or(NonZeroU32::MIN),
                 at: now,
                 ms: 0,
             },
@@ -441,8 +450,8 @@ impl<'m> Port<'m> {
         ms: u32,
         out: &mut impl Network,
     ) {
-        if let Some(line) = self.lines.get_mut(index) {
-            *line = LineEditor::new();
+        if let Some(console) = self.consoles.get_mut(index) {
+            *console = Console::new();
         } else if index == LINE {
             // A client has the time of silence from its first frame on, not from its predecessor's
             // last.
@@ -618,42 +627,42 @@ impl<'m> Port<'m> {
         self.text.clear();
     }
 
-    /// Takes bytes of a console's client, at most one line, and answers it.
-    fn console(&mut self, index: usize, jobs: Option<&mut Jobs>, out: &mut impl Network) -> bool {
+    /// A console's turn: it takes bytes of its client, or answers.
+    fn console(
+        &mut self,
+        index: usize,
+        mut jobs: Option<&mut Jobs>,
+        out: &mut impl Network,
+    ) -> bool {
         let connection = &mut self.connections[index];
-        if connection.room() < ANSWER_MAX {
-            return false;
-        }
-        let Some(editor) = self.lines.get_mut(index) else {
+        let Some(console) = self.consoles.get_mut(index) else {
             return false;
         };
-        if !connection.greeted {
-            connection.greeted = true;
-            out.console(index, None, &mut self.text);
+        let waits = connection.socket().send_queue();
+        let rest = out.console(index, Verb::Rest, &mut [0; VISIT_WORDS]) == Verdict::Yes;
+        let most = if rest {
+            TEXT - LEISURE - PIECE_MAX
+        } else {
+            SHORT
+        };
+        if waits > most {
+            return false;
+        }
+        let mut visit = Visit {
+            visitor: index,
+            reader: &mut self.reader,
+            jobs: jobs.take(),
+            out,
+        };
+        let text = &mut self.text;
+        if console.busy() {
+            console.turn(&[], &mut visit, text);
+            while rest && console.busy() && text.bytes().len() < LEISURE {
+                console.turn(&[], &mut visit, text);
+            }
             return true;
         }
-        let mut whole = false;
-        let used = connection.read(|bytes| {
-            let end = bytes.iter().position(|byte| editor.collect(*byte));
-            whole = end.is_some();
-            end.map_or(bytes.len(), |end| end + 1)
-        });
-        if !whole {
-            return used > 0;
-        }
-        match out.console(index, Some(editor.line()), &mut self.text) {
-            Reply::Said => {}
-            Reply::Close => self.text.close = true,
-            Reply::Job { trusted } => {
-                let mut room = [0; super::TEXT_MAX];
-                let mut paper = Paper::new(&mut room);
-                job_line(jobs, editor.line(), trusted, &mut paper, out);
-                let used = paper.used();
-                self.text.put(room.get(..used).unwrap_or(&[]));
-                self.text.put(PROMPT.as_bytes());
-            }
-        }
-        true
+        connection.read(|bytes| console.turn(bytes, &mut visit, text)) > 0
     }
 
     /// Takes bytes of the client of jobs, at most one request.

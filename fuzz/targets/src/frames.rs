@@ -10,14 +10,12 @@ use crate::byte_reader::ByteReader;
 use crate::server::Bench;
 use crate::watched::Watched;
 use firmware::block::Request;
-use firmware::console::Vitals;
 use firmware::cores::Board as _;
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
-use firmware::machine::{Lease, Machine, Reply};
+use firmware::machine::{Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::{self, Class, Datagram, FastPath, Frame, HEADERS, PAYLOAD_WORD, Slot, Us};
 use firmware::services::port::Place;
 use firmware::services::{self, Network, PORTS, Program};
-use firmware::text::Sink;
 use jobs::Outside;
 use wire::regmap::{self, segments};
 use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
@@ -71,9 +69,9 @@ impl Sent {
 }
 
 /// The board as the services see it, and the frames they send.
-struct Inside<'a> {
-    machine: &'a mut Machine<Watched>,
-    sent: Vec<Vec<u8>>,
+pub(crate) struct Inside<'a> {
+    pub machine: &'a mut Machine<Watched>,
+    pub sent: Vec<Vec<u8>>,
 }
 
 impl Outside for Inside<'_> {
@@ -105,9 +103,8 @@ impl Network for Inside<'_> {
     fn leased(&mut self, lease: Option<Lease>) {
         self.machine.leased(lease);
     }
-    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
-        let vitals = Vitals::default();
-        self.machine.converse(visitor, line, &vitals, out)
+    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict {
+        self.machine.visit(visitor, verb, words)
     }
 }
 
@@ -591,7 +588,11 @@ fn check(frame: &[u8], us: &Us) {
                 "ARP, neither question nor answer"
             );
             assert_eq!(frame[22..28], us.mac, "the sender's address is wrong");
-            assert_eq!(frame[28..32], us.ip.to_be_bytes(), "the sender's address is wrong");
+            assert_eq!(
+                frame[28..32],
+                us.ip.to_be_bytes(),
+                "the sender's address is wrong"
+            );
         }
         [8, 0] => {
             assert_eq!(frame[14], 0x45);

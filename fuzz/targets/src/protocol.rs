@@ -3,10 +3,9 @@
 
 use crate::byte_reader::{ByteReader, bytes, words};
 use crate::watched::Watched;
-use firmware::machine::{Lease, Machine, Reply};
+use firmware::machine::{Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
 use firmware::services::Network;
-use firmware::text::Sink;
 use sim::model_board::UID;
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
@@ -263,8 +262,8 @@ impl Network for Cable {
     fn leased(&mut self, lease: Option<Lease>) {
         self.machine.leased(lease);
     }
-    fn console(&mut self, _: usize, _: Option<&str>, _: &mut dyn Sink) -> Reply {
-        Reply::Said
+    fn console(&mut self, _: usize, _: Verb, _: &mut [u32; VISIT_WORDS]) -> Verdict {
+        Verdict::NotNow
     }
 }
 

@@ -4,13 +4,11 @@
 use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc, TxSlot};
 use core::arch::global_asm;
 use core::ffi::c_void;
-use firmware::console::Vitals;
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
-use firmware::machine::{IDLE, Lease, Machine};
+use firmware::machine::{IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::{self, Class, Datagram, FastPath, Frame as _, UdpPorts, Us};
 use firmware::reserve;
 use firmware::services::abi;
-use firmware::text::Paper;
 use wire::describe::JobsState;
 use wire::{MAX_WORDS, Refusal};
 
@@ -557,8 +555,8 @@ unsafe extern "C" {
     safe fn services_console(
         context: *mut c_void,
         visitor: usize,
-        line: *const u8,
-        length: usize,
+        verb: u32,
+        words: &mut [u32; VISIT_WORDS],
     ) -> u32;
     safe fn services_leased(context: *mut c_void, ip: u32, prefix: u32, gateway: u32);
 }
@@ -593,20 +591,19 @@ extern "C" fn send(context: *mut c_void, length: usize) {
 }
 
 /// [`abi::Rom::console`].
-extern "C" fn console(context: *mut c_void, visitor: usize, line: *const u8, length: usize) -> u32 {
-    // SAFETY: as above; the program says how long its line is.
-    let (app, line) = unsafe {
-        (
-            &mut *context.cast::<App>(),
-            (!line.is_null()).then(|| core::slice::from_raw_parts(line, length)),
-        )
+extern "C" fn console(
+    context: *mut c_void,
+    visitor: usize,
+    verb: u32,
+    words: &mut [u32; VISIT_WORDS],
+) -> u32 {
+    // SAFETY: as above.
+    let app = unsafe { &mut *context.cast::<App>() };
+    let verdict = match Verb::from_code(verb) {
+        Some(verb) => app.machine.visit(visitor, verb, words),
+        None => Verdict::NotNow,
     };
-    let line = line.map(|line| core::str::from_utf8(line).unwrap_or("!"));
-    let mut paper = Paper::new(app.mac.output.bytes());
-    let vitals = vitals(&app.machine);
-    let reply = app.machine.converse(visitor, line, &vitals, &mut paper);
-    let text = paper.used();
-    abi::reply_to_word(reply, text)
+    verdict as u32
 }
 
 /// [`abi::Rom::leased`].
@@ -620,11 +617,4 @@ extern "C" fn leased(context: *mut c_void, ip: u32, prefix: u32, gateway: u32) {
         gateway,
     };
     app.machine.leased((prefix != 0).then_some(lease));
-}
-
-fn vitals(machine: &Machine<Soc>) -> Vitals {
-    Vitals {
-        stack: soc::stack_used(),
-        mac_errors: machine.board.mac_errors(),
-    }
 }

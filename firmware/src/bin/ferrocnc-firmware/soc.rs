@@ -93,7 +93,7 @@ impl Soc {
 
     /// Frames dropped: no slot free, wrong preamble, wrong CRC.
     #[inline(always)]
-    pub fn mac_errors(&self) -> [u32; 3] {
+    fn mac_errors(&self) -> [u32; 3] {
         let mac = &self.p.ethmac;
         [
             mac.sram_writer_errors().read().bits(),
@@ -261,5 +261,9 @@ impl Board for Soc {
 
     fn rename_boot(&mut self, seed: u32) -> u32 {
         postmortem::rename(seed)
+    }
+
+    fn stack(&mut self) -> (u32, u32) {
+        stack_used()
     }
 }

@@ -1,7 +1,6 @@
 use super::*;
-use crate::machine::Reply;
+use crate::machine::{VISIT_WORDS, Verb, Verdict};
 use crate::net::Us;
-use crate::text::Sink;
 use ::jobs::Outside;
 use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::wire::{
@@ -51,8 +50,8 @@ impl Network for Board {
         self.ip = lease.map_or(0, |lease| lease.ip);
         self.leased.push(lease);
     }
-    fn console(&mut self, _: usize, _: Option<&str>, _: &mut dyn Sink) -> Reply {
-        Reply::Said
+    fn console(&mut self, _: usize, _: Verb, _: &mut [u32; VISIT_WORDS]) -> Verdict {
+        Verdict::NotNow
     }
 }
 

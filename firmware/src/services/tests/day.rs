@@ -61,7 +61,7 @@ impl Day {
         }
         let sent = self.board.frame(&host.nod());
         host.hear(&sent);
-        let line: &[u8] = if to_jobs { b"\x01\0\0" } else { b"more\n" };
+        let line: &[u8] = if to_jobs { b"\x01\0\0" } else { b"help\n" };
         if state == 1 {
             host.window = 0;
         }

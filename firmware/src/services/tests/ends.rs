@@ -54,7 +54,7 @@ fn clients_that_die_without_a_word_leave_their_consoles_within_92_s() {
 fn clients_that_die_in_front_of_an_answer_leave_their_consoles_within_92_s() {
     let (mut board, mut hosts) = visited();
     for host in &mut hosts {
-        board.frame(&host.segment(TcpControl::Psh, true, b"more\n"));
+        board.frame(&host.segment(TcpControl::Psh, true, b"help\n"));
     }
     enters_after(&mut board, &Host::new(4), 100, GONE_MS + MORE_MS);
 }
@@ -64,7 +64,7 @@ fn clients_that_shut_their_window_and_die_leave_their_consoles_within_92_s() {
     let (mut board, mut hosts) = visited();
     for host in &mut hosts {
         host.window = 0;
-        board.frame(&host.segment(TcpControl::Psh, true, b"more\n"));
+        board.frame(&host.segment(TcpControl::Psh, true, b"help\n"));
     }
     enters_after(&mut board, &Host::new(4), 100, GONE_MS + MORE_MS);
 }
@@ -117,7 +117,7 @@ fn an_acknowledgement_that_comes_with_a_byte_beyond_a_shut_window_is_taken() {
         let mut window = 64;
         let mut sent = Vec::new();
         for _ in 0..100 {
-            let said = board.frame(&host.segment(TcpControl::Psh, true, b"more and more\n"));
+            let said = board.frame(&host.segment(TcpControl::Psh, true, b"help\n"));
             let last = segment_of(said.last().expect("an answer")).expect("TCP");
             sent.extend(said);
             host.seq = last.ack.expect("an acknowledgement");
@@ -195,7 +195,7 @@ fn a_client_that_ends_in_any_state_leaves_a_free_place() {
         }),
         ("in front of an answer", |board, host| {
             assert!(host.enters(board));
-            board.take(&host.segment(TcpControl::Psh, true, b"more\n"));
+            board.take(&host.segment(TcpControl::Psh, true, b"help\n"));
             host.seq += 5;
             let sent = board.frame(&host.segment(TcpControl::Fin, true, b""));
             host.seq += 1;
@@ -219,7 +219,7 @@ fn a_client_that_ends_in_any_state_leaves_a_free_place() {
             let sent = board.frame(&host.segment(TcpControl::Fin, true, b""));
             host.seq += 1;
             host.hear(&sent);
-            host.ack += 1;
+            host.ack += "bye\r\n".len() + 1;
             board.frame(&host.nod());
         }),
         ("twice", |board, host| {

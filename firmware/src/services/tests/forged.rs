@@ -67,7 +67,7 @@ fn a_reset_with_the_very_number_is_heard_in_every_state() {
                 host.seq += 2;
             }
             1 => {
-                board.frame(&host.segment(TcpControl::Psh, true, b"more\n"));
+                board.frame(&host.segment(TcpControl::Psh, true, b"help\n"));
                 host.seq += 5;
             }
             2 => {
@@ -100,9 +100,9 @@ fn a_reset_ends_a_handshake_only_with_its_number() {
 #[test]
 fn what_acknowledges_what_was_never_sent_is_not_taken() {
     let (mut board, [mut host, ..]) = visited();
-    let lines = board.world.lines;
+    let logins = board.world.logins;
     for ahead in [1, 1000, 1 << 30, i32::MIN] {
-        for data in [&b""[..], b"evil\n"] {
+        for data in [&b""[..], b"login\n"] {
             board.wait(2_000);
             let mut forged = host.clone();
             forged.ack = TcpSeqNumber(host.ack.0.wrapping_add(ahead));
@@ -114,24 +114,24 @@ fn what_acknowledges_what_was_never_sent_is_not_taken() {
         }
     }
     // A segment without an acknowledgement is ignored.
-    let sent = board.frame(&host.segment(TcpControl::Psh, false, b"evil\n"));
+    let sent = board.frame(&host.segment(TcpControl::Psh, false, b"login\n"));
     assert_eq!(sent, Vec::<Vec<u8>>::new());
-    assert_eq!(board.world.lines, lines);
+    assert_eq!(board.world.logins, logins);
     assert!(host.is_heard(&mut board));
 }
 
 #[test]
 fn data_outside_the_window_is_not_taken() {
     let (mut board, [mut host, ..]) = visited();
-    let lines = board.world.lines;
-    for distance in [64, 65, 5_000, 1 << 30, -5, -64, -5_000, i32::MIN] {
+    let logins = board.world.logins;
+    for distance in [64, 65, 5_000, 1 << 30, -6, -64, -5_000, i32::MIN] {
         board.wait(2_000);
         let mut forged = host.clone();
         forged.seq = TcpSeqNumber(host.seq.0.wrapping_add(distance));
-        let sent = board.frame(&forged.segment(TcpControl::Psh, true, b"evil\n"));
+        let sent = board.frame(&forged.segment(TcpControl::Psh, true, b"login\n"));
         assert!(only_says_where_it_is(&sent, &host, host.ack), "{distance}");
     }
-    assert_eq!(board.world.lines, lines);
+    assert_eq!(board.world.logins, logins);
     assert!(host.is_heard(&mut board));
 }
 
@@ -210,8 +210,8 @@ fn spoiled(frame: &[u8], changes: &[(usize, u8)], seal: bool) -> Vec<u8> {
 fn a_wrong_sum_and_a_fragment_are_nothing() {
     let (mut board, [mut host, other, _]) = visited();
     other.resets(&mut board);
-    let lines = board.world.lines;
-    let good = host.segment(TcpControl::Psh, true, b"evil\n");
+    let logins = board.world.logins;
+    let good = host.segment(TcpControl::Psh, true, b"login\n");
     let length = good.len() as u8 - 14;
     let knock = Host::new(4).segment(TcpControl::Syn, false, b"");
     let reset = host.segment(TcpControl::Rst, false, b"");
@@ -239,7 +239,7 @@ fn a_wrong_sum_and_a_fragment_are_nothing() {
             assert_eq!(sent, Vec::<Vec<u8>>::new(), "{length} bytes");
         }
     }
-    assert_eq!(board.world.lines, lines);
+    assert_eq!(board.world.logins, logins);
     assert!(host.is_heard(&mut board));
     assert!(
         Host::new(4).enters(&mut board),

@@ -1,13 +1,15 @@
-//! The board of these tests: the services over a real server, with a console that repeats lines.
+//! The board of these tests: the services over a real server, on a fake board.
 
 use crate::fake;
-use crate::machine::{Lease, Reply};
+use crate::machine::{Lease, VISIT_WORDS, Verb, Verdict};
 use crate::net::Us;
+use crate::services::console::{Console, Reader, Visit};
 use crate::services::port::Place;
 use crate::services::{Network, Program};
 use crate::session::Peer;
-use crate::text::Sink;
+use crate::text::Text;
 use ::jobs::Outside;
+use ::jobs::inside::Inside;
 use std::boxed::Box;
 use std::string::String;
 use std::vec::Vec;
@@ -23,7 +25,7 @@ pub const US: Us = Us {
 /// Clocks of a millisecond.
 pub const MS: u64 = fake::CLOCK as u64 / 1000;
 /// What a client of the console hears first, and behind every answer.
-pub const PROMPT: &str = "> ";
+pub use crate::services::line_editor::PROMPT;
 /// Axes of a job.
 const AXES: u32 = 3;
 /// Bytes for jobs.
@@ -38,8 +40,22 @@ pub struct World {
     server: fake::Rig,
     pub us: Us,
     pub sent: Vec<Vec<u8>>,
-    /// Lines that were taken from clients of consoles.
-    pub lines: usize,
+    /// How often clients of consoles have typed `login`.
+    pub logins: usize,
+}
+
+impl World {
+    /// So many milliseconds after power-up.
+    fn new(ms: u64) -> Self {
+        let mut server = fake::Rig::with_segments();
+        server.board.now = ms * MS;
+        World {
+            server,
+            us: US,
+            sent: Vec::new(),
+            logins: 0,
+        }
+    }
 }
 
 impl Outside for World {
@@ -62,10 +78,30 @@ impl Outside for World {
     }
 }
 
-/// What the console says to a line: it once, or many times behind "more".
+/// What the console says to a line; this board says the same whenever it is asked.
 pub fn echo(line: &str) -> String {
-    let times = if line.starts_with("more") { 60 } else { 1 };
-    format!("{}\r\n{PROMPT}", line.repeat(times))
+    let mut world = World::new(1);
+    let (_, board) = Inside::new(&mut world).expect("it describes itself");
+    let mut console = Console::new();
+    let mut reader = Reader::new(board.channels, board.clock_hz);
+    let mut text = Text::new();
+    let line = format!("{line}\n");
+    let mut visit = Visit {
+        visitor: 0,
+        reader: &mut reader,
+        jobs: None,
+        out: &mut world,
+    };
+    console.turn(&[], &mut visit, &mut text);
+    text.clear();
+    assert_eq!(
+        console.turn(line.as_bytes(), &mut visit, &mut text),
+        line.len()
+    );
+    while console.busy() {
+        console.turn(&[], &mut visit, &mut text);
+    }
+    String::from_utf8(text.bytes().to_vec()).expect("ASCII")
 }
 
 impl Network for World {
@@ -77,18 +113,9 @@ impl Network for World {
         self.us
     }
     fn leased(&mut self, _: Option<Lease>) {}
-    fn console(&mut self, _: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
-        let Some(line) = line else {
-            out.put(PROMPT.as_bytes());
-            return Reply::Said;
-        };
-        self.lines += 1;
-        match line {
-            "quit" => return Reply::Close,
-            "quiet" => {}
-            line => out.put(echo(line).as_bytes()),
-        }
-        Reply::Said
+    fn console(&mut self, _: usize, verb: Verb, _: &mut [u32; VISIT_WORDS]) -> Verdict {
+        self.logins += usize::from(verb == Verb::Challenge);
+        Verdict::Yes
     }
 }
 
@@ -105,13 +132,7 @@ impl Board {
 
     /// A board whose services start so many milliseconds after power-up.
     pub fn started(ms: u64) -> Self {
-        let mut world = World {
-            server: fake::Rig::with_segments(),
-            us: US,
-            sent: Vec::new(),
-            lines: 0,
-        };
-        world.server.board.now = ms * MS;
+        let mut world = World::new(ms);
         let place = Box::leak(Box::new(Place::new()));
         let memory = vec![0xa5; ROOM].leak();
         let program = Program::new(memory, place, 0x1234_5678, &mut world);

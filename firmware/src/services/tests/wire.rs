@@ -281,16 +281,17 @@ impl Client {
     fn of_console(lan: &mut Lan, lines: u32, quit: bool) -> Self {
         let (mut to_say, mut expected) = (Vec::new(), String::from(PROMPT));
         for n in 0..lines {
-            let word = match lan.dice.next() % 7 {
-                0 => "more",
-                _ => "line",
+            let line = match lan.dice.next() % 7 {
+                0 => "help".to_owned(),
+                1 => format!("regs {}", 8 + lan.dice.next() % 8),
+                _ => format!("stepgen {}", (n + lan.dice.next()) % 6),
             };
-            let line = format!("{word} {n} {}", lan.dice.next() % 1000);
             to_say.extend(line.bytes().chain(*b"\r\n"));
             expected += &echo(&line);
         }
         if quit {
             to_say.extend(b"quit\n");
+            expected += "bye\r\n";
         }
         Client {
             handle: lan.connect(CONSOLE_PORT),

@@ -6,10 +6,9 @@ use super::watch::{TURN, Watch};
 use crate::rig::*;
 use ::jobs::Outside;
 use firmware::cores::{Board as _, Control};
-use firmware::machine::Reply;
+use firmware::machine::{VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
 use firmware::services::Network;
-use firmware::text::Sink;
 use rand::Rng;
 use rand_pcg::Pcg32;
 use wire::describe::JobsState;
@@ -84,8 +83,9 @@ impl Network for Wire<'_> {
     fn us(&mut self) -> Us {
         self.rig.us
     }
-    fn console(&mut self, _: usize, _: Option<&str>, _: &mut dyn Sink) -> Reply {
-        Reply::Said
+    fn leased(&mut self, _: Option<firmware::machine::Lease>) {}
+    fn console(&mut self, _: usize, _: Verb, _: &mut [u32; VISIT_WORDS]) -> Verdict {
+        Verdict::NotNow
     }
 }
 
