@@ -591,7 +591,11 @@ fn check(frame: &[u8], us: &Us) {
                 "ARP, neither question nor answer"
             );
             assert_eq!(frame[22..28], us.mac, "the sender's address is wrong");
-            assert_eq!(frame[28..32], us.ip.to_be_bytes(), "the sender's address is wrong");
+            assert_eq!(
+                frame[28..32],
+                us.ip.to_be_bytes(),
+                "the sender's address is wrong"
+            );
         }
         [8, 0] => {
             assert_eq!(frame[14], 0x45);
