@@ -92,8 +92,8 @@ pub enum Class {
     Discovery(Datagram),
     /// Addressed to one of these two, but damaged.
     Refused(Refusal),
-    /// For [`crate::services`], and if there are none for [`crate::reserve`]: ARP about our address,
-    /// a ping or TCP to it, or UDP to one of the services' ports. Not checked.
+    /// For [`crate::services`], and if there are none for [`crate::reserve`]: ARP about our
+    /// address, a ping or TCP to it, or UDP to one of the services' ports. Not checked.
     Services,
     /// Not for this board.
     Nothing,
