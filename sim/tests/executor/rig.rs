@@ -5,7 +5,7 @@ use ::jobs::plan::{AxisSetup, Output, Planner, Setup as Planned};
 use ::jobs::{Outside, gcode, job};
 use firmware::console::Vitals;
 use firmware::cores::Board as _;
-use firmware::machine::{IDLE, Machine, Reply};
+use firmware::machine::{IDLE, Lease, Machine, Reply};
 use firmware::net::Us;
 use firmware::services::port::Place;
 use firmware::services::{Network, Program, TEXT_MAX};
@@ -65,6 +65,9 @@ impl Network for Outer<'_> {
     }
     fn us(&mut self) -> Us {
         self.machine.us
+    }
+    fn leased(&mut self, lease: Option<Lease>) {
+        self.machine.leased(lease);
     }
     fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
         let vitals = Vitals::default();

@@ -6,7 +6,7 @@ use super::watch::{TURN, Watch};
 use crate::rig::*;
 use ::jobs::Outside;
 use firmware::cores::{Board as _, Control};
-use firmware::machine::Reply;
+use firmware::machine::{Lease, Reply};
 use firmware::net::Us;
 use firmware::services::Network;
 use firmware::text::Sink;
@@ -83,6 +83,9 @@ impl Network for Wire<'_> {
     fn send_frame(&mut self, _: &[u8]) {}
     fn us(&mut self) -> Us {
         self.rig.us
+    }
+    fn leased(&mut self, lease: Option<Lease>) {
+        self.rig.leased(lease);
     }
     fn console(&mut self, _: usize, _: Option<&str>, _: &mut dyn Sink) -> Reply {
         Reply::Said
