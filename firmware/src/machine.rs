@@ -394,8 +394,8 @@ impl<B: Board> Machine<B> {
         Err(challenge)
     }
 
-    /// The services have an address from a DHCP server, or have lost it. It comes into force when no
-    /// host owns the session.
+    /// The services have an address from a DHCP server, or have lost it. It comes into force when
+    /// no host owns the session.
     pub fn leased(&mut self, lease: Option<Lease>) {
         // A server may offer anything.
         self.lease = lease.filter(|lease| unicast(lease.ip) && lease.prefix <= 32);

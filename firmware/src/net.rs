@@ -92,8 +92,8 @@ pub enum Class {
     Discovery(Datagram),
     /// Addressed to one of these two, but damaged.
     Refused(Refusal),
-    /// For [`crate::services`], and if there are none for [`crate::reserve`]: ARP about our address,
-    /// a ping or TCP to it, or UDP to one of the services' ports. Not checked.
+    /// For [`crate::services`], and if there are none for [`crate::reserve`]: ARP about our
+    /// address, a ping or TCP to it, or UDP to one of the services' ports. Not checked.
     Services,
     /// Not for this board.
     Nothing,
@@ -530,14 +530,14 @@ fn sum_words(frame: &impl Frame, start: usize, count: usize) -> u32 {
 /// Ones' complement addition of words; halves may be folded at the end because 2^16 = 1 mod 2^16 -
 /// 1.
 #[inline(always)]
-const fn add(sum: u32, word: u32) -> u32 {
+pub(crate) const fn add(sum: u32, word: u32) -> u32 {
     let (sum, carry) = sum.overflowing_add(word);
     sum + carry as u32
 }
 
 /// Folds a 32-bit ones' complement sum into 16 bits.
 #[inline(always)]
-const fn fold(sum: u32) -> u32 {
+pub(crate) const fn fold(sum: u32) -> u32 {
     let sum = (sum >> 16) + (sum & 0xffff);
     (sum >> 16) + (sum & 0xffff)
 }

@@ -4,11 +4,11 @@
 //!
 //! Answers go to the MAC address the question came from, so the board resolves no addresses.
 
-use crate::net::Us;
+use crate::net::{Us, add, fold};
 use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::wire::{
-    ArpOperation, ArpPacket, ArpRepr, EthernetAddress, EthernetFrame, EthernetProtocol,
-    Icmpv4Packet, Icmpv4Repr, IpProtocol, Ipv4Address, Ipv4Packet, Ipv4Repr,
+    EthernetFrame, EthernetProtocol, Icmpv4Packet, Icmpv4Repr, IpProtocol, Ipv4Address, Ipv4Packet,
+    Ipv4Repr,
 };
 
 /// Room for the longest answer: as long as the longest frame.
@@ -16,8 +16,8 @@ pub const ROOM: usize = 1514;
 
 const ETHERNET: usize = 14;
 const IP_HEADER: usize = 20;
+/// Bytes of an ARP message.
 const ARP: usize = 28;
-const TTL: u8 = 64;
 
 /// Answers a frame into `out`: an ARP request about our address, or a ping to it. Returns the
 /// answer's length in bytes.
@@ -25,86 +25,79 @@ pub fn answer(frame: &[u8], us: &Us, out: &mut [u8; ROOM]) -> Option<usize> {
     let asked = EthernetFrame::new_checked(frame).ok()?;
     match asked.ethertype() {
         EthernetProtocol::Arp => arp(asked.payload(), us, out),
-        EthernetProtocol::Ipv4 => ping(asked.src_addr(), asked.payload(), us, out),
+        EthernetProtocol::Ipv4 => ping(asked.src_addr().0, asked.payload(), us, out),
         _ => None,
     }
 }
 
-/// The envelope of an answer; behind it is what it carries.
-fn envelope(to: EthernetAddress, us: &Us, protocol: EthernetProtocol, out: &mut [u8; ROOM]) {
-    let mut frame = EthernetFrame::new_unchecked(&mut out[..]);
-    frame.set_dst_addr(to);
-    frame.set_src_addr(EthernetAddress(us.mac));
-    frame.set_ethertype(protocol);
+/// Writes these parts one behind the other; returns how long they are together. smoltcp's own way
+/// of writing has indices that the compiler cannot see to be in range, and the ROM has no panics.
+fn put(parts: &[&[u8]], out: &mut [u8; ROOM]) -> usize {
+    let bytes = parts.iter().copied().flatten();
+    let pairs = out.iter_mut().zip(bytes);
+    pairs.map(|(place, byte)| *place = *byte).count()
 }
 
 fn arp(asked: &[u8], us: &Us, out: &mut [u8; ROOM]) -> Option<usize> {
-    let asked = ArpRepr::parse(&ArpPacket::new_checked(asked).ok()?).ok()?;
-    let ArpRepr::EthernetIpv4 {
-        operation: ArpOperation::Request,
-        source_hardware_addr,
-        source_protocol_addr,
-        target_protocol_addr,
-        ..
-    } = asked
-    else {
+    // Ethernet, IPv4, addresses of 6 and 4 bytes, a question.
+    let [0, 1, 8, 0, 6, 4, 0, 1, rest @ ..] = asked.first_chunk::<ARP>()? else {
         return None;
     };
-    let ours = Ipv4Address::from_bits(us.ip);
-    if target_protocol_addr != ours {
+    let (sender, rest) = rest.split_first_chunk::<10>()?;
+    let (mac, _) = sender.split_first_chunk::<6>()?;
+    let ours = us.ip.to_be_bytes();
+    if rest.last_chunk() != Some(&ours) {
         return None;
     }
-    let answer = ArpRepr::EthernetIpv4 {
-        operation: ArpOperation::Reply,
-        source_hardware_addr: EthernetAddress(us.mac),
-        source_protocol_addr: ours,
-        target_hardware_addr: source_hardware_addr,
-        target_protocol_addr: source_protocol_addr,
-    };
-    envelope(source_hardware_addr, us, EthernetProtocol::Arp, out);
-    answer.emit(&mut ArpPacket::new_unchecked(&mut out[ETHERNET..]));
-    Some(ETHERNET + ARP)
+    let head = [8, 6, 0, 1, 8, 0, 6, 4, 0, 2];
+    let parts: [&[u8]; 6] = [mac, &us.mac, &head, &us.mac, &ours, sender];
+    Some(put(&parts, out))
 }
 
 /// Answers a ping. It is a function of its own because a test breaks it to see a trap.
 #[inline(never)]
-fn ping(to: EthernetAddress, asked: &[u8], us: &Us, out: &mut [u8; ROOM]) -> Option<usize> {
+fn ping(to: [u8; 6], asked: &[u8], us: &Us, out: &mut [u8; ROOM]) -> Option<usize> {
     let sums = ChecksumCapabilities::default();
     let packet = Ipv4Packet::new_checked(asked).ok()?;
     let ip = Ipv4Repr::parse(&packet, &sums).ok()?;
     let whole = !packet.more_frags() && packet.frag_offset() == 0;
-    let ours = Ipv4Address::from_bits(us.ip);
-    if !whole || ip.dst_addr != ours || ip.next_header != IpProtocol::Icmp {
+    if !whole || ip.dst_addr != Ipv4Address::from_bits(us.ip) || ip.next_header != IpProtocol::Icmp
+    {
         return None;
     }
-    let message = Icmpv4Packet::new_checked(packet.payload()).ok()?;
-    let Icmpv4Repr::EchoRequest {
-        ident,
-        seq_no,
-        data,
-    } = Icmpv4Repr::parse(&message, &sums).ok()?
-    else {
+    // Inside the frame, as `new_checked` has found; the compiler does not see it in `payload`.
+    let body = asked.get(packet.header_len().into()..packet.total_len().into())?;
+    let message = Icmpv4Packet::new_checked(body).ok()?;
+    let Icmpv4Repr::EchoRequest { .. } = Icmpv4Repr::parse(&message, &sums).ok()? else {
         return None;
     };
-    let answer = Icmpv4Repr::EchoReply {
-        ident,
-        seq_no,
-        data,
+    // The answer is the question with type 0 instead of 8; its sum grows by as much.
+    let [_, code, high, low, rest @ ..] = body else {
+        return None;
     };
-    let header = Ipv4Repr {
-        src_addr: ours,
-        dst_addr: ip.src_addr,
-        next_header: IpProtocol::Icmp,
-        payload_len: answer.buffer_len(),
-        hop_limit: TTL,
-    };
-    let room = out.get_mut(ETHERNET..ETHERNET + IP_HEADER + answer.buffer_len())?;
-    let length = ETHERNET + room.len();
-    let (head, body) = room.split_at_mut_checked(IP_HEADER)?;
-    header.emit(&mut Ipv4Packet::new_unchecked(head), &sums);
-    answer.emit(&mut Icmpv4Packet::new_unchecked(body), &sums);
-    envelope(to, us, EthernetProtocol::Ipv4, out);
-    Some(length)
+    let sum = u32::from(u16::from_be_bytes([*high, *low]));
+    let [high, low] = (fold(add(sum, 0x0800)) as u16).to_be_bytes();
+    let length = (IP_HEADER + body.len()) as u32;
+    let theirs = ip.src_addr.to_bits();
+    // As `net::emit_headers`: identification 0, don't fragment, TTL 64, ICMP.
+    let words = [0x4500 << 16 | length, 0x4000, 0x4001 << 16, us.ip, theirs];
+    let check = !fold(words.into_iter().fold(0, add)) & 0xffff;
+    let [w0, w1, w2, w3, w4] = words.map(u32::to_be_bytes);
+    let [_, _, check_high, check_low] = check.to_be_bytes();
+    let [ttl, protocol, ..] = w2;
+    let parts: [&[u8]; 10] = [
+        &to,
+        &us.mac,
+        &[8, 0],
+        &w0,
+        &w1,
+        &[ttl, protocol, check_high, check_low],
+        &w3,
+        &w4,
+        &[0, *code, high, low],
+        rest,
+    ];
+    (ETHERNET + length as usize <= ROOM).then(|| put(&parts, out))
 }
 
 #[cfg(test)]

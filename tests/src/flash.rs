@@ -89,6 +89,15 @@ pub fn factory(part: Part, uid: u64) -> Nor {
     nor
 }
 
+/// The same with the services behind the image in slot A.
+pub fn with_services(part: Part, uid: u64) -> Nor {
+    let mut nor = factory(part, uid);
+    let area = layout(&nor).slot_a;
+    let image = with_program(&image(FIRST, 3), &crate::wired::program());
+    put(&mut nor, area, &image, &meta(&image, FIRST));
+    nor
+}
+
 /// What runs after a power-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Boots {

@@ -58,7 +58,15 @@ pub fn setup(behind: &[u8]) -> Setup {
     preloaded(trailer, |layout| layout.slot_a, behind)
 }
 
-/// The same, but it is the golden image that runs and has this behind it.
+/// The board of most tests with the services in its flash. To load them takes half a minute of a
+/// core, so most tests do without.
+pub fn mill() -> Setup {
+    let mut setup = setup(&program());
+    (setup.soc_dir, _) = parts();
+    setup
+}
+
+/// As [`setup`], but it is the golden image that runs and has this behind it.
 pub fn golden(behind: &[u8]) -> Setup {
     let trailer = Trailer {
         build_id: flash::GOLDEN,

@@ -1,6 +1,6 @@
 //! Other projects' programs against the board: ping, a console session, LiteX's RemoteClient.
 
-use ferrocnc_tests::{BenchMachine, Simulator};
+use ferrocnc_tests::{BenchMachine, Simulator, wired};
 use std::path::Path;
 use std::process::Command;
 
@@ -13,7 +13,7 @@ fn a_ping_is_answered() {
 
 #[test]
 fn a_console_session_answers_and_changes_nothing() {
-    let mut machine = BenchMachine::start();
+    let mut machine = BenchMachine::boot(wired::mill());
     let before = machine.registers();
     let heard = machine
         .console("help\r\nstatus\r\nnet\r\nstepgen\r\nencoder\r\nwatchdog\r\nregs\r\nnonsense\r\n");
@@ -28,7 +28,7 @@ fn a_console_session_answers_and_changes_nothing() {
 
 #[test]
 fn the_console_takes_one_visitor_after_the_other() {
-    let mut machine = BenchMachine::start();
+    let mut machine = BenchMachine::boot(wired::mill());
     for visit in 0..3 {
         let heard = machine.console("net\r\n");
         assert!(

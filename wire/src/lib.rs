@@ -28,9 +28,9 @@
 //! | [`regmap`] | the register map: what lies in the service window, and the board's memory |
 //! | [`units`] | velocity, acceleration, position and counts as types |
 //!
-//! Everything on the wire except [`jobs`] and [`mdns`] is big-endian 32-bit words. In memory, words are `u32` in
-//! the machine's own order: a transport converts once ([`words_from_bytes`], [`words_to_bytes`]),
-//! all other code reads numbers.
+//! Everything on the wire except [`jobs`] and [`mdns`] is big-endian 32-bit words. In memory, words
+//! are `u32` in the machine's own order: a transport converts once ([`words_from_bytes`],
+//! [`words_to_bytes`]), all other code reads numbers.
 #![no_std]
 #![forbid(unsafe_code)]
 

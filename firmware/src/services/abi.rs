@@ -13,10 +13,10 @@
 //! Words have the softcore's byte order, lowest byte first; the CRC takes the highest byte first,
 //! as usual. The ROM copies the program page by page while no host owns the board, checks it
 //! ([`Check`]) and calls its entry ([`Entry`]) from the frame loop, never between a request and its
-//! answer: with a frame for it ([`crate::net::Class::Services`]), and from time to time without one, behind an answer to
-//! the board's owner if there is one. The program switches to a stack of its own. It calls back
-//! through [`Rom`], and that is the whole interface: it asks the board with the same datagrams as a
-//! host, as the peer [`crate::session::Peer::INSIDE`].
+//! answer: with a frame for it ([`crate::net::Class::Services`]), and from time to time without
+//! one, behind an answer to the board's owner if there is one. The program switches to a stack of
+//! its own. It calls back through [`Rom`], and that is the whole interface: it asks the board with
+//! the same datagrams as a host, as the peer [`crate::session::Peer::INSIDE`].
 //!
 //! A call does one thing: it takes a frame, lets one connection answer one request, or sends one
 //! segment. A panic or a trap in the program ends the call with [`DEAD`]: the ROM keeps its own

@@ -14,11 +14,11 @@ use wire::{MAX_WORDS, Refusal};
 
 /// The loop looks at the MAC this many times between two looks at the clock: about 20 us.
 const POLLS: u32 = 128;
-/// Longest ping that is answered while the machine is not at rest: to sum, copy and answer one takes
-/// 20 clocks a byte.
+/// Longest ping that is answered while the machine is not at rest: to sum, copy and answer one
+/// takes 20 clocks a byte.
 const GUEST_FRAME: usize = 256;
-/// The same with services, for every frame: smoltcp takes 12 000 clocks before it looks at the first
-/// byte of what a segment carries.
+/// The same with services, for every frame: smoltcp takes 12 000 clocks before it looks at the
+/// first byte of what a segment carries.
 const GUEST_FRAME_SERVICES: usize = 128;
 /// The same for a DHCP server's answer, which has at least BOOTP's 300 bytes: a lease is renewed
 /// while the machine moves.

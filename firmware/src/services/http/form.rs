@@ -54,7 +54,7 @@ impl From<Option<bool>> for Value<'_> {
     }
 }
 
-/// A piece of an answer. Text that does not fit marks it as too long, and whoever writes takes the
+/// A piece of an answer. Text that does not fit marks it as too long, and its writer takes the
 /// last step back.
 #[derive(Debug)]
 pub struct Piece {

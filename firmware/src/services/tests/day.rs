@@ -1,5 +1,6 @@
-//! 24 hours of model time: clients that die, return, hang up, shut their windows, and strangers that
-//! forge and flood. Behind each of it a console and the line for jobs are free within their limits.
+//! 24 hours of model time: clients that die, return, hang up, shut their windows, and strangers
+//! that forge and flood. Behind each of it a console and the line for jobs are free within their
+//! limits.
 
 use super::host::Host;
 use super::rig::Board;

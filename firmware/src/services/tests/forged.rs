@@ -248,7 +248,7 @@ fn a_wrong_sum_and_a_fragment_are_nothing() {
 }
 
 #[test]
-fn ten_thousand_knocks_of_strangers_harm_no_client_and_keep_nobody_out_afterwards() {
+fn ten_thousand_knocks_of_strangers_harm_no_client_and_keep_no_client_out_afterwards() {
     let mut board = Board::new();
     let mut host = Host::new(1);
     assert!(host.enters(&mut board));

@@ -242,11 +242,6 @@ fn to_json(identity: &Identity, overview: &Overview) -> Value {
             "errors": overview.link.errors,
         },
     });
-    if let Ok(settings) = overview.settings {
-        // A larger object is too much for the macro.
-        value["settings"]["syslog"] = Ipv4Addr::from(settings.syslog).to_string().into();
-        value["settings"]["sntp"] = Ipv4Addr::from(settings.sntp).to_string().into();
-    }
     for (class, list) in classes(identity) {
         value[class] = list
             .into_iter()

@@ -40,15 +40,8 @@ pub(crate) struct Set {
     /// Its UDP port for LinuxCNC.
     #[arg(long)]
     port: Option<u16>,
-    /// Where it sends its events, as syslog (RFC 5424, UDP port 514); 0.0.0.0 for nowhere. In its
-    /// own network.
-    #[arg(long, value_name = "IP")]
-    syslog: Option<Ipv4Addr>,
-    /// Where it asks for the time of its log (SNTP); 0.0.0.0 for nowhere. In its own network.
-    #[arg(long, value_name = "IP")]
-    sntp: Option<Ipv4Addr>,
     /// Forget all settings: the values built into its bitstream apply again.
-    #[arg(long, conflicts_with_all = ["ip", "gateway", "dhcp", "name", "mac", "port", "syslog", "sntp"])]
+    #[arg(long, conflicts_with_all = ["ip", "gateway", "dhcp", "name", "mac", "port"])]
     factory: bool,
     #[command(flatten)]
     wherever: Where,
@@ -62,13 +55,10 @@ pub(crate) fn run(arguments: &Set, as_json: bool) -> Result<()> {
         name: arguments.name,
         mac: arguments.mac.map(|mac| mac.0),
         port: arguments.port,
-        syslog: arguments.syslog,
-        sntp: arguments.sntp,
+        ..Change::default()
     };
     if change.is_empty() && !arguments.factory {
-        bail!(
-            "nothing to set: say --ip, --dhcp, --gateway, --name, --mac, --port, --syslog, --sntp or --factory"
-        );
+        bail!("nothing to set: say --ip, --dhcp, --gateway, --name, --mac, --port or --factory");
     }
     match (&arguments.address, arguments.uid) {
         (Some(address), _) => at(crate::open(address)?, &change, arguments.factory, as_json),
@@ -145,8 +135,6 @@ fn at(client: Client, change: &Change, factory: bool, as_json: bool) -> Result<(
                 "port": settings.port,
                 "name": settings.name.text(),
                 "mac": mac_text(settings.mac),
-                "syslog": Ipv4Addr::from(settings.syslog).to_string(),
-                "sntp": Ipv4Addr::from(settings.sntp).to_string(),
             })
         );
     } else if settings.dhcp {
