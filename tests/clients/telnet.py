@@ -81,6 +81,8 @@ def main():
     # The prompt is expected together with the first keys.
     if characters:
         terminal.wait_for_echo_of_the_board()
+    else:
+        terminal.expect(b"ferrocnc> ")
     for keys, text in CHARACTERS if characters else LINES:
         os.write(terminal.file, keys)
         terminal.expect(text)

@@ -121,6 +121,12 @@ impl Console {
         }
     }
 
+    /// A new client is there. What its predecessor typed is forgotten in the next turn: the call
+    /// with its first frame is the longest of all.
+    pub fn open(&mut self) {
+        self.stage = Stage::New;
+    }
+
     /// Is there something to say before the client's next byte is taken?
     pub fn busy(&self) -> bool {
         matches!(self.stage, Stage::New | Stage::Answering(..))
@@ -135,6 +141,7 @@ impl Console {
     ) -> usize {
         match self.stage {
             Stage::New => {
+                *self = Console::new();
                 visit.ask(Verb::Connect);
                 self.prompt(text);
                 0

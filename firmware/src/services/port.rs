@@ -451,7 +451,7 @@ impl<'m> Port<'m> {
         out: &mut impl Network,
     ) {
         if let Some(console) = self.consoles.get_mut(index) {
-            *console = Console::new();
+            console.open();
         } else if index == LINE {
             // A client has the time of silence from its first frame on, not from its predecessor's
             // last.

@@ -475,6 +475,17 @@ fn a_telnet_client_sees_what_it_types_and_finds_its_lines_again() {
 }
 
 #[test]
+fn the_next_client_finds_nothing_of_its_predecessor() {
+    let mut bench = Bench::new();
+    bench.hear(0, &[IAC, DO, ECHO]);
+    bench.hear(0, b"pwm 0\r\0net");
+    bench.consoles[0].open();
+    assert_eq!(bench.turn(0, &[]).1, PROMPT);
+    let heard = bench.hear(0, b"\x1b[A\x10\n");
+    assert_eq!(heard, PROMPT, "no echo, no line, none kept");
+}
+
+#[test]
 fn three_clients_are_answered_between_each_others_lines() {
     let mut bench = Bench::new();
     let alone: Vec<String> = ["help", "stepgen", "status"].map(said).to_vec();
