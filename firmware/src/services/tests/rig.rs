@@ -40,6 +40,8 @@ pub struct World {
     pub sent: Vec<Vec<u8>>,
     /// Lines that were taken from clients of consoles.
     pub lines: usize,
+    /// A host moves the machine.
+    pub moving: bool,
 }
 
 impl Outside for World {
@@ -77,6 +79,9 @@ impl Network for World {
         self.us
     }
     fn leased(&mut self, _: Option<Lease>) {}
+    fn moving(&mut self) -> bool {
+        self.moving
+    }
     fn console(&mut self, _: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
         let Some(line) = line else {
             out.put(PROMPT.as_bytes());
@@ -110,6 +115,7 @@ impl Board {
             us: US,
             sent: Vec::new(),
             lines: 0,
+            moving: false,
         };
         world.server.board.now = ms * MS;
         let place = Box::leak(Box::new(Place::new()));
