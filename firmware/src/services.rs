@@ -59,6 +59,10 @@ pub trait Network: Outside {
     }
     /// Our addresses.
     fn us(&mut self) -> Us;
+    /// Does a host move the machine? Its next exchange waits for what is done now.
+    fn moving(&mut self) -> bool {
+        false
+    }
     /// A DHCP server has given the board an address, or the lease is over.
     fn leased(&mut self, lease: Option<Lease>);
     /// Judges what the client of console `visitor` asks for: [`crate::machine::Machine::visit`].

@@ -200,6 +200,10 @@ impl Network for Calls<'_> {
         (self.0.leased)(self.0.context, ip, prefix.into(), gateway);
     }
 
+    fn moving(&mut self) -> bool {
+        self.0.moving
+    }
+
     fn us(&mut self) -> Us {
         // SAFETY: valid while the ROM waits.
         unsafe { *self.0.us }

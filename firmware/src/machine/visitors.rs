@@ -25,20 +25,17 @@ pub enum Verb {
     Restart = 3,
     /// Asks whether the client may change anything now.
     Change = 4,
-    /// Asks whether the machine is at rest: there is time for long answers.
-    Rest = 5,
     /// Gives the bytes of the ROM's stack that were ever used, and its size.
-    Stack = 6,
+    Stack = 5,
 }
 
 impl Verb {
-    const ALL: [Verb; 7] = [
+    const ALL: [Verb; 6] = [
         Verb::Connect,
         Verb::Challenge,
         Verb::Answer,
         Verb::Restart,
         Verb::Change,
-        Verb::Rest,
         Verb::Stack,
     ];
 
@@ -133,8 +130,6 @@ impl<B: Board> Machine<B> {
             Verb::Change if !rest && !self.session().is_owner(Peer::INSIDE) => Verdict::NotNow,
             Verb::Change if self.server.auth.trusted() => Verdict::Yes,
             Verb::Change => Verdict::Key,
-            Verb::Rest if rest => Verdict::Yes,
-            Verb::Rest => Verdict::NotNow,
             Verb::Stack => {
                 let (used, size) = self.board.stack();
                 *words = [used, size, 0, 0, 0, 0];

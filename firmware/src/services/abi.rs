@@ -98,6 +98,8 @@ pub struct Rom {
     pub output: *mut [u8; FRAME_MAX],
     /// The board's addresses.
     pub us: *const Us,
+    /// A host moves the machine.
+    pub moving: bool,
 }
 
 /// Longest frame, without its FCS.

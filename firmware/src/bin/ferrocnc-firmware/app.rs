@@ -464,6 +464,7 @@ impl App {
             return 0;
         };
         self.cold = true;
+        let moving = self.fast_path.is_some() && !self.machine.at_rest();
         let rom = abi::Rom {
             datagram: services_datagram,
             send: services_send,
@@ -471,6 +472,7 @@ impl App {
             leased: services_leased,
             output: self.mac.output.bytes().as_mut_ptr().cast(),
             us: &raw const self.machine.us,
+            moving,
             context: (&raw mut *self).cast(),
         };
         let clocks = match (&self.fast_path, frame.is_null() && length == abi::START) {

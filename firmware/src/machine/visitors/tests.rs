@@ -82,7 +82,6 @@ fn while_a_host_moves_the_machine_nothing_is_hashed_changed_or_restarted() {
         (Verb::Challenge, Verdict::NotNow),
         (Verb::Answer, Verdict::NotNow),
         (Verb::Change, Verdict::NotNow),
-        (Verb::Rest, Verdict::NotNow),
         (Verb::Restart, Verdict::Armed),
         (Verb::Stack, Verdict::Yes),
         (Verb::Connect, Verdict::Yes),
@@ -99,5 +98,4 @@ fn a_board_that_a_host_owns_at_rest_does_not_restart() {
     let mut machine = machine(rig, [0; 4]);
     assert_eq!(ask(&mut machine, 0, Verb::Restart), Verdict::Owned);
     assert_eq!(ask(&mut machine, 0, Verb::Change), Verdict::Yes);
-    assert_eq!(ask(&mut machine, 0, Verb::Rest), Verdict::Yes);
 }

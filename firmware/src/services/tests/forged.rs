@@ -207,6 +207,20 @@ fn spoiled(frame: &[u8], changes: &[(usize, u8)], seal: bool) -> Vec<u8> {
 }
 
 #[test]
+fn while_the_machine_moves_a_segment_of_no_connection_costs_no_answer() {
+    let mut board = Board::new();
+    let stranger = Host::new(5).segment(TcpControl::Psh, true, b"evil\n");
+    assert_eq!(
+        board.frame(&stranger).len(),
+        1,
+        "a reset, or a question for its MAC address"
+    );
+    board.world.moving = true;
+    assert_eq!(board.frame(&stranger), Vec::<Vec<u8>>::new());
+    assert!(Host::new(6).enters(&mut board), "a client still enters");
+}
+
+#[test]
 fn a_wrong_sum_and_a_fragment_are_nothing() {
     let (mut board, [mut host, other, _]) = visited();
     other.resets(&mut board);

@@ -42,6 +42,8 @@ pub struct World {
     pub sent: Vec<Vec<u8>>,
     /// How often clients of consoles have typed `login`.
     pub logins: usize,
+    /// A host moves the machine.
+    pub moving: bool,
 }
 
 impl World {
@@ -54,6 +56,7 @@ impl World {
             us: US,
             sent: Vec::new(),
             logins: 0,
+            moving: false,
         }
     }
 }
@@ -113,6 +116,9 @@ impl Network for World {
         self.us
     }
     fn leased(&mut self, _: Option<Lease>) {}
+    fn moving(&mut self) -> bool {
+        self.moving
+    }
     fn console(&mut self, _: usize, verb: Verb, _: &mut [u32; VISIT_WORDS]) -> Verdict {
         self.logins += usize::from(verb == Verb::Challenge);
         Verdict::Yes
