@@ -86,8 +86,8 @@ pub struct Server {
     /// The number of frames at the last look, and when it last changed.
     frames: (u32, u64),
     restart: bool,
-    /// True from power-up until the first datagram of a host: the boot id is still the same as after every
-    /// power-up.
+    /// True from power-up until the first datagram of a host: the boot id is still the same as
+    /// after every power-up.
     nameless: bool,
     /// The address in force, shown in the flash window.
     pub(crate) ip: u32,

@@ -554,8 +554,8 @@ impl BenchMachine {
         self.rig.freeze_cpu(false);
     }
 
-    /// How long an exchange takes at most that comes right behind each of these lines at the console
-    /// or behind a piece of its answer, clocks.
+    /// How long an exchange takes at most that comes right behind each of these lines at the
+    /// console or behind a piece of its answer, clocks.
     pub fn console_costs<'l>(
         &mut self,
         command: &mut Command,

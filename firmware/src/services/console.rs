@@ -3,12 +3,12 @@
 //! ```text
 //!   bytes --> telnet --> line_editor --> Ask --> pieces of an answer, one a turn --> text
 //!                                                  |                  |
-//!                                      the board's windows     Machine::visit: may this client?
+//!                                      the board's windows    Machine::visit: may this client?
 //! ```
 //!
 //! It reads the board's windows as every client does, and only what changes nothing. What needs a
-//! judgment (`login`, `restart`, `job start`) is asked of the ROM ([`Verb`]); the text is made here.
-//! So it answers while a host moves the machine, too.
+//! judgment (`login`, `restart`, `job start`) is asked of the ROM ([`Verb`]); the text is from
+//! here. So it answers while a host moves the machine, too.
 //!
 //! The owner's exchange waits for each call of the services, so a turn makes a piece of an answer:
 //! it asks for at most [`Reader::WORDS`] words with one datagram, and writes at most [`PIECE_MAX`]
@@ -99,7 +99,7 @@ pub struct Console {
     stage: Stage,
 }
 
-/// Who is at a console, and what it needs besides the board.
+/// A client at a console, and what its answers need besides the board.
 pub struct Visit<'a, 'm, O> {
     /// The number of the console.
     pub visitor: usize,
@@ -132,7 +132,8 @@ impl Console {
         matches!(self.stage, Stage::New | Stage::Answering(..))
     }
 
-    /// A turn: takes some of the client's bytes and returns how many, or makes a piece of an answer.
+    /// A turn: takes some of the client's bytes and returns how many, or makes a piece of an
+    /// answer.
     pub fn turn<O: Network>(
         &mut self,
         bytes: &[u8],

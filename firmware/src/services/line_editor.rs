@@ -1,8 +1,9 @@
 //! A line of a console on its way: keys come in, and the line comes out when it is complete.
 //!
-//! With an echo ([`super::telnet`]) each key is shown as it comes, and the keys of other shells edit
-//! the line: arrows, Home, End, Delete, Ctrl-A, B, E, F, K, U, W, and Ctrl-L to draw it again. Up and
-//! down find the last eight lines again. Ctrl-C forgets the line, Ctrl-D at an empty one hangs up.
+//! With an echo ([`super::telnet`]) each key is shown as it comes, and the keys of other shells
+//! edit the line: arrows, Home, End, Delete, Ctrl-A, B, E, F, K, U, W, and Ctrl-L to draw it again.
+//! Up and down find the last eight lines again. Ctrl-C forgets the line, Ctrl-D at an empty one
+//! hangs up.
 //!
 //! Without an echo the client edits its lines itself. Only backspace means anything then; sequences
 //! of a terminal's keys and other control characters are dropped.

@@ -8,16 +8,12 @@
 
 use crate::byte_reader::ByteReader;
 use crate::server::Bench;
-use crate::watched::Watched;
+use crate::watched::Inside;
 use firmware::block::Request;
-use firmware::cores::Board as _;
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
-use firmware::machine::{Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::{self, Class, Datagram, FastPath, Frame, HEADERS, PAYLOAD_WORD, Slot, Us};
 use firmware::services::port::Place;
-use firmware::services::{self, Network, PORTS, Program};
-use jobs::Outside;
-use wire::regmap::{self, segments};
+use firmware::services::{self, PORTS, Program};
 use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
 
 /// Longest frame without its FCS.
@@ -65,46 +61,6 @@ impl Sent {
         assert!(length <= bytes.len(), "a frame longer than what was put");
         bytes.truncate(length);
         bytes
-    }
-}
-
-/// The board as the services see it, and the frames they send.
-pub(crate) struct Inside<'a> {
-    pub machine: &'a mut Machine<Watched>,
-    pub sent: Vec<Vec<u8>>,
-}
-
-impl Outside for Inside<'_> {
-    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
-        let answer = self.machine.inside(request, reply, Machine::hold_path);
-        answer.map_or(0, <[u32]>::len)
-    }
-    fn read_segments(&mut self, word: usize) -> u32 {
-        let address = regmap::address(segments::BASE, word);
-        self.machine.board.csr_read(address)
-    }
-    fn write_segments(&mut self, word: usize, value: u32) {
-        let address = regmap::address(segments::BASE, word);
-        self.machine.board.csr_write(address, value);
-    }
-    fn now(&mut self) -> u64 {
-        self.machine.board.now()
-    }
-}
-
-impl Network for Inside<'_> {
-    fn send_frame(&mut self, frame: &[u8]) {
-        assert!(frame.len() <= FRAME_MAX, "{} bytes", frame.len());
-        self.sent.push(frame.to_vec());
-    }
-    fn us(&mut self) -> Us {
-        self.machine.us
-    }
-    fn leased(&mut self, lease: Option<Lease>) {
-        self.machine.leased(lease);
-    }
-    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict {
-        self.machine.visit(visitor, verb, words)
     }
 }
 

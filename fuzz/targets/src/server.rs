@@ -11,8 +11,7 @@
 //! * answers are packets.
 
 use crate::byte_reader::{ByteReader, words};
-use crate::frames::Inside;
-use crate::watched::{self, Deeds, Watched};
+use crate::watched::{self, Deeds, Inside, Watched};
 use firmware::cores::Board;
 use firmware::machine::{Lease, Machine};
 use firmware::services::console::{Console, PIECE_MAX, Reader, Visit};
