@@ -8,7 +8,9 @@
 //! The board's time passes while the client does something, and when a test says so; otherwise it
 //! stands still.
 
+pub use crate::flash::program;
 use crate::pins::{Event, Pin};
+
 use crate::{BenchMachine, flash, parts};
 use host::job::client::Board;
 use host::keys::Keys;
@@ -41,13 +43,6 @@ const THINKS: u64 = 120_000;
 const PIECE: usize = 1460;
 /// Where the jobs program lies.
 const PROGRAM: u32 = wire::regmap::SDRAM_BASE as u32;
-
-/// What the build left for the SDRAM.
-pub fn program() -> Vec<u8> {
-    let (_, firmware) = parts();
-    let path = firmware.with_file_name("ferrocnc-services.bin");
-    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
-}
 
 /// A board with jobs, with this behind the bitstream in its flash; its image runs from slot A.
 pub fn setup(behind: &[u8]) -> Setup {
