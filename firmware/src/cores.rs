@@ -253,6 +253,10 @@ pub trait Board {
     fn panic(&mut self, offset: u32) -> u32;
     /// Derives another boot id for this start from `seed`, and returns it.
     fn rename_boot(&mut self, seed: u32) -> u32;
+    /// Bytes of the firmware's stack that were ever used, and its size; zeros if unknown.
+    fn stack(&mut self) -> (u32, u32) {
+        (0, 0)
+    }
 }
 
 #[cfg(test)]

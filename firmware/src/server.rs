@@ -86,8 +86,8 @@ pub struct Server {
     /// The number of frames at the last look, and when it last changed.
     frames: (u32, u64),
     restart: bool,
-    /// True from power-up until the first datagram: the boot id is still the same as after every
-    /// power-up.
+    /// True from power-up until the first datagram of a host: the boot id is still the same as
+    /// after every power-up.
     nameless: bool,
     /// The address in force, shown in the flash window.
     pub(crate) ip: u32,
@@ -148,6 +148,20 @@ impl Server {
     pub fn jobs(&mut self, state: JobsState) {
         self.ident.features &= !(JobsState::MASK << JobsState::AT);
         self.ident.features |= state.code() << JobsState::AT;
+    }
+
+    /// Has the board the memory that the services need?
+    pub fn has_sdram(&self) -> bool {
+        match JobsState::of(self.ident.features) {
+            JobsState::None | JobsState::Streamed => false,
+            JobsState::Alive
+            | JobsState::Sdram
+            | JobsState::Missing
+            | JobsState::Damaged
+            | JobsState::Foreign
+            | JobsState::Ended
+            | JobsState::Loading => true,
+        }
     }
 
     /// The lengths of this board's blocks.
@@ -517,7 +531,8 @@ impl Server {
         let now = board.now();
         let arrival = board.arrival_lo();
         self.auth.stir(arrival);
-        if self.nameless {
+        // The services ask at the same time after every power-up.
+        if self.nameless && peer != Peer::INSIDE {
             self.nameless = false;
             self.boot.id = board.rename_boot(arrival);
         }

@@ -81,7 +81,7 @@ class Board:
     missing: list = field(default_factory=list)
     blob: bytes = b""
     jobs: int = 0         # axes of a job, step generators 0 and up; 0: the board executes none
-    sdram: bool = False   # jobs live in the card's SDRAM; without it a PC streams them
+    sdram: bool = False   # the services run in the card's SDRAM; without it a PC streams the jobs
 
     @property
     def estop_mask(self):

@@ -330,7 +330,7 @@ class Design:
         try:
             return path.read_bytes()
         except OSError as e:
-            raise BuildError(f"{self.name}: executes jobs, but {path.name} cannot be read ({e.strerror}); firmware/build.sh makes it beside the firmware") from e
+            raise BuildError(f"{self.name}: has SDRAM, but the services for it, {path.name}, cannot be read ({e.strerror}); firmware/build.sh makes them beside the firmware") from e
 
     def _report(self, seed):
         found = self.record["seeds"][str(seed)]

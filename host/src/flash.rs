@@ -402,7 +402,8 @@ impl<'t> Flasher<'t> {
                 | OpResult::Address
                 | OpResult::Value
                 | OpResult::Flash
-                | OpResult::Image) => Err(FlashError::Failed {
+                | OpResult::Image
+                | OpResult::NoDhcp) => Err(FlashError::Failed {
                     op,
                     address,
                     result,

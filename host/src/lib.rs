@@ -88,6 +88,7 @@ pub mod job;
 pub mod jtag;
 pub mod keys;
 pub mod link;
+pub mod mdns;
 pub mod module;
 pub mod names;
 #[cfg(feature = "tool")]

@@ -35,6 +35,10 @@ pub struct Change {
     pub mac: Option<[u8; 6]>,
     /// Etherbone port.
     pub port: Option<u16>,
+    /// Server for the board's events, 0.0.0.0 for none.
+    pub syslog: Option<Ipv4Addr>,
+    /// Server that knows the time, 0.0.0.0 for none.
+    pub sntp: Option<Ipv4Addr>,
 }
 
 /// Why it did not work; it says what to do.
@@ -91,6 +95,8 @@ impl core::fmt::Display for ProvisionError {
                         "this is no MAC address of a single station: its first byte must be even",
                     SettingsError::Value(9) =>
                         "the port must be from 1 to 65535, and not 51234, where boards are found",
+                    SettingsError::Value(22) => "no syslog server can have this address",
+                    SettingsError::Value(23) => "no SNTP server can have this address",
                     SettingsError::Value(_)
                     | SettingsError::Magic
                     | SettingsError::Version(_)
@@ -161,6 +167,8 @@ impl Change {
         settings.name = self.name.unwrap_or(settings.name);
         settings.mac = self.mac.unwrap_or(settings.mac);
         settings.port = self.port.unwrap_or(settings.port);
+        settings.syslog = self.syslog.map_or(settings.syslog, u32::from);
+        settings.sntp = self.sntp.map_or(settings.sntp, u32::from);
         settings.check().map_err(ProvisionError::Settings)?;
         Ok(settings)
     }
@@ -173,8 +181,8 @@ impl Change {
     }
 }
 
-/// The settings of a board from its answer to discovery. The answer does not hold net and gateway:
-/// a net of 256 addresses and no gateway are assumed.
+/// The settings of a board from its answer to discovery. The answer does not hold net, gateway and
+/// servers: a net of 256 addresses, and none of the others are assumed.
 pub fn settings_of(found: &Found) -> Settings {
     let here = &found.here;
     Settings {
@@ -372,6 +380,30 @@ mod tests {
                 .apply(&now)
                 .is_ok_and(|s| s.dhcp && s.ip == 0x0a00_0007)
         );
+    }
+
+    #[test]
+    fn servers_are_set_kept_and_removed() {
+        let server = Some(Ipv4Addr::new(192, 168, 2, 1));
+        let both = Change {
+            syslog: server,
+            sntp: server,
+            ..Change::default()
+        };
+        let set = both.apply(&Settings::default()).unwrap();
+        assert_eq!((set.syslog, set.sntp), (0xc0a8_0201, 0xc0a8_0201));
+        let none = Change {
+            syslog: Some(Ipv4Addr::UNSPECIFIED),
+            ..Change::default()
+        };
+        let left = none.apply(&set).unwrap();
+        assert_eq!((left.syslog, left.sntp), (0, 0xc0a8_0201));
+        let loopback = Change {
+            sntp: Some(Ipv4Addr::LOCALHOST),
+            ..Change::default()
+        };
+        let refused = loopback.apply(&set).unwrap_err().to_string();
+        assert!(refused.contains("SNTP"), "{refused}");
     }
 
     #[test]

@@ -38,6 +38,7 @@ pub mod faults;
 pub mod firmware;
 pub mod gmii;
 pub mod jobs;
+pub mod lease;
 pub mod loader;
 pub mod model;
 pub mod model_board;

@@ -296,7 +296,7 @@ impl Arguments {
                 let has = self.no_sdram || self.jobs.is_some();
                 BoardFacts {
                     jobs: u8::from(has) * motion::segment::AXES as u8,
-                    streamed: self.no_sdram,
+                    sdram: !self.no_sdram,
                     ..BoardFacts::plain(*channels, self.clock)
                 }
             }

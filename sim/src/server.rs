@@ -142,7 +142,7 @@ impl<D: Device> Server<D> {
             .map(|at| Ear::open(at, Service::Discovery, &sender))
             .transpose()?;
         let dhcp = options.interface.as_ref().map(|_| {
-            let at = (Ipv4Addr::UNSPECIFIED, firmware::dhcp::PORT).into();
+            let at = (Ipv4Addr::UNSPECIFIED, firmware::services::lease::PORT).into();
             Ear::open(at, Service::Dhcp, &sender)
         });
         let dhcp = dhcp.transpose()?;

@@ -152,6 +152,20 @@ pub fn to_words(bytes: &[u8]) -> Vec<u32> {
         .collect()
 }
 
+/// Lets a board load its services, if it has some: it does while no host owns it.
+pub fn wait_for_services(rig: &mut Rig) {
+    let loading = |rig: &mut Rig| {
+        let features = rig.read_word(map::DESCRIBE + 4 * FEATURES_AT as u32);
+        features.is_none_or(|word| JobsState::of(word) == JobsState::Loading)
+    };
+    for _ in 0..LOADING_MS {
+        if !loading(rig) {
+            break;
+        }
+        rig.run_ms(1);
+    }
+}
+
 impl BenchMachine {
     /// A board that has just started.
     pub fn start() -> Self {
@@ -170,17 +184,7 @@ impl BenchMachine {
         let mut rig = Rig::boot(setup).unwrap_or_else(|error| panic!("{error}"));
         let image = Image::read(&firmware, rig.board.silicon().rom_words())
             .unwrap_or_else(|error| panic!("{error}"));
-        // The services are loaded while no host owns the board.
-        let loading = |rig: &mut Rig| {
-            let features = rig.read_word(map::DESCRIBE + 4 * FEATURES_AT as u32);
-            features.is_none_or(|word| JobsState::of(word) == JobsState::Loading)
-        };
-        for _ in 0..LOADING_MS {
-            if !loading(&mut rig) {
-                break;
-            }
-            rig.run_ms(1);
-        }
+        wait_for_services(&mut rig);
         // What was asked while they started is answered late.
         rig.run_ms(2);
         rig.take_datagrams();

@@ -66,7 +66,7 @@ impl Plotter {
 
     fn bare(slower: u32, trouble: &str) -> Self {
         let mut facts = BoardFacts::plain(CHANNELS, CLOCK);
-        (facts.jobs, facts.streamed) = (AXES as u8, true);
+        (facts.jobs, facts.sdram) = (AXES as u8, false);
         let pace = f64::from(CLOCK) / f64::from(slower);
         Plotter::switched_on(facts, Some(pace), trouble)
     }
@@ -89,7 +89,7 @@ impl Plotter {
     }
 
     fn switched_on(facts: BoardFacts, pace: Option<f64>, trouble: &str) -> Self {
-        let streamed = facts.streamed;
+        let streamed = !facts.sdram;
         let mut twin = Twin::power_up(Setup::new(facts, Plant::default()));
         if !trouble.is_empty() {
             let plan = trouble.parse().expect("words for trouble");

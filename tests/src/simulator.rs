@@ -6,6 +6,7 @@ use crate::{flash, lan, parts, program, root};
 pub struct Simulator {
     child: std::process::Child,
     udp: std::net::SocketAddr,
+    console: Option<std::net::SocketAddr>,
     control: Option<std::net::SocketAddr>,
 }
 
@@ -91,9 +92,11 @@ impl Simulator {
             ready.contains("ready"),
             "the simulator said {ready:?} instead of being ready"
         );
+        let console = { ready.split_whitespace() }.find_map(|word| word.strip_prefix("console="));
         Simulator {
             child,
             udp,
+            console: console.and_then(|at| at.parse().ok()),
             control,
         }
     }
@@ -129,6 +132,11 @@ impl Simulator {
     /// Where its board listens for datagrams.
     pub fn udp(&self) -> std::net::SocketAddr {
         self.udp
+    }
+
+    /// Where its consoles are.
+    pub fn console(&self) -> std::net::SocketAddr {
+        self.console.expect("it says where they are")
     }
 
     /// Where its control channel is.

@@ -3,7 +3,7 @@
 //! is counted.
 
 use ferrocnc_tests::flood::{INTRUDER_IP, KINDS, Kind, bare, checksum, read_of, tcp_segment};
-use ferrocnc_tests::{BenchMachine, seed};
+use ferrocnc_tests::{BenchMachine, seed, wired};
 use rand::seq::IndexedRandom;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -412,7 +412,7 @@ impl Visitor<'_> {
 
 #[test]
 fn forged_segments_do_not_harm_a_console_session_and_its_keepalives_are_answered() {
-    let mut machine = BenchMachine::start();
+    let mut machine = BenchMachine::boot(wired::mill());
     let mut visitor = Visitor::enters(&mut machine);
     let (seq, ack) = (visitor.seq, visitor.ack);
     let keepalive = visitor.frame(ACK, seq - 1, ack, b"");

@@ -103,9 +103,10 @@ fn outlives_in(part: &str, what: &str, code: &[u32], bound: u64) {
     // What is left in the ROM answers now.
     machine.run_millis(200);
     assert!(machine.ping().is_some(), "{what}: the ROM's ping");
-    assert!(machine.console("status\n").contains("session"), "{what}");
-    let refused = machine.rig().tcp_connect(wire::jobs::PORT).is_err();
-    assert!(refused, "{what}: no jobs any more");
+    for port in [CONSOLE_PORT, wire::jobs::PORT] {
+        let refused = machine.rig().tcp_connect(port).is_err();
+        assert!(refused, "{what}: port {port} does not answer any more");
+    }
 }
 
 #[test]
@@ -159,7 +160,7 @@ fn services_that_fail_when_they_start_leave_a_board_that_does_everything_else() 
     let mut machine = BenchMachine::boot(setup(&code));
     assert_eq!(state(&mut machine), JobsState::Ended);
     assert!(machine.ping().is_some());
-    assert!(machine.console("status\n").contains("session"));
+    assert!(machine.rig().tcp_connect(CONSOLE_PORT).is_err());
     moving(&mut machine);
 }
 
@@ -190,4 +191,40 @@ fn three_clients_have_a_console_at_once() {
         assert!(heard.contains(word), "{heard}");
         assert_eq!(heard.matches("ferrocnc> ").count(), 2, "{heard}");
     }
+}
+
+#[test]
+fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
+    const ASK: &str = "GET /status.json HTTP/1.0\r\n\r\n";
+    let mut machine = BenchMachine::boot(setup(&program()));
+    let rig = machine.rig();
+    let reader = rig.tcp_connect(wire::PAGE_PORT).expect("the page's port");
+    let heard = rig.tcp_talk(reader, ASK);
+    let (head, json) = heard.split_once("\r\n\r\n").expect("a head");
+    assert!(head.starts_with("HTTP/1.1 200 OK"), "{head}");
+    let json: serde_json::Value = serde_json::from_str(json).expect("JSON");
+    assert_eq!(json["machine"]["state"], "disarmed", "{json}");
+    machine.rig().segment.drop_connection(reader);
+
+    let mut command = moving(&mut machine);
+    let reader = machine.rig().segment.connect(wire::PAGE_PORT);
+    let (mut heard, mut asked) = (Vec::new(), false);
+    for period in 0..200 {
+        let status = machine.exchange_and_wait(&mut command);
+        assert_eq!(status.state.state, State::Armed, "period {period}");
+        let segment = &mut machine.rig().segment;
+        if !asked && segment.established(reader) {
+            asked = segment.send(reader, ASK.as_bytes()) == ASK.len();
+        }
+        heard.extend(segment.recv(reader));
+    }
+    let heard = String::from_utf8(heard).expect("text");
+    assert!(heard.starts_with("HTTP/1.1 503 "), "{heard:?}");
+    assert!(
+        heard.ends_with("busy: the machine needs the time\n"),
+        "{heard:?}"
+    );
+    let spread = machine.turnaround_spread(200);
+    println!("turnaround while a page is asked for {spread:?}");
+    assert!(spread.max <= BOUND, "{spread:?}");
 }

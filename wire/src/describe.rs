@@ -66,15 +66,16 @@ pub const FEATURE_JOBS: u32 = ident::FEATURES_JOBS;
 pub const FEATURE_READBACK: u32 = ident::FEATURES_READBACK;
 
 codes! {
-    /// Whether jobs can be executed without a PC: the feature bits from [`JobsState::AT`] on.
+    /// How the services are, and with them the jobs of a board with [`FEATURE_JOBS`]: the feature
+    /// bits from [`JobsState::AT`] on.
     JobsState: u32 {
-        /// The gateware has no segments.
-        None = 0, "none";
+        /// The board uses no SDRAM, and has no segments either.
+        None = 0, "none: no SDRAM is used";
         /// The services run.
         Alive = 1, "ready";
         /// The SDRAM does not keep what is written into it.
         Sdram = 2, "the SDRAM failed its test";
-        /// The image that runs has no jobs program: it was loaded by JTAG, or built without one.
+        /// The image that runs has no services: it was loaded by JTAG, or built without one.
         Missing = 3, "no program in flash";
         /// The program's CRC or length is wrong.
         Damaged = 4, "the program is damaged";

@@ -24,6 +24,7 @@ const PACKAGES: &[(&str, &str)] = &[
     ("iputils-ping", "a real ping for the tests"),
     ("iproute2", "virtual Ethernet segments for the tests"),
     ("util-linux", "their network namespaces"),
+    ("inetutils-telnet", "a real telnet at the consoles"),
     ("dnsmasq-base", "a real DHCP server on such a segment"),
     (
         "procps",

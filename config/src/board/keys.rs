@@ -197,7 +197,7 @@ pub const KEYS: &[Key] = &[
     may(
         "sdram",
         Kind::Flag,
-        "true (if nothing is said) or false: without the SDRAM a PC streams the jobs",
+        "true (if nothing is said) or false: without the SDRAM there are no services, and a PC streams the jobs",
     ),
     must(
         "network",

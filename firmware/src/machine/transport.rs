@@ -3,7 +3,6 @@
 
 use super::Machine;
 use crate::block::{Reply, Request, Shape};
-use crate::console::Ask;
 use crate::cores::Board;
 use crate::exchange::SlotReply;
 use crate::net::Slot;
@@ -115,14 +114,5 @@ impl<B: Board> Machine<B> {
     #[inline(always)]
     pub fn may_load(&self) -> bool {
         self.session().owner().is_none() && !self.server.flash().busy()
-    }
-
-    /// May the console answer this line now? To write an answer takes up to a servo period, and the
-    /// owner would wait for it. While a job moves the machine, no host waits.
-    #[inline(always)]
-    pub fn may_answer(&self, ask: Ask) -> bool {
-        let short = matches!(ask, Ask::Nothing | Ask::Quit);
-        let jobs = ask == Ask::Job && self.session().is_owner(Peer::INSIDE);
-        short || jobs || self.at_rest()
     }
 }

@@ -5,7 +5,7 @@
 //! last byte is the image's last:
 //!
 //! ```text
-//!   0 CRC-32 of all words after it   1 interface   2 ABI number   3 entry
+//!   0 CRC-32 of all words after it   1 interface   2 ABI number   3 entry   4..7 UDP ports
 //!   ... code and data ...
 //!   the last two words: length in bytes, magic "FJOB"
 //! ```
@@ -13,18 +13,17 @@
 //! Words have the softcore's byte order, lowest byte first; the CRC takes the highest byte first,
 //! as usual. The ROM copies the program page by page while no host owns the board, checks it
 //! ([`Check`]) and calls its entry ([`Entry`]) from the frame loop, never between a request and its
-//! answer: with a frame for it ([`ours`]), and from time to time without one, behind an answer to
-//! the board's owner if there is one. The program switches to a stack of its own. It calls back
-//! through [`Rom`], and that is the whole interface: it asks the board with the same datagrams as a
-//! host, as the peer [`crate::session::Peer::INSIDE`].
+//! answer: with a frame for it ([`crate::net::Class::Services`]), and from time to time without
+//! one, behind an answer to the board's owner if there is one. The program switches to a stack of
+//! its own. It calls back through [`Rom`], and that is the whole interface: it asks the board with
+//! the same datagrams as a host, as the peer [`crate::session::Peer::INSIDE`].
 //!
 //! A call does one thing: it takes a frame, lets one connection answer one request, or sends one
 //! segment. A panic or a trap in the program ends the call with [`DEAD`]: the ROM keeps its own
 //! registers, and is never called by the program again.
 
-use crate::console::ANSWER_MAX;
-use crate::machine::Reply;
-use crate::net::Us;
+use crate::machine::VISIT_WORDS;
+use crate::net::{UdpPorts, Us};
 use core::ffi::c_void;
 use wire::MAX_WORDS;
 use wire::crc::Crc32;
@@ -32,7 +31,7 @@ use wire::describe::JobsState;
 use wire::images::PROGRAM_MAX;
 
 /// Version of this interface. The program starts only if both sides have the same.
-pub const INTERFACE: u32 = 4;
+pub const INTERFACE: u32 = 6;
 /// Bytes at the beginning of the SDRAM for the program: code, data and stack. The jobs get the
 /// rest.
 pub const ROOM: usize = PROGRAM_MAX;
@@ -49,6 +48,8 @@ pub struct Header {
     pub abi: u32,
     /// The function to call.
     pub entry: Entry,
+    /// Where the program listens.
+    pub ports: UdpPorts,
 }
 
 /// The ROM's call. With a frame: `frame` and its length. Without: null and [`POLL`]; the first call
@@ -83,65 +84,26 @@ pub struct Rom {
     ) -> isize,
     /// Sends this many bytes of `output` as an Ethernet frame, without its FCS.
     pub send: extern "C" fn(context: *mut c_void, length: usize),
-    /// Answers a line of one of the consoles into `output`; a null line: a client has connected.
-    /// Returns a [`Reply`] as [`reply_to_word`] puts it.
-    pub console:
-        extern "C" fn(context: *mut c_void, visitor: usize, line: *const u8, length: usize) -> u32,
-    /// Room for a frame to be sent, or for a console's answer; never that of the frame that came.
+    /// Judges what the client of console `visitor` asks for: the code of a
+    /// [`crate::machine::Verb`] and its words. Returns that of a [`crate::machine::Verdict`].
+    pub console: extern "C" fn(
+        context: *mut c_void,
+        visitor: usize,
+        verb: u32,
+        words: &mut [u32; VISIT_WORDS],
+    ) -> u32,
+    /// A DHCP server's address: [`crate::machine::Lease`]; prefix 0: there is none any more.
+    pub leased: extern "C" fn(context: *mut c_void, ip: u32, prefix: u32, gateway: u32),
+    /// Room for a frame to be sent; never that of the frame that came.
     pub output: *mut [u8; FRAME_MAX],
     /// The board's addresses.
     pub us: *const Us,
+    /// A host moves the machine.
+    pub moving: bool,
 }
 
 /// Longest frame, without its FCS.
 pub const FRAME_MAX: usize = 1514;
-
-const _: () = assert!(ANSWER_MAX <= FRAME_MAX && FRAME_MAX < CLOSE as usize);
-
-/// In the word of a reply: hang up behind the text.
-const CLOSE: u32 = 1 << 16;
-/// In the word of a reply: the line is about jobs, and the services answer it.
-const JOB: u32 = 1 << 17;
-/// With [`JOB`]: the client may do more than look.
-const TRUSTED: u32 = 1 << 18;
-
-/// The bytes of text in `output`, and what to do.
-pub fn reply_to_word(reply: Reply, text: usize) -> u32 {
-    let code = match reply {
-        Reply::Said => 0,
-        Reply::Close => CLOSE,
-        Reply::Job { trusted } => JOB | (u32::from(trusted) * TRUSTED),
-    };
-    code | text as u32
-}
-
-/// The inverse of [`reply_to_word`].
-pub fn word_to_reply(word: u32) -> (Reply, usize) {
-    let reply = if word & JOB != 0 {
-        let trusted = word & TRUSTED != 0;
-        Reply::Job { trusted }
-    } else if word & CLOSE != 0 {
-        Reply::Close
-    } else {
-        Reply::Said
-    };
-    (reply, (word % CLOSE) as usize)
-}
-
-/// Is this frame for the services: ARP about our address, or a ping or TCP to it? The ROM asks
-/// before it calls, because a call from a cold cache takes thousands of clocks.
-pub fn ours(frame: &[u8], us: &Us) -> bool {
-    let ip = us.ip.to_be_bytes();
-    let about = |at: usize| frame.get(at..at + 4) == Some(&ip) && us.ip != 0;
-    match frame.get(12..14) {
-        Some([8, 6]) => about(38),
-        Some([8, 0]) => {
-            let kind = matches!(frame.get(23), Some(1 | 6));
-            kind && frame.starts_with(&us.mac) && about(30)
-        }
-        Some(_) | None => false,
-    }
-}
 
 /// Is this a program for this ROM? It takes the SDRAM's content in pieces, with the length that its
 /// last words give.
@@ -220,66 +182,6 @@ mod tests {
         let all = [words.len().max(1), words.len() / 2 + 1, 1].map(verdict);
         assert!(all.iter().all(|state| *state == all[0]), "{all:?}");
         all[0]
-    }
-
-    const US: Us = Us {
-        mac: [2, 0, 0, 0, 0, 7],
-        ip: 0xc0a8_0232,
-        port: 1234,
-    };
-
-    /// An IPv4 frame to us of this protocol.
-    fn frame(protocol: u8) -> Vec<u8> {
-        let mut frame = vec![0; 60];
-        frame[..6].copy_from_slice(&US.mac);
-        frame[12..14].copy_from_slice(&[8, 0]);
-        frame[14] = 0x45;
-        frame[23] = protocol;
-        frame[30..34].copy_from_slice(&US.ip.to_be_bytes());
-        frame
-    }
-
-    /// An ARP request about this address.
-    fn arp(about: u32) -> Vec<u8> {
-        let mut frame = vec![0xff; 42];
-        frame[12..14].copy_from_slice(&[8, 6]);
-        frame[38..].copy_from_slice(&about.to_be_bytes());
-        frame
-    }
-
-    #[test]
-    fn the_programs_frames_are_arp_pings_and_tcp_to_this_board_and_no_others() {
-        assert!(ours(&frame(6), &US) && ours(&frame(1), &US));
-        assert!(!ours(&frame(17), &US), "UDP");
-        assert!(ours(&arp(US.ip), &US));
-        assert!(!ours(&arp(US.ip + 1), &US), "a neighbour's");
-        let no_address = Us { ip: 0, ..US };
-        assert!(!ours(&arp(0), &no_address), "without an address");
-        let mut others = frame(6);
-        others[30] ^= 1;
-        assert!(!ours(&others, &US), "another address");
-        let mut others = frame(6);
-        others[0] ^= 1;
-        assert!(!ours(&others, &US), "another MAC");
-        for (frame, needed) in [(frame(6), 34), (arp(US.ip), 42)] {
-            for length in 0..needed {
-                assert!(!ours(&frame[..length], &US), "{length} bytes of it");
-            }
-        }
-    }
-
-    #[test]
-    fn a_reply_comes_through_as_it_was() {
-        for reply in [
-            Reply::Said,
-            Reply::Close,
-            Reply::Job { trusted: false },
-            Reply::Job { trusted: true },
-        ] {
-            for text in [0, 1, ANSWER_MAX] {
-                assert_eq!(word_to_reply(reply_to_word(reply, text)), (reply, text));
-            }
-        }
     }
 
     #[test]

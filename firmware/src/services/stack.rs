@@ -1,4 +1,5 @@
-//! smoltcp's interface over the board's frames: ARP, ping, and the segments of the connections.
+//! smoltcp's interface over the board's frames: ARP, ping, groups, datagrams, and the segments of
+//! the connections.
 //!
 //! A call does one thing ([`Stack::take`], [`Stack::send`]): smoltcp's own `poll` would do all that
 //! is due, and the owner's exchange would wait for it. Each connection has a socket set of its own,
@@ -8,7 +9,7 @@ use super::Network;
 use crate::net::Us;
 use smoltcp::iface::{Config, Interface, PollResult, SocketSet};
 use smoltcp::phy::{Device, DeviceCapabilities, Medium, RxToken, TxToken};
-use smoltcp::time::Instant;
+use smoltcp::time::{Duration, Instant};
 use smoltcp::wire::{EthernetAddress, IpCidr, Ipv4Address, Ipv4Cidr};
 
 /// Bytes of the longest frame.
@@ -38,7 +39,9 @@ impl Stack {
             received: None,
             out,
         };
-        let iface = Interface::new(config, &mut wire, Instant::ZERO);
+        let mut iface = Interface::new(config, &mut wire, Instant::ZERO);
+        // The first group of a few that it has room for.
+        let _ = iface.join_multicast_group(Ipv4Address::from_bits(wire::mdns::GROUP));
         let us = Us { ip: 0, ..us };
         Stack { iface, us }
     }
@@ -83,6 +86,13 @@ impl Stack {
             out,
         };
         self.iface.poll_egress(now, &mut wire, sockets) == PollResult::SocketStateChanged
+    }
+
+    /// When one of these sockets has something to send; at most a second from now.
+    pub fn due(&mut self, sockets: &SocketSet, now: Instant) -> Instant {
+        let second = now + Duration::from_secs(1);
+        let due = self.iface.poll_at(now, sockets);
+        due.map_or(second, |due| due.min(second))
     }
 
     /// A client's MAC address, from its own frame: smoltcp would ask for it, and asks only once a

@@ -110,7 +110,10 @@ fn a_job_stopped_before_it_has_begun_never_arms() {
         for _ in 0..turns {
             rig.turn();
         }
-        assert!(rig.jobs.executor().busy(), "after {turns} turns");
+        assert!(
+            rig.jobs.executor().expect("jobs").busy(),
+            "after {turns} turns"
+        );
         assert_eq!(rig.command(0), Status::Normal);
         let report = rig.finish();
         assert_eq!((report.end, report.steps), (End::Stopped, [0; 3]));

@@ -273,7 +273,7 @@ fn an_upload_beside_a_running_job_over_a_wire_that_loses_frames_is_whole() {
     );
     lan.loss = 0;
     lan.leave(connection);
-    while lan.rig.jobs.executor().busy() {
+    while lan.rig.jobs.executor().expect("jobs").busy() {
         lan.turn();
     }
     lan.rig.connect();
@@ -350,7 +350,7 @@ fn a_commit_that_waits_beside_a_dense_job_is_answered() {
     let answers = lan.answers(client, requests.len());
     whole(&requests, &answers, crc32(&bytes));
     lan.leave(client);
-    while lan.rig.jobs.executor().busy() {
+    while lan.rig.jobs.executor().expect("jobs").busy() {
         lan.turn();
     }
     lan.rig.connect();

@@ -4,27 +4,27 @@
 use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc, TxSlot};
 use core::arch::global_asm;
 use core::ffi::c_void;
-use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
-use firmware::ip::{Ip, StreamHandler, Text};
-use firmware::machine::{IDLE, Machine, NOT_WHILE_ARMED};
-use firmware::net::{self, Class, Datagram, FastPath, Frame as _, Us};
+use firmware::machine::{IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
+use firmware::net::{self, Class, Datagram, FastPath, Frame as _, UdpPorts, Us};
+use firmware::reserve;
 use firmware::services::abi;
-use firmware::text::{Paper, Sink as _};
 use wire::describe::JobsState;
-use wire::{CONSOLE_PORT, MAX_WORDS, Refusal};
+use wire::{MAX_WORDS, Refusal};
 
 /// The loop looks at the MAC this many times between two looks at the clock: about 20 us.
 const POLLS: u32 = 128;
-/// Longest ping or console segment that is answered while the machine is not at rest: to sum, copy
-/// and answer one takes 20 clocks a byte. A console client never sends more, because our window is
-/// smaller.
+/// Longest ping that is answered while the machine is not at rest: to sum, copy and answer one
+/// takes 20 clocks a byte.
 const GUEST_FRAME: usize = 256;
-/// The same with services: smoltcp takes 12 000 clocks before it looks at the first byte of what a
-/// segment carries.
+/// The same with services, for every frame: smoltcp takes 12 000 clocks before it looks at the
+/// first byte of what a segment carries.
 const GUEST_FRAME_SERVICES: usize = 128;
-/// 10 ms between two looks at TCP's timers.
-const HOUSEKEEPING_PER_IP: u8 = 10;
+/// The same for a DHCP server's answer, which has at least BOOTP's 300 bytes: a lease is renewed
+/// while the machine moves.
+const GUEST_FRAME_DHCP: usize = 350;
+/// 10 ms between two turns of services that have nothing to do: precise enough for TCP's timers.
+const HOUSEKEEPING_PER_TURN: u8 = 10;
 
 /// Longest call of the services in clocks, behind which they are ended: while an owner moves the
 /// machine, ...
@@ -44,14 +44,12 @@ pub struct App {
     fast_path: Option<FastPath>,
     /// Code outside the fast path ran and may have pushed it out of the instruction cache.
     cold: bool,
-    ip: &'static mut Ip,
-    line: console::LineEditor,
-    ip_in: u8,
-    /// A copy of [`Ip::busy`]: a look into `Ip` itself costs the next exchange a line of the data
-    /// cache.
-    talking: bool,
+    /// Housekeepings until the next turn of the services.
+    turn_in: u8,
     /// The services, if they run.
     services: Option<abi::Entry>,
+    /// Where they listen.
+    ports: UdpPorts,
     /// They want to be called in every turn.
     restless: bool,
     /// They are being loaded.
@@ -66,23 +64,20 @@ impl App {
         let Parts {
             soc,
             mac,
-            memory,
             boot,
             ident,
         } = parts;
         let mut app = App {
             machine: Machine::asleep(soc, ident, soc::ABI, boot),
-            ip_in: HOUSEKEEPING_PER_IP,
+            turn_in: HOUSEKEEPING_PER_TURN,
             mac,
             fast_path: None,
             cold: false,
-            ip: &mut memory.ip,
-            talking: false,
             services: None,
+            ports: [0; 8],
             restless: false,
             loader: Some(Loader::new()),
             reloads: RELOADS,
-            line: console::LineEditor::default(),
         };
         app.machine.wake();
         defmt::info!("boot {=u32:x}, reset {=u8}", boot.id, boot.reset.code());
@@ -93,7 +88,6 @@ impl App {
                 ident.abi
             );
         }
-        app.ip.listen(CONSOLE_PORT, ANSWER_MAX);
         soc::watch_services();
         app.machine.jobs(JobsState::Loading);
         app.load();
@@ -205,15 +199,12 @@ impl App {
         self.cold = true;
         let (frame, length) = self.mac.frame();
         self.machine.received();
-        match net::classify(&frame, length, &self.machine.us) {
+        match net::classify(&frame, length, &self.machine.us, &self.ports) {
             Class::Ours(datagram) => {
                 let words = self.copy_payload(&datagram);
                 self.mac.dismiss();
                 match words {
-                    Ok(count) if datagram.length.is_multiple_of(4) => {
-                        self.datagram(&datagram, count);
-                    }
-                    Ok(_) => self.machine.refuse(Refusal::Ragged),
+                    Ok(count) => self.datagram(&datagram, count),
                     Err(why) => self.machine.refuse(why),
                 }
                 return self.machine.session().is_owner(datagram.peer);
@@ -222,40 +213,29 @@ impl App {
                 let words = self.copy_payload(&datagram);
                 self.mac.dismiss();
                 match words {
-                    Ok(count) if datagram.length.is_multiple_of(4) => {
-                        self.discover(count, datagram.peer.port);
-                    }
-                    Ok(_) => self.machine.refuse(Refusal::Ragged),
+                    Ok(count) => self.discover(count, datagram.peer.port),
                     Err(why) => self.machine.refuse(why),
                 }
-            }
-            Class::Dhcp(datagram) => {
-                let words = self.copy_payload(&datagram);
-                self.mac.dismiss();
-                let words = self.mac.input.words().get(..words.unwrap_or(0));
-                self.machine.offered(words.unwrap_or(&[]), datagram.length);
-                self.send_broadcasts();
             }
             Class::Refused(why) => {
                 self.mac.dismiss();
                 self.machine.refuse(why);
             }
-            Class::Other
-                if length > self.guest_frame()
+            Class::Services
+                if length > self.longest(&frame)
                     && self.fast_path.is_some()
                     && !self.machine.at_rest() =>
             {
                 self.mac.dismiss();
                 self.machine.refuse(Refusal::Oversized);
             }
-            Class::Other => {
+            Class::Services => {
                 let length = self.mac.take_bytes();
-                let frame = self.mac.input.bytes().get(..length).unwrap_or(&[]);
-                if self.services.is_none() {
-                    self.talk(Some(length));
-                } else if abi::ours(frame, &self.machine.us) {
-                    let at = frame.as_ptr();
+                if self.services.is_some() {
+                    let at = self.mac.input.bytes().as_ptr();
                     self.services(at, length);
+                } else {
+                    self.reserve(length);
                 }
             }
             Class::Nothing => self.mac.dismiss(),
@@ -263,16 +243,17 @@ impl App {
         false
     }
 
-    fn guest_frame(&self) -> usize {
+    /// Bytes of the longest frame of this kind that is taken while the machine moves.
+    fn longest(&self, frame: &RxFrame) -> usize {
         match self.services {
+            Some(_) if net::comes_from_dhcp(frame) => GUEST_FRAME_DHCP,
             Some(_) => GUEST_FRAME_SERVICES,
             None => GUEST_FRAME,
         }
     }
 
     fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
-        // The length of a DHCP server's options need not be a multiple of 4.
-        let count = net::payload_words(datagram.length.next_multiple_of(4))?;
+        let count = net::payload_words(datagram.length)?;
         let (frame, _) = self.mac.frame();
         for (index, word) in self.mac.input.words().iter_mut().take(count).enumerate() {
             *word = net::payload_word(&frame, datagram.options, index);
@@ -347,7 +328,6 @@ impl App {
             defmt::info!("address {=u32:x}", self.machine.us.ip);
             // The session has no owner, or the change of address would have waited.
             self.close_fast_path();
-            self.ip.reset();
         }
     }
 
@@ -423,14 +403,10 @@ impl App {
         {
             self.close_fast_path();
         }
-        // 10 ms are precise enough for TCP's timers.
-        self.ip_in = self.ip_in.wrapping_sub(1);
-        let due = self.ip_in == 0;
+        self.turn_in = self.turn_in.wrapping_sub(1);
+        let due = self.turn_in == 0;
         if due {
-            self.ip_in = HOUSEKEEPING_PER_IP;
-            if self.talking {
-                self.talk(None);
-            }
+            self.turn_in = HOUSEKEEPING_PER_TURN;
         }
         // The check is here because the call alone may push lines of the fast path out of the
         // cache. Without services no warm-up follows it.
@@ -462,8 +438,9 @@ impl App {
         self.loader = None;
         let state = match verdict {
             Err(why) => why,
-            Ok(entry) => {
-                self.services = Some(entry);
+            Ok(header) => {
+                self.services = Some(header.entry);
+                self.ports = header.ports;
                 let answer = self.services(core::ptr::null(), abi::START);
                 if answer & abi::FAILED != 0 {
                     self.services = None;
@@ -476,11 +453,6 @@ impl App {
             }
         };
         self.machine.jobs(state);
-        // The clients of the ROM's console have to connect again.
-        if self.services.is_some() {
-            self.ip.reset();
-            self.talking = false;
-        }
     }
 
     /// Calls the services. Without them the answer is 0. If they fail, the machine goes on without
@@ -492,12 +464,15 @@ impl App {
             return 0;
         };
         self.cold = true;
+        let moving = self.fast_path.is_some() && !self.machine.at_rest();
         let rom = abi::Rom {
             datagram: services_datagram,
             send: services_send,
             console: services_console,
+            leased: services_leased,
             output: self.mac.output.bytes().as_mut_ptr().cast(),
             us: &raw const self.machine.us,
+            moving,
             context: (&raw mut *self).cast(),
         };
         let clocks = match (&self.fast_path, frame.is_null() && length == abi::START) {
@@ -511,9 +486,13 @@ impl App {
         if answer == abi::DEAD {
             self.services = None;
             self.machine.jobs(JobsState::Ended);
-            if let Some(left) = self.reloads.checked_sub(1) {
-                self.reloads = left;
-                self.loader = Some(Loader::new());
+            match self.reloads.checked_sub(1) {
+                Some(left) => {
+                    self.reloads = left;
+                    self.loader = Some(Loader::new());
+                }
+                // A lease that is not renewed is over some day.
+                None => self.machine.leased(None),
             }
             let (cause, at) = soc::last_trap();
             defmt::error!("services failed: cause {=u32} at {=u32:x}", cause, at);
@@ -525,31 +504,16 @@ impl App {
         answer
     }
 
-    /// ARP, ping and the console, where there are no services: takes a frame of `length` bytes from
-    /// `input`, and sends all that is due.
+    /// Where there are no services: answers a frame of `length` bytes from `input`.
+    #[cold]
     #[inline(never)]
-    fn talk(&mut self, length: Option<usize>) {
-        self.cold = true;
-        let now = soc::milliseconds(&mut self.machine.board);
-        let us = self.machine.us;
+    fn reserve(&mut self, length: usize) {
         let Mac { input, output, .. } = &mut self.mac;
-        let mut visitor = Visitor {
-            machine: &mut self.machine,
-            line: &mut self.line,
-        };
-        let frame = length.and_then(|length| input.bytes().get(..length));
-        let mut sent = 0;
-        let mut answer = frame
-            .and_then(|frame| self.ip.frame(frame, &us, now, &mut visitor, output.bytes()))
-            .or_else(|| self.ip.poll(&us, now, &mut visitor, output.bytes()));
-        while let Some(length) = answer {
+        let frame = input.bytes().get(..length).unwrap_or(&[]);
+        if let Some(length) = reserve::answer(frame, &self.machine.us, output.frame()) {
             output.send(length);
-            sent += 1;
-            answer = self.ip.poll(&us, now, &mut visitor, output.bytes());
+            self.machine.sent(1);
         }
-        self.talking = self.ip.busy();
-        self.machine.sent(sent);
-        self.restart_if();
     }
 }
 
@@ -575,9 +539,11 @@ global_asm!(
     "called_back datagram, {datagram}",
     "called_back send, {send}",
     "called_back console, {console}",
+    "called_back leased, {leased}",
     datagram = sym datagram,
     send = sym send,
     console = sym console,
+    leased = sym leased,
 );
 
 unsafe extern "C" {
@@ -591,9 +557,10 @@ unsafe extern "C" {
     safe fn services_console(
         context: *mut c_void,
         visitor: usize,
-        line: *const u8,
-        length: usize,
+        verb: u32,
+        words: &mut [u32; VISIT_WORDS],
     ) -> u32;
+    safe fn services_leased(context: *mut c_void, ip: u32, prefix: u32, gateway: u32);
 }
 
 /// [`abi::Rom::datagram`].
@@ -626,62 +593,30 @@ extern "C" fn send(context: *mut c_void, length: usize) {
 }
 
 /// [`abi::Rom::console`].
-extern "C" fn console(context: *mut c_void, visitor: usize, line: *const u8, length: usize) -> u32 {
-    // SAFETY: as above; the program says how long its line is.
-    let (app, line) = unsafe {
-        (
-            &mut *context.cast::<App>(),
-            (!line.is_null()).then(|| core::slice::from_raw_parts(line, length)),
-        )
+extern "C" fn console(
+    context: *mut c_void,
+    visitor: usize,
+    verb: u32,
+    words: &mut [u32; VISIT_WORDS],
+) -> u32 {
+    // SAFETY: as above.
+    let app = unsafe { &mut *context.cast::<App>() };
+    let verdict = match Verb::from_code(verb) {
+        Some(verb) => app.machine.visit(visitor, verb, words),
+        None => Verdict::NotNow,
     };
-    let line = line.map(|line| core::str::from_utf8(line).unwrap_or("!"));
-    let mut paper = Paper::new(app.mac.output.bytes());
-    let vitals = vitals(&app.machine);
-    let reply = app.machine.converse(visitor, line, &vitals, &mut paper);
-    let text = paper.used();
-    abi::reply_to_word(reply, text)
+    verdict as u32
 }
 
-fn vitals(machine: &Machine<Soc>) -> Vitals {
-    Vitals {
-        stack: soc::stack_used(),
-        mac_errors: machine.board.mac_errors(),
-    }
-}
-
-/// A client of the ROM's own console.
-struct Visitor<'a> {
-    machine: &'a mut Machine<Soc>,
-    line: &'a mut console::LineEditor,
-}
-
-impl StreamHandler for Visitor<'_> {
-    fn greet(&mut self, out: &mut Text) {
-        *self.line = console::LineEditor::new();
-        self.machine.greet();
-        out.put(console::PROMPT.as_bytes());
-    }
-
-    fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize {
-        let mut used = 0;
-        for byte in bytes {
-            used += 1;
-            if let Some(ask) = self.line.push(*byte) {
-                if !self.machine.may_answer(ask) {
-                    out.put(NOT_WHILE_ARMED);
-                    out.put(console::PROMPT.as_bytes());
-                    break;
-                }
-                let vitals = vitals(self.machine);
-                self.machine.answer(ask, &vitals, out);
-                if ask == Ask::Quit {
-                    out.close = true;
-                } else {
-                    out.put(console::PROMPT.as_bytes());
-                }
-                break;
-            }
-        }
-        used
-    }
+/// [`abi::Rom::leased`].
+extern "C" fn leased(context: *mut c_void, ip: u32, prefix: u32, gateway: u32) {
+    // SAFETY: as above.
+    let app = unsafe { &mut *context.cast::<App>() };
+    let prefix = u8::try_from(prefix).unwrap_or(0);
+    let lease = Lease {
+        ip,
+        prefix,
+        gateway,
+    };
+    app.machine.leased((prefix != 0).then_some(lease));
 }

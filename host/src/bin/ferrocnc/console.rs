@@ -84,7 +84,7 @@ impl TelnetLine {
         loop {
             match self.stream.read(&mut buffer) {
                 Ok(0) if text.len() == before => {
-                    bail!("the board closed the console; one user at a time")
+                    bail!("the board closed the console; it may have no place left")
                 }
                 Ok(0) => break,
                 Ok(length) => text.extend_from_slice(&buffer[..length]),

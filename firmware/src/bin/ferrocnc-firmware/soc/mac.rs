@@ -2,7 +2,7 @@
 //!
 //! The slots hold frames in network order, at an offset of two bytes: a 32-bit load yields a
 //! big-endian word, and everything after the Ethernet header is aligned, so the exchange swaps and
-//! shifts nothing. The IP stack works on bytes and gets its frames copied.
+//! shifts nothing. The services work on bytes and gets its frames copied.
 //!
 //! Transmit slot 0 belongs to the fast path alone, and its headers stay in it. All other frames
 //! use slot 1.
@@ -18,7 +18,7 @@ use wire::MAX_WORDS;
 use wire::regmap::{self, rx_admission};
 
 /// Longest frame, without FCS.
-const FRAME_MAX: usize = 1514;
+const FRAME_MAX: usize = firmware::reserve::ROOM;
 /// Bytes in front of a frame in its slot; the MAC's length registers count them.
 const PAD: usize = 2;
 const FAST_PATH: usize = 0;
@@ -56,7 +56,7 @@ impl Slot for TxSlot {
     }
 }
 
-/// A datagram as words for the server, or a frame as bytes for the IP stack; never both at once.
+/// A datagram as words for the server, or a frame as bytes for the services; never both at once.
 pub struct Buffer([u32; FRAME_MAX.div_ceil(4)]);
 
 impl Buffer {
@@ -67,6 +67,12 @@ impl Buffer {
             Some(words) => words,
             None => unreachable!(), // the assertion above excludes it
         }
+    }
+
+    /// As room for a frame.
+    pub fn frame(&mut self) -> &mut [u8; FRAME_MAX] {
+        // SAFETY: as below.
+        unsafe { &mut *self.0.as_mut_ptr().cast() }
     }
 
     /// As bytes of a frame.
@@ -132,7 +138,7 @@ pub struct Mac {
     open: bool,
     /// Received data that does not take the fast path.
     pub input: &'static mut Buffer,
-    /// Data to be sent by the server or the IP stack.
+    /// Data to be sent by the server or the services.
     pub output: &'static mut Buffer,
 }
 

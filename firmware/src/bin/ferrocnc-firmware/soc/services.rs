@@ -44,9 +44,9 @@ impl Loader {
         }
     }
 
-    /// The next piece. At the end: the program's entry, or the state to report.
+    /// The next piece. At the end: the program's header, or the state to report.
     #[inline(never)]
-    pub fn step(&mut self, machine: &mut Machine<Soc>) -> Option<Result<abi::Entry, JobsState>> {
+    pub fn step(&mut self, machine: &mut Machine<Soc>) -> Option<Result<Header, JobsState>> {
         // SAFETY: no program runs in the SDRAM, it is at least this large, and it is aligned.
         let room = unsafe { &mut *(SDRAM_BASE as *mut Room) };
         if self.length == 0 {
@@ -68,7 +68,7 @@ impl Loader {
                 // complete header of a program linked to this address.
                 unsafe {
                     core::arch::asm!("fence.i");
-                    Ok((*(SDRAM_BASE as *const Header)).entry)
+                    Ok(*(SDRAM_BASE as *const Header))
                 }
             }
             state => Err(state),
@@ -77,11 +77,11 @@ impl Loader {
 
     /// Waits for the SDRAM and finds the program.
     fn begin(&mut self, machine: &mut Machine<Soc>, room: &mut Room) -> Result<(), JobsState> {
-        if !machine.plays_segments() {
-            return Err(JobsState::None);
-        }
         if !wake(&mut machine.board) {
-            return Err(JobsState::Streamed);
+            return Err(match machine.plays_segments() {
+                true => JobsState::Streamed,
+                false => JobsState::None,
+            });
         }
         let (start, length) = machine.image().ok_or(JobsState::Missing)?;
         let end = start + length;

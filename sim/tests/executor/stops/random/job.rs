@@ -207,7 +207,7 @@ fn said(
     told: &str,
 ) {
     player.recovers();
-    if trouble == Trouble::Pause && player.rig.jobs.executor().busy() {
+    if trouble == Trouble::Pause && player.rig.jobs.executor().expect("jobs").busy() {
         let report = player.report();
         assert!(report.stands && report.known, "{told}: {report:?}");
         return;
