@@ -10,7 +10,7 @@ use ferrocnc::driver::Driver;
 use ferrocnc::group::Group;
 use ferrocnc::hal::fake::FakeHal;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use wire::FaultReason;
 
 /// The instants of four boards agree within this: the clock's resolution is 17 ns, the rest is what
@@ -53,7 +53,7 @@ impl Shop {
         let group = Group::new();
         for (n, driver) in drivers.iter_mut().enumerate() {
             driver.join(&time, &group, boards.len());
-            hal.set(&format!("ferrocnc.{n}.packet-read-timeout"), 500_000_000);
+            hal.set(&format!("ferrocnc.{n}.packet-read-timeout"), 2_000_000_000);
             // Only a loss in the script may make the watchdog bite.
             hal.set(&format!("ferrocnc.{n}.watchdog.timeout-ns"), 50_000_000u32);
         }
@@ -81,13 +81,18 @@ impl Shop {
     /// Does something with one board and waits until the board has seen it; the time stands still
     /// meanwhile.
     fn seen(&mut self, n: usize, what: impl FnOnce(&mut Driver)) {
-        let before = self.boards[n].look().exchanges;
+        let (before, unplugged) = {
+            let board = self.boards[n].look();
+            (board.exchanges, board.knobs.unplugged)
+        };
         what(&mut self.drivers[n]);
-        for _ in 0..if self.drivers[n].token().is_some() {
-            5000
-        } else {
-            20
-        } {
+        // A driver with a session sends each time: on a busy computer the board may take long.
+        let patience = match (self.drivers[n].token(), unplugged) {
+            (Some(_), false) => Duration::from_secs(30),
+            _ => Duration::from_micros(400),
+        };
+        let begun = Instant::now();
+        while begun.elapsed() < patience {
             if self.boards[n].look().exchanges != before {
                 break;
             }
@@ -469,7 +474,7 @@ fn four_boards_are_waited_for_together() {
         .map(|(n, board)| load_with(board, &mut hal, n).0)
         .collect();
     for n in 0..4 {
-        hal.set(&format!("ferrocnc.{n}.packet-read-timeout"), 500_000_000);
+        hal.set(&format!("ferrocnc.{n}.packet-read-timeout"), 2_000_000_000);
     }
     let period = |drivers: &mut [Driver]| {
         drivers.iter_mut().for_each(|driver| driver.read(PERIOD_NS));
