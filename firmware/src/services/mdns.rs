@@ -11,7 +11,7 @@
 //! power without one, and its address is kept for two minutes at most.
 
 use super::post::Party;
-use core::fmt::Write;
+use crate::text::{Out, Sink};
 use heapless::String;
 use wire::mdns::{
     A, AAAA, ANY, AUTHORITY, FERROCNC, GROUP, HTTP, IN, LABEL, Message, NSEC, PORT, PTR, Question,
@@ -256,6 +256,17 @@ impl Named {
     }
 }
 
+/// A label that is being written: ASCII, and what does not fit is lost.
+struct Label<'l, const N: usize>(&'l mut String<N>);
+
+impl<const N: usize> Sink for Label<'_, N> {
+    fn put(&mut self, text: &[u8]) {
+        for byte in text {
+            let _ = self.0.push(char::from(*byte));
+        }
+    }
+}
+
 /// A name as a label of DNS: letters in lower case, digits, and single hyphens for all else.
 pub fn label(name: &wire::Name, uid: [u32; 2]) -> String<LABEL> {
     let mut label = String::new();
@@ -272,7 +283,7 @@ pub fn label(name: &wire::Name, uid: [u32; 2]) -> String<LABEL> {
         label.pop();
     }
     if label.is_empty() {
-        let _ = write!(label, "ferrocnc-{:08x}", uid[1]);
+        Out(&mut Label(&mut label)).text("ferrocnc-").hex(uid[1]);
     }
     label
 }
@@ -440,7 +451,7 @@ impl Responder {
         self.suffix += 1;
         self.conflicts = self.conflicts.saturating_add(1);
         let mut number = String::<12>::new();
-        let _ = write!(number, "-{}", self.suffix);
+        Out(&mut Label(&mut number)).text("-").number(self.suffix);
         self.label = label(&self.identity.name, self.identity.uid);
         // ASCII: every byte is a character.
         self.label.truncate(LABEL - number.len());
