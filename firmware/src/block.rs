@@ -1,5 +1,5 @@
-//! The blocks of an exchange: how the words of a command are taken, how those of a status are put,
-//! and how many there are on this board. [`crate::exchange`] executes them.
+//! Reads the words of a command block, writes the words of a status block, and computes their
+//! numbers on this board. [`crate::exchange`] executes them.
 
 use wire::describe::Channels;
 use wire::etherbone;

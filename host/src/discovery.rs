@@ -245,7 +245,7 @@ impl Finder {
         }
     }
 
-    /// Waits until the board with this id has restarted and says of itself what was asked for.
+    /// Waits until the board with this id has restarted and reports the requested settings.
     pub fn until(
         &self,
         uid: [u32; 2],
@@ -264,7 +264,7 @@ impl Finder {
         }
     }
 
-    /// Asks until `heard` is content or the time is over.
+    /// Asks until `heard` returns true or the time is over.
     fn ask(
         &self,
         uid: [u32; 2],

@@ -107,7 +107,7 @@ pub enum UpdateError {
         /// The slot.
         room: u32,
     },
-    /// The slot asked for is the selected one.
+    /// The requested slot is the selected one.
     Selected(Slot),
     /// What was read back is not what was written.
     Differs(u32),

@@ -1,9 +1,9 @@
 //! Fault injection between host and board: which faults, when, how often, and from which seed.
 //!
-//! A [`Plan`] is text a person can type; a [`Script`] is a plan under way, in sys clocks of the
-//! board; a [`OneWay`] is one direction of the cable with the delayed frames on it. Time is
-//! simulated and random numbers come from a seed: the same plan and the same frames give the same
-//! faults on every machine.
+//! A [`Plan`] is parsed from text; a [`Script`] is a running plan, in sys clocks of the board; a
+//! [`OneWay`] is one direction of the cable with the delayed frames on it. Time is simulated and
+//! random numbers come from a seed: the same plan and the same frames give the same faults on every
+//! machine.
 //!
 //! ```text
 //!            Script::judge                        OneWay::due

@@ -86,7 +86,7 @@ struct Source {
     /// What every value is multiplied by.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     scale: f64,
-    /// Digits behind the point.
+    /// Digits after the point.
     #[serde(default)]
     digits: u32,
 }
@@ -211,7 +211,7 @@ impl Source {
         }
         let values = self.paths.iter().map(|path| {
             let value = self.value(report, path)?;
-            // What was counted has no digits behind the point, whatever its neighbours have.
+            // A count has no digits after the point, even if its neighbours have some.
             if self.scale == 1.0 && value.is_u64() {
                 return Ok(value);
             }

@@ -1,6 +1,6 @@
-//! The port of jobs, from its bytes to the pins: clients' requests, in any order and in pieces of
-//! any size, to the server with the store and the executor, on the firmware's library and the
-//! models of the cores.
+//! The jobs port, from bytes to pins: requests of clients, in any order and in pieces of any size,
+//! go to the server with the store and the executor, on the firmware's library and the models of
+//! the cores.
 //!
 //! The input is a script of steps: one byte for the kind, then the bytes the step needs. What must
 //! hold:
@@ -319,7 +319,7 @@ impl Bench<'_> {
         }
     }
 
-    /// What the step says; whether the board was asked for something.
+    /// Executes the step; true if the board received a request.
     fn act(&mut self, input: &mut ByteReader) -> bool {
         match input.byte() & 15 {
             0 => self.ask(&Request::Hello {

@@ -1,4 +1,4 @@
-//! The flash: which chip answers, and whether the images in it are whole.
+//! Checks the flash: which chip answers, and whether its images are complete.
 
 use super::Finding;
 use wire::flash::{Running, Slot};

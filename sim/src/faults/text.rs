@@ -1,4 +1,4 @@
-//! Plans as people type them: `loss=0.1% to-board:delay=1ms..3ms pull@2s..4s seed=7`.
+//! Parses and prints fault plans: `loss=0.1% to-board:delay=1ms..3ms pull@2s..4s seed=7`.
 
 use std::fmt;
 use std::str::FromStr;

@@ -1,4 +1,4 @@
-//! `ferrocnc set`: a board's address, name, MAC and port, and the servers of its log.
+//! `ferrocnc set`: changes a board's address, name, MAC and port, and the servers of its log.
 
 use crate::discover::{Where, to_json};
 use crate::text::mac_text;
