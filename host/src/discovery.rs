@@ -77,7 +77,7 @@ impl core::fmt::Display for DiscoveryError {
             ),
             DiscoveryError::Unsure(uid) => write!(
                 f,
-                "the board {} was told and has not answered: it may have its new settings or the old ones; ferrocnc discover shows which, and the same command again does no harm",
+                "the board {} has not answered the request: it may have its new settings or the old ones; ferrocnc discover shows which, and the same command again does no harm",
                 uid_text(*uid)
             ),
             DiscoveryError::Refused(OpResult::Armed) => f.write_str(

@@ -79,7 +79,7 @@ impl core::fmt::Display for ProvisionError {
             ProvisionError::Flash(error) => write!(f, "{error}"),
             ProvisionError::Unsure(error) => write!(
                 f,
-                "{error}. The board was told and may have saved it: at its next start it may have the new settings or the old ones"
+                "{error}. The request was sent, and the board may have saved it: at its next start it may have the new settings or the old ones"
             ),
             ProvisionError::Key(error) => write!(f, "{error}; nothing was changed"),
             ProvisionError::Discovery(error) => write!(f, "{error}"),

@@ -235,7 +235,7 @@ impl Source {
             "max" => found.iter().filter_map(number).reduce(f64::max),
             "min" => found.iter().filter_map(number).reduce(f64::min),
             "sum" => found.iter().filter_map(number).reduce(|a, b| a + b),
-            other => bail!("`{other}` in front of {path} is none of max, min, sum"),
+            other => bail!("`{other}` before {path} is not one of max, min, sum"),
         };
         made.map(Value::from).ok_or(self.lacks(path))
     }

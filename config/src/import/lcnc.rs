@@ -122,7 +122,7 @@ fn channels(
                 entry.place,
                 &path(&entry.key),
                 "",
-                format!("stands where {wanted} should"),
+                format!("is in the place of {wanted}"),
                 "Lcnc numbers channels by the order of the lines; bring numbers and lines together"
                     .to_owned(),
             ));

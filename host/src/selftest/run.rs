@@ -86,7 +86,7 @@ impl core::fmt::Display for BusyError {
         match self {
             BusyError::Client(error) => error.fmt(f),
             BusyError::State(state) => {
-                write!(f, "the board is {state}; the self-test wants it at rest")
+                write!(f, "the board is {state}; the self-test needs it at rest")
             }
         }
     }

@@ -128,7 +128,7 @@ fn verify(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
             pieces.join(", ")
         );
     }
-    Ok("the flash holds what the file says".to_owned())
+    Ok("the flash agrees with the file".to_owned())
 }
 
 fn show(bar: &mut Bar, progress: &Progress) {

@@ -148,7 +148,7 @@ fn axes(text: &str) -> Result<[bool; 3], String> {
     for letter in text.to_lowercase().chars() {
         match "xyz".find(letter) {
             Some(axis) => axes[axis] = true,
-            None => return Err(format!("{letter} is none of x, y, z")),
+            None => return Err(format!("{letter} is not one of x, y, z")),
         }
     }
     Ok(axes)
