@@ -27,7 +27,7 @@ const HARDWARE: [&str; 8] = [
 ];
 
 /// Board and revision -> platform.
-const PLATFORMS: [(&str, &str, &str); 8] = [
+const PLATFORMS: &[(&str, &str, &str)] = &[
     ("5a-75b", "6.1", "5a-75b-6.1"),
     ("5a-75b", "7.0", "5a-75b-7.0"),
     ("5a-75b", "8.0", "5a-75b-8.0"),
