@@ -1,5 +1,5 @@
-//! Reads the words of a command block, writes the words of a status block, and computes their
-//! numbers on this board. [`crate::exchange`] executes them.
+//! The traits with which an exchange reads a command block and writes a status block, and the
+//! lengths of both on this board. [`crate::exchange`] executes them.
 
 use wire::describe::Channels;
 use wire::etherbone;
