@@ -366,7 +366,7 @@ impl<S: Silicon> Rig<S> {
             }
             last = Some(id);
         }
-        self.frames.dropped = self.faults.tally.lost;
+        self.frames.dropped = self.faults.counts.lost;
         last
     }
 

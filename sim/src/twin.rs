@@ -282,7 +282,7 @@ impl Twin {
         while let Some(reply) = self.from_board.due(now) {
             self.replies.push(reply);
         }
-        self.frames.dropped = self.script.tally.lost;
+        self.frames.dropped = self.script.counts.lost;
     }
 
     fn take_in(&mut self, letter: Letter) {

@@ -86,9 +86,9 @@ struct Bench<'m> {
 }
 
 /// The board with a client at its console that is trusted, or is not.
-struct Door<'a>(Outer<'a>, bool);
+struct ConsoleNetwork<'a>(Outer<'a>, bool);
 
-impl Outside for Door<'_> {
+impl Outside for ConsoleNetwork<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
         self.0.datagram(request, reply)
     }
@@ -103,7 +103,7 @@ impl Outside for Door<'_> {
     }
 }
 
-impl Network for Door<'_> {
+impl Network for ConsoleNetwork<'_> {
     fn send_frame(&mut self, frame: &[u8]) {
         self.0.send_frame(frame);
     }
@@ -610,12 +610,12 @@ impl Bench<'_> {
     }
 
     fn line(&mut self, line: &str, trusted: bool) -> String {
-        let mut door = Door(Outer(&mut self.machine), trusted);
+        let mut network = ConsoleNetwork(Outer(&mut self.machine), trusted);
         let mut visit = Visit {
             visitor: 0,
             reader: &mut self.reader,
             jobs: self.jobs.jobs(),
-            out: &mut door,
+            out: &mut network,
         };
         let line = format!("{line}\n");
         let (said, _) = converse(&mut Console::new(), line.as_bytes(), &mut visit);

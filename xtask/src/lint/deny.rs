@@ -27,11 +27,12 @@ pub fn check() -> Result<()> {
 }
 
 /// The checks that need no network: that of advisories needs a database in this folder.
+/// cargo-deny leaves a lock file there even if it could not fetch one.
 fn checks(databases: &Path) -> Vec<&'static str> {
     let mut checks = vec!["bans", "licenses", "sources"];
     let fetched = databases
         .read_dir()
-        .is_ok_and(|mut all| all.next().is_some());
+        .is_ok_and(|all| all.flatten().any(|entry| entry.path().is_dir()));
     checks.extend(fetched.then_some("advisories"));
     checks
 }
@@ -56,6 +57,8 @@ mod tests {
         assert!(!checks(&folder).contains(&"advisories"), "no folder");
         fs::create_dir_all(&folder).unwrap();
         assert!(!checks(&folder).contains(&"advisories"), "an empty folder");
+        fs::write(folder.join("db.lock"), "").unwrap();
+        assert!(!checks(&folder).contains(&"advisories"), "a lock alone");
         fs::create_dir(folder.join("advisory-db-1")).unwrap();
         let found = checks(&folder);
         fs::remove_dir_all(&folder).unwrap();
