@@ -1,8 +1,8 @@
 //! The board as the firmware's logic sees it: a few operations per gateware core.
 //!
 //! The image (`src/bin/ferrocnc-firmware`) implements [`Board`] with registers, the tests with a
-//! notebook, the simulator with models. Word numbers of the `command` and `status` pages are those
-//! of [`wire::regmap`].
+//! record of calls, the simulator with models. Word numbers of the `command` and `status` pages are
+//! those of [`wire::regmap`].
 
 use wire::describe::Channels;
 use wire::map::BoardConfig;

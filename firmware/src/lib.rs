@@ -1,8 +1,9 @@
 //! The firmware's logic, without access to the hardware.
 //!
-//! The code here decides and moves words. It knows no addresses of the chip, never waits, and never
-//! reads a clock. The board is behind [`cores::Board`], time is an argument, frames are words. So
-//! it runs on a PC, where the tests are, and on the softcore, where `src/bin` gives it registers.
+//! The code here decides and moves words. It contains no addresses of the chip, never waits, and
+//! never reads a clock. It reaches the board through [`cores::Board`], time is an argument, frames
+//! are words. So it runs on a PC, where the tests are, and on the softcore, where `src/bin` gives
+//! it registers.
 //!
 //! ```text
 //!   bytes --> machine --+
@@ -34,7 +35,7 @@
 //! | [`settings`] | the two copies of what a board keeps over a power cycle |
 //! | [`discovery`] | lets hosts find the board and set its settings, whatever its address |
 //! | [`reserve`] | ARP and ping where there are no services |
-//! | [`services`] | TCP/IP, consoles and jobs, in a program of their own that the machine outlives |
+//! | [`services`] | TCP/IP, consoles and jobs, in a separate program; if it fails, the machine goes on |
 //! | [`link`] | up or down, speed, errors |
 //! | `path_stop` | decelerations that keep the axes on their line when no commands come any more |
 //! | [`log`] | the ring `ferrocnc log` reads |

@@ -1,7 +1,7 @@
-//! The firmware without its IP stack: start-up, datagrams, housekeeping, what clients may.
+//! The firmware without its IP stack: start-up, datagrams, housekeeping, and the rights of clients.
 //!
-//! The image wraps this in frames and a TCP socket. The simulated board calls it from its own UDP
-//! and TCP sockets, with models behind [`Board`]. Both call it in this order:
+//! The image adds frames and the services. The simulated board calls it from its own UDP and TCP
+//! sockets, and implements [`Board`] with models. Both call it in this order:
 //!
 //! ```text
 //!   Machine::start           gate closed, settings, addresses, state machine out of Boot
@@ -69,7 +69,7 @@ pub struct Broadcast {
     pub words: usize,
 }
 
-/// An address from a DHCP server, which the services have asked for.
+/// An address from a DHCP server, which the services have requested.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Lease {
     /// Our address.
@@ -245,7 +245,7 @@ impl<B: Board> Machine<B> {
         Ok(reply)
     }
 
-    /// Periods of housekeeping that may pass behind a frame; `owners`: the owner's. While a host
+    /// Periods of housekeeping that may pass after a frame; `owners`: the owner's. While a host
     /// owns the board, a frame of another one may be right in front of the owner's: housekeeping,
     /// and with it a turn of the services, waits for the answer to that.
     #[inline(always)]
@@ -387,7 +387,7 @@ impl<B: Board> Machine<B> {
             return Ok(());
         };
         let challenge = *auth.challenge(from);
-        // A sender that was not asked for a proof yet has done nothing wrong.
+        // A sender that has not received a challenge yet has done nothing wrong.
         if answer.is_some() {
             self.server.refuse(why);
         }

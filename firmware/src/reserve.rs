@@ -1,6 +1,6 @@
-//! ARP and ping where there are no services: on boards without SDRAM, while the services are being
-//! loaded, and after they failed. Nothing else is answered here; what an update needs (Etherbone,
-//! discovery) never left the ROM.
+//! Answers ARP and ping while there are no services: on boards without SDRAM, until the services
+//! are loaded, and after they failed. It answers nothing else; Etherbone and discovery, which an
+//! update needs, are in the ROM, too.
 //!
 //! Answers go to the MAC address the question came from, so the board resolves no addresses.
 
@@ -30,8 +30,8 @@ pub fn answer(frame: &[u8], us: &Us, out: &mut [u8; ROOM]) -> Option<usize> {
     }
 }
 
-/// Writes these parts one behind the other; returns how long they are together. smoltcp's own way
-/// of writing has indices that the compiler cannot see to be in range, and the ROM has no panics.
+/// Writes these parts one after the other; returns how long they are together. smoltcp's own way of
+/// writing has indices that the compiler cannot see to be in range, and the ROM has no panics.
 fn put(parts: &[&[u8]], out: &mut [u8; ROOM]) -> usize {
     let bytes = parts.iter().copied().flatten();
     let pairs = out.iter_mut().zip(bytes);

@@ -214,7 +214,7 @@ impl Server {
         !self.commit_pending
     }
 
-    /// A client that is allowed to has asked for a restart.
+    /// A client with the right to do so has requested a restart.
     pub fn wants_restart(&self) -> bool {
         self.restart
     }
@@ -410,8 +410,9 @@ impl Server {
         }
     }
 
-    /// Commits an all-zero command, so that no old command waits behind a closed gate. Gives the
-    /// cores their configured decelerations back, and the outputs of a job back to the commands.
+    /// Commits an all-zero command, so that no old command waits while the gate is closed. Gives
+    /// the cores their configured decelerations back, and the outputs of a job back to the
+    /// commands.
     fn rest<B: Board>(&mut self, board: &mut B) {
         if self.commit_pending {
             board.commit_at(u64::MAX);

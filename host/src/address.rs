@@ -71,7 +71,7 @@ impl core::fmt::Display for AddressError {
 
 impl std::error::Error for AddressError {}
 
-/// One board, `IP[:port]` or `NAME[:port]`. A name that ends in `.local` is asked for by multicast
+/// One board, `IP[:port]` or `NAME[:port]`. A name that ends in `.local` is resolved by multicast
 /// DNS ([`crate::mdns`]), for three seconds at most.
 pub fn parse(text: &str, default_port: u16) -> Result<Address, AddressError> {
     let text = text.trim();

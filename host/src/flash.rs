@@ -209,7 +209,7 @@ pub enum Word {
     Back,
 }
 
-/// What an operation left behind.
+/// The result of an operation.
 #[derive(Clone, Copy, Debug)]
 struct Answer {
     word: OpWord,

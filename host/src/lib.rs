@@ -42,7 +42,7 @@
 //! | name | | |
 //! |---|---|---|
 //! | `enable` | bit in | the machine may move; falling stops it softly |
-//! | `enable-request` | bit in | a rising edge arms, if `enable` is true and nothing is in the way |
+//! | `enable-request` | bit in | a rising edge arms, if `enable` is true and no obstacle is left |
 //! | `enabled` | bit out | armed, outputs live; for the E-stop chain |
 //! | `state` | u32 out | [`wire::State`]: 0 boot, 1 disarmed, 2 armed, 3 stopping, 4 faulted |
 //! | `fault-reason` | u32 out | [`wire::FaultReason`]: why it stopped last; 100 + n: because board n did |

@@ -1,4 +1,4 @@
-//! Asks by multicast DNS: where `NAME.local` is, and which boards there are.
+//! Finds the address of `NAME.local`, and lists boards, by multicast DNS.
 //!
 //! Its questions come from a port of their own, so that every answer comes back to it alone (RFC
 //! 6762, 6.7): nothing has to be installed or joined on this computer. The board's side is in the
@@ -111,7 +111,7 @@ impl Asker {
         Ok(found.into_values().collect())
     }
 
-    /// Asks until `heard` is content or the time is over.
+    /// Asks until `heard` returns true or the time is over.
     fn ask(
         &self,
         name: &[&str],

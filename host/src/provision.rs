@@ -1,4 +1,4 @@
-//! New settings for a board, by its address or by its unique id.
+//! Writes new settings to a board, found by its address or its unique id.
 //!
 //! Settings that are not named stay: the settings in force are read first, through the flash window
 //! if the board can be reached, otherwise from its answer to discovery. The key is never read and
@@ -49,7 +49,7 @@ pub enum ProvisionError {
     /// The same, and the board may have done what it was told: the question was sent, and no answer
     /// says that it was refused.
     Unsure(FlashError),
-    /// The new key cannot be kept, so the board has not heard of it.
+    /// The new key cannot be stored, so it was not sent to the board.
     Key(KeyError),
     /// Over discovery.
     Discovery(DiscoveryError),
@@ -79,7 +79,7 @@ impl core::fmt::Display for ProvisionError {
             ProvisionError::Flash(error) => write!(f, "{error}"),
             ProvisionError::Unsure(error) => write!(
                 f,
-                "{error}. The board was told and may have saved it: at its next start it may have the new settings or the old ones"
+                "{error}. The request was sent, and the board may have saved it: at its next start it may have the new settings or the old ones"
             ),
             ProvisionError::Key(error) => write!(f, "{error}; nothing was changed"),
             ProvisionError::Discovery(error) => write!(f, "{error}"),
@@ -157,7 +157,8 @@ impl Change {
         if let Some((ip, prefix)) = self.ip {
             settings.ip = ip.into();
             settings.prefix = prefix.unwrap_or(settings.prefix);
-            // An address turns DHCP off, unless DHCP is asked for too: then it is the fallback.
+            // An address turns DHCP off, unless the command also asks for DHCP: then it is the
+            // fallback.
             settings.dhcp = false;
         }
         if let Some(gateway) = self.gateway {
@@ -173,7 +174,7 @@ impl Change {
         Ok(settings)
     }
 
-    /// Does the board report the settings that were asked for?
+    /// Does the board report the requested settings?
     pub fn is_in_force(&self, settings: &Settings, here: &Here) -> bool {
         let address = settings.dhcp || here.ip == settings.ip;
         let mac = settings.mac == [0; 6] || here.mac == settings.mac;

@@ -59,7 +59,7 @@ impl BoardFacts {
             return Err(Error::Board {
                 name: name.into(),
                 why: format!(
-                    "there is no {} and it is none of {:?}; elaborate it (`python -m ferrocnc elaborate` in gateware/) or give --channels and --clock",
+                    "there is no {}, and it is not one of {:?}; elaborate it (`python -m ferrocnc elaborate` in gateware/) or give --channels and --clock",
                     folder.join("board.bin").display(),
                     BUILT_IN.map(|(known, _)| known)
                 ),

@@ -1,5 +1,5 @@
-//! The program that executes jobs, beside the firmware of a twin: [`firmware::services`] with a
-//! piece of this machine's memory for SDRAM.
+//! Runs the program that executes jobs beside the firmware of a twin: [`firmware::services`] with a
+//! piece of this computer's memory as SDRAM.
 //!
 //! Its TCP is the machine's own: a client's bytes go to the job server as they come. On a board the
 //! loop calls it; here it is called when something has come and every [`TURN`] while it has work.

@@ -1,8 +1,8 @@
-//! The services' DHCP client beside the firmware of a twin: [`firmware::services::lease`].
+//! Runs the services' DHCP client beside the firmware of a twin: [`firmware::services::lease`].
 //!
-//! The client speaks in frames, the twin's network in datagrams of this machine's sockets. What is
-//! around a datagram is added here and taken off, and ARP, which this machine's kernel does, is
-//! answered here.
+//! The client uses frames, the twin's network datagrams of this computer's sockets. What is around
+//! a datagram is added here and taken off, and ARP, which this machine's kernel does, is answered
+//! here.
 
 use crate::jobs::Outer;
 use crate::model_board::ModelBoard;

@@ -25,26 +25,26 @@ use wire::describe::Channels;
 mod pages;
 
 const PLANT_HELP: &str = concat!(
-    "What else is wired to the board. Its axes and spindles take the place of the encoders on the motors. Such a file:\n\n",
+    "The machine that is wired to the board. Its axes and spindles replace the encoders on the motors. Such a file:\n\n",
     include_str!("../plant.example.toml")
 );
 
 const FAULT_HELP: &str = "\
-What is to go wrong, from the start on. Words, in one argument or several; the same behind the control command `fault`, then
-counted from that moment:
+Faults from the start on, as words in one argument or several. The control command `fault` takes the same words and counts
+their times from that moment:
 
-  loss=P dup=P reorder=P corrupt=P   a frame is lost, comes twice, is overtaken by the next, has a bit turned over; 0.01 or 1%
-  truncate=P                         a datagram loses its end, its checksums fit what is left
+  loss=P dup=P reorder=P corrupt=P   a frame is lost, comes twice, is overtaken by the next, has a flipped bit; 0.01 or 1%
+  truncate=P                         a datagram loses its end, its checksums fit the rest
   drop=N                             the next N frames are lost
-  delay=TIME[..TIME]                 a frame comes later, evenly spread; 2s, 1.5ms, 20us
-  rate=BITS                          so many bits a second: 10Mbit, 500kbit
-  pull plug                          the cable is out, is in again
-  host-pause@TIME..TIME              the host is neither heard nor hears; then everything at once
-  freeze                             the CPU's clock stands
-  reboot power                       the board restarts; power forgets the start before (--backend model)
-  off seed=N                         all trouble ends; what the dice are thrown from
+  delay=TIME[..TIME]                 a frame comes later, uniformly distributed; 2s, 1.5ms, 20us
+  rate=BITS                          bits per second of the wire: 10Mbit, 500kbit
+  pull plug                          the cable is pulled, is plugged in again
+  host-pause@TIME..TIME              the host neither sends nor receives; afterwards all frames arrive at once
+  freeze                             the CPU's clock stops
+  reboot power                       the board restarts; power also clears what a restart keeps (--backend model)
+  off seed=N                         all faults end; the seed of the random numbers
 
-In front to-board: or from-board: for one direction, behind @TIME or @TIME..TIME of the board's time for when:
+to-board: or from-board: before a word limits it to one direction; @TIME or @TIME..TIME after it, in the board's time, says when:
 
   --fault 'loss=0.1% from-board:delay=1ms..3ms@2s..10s seed=7' --fault reboot@12s";
 

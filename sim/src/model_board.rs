@@ -1,6 +1,6 @@
-//! The board of the firmware's library: the cores' models behind the verbs of
-//! [`firmware::cores::Board`], the pins and what is wired to them, the flash, and the memory that a
-//! restart keeps. It knows no datagrams and no clients; those are [`crate::twin`].
+//! The board for the firmware's library: it implements [`firmware::cores::Board`] with the models
+//! of the cores, the pins with their wiring, the flash, and the memory that a restart keeps. It
+//! handles no datagrams and no clients; [`crate::twin`] does.
 
 use firmware::cores::{self, Control, Gate, Ident, Led, Setting};
 use firmware::log;

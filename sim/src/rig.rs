@@ -109,7 +109,7 @@ impl Cargo for Transfer {
     }
 }
 
-/// One bit behind the preamble, without which there would be no frame.
+/// One bit after the preamble; without the preamble there would be no frame.
 fn turn_over(wire: &mut [u8], bit: u64) -> bool {
     if let Some(frame) = wire.get_mut(gmii::PREAMBLE.len()..)
         && !frame.is_empty()
@@ -366,7 +366,7 @@ impl<S: Silicon> Rig<S> {
             }
             last = Some(id);
         }
-        self.frames.dropped = self.faults.tally.lost;
+        self.frames.dropped = self.faults.counts.lost;
         last
     }
 

@@ -1,4 +1,4 @@
-//! The simulated board behind real sockets: UDP and a TCP console on loopback, two ways of passing
+//! Serves a simulated board at real sockets: UDP and a TCP console on loopback, two ways of passing
 //! time, a control channel.
 //!
 //! ```text
@@ -129,7 +129,7 @@ pub struct Server<D: Device> {
 const SLICE: u64 = 1000;
 /// A paced board that is later than this starts counting again instead of hurrying.
 const LATE: Duration = Duration::from_millis(100);
-/// Shorter sleeps are longer than asked for anyway.
+/// Shorter sleeps last longer than requested anyway.
 const NAP: Duration = Duration::from_micros(50);
 
 impl<D: Device> Server<D> {

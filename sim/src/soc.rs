@@ -1,5 +1,5 @@
-//! The Verilated SoC behind its C ABI: pins in, pins out, one rising clock edge at a time; and the
-//! bare cores likewise.
+//! Calls the Verilated SoC through its C ABI: pins in, pins out, one rising clock edge at a time;
+//! and the bare cores in the same way.
 //!
 //! The only file of this crate with `unsafe`: it calls a shared library made by
 //! `sim/verilator/build.sh`. It knows no frames and no time; [`crate::board`] does.

@@ -1,5 +1,5 @@
-//! The twin: the firmware's library on the cores' models, behind the same sockets as the Verilated
-//! board.
+//! The twin: the firmware's library on the models of the cores, with the same sockets as the
+//! Verilated board.
 //!
 //! No CPU, no MAC, no frames: a datagram goes into [`firmware::machine::Machine`] as the image
 //! would put it there, and the verbs of [`firmware::cores::Board`] become register writes of
@@ -123,7 +123,7 @@ pub struct Twin {
     script: Script,
     to_board: OneWay<Letter>,
     from_board: OneWay<Reply>,
-    /// Nothing is heard before this clock: the firmware is starting.
+    /// The twin receives nothing before this clock: the firmware is starting.
     starting: u64,
     frames: FrameCounts,
     frozen: bool,
@@ -282,7 +282,7 @@ impl Twin {
         while let Some(reply) = self.from_board.due(now) {
             self.replies.push(reply);
         }
-        self.frames.dropped = self.script.tally.lost;
+        self.frames.dropped = self.script.counts.lost;
     }
 
     fn take_in(&mut self, letter: Letter) {
@@ -447,7 +447,7 @@ impl Twin {
         true
     }
 
-    /// What a client at a console types, and hears. It takes no time here.
+    /// The input and output of a console. It takes no time here.
     fn converse(&mut self, client: usize, bytes: &[u8]) {
         let visitor = &mut self.visitors[client];
         let (Some(number), Some(reader)) = (visitor.number, &mut self.reader) else {

@@ -38,7 +38,7 @@ pub fn image(build: u32, frames: u16) -> Vec<u8> {
     small.bytes()
 }
 
-/// The same image with the jobs program behind it, as packing puts it there.
+/// The same image followed by the services, as packing puts them there.
 pub fn with_program(image: &[u8], program: &[u8]) -> Vec<u8> {
     let mut image = image.to_vec();
     image.resize(image.len().next_multiple_of(4), 0xff);
@@ -96,7 +96,7 @@ pub fn factory(part: Part, uid: u64) -> Nor {
     nor
 }
 
-/// The same with the services behind the image in slot A.
+/// The same with the services after the image in slot A.
 pub fn with_services(part: Part, uid: u64) -> Nor {
     let mut nor = factory(part, uid);
     let area = layout(&nor).slot_a;

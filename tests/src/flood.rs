@@ -554,8 +554,8 @@ impl BenchMachine {
         self.rig.freeze_cpu(false);
     }
 
-    /// How long an exchange takes at most that comes right behind each of these lines at the
-    /// console or behind a piece of its answer, clocks.
+    /// The longest time of an exchange that comes right after one of these lines at the console, or
+    /// after a piece of its answer, in clocks.
     pub fn console_costs<'l>(
         &mut self,
         command: &mut Command,
@@ -585,7 +585,7 @@ impl BenchMachine {
             while let Some(frame) = self.rig.segment.take_frame() {
                 self.rig.inject_frame(&frame);
             }
-            // The answer comes in pieces, behind the owner's answers.
+            // The answer comes in pieces, after the owner's answers.
             let (mut worst, mut heard) = (Some(0), Vec::new());
             for _ in 0..PIECES {
                 let answer = self.period_with(command, &[], 0);
@@ -609,7 +609,7 @@ impl BenchMachine {
 
 /// Raw frames.
 impl BenchMachine {
-    /// Puts these bytes on the wire behind what is there.
+    /// Puts these bytes on the wire after those that are there.
     pub fn inject(&mut self, wire: Vec<u8>) {
         self.rig.inject_wire(wire);
     }

@@ -43,7 +43,7 @@ const EBREAK: u32 = 0x0010_0073;
 const UNIMP: u32 = 0xc000_1073;
 const MRET: u32 = 0x3020_0073;
 const RET: u32 = 0x0000_8067;
-/// `j` to the instruction behind it.
+/// `j` to the next instruction.
 const J_NEXT: u32 = 0x0040_006f;
 /// Restores registers and returns, for the function that jumps to it (`firmware/src/bin/saves.s`).
 const RESTORE: &str = "__riscv_restore_";
@@ -394,7 +394,7 @@ impl Code {
         Ok(frame)
     }
 
-    /// The depth of the stack behind an instruction that writes its pointer.
+    /// The depth of the stack after an instruction that writes its pointer.
     fn depth_behind(&self, name: &str, at: u32, word: u32, depth: i64) -> Result<i64, String> {
         let (rs1, function) = (word >> 15 & 31, word >> 12 & 7);
         match word & 0x7f {

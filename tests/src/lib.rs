@@ -86,7 +86,7 @@ pub fn root() -> &'static std::path::Path {
         .expect("the crate lies in the workspace")
 }
 
-/// What a board says of itself.
+/// A board's description of itself.
 pub fn description<S: Silicon>(rig: &mut Rig<S>) -> Describe {
     let words = rig
         .read_block(map::DESCRIBE, wire::describe::WORDS as u32)

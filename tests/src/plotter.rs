@@ -36,7 +36,7 @@ const CHANNELS: Channels = Channels {
 };
 const CLOCK: u32 = 60_000_000;
 
-/// A twin behind sockets of this machine, running as fast as it goes.
+/// A twin at sockets of this computer, running as fast as possible.
 pub struct Plotter {
     /// Where its jobs are.
     pub jobs: SocketAddrV4,

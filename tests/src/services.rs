@@ -1,4 +1,4 @@
-//! Programs for the SDRAM that fail: the services of the build with other code in a function.
+//! Programs for the SDRAM that fail: the services of the build, with other code in one function.
 
 use crate::parts;
 use wire::crc::crc32_words;
@@ -28,7 +28,7 @@ pub fn beginning(program: &[u8]) -> Vec<u8> {
     sealed(bytes)
 }
 
-/// Words again behind a change: the CRC made right.
+/// The words after a change, with a corrected CRC.
 pub fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let (words, _) = bytes.as_chunks();
     let words: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();

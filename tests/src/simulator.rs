@@ -1,8 +1,8 @@
-//! The simulator as a program of its own.
+//! Starts the simulator as a separate program.
 
 use crate::{flash, lan, parts, program, root};
 
-/// The simulator as a program of its own, behind real sockets; ends with the test.
+/// The simulator as a separate program with real sockets; it ends with the test.
 pub struct Simulator {
     child: std::process::Child,
     udp: std::net::SocketAddr,

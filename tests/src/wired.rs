@@ -44,7 +44,7 @@ const PIECE: usize = 1460;
 /// Where the jobs program lies.
 const PROGRAM: u32 = wire::regmap::SDRAM_BASE as u32;
 
-/// A board with jobs, with this behind the bitstream in its flash; its image runs from slot A.
+/// A board with jobs, with this after the bitstream in its flash; its image runs from slot A.
 pub fn setup(behind: &[u8]) -> Setup {
     let trailer = Trailer {
         build_id: flash::FIRST,
@@ -61,7 +61,7 @@ pub fn mill() -> Setup {
     setup
 }
 
-/// As [`setup`], but it is the golden image that runs and has this behind it.
+/// As [`setup`], but the golden image runs and is followed by this.
 pub fn golden(behind: &[u8]) -> Setup {
     let trailer = Trailer {
         build_id: flash::GOLDEN,

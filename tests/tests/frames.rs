@@ -1,6 +1,6 @@
 //! Raw frames into the MAC of the Verilated board, including frames that no stack would send. None
-//! of them arms the machine, writes a register or costs the frame behind it, and every one of them
-//! is counted.
+//! of them arms the machine, writes a register or makes the next frame be lost, and every one of
+//! them is counted.
 
 use ferrocnc_tests::flood::{INTRUDER_IP, KINDS, Kind, bare, checksum, read_of, tcp_segment};
 use ferrocnc_tests::{BenchMachine, seed, wired};
@@ -18,7 +18,7 @@ const PACE: u64 = 2_500;
 /// Frames between two looks at the registers.
 const BATCH: usize = 500;
 
-/// The byte an IP header begins at, and the UDP header behind one without options.
+/// The byte at which an IP header begins, and the UDP header after one without options.
 const IP: usize = 14;
 const UDP: usize = 34;
 
@@ -280,7 +280,7 @@ fn thousands_of_mutated_frames_arm_nothing_write_nothing_and_are_all_counted() {
             1 => wire[rng.random_range(0..8)] ^= 0x10,
             _ => {}
         }
-        // A frame right behind it, or later.
+        // A frame right after it, or later.
         machine.inject(wire);
         if rng.random_bool(0.7) {
             machine.run_clocks(rng.random_range(0..2 * PACE));

@@ -1,5 +1,5 @@
-//! The release image cannot panic behind its parser and cannot run out of stack: shown from its
-//! machine code.
+//! Shows from the machine code that the release image cannot panic after its parser and cannot run
+//! out of stack.
 
 use ferrocnc_tests::image::{CALLED_BACK, Code, Deepest};
 use ferrocnc_tests::{BenchMachine, parts, wired};

@@ -1,5 +1,5 @@
-//! The services on the Verilated board: the release image finds them behind the bitstream in the
-//! flash, puts them into the SDRAM and lets them answer on the port of jobs; without them, or with
+//! The services on the Verilated board: the release image finds them after the bitstream in the
+//! flash, loads them into the SDRAM, and they answer on the jobs port. Without them, or with
 //! damaged ones, everything else works.
 
 use ferrocnc_tests::BenchMachine;

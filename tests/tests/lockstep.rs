@@ -461,14 +461,14 @@ impl Stimulus {
 
 /// What happened, by core.
 #[derive(Default)]
-struct Tally {
+struct EventCounts {
     counts: BTreeMap<&'static str, u64>,
     was: Pins,
     status_was: [u32; 8],
     bites: u32,
 }
 
-impl Tally {
+impl EventCounts {
     fn add(&mut self, what: &'static str, n: u32) {
         *self.counts.entry(what).or_default() += u64::from(n);
     }
@@ -539,7 +539,7 @@ struct Run {
     clocks: u64,
     reads: u64,
     seconds: f64,
-    tally: Tally,
+    events: EventCounts,
     counts: [u64; 2],
 }
 
@@ -565,7 +565,7 @@ fn run(seed: u64, clocks: u64) -> Run {
         abi: 0x1234_5678,
         ..CoresPins::default()
     };
-    let mut tally = Tally::default();
+    let mut events = EventCounts::default();
     let (mut reads, mut travelled) = (0, [0u64; 2]);
     let mut counts_were = [0i32; 32];
     for clock in 0..clocks {
@@ -618,10 +618,10 @@ fn run(seed: u64, clocks: u64) -> Run {
             address & 0x1ff,
             pins.dat_r
         );
-        tally.clock(m);
-        tally.add("pads: clocks with a short", u32::from(s.pad_fault != 0));
+        events.clock(m);
+        events.add("pads: clocks with a short", u32::from(s.pad_fault != 0));
         if clock % 256 == 0 {
-            tally.look(&board);
+            events.look(&board);
             for (n, was) in counts_were.iter_mut().enumerate() {
                 let word = if n < 16 { 9 + 3 * n } else { 56 + 2 * (n - 16) };
                 let now = board.status(word) as i32;
@@ -635,7 +635,7 @@ fn run(seed: u64, clocks: u64) -> Run {
         clocks,
         reads,
         seconds: started.elapsed().as_secs_f64(),
-        tally,
+        events,
         counts: travelled,
     }
 }
@@ -674,7 +674,7 @@ fn gateware_and_models_agree_on_every_pin_and_register_in_every_clock() {
     });
     let mut happened: BTreeMap<&str, u64> = BTreeMap::new();
     for run in &runs {
-        for (what, n) in &run.tally.counts {
+        for (what, n) in &run.events.counts {
             *happened.entry(what).or_default() += n;
         }
         *happened.entry("stepgen: pulses counted").or_default() += run.counts[0];

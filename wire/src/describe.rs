@@ -131,7 +131,7 @@ pub struct Describe {
     pub features: u32,
     /// Changes with every start of the firmware.
     pub boot_id: u32,
-    /// Words in the board blob behind it.
+    /// Words in the board blob that follows it.
     pub blob_words: u32,
     /// As the first word of a status block.
     pub state: exchange::StateWord,

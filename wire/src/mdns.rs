@@ -61,7 +61,7 @@ pub struct DomainName<'m> {
 }
 
 impl<'m> DomainName<'m> {
-    /// The name at this place, and where the bytes behind it begin. `None` if it is cut off, too
+    /// The name at this place, and where the bytes after it begin. `None` if it is cut off, too
     /// long, or a loop: each jump has to go to a place before the part of the name it is in.
     pub fn parse(message: &'m [u8], at: usize) -> Option<(Self, usize)> {
         let (mut place, mut part, mut length, mut end) = (at, at, 0, None);
@@ -257,7 +257,7 @@ impl<'m> Message<'m> {
         })
     }
 
-    /// The records behind the questions. None if there are too many questions, or a wrong one.
+    /// The records after the questions. None if there are too many questions, or a wrong one.
     pub fn records(&self) -> impl Iterator<Item = Record<'m>> + use<'m> {
         let [questions, answers, authorities, additionals] = self.counts.map(usize::from);
         let message = *self;

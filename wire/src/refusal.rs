@@ -81,7 +81,7 @@ refusals! {
     Key = "key", "the board has a key and the sender has not proved to have it";
 }
 
-/// The counter behind those of the refusals: how often pulses may have been cut off since the
+/// The counter after those of the refusals: how often pulses may have been cut off since the
 /// board's start. A board that does not count them reads 0 there.
 pub const COUNTERS_CUTS: u32 = crate::map::COUNTERS_REFUSED + 4 * Refusal::COUNT as u32;
 

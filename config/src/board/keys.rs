@@ -1,4 +1,5 @@
-//! The keys of a board file: which there are, what each takes, and the words to ask for it with.
+//! The keys of a board file: their names, the values they take, and the sentences that ask for a
+//! missing one.
 
 use crate::hal::{self, HalClass};
 use crate::tree::{Key, Kind, may, must};

@@ -1,5 +1,5 @@
-//! What a transport tells the [`Machine`] and asks it, so that it need not know the server in it.
-//! All of it is inlined: the image's fast path runs through it.
+//! The calls of a transport to the [`Machine`], so that a transport does not use the server
+//! directly. All of them are inlined, because the image's fast path runs through them.
 
 use super::Machine;
 use crate::block::{Reply, Request, Shape};
@@ -85,7 +85,7 @@ impl<B: Board> Machine<B> {
         self.server.may_warm_up()
     }
 
-    /// A client that is allowed to has asked for a restart.
+    /// A client with the right to do so has requested a restart.
     #[inline(always)]
     pub fn wants_restart(&self) -> bool {
         self.server.wants_restart()

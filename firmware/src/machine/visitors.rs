@@ -1,5 +1,5 @@
-//! What the clients of the services' consoles may do. The services make the text; the judgment is
-//! here, where a key and a state cannot be wrong because the services are.
+//! Decides what the clients of the services' consoles may do. The services make the text. The
+//! decisions are here, so that a fault of the services cannot corrupt the key or the state.
 //!
 //! Each client logs in for itself: [`Machine`] keeps a bit for each of them.
 

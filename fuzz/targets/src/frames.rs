@@ -18,7 +18,7 @@ use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
 
 /// Longest frame without its FCS.
 const FRAME_MAX: usize = 1514;
-/// Turns of the services behind a frame.
+/// Calls of the services after a frame.
 const TURNS: usize = 16;
 /// Longer scripts add nothing.
 const FRAMES: usize = 64;
@@ -540,7 +540,7 @@ fn check(frame: &[u8], us: &Us) {
     assert_eq!(frame[6..12], us.mac, "the sender's address is wrong");
     match frame[12..14] {
         [8, 6] => {
-            // The services ask for a neighbour they have not heard of.
+            // The services send an ARP request for an unknown neighbour.
             assert!(
                 matches!(frame[20..22], [0, 1 | 2]),
                 "ARP, neither question nor answer"

@@ -1,6 +1,6 @@
-//! The port of jobs, from its bytes to the pins: clients' requests, in any order and in pieces of
-//! any size, to the server with the store and the executor, on the firmware's library and the
-//! models of the cores.
+//! The jobs port, from bytes to pins: requests of clients, in any order and in pieces of any size,
+//! go to the server with the store and the executor, on the firmware's library and the models of
+//! the cores.
 //!
 //! The input is a script of steps: one byte for the kind, then the bytes the step needs. What must
 //! hold:
@@ -86,9 +86,9 @@ struct Bench<'m> {
 }
 
 /// The board with a client at its console that is trusted, or is not.
-struct Door<'a>(Outer<'a>, bool);
+struct ConsoleNetwork<'a>(Outer<'a>, bool);
 
-impl Outside for Door<'_> {
+impl Outside for ConsoleNetwork<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
         self.0.datagram(request, reply)
     }
@@ -103,7 +103,7 @@ impl Outside for Door<'_> {
     }
 }
 
-impl Network for Door<'_> {
+impl Network for ConsoleNetwork<'_> {
     fn send_frame(&mut self, frame: &[u8]) {
         self.0.send_frame(frame);
     }
@@ -319,7 +319,7 @@ impl Bench<'_> {
         }
     }
 
-    /// What the step says; whether the board was asked for something.
+    /// Executes the step; true if the board received a request.
     fn act(&mut self, input: &mut ByteReader) -> bool {
         match input.byte() & 15 {
             0 => self.ask(&Request::Hello {
@@ -610,12 +610,12 @@ impl Bench<'_> {
     }
 
     fn line(&mut self, line: &str, trusted: bool) -> String {
-        let mut door = Door(Outer(&mut self.machine), trusted);
+        let mut network = ConsoleNetwork(Outer(&mut self.machine), trusted);
         let mut visit = Visit {
             visitor: 0,
             reader: &mut self.reader,
             jobs: self.jobs.jobs(),
-            out: &mut door,
+            out: &mut network,
         };
         let line = format!("{line}\n");
         let (said, _) = converse(&mut Console::new(), line.as_bytes(), &mut visit);

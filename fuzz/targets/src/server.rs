@@ -79,7 +79,7 @@ struct Served<'w> {
 }
 
 impl Served<'_> {
-    /// It was executed; the owner behind it.
+    /// It was executed; the owner after it.
     fn executed(&self, reply: &[u32], story: &[String]) -> Option<Peer> {
         let deeds = self.deeds;
         let packet = Packet::new_checked(self.words)

@@ -1,4 +1,4 @@
-//! What a test can do to the board.
+//! Changes that a test can make to the fake board.
 
 use std::net::SocketAddrV4;
 use std::time::Duration;

@@ -172,7 +172,7 @@ impl Mind {
         self.bitten = false;
     }
 
-    /// Lets time pass by the clock the board lives by.
+    /// Lets time pass on the clock of the board.
     fn tick(&mut self, exchange: bool) {
         let now = match self.time {
             Time::Wall => {

@@ -1,4 +1,4 @@
-//! All cores of one board behind the register map, as `gateware/ferrocnc/banks.py` wires them.
+//! All cores of one board, connected to the register map as in `gateware/ferrocnc/banks.py`.
 //!
 //! Time passes in one of two ways, with the same bits. [`Board::clock`] makes one rising edge of
 //! everything, with the register bus as it stands before it. [`Board::run`] goes from event to

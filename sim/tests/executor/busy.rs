@@ -1,4 +1,5 @@
-//! Stop and Pause are taken from every client, also while another one has the one line for jobs.
+//! Stop and Pause are taken from every client, also while another client has the one connection for
+//! jobs.
 
 use crate::lan::*;
 use crate::rig::*;

@@ -1,4 +1,4 @@
-//! An axis without a switch is at 0 where the operator says so.
+//! `here`: an axis without a switch is at 0 where the operator sets it.
 
 use crate::rig::*;
 use crate::stops::client::Client;

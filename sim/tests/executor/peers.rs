@@ -123,7 +123,7 @@ fn a_command_is_acted_on_again_under_a_new_id_and_not_under_the_old_one() {
     assert!(!rig.jobs.executor().expect("jobs").busy());
     assert_eq!(rig.ask_as(902, &start), second);
     assert!(!rig.jobs.executor().expect("jobs").busy(), "acted on twice");
-    // Nor behind a new connection: that begins with a Hello.
+    // Nor after a new connection: that begins with a Hello.
     rig.connect();
     assert_eq!(rig.ask_as(902, &start), second);
     assert!(!rig.jobs.executor().expect("jobs").busy(), "acted on twice");

@@ -1,5 +1,5 @@
-//! A comment has at most 100 columns, as prose has (`docs::tests::prose_is_narrow`). Tables and
-//! drawings may be wider.
+//! Checks that a comment has at most 100 columns, as prose has (`docs::tests::prose_is_narrow`).
+//! Tables and drawings may be wider.
 
 use crate::{root, tree};
 use std::fs;

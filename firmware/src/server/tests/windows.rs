@@ -1,4 +1,4 @@
-//! What the windows show.
+//! The contents of the windows.
 
 use super::*;
 

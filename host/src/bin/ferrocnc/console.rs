@@ -1,4 +1,5 @@
-//! `ferrocnc console`: the board's debug console over TCP, interactive or for one command.
+//! `ferrocnc console`: connects to the board's debug console over TCP, interactively or for one
+//! command.
 
 use anyhow::{Context, Result, bail};
 use ferrocnc::address::Address;

@@ -1,4 +1,4 @@
-//! `ferrocnc describe`: everything a board says of itself.
+//! `ferrocnc describe`: prints a board's description of itself.
 
 use crate::text::{mac_text, version};
 use anyhow::Result;

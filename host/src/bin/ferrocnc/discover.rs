@@ -1,4 +1,4 @@
-//! `ferrocnc discover`: every board on the segment, at any address.
+//! `ferrocnc discover`: lists every board on the segment, at any address.
 
 use crate::text::{mac_text, version};
 use anyhow::Result;

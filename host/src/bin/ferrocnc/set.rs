@@ -1,4 +1,4 @@
-//! `ferrocnc set`: a board's address, name, MAC and port, and the servers of its log.
+//! `ferrocnc set`: changes a board's address, name, MAC and port, and the servers of its log.
 
 use crate::discover::{Where, to_json};
 use crate::text::mac_text;
@@ -123,7 +123,7 @@ fn at(client: Client, change: &Change, factory: bool, as_json: bool) -> Result<(
         match as_json {
             true => println!("{:#}", json!({ "factory": true })),
             false => println!(
-                "{address} has forgotten its settings and starts with what is built in; ferrocnc discover shows its address"
+                "{address} has erased its settings and starts with the built-in ones; ferrocnc discover shows its address"
             ),
         }
         return Ok(());

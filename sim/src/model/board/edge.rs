@@ -1,5 +1,5 @@
-//! One rising edge of everything, in the order of the hardware: what the bus wrote, what a sample
-//! catches, the cores, the registers, the pins.
+//! One rising edge of all parts, in the order of the hardware: bus writes, samples, cores,
+//! registers, pins.
 
 use super::registers::place;
 use super::{Board, Bus, Strobes, pages, put};

@@ -1,4 +1,4 @@
-//! The registers: the values that the bus wrote, and what each reads.
+//! The registers: the values that the bus wrote, and the value that each reads.
 
 use super::{Board, CHANNELS, pages};
 use crate::model::segments::{self, State, Told};

@@ -1,4 +1,4 @@
-//! While switches are looked for.
+//! Stops during homing.
 
 use super::player::{Player, Trouble};
 use super::watch::{HZ, Used, Watch, exact, strays};

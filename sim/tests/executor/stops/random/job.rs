@@ -1,4 +1,4 @@
-//! A job, of a board that executes it itself and of one that a PC streams it to.
+//! Stops in a job, on a board that executes it itself and on one to which a PC streams it.
 
 use super::player::{Player, Trouble, left_behind};
 use super::watch::{HZ, Used, Watch, exact, strays};

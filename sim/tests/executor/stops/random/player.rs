@@ -1,5 +1,5 @@
-//! A board and what executes its jobs, inside of it or at the other end of a cable, and what can
-//! happen to them.
+//! A board and the program that executes its jobs, on the board or at the other end of a cable, and
+//! the faults that can happen to them.
 
 use super::super::client::{Client, HOST, post};
 use super::watch::{TURN, Watch};
@@ -249,7 +249,7 @@ impl Player {
     }
 }
 
-/// What the last owner of a board leaves behind in it.
+/// The settings that the last owner of a board leaves in it.
 pub fn left_behind(rig: &mut Rig, random: &mut Pcg32) {
     let client = Client::of(rig);
     let [timeout, grace] = [
