@@ -22,14 +22,14 @@ def sections(path):
 
 
 def main():
-    sums = dict.fromkeys(("text", "rodata", "data", "bss", "uninit", "stack"), 0)
+    sums = dict.fromkeys(("text", "rodata", "window", "data", "bss", "uninit", "stack"), 0)
     for name, flags, _kind, length in sections(sys.argv[1]):
         if name.lstrip(".") in sums and flags & 2:
             sums[name.lstrip(".")] += length
         elif name == ".stack":
             sums["stack"] = length
     rom = sums["text"] + sums["rodata"] + sums["data"]
-    ram = sums["data"] + sums["bss"] + sums["uninit"]
+    ram = sums["window"] + sums["data"] + sums["bss"] + sums["uninit"]
     if "--json" in sys.argv:
         print(json.dumps({**sums, "rom": rom, "rom_size": ROM, "ram": ram, "ram_size": RAM}))
         return

@@ -183,6 +183,16 @@ class FabricBus(LiteXModule):
         self.comb += self.bus.dat_r.eq(reduce(or_, self._gates))
 
 
+def guard_places():
+    """Where the services may write: (word address, words less 1) of each."""
+    snapshot, guard = (rm.TIMEBASE.base + rm.TIMEBASE.offset(name) for name in ("snapshot", "guard"))
+    start, size = rm.WINDOW
+    places = [rm.SDRAM_RAM, (rm.SEGMENTS.base, rm.CSR_PAGE), (snapshot, 4), (guard, 4), (start, size // 3 * 2), (start + size // 3 * 2, size // 3)]
+    for at, size in places:
+        assert size & size - 1 == 0 and at % size == 0, f"{at:#x}, {size:#x} bytes: not a power of two, or not at a multiple of it"
+    return [(at // 4, size // 4 - 1) for at, size in places]
+
+
 # Signals of `Pads` that leave the chip and are read back.
 DRIVEN = ("step", "dir", "step_n", "dir_n", "pwm", "pwm_dir", "outputs")
 
@@ -289,6 +299,8 @@ class Cores(LiteXModule):
         self.leash = Signal()
         self.specials += Instance("leash", i_clk=self.clk, i_rst=self.rst, i_set=fabric.pulse(b, "leash"), i_clocks=fabric.data[:24], o_irq=self.leash)
 
+        self._guard(fabric)
+
         # Each slot stores the time when its frame was complete, so that a frame that had to queue
         # keeps its own time.
         slot_time = Array([Signal(64, reset_less=True) for _ in range(rm.ETHMAC_RX_SLOTS)])
@@ -304,6 +316,23 @@ class Cores(LiteXModule):
         fabric.live(b, "status", pending)
         self._sampled(fabric, "sample_lo", now[:32])
         self._sampled(fabric, "sample_hi", now[32:])
+
+    def _guard(self, fabric):
+        """The guard between the CPU's data bus and the interconnect; `soc` connects it."""
+        b, at = rm.TIMEBASE, Signal(30)
+        self.guard = guard = SimpleNamespace(
+            **{name: Signal(name=f"guard_{name}") for name in ("stb", "we", "ack", "we_out", "nobody", "answer", "irq")}, adr=Signal(30, name="guard_adr"))
+        closed, refused = Signal(), Signal()
+        places = guard_places()
+        pack = [sum(word << 30 * n for n, word in enumerate(words)) for words in zip(*places)]
+        self.specials += Instance("guard",
+            p_KEY=Constant(rm.OPEN, 32), p_WAYS=len(places), **{f"p_{name}": Constant(words, 30 * len(places)) for name, words in zip(("PLACES", "ROOMS"), pack)},
+            i_clk=self.clk, i_rst=self.rst, i_set=fabric.pulse(b, "guard"), i_word=fabric.data,
+            **{f"i_{name}": getattr(guard, name) for name in ("stb", "we", "adr", "ack", "nobody")},
+            **{f"o_{name}": getattr(guard, name) for name in ("we_out", "answer", "irq")},
+            o_closed=closed, o_refused=refused, o_at=at)
+        fabric.live(b, "guard_status", Cat(closed, Constant(0, 30), refused))
+        fabric.live(b, "guard_at", Cat(Constant(0, 2), at))
 
     def _watchdog(self, fabric, estop, active_low):
         b = rm.WATCHDOG

@@ -17,10 +17,12 @@ CSR_ADDRESS_WIDTH = 16
 
 ROM = (0x0000_0000, 0x12000)  # 72 KiB, 36 EBR: the image
 ROM_TRAILER = 0x10  # the ROM's last bytes, which the linker does not use: the bitstream's trailer
-RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: data, bss, 6 KiB of stack
+RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: the window of the services, data, bss, 6 KiB of stack
 ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
 BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
-SDRAM_RAM = (0x4000_0000, 0x80_0000)  # 8 MiB, on boards with jobs: the jobs program, its data, the jobs; cached
+SDRAM_RAM = (0x4000_0000, 0x80_0000)  # 8 MiB, on boards with SDRAM: the services, their data, the jobs; cached
+WINDOW = (RAM[0], 0x600)  # the beginning of the RAM, which the services may write while the guard is closed
+NOTHING = 0xE000_0000  # uncached, and nothing is there: LiteX wants an address for what answers where nothing is
 TRAILER_MAGIC = 0x4654_524C  # "FTRL"; the words of a trailer: magic, build, role, 0
 ROLE_IMAGE = 1
 ROLE_GOLDEN = 2
@@ -48,6 +50,8 @@ ARM = 0x4152_4D31  # "ARM1"
 SOFT = 0x534F_4654  # "SOFT"
 STOP = 0x5354_4F50  # "STOP"
 CLEAR = 0x434C_5231  # "CLR1"
+
+OPEN = 0x4F50_4E21  # "OPN!": the key of timebase.guard
 
 
 @dataclass(frozen=True)
@@ -153,6 +157,17 @@ TIMEBASE = Bank("timebase", 9, "timebase", "The 64-bit wall clock and the two st
     Reg("eth_beats", "ro", "The PHY's receive clock, in units of 4 of its clocks since power-up, a count, as caught by the last write to `snapshot`: "
         "on the same clock as `now_lo`, so two looks give the ratio of both clocks."),
     Reg("leash", "wo", "Clocks until the CPU is interrupted, in bits 23:0, counted from this write; the interrupt stays until the next write. 0: none."),
+    Reg("guard", "wo", "The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`, `snapshot`, this register and the first bytes of the RAM; "
+        "any other one, and a read where there is nothing, is answered, has no effect and interrupts as the leash does.", (
+        Field("key", 0, 32, "The key word opens it, any other word closes it.", (
+            ("open", OPEN, "Open it."),
+        )),
+    )),
+    Reg("guard_status", "ro", "State of the guard.", (
+        _bit("closed", 0, "1: it is closed."),
+        _bit("refused", 31, "1: it has refused an access since it was closed last."),
+    )),
+    Reg("guard_at", "ro", "Address of the first access the guard has refused; anything if there was none."),
 ))
 
 WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no CPU.", (

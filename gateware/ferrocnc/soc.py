@@ -6,10 +6,11 @@ its platform, its clocks and its PHY (`sim.py`, `ecp5.py`); everything behind th
 
 import hashlib
 import random
-from functools import partial
+from functools import partial, reduce
+from operator import or_
 from pathlib import Path
 
-from migen import Memory
+from migen import Memory, Signal
 from litex.soc.integration import soc as litex_soc
 from litex.soc.integration.soc import SoCRegion
 from litex.soc.integration.soc_core import SoCCore
@@ -101,9 +102,22 @@ class FerroSoC(SoCCore):
             cores.frame_pending.eq(fifo.source.valid),
             cores.pending_slot.eq(fifo.source.payload.slot),
             cores.eth_beat.eq(self.ethphy.beat),
-            self.cpu.interrupt[rm.LEASH_IRQ].eq(cores.leash),
+            self.cpu.interrupt[rm.LEASH_IRQ].eq(cores.leash | cores.guard.irq),
         ]
+        self._add_guard(cores.guard)
         self.rx_admission = slots.RxAdmission(self.ethmac.interface, cores.fabric)
+
+    def _add_guard(self, guard):
+        """A store the guard keeps back leaves as a read, so its answer is the interconnect's, and no
+        access takes a clock more."""
+        dbus, we, nothing = self.cpu.dbus, Signal(), wishbone.Interface(data_width=32, address_width=32, addressing="word")
+        self.cpu.cpu_params["o_dBusWishbone_WE"] = we
+        self.bus.add_slave("nothing", nothing, Elsewhere(self.bus))
+        self.comb += [
+            guard.we.eq(we), dbus.we.eq(guard.we_out),
+            guard.stb.eq(dbus.stb), guard.adr.eq(dbus.adr), guard.ack.eq(dbus.ack),
+            guard.nobody.eq(nothing.cyc & nothing.stb), nothing.ack.eq(guard.answer),
+        ]
 
     def do_finalize(self):
         check_map(self)
@@ -112,6 +126,18 @@ class FerroSoC(SoCCore):
             self.cores.fabric.adr.eq(self.csr_bridge.wishbone.adr),
         ]
         SoCCore.do_finalize(self)
+
+
+class Elsewhere(SoCRegion):
+    """Every address that no other region has. Without an answer there the bus would wait for ever."""
+
+    def __init__(self, bus):
+        SoCRegion.__init__(self, origin=rm.NOTHING, size=4, mode="r", cached=False)
+        self._bus = bus
+
+    def decoder(self, bus):
+        others = [region.decoder(bus) for name, region in bus.regions.items() if region is not self and name in bus.slaves]
+        return lambda adr: ~reduce(or_, [other(adr) for other in others])
 
 
 def power_up_masks(board):
@@ -231,7 +257,8 @@ def normalised_map(soc, layout=None):
             lines.append(f"{bank.base + 4 * i:08x} {bank.name}.{reg.name} {reg.access}")
             for f in reg.fields:
                 lines.append(f"  {f.lsb}:{f.width} {f.name} " + " ".join(f"{n}={v}" for n, v, _ in f.values))
-    lines += [f"key {n} {k:08x}" for n, k in (("arm", rm.ARM), ("soft", rm.SOFT), ("stop", rm.STOP), ("clear", rm.CLEAR))]
+    lines += ["window {:08x} {:x}".format(*rm.WINDOW)]
+    lines += [f"key {n} {k:08x}" for n, k in (("arm", rm.ARM), ("soft", rm.SOFT), ("stop", rm.STOP), ("clear", rm.CLEAR), ("open", rm.OPEN))]
     return "\n".join(lines) + "\n"
 
 

@@ -2181,6 +2181,9 @@ pub mod timebase {
         status: Status,
         eth_beats: EthBeats,
         leash: Leash,
+        guard: Guard,
+        guard_status: GuardStatus,
+        guard_at: GuardAt,
     }
     impl RegisterBlock {
         #[doc = "0x00 - Low word of the wall clock, in clocks since power-up, as caught by the last write to `snapshot`."]
@@ -2237,6 +2240,21 @@ pub mod timebase {
         #[inline(always)]
         pub const fn leash(&self) -> &Leash {
             &self.leash
+        }
+        #[doc = "0x2c - The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`, `snapshot`, this register and the first bytes of the RAM; any other one, and a read where there is nothing, is answered, has no effect and interrupts as the leash does."]
+        #[inline(always)]
+        pub const fn guard(&self) -> &Guard {
+            &self.guard
+        }
+        #[doc = "0x30 - State of the guard."]
+        #[inline(always)]
+        pub const fn guard_status(&self) -> &GuardStatus {
+            &self.guard_status
+        }
+        #[doc = "0x34 - Address of the first access the guard has refused; anything if there was none."]
+        #[inline(always)]
+        pub const fn guard_at(&self) -> &GuardAt {
+            &self.guard_at
         }
     }
     #[doc = "NOW_LO (r) register accessor: Low word of the wall clock, in clocks since power-up, as caught by the last write to `snapshot`.\n\nYou can [`read`](crate::Reg::read) this register and get [`now_lo::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@now_lo`] module"]
@@ -2524,6 +2542,117 @@ pub mod timebase {
         }
         #[doc = "`reset()` method sets LEASH to value 0"]
         impl crate::Resettable for LeashSpec {}
+    }
+    #[doc = "GUARD (w) register accessor: The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`, `snapshot`, this register and the first bytes of the RAM; any other one, and a read where there is nothing, is answered, has no effect and interrupts as the leash does.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`guard::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@guard`] module"]
+    #[doc(alias = "GUARD")]
+    pub type Guard = crate::Reg<guard::GuardSpec>;
+    #[doc = "The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`, `snapshot`, this register and the first bytes of the RAM; any other one, and a read where there is nothing, is answered, has no effect and interrupts as the leash does."]
+    pub mod guard {
+        #[doc = "Register `GUARD` writer"]
+        pub type W = crate::W<GuardSpec>;
+        #[doc = "The key word opens it, any other word closes it.\n\nValue on reset: 0"]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u32)]
+        pub enum Key {
+            #[doc = "1330662945: Open it."]
+            Open = 1330662945,
+        }
+        impl From<Key> for u32 {
+            #[inline(always)]
+            fn from(variant: Key) -> Self {
+                variant as _
+            }
+        }
+        impl crate::FieldSpec for Key {
+            type Ux = u32;
+        }
+        impl crate::IsEnum for Key {}
+        #[doc = "Field `key` writer - The key word opens it, any other word closes it."]
+        pub type KeyW<'a, REG> = crate::FieldWriter<'a, REG, 32, Key>;
+        impl<'a, REG> KeyW<'a, REG>
+        where
+            REG: crate::Writable + crate::RegisterSpec,
+            REG::Ux: From<u32>,
+        {
+            #[doc = "Open it."]
+            #[inline(always)]
+            pub fn open(self) -> &'a mut crate::W<REG> {
+                self.variant(Key::Open)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:31 - The key word opens it, any other word closes it."]
+            #[inline(always)]
+            pub fn key(&mut self) -> KeyW<'_, GuardSpec> {
+                KeyW::new(self, 0)
+            }
+        }
+        #[doc = "The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`, `snapshot`, this register and the first bytes of the RAM; any other one, and a read where there is nothing, is answered, has no effect and interrupts as the leash does.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`guard::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct GuardSpec;
+        impl crate::RegisterSpec for GuardSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`guard::W`](W) writer structure"]
+        impl crate::Writable for GuardSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets GUARD to value 0"]
+        impl crate::Resettable for GuardSpec {}
+    }
+    #[doc = "GUARD_STATUS (r) register accessor: State of the guard.\n\nYou can [`read`](crate::Reg::read) this register and get [`guard_status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@guard_status`] module"]
+    #[doc(alias = "GUARD_STATUS")]
+    pub type GuardStatus = crate::Reg<guard_status::GuardStatusSpec>;
+    #[doc = "State of the guard."]
+    pub mod guard_status {
+        #[doc = "Register `GUARD_STATUS` reader"]
+        pub type R = crate::R<GuardStatusSpec>;
+        #[doc = "Field `closed` reader - 1: it is closed."]
+        pub type ClosedR = crate::BitReader;
+        #[doc = "Field `refused` reader - 1: it has refused an access since it was closed last."]
+        pub type RefusedR = crate::BitReader;
+        impl R {
+            #[doc = "Bit 0 - 1: it is closed."]
+            #[inline(always)]
+            pub fn closed(&self) -> ClosedR {
+                ClosedR::new((self.bits & 1) != 0)
+            }
+            #[doc = "Bit 31 - 1: it has refused an access since it was closed last."]
+            #[inline(always)]
+            pub fn refused(&self) -> RefusedR {
+                RefusedR::new(((self.bits >> 31) & 1) != 0)
+            }
+        }
+        #[doc = "State of the guard.\n\nYou can [`read`](crate::Reg::read) this register and get [`guard_status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct GuardStatusSpec;
+        impl crate::RegisterSpec for GuardStatusSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`guard_status::R`](R) reader structure"]
+        impl crate::Readable for GuardStatusSpec {}
+        #[doc = "`reset()` method sets GUARD_STATUS to value 0"]
+        impl crate::Resettable for GuardStatusSpec {}
+    }
+    #[doc = "GUARD_AT (r) register accessor: Address of the first access the guard has refused; anything if there was none.\n\nYou can [`read`](crate::Reg::read) this register and get [`guard_at::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@guard_at`] module"]
+    #[doc(alias = "GUARD_AT")]
+    pub type GuardAt = crate::Reg<guard_at::GuardAtSpec>;
+    #[doc = "Address of the first access the guard has refused; anything if there was none."]
+    pub mod guard_at {
+        #[doc = "Register `GUARD_AT` reader"]
+        pub type R = crate::R<GuardAtSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Address of the first access the guard has refused; anything if there was none.\n\nYou can [`read`](crate::Reg::read) this register and get [`guard_at::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct GuardAtSpec;
+        impl crate::RegisterSpec for GuardAtSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`guard_at::R`](R) reader structure"]
+        impl crate::Readable for GuardAtSpec {}
+        #[doc = "`reset()` method sets GUARD_AT to value 0"]
+        impl crate::Resettable for GuardAtSpec {}
     }
 }
 #[doc = "The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no CPU."]

@@ -11,7 +11,7 @@
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
 /// exchange's layout (`wire/layout.txt`).
-pub const ABI: u32 = 0xf1329b41;
+pub const ABI: u32 = 0x725e11ff;
 /// The value of [`ident::MAGIC`]: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
@@ -30,9 +30,13 @@ pub const ETHMAC_SIZE: usize = 0x2000;
 pub const BOARD_ROM_BASE: usize = 0x90000000;
 /// Bytes of the board info blob.
 pub const BOARD_ROM_SIZE: usize = 0x800;
-/// First byte of the SDRAM's window, on boards with jobs; a smaller one is seen in it twice.
+/// First byte of what the services may write of the RAM.
+pub const WINDOW_BASE: usize = 0x10000000;
+/// Bytes of what the services may write of the RAM.
+pub const WINDOW_SIZE: usize = 0x600;
+/// First byte of the SDRAM's window, on boards with SDRAM; a smaller one is seen in it twice.
 pub const SDRAM_BASE: usize = 0x40000000;
-/// Bytes of the SDRAM's window, on boards with jobs; a smaller one is seen in it twice.
+/// Bytes of the SDRAM's window, on boards with SDRAM; a smaller one is seen in it twice.
 pub const SDRAM_SIZE: usize = 0x800000;
 /// First byte of the trailer: four words, [`TRAILER_MAGIC`], build id, role, 0.
 pub const ROM_TRAILER: usize = 0x00011ff0;
@@ -46,7 +50,8 @@ pub const ROLE_GOLDEN: u32 = 2;
 pub const ETHMAC_RX_SLOTS: usize = 2;
 /// Transmit slots; the first follows the last receive slot.
 pub const ETHMAC_TX_SLOTS: usize = 2;
-/// The line of `timebase.leash` among the CPU's external interrupts; no other is used.
+/// The line of `timebase.leash` and `timebase.guard` among the CPU's external interrupts; no
+/// other is used.
 pub const LEASH_IRQ: u32 = 31;
 /// Bytes of one slot.
 pub const ETHMAC_SLOT_SIZE: usize = 0x800;
@@ -277,7 +282,7 @@ pub mod timebase {
     /// First byte of the page.
     pub const BASE: usize = 0xf0004800;
     /// Registers on the page.
-    pub const WORDS: usize = 11;
+    pub const WORDS: usize = 14;
     /// Low word of the wall clock, in clocks since power-up, as caught by the last write to
     /// `snapshot`. (ro)
     pub const NOW_LO: usize = 0;
@@ -317,6 +322,20 @@ pub mod timebase {
     /// Clocks until the CPU is interrupted, in bits 23:0, counted from this write; the interrupt
     /// stays until the next write. 0: none. (wo)
     pub const LEASH: usize = 10;
+    /// The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`,
+    /// `snapshot`, this register and the first bytes of the RAM; any other one, and a read where
+    /// there is nothing, is answered, has no effect and interrupts as the leash does. (wo)
+    pub const GUARD: usize = 11;
+    /// Open it.
+    pub const GUARD_KEY_OPEN: u32 = 0x4f504e21;
+    /// State of the guard. (ro)
+    pub const GUARD_STATUS: usize = 12;
+    /// 1: it is closed.
+    pub const GUARD_STATUS_CLOSED: u32 = 1 << 0;
+    /// 1: it has refused an access since it was closed last.
+    pub const GUARD_STATUS_REFUSED: u32 = 1 << 31;
+    /// Address of the first access the guard has refused; anything if there was none. (ro)
+    pub const GUARD_AT: usize = 13;
 }
 
 /// The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no

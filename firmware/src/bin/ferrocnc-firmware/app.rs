@@ -524,17 +524,16 @@ fn hold_path(machine: &mut Machine<Soc>) {
     machine.hold_path();
 }
 
-// What the services call: the functions below, and the way back that enables the leash's interrupt.
+// What the services call: the functions below, through `services_enter`, which opens the guard and
+// closes it again behind them.
 global_asm!(
     ".macro called_back name, function",
     ".section .text.services_\\name,\"ax\",@progbits",
     ".type services_\\name, @function",
     ".global services_\\name",
     "services_\\name:",
-    "    addi    sp, sp, -16",
-    "    sw      ra, 12(sp)",
-    "    call    \\function",
-    "    j       services_back",
+    "    la      t2, \\function",
+    "    j       services_enter",
     ".endm",
     "called_back datagram, {datagram}",
     "called_back send, {send}",
