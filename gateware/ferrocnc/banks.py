@@ -1,7 +1,8 @@
 """CSR banks around the cores: the only place where a register of `regmap.py` is connected to its
 signal.
 
-The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on LiteX's CSR bus carries pages 8 and up:
+The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on LiteX's CSR bus
+carries pages 8 and up:
 
     bus  --> write pipeline --> staging and settings registers, mirrors --> cores
          <-- gates <-- live words | what the sample caught | wide counters | mirrors  <-- cores
@@ -198,7 +199,8 @@ DRIVEN = ("step", "dir", "step_n", "dir_n", "pwm", "pwm_dir", "outputs")
 
 
 class Pads:
-    """The signals of a board's pins, one bit per channel, after the platform's polarity has been dealt with."""
+    """The signals of a board's pins, one bit per channel, after the platform's polarity has been
+    dealt with."""
 
     def __init__(self, channels):
         self.step = Signal(max(1, channels.stepgen))
@@ -228,7 +230,8 @@ class Pads:
 
 
 class Cores(LiteXModule):
-    """All cores of one board and their banks. `arrival` is the wall clock of the frame the MAC presents."""
+    """All cores of one board and their banks. `arrival` is the wall clock of the frame the MAC
+    presents."""
 
     def __init__(self, channels, sys_clk_hz, rom_words, ext_reset_active_low=False, estop_mask=0, estop_level=0,
                  safe_mask=0, invert_mask=0, jobs=0):
@@ -650,7 +653,8 @@ class Cores(LiteXModule):
             o_out=self.pads.pwm[n], o_dir=self.pads.pwm_dir[n])
 
     def _pads(self, fabric, channels):
-        """The pads' own levels. Nothing here leads to a driver, and nothing that drives waits for it."""
+        """The pads' own levels. Nothing here leads to a driver, and nothing that drives waits for
+        it."""
         b = rm.PADS
         for name, count, low, high in (("step", channels.stepgen, "step", "dir"), ("step_n", channels.stepgen, "step_n", "dir_n"),
                                        ("pwm", channels.pwm, "pwm", "pwm_dir"), ("outputs", channels.outputs, "outputs", None)):

@@ -7,8 +7,8 @@
 //   we_out    _/‾‾‾\___________________   the second store becomes a read, which is answered
 //   refused   ________________/‾‾‾‾‾‾‾‾   and `at` is its address
 //
-// It also answers where nothing else does, on the clock behind the question: a fetch or a read there
-// gives 0, which is no instruction.
+// It also answers where nothing else does, on the clock behind the question: a fetch or a read
+// there gives 0, which is no instruction.
 `default_nettype none
 module guard #(
     parameter KEY  = 32'h4f50_4e21,
