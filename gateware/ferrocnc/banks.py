@@ -238,9 +238,9 @@ class Cores(LiteXModule):
         self.pads = pads = Pads(channels)
         self.abi = Signal(32)            # constant; the SoC knows it once its map is final
         self.frame_done = Signal()       # MAC: a frame is complete in `frame_slot`
-        self.frame_slot = Signal(1)
+        self.frame_slot = Signal(max=rm.ETHMAC_RX_SLOTS)
         self.frame_pending = Signal()    # MAC: presents the frame in `pending_slot`
-        self.pending_slot = Signal(1)
+        self.pending_slot = Signal(max=rm.ETHMAC_RX_SLOTS)
         self.eth_beat = Signal()         # PHY: a clock per 4 clocks of its receive clock
         self.fabric = fabric = FabricBus()
         self.bus = fabric.bus

@@ -17,10 +17,10 @@ CSR_BASE = 0xF000_0000
 CSR_PAGE = 0x800
 CSR_ADDRESS_WIDTH = 16
 
-ROM = (0x0000_0000, 0x12000)  # 72 KiB, 36 EBR: the image
+ROM = (0x0000_0000, 0xF000)  # 60 KiB, 27 EBR: the image
 ROM_TRAILER = 0x10  # the ROM's last bytes, which the linker does not use: the bitstream's trailer
-RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: the window, data, bss, 6 KiB of stack
-ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
+RAM = (0x1000_0000, 0x4800)  # 18 KiB, 9 EBR: the window of the services, data, bss, stack
+ETHMAC = (0x8000_0000, 0x3000)  # 4 receive slots, then 2 transmit slots, 2 KiB each; uncached
 BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
 # 8 MiB, on boards with SDRAM: the services, their data, the jobs; cached.
 SDRAM_RAM = (0x4000_0000, 0x80_0000)
@@ -31,7 +31,7 @@ NOTHING = 0xE000_0000
 TRAILER_MAGIC = 0x4654_524C  # "FTRL"; the words of a trailer: magic, build, role, 0
 ROLE_IMAGE = 1
 ROLE_GOLDEN = 2
-ETHMAC_RX_SLOTS = 2
+ETHMAC_RX_SLOTS = 4
 ETHMAC_TX_SLOTS = 2
 ETHMAC_SLOT = 0x800
 LEASH_IRQ = 31  # the leash's line among the CPU's interrupts; no other is used
@@ -338,7 +338,7 @@ SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, a
          Field("tag", 16, 16, "Comes back in `current`; no unit."),
      ))] +
     [reg for n in range(JOB_AXES_MAX) for reg in (
-        Reg(f"axis{n}_velocity", "wo", f"Signed step rate of step generator {n} towards the end of "
+        Reg(f"axis{n}_velocity", "wo", f"Signed velocity of step generator {n} towards the end of "
             "the segment being written; one unit is f_clk / 2^32 steps per second."),
         Reg(f"axis{n}_accel", "wo", "Acceleration that leads there; one unit is f_clk^2 / 2^56 "
             "steps per second squared, 0 is no limit."),
@@ -448,7 +448,7 @@ def _command():
     ]
     for n in range(MAX_STEPGEN):
         regs += [
-            Reg(f"stepgen{n}_velocity", "rw", f"Signed step rate of step generator {n}; one unit is "
+            Reg(f"stepgen{n}_velocity", "rw", f"Signed velocity of step generator {n}; one unit is "
                 "f_clk / 2^32 steps per second. "
                 "Staged until the commit strobe; -2^31 is taken as -(2^31-1)."),
             Reg(f"stepgen{n}_accel", "rw", f"Acceleration limit of step generator {n}; one unit is "
@@ -503,7 +503,7 @@ def _status():
                 "at the last sample strobe, in 2^-32 steps, biased by half a step."),
             Reg(f"stepgen{n}_position_hi", "ro", f"Pulses emitted by step generator {n} at the "
                 "last sample strobe, in steps, signed."),
-            Reg(f"stepgen{n}_velocity", "ro", f"Step rate of step generator {n} at the last sample "
+            Reg(f"stepgen{n}_velocity", "ro", f"Velocity of step generator {n} at the last sample "
                 "strobe, signed; one unit is f_clk / 2^32 steps per second."),
         ]
     for n in range(MAX_ENCODER):

@@ -195,7 +195,7 @@ def litex_banks(soc):
 LITEX_DOC = {
     "ctrl": "LiteX's system controller.",
     "identifier_mem": "LiteX's identifier: one character per word, \"FerroCNC <version> <board>\", ended by 0.",
-    "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values.",
+    "ethmac": "LiteEth's MAC: four receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values.",
     "ethphy": "LiteEth's PHY.",
 }
 

@@ -447,8 +447,9 @@ int main(int argc, char **argv) {
     }
 
     // Arrivals: each frame keeps its own time, also when it has to queue.
-    uint64_t done[2];
-    for (unsigned slot = 0; slot < 2; slot++) {
+    constexpr unsigned SLOTS = 4;
+    uint64_t done[SLOTS];
+    for (unsigned slot = 0; slot < SLOTS; slot++) {
         c.frame_done = 1, c.frame_slot = slot;
         k.clock();
         done[slot] = k.now;
@@ -456,13 +457,16 @@ int main(int argc, char **argv) {
         k.run(20 + r.below(100));
     }
     const uint64_t first = k.read64("timebase.arrival");
-    c.pending_slot = 1;
-    k.run(3);
-    const uint64_t second = k.read64("timebase.arrival");
+    uint64_t last = first;
+    for (unsigned slot = 1; slot < SLOTS; slot++) {
+        c.pending_slot = slot;
+        k.run(3);
+        last = k.read64("timebase.arrival");
+        CHECK(b, last - first == done[slot] - done[0], "slot %u: arrivals %llu clocks apart, expected %llu", slot, (unsigned long long)(last - first), (unsigned long long)(done[slot] - done[0]));
+    }
     c.frame_pending = 0, c.pending_slot = 0;
     k.run(3);
-    CHECK(b, second - first == done[1] - done[0], "arrivals %llu clocks apart, expected %llu", (unsigned long long)(second - first), (unsigned long long)(done[1] - done[0]));
-    CHECK(b, k.read64("timebase.arrival") == second, "an arrival is forgotten with its frame");
+    CHECK(b, k.read64("timebase.arrival") == last, "an arrival is forgotten with its frame");
 
     // The flash's wires: no transfer without select; 32 bits there and back; shorter ones
     // right-aligned.
