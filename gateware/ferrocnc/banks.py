@@ -324,14 +324,14 @@ class Cores(LiteXModule):
         """The guard between the CPU's data bus and the interconnect; `soc` connects it."""
         b, at = rm.TIMEBASE, Signal(30)
         self.guard = guard = SimpleNamespace(
-            **{name: Signal(name=f"guard_{name}") for name in ("stb", "we", "ack", "we_out", "nobody", "answer", "irq")}, adr=Signal(30, name="guard_adr"))
+            **{name: Signal(name=f"guard_{name}") for name in ("stb", "we", "ack", "we_out", "vacant", "answer", "irq")}, adr=Signal(30, name="guard_adr"))
         closed, refused = Signal(), Signal()
         places = guard_places()
         pack = [sum(word << 30 * n for n, word in enumerate(words)) for words in zip(*places)]
         self.specials += Instance("guard",
             p_KEY=Constant(rm.OPEN, 32), p_WAYS=len(places), **{f"p_{name}": Constant(words, 30 * len(places)) for name, words in zip(("PLACES", "ROOMS"), pack)},
             i_clk=self.clk, i_rst=self.rst, i_set=fabric.pulse(b, "guard"), i_word=fabric.data,
-            **{f"i_{name}": getattr(guard, name) for name in ("stb", "we", "adr", "ack", "nobody")},
+            **{f"i_{name}": getattr(guard, name) for name in ("stb", "we", "adr", "ack", "vacant")},
             **{f"o_{name}": getattr(guard, name) for name in ("we_out", "answer", "irq")},
             o_closed=closed, o_refused=refused, o_at=at)
         fabric.live(b, "guard_status", Cat(closed, Constant(0, 30), refused))

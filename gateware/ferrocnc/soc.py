@@ -118,7 +118,7 @@ class FerroSoC(SoCCore):
         self.comb += [
             guard.we.eq(we), dbus.we.eq(guard.we_out),
             guard.stb.eq(dbus.stb), guard.adr.eq(dbus.adr), guard.ack.eq(dbus.ack),
-            guard.nobody.eq(nothing.cyc & nothing.stb), nothing.ack.eq(guard.answer),
+            guard.vacant.eq(nothing.cyc & nothing.stb), nothing.ack.eq(guard.answer),
         ]
 
     def do_finalize(self):
