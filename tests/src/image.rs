@@ -104,7 +104,7 @@ pub const CALLED_BACK: [&str; 3] = ["services_datagram", "services_send", "servi
 /// The entry of the services, in its header: only the ROM calls it.
 const WAY_IN: &str = "services_entry";
 /// Takes the stack back from services that failed: it is as it was when they were called.
-const WAY_BACK: &str = "services_leave";
+const WAY_BACK: &str = "services_end";
 /// What was saved there.
 const SAVED: i64 = 64;
 

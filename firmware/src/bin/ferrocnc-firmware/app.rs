@@ -391,8 +391,7 @@ impl App {
         soc::check_stack();
         // Admits one frame of a guest, a sender that does not own the session. The owner's next
         // frame is most of a servo period away, and serving one guest takes less. Not while a frame
-        // is pending: that may be a guest's, and with a second one in the other slot there would be
-        // no slot for the owner's frame.
+        // is pending: that may be a guest's, and the owner's frame waits for one of them at most.
         if !self.mac.pending() {
             self.mac.admit();
         }
@@ -524,17 +523,16 @@ fn hold_path(machine: &mut Machine<Soc>) {
     machine.hold_path();
 }
 
-// What the services call: the functions below, and the way back that enables the leash's interrupt.
+// What the services call: the functions below, through `services_enter`, which opens the guard and
+// closes it again behind them.
 global_asm!(
     ".macro called_back name, function",
     ".section .text.services_\\name,\"ax\",@progbits",
     ".type services_\\name, @function",
     ".global services_\\name",
     "services_\\name:",
-    "    addi    sp, sp, -16",
-    "    sw      ra, 12(sp)",
-    "    call    \\function",
-    "    j       services_back",
+    "    la      t2, \\function",
+    "    j       services_enter",
     ".endm",
     "called_back datagram, {datagram}",
     "called_back send, {send}",

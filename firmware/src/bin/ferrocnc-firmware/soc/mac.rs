@@ -1,4 +1,4 @@
-//! LiteEth's MAC: two receive slots and two transmit slots, each for one frame.
+//! LiteEth's MAC: four receive slots and two transmit slots, each for one frame.
 //!
 //! The slots hold frames in network order, at an offset of two bytes: a 32-bit load yields a
 //! big-endian word, and everything after the Ethernet header is aligned, so the exchange swaps and
@@ -11,6 +11,7 @@
 //! admits all frames addressed to it alone, and of all others one at a time. With an owner it
 //! admits the owner's frames, and one other frame for each call of [`Mac::admit`].
 
+use core::mem::MaybeUninit;
 use core::ptr::{read_volatile, write_volatile};
 use firmware::net::{FastPath, Frame, Slot, WARM_UP_WORDS};
 use litex_pac::{Ethmac, RxAdmission};
@@ -143,19 +144,25 @@ pub struct Mac {
 }
 
 static mut INPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
-static mut OUTPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
+/// In the part of the RAM that the services may write. Its first contents are what was there.
+#[unsafe(link_section = ".window")]
+static mut OUTPUT: MaybeUninit<Window> = MaybeUninit::uninit();
+
+/// All of that part, so that nothing else is in it.
+#[repr(C)]
+struct Window(Buffer, [u32; (regmap::WINDOW_SIZE - size_of::<Buffer>()) / 4]);
 
 impl Mac {
     /// The board's only MAC.
     pub fn new() -> Self {
         // SAFETY: `super::start` calls this once; no other code touches the MAC, its filter or the
-        // buffers.
+        // buffers. Any bits are words.
         let (regs, admission, input, output) = unsafe {
             (
                 Ethmac::steal(),
                 RxAdmission::steal(),
                 &mut *(&raw mut INPUT),
-                &mut *(&raw mut OUTPUT),
+                &mut (*(&raw mut OUTPUT)).assume_init_mut().0,
             )
         };
         Mac {

@@ -11,7 +11,7 @@ use firmware::services::abi::{self, Header};
 use litex_pac::Sdram;
 use wire::describe::JobsState;
 use wire::images::program_length;
-use wire::regmap::{LEASH_IRQ, RAM_BASE, ROM_SIZE, SDRAM_BASE};
+use wire::regmap::{self, LEASH_IRQ, SDRAM_BASE, timebase};
 
 /// Clocks until there is an SDRAM, or none: its controller starts it in 0.4 ms at 60 MHz, in clocks
 /// twice as many at most at 125.
@@ -104,12 +104,18 @@ fn bytes(words: &mut [u32], count: usize) -> &mut [u8] {
 }
 
 // The services are called with the ROM's registers saved, and what is in them is taken from there
-// if they do not come back. `services_sp` is the stack pointer while they run, and 0 otherwise.
+// if they do not come back. `services_sp` is the stack pointer while they run. The guard is closed
+// exactly then: it is what tells their code from the ROM's, wherever the program counter is.
 //
-// Every trap comes to `services_trap`. One that comes from the services, or from where they went
-// astray to, ends them, and their stack pointer is not used. The leash's interrupt may come while
-// the ROM does what they asked for: it is enabled again by the instruction that returns to them
-// (`services_back`). All others are the ROM's own.
+// Every trap comes to `services_trap`. One with the guard closed ends the services, and their stack
+// pointer is not used. The leash's interrupt may come while the ROM does what they asked for: it is
+// enabled again by the instruction that returns to them (`services_back`). All others are the ROM's
+// own. A jump to the reset vector with the guard closed is no reset (`__pre_init`).
+//
+// A store that the guard keeps back may be in the data cache, which is discarded in `services_end`
+// before anything is read through it. The read of the guard's status waits for the stores before
+// it, and is not cached: the ROM looks at it before it opens the guard and goes on
+// (`services_enter`, `services_call`).
 global_asm!(
     ".option push",
     ".option norelax",
@@ -120,71 +126,49 @@ global_asm!(
     ".type services_call, @function",
     ".global services_call",
     "services_call:",
-    "    addi    sp, sp, -64",
-    "    sw      ra, 60(sp)",
-    "    sw      s0, 56(sp)",
-    "    sw      s1, 52(sp)",
-    "    sw      s2, 48(sp)",
-    "    sw      s3, 44(sp)",
-    "    sw      s4, 40(sp)",
-    "    sw      s5, 36(sp)",
-    "    sw      s6, 32(sp)",
-    "    sw      s7, 28(sp)",
-    "    sw      s8, 24(sp)",
-    "    sw      s9, 20(sp)",
-    "    sw      s10, 16(sp)",
-    "    sw      s11, 12(sp)",
-    "    sw      gp, 8(sp)",
-    "    sw      tp, 4(sp)",
+    "    jal     t0, __riscv_save_12",
     "    la      t0, services_sp",
     "    sw      sp, 0(t0)",
+    "    lui     t0, {page}",
+    "    sw      zero, {guard}(t0)",
     "    csrsi   mstatus, 8",
     "    jalr    a3",
     "    csrci   mstatus, 8",
-    "    la      t0, services_sp",
-    "    sw      zero, 0(t0)",
-    "    lw      ra, 60(sp)",
-    "    addi    sp, sp, 64",
-    "    ret",
-    ".section .text.services_leave,\"ax\",@progbits",
-    ".type services_leave, @function",
-    ".global services_leave",
-    "services_leave:",
+    "    lui     t0, {page}",
+    "    lw      t1, {status}(t0)",
+    "    bltz    t1, services_end",
+    "    li      t1, {key}",
+    "    sw      t1, {guard}(t0)",
+    "    j       __riscv_restore_12",
+    ".section .text.services_end,\"ax\",@progbits",
+    ".type services_end, @function",
+    ".global services_end",
+    "services_end:",
+    "    csrci   mstatus, 8",
+    "    lui     t0, {page}",
+    "    li      t1, {key}",
+    "    sw      t1, {guard}(t0)",
+    "    .word   0x500f", // VexRiscv: discards the data cache
+    "    nop",
+    "    nop",
+    "    nop",
+    "    nop",
+    "    nop",
     "    la      t0, services_sp",
     "    lw      sp, 0(t0)",
-    "    sw      zero, 0(t0)",
-    "    lw      ra, 60(sp)",
-    "    lw      s0, 56(sp)",
-    "    lw      s1, 52(sp)",
-    "    lw      s2, 48(sp)",
-    "    lw      s3, 44(sp)",
-    "    lw      s4, 40(sp)",
-    "    lw      s5, 36(sp)",
-    "    lw      s6, 32(sp)",
-    "    lw      s7, 28(sp)",
-    "    lw      s8, 24(sp)",
-    "    lw      s9, 20(sp)",
-    "    lw      s10, 16(sp)",
-    "    lw      s11, 12(sp)",
-    "    lw      gp, 8(sp)",
-    "    lw      tp, 4(sp)",
+    "    la      gp, __global_pointer$",
     "    li      a0, {dead}",
-    "    addi    sp, sp, 64",
-    "    ret",
+    "    j       __riscv_restore_12",
     ".section .text.services_trap,\"ax\",@progbits",
     ".balign 4",
     ".type services_trap, @function",
     ".global services_trap",
     "services_trap:",
     "    csrw    mscratch, t0",
-    "    la      t0, services_sp",
-    "    lw      t0, 0(t0)",
-    "    beqz    t0, 1f",
-    "    csrr    t0, mepc",
-    "    srli    t0, t0, {behind_rom}",
-    "    beqz    t0, 2f",
-    "    j       services_leave",
-    "2:",
+    "    lui     t0, {page}",
+    "    lw      t0, {status}(t0)",
+    "    andi    t0, t0, 1",
+    "    bnez    t0, 2f",
     "    csrr    t0, mcause",
     "    bgez    t0, 1f",
     "    li      t0, 0x80",
@@ -193,25 +177,52 @@ global_asm!(
     "    mret",
     "1:  csrr    t0, mscratch",
     "    j       _start_trap",
-    ".section .text.services_back,\"ax\",@progbits",
-    ".type services_back, @function",
-    ".global services_back",
-    "services_back:",
+    "2:  j       services_end",
+    ".section .text.services_enter,\"ax\",@progbits",
+    ".type services_enter, @function",
+    ".global services_enter",
+    "services_enter:",
+    "    addi    sp, sp, -16",
+    "    sw      ra, 12(sp)",
+    "    lui     t0, {page}",
+    "    lw      t1, {status}(t0)",
+    "    bltz    t1, 2b",
+    "    li      t1, {key}",
+    "    sw      t1, {guard}(t0)",
+    "    jalr    t2",
     "    lw      ra, 12(sp)",
     "    addi    sp, sp, 16",
     "    csrci   mstatus, 8",
+    "    lui     t0, {page}",
+    "    sw      zero, {guard}(t0)",
     "    csrw    mepc, ra",
     "    li      t0, 0x1880",
     "    csrs    mstatus, t0",
     "    mret",
+    // Runs at the reset vector, before the RAM is written.
+    ".section .text.__pre_init,\"ax\",@progbits",
+    ".type __pre_init, @function",
+    ".global __pre_init",
+    "__pre_init:",
+    "    lui     t0, {page}",
+    "    lw      t0, {status}(t0)",
+    "    andi    t0, t0, 1",
+    "    bnez    t0, services_end",
+    "    ret",
     ".option pop",
-    behind_rom = const BEHIND_ROM,
+    page = const (GUARD + 0x800) >> 12,
+    guard = const GUARD as i32 - PAGE as i32,
+    status = const GUARD_STATUS as i32 - PAGE as i32,
+    key = const timebase::GUARD_KEY_OPEN,
     dead = const abi::DEAD,
 );
 
-/// Addresses of the ROM have no bits from here on, all others have.
-const BEHIND_ROM: u32 = 20;
-const _: () = assert!(ROM_SIZE <= 1 << BEHIND_ROM && RAM_BASE >= 1 << BEHIND_ROM);
+/// The guard's registers, and what `lui` makes of their upper bits.
+const GUARD: u32 = regmap::address(timebase::BASE, timebase::GUARD);
+const GUARD_STATUS: u32 = regmap::address(timebase::BASE, timebase::GUARD_STATUS);
+const PAGE: u32 = (GUARD + 0x800) & !0xfff;
+const _: () = assert!((GUARD_STATUS + 0x800) & !0xfff == PAGE);
+const _: () = assert!(timebase::GUARD_STATUS_CLOSED == 1 && timebase::GUARD_STATUS_REFUSED == 1 << 31);
 /// Where an external interrupt is enabled in `mie`.
 const EXTERNAL: u32 = 1 << 11;
 
@@ -250,6 +261,10 @@ pub fn call(
     // has to keep, and if it ends otherwise they are restored.
     let answer = unsafe { services_call(rom, frame, length, entry) };
     leash(0);
+    if answer == abi::DEAD {
+        // They may have come to the reset vector, where interrupts and traps are set anew.
+        watch();
+    }
     answer
 }
 
