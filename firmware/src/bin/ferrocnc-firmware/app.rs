@@ -4,6 +4,7 @@
 use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc, TxSlot};
 use core::arch::global_asm;
 use core::ffi::c_void;
+use firmware::cores::Board as _;
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
 use firmware::machine::{IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::{self, Class, Datagram, FastPath, Frame as _, UdpPorts, Us};
@@ -442,13 +443,14 @@ impl App {
                 self.services = Some(header.entry);
                 self.ports = header.ports;
                 let answer = self.services(core::ptr::null(), abi::START);
+                if answer == abi::DEAD {
+                    return;
+                }
                 if answer & abi::FAILED != 0 {
                     self.services = None;
-                }
-                match (self.services, answer) {
-                    (Some(_), _) => JobsState::Alive,
-                    (None, abi::DEAD) => JobsState::Ended,
-                    (None, _) => JobsState::Sdram,
+                    JobsState::Sdram
+                } else {
+                    JobsState::Alive
                 }
             }
         };
@@ -475,33 +477,51 @@ impl App {
             moving,
             context: (&raw mut *self).cast(),
         };
-        let clocks = match (&self.fast_path, frame.is_null() && length == abi::START) {
+        let first = frame.is_null() && length == abi::START;
+        let clocks = match (&self.fast_path, first) {
             (_, true) => 0,
             (None, false) => LEISURE,
             (Some(_), false) if self.machine.at_rest() => AT_REST,
             (Some(_), false) => MOVING,
         };
+        let begun = self.machine.board.now_lo();
         let answer = soc::call_services(entry, &rom, frame, length, clocks);
+        if !first {
+            let clocks = self.machine.board.now_lo().wrapping_sub(begun);
+            self.machine.called(clocks, moving);
+        }
         self.restless = answer & abi::RESTLESS != 0;
         if answer == abi::DEAD {
-            self.services = None;
-            self.machine.jobs(JobsState::Ended);
-            match self.reloads.checked_sub(1) {
-                Some(left) => {
-                    self.reloads = left;
-                    self.loader = Some(Loader::new());
-                }
-                // A lease that is not renewed is over some day.
-                None => self.machine.leased(None),
-            }
             let (cause, at) = soc::last_trap();
             defmt::error!("services failed: cause {=u32} at {=u32:x}", cause, at);
+            self.ended();
         }
         // The last text of a console should leave first.
         if !self.restless {
             self.restart_if();
         }
         answer
+    }
+
+    /// The services have failed: they are loaded again, unless that was done too often.
+    #[cold]
+    #[inline(never)]
+    fn ended(&mut self) {
+        self.services = None;
+        self.restless = false;
+        let state = match self.reloads.checked_sub(1) {
+            Some(left) => {
+                self.reloads = left;
+                self.loader = Some(Loader::new());
+                JobsState::Ended
+            }
+            None => {
+                // A lease that is not renewed is over some day.
+                self.machine.leased(None);
+                JobsState::GivenUp
+            }
+        };
+        self.machine.jobs(state);
     }
 
     /// Where there are no services: answers a frame of `length` bytes from `input`.

@@ -222,7 +222,8 @@ const GUARD: u32 = regmap::address(timebase::BASE, timebase::GUARD);
 const GUARD_STATUS: u32 = regmap::address(timebase::BASE, timebase::GUARD_STATUS);
 const PAGE: u32 = (GUARD + 0x800) & !0xfff;
 const _: () = assert!((GUARD_STATUS + 0x800) & !0xfff == PAGE);
-const _: () = assert!(timebase::GUARD_STATUS_CLOSED == 1 && timebase::GUARD_STATUS_REFUSED == 1 << 31);
+const _: () =
+    assert!(timebase::GUARD_STATUS_CLOSED == 1 && timebase::GUARD_STATUS_REFUSED == 1 << 31);
 /// Where an external interrupt is enabled in `mie`.
 const EXTERNAL: u32 = 1 << 11;
 
