@@ -173,7 +173,10 @@ fn status_says_what_the_board_is_doing() {
     assert!(lines[5].ends_with(", gateware 00000100"), "{text}");
     assert_eq!(lines[6], "boot     00000009, reboot requested");
     let calls = "longest call 0 clocks while a host moved the machine, 0 else";
-    assert_eq!(lines[7], format!("services none: no SDRAM is used, {calls}"));
+    assert_eq!(
+        lines[7],
+        format!("services none: no SDRAM is used, {calls}")
+    );
     assert_eq!(lines[8], "stack    0 of 0 bytes");
     let mut rig = Rig::new();
     rig.acquire();
