@@ -3,10 +3,14 @@
 ELF without binutils."""
 
 import json
+import re
 import struct
 import sys
+from pathlib import Path
 
-ROM, RAM = 0x11FF0, 0x3800  # as memory.x; the linker enforces them, this script only prints the rest
+# The linker enforces them, this script only prints the rest.
+MEMORY = (Path(__file__).parent.parent / "memory.x").read_text(encoding="utf-8")
+ROM, RAM = (int(size, 16) for size in re.findall("LENGTH = (0x[0-9a-f]+)", MEMORY))
 
 
 def sections(path):

@@ -38,7 +38,7 @@ def export(root, source_root):
     return [root / name for name in files]
 
 
-# SVD --------------------------------------------------------------------------------------------------------------
+# SVD ----------------------------------------------------------------------------------------------
 
 _ACCESS = {"ro": "read-only", "rw": "read-write", "wo": "write-only"}
 
@@ -119,7 +119,7 @@ def _xml(text):
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
-# PAC --------------------------------------------------------------------------------------------------------------
+# PAC ----------------------------------------------------------------------------------------------
 
 _PAC_DOC = """//! Registers and memory of the FerroCNC SoC: one type per kind of register page, addresses included.
 //!
@@ -129,7 +129,8 @@ _PAC_DOC = """//! Registers and memory of the FerroCNC SoC: one type per kind of
 
 
 def pac(svd_path, out, svd2rust):
-    """Writes the crate's lib.rs. Target `none`: peripherals and nothing else; interrupts and start-up belong to riscv-rt."""
+    """Writes the crate's lib.rs. Target `none`: peripherals and nothing else; interrupts and
+    start-up belong to riscv-rt."""
     with tempfile.TemporaryDirectory() as scratch:
         command = [str(svd2rust), "-i", str(Path(svd_path).resolve()), "--target", "none", "--edition", "2024", "--log", "error"]
         subprocess.run(command, cwd=scratch, check=True)
@@ -153,7 +154,7 @@ def _rustfmt(text, width):
         cwd="/", input=text, capture_output=True, text=True, check=True, encoding="utf-8").stdout
 
 
-# The map for Rust code without the PAC --------------------------------------------------------------------------------
+# The map for Rust code without the PAC ------------------------------------------------------------
 
 _REGMAP_DOC = """//! The register map: addresses and numbers on which gateware, firmware, models and tools agree.
 //!
@@ -265,7 +266,7 @@ def _doc(text):
     return ["/// " + line for line in textwrap.wrap(text.replace("<", "\\<"), 92)]
 
 
-# memory.x ---------------------------------------------------------------------------------------------------------
+# memory.x -----------------------------------------------------------------------------------------
 
 def memory_x():
     return f"""/* {HEADER} */
@@ -294,7 +295,7 @@ INSERT BEFORE .data;
 """
 
 
-# registers.md -----------------------------------------------------------------------------------------------------
+# registers.md -------------------------------------------------------------------------------------
 
 def registers_md(banks, abi):
     out = [

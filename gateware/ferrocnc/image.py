@@ -1,4 +1,5 @@
-"""Packs a routed design: firmware and board information into its memories, then the files a board is flashed and updated with.
+"""Packs a routed design: firmware and board information into its memories, then the files a board
+is flashed and updated with.
 
     NAME.bit         the image: `ferrocnc update`, `ferrocnc flash load`
     NAME-golden.bit  the same, marked as the golden one by its trailer
@@ -64,7 +65,7 @@ def _write(path, data):
     part.replace(path)
 
 
-# Memories -----------------------------------------------------------------------------------------------------------
+# Memories -----------------------------------------------------------------------------------------
 
 def trailer(build, role):
     return [rm.TRAILER_MAGIC, build, role, 0]
@@ -143,7 +144,7 @@ def contents(routed, config):
     return words[:len(first)], words[len(first):]
 
 
-# Files --------------------------------------------------------------------------------------------------------------
+# Files --------------------------------------------------------------------------------------------
 
 def body(file):
     """A bitstream file's bytes from the preamble on."""
@@ -190,8 +191,8 @@ def meta_page(board, build, data):
 
 
 def jump_page(target):
-    """A bitstream of nothing but a JUMP, as libtrellis' `generate_jump` makes it: preamble, control register 0 := 0, JUMP with the
-    flash's slow read (03) and the address."""
+    """A bitstream of nothing but a JUMP, as libtrellis' `generate_jump` makes it: preamble, control
+    register 0 := 0, JUMP with the flash's slow read (03) and the address."""
     page = b"\xff" * 16 + PREAMBLE + b"\xff" * 4 + bytes.fromhex("22000000 00000000 7e000000 03") + target.to_bytes(3, "big")
     return page.ljust(_PAGE, b"\xff")
 
@@ -225,7 +226,7 @@ def flash(board, build, image, golden):
     return bytes(out)
 
 
-# Proof --------------------------------------------------------------------------------------------------------------
+# Proof --------------------------------------------------------------------------------------------
 
 def prove(board, work, routed, firmware, out, program=b""):
     """Unpacks the finished files and compares: the block RAMs contain the firmware with its trailer

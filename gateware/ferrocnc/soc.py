@@ -21,7 +21,8 @@ from liteeth import mac as liteeth_mac
 from . import VERSION, banks, board as board_file, regmap as rm, sdram, slots
 
 RTL = Path(__file__).resolve().parent.parent / "rtl"
-LAYOUT = RTL.parents[1] / "wire" / "layout.txt"  # the layout of `wire`: its version, every field, address and code
+# the layout of `wire`: its version, every field, address and code
+LAYOUT = RTL.parents[1] / "wire" / "layout.txt"
 
 
 class _BankArray(csr_bus.CSRBankArray):
@@ -34,9 +35,9 @@ class _BankArray(csr_bus.CSRBankArray):
 litex_soc.csr_bus.CSRBankArray = _BankArray
 slots.align()
 
-# LiteEth's clock crossings are 32 deep: two LUT RAMs and a multiplexer in the longest path of the 125 MHz clock (117 MHz). 16
-# is one RAM. The core clock's side moves 240 Mbyte/s, the wire 125: depth only has to cover the crossing itself.
-# `add_ethernet` cannot pass it on.
+# LiteEth's clock crossings are 32 deep: two LUT RAMs and a multiplexer in the longest path of the
+# 125 MHz clock (117 MHz). 16 is one RAM. The core clock's side moves 240 Mbyte/s, the wire 125:
+# depth only has to cover the crossing itself. `add_ethernet` cannot pass it on.
 liteeth_mac.LiteEthMAC = partial(liteeth_mac.LiteEthMAC, tx_cdc_depth=16, rx_cdc_depth=16)
 
 
@@ -57,7 +58,8 @@ class FerroSoC(SoCCore):
             ident="FerroCNC {}.{}.{} ".format(*VERSION) + board.name,
             cpu_type="vexriscv", cpu_variant="standard",
             integrated_rom_size=rm.ROM[1],
-            # Random words: a constant ROM is optimised away, and ecpbram finds the image's place by this pattern.
+            # Random words: a constant ROM is optimised away, and ecpbram finds the image's place by
+            # this pattern.
             integrated_rom_init=rom_init or random_words(rm.ROM[1] // 4),
             integrated_sram_size=rm.RAM[1],
             with_uart=False,
@@ -108,15 +110,15 @@ class FerroSoC(SoCCore):
         self.rx_admission = slots.RxAdmission(self.ethmac.interface, cores.fabric)
 
     def _add_guard(self, guard):
-        """A store the guard keeps back leaves as a read, so its answer is the interconnect's, and no
-        access takes a clock more."""
+        """A store the guard keeps back leaves as a read, so its answer is the interconnect's, and
+        no access takes a clock more."""
         dbus, we, nothing = self.cpu.dbus, Signal(), wishbone.Interface(data_width=32, address_width=32, addressing="word")
         self.cpu.cpu_params["o_dBusWishbone_WE"] = we
         self.bus.add_slave("nothing", nothing, Elsewhere(self.bus))
         self.comb += [
             guard.we.eq(we), dbus.we.eq(guard.we_out),
             guard.stb.eq(dbus.stb), guard.adr.eq(dbus.adr), guard.ack.eq(dbus.ack),
-            guard.nobody.eq(nothing.cyc & nothing.stb), nothing.ack.eq(guard.answer),
+            guard.vacant.eq(nothing.cyc & nothing.stb), nothing.ack.eq(guard.answer),
         ]
 
     def do_finalize(self):
@@ -129,7 +131,8 @@ class FerroSoC(SoCCore):
 
 
 class Elsewhere(SoCRegion):
-    """Every address that no other region has. Without an answer there the bus would wait for ever."""
+    """Every address that no other region has. Without an answer there the bus would wait for
+    ever."""
 
     def __init__(self, bus):
         SoCRegion.__init__(self, origin=rm.NOTHING, size=4, mode="r", cached=False)
@@ -165,7 +168,7 @@ def board_words(data):
     return words + [0] * (rm.BOARD_ROM[1] // 4 - len(words))
 
 
-# The map as built -------------------------------------------------------------------------------------------------
+# The map as built ---------------------------------------------------------------------------------
 
 def litex_banks(soc):
     """LiteX's own pages as built, in `regmap` terms. LiteX documents few of its registers; these
@@ -192,7 +195,7 @@ def litex_banks(soc):
 LITEX_DOC = {
     "ctrl": "LiteX's system controller.",
     "identifier_mem": "LiteX's identifier: one character per word, \"FerroCNC <version> <board>\", ended by 0.",
-    "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values.",
+    "ethmac": "LiteEth's MAC: four receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values.",
     "ethphy": "LiteEth's PHY.",
 }
 

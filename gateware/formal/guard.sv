@@ -8,7 +8,7 @@ module guard_promises (
     input wire        stb, we,
     input wire [29:0] adr,
     input wire        ack,
-    input wire        nobody
+    input wire        vacant
 );
     localparam [31:0] KEY = 32'h4f50_4e21;
     logic        we_out, answer, closed, refused, irq;
@@ -31,11 +31,11 @@ module guard_promises (
     // The first access it has refused since then.
     logic        was_refused = 1'b0;
     logic [29:0] first = 30'd0;
-    logic        past_answer = 1'b0, past_nobody = 1'b0;
-    wire store = stb & we & ~inside, vacant = answer & ack;
+    logic        past_answer = 1'b0, past_vacant = 1'b0;
+    wire store = stb & we & ~inside, answered = answer & ack;
     always_ff @(posedge clk) begin
-        {past_answer, past_nobody} <= {answer, nobody};
-        if (shut & ~was_refused & (store | vacant)) begin
+        {past_answer, past_vacant} <= {answer, vacant};
+        if (shut & ~was_refused & (store | answered)) begin
             was_refused <= 1'b1;
             first <= adr;
         end
@@ -58,7 +58,7 @@ module guard_promises (
         assert (closed == shut);
         assert (refused == was_refused);
         if (refused) assert (at == first);
-        assert (past_answer ? ~answer : answer == past_nobody);
+        assert (past_answer ? ~answer : answer == past_vacant);
 `endif
 `ifdef PROVE_closed_no_write_leaves_but_to_what_is_allowed
         if (shut & ~inside) assert (~we_out);
@@ -78,7 +78,7 @@ module guard_promises (
         if (was_refused) assert (at == first);
 `endif
 `ifdef PROVE_where_there_is_nothing_each_access_is_answered_once_and_at_once
-        assert (answer == (past_nobody & ~past_answer));
+        assert (answer == (past_vacant & ~past_answer));
 `endif
     end
 endmodule

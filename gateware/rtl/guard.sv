@@ -7,8 +7,8 @@
 //   we_out    _/‾‾‾\___________________   the second store becomes a read, which is answered
 //   refused   ________________/‾‾‾‾‾‾‾‾   and `at` is its address
 //
-// It also answers where nothing else does, on the clock behind the question: a fetch or a read there
-// gives 0, which is no instruction.
+// It also answers where nothing else does, on the clock behind the question: a fetch or a read
+// there gives 0, which is no instruction.
 `default_nettype none
 module guard #(
     parameter KEY  = 32'h4f50_4e21,
@@ -25,7 +25,7 @@ module guard #(
     input  wire  [29:0] adr,
     input  wire         ack,
     output wire         we_out,
-    input  wire         nobody,     // of every master: an access where there is nothing
+    input  wire         vacant,     // of every master: an access where there is nothing
     output logic        answer,
     output logic        closed,
     output logic        refused,    // since it was closed last
@@ -44,7 +44,7 @@ module guard #(
     assign irq = closed & refused;
 
     always_ff @(posedge clk) begin
-        answer <= nobody & ~answer;
+        answer <= vacant & ~answer;
         if (~refused) at <= adr;
         if (closed & (stb & we & kept | answer & ack)) refused <= 1'b1;
         if (set) begin

@@ -241,13 +241,24 @@ impl<S: Silicon> Rig<S> {
         // Ask every 20 000 clocks (a third of a millisecond): seldom enough not to fill the MAC of
         // a CPU still starting.
         let pause = 20_000;
+        let mut asked = 0;
         while self.clock() < end {
             if self.segment.board_mac().is_none() {
                 let frame = self.segment.arp_request(HOST_IP);
                 self.inject_frame(&frame);
                 let until = self.clock() + pause;
                 self.run_while(until, |rig| rig.segment.board_mac().is_none());
-            } else if self.read_word(wire::map::DESCRIBE).is_some() {
+                continue;
+            }
+            asked += 1;
+            if self.read_word(wire::map::DESCRIBE).is_some() {
+                // More questions may wait in the other receive slots. The firmware answers one, and
+                // loads a piece of the services, in less than 40 000 clocks.
+                let mut waits = asked > 1;
+                while waits {
+                    self.run(2 * pause);
+                    waits = !self.take_datagrams().is_empty();
+                }
                 return Ok(());
             }
         }

@@ -3,9 +3,9 @@
 
     telnet.py HOST PORT characters|lines
 
-In character mode telnet negotiates as it does at port 23 (`-PORT`), the board echoes each key, and keys
-edit the line. In line mode telnet does not negotiate (any other port), and sends whole lines. The exit
-status is not 0 if an expected text does not come within PATIENCE.
+In character mode telnet negotiates as it does at port 23 (`-PORT`), the board echoes each key, and
+keys edit the line. In line mode telnet does not negotiate (any other port), and sends whole lines.
+The exit status is not 0 if an expected text does not come within PATIENCE.
 """
 
 import os

@@ -437,7 +437,7 @@ pub struct Mail {
     pub taken: u32,
     /// Guests without a ticket.
     pub guests: u32,
-    /// Both slots were full.
+    /// All slots were full.
     pub no_slot: u32,
     /// Wrong preamble.
     pub preamble: u32,

@@ -6,6 +6,7 @@ use rand::Rng;
 use rand_pcg::Pcg64Mcg;
 use std::ops::Range;
 use wire::crc::crc32_words;
+use wire::refusal::COUNTERS_CALLS;
 use wire::regmap::SDRAM_BASE;
 
 /// Bytes of [`beginning`] before its end: more than one piece of the ROM's, and a part of one.
@@ -74,6 +75,12 @@ impl Part {
 }
 
 impl BenchMachine {
+    /// Clocks of the longest call of the services since the start, while a host moved the machine
+    /// and at any other time.
+    pub fn longest_calls(&mut self) -> [u32; 2] {
+        [COUNTERS_CALLS, COUNTERS_CALLS + 4].map(|at| self.read(at))
+    }
+
     /// Turns so many bits over in these words of the SDRAM.
     pub fn turn_over(&mut self, words: &[Range<usize>], bits: usize, rng: &mut Pcg64Mcg) {
         let all: usize = words.iter().map(Range::len).sum();

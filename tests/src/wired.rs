@@ -36,7 +36,7 @@ const TURN: u64 = 1000;
 /// same place.
 const SAMPLE: u64 = 61;
 /// 2 ms from what the board says to what the client answers, and of that one frame after the other.
-/// The board has two places for frames and the program takes up to 2 ms for each; what is lost
+/// The board has four places for frames and the program takes up to 2 ms for each; what is lost
 /// comes again after most of a second, which is minutes here.
 const THINKS: u64 = 120_000;
 /// Bytes of one frame, as the board says in its handshake.

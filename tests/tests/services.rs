@@ -14,8 +14,9 @@ use rand_pcg::Pcg64Mcg;
 use sim::segment::CONSOLE_PORT;
 use sim::soc::SdramLines;
 use wire::describe::{self, FEATURES_AT, JobsState};
-use wire::exchange::Command;
+use wire::exchange::{Command, Status};
 use wire::map;
+use wire::regmap::{WINDOW_BASE, WINDOW_SIZE, address, command, stepgen, timebase, watchdog};
 use wire::state::State;
 use wire::units::{Accel, Velocity};
 
@@ -53,6 +54,12 @@ const OVERFLOW: [u32; 4] = [
 /// `lui sp, 0x12345`: where there is no memory.
 const LOST_STACK: u32 = 0x1234_5137;
 
+/// Registers that hold what a host has set: a pulse's length, and the watchdog's time.
+const SETTINGS: [u32; 2] = [
+    address(stepgen::BASE, stepgen::STEPLEN),
+    address(watchdog::BASE, watchdog::TIMEOUT),
+];
+
 fn state(machine: &mut BenchMachine) -> JobsState {
     JobsState::of(machine.read(map::DESCRIBE + 9 * 4))
 }
@@ -76,12 +83,14 @@ fn outlives(what: &str, code: &[u32], bound: u64) {
     outlives_in("icmpv4_reply", what, code, bound);
 }
 
-/// The same with the code in this function.
-fn outlives_in(part: &str, what: &str, code: &[u32], bound: u64) {
+/// The same with the code in this function. Returns the machine, at rest.
+fn outlives_in(part: &str, what: &str, code: &[u32], bound: u64) -> BenchMachine {
     let mut machine = BenchMachine::boot(setup(&sealed(broken(program(), part, code))));
     assert_eq!(state(&mut machine), JobsState::Alive, "{what}");
     let mut command = moving(&mut machine);
+    let before = SETTINGS.map(|at| machine.read(at));
     let (mut worst, mut rng) = (0, Pcg64Mcg::seed_from_u64(seed()));
+    let mut past = machine.exchange_and_wait(&mut command);
     for period in 0..30 {
         let frames = match period {
             5 => vec![machine.frame(Kind::PingArmed, &mut rng)],
@@ -91,8 +100,17 @@ fn outlives_in(part: &str, what: &str, code: &[u32], bound: u64) {
         let answer = answer.unwrap_or_else(|| panic!("{what}: no answer in period {period}"));
         assert_eq!(answer.status.state.state, State::Armed, "{what}");
         worst = worst.max(answer.turnaround);
+        for axis in 0..3 {
+            let off = off_course(&command, axis, &past, &answer.status);
+            assert!(
+                off.abs() <= 2.0,
+                "{what}: axis {axis}, period {period}: {off} steps"
+            );
+        }
+        past = answer.status;
     }
     println!("{what}: {worst} clocks");
+    assert_eq!(SETTINGS.map(|at| machine.read(at)), before, "{what}");
     assert!(worst <= bound, "{what}: {worst} clocks");
     assert!(machine.gate_open(), "{what}");
     assert_eq!(state(&mut machine), JobsState::Ended, "{what}");
@@ -116,6 +134,37 @@ fn outlives_in(part: &str, what: &str, code: &[u32], bound: u64) {
         let refused = machine.rig().tcp_connect(port).is_err();
         assert!(refused, "{what}: port {port} does not answer any more");
     }
+    machine
+}
+
+/// Steps an axis has made beyond those of its velocity, from one sample to the next.
+fn off_course(command: &Command, axis: usize, past: &Status, now: &Status) -> f64 {
+    let clocks = now.sample.0.wrapping_sub(past.sample.0) as f64;
+    let made = now.stepgen[axis].0.since(past.stepgen[axis].0);
+    made - f64::from(command.stepgen[axis].0.0) * clocks / 2f64.powi(32)
+}
+
+/// Code that stores a word.
+fn store(at: u32, word: u32) -> [u32; 5] {
+    const T0: u32 = 5;
+    const T1: u32 = 6;
+    let upper =
+        |register: u32, value: u32| value.wrapping_add(0x800) & !0xfff | register << 7 | 0x37;
+    let lower =
+        |register: u32, value: u32| (value & 0xfff) << 20 | register << 15 | register << 7 | 0x13;
+    [
+        upper(T0, word),
+        lower(T0, word),
+        upper(T1, at),
+        lower(T1, at),
+        T0 << 20 | T1 << 15 | 2 << 12 | 0x23, // sw t0, 0(t1)
+    ]
+}
+
+/// Stores of broken services, then a loop: it is the guard that ends them, long before the leash.
+fn stores(all: &[(u32, u32)]) -> Vec<u32> {
+    let code = all.iter().flat_map(|(at, word)| store(*at, *word));
+    code.chain([FOR_EVER]).collect()
 }
 
 #[test]
@@ -147,6 +196,48 @@ fn services_that_lost_their_stack_and_trap_end_themselves_and_not_the_motion() {
 #[test]
 fn a_stack_overflow_in_the_services_of_a_moving_machine_ends_them_and_not_the_motion() {
     outlives("stack overflow", &OVERFLOW, BOUND);
+}
+
+#[test]
+fn a_wild_store_of_the_services_to_the_gate_ends_them_and_the_gate_stays_open() {
+    let control = address(watchdog::BASE, watchdog::CONTROL);
+    let code = stores(&[(control, watchdog::CONTROL_KEY_STOP)]);
+    outlives("a store to the gate", &code, BOUND);
+}
+
+#[test]
+fn wild_stores_of_the_services_change_no_velocity_and_no_setting() {
+    let velocity = address(command::BASE, command::STEPGEN0_VELOCITY);
+    let strobe = address(timebase::BASE, timebase::STROBE);
+    let code = stores(&[
+        (velocity, 0x0800_0000),
+        (strobe, timebase::STROBE_COMMIT),
+        (SETTINGS[0], 0x1234),
+        (SETTINGS[1], 0),
+    ]);
+    outlives("stores to registers", &code, BOUND);
+}
+
+#[test]
+fn a_wild_store_of_the_services_does_not_reach_the_roms_memory() {
+    // Every kind of its data, down to the stack.
+    let first = (WINDOW_BASE + WINDOW_SIZE) as u32;
+    let code = stores(&[(first, !0), (first + 0x400, !0), (first + 0x800, !0)]);
+    outlives("stores to the ROM's data", &code, BOUND);
+}
+
+#[test]
+fn services_that_store_wildly_with_interrupts_off_are_ended_when_they_return() {
+    let control = address(watchdog::BASE, watchdog::CONTROL);
+    let mut code = vec![
+        0x0005_9663, // bnez a1, 1f
+        0x0000_0513, // li a0, 0
+        0x0000_8067, // ret
+        0x3004_7073, // 1: csrci mstatus, 8
+    ];
+    code.extend(store(control, watchdog::CONTROL_KEY_STOP));
+    code.extend([0x0000_0513, 0x0000_8067]); // li a0, 0; ret
+    outlives_in("services_main", "a store without interrupts", &code, BOUND);
 }
 
 #[test]
@@ -228,7 +319,8 @@ const LOADING_MS: u64 = 800;
 fn bits_that_turn_over_in_the_services_of_a_moving_machine_end_them_at_most() {
     let code = program();
     let mut machine = BenchMachine::boot(setup(&code));
-    let mut rng = Pcg64Mcg::seed_from_u64(seed());
+    let seed = seed();
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
     // A part, bits that turn over, and the periods between two times.
     let lives = [
         (Part::Data, 40, 4),
@@ -238,7 +330,7 @@ fn bits_that_turn_over_in_the_services_of_a_moving_machine_end_them_at_most() {
     ];
     for (life, (part, bits, every)) in (0..).zip(lives) {
         let alive = state(&mut machine) == JobsState::Alive;
-        let what = format!("life {life}, {bits} bits of {part:?}, seed {}", seed());
+        let what = format!("life {life}, {bits} bits of {part:?}, seed {seed}");
         assert!(
             alive || becomes(&mut machine, JobsState::Alive, LOADING_MS),
             "{what}: loaded"
@@ -273,12 +365,13 @@ fn bits_that_turn_over_in_the_services_of_a_moving_machine_end_them_at_most() {
 fn a_bit_of_the_services_that_turns_over_at_rest_is_noticed_and_they_are_loaded_again() {
     let code = program();
     let mut machine = BenchMachine::boot(setup(&code));
-    let mut rng = Pcg64Mcg::seed_from_u64(seed());
+    let seed = seed();
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
     machine.turn_over(&Part::Code.words(&code), 1, &mut rng);
     let begun = machine.clock();
     let noticed = becomes(&mut machine, JobsState::Ended, SWEEP_MS);
     println!("noticed after {} clocks", machine.clock() - begun);
-    assert!(noticed, "seed {}", seed());
+    assert!(noticed, "seed {seed}");
     // Not while a host owns the board.
     machine.acquire();
     let mut command = Command::default();
@@ -342,7 +435,7 @@ fn three_clients_have_a_console_at_once() {
     let mut heard = vec![String::new(); 3];
     for (client, line) in all.iter().zip(["status\n", "job status\n", "settings\n"]) {
         rig.segment.send(*client, line.as_bytes());
-        // The board has two places for frames.
+        // One after the other, as hands type them.
         rig.run_ms(1);
     }
     for _ in 0..40 {

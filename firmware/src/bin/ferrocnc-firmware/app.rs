@@ -397,8 +397,7 @@ impl App {
         soc::check_stack();
         // Admits one frame of a guest, a sender that does not own the session. The owner's next
         // frame is most of a servo period away, and serving one guest takes less. Not while a frame
-        // is pending: that may be a guest's, and with a second one in the other slot there would be
-        // no slot for the owner's frame.
+        // is pending: that may be a guest's, and the owner's frame waits for one of them at most.
         if !self.mac.pending() {
             self.mac.admit();
         }

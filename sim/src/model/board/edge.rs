@@ -54,6 +54,7 @@ impl Board {
             let (page, word) = place(address);
             self.store(page, word, data, self.common.job);
         }
+        self.regs.guarded &= !bus.rst;
         self.shine();
         self.write = bus.write.filter(|_| !bus.rst);
         self.show_all();

@@ -1,4 +1,4 @@
-//! LiteEth's MAC: two receive slots and two transmit slots, each for one frame.
+//! LiteEth's MAC: four receive slots and two transmit slots, each for one frame.
 //!
 //! The slots hold frames in network order, at an offset of two bytes: a 32-bit load yields a
 //! big-endian word, and everything after the Ethernet header is aligned, so the exchange swaps and
