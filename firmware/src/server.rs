@@ -26,7 +26,7 @@ use wire::exchange::{
     STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, command_word, status_word,
 };
 use wire::map::BoardConfig;
-use wire::refusal::COUNTERS_CUTS;
+use wire::refusal::{COUNTERS_CALLS, COUNTERS_CUTS};
 use wire::regmap::{self, command, segments, status, timebase};
 use wire::{GateClose, MAX_WORDS, Refusal, ResetReason, map};
 
@@ -37,6 +37,9 @@ const QUIET_SECONDS: u32 = 3;
 
 /// The word of [`Counters::cuts`].
 const CUTS_WORD: u32 = (COUNTERS_CUTS - map::COUNTERS) / 4;
+/// The words of [`Counters::calls`].
+const CALLS_WORD: u32 = (COUNTERS_CALLS - map::COUNTERS) / 4;
+const CALLS_END: u32 = CALLS_WORD + 2;
 /// Outputs that follow the segments core; boards without that core are not told.
 const SEGMENTS_MASK: u32 = regmap::address(segments::BASE, segments::MASK);
 
@@ -56,6 +59,9 @@ pub struct Counters {
     /// How often pulses may have been cut off since the start; the client that arms next makes
     /// `position_trusted` true again.
     pub cuts: u32,
+    /// Clocks of the longest call of the services, while a host moved the machine and at any other
+    /// time.
+    pub calls: [u32; 2],
 }
 
 /// The server's whole state.
@@ -111,6 +117,7 @@ impl Server {
                 refused_total: 0,
                 refused: [0; Refusal::COUNT],
                 cuts: 0,
+                calls: [0; 2],
             },
             flash: Flash::new(),
             link: Link::new(),
@@ -148,6 +155,7 @@ impl Server {
     pub fn jobs(&mut self, state: JobsState) {
         self.ident.features &= !(JobsState::MASK << JobsState::AT);
         self.ident.features |= state.code() << JobsState::AT;
+        self.refresh();
     }
 
     /// Has the board the memory that the services need?
@@ -160,7 +168,8 @@ impl Server {
             | JobsState::Damaged
             | JobsState::Foreign
             | JobsState::Ended
-            | JobsState::Loading => true,
+            | JobsState::Loading
+            | JobsState::GivenUp => true,
         }
     }
 
@@ -354,6 +363,7 @@ impl Server {
             link: self.link.up(),
             estop: gate.estop(),
             speed: self.link.word().speed,
+            services: JobsState::of(self.ident.features),
             link_errors: self.link.word().errors as u8,
         }
     }
@@ -726,6 +736,10 @@ impl Server {
             1 => self.counters.frames_tx,
             2 => self.counters.exchanges,
             CUTS_WORD => self.counters.cuts,
+            CALLS_WORD..CALLS_END => {
+                let [moving, other] = self.counters.calls;
+                if word == CALLS_WORD { moving } else { other }
+            }
             _ => self
                 .counters
                 .refused

@@ -51,6 +51,7 @@
 //! | `refused-total` | u32 out | datagrams the board refused since it started |
 //! | `last-reset-reason` | u32 out | [`wire::ResetReason`]: why the firmware started last |
 //! | `last-gate-close` | u32 out | [`wire::GateClose`]: why the gateware closed the outputs last |
+//! | `services` | u32 out | [`wire::describe::JobsState`]: what became of the board's services; 1: they run |
 //! | `io-error` | bit param | the board was given up, or the driver halted; cleared by arming or by hand |
 //! | `stop-group` | bit param | what stops another board stops this one, and the other way round |
 //! | `probe-input` | s32 param | which input trips the probe latches; -1 for none |

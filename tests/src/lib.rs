@@ -238,6 +238,11 @@ impl BenchMachine {
         self.sequence = self.read(map::SESSION_LAST_SEQ);
     }
 
+    /// Gives the session back. The machine should be at rest.
+    pub fn release(&mut self) {
+        self.write(map::SESSION_RELEASE, self.token);
+    }
+
     /// Writes step timings and watchdog of an ordinary machine, and gives them to the check at the
     /// pins.
     pub fn configure(&mut self) {
@@ -650,6 +655,17 @@ fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
         found.address() as usize,
         (found.address() + found.size()) as usize,
     )
+}
+
+/// The address of this symbol.
+fn place(elf: &std::path::Path, name: &str) -> usize {
+    use object::{Object, ObjectSymbol};
+    let bytes = std::fs::read(elf).unwrap_or_else(|error| panic!("{}: {error}", elf.display()));
+    let file =
+        object::File::parse(&*bytes).unwrap_or_else(|error| panic!("{}: {error}", elf.display()));
+    let found = file.symbols().find(|symbol| symbol.name() == Ok(name));
+    let found = found.unwrap_or_else(|| panic!("{} has no {name}", elf.display()));
+    found.address() as usize
 }
 
 /// A program of this workspace, built beside the tests, or in the folder `FERROCNC_PROGRAMS` names.

@@ -99,6 +99,16 @@ fn a_board_that_executes_jobs_keeps_the_bound_under_floods_and_behind_every_fram
     report("guests_with_jobs", costs);
     let floods = floods(&mut machine, &mut command, PERIODS_WITH_JOBS);
     report("floods_with_jobs", floods);
+    let [moving, other] = machine.longest_calls();
+    println!("longest call of the services {moving} clocks while moving, {other} else");
+    report(
+        "longest_call_clocks",
+        json!({"moving": moving, "else": other}),
+    );
+    assert!(
+        (1..=BOUND).contains(&moving.into()) && other > 0,
+        "{moving}, {other}"
+    );
     comes_to_rest(&mut machine, &mut command);
 }
 

@@ -286,7 +286,7 @@ fn an_sdram_with_a_line_shorted_to_ground_has_no_jobs_and_everything_else_works(
         ),
     ] {
         let mut setup = setup(&program());
-        setup.shorted = SdramLines { data, row };
+        setup.shorted = SdramLines { data, row, high: 0 };
         let mut machine = BenchMachine::boot(setup);
         assert_eq!(state(&mut machine), told, "{what}");
         assert!(

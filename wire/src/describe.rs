@@ -85,11 +85,13 @@ codes! {
         /// registers.
         Streamed = 6, "a PC streams them (ferrocnc job serve)";
         /// The services failed while the board ran; the machine is as it was. The board loads them
-        /// again when it starts.
-        Ended = 7, "the services failed; restart the board";
+        /// again as soon as no host owns it.
+        Ended = 7, "the services failed";
         /// The board copies the services from its flash. It goes on with that whenever no host owns
         /// it.
         Loading = 8, "the services are being loaded";
+        /// The services failed as often as the board loads them again; the machine is as it was.
+        GivenUp = 9, "the services failed four times";
     }
 }
 
@@ -284,6 +286,7 @@ mod tests {
                 link: true,
                 estop: false,
                 speed: LinkSpeed::M1000,
+                services: JobsState::Ended,
                 link_errors: 200,
             },
             obstacles: OBSTACLE_ABI,

@@ -63,7 +63,7 @@ pub use state::{FaultReason, GateClose, LinkSpeed, ResetReason, State};
 
 /// Version of everything in this crate. Host and board must agree; unequal versions never arm. It
 /// is part of the ABI number ([`layout`]), so that gateware, firmware and host use the same one.
-pub const WIRE_VERSION: u32 = 4;
+pub const WIRE_VERSION: u32 = 5;
 
 /// UDP port of the Etherbone server. LiteX's and Lcnc's default (CERN's would be 60368).
 pub const DEFAULT_PORT: u16 = 1234;

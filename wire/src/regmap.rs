@@ -11,7 +11,7 @@
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
 /// exchange's layout (`wire/layout.txt`).
-pub const ABI: u32 = 0x4e434c0a;
+pub const ABI: u32 = 0x21da9fc8;
 /// The value of [`ident::MAGIC`]: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.

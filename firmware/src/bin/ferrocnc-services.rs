@@ -50,6 +50,7 @@ unsafe extern "C" {
     safe fn services_entry(rom: &Rom, frame: *const u8, length: usize) -> u32;
     static mut __services_bss: u32;
     static mut __services_bss_end: u32;
+    static __services_fixed_end: u32;
 }
 
 #[unsafe(no_mangle)]
@@ -60,6 +61,8 @@ static SERVICES_HEADER: Header = Header {
     abi: regmap::ABI,
     entry: services_entry,
     ports: PORTS,
+    // SAFETY: the linker's; nothing reads through it.
+    fixed_end: unsafe { &__services_fixed_end },
 };
 
 /// The program's state; in `.bss`, and initialised from [`START`] on.

@@ -103,6 +103,14 @@ impl<B: Board> Machine<B> {
         self.server.jobs(state);
     }
 
+    /// Counts a call of the services that took so many clocks; did a host move the machine then?
+    #[inline(always)]
+    pub fn called(&mut self, clocks: u32, moving: bool) {
+        let [while_moving, other] = &mut self.server.counters_mut().calls;
+        let longest = if moving { while_moving } else { other };
+        *longest = clocks.max(*longest);
+    }
+
     /// Where the image that runs lies in the flash: its first byte and its length.
     #[inline(always)]
     pub fn image(&mut self) -> Option<(u32, u32)> {

@@ -6,6 +6,7 @@
 //!
 //! ```text
 //!   0 CRC-32 of all words after it   1 interface   2 ABI number   3 entry   4..7 UDP ports
+//!   8 where its code and constants end
 //!   ... code and data ...
 //!   the last two words: length in bytes, magic "FJOB"
 //! ```
@@ -29,9 +30,10 @@ use wire::MAX_WORDS;
 use wire::crc::Crc32;
 use wire::describe::JobsState;
 use wire::images::PROGRAM_MAX;
+use wire::regmap::SDRAM_BASE;
 
 /// Version of this interface. The program starts only if both sides have the same.
-pub const INTERFACE: u32 = 6;
+pub const INTERFACE: u32 = 7;
 /// Bytes at the beginning of the SDRAM for the program: code, data and stack. The jobs get the
 /// rest.
 pub const ROOM: usize = PROGRAM_MAX;
@@ -50,7 +52,16 @@ pub struct Header {
     pub entry: Entry,
     /// Where the program listens.
     pub ports: UdpPorts,
+    /// Behind its code and its constants: what is before it never changes, but for the first word.
+    pub fixed_end: &'static u32,
 }
+
+/// The word of the header with [`Header::fixed_end`].
+pub const FIXED_END_AT: usize = 8;
+const _: () = assert!(
+    core::mem::offset_of!(Header, fixed_end) == FIXED_END_AT * size_of::<usize>()
+        || usize::BITS != 32
+);
 
 /// The ROM's call. With a frame: `frame` and its length. Without: null and [`POLL`]; the first call
 /// of all is null and [`START`]. The result is [`RESTLESS`], [`FAILED`], [`DEAD`] or 0.
@@ -104,6 +115,62 @@ pub struct Rom {
 
 /// Longest frame, without its FCS.
 pub const FRAME_MAX: usize = 1514;
+
+/// Words that are summed at a time: 4600 clocks, less than half of what a guest's frame takes.
+const PATROL: usize = 32;
+
+/// Sums the program's code and constants, a piece at a time and again from the beginning: the SDRAM
+/// may lose a bit, and what runs then is another program.
+#[derive(Clone, Copy, Debug)]
+pub struct Patrol {
+    /// Words at the beginning of the program that never change; 0: not known.
+    end: usize,
+    /// Their sum as they were loaded.
+    sum: u32,
+    done: usize,
+    check: Check,
+}
+
+impl Default for Patrol {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Patrol {
+    /// Of no program.
+    pub const fn new() -> Self {
+        Patrol {
+            end: 0,
+            sum: 0,
+            done: 0,
+            check: Check::new(),
+        }
+    }
+
+    /// So many words of the program are loaded, and `check` has taken them. The piece that ends
+    /// with the code says its sum.
+    pub fn loaded(&mut self, words: &[u32], done: usize, check: &Check) {
+        let end = words.get(FIXED_END_AT).copied().unwrap_or(0);
+        let bytes = end.wrapping_sub(SDRAM_BASE as u32) as usize;
+        if done * 4 == bytes {
+            (self.end, self.sum) = (done, check.crc.value());
+        }
+    }
+
+    /// Sums the next piece of the program, which `words` begin with. False: it is not the program
+    /// that was loaded.
+    pub fn step(&mut self, words: &[u32]) -> bool {
+        if self.done >= self.end {
+            self.done = 0;
+            self.check = Check::new();
+        }
+        let next = self.end.min(self.done + PATROL);
+        self.check.add(words.get(self.done..next).unwrap_or(&[]));
+        self.done = next;
+        next < self.end || self.end == 0 || self.check.crc.value() == self.sum
+    }
+}
 
 /// Is this a program for this ROM? It takes the SDRAM's content in pieces, with the length that its
 /// last words give.
@@ -200,6 +267,58 @@ mod tests {
                 assert_ne!(check(&words, ABI), JobsState::Alive, "word {at} bit {bit}");
             }
         }
+    }
+
+    /// A program of which the first `fixed` words never change, and its patrol, loaded in pieces of
+    /// 64 words as the ROM does.
+    fn loaded(fixed: usize) -> (Vec<u32>, Patrol) {
+        let mut words = program();
+        words.resize(1000, 0x1234_5678);
+        words[FIXED_END_AT] = (SDRAM_BASE + 4 * fixed) as u32;
+        let words = sealed(words);
+        let (mut check, mut patrol) = (Check::new(), Patrol::new());
+        for (n, piece) in words.chunks(64).enumerate() {
+            check.add(piece);
+            patrol.loaded(&words, 64 * n + piece.len(), &check);
+        }
+        (words, patrol)
+    }
+
+    #[test]
+    fn a_program_that_keeps_its_code_is_never_taken_for_another_whatever_its_data_become() {
+        for fixed in [64, 128, 960] {
+            let (mut words, mut patrol) = loaded(fixed);
+            for turn in 0..1000 {
+                assert!(patrol.step(&words), "{fixed} words, turn {turn}");
+                // The test of the SDRAM overwrites the first word.
+                words[0] = turn;
+                words[fixed + turn as usize % (1000 - fixed)] ^= turn;
+            }
+        }
+    }
+
+    #[test]
+    fn a_bit_of_the_code_that_turns_over_at_any_time_is_noticed_within_two_sums() {
+        let fixed = 128;
+        for at in 1..fixed {
+            for turns in 0..8 {
+                let (mut words, mut patrol) = loaded(fixed);
+                (0..turns).for_each(|_| assert!(patrol.step(&words)));
+                words[at] ^= 1 << (at % 32);
+                let noticed = (0..2 * fixed / PATROL).any(|_| !patrol.step(&words));
+                assert!(noticed, "word {at} behind {turns} turns");
+            }
+        }
+    }
+
+    #[test]
+    fn a_program_whose_end_of_code_is_nowhere_is_not_summed() {
+        for fixed in [63, 65, 1001, usize::MAX / 8] {
+            let (mut words, mut patrol) = loaded(fixed);
+            words[50] ^= 1;
+            assert!((0..100).all(|_| patrol.step(&words)), "{fixed}");
+        }
+        assert!(Patrol::new().step(&[]));
     }
 
     #[test]

@@ -190,6 +190,7 @@ fn changes(last: &StateWord, now: &StateWord, logged: &mut impl FnMut(Severity, 
 mod tests {
     use super::super::journal::BYTES;
     use super::*;
+    use wire::describe::JobsState;
     use wire::{LinkSpeed, MAX_WORDS};
 
     const STAMP: Stamp = Stamp {
@@ -248,6 +249,7 @@ mod tests {
                 link: true,
                 estop: false,
                 speed: LinkSpeed::M1000,
+                services: JobsState::None,
                 link_errors: 0,
             },
             owner: 0,

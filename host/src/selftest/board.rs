@@ -62,7 +62,7 @@ fn sdram(facts: &Facts) -> Finding {
             "the services are loaded while no host owns the board",
             "run this again in a second, without LinuxCNC",
         ),
-        JobsState::Ended => Finding::bad(
+        JobsState::Ended | JobsState::GivenUp => Finding::bad(
             check,
             "passed its test at start; the services failed since",
             "the SDRAM loses what is in it, or the services have a defect",
@@ -154,6 +154,7 @@ pub(super) mod tests {
                 link: true,
                 estop: false,
                 speed: LinkSpeed::M1000,
+                services: JobsState::None,
                 link_errors: 0,
             },
             obstacles: 0,
@@ -193,6 +194,7 @@ pub(super) mod tests {
         assert_eq!(sdram(JobsState::Damaged), Note);
         assert_eq!(sdram(JobsState::Loading), Note);
         assert_eq!(sdram(JobsState::Ended), Bad);
+        assert_eq!(sdram(JobsState::GivenUp), Bad);
         assert_eq!(sdram(JobsState::Streamed), Skipped);
         assert_eq!(verdicts(|f| f.panics = 1), [Good, Good, Bad, Good]);
         assert_eq!(

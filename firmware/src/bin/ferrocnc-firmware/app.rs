@@ -4,6 +4,8 @@
 use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc, TxSlot};
 use core::arch::global_asm;
 use core::ffi::c_void;
+use core::sync::atomic::{AtomicPtr, Ordering::Relaxed};
+use firmware::cores::Board as _;
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
 use firmware::machine::{IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::{self, Class, Datagram, FastPath, Frame as _, UdpPorts, Us};
@@ -50,6 +52,8 @@ pub struct App {
     services: Option<abi::Entry>,
     /// Where they listen.
     ports: UdpPorts,
+    /// Sums their code while the machine is at rest.
+    patrol: abi::Patrol,
     /// They want to be called in every turn.
     restless: bool,
     /// They are being loaded.
@@ -75,6 +79,7 @@ impl App {
             cold: false,
             services: None,
             ports: [0; 8],
+            patrol: abi::Patrol::new(),
             restless: false,
             loader: Some(Loader::new()),
             reloads: RELOADS,
@@ -128,7 +133,8 @@ impl App {
                 self.housekeeping_if(IDLE);
             }
             // The services run here only while there is no exchange that they could delay.
-            if self.fast_path.is_none() && (self.restless || self.loader.is_some()) {
+            let something = self.services.is_some() || self.loader.is_some();
+            if self.fast_path.is_none() && something {
                 self.leisure();
             }
         }
@@ -409,19 +415,38 @@ impl App {
         }
         // The check is here because the call alone may push lines of the fast path out of the
         // cache. Without services no warm-up follows it.
-        if self.services.is_some() && (due || self.restless) {
-            self.services(core::ptr::null(), abi::POLL);
+        if self.services.is_some() {
+            if due || self.restless {
+                self.services(core::ptr::null(), abi::POLL);
+            } else if self.fast_path.is_some() && self.machine.at_rest() {
+                self.patrol();
+            }
         }
     }
 
-    /// No host exchanges: a turn of the services, or the next piece of them from the flash.
+    /// Sums a piece of the services' code. One that has changed is not called again.
+    #[cold]
+    #[inline(never)]
+    fn patrol(&mut self) {
+        self.cold = true;
+        if !soc::patrol(&mut self.patrol) {
+            defmt::error!("services failed: their code has changed in the SDRAM");
+            self.ended();
+        }
+    }
+
+    /// No host exchanges: a turn of the services, the sum of a piece of them, or the next piece of
+    /// them from the flash.
     #[cold]
     #[inline(never)]
     fn leisure(&mut self) {
-        if self.loader.is_none() {
+        if self.restless {
             self.services(core::ptr::null(), abi::POLL);
-        } else if self.machine.may_load() {
-            self.load();
+        } else if self.machine.may_load() && self.machine.at_rest() {
+            match self.loader {
+                Some(_) => self.load(),
+                None => self.patrol(),
+            }
         }
     }
 
@@ -437,17 +462,19 @@ impl App {
         self.loader = None;
         let state = match verdict {
             Err(why) => why,
-            Ok(header) => {
+            Ok((header, patrol)) => {
+                self.patrol = patrol;
                 self.services = Some(header.entry);
                 self.ports = header.ports;
                 let answer = self.services(core::ptr::null(), abi::START);
+                if answer == abi::DEAD {
+                    return;
+                }
                 if answer & abi::FAILED != 0 {
                     self.services = None;
-                }
-                match (self.services, answer) {
-                    (Some(_), _) => JobsState::Alive,
-                    (None, abi::DEAD) => JobsState::Ended,
-                    (None, _) => JobsState::Sdram,
+                    JobsState::Sdram
+                } else {
+                    JobsState::Alive
                 }
             }
         };
@@ -472,35 +499,54 @@ impl App {
             output: self.mac.output.bytes().as_mut_ptr().cast(),
             us: &raw const self.machine.us,
             moving,
-            context: (&raw mut *self).cast(),
+            context: core::ptr::null_mut(),
         };
-        let clocks = match (&self.fast_path, frame.is_null() && length == abi::START) {
+        CALLER.store(self, Relaxed);
+        let first = frame.is_null() && length == abi::START;
+        let clocks = match (&self.fast_path, first) {
             (_, true) => 0,
             (None, false) => LEISURE,
             (Some(_), false) if self.machine.at_rest() => AT_REST,
             (Some(_), false) => MOVING,
         };
+        let begun = self.machine.board.now_lo();
         let answer = soc::call_services(entry, &rom, frame, length, clocks);
+        if !first {
+            let clocks = self.machine.board.now_lo().wrapping_sub(begun);
+            self.machine.called(clocks, moving);
+        }
         self.restless = answer & abi::RESTLESS != 0;
         if answer == abi::DEAD {
-            self.services = None;
-            self.machine.jobs(JobsState::Ended);
-            match self.reloads.checked_sub(1) {
-                Some(left) => {
-                    self.reloads = left;
-                    self.loader = Some(Loader::new());
-                }
-                // A lease that is not renewed is over some day.
-                None => self.machine.leased(None),
-            }
             let (cause, at) = soc::last_trap();
             defmt::error!("services failed: cause {=u32} at {=u32:x}", cause, at);
+            self.ended();
         }
         // The last text of a console should leave first.
         if !self.restless {
             self.restart_if();
         }
         answer
+    }
+
+    /// The services have failed: they are loaded again, unless that was done too often.
+    #[cold]
+    #[inline(never)]
+    fn ended(&mut self) {
+        self.services = None;
+        self.restless = false;
+        let state = match self.reloads.checked_sub(1) {
+            Some(left) => {
+                self.reloads = left;
+                self.loader = Some(Loader::new());
+                JobsState::Ended
+            }
+            None => {
+                // A lease that is not renewed is over some day.
+                self.machine.leased(None);
+                JobsState::GivenUp
+            }
+        };
+        self.machine.jobs(state);
     }
 
     /// Where there are no services: answers a frame of `length` bytes from `input`.
@@ -561,60 +607,72 @@ unsafe extern "C" {
     safe fn services_leased(context: *mut c_void, ip: u32, prefix: u32, gateway: u32);
 }
 
+/// The app whose services ask for something. What they give as the context may be anything.
+static CALLER: AtomicPtr<App> = AtomicPtr::new(core::ptr::null_mut());
+
+/// Runs `serve` on the app; `None` without one.
+fn caller<R>(serve: impl FnOnce(&mut App) -> R) -> Option<R> {
+    // SAFETY: it waits in `App::services` and touches nothing meanwhile; at no other time is there
+    // a caller.
+    unsafe { CALLER.load(Relaxed).as_mut() }.map(serve)
+}
+
 /// [`abi::Rom::datagram`].
 extern "C" fn datagram(
-    context: *mut c_void,
+    _context: *mut c_void,
     request: *const u32,
     words: usize,
-    reply: &mut [u32; MAX_WORDS],
+    reply: *mut [u32; MAX_WORDS],
 ) -> isize {
-    // SAFETY: `context` is the app that waits in `App::services` and touches nothing meanwhile; the
-    // program says how long its request is.
-    let (app, request) = unsafe {
-        (
-            &mut *context.cast::<App>(),
-            core::slice::from_raw_parts(request, words),
-        )
-    };
-    match app.machine.inside(request, reply, hold_path) {
+    const REFUSED: isize = -1 - Refusal::Oversized as isize;
+    let fits = words <= MAX_WORDS
+        && soc::theirs(request.addr(), words * 4)
+        && soc::theirs(reply.addr(), size_of::<[u32; MAX_WORDS]>());
+    if !fits {
+        return REFUSED;
+    }
+    // SAFETY: both lie in the SDRAM, where every word may be read and written; the program waits.
+    let (request, reply) = unsafe { (core::slice::from_raw_parts(request, words), &mut *reply) };
+    caller(|app| match app.machine.inside(request, reply, hold_path) {
         Ok(reply) => reply.len() as isize,
         Err(why) => -1 - why as isize,
-    }
+    })
+    .unwrap_or(REFUSED)
 }
 
 /// [`abi::Rom::send`].
-extern "C" fn send(context: *mut c_void, length: usize) {
-    // SAFETY: as above.
-    let app = unsafe { &mut *context.cast::<App>() };
-    app.mac.output.send(length);
-    app.machine.sent(1);
+extern "C" fn send(_context: *mut c_void, length: usize) {
+    caller(|app| {
+        app.mac.output.send(length.min(abi::FRAME_MAX));
+        app.machine.sent(1);
+    });
 }
 
 /// [`abi::Rom::console`].
 extern "C" fn console(
-    context: *mut c_void,
+    _context: *mut c_void,
     visitor: usize,
     verb: u32,
-    words: &mut [u32; VISIT_WORDS],
+    words: *mut [u32; VISIT_WORDS],
 ) -> u32 {
-    // SAFETY: as above.
-    let app = unsafe { &mut *context.cast::<App>() };
     let verdict = match Verb::from_code(verb) {
-        Some(verb) => app.machine.visit(visitor, verb, words),
-        None => Verdict::NotNow,
+        Some(verb) if soc::theirs(words.addr(), size_of::<[u32; VISIT_WORDS]>()) => {
+            // SAFETY: as above.
+            let words = unsafe { &mut *words };
+            caller(|app| app.machine.visit(visitor, verb, words))
+        }
+        Some(_) | None => None,
     };
-    verdict as u32
+    verdict.unwrap_or(Verdict::NotNow) as u32
 }
 
 /// [`abi::Rom::leased`].
-extern "C" fn leased(context: *mut c_void, ip: u32, prefix: u32, gateway: u32) {
-    // SAFETY: as above.
-    let app = unsafe { &mut *context.cast::<App>() };
+extern "C" fn leased(_context: *mut c_void, ip: u32, prefix: u32, gateway: u32) {
     let prefix = u8::try_from(prefix).unwrap_or(0);
     let lease = Lease {
         ip,
         prefix,
         gateway,
     };
-    app.machine.leased((prefix != 0).then_some(lease));
+    caller(|app| app.machine.leased((prefix != 0).then_some(lease)));
 }

@@ -11,7 +11,7 @@ mod stack;
 
 pub use mac::{Mac, RxFrame, TxSlot};
 pub use postmortem::{last_trap, restart};
-pub use services::{Loader, call as call_services, watch as watch_services};
+pub use services::{Loader, call as call_services, patrol, theirs, watch as watch_services};
 pub use stack::{check as check_stack, used as stack_used};
 
 use core::ptr::{read_volatile, write_volatile};

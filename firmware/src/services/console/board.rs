@@ -4,7 +4,7 @@ use super::{More, Piece, Reader};
 use crate::cores::Gate;
 use crate::text::Out;
 use ::jobs::Outside;
-use wire::describe::{self, address};
+use wire::describe::{self, JobsState, address};
 use wire::exchange::{StateWord, status_word};
 use wire::flash::{OpWord, Running, Slot};
 use wire::map::{self, BoardConfig};
@@ -12,7 +12,7 @@ use wire::regmap::{self, watchdog};
 use wire::{GateClose, ResetReason};
 
 /// The step of `status` that is not read from a window.
-pub(super) const STACK: u16 = 5;
+pub(super) const STACK: u16 = 6;
 
 /// The address of a word of the status block's head.
 pub(super) const fn status_at(word: usize) -> u32 {
@@ -89,6 +89,15 @@ pub(super) fn status(
             let reset = ResetReason::from_code(reset as u8)?;
             out.text("boot     ").hex(boot);
             out.text(", ").text(reset.text()).end();
+        }
+        5 => {
+            let at = wire::refusal::COUNTERS_CALLS;
+            let [moving, other, features] =
+                reader.words([at, at + 4, address(describe::FEATURES_AT)], from)?;
+            out.text("services ").text(JobsState::of(features).text());
+            out.text(", longest call ").number(moving);
+            out.text(" clocks while a host moved the machine, ");
+            out.number(other).text(" else").end();
         }
         _ => return Some(More::No),
     }

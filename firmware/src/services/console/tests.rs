@@ -164,7 +164,7 @@ fn the_board_states_its_name_its_image_and_its_link_speed() {
 fn status_says_what_the_board_is_doing() {
     let text = said("status");
     let lines: Vec<&str> = text.lines().collect();
-    assert_eq!(lines.len(), 8, "{text}");
+    assert_eq!(lines.len(), 9, "{text}");
     assert!(lines[0].starts_with("state    disarmed, reason "));
     assert_eq!(lines[1], "gate     closed, positions trusted");
     assert_eq!(lines[2], "session  free");
@@ -172,7 +172,12 @@ fn status_says_what_the_board_is_doing() {
     assert_eq!(lines[4], "abi      firmware ab1ab1ab, gateware ab1ab1ab");
     assert!(lines[5].ends_with(", gateware 00000100"), "{text}");
     assert_eq!(lines[6], "boot     00000009, reboot requested");
-    assert_eq!(lines[7], "stack    0 of 0 bytes");
+    let calls = "longest call 0 clocks while a host moved the machine, 0 else";
+    assert_eq!(
+        lines[7],
+        format!("services none: no SDRAM is used, {calls}")
+    );
+    assert_eq!(lines[8], "stack    0 of 0 bytes");
     let mut rig = Rig::new();
     rig.acquire();
     let text = Bench::of(rig).say("status");

@@ -13,6 +13,7 @@ use wire::describe::{
 use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, status_word};
 use wire::flash::{LinkWord, Running};
 use wire::map::{self, CONFIG_STEPGEN, CONFIG_STRIDE, StepgenConfig};
+use wire::refusal::{COUNTERS_CALLS, COUNTERS_CUTS};
 use wire::regmap::{self, gpio};
 use wire::{FaultReason, GateClose, Refusal, ResetReason, State};
 
@@ -119,8 +120,8 @@ impl Part {
             Outputs => channels.outputs.into(),
             Refused => Refusal::COUNT.div_ceil(REFUSALS),
             Log => ENTRIES,
-            Machine | Board | Versions => 3,
-            Link | Counters => 2,
+            Machine | Board | Versions | Counters => 3,
+            Link => 2,
         }
     }
 }
@@ -492,14 +493,25 @@ fn versions(n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) 
 
 fn counters(n: usize, sheet: &mut Sheet, out: &mut impl Outside) {
     let at = map::COUNTERS;
-    if n == 0 {
-        let words = ask([at, at + 4], out);
-        sheet.field("received", "Datagrams received", words.map(|[it, _]| it));
-        sheet.field("sent", "Datagrams sent", words.map(|[_, it]| it));
-    } else {
-        let words = ask([at + 8, wire::refusal::COUNTERS_CUTS], out);
-        sheet.field("exchanges", "Exchanges", words.map(|[it, _]| it));
-        sheet.field("cuts", "Pulses cut off", words.map(|[_, it]| it));
+    match n {
+        0 => {
+            let words = ask([at, at + 4], out);
+            sheet.field("received", "Datagrams received", words.map(|[it, _]| it));
+            sheet.field("sent", "Datagrams sent", words.map(|[_, it]| it));
+        }
+        1 => {
+            let words = ask([at + 8, COUNTERS_CUTS], out);
+            sheet.field("exchanges", "Exchanges", words.map(|[it, _]| it));
+            sheet.field("cuts", "Pulses cut off", words.map(|[_, it]| it));
+        }
+        _ => {
+            let words = ask([COUNTERS_CALLS, COUNTERS_CALLS + 4], out);
+            let moving = words.map(|[it, _]| it);
+            let title = "Longest call of the services while moving, clocks";
+            sheet.field("longest_call_moving", title, moving);
+            let other = words.map(|[_, it]| it);
+            sheet.field("longest_call_else", "The same at other times", other);
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use super::super::look::Facts;
 use super::*;
 use proptest::prelude::*;
 use serde_json::Value as Json;
-use wire::describe::{Channels, Describe, DescribeError, WORDS};
+use wire::describe::{Channels, Describe, DescribeError, JobsState, WORDS};
 use wire::exchange::StateWord;
 use wire::{FaultReason, GateClose, MAX_WORDS, ResetReason, State, map};
 
@@ -93,6 +93,7 @@ fn board(channels: Channels, names: &[(u8, u8, &str)]) -> Fake {
         link: true,
         estop: true,
         speed: wire::LinkSpeed::M1000,
+        services: JobsState::None,
         link_errors: 0,
     };
     let describe = Describe {

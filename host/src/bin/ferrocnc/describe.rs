@@ -1,7 +1,7 @@
 //! `ferrocnc describe`: prints a board's description of itself.
 
 use crate::text::{mac_text, version};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use ferrocnc::client::{Client, Identity};
 use ferrocnc::flash::Overview;
 use ferrocnc::uid::uid_text;
@@ -10,18 +10,45 @@ use std::io::Write;
 use std::net::Ipv4Addr;
 use wire::board::Kind;
 use wire::describe::{FEATURE_JOBS, JobsState, OBSTACLE_ABI, OBSTACLE_FLASH};
+use wire::refusal::COUNTERS_CALLS;
 use wire::settings::mac_of_uid;
 
 pub(crate) fn run(client: &mut Client, as_json: bool) -> Result<()> {
     let identity = client.identify()?;
     let overview = Overview::read(client)?;
+    let calls = Calls::read(client)?;
     let mut out = std::io::stdout().lock();
     if as_json {
-        writeln!(out, "{:#}", to_json(&identity, &overview))?;
+        let mut value = to_json(&identity, &overview);
+        value["services_longest_call"] = calls.to_json();
+        writeln!(out, "{value:#}")?;
     } else {
-        write!(out, "{}", to_text(&identity, &overview))?;
+        write!(out, "{}", to_text(&identity, &overview, calls))?;
     }
     Ok(())
+}
+
+/// Clocks of the longest call of the services since the board's start.
+#[derive(Clone, Copy)]
+struct Calls {
+    /// While a host moved the machine.
+    moving: u32,
+    /// At any other time.
+    other: u32,
+}
+
+impl Calls {
+    fn read(client: &mut Client) -> Result<Self> {
+        let words = client.read_from(COUNTERS_CALLS, 2)?;
+        let [moving, other] = words[..] else {
+            bail!("the board answered {} words instead of two", words.len());
+        };
+        Ok(Calls { moving, other })
+    }
+
+    fn to_json(self) -> Value {
+        json!({ "moving": self.moving, "else": self.other })
+    }
 }
 
 /// Names of one kind's channels, with their header pins.
@@ -101,7 +128,12 @@ fn services(features: u32) -> (JobsState, String) {
         JobsState::Missing => {
             "`ferrocnc update` with this board's .bit; an image loaded by JTAG has none"
         }
-        JobsState::Ended => "the machine goes on without them; `ferrocnc log` says where",
+        JobsState::Ended => {
+            "the board loads them again when no host owns it; `ferrocnc log` says where"
+        }
+        JobsState::GivenUp => {
+            "the machine goes on without them; `ferrocnc log` says where; restart the board"
+        }
         JobsState::Loading => "it goes on whenever no host owns the board",
         JobsState::Damaged | JobsState::Foreign => "`ferrocnc update` with this board's .bit",
     };
@@ -251,7 +283,7 @@ fn to_json(identity: &Identity, overview: &Overview) -> Value {
     value
 }
 
-fn to_text(identity: &Identity, overview: &Overview) -> String {
+fn to_text(identity: &Identity, overview: &Overview, calls: Calls) -> String {
     use std::fmt::Write;
     let describe = &identity.describe;
     let blob = identity.blob();
@@ -313,6 +345,13 @@ fn to_text(identity: &Identity, overview: &Overview) -> String {
         ),
     );
     line("services", services(describe.features).1);
+    line(
+        "",
+        format!(
+            "longest call {} clocks while a host moved the machine, {} else",
+            calls.moving, calls.other
+        ),
+    );
     if let (Some(mac), Some(ip), Some(port)) = network(identity) {
         line("default", format!("{ip}:{port}, MAC {mac}"));
     }
@@ -348,7 +387,7 @@ mod tests {
             assert_eq!(told, *state);
             assert!(seen.insert(text.clone()), "{text}");
         }
-        assert_eq!(seen.len(), 9);
+        assert_eq!(seen.len(), 10);
         let (_, text) = services(JobsState::Sdram.code() << JobsState::AT);
         assert!(text.starts_with("the SDRAM failed its test: "), "{text}");
     }

@@ -1,5 +1,5 @@
-//! Waits for the SDRAM; finds, copies, checks and calls the services, and outlives them. The
-//! program tests the rest of the SDRAM: the ROM has no room for that, and a right CRC shows that
+//! Waits for the SDRAM; finds, copies, checks and calls the services, sums their code again and
+//! again, and outlives them. The program tests the rest of the SDRAM: the ROM has no room for that, and a right CRC shows that
 //! the program's own memory works.
 
 use super::{ABI, Soc};
@@ -11,7 +11,7 @@ use firmware::services::abi::{self, Header};
 use litex_pac::Sdram;
 use wire::describe::JobsState;
 use wire::images::program_length;
-use wire::regmap::{self, LEASH_IRQ, SDRAM_BASE, timebase};
+use wire::regmap::{self, LEASH_IRQ, SDRAM_BASE, SDRAM_SIZE, timebase};
 
 /// Clocks until there is an SDRAM, or none: its controller starts it in 0.4 ms at 60 MHz, in clocks
 /// twice as many at most at 125.
@@ -31,6 +31,7 @@ pub struct Loader {
     length: usize,
     done: usize,
     check: abi::Check,
+    patrol: abi::Patrol,
 }
 
 impl Loader {
@@ -41,12 +42,17 @@ impl Loader {
             length: 0,
             done: 0,
             check: abi::Check::new(),
+            patrol: abi::Patrol::new(),
         }
     }
 
-    /// The next piece. At the end: the program's header, or the state to report.
+    /// The next piece. At the end: the program's header and the sum of its code, or the state to
+    /// report.
     #[inline(never)]
-    pub fn step(&mut self, machine: &mut Machine<Soc>) -> Option<Result<Header, JobsState>> {
+    pub fn step(
+        &mut self,
+        machine: &mut Machine<Soc>,
+    ) -> Option<Result<(Header, abi::Patrol), JobsState>> {
         // SAFETY: no program runs in the SDRAM, it is at least this large, and it is aligned.
         let room = unsafe { &mut *(SDRAM_BASE as *mut Room) };
         if self.length == 0 {
@@ -59,6 +65,7 @@ impl Loader {
         let _ = nor.read(at, bytes(words, count));
         self.check.add(words.get(..count / 4).unwrap_or(&[]));
         self.done += count;
+        self.patrol.loaded(&room.0, self.done / 4, &self.check);
         if self.done < self.length {
             return None;
         }
@@ -68,7 +75,7 @@ impl Loader {
                 // complete header of a program linked to this address.
                 unsafe {
                     core::arch::asm!("fence.i");
-                    Ok(*(SDRAM_BASE as *const Header))
+                    Ok((*(SDRAM_BASE as *const Header), self.patrol))
                 }
             }
             state => Err(state),
@@ -222,7 +229,8 @@ const GUARD: u32 = regmap::address(timebase::BASE, timebase::GUARD);
 const GUARD_STATUS: u32 = regmap::address(timebase::BASE, timebase::GUARD_STATUS);
 const PAGE: u32 = (GUARD + 0x800) & !0xfff;
 const _: () = assert!((GUARD_STATUS + 0x800) & !0xfff == PAGE);
-const _: () = assert!(timebase::GUARD_STATUS_CLOSED == 1 && timebase::GUARD_STATUS_REFUSED == 1 << 31);
+const _: () =
+    assert!(timebase::GUARD_STATUS_CLOSED == 1 && timebase::GUARD_STATUS_REFUSED == 1 << 31);
 /// Where an external interrupt is enabled in `mie`.
 const EXTERNAL: u32 = 1 << 11;
 
@@ -246,6 +254,21 @@ pub fn watch() {
             external = in(reg) EXTERNAL,
         );
     }
+}
+
+/// Sums the next piece of the services that were loaded. False: they have changed.
+#[inline(never)]
+pub fn patrol(patrol: &mut abi::Patrol) -> bool {
+    // SAFETY: the program lies there and does not run now; only what it never writes is read.
+    let room = unsafe { &*(SDRAM_BASE as *const Room) };
+    patrol.step(&room.0)
+}
+
+/// Do these bytes lie in the SDRAM, and at a word's address? The ROM does what the services ask for
+/// with no other memory: their code may be what is broken.
+pub fn theirs(at: usize, bytes: usize) -> bool {
+    let offset = at.wrapping_sub(SDRAM_BASE);
+    at.is_multiple_of(4) && offset < SDRAM_SIZE && bytes <= SDRAM_SIZE - offset
 }
 
 /// Calls the services, which have to come back within so many clocks.
