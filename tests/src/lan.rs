@@ -4,6 +4,7 @@
 //!   Lan            a namespace with nothing but a bridge
 //!    |-- Place     "host":    eth0, where `ferrocnc` runs
 //!    |-- Place     "board 0": eth0, where a twin with --interface eth0 runs
+//!    |-- tap1      the cable of a board whose network is frames: --tap tap1
 //!    `-- ...
 //! ```
 //!
@@ -112,6 +113,16 @@ impl Lan {
         bridge.ip("link add br0 type bridge");
         bridge.ip("link set br0 up");
         Lan { bridge, plugged: 0 }
+    }
+
+    /// A new TAP interface on it, and a command that runs this program where it is: in the place of
+    /// the bridge, which has no address.
+    pub fn tap(&mut self, program: impl AsRef<std::ffi::OsStr>) -> (String, Command) {
+        let name = format!("tap{}", self.plugged);
+        self.plugged += 1;
+        self.bridge.ip(&format!("tuntap add dev {name} mode tap"));
+        self.bridge.ip(&format!("link set {name} master br0 up"));
+        (name, self.bridge.command(program))
     }
 
     /// A new place on it. Its `eth0` is up and has this address, or none.
