@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """A session with Debian's telnet on a terminal of its own.
 
-    telnet.py HOST PORT characters|lines|three
+    telnet.py HOST PORT characters|lines|armed|three
 
 In character mode telnet negotiates as it does at port 23 (`-PORT`), the board echoes each key, and keys
-edit the line. In line mode telnet does not negotiate (any other port), and sends whole lines. With `three` there are three of them at once, with
+edit the line. In line mode telnet does not negotiate (any other port), and sends whole lines. With `armed` it looks at a board that a host keeps
+armed. With `three` there are three of them at once, with
 half a line each before any of the lines ends, and a fourth that is refused until one has gone. The exit
 status is not 0 if an expected text does not come within PATIENCE.
 """
@@ -35,6 +36,11 @@ CHARACTERS = [
 LINES = [
     (b"pwm 0\r", b"\r\n0: period "),
     (b"status\r", b"session  free"),
+    (b"quit\r", b"bye"),
+]
+ARMED = [
+    (b"pwm 0\r", b"0: period "),
+    (b"status\r", b"armed"),
     (b"quit\r", b"bye"),
 ]
 
@@ -106,6 +112,7 @@ def main():
         return three(host, port)
     characters = mode == "characters"
     to = ["--", "-" + port] if characters else [port]
+    session = {"characters": CHARACTERS, "lines": LINES, "armed": ARMED}[mode]
     terminal = Terminal(["telnet", host, *to])
     terminal.expect(b"Escape character")
     # The prompt is expected together with the first keys.
@@ -113,7 +120,7 @@ def main():
         terminal.wait_for_echo_of_the_board()
     else:
         terminal.expect(b"ferrocnc> ")
-    for keys, text in CHARACTERS if characters else LINES:
+    for keys, text in session:
         os.write(terminal.file, keys)
         terminal.expect(text)
     terminal.expect(b"Connection closed")

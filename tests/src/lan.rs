@@ -12,6 +12,10 @@
 //! the machine's own network is never touched. It needs root, or a kernel that lets users make user
 //! namespaces; where neither is given the test fails and says so.
 
+pub mod arp;
+pub mod avahi;
+pub mod dhcp;
+
 use std::process::{Child, Command, Stdio};
 
 /// Part of every error message of this module.
