@@ -350,7 +350,8 @@ pub mod generic {
     #[doc = " Marker for field writers are safe to write in specified inclusive range"]
     pub struct RangeTo<const MAX: u64>;
     #[doc = " Write field Proxy"]
-    pub type FieldWriter<'a, REG, const WI: u8, FI = u8, Safety = Unsafe> = raw::FieldWriter<'a, REG, WI, FI, Safety>;
+    pub type FieldWriter<'a, REG, const WI: u8, FI = u8, Safety = Unsafe> =
+        raw::FieldWriter<'a, REG, WI, FI, Safety>;
     impl<REG, const WI: u8, FI, Safety> FieldWriter<'_, REG, WI, FI, Safety>
     where
         REG: Writable + RegisterSpec,
@@ -399,7 +400,8 @@ pub mod generic {
             unsafe { self.bits(value) }
         }
     }
-    impl<'a, REG, const WI: u8, FI, const MIN: u64, const MAX: u64> FieldWriter<'a, REG, WI, FI, Range<MIN, MAX>>
+    impl<'a, REG, const WI: u8, FI, const MIN: u64, const MAX: u64>
+        FieldWriter<'a, REG, WI, FI, Range<MIN, MAX>>
     where
         REG: Writable + RegisterSpec,
         FI: FieldSpec,
@@ -673,7 +675,8 @@ pub mod generic {
             F: FnOnce(&mut W<REG>) -> &mut W<REG>,
         {
             let value = f(&mut W {
-                bits: REG::RESET_VALUE & !REG::ONE_TO_MODIFY_FIELDS_BITMAP | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
+                bits: REG::RESET_VALUE & !REG::ONE_TO_MODIFY_FIELDS_BITMAP
+                    | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
                 _reg: marker::PhantomData,
             })
             .bits;
@@ -714,7 +717,8 @@ pub mod generic {
             F: FnOnce(&mut W<REG>) -> T,
         {
             let mut writer = W {
-                bits: REG::RESET_VALUE & !REG::ONE_TO_MODIFY_FIELDS_BITMAP | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
+                bits: REG::RESET_VALUE & !REG::ONE_TO_MODIFY_FIELDS_BITMAP
+                    | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
                 _reg: marker::PhantomData,
             };
             let result = f(&mut writer);
@@ -802,7 +806,8 @@ pub mod generic {
                     _reg: marker::PhantomData,
                 },
                 &mut W {
-                    bits: bits & !REG::ONE_TO_MODIFY_FIELDS_BITMAP | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
+                    bits: bits & !REG::ONE_TO_MODIFY_FIELDS_BITMAP
+                        | REG::ZERO_TO_MODIFY_FIELDS_BITMAP,
                     _reg: marker::PhantomData,
                 },
             )
@@ -1565,7 +1570,8 @@ pub mod ethmac {
     }
     #[doc = "RX_DATAPATH_PREAMBLE_ERRORS (r) register accessor: Frames dropped for a wrong preamble, a count.\n\nYou can [`read`](crate::Reg::read) this register and get [`rx_datapath_preamble_errors::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@rx_datapath_preamble_errors`] module"]
     #[doc(alias = "RX_DATAPATH_PREAMBLE_ERRORS")]
-    pub type RxDatapathPreambleErrors = crate::Reg<rx_datapath_preamble_errors::RxDatapathPreambleErrorsSpec>;
+    pub type RxDatapathPreambleErrors =
+        crate::Reg<rx_datapath_preamble_errors::RxDatapathPreambleErrorsSpec>;
     #[doc = "Frames dropped for a wrong preamble, a count."]
     pub mod rx_datapath_preamble_errors {
         #[doc = "Register `RX_DATAPATH_PREAMBLE_ERRORS` reader"]

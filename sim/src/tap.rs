@@ -26,7 +26,11 @@ impl Tap {
 
     /// Hands a frame to the kernel. It may drop it, as a switch may.
     pub fn send(&mut self, frame: &[u8]) {
-        if let Some(token) = self.0.transmit(Instant::ZERO).filter(|_| frame.len() <= LONGEST) {
+        if let Some(token) = self
+            .0
+            .transmit(Instant::ZERO)
+            .filter(|_| frame.len() <= LONGEST)
+        {
             token.consume(frame.len(), |room| room.copy_from_slice(frame));
         }
     }

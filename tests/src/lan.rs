@@ -71,6 +71,14 @@ impl Place {
         command
     }
 
+    /// A command that will run here, and ends when the thread that starts it does, even after a
+    /// crash of this process.
+    pub fn service(&self, program: impl AsRef<std::ffi::OsStr>) -> Command {
+        let mut command = self.command("setpriv");
+        command.args(["--pdeathsig", "KILL", "--"]).arg(program);
+        command
+    }
+
     /// Runs `ip` here.
     pub fn ip(&self, arguments: &str) {
         let mut ip = self.command("ip");
@@ -126,7 +134,7 @@ impl Lan {
         self.plugged += 1;
         self.bridge.ip(&format!("tuntap add dev {name} mode tap"));
         self.bridge.ip(&format!("link set {name} master br0 up"));
-        (name, self.bridge.command(program))
+        (name, self.bridge.service(program))
     }
 
     /// A new place on it. Its `eth0` is up and has this address, or none.

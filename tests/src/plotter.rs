@@ -117,7 +117,8 @@ impl Plotter {
         let stopped = stop.clone();
         let thread = std::thread::spawn(move || {
             let server = Server::bind(twin, options, stopped).expect("sockets of this machine");
-            told.send(server.ready_line()).expect("a plotter that waits");
+            told.send(server.ready_line())
+                .expect("a plotter that waits");
             server.run()
         });
         let ready = hear.recv().expect("a server");

@@ -86,7 +86,11 @@ impl Simulator {
     pub fn rtl_on_cable(lan: &mut lan::Lan, flash: &std::path::Path) -> Self {
         let (soc, firmware) = parts();
         let (tap, mut command) = lan.tap(program("ferrocnc-sim"));
-        command.arg("--soc").arg(soc).arg("--firmware").arg(firmware);
+        command
+            .arg("--soc")
+            .arg(soc)
+            .arg("--firmware")
+            .arg(firmware);
         command.args(["--tap", &tap, "--flash"]).arg(flash);
         Self::run(command, ([0, 0, 0, 0], 1234).into(), None)
     }

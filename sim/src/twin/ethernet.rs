@@ -161,7 +161,11 @@ impl Twin {
     }
 
     /// A broadcast as a frame.
-    pub(super) fn broadcast_frame(&mut self, broadcast: firmware::machine::Broadcast, words: &[u32]) {
+    pub(super) fn broadcast_frame(
+        &mut self,
+        broadcast: firmware::machine::Broadcast,
+        words: &[u32],
+    ) {
         let us = Us {
             mac: self.machine.us.mac,
             ip: broadcast.from_ip,

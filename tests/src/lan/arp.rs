@@ -57,7 +57,7 @@ impl Listener {
         let heard = folder.join("arp.txt");
         let errors = folder.join("tcpdump.log");
         let file = |path: &Path| std::fs::File::create(path).expect("a file for what it says");
-        let mut tcpdump = place.command("tcpdump");
+        let mut tcpdump = place.service("tcpdump");
         tcpdump
             .args(["-i", "eth0", "-n", "-e", "-l", "--immediate-mode"])
             .args(["-Z", "root", "arp"]);

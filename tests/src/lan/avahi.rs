@@ -45,7 +45,7 @@ impl Avahi {
         write("bus.conf", BUS);
         write("avahi.conf", DAEMON);
         let log = std::fs::File::create(folder.join("avahi.log")).expect("a log");
-        let mut start = place.command("unshare");
+        let mut start = place.service("unshare");
         start
             .args(["--mount", "--pid", "--fork", "--kill-child", "--"])
             .args(["sh", "-c", START, "sh"])

@@ -17,7 +17,7 @@ impl DhcpServer {
     /// says goes into a file in this folder.
     pub fn start(place: &Place, folder: &Path, lease: &str) -> Self {
         let said = folder.join("dnsmasq.log");
-        let mut dnsmasq = place.command("dnsmasq");
+        let mut dnsmasq = place.service("dnsmasq");
         dnsmasq
             .args(["--keep-in-foreground", "--conf-file=/dev/null", "--port=0"])
             .args(["--user=", "--group=", "--pid-file=", "--leasefile-ro"])

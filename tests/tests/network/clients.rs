@@ -9,6 +9,7 @@ use ferrocnc_tests::lan::{Lan, Place};
 use serde_json::Value as Json;
 use sim::nor::Part;
 use std::process::Command;
+use std::time::Instant;
 
 const HOST: &str = "192.168.2.1";
 const BOARD: &str = "192.168.2.50";
@@ -121,18 +122,26 @@ fn judge_arp(heard: &[Arp]) {
 
 /// All of it, one after the other. An armed machine is kept so with exchanges `period_ms` apart.
 fn all_clients(folder: &Folder, host: &Place, period_ms: u64) {
+    let began = Instant::now();
+    let done = |what: &str| println!("{what} after {:.1} s", began.elapsed().as_secs_f64());
     let avahi = Avahi::start(host, folder.path());
     let listener = Listener::start(host, folder.path());
     assert!(ping(host, BOARD, SLOWEST.as_secs()), "no answer to a ping");
+    done("ping");
     the_page(host);
+    done("curl");
     telnet(host, "three");
+    done("telnet");
     the_name(host, &avahi);
+    done("avahi");
     while_armed(host, period_ms);
+    done("armed");
     // A host that has forgotten the board, and one that asks for another.
     host.ip("neigh flush dev eth0");
     assert!(ping(host, BOARD, SLOWEST.as_secs()), "no answer to a ping");
     assert!(!ping(host, NOWHERE, 2), "something answers for {NOWHERE}");
     judge_arp(&listener.heard());
+    done("ARP");
 }
 
 #[test]

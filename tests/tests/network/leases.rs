@@ -11,7 +11,7 @@ use sim::nor::Part;
 /// two minutes.
 const PACE: &str = "20e9";
 /// The board renews behind half a lease.
-const RENEWALS: usize = 3;
+const RENEWALS: usize = 2;
 
 /// The messages of the log, with their kind only: `DHCPACK(eth0) 10.7.0.50 ..` is `DHCPACK`.
 fn kinds(said: &str) -> Vec<&str> {
@@ -19,7 +19,13 @@ fn kinds(said: &str) -> Vec<&str> {
         let at = line.find("DHCP")?;
         line[at..].split_once("(eth0)").map(|(kind, _)| kind)
     });
-    let kinds = ["DHCPDISCOVER", "DHCPOFFER", "DHCPREQUEST", "DHCPACK", "DHCPNAK"];
+    let kinds = [
+        "DHCPDISCOVER",
+        "DHCPOFFER",
+        "DHCPREQUEST",
+        "DHCPACK",
+        "DHCPNAK",
+    ];
     messages.filter(|kind| kinds.contains(kind)).collect()
 }
 
@@ -35,7 +41,9 @@ fn leased(said: &str) -> Option<String> {
 fn a_lease_is_renewed_and_when_it_is_over_the_board_is_at_its_static_address() {
     let folder = Folder::new("leases");
     let nor = factory(Part::W25Q32JV, UID);
-    let flash = flash_file(&folder, nor, "lathe", true).display().to_string();
+    let flash = flash_file(&folder, nor, "lathe", true)
+        .display()
+        .to_string();
     let mut lan = Lan::new();
     let host = lan.plug(Some("10.7.0.1/24"));
     host.ip("address add 192.168.2.1/24 dev eth0");
@@ -54,7 +62,11 @@ fn a_lease_is_renewed_and_when_it_is_over_the_board_is_at_its_static_address() {
     acknowledged(&server, 1);
     let ip = leased(&server.said()).expect("an address");
     let answers = |ip: &str| {
-        let answer = curl(&host, &format!("http://{ip}/status.json"), &["--max-time", "5"])?;
+        let answer = curl(
+            &host,
+            &format!("http://{ip}/status.json"),
+            &["--max-time", "2"],
+        )?;
         match answer.content.contains(&format!("\"ip\":\"{ip}\"")) {
             true => Ok(()),
             false => Err(format!("{answer:?}")),

@@ -96,6 +96,9 @@ pub struct Answer {
 pub fn curl(host: &Place, url: &str, arguments: &[&str]) -> Result<Answer, String> {
     let mut curl = host.command("curl");
     curl.args(["--silent", "--show-error", "--include", "--max-time", "120"]);
+    // A board whose services are being loaded does not answer; this computer would ask again after
+    // 1, 2, 4, .. 64 s.
+    curl.args(["--connect-timeout", "5"]);
     curl.args(arguments).arg(url);
     let said = run(curl);
     if !said.status.success() {
@@ -117,8 +120,10 @@ pub struct Owner(Child);
 impl Owner {
     /// Exchanges with the board so many milliseconds apart, of this computer's.
     pub fn arm(host: &Place, board: &str, period_ms: u64) -> Self {
-        let mut owner = host.command(env!("CARGO_BIN_EXE_hold-armed"));
-        owner.arg(format!("{board}:1234")).arg(period_ms.to_string());
+        let mut owner = host.service(env!("CARGO_BIN_EXE_hold-armed"));
+        owner
+            .arg(format!("{board}:1234"))
+            .arg(period_ms.to_string());
         let mut process = owner
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
