@@ -702,7 +702,10 @@ impl<S: Silicon> Rig<S> {
     /// Everything worth reporting. Asks the board for its own counters, which takes a little
     /// simulated time; a board that is dead or frozen leaves them out.
     pub fn report(&mut self) -> Report {
-        let own = Counters::gather(|base, words| self.read_block_as_guest(base, words));
+        let own = match self.hosts {
+            true => Counters::gather(|base, words| self.read_block_as_guest(base, words)),
+            false => None,
+        };
         Report::of(
             &Seen {
                 backend: "rtl",

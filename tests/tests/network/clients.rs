@@ -165,6 +165,8 @@ fn real_clients_are_served_by_the_release_image_on_the_verilated_board() {
     let flash = flash_file(&folder, nor, NAME, false);
     let mut lan = Lan::new();
     let host = lan.plug(Some("192.168.2.1/24"));
-    let _board = Simulator::rtl_on_cable(&mut lan, &flash);
+    let mut board = Simulator::rtl_on_cable(&mut lan, &flash);
     all_clients(&folder, &host, 100);
+    // It says how many clocks that were.
+    board.finish();
 }

@@ -210,7 +210,7 @@ fn through_24_hours_all_consoles_are_free_within_the_limit_of_each_way_to_leave_
             assert!(host.is_heard(&mut day.board) && host.leaves(&mut day.board));
         }
         let quiet = 1_000 + u64::from(day.below(200_000));
-        day.board.wait_by(quiet, 200);
+        day.board.wait_by(quiet, 500);
     }
     for (way, spans) in WAYS.iter().zip(spans) {
         let (least, most) = (spans.iter().min(), spans.iter().max());
