@@ -25,9 +25,9 @@ pub const TURN: u64 = 12_000;
 /// Clocks between two looks while there is nothing to do: what the ROM's loop takes for that.
 const IDLE_MS: u64 = 1;
 /// The SDRAM, less what the program itself takes at its beginning.
-const ROOM: usize = regmap::SDRAM_SIZE - firmware::services::abi::ROOM;
+pub(crate) const ROOM: usize = regmap::SDRAM_SIZE - firmware::services::abi::ROOM;
 /// The id of the program; on a board it is the program's CRC.
-const PROGRAM: u32 = 0x7477_696e;
+pub(crate) const PROGRAM: u32 = 0x7477_696e;
 
 /// The board as the program sees it from inside.
 #[derive(Debug)]

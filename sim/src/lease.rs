@@ -6,8 +6,8 @@
 
 use crate::jobs::Outer;
 use crate::model_board::ModelBoard;
-use firmware::machine::{Lease, Machine, VISIT_WORDS, Verb, Verdict};
-use firmware::net::Us;
+use crate::services::Cable;
+use firmware::machine::Machine;
 use firmware::services::lease::{Client, PORT, Place, SERVER_PORT};
 use firmware::services::stack::Stack;
 use firmware::services::{Network, facts};
@@ -18,7 +18,6 @@ use smoltcp::wire::{
     ArpOperation, ArpPacket, ArpRepr, EthernetAddress, EthernetFrame, EthernetProtocol, IpAddress,
     IpProtocol, Ipv4Address, Ipv4Packet, Ipv4Repr, UdpPacket, UdpRepr,
 };
-use wire::MAX_WORDS;
 
 const ETHERNET: usize = 14;
 const HEADERS: usize = ETHERNET + 20 + 8;
@@ -40,42 +39,6 @@ pub struct DhcpClient {
 impl core::fmt::Debug for DhcpClient {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str("DhcpClient")
-    }
-}
-
-/// The board as the client sees it, and the frames it sends.
-struct Cable<'a> {
-    board: Outer<'a>,
-    sent: Vec<Vec<u8>>,
-}
-
-impl Outside for Cable<'_> {
-    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
-        self.board.datagram(request, reply)
-    }
-    fn read_segments(&mut self, word: usize) -> u32 {
-        self.board.read_segments(word)
-    }
-    fn write_segments(&mut self, word: usize, value: u32) {
-        self.board.write_segments(word, value);
-    }
-    fn now(&mut self) -> u64 {
-        self.board.now()
-    }
-}
-
-impl Network for Cable<'_> {
-    fn send_frame(&mut self, frame: &[u8]) {
-        self.sent.push(frame.to_vec());
-    }
-    fn us(&mut self) -> Us {
-        self.board.us()
-    }
-    fn leased(&mut self, lease: Option<Lease>) {
-        self.board.leased(lease);
-    }
-    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict {
-        self.board.console(visitor, verb, words)
     }
 }
 
@@ -103,10 +66,7 @@ impl DhcpClient {
 
     /// A server's datagram.
     pub fn take(&mut self, payload: &[u8], machine: &mut Machine<ModelBoard>) {
-        let mut cable = Cable {
-            board: Outer(machine),
-            sent: Vec::new(),
-        };
+        let mut cable = Cable::of(machine);
         let now = self.instant(cable.now());
         let frame = framed(payload);
         self.client.take(&frame, &mut self.stack, now, &mut cable);
@@ -114,10 +74,7 @@ impl DhcpClient {
 
     /// Does what is due; the payload of a datagram for servers.
     pub fn turn(&mut self, machine: &mut Machine<ModelBoard>) -> Option<Vec<u8>> {
-        let mut cable = Cable {
-            board: Outer(machine),
-            sent: Vec::new(),
-        };
+        let mut cable = Cable::of(machine);
         let now = self.instant(cable.now());
         let us = cable.us();
         self.stack.settle(us);

@@ -49,8 +49,10 @@ pub mod report;
 pub mod rig;
 pub mod segment;
 pub mod server;
+pub mod services;
 pub mod soc;
 pub mod stimulus;
+pub mod tap;
 pub mod twin;
 
 pub use board::Board;

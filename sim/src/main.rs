@@ -122,6 +122,12 @@ struct Arguments {
     /// 0.0.0.0:1234 --discovery 0.0.0.0:51234. Needs root there.
     #[arg(long, value_name = "NAME", requires = "discovery")]
     interface: Option<String>,
+    /// The board's cable ends in this TAP interface (`ip tuntap add NAME mode tap`): Ethernet
+    /// frames go to the board's own IP stack, with ARP, ping, consoles, status page, names and DHCP.
+    /// In free time only, and no other socket than the control channel's is opened. Needs root in
+    /// the network namespace. A Verilated board has its services if --flash holds its image.
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["interface", "discovery", "jobs"])]
+    tap: Option<String>,
     /// Loopback address that stands for the board's console, TCP port 23.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:2323")]
     console: SocketAddr,
@@ -269,7 +275,9 @@ impl Arguments {
         setup.board_ip = self.board_ip;
         setup.boot_clocks = self.boot_clocks;
         setup.plant = self.plant()?;
-        setup.flash = Some(self.flash()?);
+        let flash = self.flash()?;
+        setup.trailer = model_board::trailer(&flash.chip());
+        setup.flash = Some(flash);
         setup.factory = self.factory;
         setup.trace = self.trace.as_ref().map(|path| TraceWindow {
             path: path.clone(),
@@ -277,12 +285,20 @@ impl Arguments {
             clocks: self.trace_cycles,
         });
         let started = Instant::now();
-        let mut rig = Rig::boot(setup)?;
-        eprintln!(
-            "sim: the board answers after {} clocks ({:.1} s)",
-            rig.clock(),
-            started.elapsed().as_secs_f64()
-        );
+        let mut rig = if self.tap.is_some() {
+            // It is heard on the cable when it answers.
+            let mut rig = Rig::power_up(setup)?;
+            rig.unplug_hosts();
+            rig
+        } else {
+            let rig = Rig::boot(setup)?;
+            eprintln!(
+                "sim: the board answers after {} clocks ({:.1} s)",
+                rig.clock(),
+                started.elapsed().as_secs_f64()
+            );
+            rig
+        };
         if let Some(path) = &self.edges {
             rig.record_edges(path)?;
         }
@@ -311,6 +327,9 @@ impl Arguments {
         if let Some(path) = &self.edges {
             twin.record_edges(path)?;
         }
+        if self.tap.is_some() {
+            twin.plug_in();
+        }
         Ok(twin)
     }
 
@@ -336,10 +355,10 @@ impl Arguments {
             Backend::Model => Some(1e9),
         };
         let mode = match self.mode {
-            TimeMode::Lockstep => Mode::Lockstep {
+            TimeMode::Lockstep if self.tap.is_none() => Mode::Lockstep {
                 period: device.clocks(Duration::from_nanos(self.period_ns)),
             },
-            TimeMode::Free => Mode::Free {
+            TimeMode::Lockstep | TimeMode::Free => Mode::Free {
                 pace: self
                     .pace
                     .or(real_time)
@@ -351,7 +370,8 @@ impl Arguments {
             udp: self.udp,
             discovery: self.discovery,
             interface: self.interface.clone(),
-            console: Some(self.console),
+            tap: self.tap.clone(),
+            console: self.tap.is_none().then_some(self.console),
             jobs: self.jobs,
             control: self.control,
             stdin: self.stdin,

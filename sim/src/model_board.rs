@@ -80,7 +80,7 @@ impl Setup {
 
 /// The trailer of the image that the FPGA loads from this flash, as packing wrote it at the end of
 /// the ROM. From a blank flash nothing loads: then the twin is a board that JTAG loaded.
-fn trailer(flash: &Nor) -> Trailer {
+pub fn trailer(flash: &Nor) -> Trailer {
     let loaded = loader::power_up(flash.cells(), IDCODE);
     let Some((at, layout)) = loaded.image.zip(Layout::of(flash.part().bytes as u32)) else {
         return Trailer::NONE;

@@ -158,6 +158,8 @@ pub struct Rig<S = Soc> {
     /// millisecond at 60 MHz.
     pub patience: u64,
     captured: Option<Vec<Vec<u8>>>,
+    /// The hosts of [`Self::segment`] hear the board.
+    hosts: bool,
     inbox: Vec<(Datagram, Option<Timing>)>,
     busy: Duration,
     busy_clocks: u64,
@@ -227,6 +229,7 @@ impl<S: Silicon> Rig<S> {
             frames: FrameCounts::default(),
             patience: 60_000,
             captured: None,
+            hosts: true,
             inbox: Vec::new(),
             busy: Duration::ZERO,
             busy_clocks: 0,
@@ -341,7 +344,9 @@ impl<S: Silicon> Rig<S> {
                     if let Some(captured) = &mut self.captured {
                         captured.push(frame.to_vec());
                     }
-                    self.segment.receive(frame, transfer.first, transfer.last);
+                    if self.hosts {
+                        self.segment.receive(frame, transfer.first, transfer.last);
+                    }
                 }
                 Err(_) => self.frames.malformed_from_board += 1,
             }
@@ -445,6 +450,18 @@ impl<S: Silicon> Rig<S> {
     /// Keep every well-formed frame from the board from now on.
     pub fn capture_frames(&mut self) {
         self.captured.get_or_insert_default();
+    }
+
+    /// The cable ends with the caller: frames are kept, and the hosts of [`Self::segment`] do not
+    /// hear them.
+    pub fn unplug_hosts(&mut self) {
+        self.capture_frames();
+        self.hosts = false;
+    }
+
+    /// Did [`Self::unplug_hosts`] happen?
+    pub fn unplugged(&self) -> bool {
+        !self.hosts
     }
 
     /// The frames kept since the last call.
@@ -696,7 +713,10 @@ impl<S: Silicon> Rig<S> {
     /// Everything worth reporting. Asks the board for its own counters, which takes a little
     /// simulated time; a board that is dead or frozen leaves them out.
     pub fn report(&mut self) -> Report {
-        let own = Counters::gather(|base, words| self.read_block_as_guest(base, words));
+        let own = match self.hosts {
+            true => Counters::gather(|base, words| self.read_block_as_guest(base, words)),
+            false => None,
+        };
         Report::of(
             &Seen {
                 backend: "rtl",

@@ -1,13 +1,16 @@
 //! The twin: the firmware's library on the models of the cores, with the same sockets as the
 //! Verilated board.
 //!
-//! No CPU, no MAC, no frames: a datagram goes into [`firmware::machine::Machine`] as the image
-//! would put it there, and the verbs of [`firmware::cores::Board`] become register writes of
-//! [`crate::model::Board`]. The pins behave as the gateware's, clock by clock; the times of the
+//! No CPU, no MAC: a datagram goes into [`firmware::machine::Machine`] as the image would put it
+//! there, and the verbs of [`firmware::cores::Board`] become register writes of
+//! [`crate::model::Board`]. Its network is datagrams and this machine's TCP, or Ethernet frames
+//! ([`Twin::plug_in`]). The pins behave as the gateware's, clock by clock; the times of the
 //! firmware's actions are round figures (see [`ANSWER`]), because no instructions are executed
 //! here.
 //!
 //! Time passes from event to event, so an idle board takes almost no computing time.
+
+mod ethernet;
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -38,6 +41,7 @@ use crate::plant::Plant;
 use crate::report::{Counters, FrameCounts, Report, Seen};
 use crate::segment::CONSOLE_PORT;
 use crate::server::{Addresses, Device, Reply, Service};
+use crate::services::Services;
 use crate::soc::LINK_1000;
 
 /// Clocks from a request's arrival to its execution, and from there to its answer. The image takes
@@ -74,13 +78,16 @@ struct Letter {
     payload: Vec<u8>,
 }
 
-fn on_the_wire(payload: &[u8]) -> usize {
-    (payload.len() + ENVELOPE).max(gmii::MIN_FRAME + 12)
+fn on_the_wire(service: Service, payload: &[u8]) -> usize {
+    match service {
+        Service::Cable => gmii::encode(payload).len(),
+        _ => (payload.len() + ENVELOPE).max(gmii::MIN_FRAME + 12),
+    }
 }
 
 impl Cargo for Letter {
     fn wire_bytes(&self) -> usize {
-        on_the_wire(&self.payload)
+        on_the_wire(self.service, &self.payload)
     }
     /// The MAC drops what its checksum does not fit.
     fn damage(&mut self, _: u64) -> bool {
@@ -90,7 +97,7 @@ impl Cargo for Letter {
 
 impl Cargo for Reply {
     fn wire_bytes(&self) -> usize {
-        on_the_wire(&self.payload)
+        on_the_wire(self.service, &self.payload)
     }
     /// So does the host's.
     fn damage(&mut self, _: u64) -> bool {
@@ -135,6 +142,10 @@ pub struct Twin {
     reader: Option<Reader>,
     /// What asks DHCP servers.
     dhcp: Option<DhcpClient>,
+    /// Its network is frames.
+    cable: bool,
+    /// What takes them.
+    services: Option<Services>,
     busy: Duration,
     busy_clocks: u64,
 }
@@ -195,6 +206,8 @@ impl Twin {
             jobs,
             reader,
             dhcp,
+            cable: false,
+            services: None,
             machine,
             facts,
             sdram,
@@ -256,10 +269,15 @@ impl Twin {
                 return;
             };
             self.frames.from_board += 1;
+            let words = &buffer[..broadcast.words];
+            if self.cable {
+                self.broadcast_frame(broadcast, words);
+                continue;
+            }
             let reply = Reply {
                 service: Service::Discovery,
                 port: broadcast.to_port,
-                payload: payload(&buffer[..broadcast.words]),
+                payload: payload(words),
             };
             self.send(reply);
         }
@@ -269,7 +287,9 @@ impl Twin {
     fn send(&mut self, mut reply: Reply) {
         let now = self.machine.board.clock();
         let from = Direction::FromBoard;
-        self.script.cut(from, now, &mut reply.payload);
+        if reply.service != Service::Cable {
+            self.script.cut(from, now, &mut reply.payload);
+        }
         self.from_board.enter(&mut self.script, now, reply);
         self.heard_of(now);
     }
@@ -358,7 +378,20 @@ impl Twin {
             regmap::ABI,
             boot,
         );
-        (self.jobs, self.dhcp, self.reader) = programs(&mut self.machine, &self.facts, self.sdram);
+        self.start_services();
+    }
+
+    /// Starts what runs in the SDRAM.
+    fn start_services(&mut self) {
+        let programs = |machine: &mut _| programs(machine, &self.facts, self.sdram);
+        (self.jobs, self.dhcp, self.reader) = programs(&mut self.machine);
+        if self.cable {
+            // The services have all of them.
+            let there = self.reader.is_some();
+            (self.jobs, self.dhcp, self.reader) = (None, None, None);
+            let start = || Services::start(&mut self.machine, self.facts.clock_hz);
+            self.services = there.then(start).flatten();
+        }
     }
 
     fn housekeeping(&mut self) {
@@ -377,6 +410,8 @@ impl Twin {
                 payload,
             });
         }
+        // Who needs the address asks for it.
+        self.machine.moved();
         if self.machine.server.wants_restart() {
             self.machine.board.record.part(ResetReason::Requested);
             self.begin();
@@ -389,7 +424,7 @@ impl Twin {
             port: request.port,
         };
         self.machine.board.model.arrive();
-        let mut buffer = [0; MAX_WORDS];
+        let (mut buffer, mut owners) = ([0; MAX_WORDS], false);
         let words = || {
             let mut words = [0; MAX_WORDS];
             let count =
@@ -399,6 +434,7 @@ impl Twin {
         let reply = match request.service {
             Service::Etherbone => {
                 let reply = self.machine.payload(&request.payload, peer, &mut buffer);
+                owners = self.machine.session().is_owner(peer);
                 reply.unwrap_or(&[])
             }
             Service::Discovery => {
@@ -412,6 +448,10 @@ impl Twin {
                 }
                 &[]
             }
+            Service::Cable => {
+                (request.reply, owners) = self.take_frame(&request.payload);
+                &[]
+            }
         };
         if !reply.is_empty() {
             request.reply = Some(payload(reply));
@@ -421,16 +461,17 @@ impl Twin {
         }
         self.send_broadcasts();
         request.answered = self.machine.board.clock() + ANSWER[1];
-        let owners = matches!(request.service, Service::Etherbone)
-            && self.machine.server.session().is_owner(peer);
         if self.machine.due(self.machine.patience(owners)) {
             self.housekeeping();
         }
         self.requests.push_front(request);
     }
 
-    /// Calls the jobs program once. True if it sent something.
+    /// Calls the jobs program once, or all services. True if it sent something.
     fn do_jobs(&mut self) -> bool {
+        if self.cable {
+            return self.turn_services();
+        }
         let now = self.machine.board.clock();
         let Some(program) = self.jobs.as_mut().filter(|_| !self.frozen) else {
             self.jobs_at = u64::MAX;
@@ -534,7 +575,9 @@ impl Device for Twin {
         };
         let now = self.clock();
         let to = Direction::ToBoard;
-        self.script.cut(to, now, &mut letter.payload);
+        if service != Service::Cable {
+            self.script.cut(to, now, &mut letter.payload);
+        }
         self.to_board.enter(&mut self.script, now, letter);
         self.machine.board.spoilt = self.to_board.spoilt();
         self.heard_of(now);

@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
 """A session with Debian's telnet on a terminal of its own.
 
-    telnet.py HOST PORT characters|lines
+    telnet.py HOST PORT characters|lines|armed|three
 
 In character mode telnet negotiates as it does at port 23 (`-PORT`), the board echoes each key, and
 keys edit the line. In line mode telnet does not negotiate (any other port), and sends whole lines.
-The exit status is not 0 if an expected text does not come within PATIENCE.
+With `armed` it looks at a board that a host keeps armed. With `three` there are three of them at
+once, with half a line each before any of the lines ends, and a fourth that is refused until one has
+gone. The exit status is not 0 if an expected text does not come within PATIENCE.
 """
 
 import os
@@ -16,7 +18,7 @@ import termios
 import time
 
 # A busy computer is slow; nothing is measured.
-PATIENCE = 60.0
+PATIENCE = float(os.environ.get("PATIENCE", "60"))
 
 CHARACTERS = [
     (b"pwn", b"ferrocnc> pwn"),
@@ -34,6 +36,11 @@ CHARACTERS = [
 LINES = [
     (b"pwm 0\r", b"\r\n0: period "),
     (b"status\r", b"session  free"),
+    (b"quit\r", b"bye"),
+]
+ARMED = [
+    (b"pwm 0\r", b"0: period "),
+    (b"status\r", b"armed"),
     (b"quit\r", b"bye"),
 ]
 
@@ -72,10 +79,40 @@ class Terminal:
         self.at = self.heard.index(text, self.at) + len(text)
 
 
+def three(host, port):
+    """Three clients have a console each; a fourth has one when one of them has gone."""
+    all = [Terminal(["telnet", host, "--", "-" + port]) for _ in range(3)]
+    for terminal in all:
+        terminal.expect(b"Escape character")
+        terminal.wait_for_echo_of_the_board()
+        terminal.expect(b"ferrocnc> ")
+    for keys in (b"pw", b"m ", b"0\r"):
+        for terminal in all:
+            os.write(terminal.file, keys)
+            terminal.expect(keys.rstrip(b"\r"))
+    for terminal in all:
+        terminal.expect(b"\r\n0: period ")
+        terminal.expect(b"ferrocnc> ")
+    Terminal(["telnet", host, port]).expect(b"Connection refused")
+    os.write(all[1].file, b"quit\r")
+    all[1].expect(b"bye")
+    all[1].expect(b"Connection closed")
+    fourth = Terminal(["telnet", host, "--", "-" + port])
+    fourth.expect(b"ferrocnc> ")
+    for terminal in (all[0], all[2], fourth):
+        os.write(terminal.file, b"\x04")
+        terminal.expect(b"bye")
+        terminal.expect(b"Connection closed")
+    print("three consoles and a fourth client, as expected")
+
+
 def main():
     host, port, mode = sys.argv[1:]
+    if mode == "three":
+        return three(host, port)
     characters = mode == "characters"
     to = ["--", "-" + port] if characters else [port]
+    session = {"characters": CHARACTERS, "lines": LINES, "armed": ARMED}[mode]
     terminal = Terminal(["telnet", host, *to])
     terminal.expect(b"Escape character")
     # The prompt is expected together with the first keys.
@@ -83,7 +120,7 @@ def main():
         terminal.wait_for_echo_of_the_board()
     else:
         terminal.expect(b"ferrocnc> ")
-    for keys, text in CHARACTERS if characters else LINES:
+    for keys, text in session:
         os.write(terminal.file, keys)
         terminal.expect(text)
     terminal.expect(b"Connection closed")

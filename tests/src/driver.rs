@@ -21,7 +21,7 @@ pub struct Driver {
 impl Driver {
     /// Acquires and arms the board at this address; nothing moves.
     pub fn armed(board: SocketAddr) -> Self {
-        let socket = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        let socket = UdpSocket::bind("0.0.0.0:0").expect("a socket");
         // 5 s: a busy machine, not a slow board.
         let set = socket.set_read_timeout(Some(Duration::from_secs(5)));
         set.and_then(|()| socket.connect(board))

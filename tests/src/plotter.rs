@@ -102,6 +102,7 @@ impl Plotter {
             udp: any,
             discovery: None,
             interface: None,
+            tap: None,
             console: Some(any),
             jobs: (!streamed).then_some(any),
             control: Some(any),
@@ -112,8 +113,15 @@ impl Plotter {
             report: None,
         };
         let stop = Arc::<AtomicBool>::default();
-        let server = Server::bind(twin, options, stop.clone()).expect("sockets of this machine");
-        let ready = server.ready_line();
+        let (told, hear) = std::sync::mpsc::channel();
+        let stopped = stop.clone();
+        let thread = std::thread::spawn(move || {
+            let server = Server::bind(twin, options, stopped).expect("sockets of this machine");
+            told.send(server.ready_line())
+                .expect("a plotter that waits");
+            server.run()
+        });
+        let ready = hear.recv().expect("a server");
         let place = |key: &str| -> Option<SocketAddrV4> {
             let mut words = ready.split(' ');
             words.find_map(|word| word.strip_prefix(key))?.parse().ok()
@@ -130,7 +138,7 @@ impl Plotter {
             console: place("console=").expect("it says where its console is"),
             control: place("control=").expect("it says where it is controlled"),
             stop,
-            thread: std::thread::spawn(move || server.run()),
+            thread,
             streamer: None,
         }
     }

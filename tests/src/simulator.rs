@@ -72,6 +72,29 @@ impl Simulator {
         Self::run(command, udp, None)
     }
 
+    /// A twin of this board whose cable ends in this segment, with a flash of its own and these
+    /// further arguments: its IP stack is the board's.
+    pub fn on_cable(lan: &mut lan::Lan, board: &str, arguments: &[&str]) -> Self {
+        let (tap, mut command) = lan.tap(program("ferrocnc-sim"));
+        command
+            .args(["--backend", "model", "--board", board, "--tap", &tap])
+            .args(arguments);
+        Self::run(command, ([0, 0, 0, 0], 1234).into(), None)
+    }
+
+    /// The Verilated board at the end of such a cable, with what is in this flash.
+    pub fn rtl_on_cable(lan: &mut lan::Lan, flash: &std::path::Path) -> Self {
+        let (soc, firmware) = parts();
+        let (tap, mut command) = lan.tap(program("ferrocnc-sim"));
+        command
+            .arg("--soc")
+            .arg(soc)
+            .arg("--firmware")
+            .arg(firmware);
+        command.args(["--tap", &tap, "--flash"]).arg(flash);
+        Self::run(command, ([0, 0, 0, 0], 1234).into(), None)
+    }
+
     fn run(
         mut command: std::process::Command,
         udp: std::net::SocketAddr,

@@ -18,6 +18,7 @@ use super::shut::{NOD, nod};
 use super::stack::Stack;
 use super::status::{self, Status};
 use super::{Network, facts, http, lease};
+use crate::net::GUEST_FRAME_SERVICES;
 use crate::text::Text;
 use ::jobs::server::BusyReply;
 use ::jobs::{AHEAD, Jobs};
@@ -44,8 +45,13 @@ const CONNECTIONS: usize = FIRST_BUSY + BUSY;
 /// Bytes a client of a console may send ahead: the longest line. So its frames are short enough to
 /// be taken while a host moves the machine.
 const CONSOLE_AHEAD: usize = LINE_MAX;
-/// Bytes that a reader of the page may send ahead.
-const PAGE_AHEAD: usize = 128;
+/// Bytes that a reader of the page may send ahead. A request is longer and comes in pieces, so that
+/// a reader hears that the board is busy while a host moves the machine.
+const PAGE_AHEAD: usize = 64;
+/// Bytes of a segment around its data; no option of TCP is agreed on that would need more.
+const AROUND: usize = 14 + 20 + 20;
+const _: () = assert!(AROUND + CONSOLE_AHEAD <= GUEST_FRAME_SERVICES);
+const _: () = assert!(AROUND + PAGE_AHEAD <= GUEST_FRAME_SERVICES);
 /// Bytes that a client told Busy may send ahead: a Hello and a command.
 const BUSY_AHEAD: usize = 128;
 /// Room for what the client has not acknowledged yet: the longest answer.

@@ -20,7 +20,8 @@ use wire::settings::Settings;
 
 /// Between two looks at the board.
 const LOOK_MS: u32 = 100;
-/// The same as long as names and versions are not known.
+/// The same as long as names and versions are not known and a host moves the machine; at rest there
+/// is no pause.
 const LEARN_MS: u32 = 1;
 /// So many looks between two at the settings, which may be changed.
 const LOOKS: u32 = 32;
@@ -252,10 +253,14 @@ impl<'m> Status<'m> {
             return false;
         }
         let learned = self.facts.done();
-        let wait = if learned { LOOK_MS } else { LEARN_MS };
+        let rests = !out.moving();
+        let wait = match (learned, rests) {
+            (true, _) => LOOK_MS,
+            (false, false) => LEARN_MS,
+            (false, true) => 0,
+        };
         self.due = ms.wrapping_add(wait);
         self.looks = self.looks.wrapping_add(1);
-        let rests = !out.moving();
         if rests && self.looks % LOOKS == 1 {
             if let Some(settings) = facts::settings_now(out) {
                 self.settings = settings;
@@ -263,6 +268,10 @@ impl<'m> Status<'m> {
             self.settle(ms, out);
         } else if !learned && !self.looks.is_multiple_of(4) {
             self.facts.read(rests, out);
+            if rests && self.facts.done() {
+                // It has a name from now on.
+                self.settle(ms, out);
+            }
         } else {
             let boot = self.watch.boot().unwrap_or(0);
             let (uptime, unix) = (self.uptime.seconds, self.clock.unix(ms));

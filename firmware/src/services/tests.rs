@@ -8,6 +8,7 @@
 //! | [`forged`] | segments of strangers: resets, acknowledgements, handshakes, fragments |
 //! | [`ends`] | how connections end, and when their places are free again |
 //! | [`day`] | 24 hours of clients that die, return, hang up and lie |
+//! | [`kinds`] | 24 hours of six ways to leave a console without a word, each with its limit |
 //! | [`status`] | the status page, and datagrams of names |
 
 mod rig;
@@ -16,5 +17,6 @@ mod day;
 mod ends;
 mod forged;
 mod host;
+mod kinds;
 mod status;
 mod wire;

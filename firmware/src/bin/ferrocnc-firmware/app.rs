@@ -16,15 +16,6 @@ use wire::{MAX_WORDS, Refusal};
 
 /// The loop looks at the MAC this many times between two looks at the clock: about 20 us.
 const POLLS: u32 = 128;
-/// Longest ping that is answered while the machine is not at rest: to sum, copy and answer one
-/// takes 20 clocks a byte.
-const GUEST_FRAME: usize = 256;
-/// The same with services, for every frame: smoltcp takes 12 000 clocks before it looks at the
-/// first byte of what a segment carries.
-const GUEST_FRAME_SERVICES: usize = 128;
-/// The same for a DHCP server's answer, which has at least BOOTP's 300 bytes: a lease is renewed
-/// while the machine moves.
-const GUEST_FRAME_DHCP: usize = 350;
 /// 10 ms between two turns of services that have nothing to do: precise enough for TCP's timers.
 const HOUSEKEEPING_PER_TURN: u8 = 10;
 
@@ -228,7 +219,7 @@ impl App {
                 self.machine.refuse(why);
             }
             Class::Services
-                if length > self.longest(&frame)
+                if length > net::longest_in_motion(&frame, self.services.is_some())
                     && self.fast_path.is_some()
                     && !self.machine.at_rest() =>
             {
@@ -247,15 +238,6 @@ impl App {
             Class::Nothing => self.mac.dismiss(),
         }
         false
-    }
-
-    /// Bytes of the longest frame of this kind that is taken while the machine moves.
-    fn longest(&self, frame: &RxFrame) -> usize {
-        match self.services {
-            Some(_) if net::comes_from_dhcp(frame) => GUEST_FRAME_DHCP,
-            Some(_) => GUEST_FRAME_SERVICES,
-            None => GUEST_FRAME,
-        }
     }
 
     fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {

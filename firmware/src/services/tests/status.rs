@@ -195,6 +195,16 @@ fn a_board_asks_three_times_for_its_name_and_announces_it_twice() {
 }
 
 #[test]
+fn a_board_has_a_name_a_second_after_its_start() {
+    // Up to 250 ms, and three probes with 250 ms behind each; nothing is waited for before.
+    let mut board = Board::new();
+    board.wait(1_100);
+    let name = board_name(&board);
+    assert!(name.starts_with("ferrocnc-"), "{name}");
+    assert!(get(&mut board, 50_000, "GET /status.json HTTP/1.0\r\n\r\n").contains(&name[..17]));
+}
+
+#[test]
 fn a_question_for_the_name_is_answered_to_the_group() {
     let mut board = board();
     let name = board_name(&board);
