@@ -37,6 +37,7 @@ impl Stack {
         config.random_seed = seed;
         let mut wire = Wire {
             received: None,
+            sent: false,
             out,
         };
         let mut iface = Interface::new(config, &mut wire, Instant::ZERO);
@@ -74,18 +75,21 @@ impl Stack {
     ) {
         let mut wire = Wire {
             received: Some(frame),
+            sent: false,
             out,
         };
         self.iface.poll_ingress_single(now, &mut wire, sockets);
     }
 
-    /// Sends a segment that is due. True if there was one.
+    /// Sends a segment that is due, or a report of the multicast groups. True if there was one.
     pub fn send(&mut self, sockets: &mut SocketSet, now: Instant, out: &mut impl Network) -> bool {
         let mut wire = Wire {
             received: None,
+            sent: false,
             out,
         };
-        self.iface.poll_egress(now, &mut wire, sockets) == PollResult::SocketStateChanged
+        let changed = self.iface.poll_egress(now, &mut wire, sockets);
+        wire.sent || changed == PollResult::SocketStateChanged
     }
 
     /// When one of these sockets has something to send; at most a second from now.
@@ -122,15 +126,18 @@ impl Stack {
     }
 }
 
-/// At most one frame that came, and the way out.
+/// At most one frame that came, and the way out for one frame. smoltcp would send a report of its
+/// multicast groups after a socket's frame, in the same call; it keeps the report for the next one.
 struct Wire<'a, O> {
     received: Option<&'a [u8]>,
+    sent: bool,
     out: &'a mut O,
 }
 
 struct Received<'a>(&'a [u8]);
 
 struct Answer<'a, O> {
+    sent: &'a mut bool,
     out: &'a mut O,
 }
 
@@ -143,6 +150,7 @@ impl RxToken for Received<'_> {
 impl<O: Network> TxToken for Answer<'_, O> {
     fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, length: usize, write: F) -> R {
         // smoltcp keeps to the longest frame that `capabilities` says.
+        *self.sent = true;
         self.out.send_with(length, write)
     }
 }
@@ -163,7 +171,11 @@ impl<O: Network> Device for Wire<'_, O> {
     }
 
     fn transmit(&mut self, _: Instant) -> Option<Answer<'_, O>> {
-        Some(Answer { out: self.out })
+        let sent = &mut self.sent;
+        (!*sent).then_some(Answer {
+            sent,
+            out: self.out,
+        })
     }
 
     fn capabilities(&self) -> DeviceCapabilities {

@@ -566,6 +566,11 @@ fn check(frame: &[u8], us: &Us) {
             let address = |at: usize| -> [u8; 4] { std::array::from_fn(|n| frame[at + n]) };
             match frame[23] {
                 1 => assert_eq!(ones(body, 0), 0xffff, "the ping's sum"),
+                2 => {
+                    assert_eq!(body[0], 0x16, "IGMP, and no report of version 2");
+                    assert_eq!(ones(body, 0), 0xffff, "the report's sum");
+                    assert_eq!(address(30), address(38), "a report goes to its group");
+                }
                 6 => {
                     let sum = segment_sum(address(26), address(30), 6, body);
                     assert_eq!(sum, 0xffff, "the segment's sum");
