@@ -150,7 +150,10 @@ static mut OUTPUT: MaybeUninit<Window> = MaybeUninit::uninit();
 
 /// All of that part, so that nothing else is in it.
 #[repr(C)]
-struct Window(Buffer, [u32; (regmap::WINDOW_SIZE - size_of::<Buffer>()) / 4]);
+struct Window(
+    Buffer,
+    [u32; (regmap::WINDOW_SIZE - size_of::<Buffer>()) / 4],
+);
 
 impl Mac {
     /// The board's only MAC.

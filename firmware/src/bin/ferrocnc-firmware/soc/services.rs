@@ -186,7 +186,7 @@ global_asm!(
     "    sw      ra, 12(sp)",
     "    lui     t0, {page}",
     "    lw      t1, {status}(t0)",
-    "    bltz    t1, 2b",
+    "    bltz    t1, services_end",
     "    li      t1, {key}",
     "    sw      t1, {guard}(t0)",
     "    jalr    t2",
@@ -222,7 +222,8 @@ const GUARD: u32 = regmap::address(timebase::BASE, timebase::GUARD);
 const GUARD_STATUS: u32 = regmap::address(timebase::BASE, timebase::GUARD_STATUS);
 const PAGE: u32 = (GUARD + 0x800) & !0xfff;
 const _: () = assert!((GUARD_STATUS + 0x800) & !0xfff == PAGE);
-const _: () = assert!(timebase::GUARD_STATUS_CLOSED == 1 && timebase::GUARD_STATUS_REFUSED == 1 << 31);
+const _: () =
+    assert!(timebase::GUARD_STATUS_CLOSED == 1 && timebase::GUARD_STATUS_REFUSED == 1 << 31);
 /// Where an external interrupt is enabled in `mie`.
 const EXTERNAL: u32 = 1 << 11;
 
