@@ -193,7 +193,7 @@ global_asm!(
     "    sw      ra, 12(sp)",
     "    lui     t0, {page}",
     "    lw      t1, {status}(t0)",
-    "    bltz    t1, 2b",
+    "    bltz    t1, services_end",
     "    li      t1, {key}",
     "    sw      t1, {guard}(t0)",
     "    jalr    t2",
