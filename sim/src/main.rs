@@ -123,9 +123,10 @@ struct Arguments {
     #[arg(long, value_name = "NAME", requires = "discovery")]
     interface: Option<String>,
     /// The board's cable ends in this TAP interface (`ip tuntap add NAME mode tap`): Ethernet
-    /// frames go to the board's own IP stack, with ARP, ping, consoles, status page, names and DHCP.
-    /// In free time only, and no other socket than the control channel's is opened. Needs root in
-    /// the network namespace. A Verilated board has its services if --flash holds its image.
+    /// frames go to the board's own IP stack, with ARP, ping, consoles, status page, names and
+    /// DHCP. In free time only, and no other socket than the control channel's is opened. Needs
+    /// root in the network namespace. A Verilated board has its services if --flash holds its
+    /// image.
     #[arg(long, value_name = "NAME", conflicts_with_all = ["interface", "discovery", "jobs"])]
     tap: Option<String>,
     /// Loopback address that stands for the board's console, TCP port 23.

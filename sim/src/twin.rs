@@ -410,7 +410,7 @@ impl Twin {
                 payload,
             });
         }
-        // Who needs the address asks for it.
+        // Nothing is told: the services and the server ask for the address.
         self.machine.moved();
         if self.machine.server.wants_restart() {
             self.machine.board.record.part(ResetReason::Requested);

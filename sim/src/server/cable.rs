@@ -3,16 +3,10 @@
 use std::collections::VecDeque;
 
 use super::{Device, Service};
-use crate::exchange::is_request;
 use crate::tap::Tap;
-use std::time::Duration;
 
 /// More frames than this do not wait for the board; a switch has a limit, too.
 const WAITING: usize = 256;
-/// Bytes in front of a UDP payload.
-const HEADERS: usize = 42;
-/// A host has the board for so long behind an exchange: longer than between two of them.
-const OWNED: Duration = Duration::from_millis(100);
 
 /// One end is the interface, the other a [`Device`] whose network is frames.
 #[derive(Debug)]
@@ -22,8 +16,6 @@ pub struct Cable {
     waiting: VecDeque<Vec<u8>>,
     /// The next one goes at this sys clock.
     free: u64,
-    /// A host has the board until this sys clock.
-    owned: u64,
 }
 
 impl Cable {
@@ -33,7 +25,6 @@ impl Cable {
             tap: Tap::open(name)?,
             waiting: VecDeque::new(),
             free: 0,
-            owned: 0,
         })
     }
 
@@ -48,10 +39,7 @@ impl Cable {
             && let Some(frame) = self.waiting.pop_front()
         {
             rig.post(0, Service::Cable, &frame);
-            if frame.get(HEADERS..).is_some_and(is_request) {
-                self.owned = rig.clock() + rig.clocks(OWNED);
-            }
-            self.free = rig.clock() + rig.between_frames(rig.clock() < self.owned);
+            self.free = rig.clock() + rig.between_frames();
         }
     }
 

@@ -67,10 +67,8 @@ pub trait Device {
     fn pass(&mut self, until: u64) -> bool;
     /// What the board has sent.
     fn take_replies(&mut self) -> Vec<Reply>;
-    /// Clocks from one frame of [`Service::Cable`] to the next; `owned`: a host exchanges with the
-    /// board.
-    fn between_frames(&self, owned: bool) -> u64 {
-        let _ = owned;
+    /// Clocks from one frame of [`Service::Cable`] to the next.
+    fn between_frames(&self) -> u64 {
         0
     }
     /// Longest wait for the answer to `payload`, or for it to take effect, sys clocks.
@@ -143,14 +141,11 @@ impl<S: Silicon> Device for Rig<S> {
             Service::Cable => drop(self.inject_frame(payload)),
         }
     }
-    /// Half a millisecond, in which the image takes any frame; 4 ms while the MAC admits other hosts'
-    /// frames one at a time. This machine sends ten while the board takes one, and what the board
-    /// loses comes again after a second of its own, which is a minute here.
-    fn between_frames(&self, owned: bool) -> u64 {
-        self.clocks(match owned {
-            true => Duration::from_millis(4),
-            false => Duration::from_micros(500),
-        })
+    /// Half a millisecond, in which the image takes any frame. This machine sends ten while the
+    /// board takes one, and what the board loses comes again after a second of its own, which is a
+    /// minute here.
+    fn between_frames(&self) -> u64 {
+        self.clocks(Duration::from_micros(500))
     }
     fn pass(&mut self, until: u64) -> bool {
         self.advance(until)

@@ -28,7 +28,7 @@ pub struct Arp {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Says {
     /// Which MAC address has this IP address? Asked by the second one.
-    WhoHas(String, String),
+    WhereIs(String, String),
     /// This IP address is at this MAC address.
     IsAt(String, String),
 }
@@ -43,7 +43,7 @@ impl Arp {
         let word = |n: usize| words.get(n).map(|word| (*word).to_owned());
         let after = |what: &str| word(words.iter().position(|word| *word == what)? + 1);
         let says = match words.first().copied()? {
-            "Request" => Says::WhoHas(after("who-has")?, after("tell")?),
+            "Request" => Says::WhereIs(word(2)?, after("tell")?),
             "Reply" => Says::IsAt(word(1)?, after("is-at")?),
             _ => return None,
         };

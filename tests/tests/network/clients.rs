@@ -88,8 +88,8 @@ fn the_name(host: &Place, avahi: &Avahi) {
 }
 
 /// While a host keeps the machine armed the page is busy, and a console answers.
-fn while_armed(host: &Place, period_ms: u64) {
-    let owner = Owner::arm(host, BOARD, period_ms);
+fn while_armed(host: &Place) {
+    let owner = Owner::arm(host, BOARD, 1);
     let busy = until("a busy page", || {
         curl(host, &format!("http://{BOARD}/"), &[])
     });
@@ -104,7 +104,7 @@ fn while_armed(host: &Place, period_ms: u64) {
 fn judge_arp(heard: &[Arp]) {
     let board = mac();
     let asked = |ip: &str| {
-        let question = Says::WhoHas(ip.into(), HOST.into());
+        let question = Says::WhereIs(ip.into(), HOST.into());
         heard.iter().filter(|arp| arp.says == question).count()
     };
     let mut from_board = Vec::new();
@@ -120,8 +120,8 @@ fn judge_arp(heard: &[Arp]) {
     assert!(!heard.iter().any(answered), "{heard:#?}");
 }
 
-/// All of it, one after the other. An armed machine is kept so with exchanges `period_ms` apart.
-fn all_clients(folder: &Folder, host: &Place, period_ms: u64) {
+/// One after the other; `armed`: also with a machine that a host keeps armed.
+fn all_clients(folder: &Folder, host: &Place, armed: bool) {
     let began = Instant::now();
     let done = |what: &str| println!("{what} after {:.1} s", began.elapsed().as_secs_f64());
     let avahi = Avahi::start(host, folder.path());
@@ -134,8 +134,10 @@ fn all_clients(folder: &Folder, host: &Place, period_ms: u64) {
     done("telnet");
     the_name(host, &avahi);
     done("avahi");
-    while_armed(host, period_ms);
-    done("armed");
+    if armed {
+        while_armed(host);
+        done("armed");
+    }
     // A host that has forgotten the board, and one that asks for another.
     host.ip("neigh flush dev eth0");
     assert!(ping(host, BOARD, SLOWEST.as_secs()), "no answer to a ping");
@@ -154,7 +156,7 @@ fn real_clients_are_served_by_the_ip_stack_of_the_twin() {
     let uid = format!("{UID:016x}");
     let arguments = ["--flash", &flash, "--uid", &uid];
     let _board = Simulator::on_cable(&mut lan, "mill6", &arguments);
-    all_clients(&folder, &host, 1);
+    all_clients(&folder, &host, true);
     telnet(&host, "characters");
 }
 
@@ -166,7 +168,9 @@ fn real_clients_are_served_by_the_release_image_on_the_verilated_board() {
     let mut lan = Lan::new();
     let host = lan.plug(Some("192.168.2.1/24"));
     let mut board = Simulator::rtl_on_cable(&mut lan, &flash);
-    all_clients(&folder, &host, 100);
+    // An armed machine is the twin's part: what this computer sends again after a second comes to
+    // this board after some 15 ms of its time, between turns that are milliseconds apart.
+    all_clients(&folder, &host, false);
     // It says how many clocks that were.
     board.finish();
 }
