@@ -3,10 +3,14 @@
 ELF without binutils."""
 
 import json
+import re
 import struct
 import sys
+from pathlib import Path
 
-ROM, RAM = 0x11FF0, 0x3800  # as memory.x; the linker enforces them, this script only prints the rest
+# The linker enforces them, this script only prints the rest.
+MEMORY = (Path(__file__).parent.parent / "memory.x").read_text(encoding="utf-8")
+ROM, RAM = (int(size, 16) for size in re.findall("LENGTH = (0x[0-9a-f]+)", MEMORY))
 
 
 def sections(path):
@@ -22,14 +26,14 @@ def sections(path):
 
 
 def main():
-    sums = dict.fromkeys(("text", "rodata", "data", "bss", "uninit", "stack"), 0)
+    sums = dict.fromkeys(("text", "rodata", "window", "data", "bss", "uninit", "stack"), 0)
     for name, flags, _kind, length in sections(sys.argv[1]):
         if name.lstrip(".") in sums and flags & 2:
             sums[name.lstrip(".")] += length
         elif name == ".stack":
             sums["stack"] = length
     rom = sums["text"] + sums["rodata"] + sums["data"]
-    ram = sums["data"] + sums["bss"] + sums["uninit"]
+    ram = sums["window"] + sums["data"] + sums["bss"] + sums["uninit"]
     if "--json" in sys.argv:
         print(json.dumps({**sums, "rom": rom, "rom_size": ROM, "ram": ram, "ram_size": RAM}))
         return

@@ -54,7 +54,7 @@ pub struct Board {
     pub factory: Option<ControlInput>,
     /// Axes of a job: step generators 0 and up; 0: there are no jobs.
     pub jobs: usize,
-    /// Jobs live in the card's SDRAM. Without it a PC streams them.
+    /// The services run in the card's SDRAM: consoles, jobs. Without it a PC streams the jobs.
     pub sdram: bool,
     /// `None`: made of the flash's serial number.
     pub mac: Option<[u8; 6]>,
@@ -261,25 +261,21 @@ fn jobs(at: &At<'_>, stepgens: usize) -> Result<usize, Error> {
     Ok(jobs)
 }
 
-/// Whether jobs live in the SDRAM.
+/// Whether the SDRAM is used: wherever there is one, unless the file says otherwise.
 fn sdram(at: &At<'_>, jobs: usize, platform: &Platform) -> Result<bool, Error> {
     let said = at.flag("sdram");
-    if let Some(said) = said.filter(|_| jobs == 0) {
-        return Err(at.error(
-            "sdram",
-            &said.to_string(),
-            "is set for a board without jobs; only jobs use the SDRAM",
-            "leave the key out, or say which axes jobs move (jobs = 3)",
-        ));
+    if platform.sdram.is_some() || said == Some(false) {
+        return Ok(said.unwrap_or(true));
     }
-    let sdram = jobs > 0 && said.unwrap_or(true);
-    if sdram && platform.sdram.is_none() {
-        return Err(at.error(
-            "jobs",
-            &jobs.to_string(),
-            format!("needs an SDRAM, and {} has none", platform.name),
-            "write sdram = false to have a PC stream the jobs, or say in the platform file where the SDRAM is ([sdram])",
-        ));
-    }
-    Ok(sdram)
+    let (key, value) = match said {
+        Some(said) => ("sdram", said.to_string()),
+        None if jobs == 0 => return Ok(false),
+        None => ("jobs", jobs.to_string()),
+    };
+    Err(at.error(
+        key,
+        &value,
+        format!("needs an SDRAM, and {} has none", platform.name),
+        "write sdram = false (a PC streams the jobs, if there are any), or say in the platform file where the SDRAM is ([sdram])",
+    ))
 }

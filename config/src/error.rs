@@ -1,4 +1,4 @@
-//! What is wrong with a file, where, and what to do about it.
+//! The errors of a file: what is wrong, where, and the remedy.
 
 use core::fmt;
 

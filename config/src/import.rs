@@ -58,10 +58,10 @@ impl<'p> Draft<'p> {
                 remedy: format!("there is {}", platforms.names().join(", ")),
             }));
         };
+        let platform = Platform::read(&platform_file, platform, &text)?;
         let board = Board {
             file: file.to_owned(),
             name: name.to_owned(),
-            platform: Platform::read(&platform_file, platform, &text)?,
             sys_clk_hz: 60_000_000,
             phy: 0,
             ext_reset: ControlInput {
@@ -69,7 +69,8 @@ impl<'p> Draft<'p> {
                 active: Level::High,
             },
             jobs: 0,
-            sdram: false,
+            sdram: platform.sdram.is_some(),
+            platform,
             // The button is the factory pin. If the configuration uses it, `finish` removes this.
             factory: Some(ControlInput {
                 pin: Some("key".to_owned()),

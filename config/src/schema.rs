@@ -1,5 +1,5 @@
-//! The JSON schemas of both kinds of file, for editors: the keys the reader checks, in an editor's
-//! words.
+//! The JSON schemas of both kinds of file, for editors. They contain the keys that the reader
+//! checks.
 
 use crate::board;
 use crate::platform;

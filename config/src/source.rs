@@ -36,7 +36,7 @@ pub const BUILT_IN: &[(&str, &str)] = &[
     ),
 ];
 
-/// A folder of platform files, and behind it the ones we carry.
+/// A folder of platform files; the built-in ones are used for names that it does not have.
 #[derive(Clone, Debug, Default)]
 pub struct Folder(pub Option<PathBuf>);
 

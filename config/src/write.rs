@@ -29,9 +29,9 @@ pub fn to_toml(board: &Board, notes: &[String]) -> String {
     }
     if board.jobs != 0 {
         let _ = writeln!(out, "jobs = {}", board.jobs);
-        if !board.sdram {
-            let _ = writeln!(out, "sdram = false");
-        }
+    }
+    if !board.sdram && (board.platform.sdram.is_some() || board.jobs != 0) {
+        let _ = writeln!(out, "sdram = false");
     }
     let modified = &board.modified;
     if *modified != Default::default() {

@@ -59,6 +59,23 @@ fn every_committed_board_reads_describes_itself_and_comes_back_from_our_own_toml
 }
 
 #[test]
+fn every_board_uses_its_sdram_unless_its_file_says_otherwise() {
+    for file in files(&boards(), ".toml") {
+        let board = read_board(&file).unwrap();
+        assert_eq!(board.sdram, board.name != "max", "{}", board.name);
+        let again = write::to_toml(&board, &[]);
+        assert_eq!(again.contains("sdram = false"), !board.sdram, "{again}");
+    }
+    let known = Folder::beside(&boards().join("mill6.toml"));
+    let mill6 = std::fs::read_to_string(boards().join("mill6.toml")).unwrap();
+    for (said, sdram) in [("true", true), ("false", false)] {
+        let text = mill6.replace("sys_clk_hz", &format!("sdram = {said}\nsys_clk_hz"));
+        let board = Board::read("boards/mill6.toml", "mill6", &text, &known).unwrap();
+        assert_eq!((board.jobs, board.sdram), (0, sdram));
+    }
+}
+
+#[test]
 fn a_board_with_streamed_jobs_uses_no_sdram_and_needs_none() {
     let plotter = std::fs::read_to_string(boards().join("plotter.toml")).unwrap();
     let read = |text: &str, platforms: &Folder| {
@@ -88,6 +105,14 @@ fn a_board_with_streamed_jobs_uses_no_sdram_and_needs_none() {
         assert!(error.contains(part), "{part:?} is not in {error:?}");
     }
     assert!(!read(&without, &bare).unwrap().sdram);
+    let nothing_said = read(&plotter.replace("jobs = 3\n", ""), &bare).unwrap();
+    assert!(!nothing_said.sdram);
+    assert!(!write::to_toml(&nothing_said, &[]).contains("sdram"));
+    let demanded = plotter.replace("jobs = 3\n", "sdram = true\n");
+    let error = read(&demanded, &bare).unwrap_err().to_string();
+    for part in ["sdram: true needs an SDRAM", "sdram = false", "[sdram]"] {
+        assert!(error.contains(part), "{part:?} is not in {error:?}");
+    }
     std::fs::remove_dir_all(&folder).unwrap();
 }
 

@@ -352,7 +352,7 @@ const BAD_INIS: [BadIni; 20] = [
     (
         "1 = j2:1",
         "5 = j2:1",
-        &["[inputs] 5", "where 1 should"],
+        &["[inputs] 5", "in the place of 1"],
         14,
     ),
     ("1 = j2:1", "0 = j2:1", &["[inputs] 0", "twice"], 14),

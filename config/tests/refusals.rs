@@ -227,13 +227,6 @@ const CASES: &[Case] = &[
         &["2", "0 to 1"],
     ),
     (
-        "an SDRAM without jobs",
-        "sys_clk_hz",
-        "sdram = false\nsys_clk_hz",
-        "sdram",
-        &["false", "without jobs", "jobs = 3"],
-    ),
-    (
         "an SDRAM that is neither there nor not",
         "sys_clk_hz",
         "jobs = 3\nsdram = 8\nsys_clk_hz",

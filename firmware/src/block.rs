@@ -1,5 +1,5 @@
-//! The blocks of an exchange: how the words of a command are taken, how those of a status are put,
-//! and how many there are on this board. [`crate::exchange`] executes them.
+//! The traits with which an exchange reads a command block and writes a status block, and the
+//! lengths of both on this board. [`crate::exchange`] executes them.
 
 use wire::describe::Channels;
 use wire::etherbone;

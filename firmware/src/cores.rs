@@ -1,8 +1,8 @@
 //! The board as the firmware's logic sees it: a few operations per gateware core.
 //!
 //! The image (`src/bin/ferrocnc-firmware`) implements [`Board`] with registers, the tests with a
-//! notebook, the simulator with models. Word numbers of the `command` and `status` pages are those
-//! of [`wire::regmap`].
+//! record of calls, the simulator with models. Word numbers of the `command` and `status` pages are
+//! those of [`wire::regmap`].
 
 use wire::describe::Channels;
 use wire::map::BoardConfig;
@@ -253,6 +253,10 @@ pub trait Board {
     fn panic(&mut self, offset: u32) -> u32;
     /// Derives another boot id for this start from `seed`, and returns it.
     fn rename_boot(&mut self, seed: u32) -> u32;
+    /// Bytes of the firmware's stack that were ever used, and its size; zeros if unknown.
+    fn stack(&mut self) -> (u32, u32) {
+        (0, 0)
+    }
 }
 
 #[cfg(test)]

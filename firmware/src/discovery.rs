@@ -71,11 +71,13 @@ pub fn judge(
 ) -> Act {
     let uid = server.flash().uid();
     let any = message.uid == [0; 2];
-    let set = |settings| {
+    let set = |settings: Settings| {
         if any || message.uid != uid {
             Act::Nothing
         } else if !server.safety().at_rest() || server.session().owner().is_some() {
             Act::Answer(Body::Done(OpResult::Armed))
+        } else if settings.dhcp && !server.has_sdram() {
+            Act::Answer(Body::Done(OpResult::NoDhcp))
         } else if !server.flash().busy() {
             Act::Save(settings)
         } else if waiting.is_some_and(|waiting| waiting.nonce == message.nonce) {

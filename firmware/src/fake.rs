@@ -10,7 +10,7 @@ use std::vec::Vec;
 use wire::describe::{Channels, FEATURE_JOBS};
 use wire::etherbone::{HEADER, record};
 use wire::exchange::{Command, REQUEST_OVERHEAD, STATUS_MAX, Status};
-use wire::regmap::{self, command, segments, status, timebase};
+use wire::regmap::{self, command, segments, status, timebase, watchdog};
 use wire::{MAX_WORDS, Refusal, ResetReason, map};
 
 pub const SIX: Channels = Channels {
@@ -209,6 +209,15 @@ impl Board for Notebook {
     }
     fn csr_read(&mut self, address: u32) -> u32 {
         self.asked.push(address);
+        let word = |base: usize| (address as usize).wrapping_sub(base) / 4;
+        if let Some(value) = self.latched.get(word(status::BASE)) {
+            return *value;
+        }
+        match word(watchdog::BASE) {
+            watchdog::STATUS => return self.gate().0,
+            watchdog::LAST_CLOSE => return self.close,
+            _ => {}
+        }
         let status = regmap::address(segments::BASE, segments::STATUS);
         // The segments core reads idle by default.
         let state = if address == status { self.segments } else { 0 };

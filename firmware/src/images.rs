@@ -26,7 +26,7 @@ use wire::images::Stub;
 /// Pages in a stub sector.
 const PER_SECTOR: usize = (SECTOR / PAGE) as usize;
 const PAGES: usize = Layout::STUB_PAGES as usize;
-/// A stub's bytes behind its preamble.
+/// A stub's bytes after its preamble.
 const BODY_AT: usize = Stub::SWITCH_AT + 2;
 
 /// What a page of a stub sector is.

@@ -1,8 +1,9 @@
 //! The firmware's logic, without access to the hardware.
 //!
-//! The code here decides and moves words. It knows no addresses of the chip, never waits, and never
-//! reads a clock. The board is behind [`cores::Board`], time is an argument, frames are words. So
-//! it runs on a PC, where the tests are, and on the softcore, where `src/bin` gives it registers.
+//! The code here decides and moves words. It contains no addresses of the chip, never waits, and
+//! never reads a clock. It reaches the board through [`cores::Board`], time is an argument, frames
+//! are words. So it runs on a PC, where the tests are, and on the softcore, where `src/bin` gives
+//! it registers.
 //!
 //! ```text
 //!   bytes --> machine --+
@@ -18,7 +19,7 @@
 //! |---|---|
 //! | [`machine`] | combines the modules below, for the image and the simulator |
 //! | [`cores`] | the board as the lib sees it: a trait |
-//! | [`net`] | recognises plain UDP to us and checks it; leaves everything else to the IP stack |
+//! | [`net`] | recognises plain UDP to us and checks it; leaves everything else to the services |
 //! | [`server`] | Etherbone: checks a whole datagram, then executes all of it or nothing |
 //! | [`block`] | the words of an exchange and how many there are on this board |
 //! | [`exchange`] | the servo-period datagram: judge, stage, commit, sample, answer |
@@ -33,31 +34,25 @@
 //! | [`images`] | which slot loads, and how that changes one byte at a time |
 //! | [`settings`] | the two copies of what a board keeps over a power cycle |
 //! | [`discovery`] | lets hosts find the board and set its settings, whatever its address |
-//! | [`dhcp`] | an address from a server, or the static one after 10 s |
-//! | [`ip`] | ARP, ping and the console's TCP connection where there are no services |
-//! | [`services`] | TCP/IP, consoles and jobs, in a program of their own that the machine outlives |
+//! | [`reserve`] | ARP and ping where there are no services |
+//! | [`services`] | TCP/IP, consoles and jobs, in a separate program; if it fails, the machine goes on |
 //! | [`link`] | up or down, speed, errors |
 //! | `path_stop` | decelerations that keep the axes on their line when no commands come any more |
 //! | [`log`] | the ring `ferrocnc log` reads |
 //! | [`postmortem`] | what survives a panic |
 //! | [`text`] | text in pieces, without `core::fmt` |
-//! | [`thrift`] | small replacements for a kilobyte of the compiler's library |
-//! | [`console`] | a text console for `telnet`: to look, and with the key to restart |
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
 pub mod auth;
 pub mod block;
 pub mod config;
-pub mod console;
 pub mod cores;
 pub mod describe;
-pub mod dhcp;
 pub mod discovery;
 pub mod exchange;
 pub mod flash;
 pub mod images;
-pub mod ip;
 pub mod link;
 pub mod log;
 pub mod machine;
@@ -65,6 +60,7 @@ pub mod net;
 pub mod nor;
 pub(crate) mod path_stop;
 pub mod postmortem;
+pub mod reserve;
 pub mod safety;
 pub mod server;
 pub mod service;
@@ -72,7 +68,6 @@ pub mod services;
 pub mod session;
 pub mod settings;
 pub mod text;
-pub mod thrift;
 
 #[cfg(test)]
 mod fake;

@@ -1,9 +1,9 @@
 //! The Ethernet link: up or down, speed, errors.
 //!
-//! The link is down after three looks in a row, a millisecond apart, saw it down: a PHY that
-//! renegotiates reports it for longer, and a wrong sample of its in-band status is shorter. A PHY
-//! that never reported "up" is not believed to be down: some do not report in band, and a client
-//! that asks came over the link.
+//! The link counts as down after three samples in a row, a millisecond apart, have shown it down: a
+//! PHY that renegotiates reports it for longer, and a wrong sample of its in-band status is
+//! shorter. A PHY that never reported "up" is not believed to be down: some do not report in band,
+//! and a client that asks came over the link.
 
 use crate::cores;
 use wire::LinkSpeed;

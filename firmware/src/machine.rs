@@ -1,7 +1,7 @@
-//! The firmware without its IP stack: start-up, datagrams, housekeeping, console.
+//! The firmware without its IP stack: start-up, datagrams, housekeeping, and the rights of clients.
 //!
-//! The image wraps this in frames and a TCP socket. The simulated board calls it from its own UDP
-//! and TCP sockets, with models behind [`Board`]. Both call it in this order:
+//! The image adds frames and the services. The simulated board calls it from its own UDP and TCP
+//! sockets, and implements [`Board`] with models. Both call it in this order:
 //!
 //! ```text
 //!   Machine::start           gate closed, settings, addresses, state machine out of Boot
@@ -10,8 +10,9 @@
 //!                            Machine::due(Machine::patience), Machine::housekeeping;
 //!                            Machine::hold_path once it is sent
 //!     none, and due(IDLE)    Machine::housekeeping
-//!     a byte of the console  console::LineEditor::push, and its result into Machine::answer
-//!     a discovery datagram   Machine::discover; a DHCP server's: Machine::offered
+//!     a client of a console  Machine::visit: may it?
+//!     a discovery datagram   Machine::discover
+//!     the services           Machine::leased: an address from a DHCP server, or none any more
 //!     has_broadcast          Machine::next_broadcast, and broadcast it
 //!     moved                  the address changed: tell the IP stack
 //!     server.wants_restart   leave ResetReason::Requested in the postmortem record, restart
@@ -21,22 +22,19 @@
 //! ([`crate::log::Ring`]). [`Machine::housekeeping`] returns the events that are worth a log line.
 
 use crate::auth::{Words, by_port};
-use crate::console::{self, Ask, Vitals};
 use crate::cores::{Board, Control, Ident, Setting};
-use crate::dhcp::{self, Client};
 use crate::discovery::{self, Act, Names, Waiting};
 use crate::net::{self, Us};
 use crate::postmortem::Boot;
 use crate::server::Server;
 use crate::session::Peer;
-use crate::text::Sink;
 use wire::auth::Purpose;
 use wire::board::{Blob, Kind};
 use wire::discovery::{Body, Message, proof};
 use wire::flash::{OpResult, OpWord};
 use wire::images::{Trailer, idcode_of};
 use wire::map::{BoardConfig, StepgenConfig};
-use wire::settings::Settings;
+use wire::settings::{Settings, unicast};
 use wire::{DISCOVERY_PORT, FaultReason, MAX_WORDS, Name, Refusal, State};
 
 /// Housekeeping is due after an answer to the owner once one of its periods has passed: the next
@@ -44,8 +42,9 @@ use wire::{DISCOVERY_PORT, FaultReason, MAX_WORDS, Name, Refusal, State};
 const BEHIND_AN_ANSWER: u32 = 1;
 /// Without a frame it waits longer, so that it does not run between a request and its answer.
 pub const IDLE: u32 = 3;
-/// What the console says when it has no time to answer.
-pub const NOT_WHILE_ARMED: &[u8] = b"? not while armed\r\n";
+/// 10 s without a lease: three tries of the services. A board on a bench without a server should be
+/// usable before its user gives up. The services go on asking.
+pub const FALLBACK_SECONDS: u32 = 10;
 /// Bytes of the board information ROM that are read.
 pub const BLOB_MAX: usize = wire::regmap::BOARD_ROM_SIZE;
 
@@ -70,6 +69,17 @@ pub struct Broadcast {
     pub words: usize,
 }
 
+/// An address from a DHCP server, which the services have requested.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lease {
+    /// Our address.
+    pub ip: u32,
+    /// Bits of its netmask.
+    pub prefix: u8,
+    /// The router, 0 for none.
+    pub gateway: u32,
+}
+
 /// A board and the server that judges its datagrams.
 #[derive(Debug)]
 pub struct Machine<B> {
@@ -82,11 +92,12 @@ pub struct Machine<B> {
     /// Bits of the netmask, and the gateway (0 for none).
     pub net: (u8, u32),
     names: Names,
-    client: Client,
+    /// The settings ask for an address from a DHCP server.
+    dhcp: bool,
+    lease: Option<Lease>,
     waiting: Option<Waiting>,
     /// The result of a Set that has to be answered, if there is one.
     done: Option<OpResult>,
-    ask: bool,
     /// The address changed and the transport has not been told.
     moved: bool,
     told: State,
@@ -96,20 +107,6 @@ pub struct Machine<B> {
     second: u32,
     /// A bit for each client of the services' consoles: it has proved that it has the key.
     friends: u8,
-}
-
-/// What a console's client gets besides the text.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reply {
-    /// Nothing.
-    Said,
-    /// The end of the connection.
-    Close,
-    /// No text yet: the services answer this line.
-    Job {
-        /// The client may do more than look.
-        trusted: bool,
-    },
 }
 
 impl<B: Board> Machine<B> {
@@ -135,10 +132,10 @@ impl<B: Board> Machine<B> {
             },
             net: (0, 0),
             names: Names::default(),
-            client: Client::off(),
+            dhcp: false,
+            lease: None,
             waiting: None,
             done: None,
-            ask: false,
             moved: false,
             told: State::Boot,
             housekeeping_at: 0,
@@ -153,21 +150,20 @@ impl<B: Board> Machine<B> {
     /// and ends start-up.
     #[inline(never)]
     pub fn wake(&mut self) {
-        let (ident, boot) = (self.server.ident, self.server.boot);
+        let ident = self.server.ident;
         self.board.control(Control::Close);
         defaults(&mut self.board, &ident);
-        self.find_itself(&ident, boot);
+        self.find_itself(&ident);
         self.server.start(&mut self.board);
         let now = self.board.now_lo();
         self.housekeeping_at = now;
         self.second_at = now;
         self.told = self.server.safety().state();
-        self.ask = self.client.tick(0);
     }
 
     /// Reads the built-in and the saved settings: the board's identity and addresses.
     #[inline(never)]
-    fn find_itself(&mut self, ident: &Ident, boot: Boot) {
+    fn find_itself(&mut self, ident: &Ident) {
         let mut built = Built::new();
         built.read(&mut self.board, ident);
         self.names = built.names;
@@ -176,7 +172,6 @@ impl<B: Board> Machine<B> {
         let flash = &mut self.server.flash;
         let spi = self.board.spi();
         flash.start(spi, trailer, built.idcode, built.settings, factory);
-        let [uid_hi, uid_lo] = flash.uid();
         let settings = flash.settings();
         self.server.auth.lock(settings.key);
         if settings.mac != [0; 6] {
@@ -184,10 +179,9 @@ impl<B: Board> Machine<B> {
         }
         self.us.port = settings.port;
         self.net = (settings.prefix, settings.gateway);
-        if settings.dhcp {
-            // The board has no address while it asks a DHCP server.
-            self.client = Client::on(boot.id ^ uid_hi ^ uid_lo.rotate_left(16));
-        } else {
+        self.dhcp = settings.dhcp;
+        if !settings.dhcp {
+            // The board has no address while the services ask a DHCP server.
             self.us.ip = settings.ip;
         }
         self.server.ip = self.us.ip;
@@ -251,7 +245,7 @@ impl<B: Board> Machine<B> {
         Ok(reply)
     }
 
-    /// Periods of housekeeping that may pass behind a frame; `owners`: the owner's. While a host
+    /// Periods of housekeeping that may pass after a frame; `owners`: the owner's. While a host
     /// owns the board, a frame of another one may be right in front of the owner's: housekeeping,
     /// and with it a turn of the services, waits for the answer to that.
     #[inline(always)]
@@ -314,8 +308,7 @@ impl<B: Board> Machine<B> {
         self.second_at = self.second_at.wrapping_add(clock_hz);
         self.second = self.second.wrapping_add(1);
         self.server.auth.tick();
-        if self.client.enabled() {
-            self.ask |= self.client.tick(self.second);
+        if self.dhcp {
             self.settle();
         }
     }
@@ -323,9 +316,9 @@ impl<B: Board> Machine<B> {
     /// Puts the current address into force. It does not change while a host owns the session.
     fn settle(&mut self) {
         let settings = self.server.flash.settings();
-        let (ip, net) = match self.client.lease() {
+        let (ip, net) = match self.lease {
             Some(lease) => (lease.ip, (lease.prefix, lease.gateway)),
-            None if self.client.gave_up(self.second) => {
+            None if self.second >= FALLBACK_SECONDS => {
                 (settings.ip, (settings.prefix, settings.gateway))
             }
             None => return,
@@ -359,11 +352,8 @@ impl<B: Board> Machine<B> {
                 return &[];
             }
         };
-        let dhcp = self
-            .client
-            .lease()
-            .is_some_and(|lease| lease.ip == self.us.ip);
-        let here = || discovery::here(&self.server, &self.us, dhcp, &self.names);
+        let leased = self.lease.is_some_and(|lease| lease.ip == self.us.ip);
+        let here = || discovery::here(&self.server, &self.us, leased, &self.names);
         let body = match discovery::judge(&message, &self.server, self.waiting, here) {
             Act::Nothing => return &[],
             Act::Answer(body) => body,
@@ -397,18 +387,19 @@ impl<B: Board> Machine<B> {
             return Ok(());
         };
         let challenge = *auth.challenge(from);
-        // A sender that was not asked for a proof yet has done nothing wrong.
+        // A sender that has not received a challenge yet has done nothing wrong.
         if answer.is_some() {
             self.server.refuse(why);
         }
         Err(challenge)
     }
 
-    /// Takes a datagram of this many bytes that came to [`dhcp::PORT`].
-    pub fn offered(&mut self, words: &[u32], length: usize) {
-        let client = &mut self.client;
-        self.ask |= client.take(self.us.mac, words, length, self.second);
-        if client.enabled() {
+    /// The services have an address from a DHCP server, or have lost it. It comes into force when
+    /// no host owns the session.
+    pub fn leased(&mut self, lease: Option<Lease>) {
+        // A server may offer anything.
+        self.lease = lease.filter(|lease| unicast(lease.ip) && lease.prefix <= 32);
+        if self.dhcp {
             self.settle();
         }
     }
@@ -417,105 +408,27 @@ impl<B: Board> Machine<B> {
     /// after a datagram.
     #[inline(always)]
     pub fn has_broadcast(&self) -> bool {
-        self.ask || self.moved || self.done.is_some()
+        self.moved || self.done.is_some()
     }
 
     /// Writes what is to be broadcast into `words`. The answer to a Set that was saved is the last
     /// one: the machine wants a restart after it.
     pub fn next_broadcast(&mut self, words: &mut [u32; MAX_WORDS]) -> Option<Broadcast> {
-        if let (Some(result), Some(waiting)) = (self.done.take(), self.waiting.take()) {
-            if result == OpResult::Ok {
-                self.server.restart();
-            }
-            let message = Message {
-                nonce: waiting.nonce,
-                uid: self.server.flash.uid(),
-                body: Body::Done(result),
-            };
-            return Some(Broadcast {
-                from_ip: self.us.ip,
-                from_port: DISCOVERY_PORT,
-                to_port: waiting.port,
-                words: emit(&message, words).len(),
-            });
+        let (result, waiting) = (self.done.take()?, self.waiting.take()?);
+        if result == OpResult::Ok {
+            self.server.restart();
         }
-        if !core::mem::take(&mut self.ask) {
-            return None;
-        }
-        let name = self.server.flash.settings().name;
-        let place = words.first_chunk_mut()?;
-        self.client.emit(self.us.mac, name.text(), place);
-        Some(Broadcast {
-            from_ip: self.client.lease().map_or(0, |lease| lease.ip),
-            from_port: dhcp::PORT,
-            to_port: dhcp::SERVER_PORT,
-            words: dhcp::WORDS,
-        })
-    }
-
-    /// A new client is at the console.
-    pub fn greet(&mut self) {
-        self.server.auth.greet();
-    }
-
-    /// May the client of the console do more than look?
-    pub fn trusted(&self) -> bool {
-        self.server.auth.trusted()
-    }
-
-    /// Answers a line of the services' console number `visitor`, and asks for the next one; no
-    /// line: a client has connected. Each client logs in for itself.
-    #[inline(never)]
-    pub fn converse(
-        &mut self,
-        visitor: usize,
-        line: Option<&str>,
-        vitals: &Vitals,
-        out: &mut dyn Sink,
-    ) -> Reply {
-        let bit = 1 << (visitor % 8);
-        let before = self
-            .server
-            .auth
-            .change(self.friends & bit != 0 && line.is_some());
-        let reply = match line.map(Ask::parse) {
-            None => Reply::Said,
-            Some(ask) if !self.may_answer(ask) => {
-                out.put(NOT_WHILE_ARMED);
-                Reply::Said
-            }
-            Some(Ask::Job) => Reply::Job {
-                trusted: self.trusted(),
-            },
-            Some(ask) => {
-                self.answer(ask, vitals, out);
-                match ask == Ask::Quit {
-                    true => Reply::Close,
-                    false => Reply::Said,
-                }
-            }
+        let message = Message {
+            nonce: waiting.nonce,
+            uid: self.server.flash.uid(),
+            body: Body::Done(result),
         };
-        self.friends &= !bit;
-        if self.server.auth.change(before) {
-            self.friends |= bit;
-        }
-        if reply == Reply::Said {
-            out.put(console::PROMPT.as_bytes());
-        }
-        reply
-    }
-
-    /// Answers a line of the console. Afterwards the server may want a restart.
-    #[inline]
-    pub fn answer(&mut self, ask: Ask, vitals: &Vitals, out: &mut dyn Sink) {
-        console::answer(
-            ask,
-            &mut self.server,
-            &mut self.board,
-            &self.us,
-            vitals,
-            out,
-        );
+        Some(Broadcast {
+            from_ip: self.us.ip,
+            from_port: DISCOVERY_PORT,
+            to_port: waiting.port,
+            words: emit(&message, words).len(),
+        })
     }
 }
 
@@ -606,6 +519,9 @@ impl Built {
 }
 
 mod transport;
+mod visitors;
+
+pub use visitors::{Verb, Verdict, WORDS as VISIT_WORDS};
 
 #[cfg(test)]
 mod tests;

@@ -1,10 +1,10 @@
 //! Recognises the frames for the Etherbone server without an IP stack, and checks them completely.
 //!
 //! An Etherbone frame is UDP to our address and port in one IPv4 packet, with or without IP
-//! options. ARP, ping and TCP are [`Class::Other`] and go to [`crate::ip`]; a frame that `ip` would
-//! not answer is [`Class::Nothing`], and the words in the slot suffice to tell. Only discovery and
-//! DHCP are accepted for any destination IP address. A damaged frame for us is refused here with
-//! its reason.
+//! options. ARP, ping, TCP and the services' UDP ports are [`Class::Services`]; a frame that they
+//! would not answer is [`Class::Nothing`], and the words in the slot suffice to tell. Only
+//! discovery and the services' ports are accepted for any destination IP address. A damaged frame
+//! for us is refused here with its reason.
 //!
 //! Frames are read as big-endian words as the MAC's slots deliver them, two bytes in, so that all
 //! but the Ethernet header lies on words:
@@ -34,6 +34,9 @@ const ETHERTYPE_ARP: u32 = 0x0806;
 const ARP_TARGET: usize = 10;
 /// Version 4, five words of header, no type of service; the total length goes below.
 const IPV4_IHL5: u32 = 0x4500 << 16;
+const PROTOCOL_ICMP: u32 = 1;
+const PROTOCOL_IGMP: u32 = 2;
+const PROTOCOL_TCP: u32 = 6;
 const PROTOCOL_UDP: u32 = 17;
 /// More-fragments flag, fragment offset and the reserved bit; don't-fragment may be either.
 const FRAGMENT: u32 = 0xbfff;
@@ -41,7 +44,19 @@ const IP_HEADER: usize = 20;
 /// IHL is four bits: at most fifteen words, five of which are no options.
 const OPTIONS_MAX: usize = 10;
 const UDP_HEADER: usize = 8;
+/// UDP port of DHCP clients.
+pub const DHCP_CLIENT: u16 = 68;
 const ETHERNET_HEADER: usize = 14;
+
+/// Longest ping that is answered while the machine is not at rest: to sum, copy and answer one
+/// takes 20 clocks a byte.
+const GUEST_FRAME: usize = 256;
+/// The same with services, for every frame: smoltcp takes 12 000 clocks before it looks at the
+/// first byte of what a segment carries.
+pub const GUEST_FRAME_SERVICES: usize = 128;
+/// The same for a DHCP server's answer, which has at least BOOTP's 300 bytes: a lease is renewed
+/// while the machine moves.
+const GUEST_FRAME_DHCP: usize = 350;
 
 /// A received frame as big-endian words, two bytes in. Words past the frame's end read as anything.
 pub trait Frame {
@@ -74,6 +89,10 @@ pub struct Us {
     pub port: u16,
 }
 
+/// UDP ports that the services listen at; 0 for none. Without this list a flood of datagrams to any
+/// port would reach them, and they would answer each with an ICMP message.
+pub type UdpPorts = [u16; 8];
+
 /// What a frame is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Class {
@@ -81,12 +100,11 @@ pub enum Class {
     Ours(Datagram),
     /// For [`crate::discovery`], whatever its IP address.
     Discovery(Datagram),
-    /// For [`crate::dhcp`], whatever its IP address.
-    Dhcp(Datagram),
-    /// Addressed to one of these services, but damaged.
+    /// Addressed to one of these two, but damaged.
     Refused(Refusal),
-    /// For [`crate::ip`]: ARP about our address, and other packets to it.
-    Other,
+    /// For [`crate::services`], and if there are none for [`crate::reserve`]: ARP about our
+    /// address, a ping or TCP to it, or UDP to one of the services' ports. Not checked.
+    Services,
     /// Not for this board.
     Nothing,
 }
@@ -116,40 +134,45 @@ impl Datagram {
     }
 }
 
-/// Looks at a frame of `length` bytes.
-pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
-    let (ours_high, ours_low) = mac_halves(us.mac);
+/// Looks at a frame of `length` bytes. `ports`: where the services listen.
+pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) -> Class {
     let [w0, w1, w2, w3, w4, w5, w6, source, destination] =
         core::array::from_fn(|index| frame.word(index));
     let options = (w4 >> 24 & 0xf).wrapping_sub(5) as usize;
-    let broadcast = w0 as u16 == 0xffff && w1 == u32::MAX;
-    let recognised = length >= HEADERS
-        && (broadcast || w0 as u16 == ours_high && w1 == ours_low)
+    let to = Destination::of(w0, w1, us);
+    let udp = length >= HEADERS
         && w3 & 0xffff == ETHERTYPE_IPV4
         && w4 >> 28 == 4
         && options <= OPTIONS_MAX
         && w5 & FRAGMENT == 0
         && w6 >> 16 & 0xff == PROTOCOL_UDP;
-    if !recognised {
+    if !udp || to == Destination::Other {
+        let protocol = w6 >> 16 & 0xff;
         let ours = match w3 & 0xffff {
-            ETHERTYPE_ARP => frame.word(ARP_TARGET),
-            ETHERTYPE_IPV4 if !broadcast && matches!(w6 >> 16 & 0xff, 1 | 6) => destination,
-            _ => return Class::Nothing,
+            ETHERTYPE_ARP => to != Destination::Other && frame.word(ARP_TARGET) == us.ip,
+            ETHERTYPE_IPV4 if protocol == PROTOCOL_ICMP || protocol == PROTOCOL_TCP => {
+                to == Destination::Us && destination == us.ip
+            }
+            // A router asks which groups are wanted.
+            ETHERTYPE_IPV4 if protocol == PROTOCOL_IGMP => {
+                to == Destination::Group && ports.iter().any(|port| *port != 0)
+            }
+            _ => false,
         };
-        return if ours == us.ip {
-            Class::Other
+        return if ours && us.ip != 0 {
+            Class::Services
         } else {
             Class::Nothing
         };
     }
-    let ports = frame.word(9 + options);
+    let words = frame.word(9 + options);
     let lengths = frame.word(10 + options);
-    let class: fn(Datagram) -> Class = match ports as u16 {
-        port if port == us.port && destination == us.ip && !broadcast => Class::Ours,
-        // A host that looks for boards does not know their addresses, and a board that waits for an
-        // address has none.
-        wire::DISCOVERY_PORT => Class::Discovery,
-        crate::dhcp::PORT => Class::Dhcp,
+    let class: fn(Datagram) -> Class = match words as u16 {
+        port if port == us.port && destination == us.ip && to == Destination::Us => Class::Ours,
+        // A host that looks for boards does not know their addresses.
+        wire::DISCOVERY_PORT if to != Destination::Group => Class::Discovery,
+        // A board that waits for an address has none.
+        port if port != 0 && ports.contains(&port) => return Class::Services,
         _ => return Class::Nothing,
     };
     if fold(sum_words(frame, 4, 5 + options)) != 0xffff {
@@ -179,12 +202,56 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us) -> Class {
     class(Datagram {
         peer: Peer {
             ip: source,
-            port: (ports >> 16) as u16,
+            port: (words >> 16) as u16,
         },
         mac: ((w2 >> 16) as u16, w2 << 16 | w3 >> 16),
         length: udp_length - UDP_HEADER,
         options,
     })
+}
+
+/// Bytes of the longest frame of [`Class::Services`] that is taken while a host moves the machine;
+/// `services`: they run.
+pub fn longest_in_motion(frame: &impl Frame, services: bool) -> usize {
+    match services {
+        true if comes_from_dhcp(frame) => GUEST_FRAME_DHCP,
+        true => GUEST_FRAME_SERVICES,
+        false => GUEST_FRAME,
+    }
+}
+
+/// Does this frame of [`Class::Services`] come to a DHCP client?
+fn comes_from_dhcp(frame: &impl Frame) -> bool {
+    let udp = frame.word(3) & 0xffff == ETHERTYPE_IPV4
+        && frame.word(6) >> 16 & 0xff == PROTOCOL_UDP
+        && frame.word(4) >> 24 == IPV4_IHL5 >> 24;
+    udp && frame.word(9) as u16 == DHCP_CLIENT
+}
+
+/// Where a frame is addressed to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Destination {
+    /// This board.
+    Us,
+    /// All.
+    All,
+    /// A group of IPv4.
+    Group,
+    /// Another board.
+    Other,
+}
+
+impl Destination {
+    /// Of a frame with these first words.
+    fn of(w0: u32, w1: u32, us: &Us) -> Self {
+        match (w0 as u16, w1) {
+            (0xffff, u32::MAX) => Destination::All,
+            // A group's addresses are 01:00:5e and 23 bits of its IP address.
+            (0x0100, _) if w1 >> 24 == 0x5e => Destination::Group,
+            address if address == mac_halves(us.mac) => Destination::Us,
+            _ => Destination::Other,
+        }
+    }
 }
 
 /// Words of a payload of this many bytes; refused if no datagram may have that length.
@@ -483,14 +550,14 @@ fn sum_words(frame: &impl Frame, start: usize, count: usize) -> u32 {
 /// Ones' complement addition of words; halves may be folded at the end because 2^16 = 1 mod 2^16 -
 /// 1.
 #[inline(always)]
-const fn add(sum: u32, word: u32) -> u32 {
+pub(crate) const fn add(sum: u32, word: u32) -> u32 {
     let (sum, carry) = sum.overflowing_add(word);
     sum + carry as u32
 }
 
 /// Folds a 32-bit ones' complement sum into 16 bits.
 #[inline(always)]
-const fn fold(sum: u32) -> u32 {
+pub(crate) const fn fold(sum: u32) -> u32 {
     let sum = (sum >> 16) + (sum & 0xffff);
     (sum >> 16) + (sum & 0xffff)
 }

@@ -1,5 +1,5 @@
-//! The commands of a 25-series flash chip over SPI. What may be written and when is decided by
-//! [`crate::flash`].
+//! The commands of a 25-series flash chip over SPI. [`crate::flash`] decides what may be written,
+//! and when.
 
 use embedded_hal::spi::{Operation, SpiDevice};
 use wire::flash::OpResult;

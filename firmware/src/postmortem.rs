@@ -1,4 +1,4 @@
-//! What survives a restart: the number of starts, and the reason of the last crash.
+//! Keeps the number of starts and the reason of the last crash through a restart.
 //!
 //! The record is in RAM that start-up does not clear. A checksum tells a record from the content
 //! after power-up.

@@ -286,7 +286,7 @@ impl Safety {
         self.resynced = false;
         self.reason = match (reset, close) {
             (ResetReason::Panic | ResetReason::Trap, _) => FaultReason::FirmwareFault,
-            // No client asked for it, and the gate was opened before: a jump to where the firmware
+            // No client requested it, and the gate was opened before: a jump to where the firmware
             // begins.
             (
                 ResetReason::PowerUp | ResetReason::Unknown,
@@ -307,8 +307,8 @@ impl Safety {
         } else {
             State::Faulted
         };
-        // A start closes the gate, whatever still moves; only one that was asked for comes at rest.
-        // A bite stops softly, everything else cuts pulses off.
+        // A start closes the gate, even if an axis still moves; only after a requested start all
+        // axes are at rest. A bite stops softly, everything else cuts pulses off.
         let at_rest = reset == ResetReason::Requested || close == GateClose::Never;
         self.position_trusted =
             at_rest && matches!(self.reason, FaultReason::None | FaultReason::Watchdog);
@@ -431,7 +431,7 @@ impl Safety {
                 }
                 (self, effects)
             }
-            // No command asked for an open gate without an armed machine.
+            // No command requested an open gate without an armed machine.
             State::Disarmed | State::Faulted if gate.open() => {
                 (self, Effects::order(Control::Close))
             }

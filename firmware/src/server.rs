@@ -26,7 +26,7 @@ use wire::exchange::{
     STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, command_word, status_word,
 };
 use wire::map::BoardConfig;
-use wire::refusal::COUNTERS_CUTS;
+use wire::refusal::{COUNTERS_CALLS, COUNTERS_CUTS};
 use wire::regmap::{self, command, segments, status, timebase};
 use wire::{GateClose, MAX_WORDS, Refusal, ResetReason, map};
 
@@ -37,6 +37,9 @@ const QUIET_SECONDS: u32 = 3;
 
 /// The word of [`Counters::cuts`].
 const CUTS_WORD: u32 = (COUNTERS_CUTS - map::COUNTERS) / 4;
+/// The words of [`Counters::calls`].
+const CALLS_WORD: u32 = (COUNTERS_CALLS - map::COUNTERS) / 4;
+const CALLS_END: u32 = CALLS_WORD + 2;
 /// Outputs that follow the segments core; boards without that core are not told.
 const SEGMENTS_MASK: u32 = regmap::address(segments::BASE, segments::MASK);
 
@@ -56,6 +59,9 @@ pub struct Counters {
     /// How often pulses may have been cut off since the start; the client that arms next makes
     /// `position_trusted` true again.
     pub cuts: u32,
+    /// Clocks of the longest call of the services, while a host moved the machine and at any other
+    /// time.
+    pub calls: [u32; 2],
 }
 
 /// The server's whole state.
@@ -86,8 +92,8 @@ pub struct Server {
     /// The number of frames at the last look, and when it last changed.
     frames: (u32, u64),
     restart: bool,
-    /// True from power-up until the first datagram: the boot id is still the same as after every
-    /// power-up.
+    /// True from power-up until the first datagram of a host: the boot id is still the same as
+    /// after every power-up.
     nameless: bool,
     /// The address in force, shown in the flash window.
     pub(crate) ip: u32,
@@ -111,6 +117,7 @@ impl Server {
                 refused_total: 0,
                 refused: [0; Refusal::COUNT],
                 cuts: 0,
+                calls: [0; 2],
             },
             flash: Flash::new(),
             link: Link::new(),
@@ -148,6 +155,22 @@ impl Server {
     pub fn jobs(&mut self, state: JobsState) {
         self.ident.features &= !(JobsState::MASK << JobsState::AT);
         self.ident.features |= state.code() << JobsState::AT;
+        self.refresh();
+    }
+
+    /// Has the board the memory that the services need?
+    pub fn has_sdram(&self) -> bool {
+        match JobsState::of(self.ident.features) {
+            JobsState::None | JobsState::Streamed => false,
+            JobsState::Alive
+            | JobsState::Sdram
+            | JobsState::Missing
+            | JobsState::Damaged
+            | JobsState::Foreign
+            | JobsState::Ended
+            | JobsState::Loading
+            | JobsState::GivenUp => true,
+        }
     }
 
     /// The lengths of this board's blocks.
@@ -200,7 +223,7 @@ impl Server {
         !self.commit_pending
     }
 
-    /// A client that is allowed to has asked for a restart.
+    /// A client with the right to do so has requested a restart.
     pub fn wants_restart(&self) -> bool {
         self.restart
     }
@@ -340,6 +363,7 @@ impl Server {
             link: self.link.up(),
             estop: gate.estop(),
             speed: self.link.word().speed,
+            services: JobsState::of(self.ident.features),
             link_errors: self.link.word().errors as u8,
         }
     }
@@ -396,8 +420,9 @@ impl Server {
         }
     }
 
-    /// Commits an all-zero command, so that no old command waits behind a closed gate. Gives the
-    /// cores their configured decelerations back, and the outputs of a job back to the commands.
+    /// Commits an all-zero command, so that no old command waits while the gate is closed. Gives
+    /// the cores their configured decelerations back, and the outputs of a job back to the
+    /// commands.
     fn rest<B: Board>(&mut self, board: &mut B) {
         if self.commit_pending {
             board.commit_at(u64::MAX);
@@ -517,7 +542,8 @@ impl Server {
         let now = board.now();
         let arrival = board.arrival_lo();
         self.auth.stir(arrival);
-        if self.nameless {
+        // The services ask at the same time after every power-up.
+        if self.nameless && peer != Peer::INSIDE {
             self.nameless = false;
             self.boot.id = board.rename_boot(arrival);
         }
@@ -710,6 +736,10 @@ impl Server {
             1 => self.counters.frames_tx,
             2 => self.counters.exchanges,
             CUTS_WORD => self.counters.cuts,
+            CALLS_WORD..CALLS_END => {
+                let [moving, other] = self.counters.calls;
+                if word == CALLS_WORD { moving } else { other }
+            }
             _ => self
                 .counters
                 .refused

@@ -3,28 +3,48 @@
 //! services, not the motion.
 //!
 //! ```text
-//!   frames --> stack (smoltcp) --> port --+--> consoles --> the ROM's text, and job_lines
+//!   frames --> stack (smoltcp) --> port --+--> consoles, and job_lines for jobs
 //!                                         +--> jobs::Jobs --> datagram, segments core
+//!                                         +--> http: the status page
+//!                                         +--> status: names, log, events, time
+//!                                         +--> lease: an address from a DHCP server
 //! ```
 //!
-//! The jobs themselves are in the crate [`jobs`](::jobs), which a PC can run, too. This module has
+//! Jobs are there on boards with the segments core. They are in the crate [`jobs`](::jobs), which a
+//! PC can run, too. This module has
 //! what only a board has: TCP without an operating system ([`stack`], [`port`]), the consoles'
 //! commands about jobs, the interface to the ROM ([`abi`]) and the test of the SDRAM ([`memory`]).
 
 pub mod abi;
+pub mod console;
+pub mod events;
+pub mod facts;
+pub mod http;
+pub mod journal;
+pub mod lease;
+pub mod line_editor;
+pub mod look;
+pub mod mdns;
 pub mod memory;
 pub mod port;
+pub mod post;
+pub mod sntp;
 pub mod stack;
+pub mod status;
+pub mod syslog;
+pub mod telnet;
 
 mod job_lines;
+mod shut;
+#[cfg(test)]
+mod tests;
 
 use self::port::{Place, Port};
-use crate::console::{ANSWER_MAX, PROMPT};
-use crate::ip::Text;
-use crate::machine::Reply;
-use crate::net::Us;
-use crate::text::{Paper, Sink};
+use crate::machine::{Lease, VISIT_WORDS, Verb, Verdict};
+use crate::net::{UdpPorts, Us};
+use crate::text::{Sink, Text};
 use ::jobs::executor::Executor;
+use ::jobs::inside::Inside;
 use ::jobs::server::{Answer, BusyReply};
 use ::jobs::{Jobs, Outside};
 
@@ -43,17 +63,24 @@ pub trait Network: Outside {
     }
     /// Our addresses.
     fn us(&mut self) -> Us;
-    /// Answers a line of console `visitor`: [`crate::machine::Machine::converse`].
-    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply;
+    /// Does a host move the machine? Its next exchange waits for what is done now.
+    fn moving(&mut self) -> bool {
+        false
+    }
+    /// A DHCP server has given the board an address, or the lease is over.
+    fn leased(&mut self, lease: Option<Lease>);
+    /// Judges what the client of console `visitor` asks for: [`crate::machine::Machine::visit`].
+    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict;
 }
 
-/// Longest answer to a line about jobs: the console's longest answer without the prompt after it.
-pub const TEXT_MAX: usize = ANSWER_MAX - PROMPT.len();
+/// UDP ports the program listens at.
+pub const PORTS: UdpPorts = [lease::PORT, wire::mdns::PORT, sntp::PORT, 0, 0, 0, 0, 0];
 
 /// The program.
 #[derive(Debug)]
 pub struct Program<'m> {
-    jobs: Jobs<'m>,
+    /// Not on boards without the segments core.
+    jobs: Option<Jobs<'m>>,
     port: Port<'m>,
 }
 
@@ -68,39 +95,44 @@ impl Answer for Text {
 }
 
 impl<'m> Program<'m> {
-    /// A program that keeps its jobs in `memory`, and its sockets in `place`. `program` is the
-    /// CRC-32 that identifies it. There is no program for a board that does not answer or has no
-    /// segments core.
+    /// A program that keeps its jobs in `memory`, its log in `log`, and its sockets in `place`.
+    /// `program` is the CRC-32 that identifies it. There is no program for a board that does not
+    /// answer.
     pub fn new(
         memory: &'m mut [u8],
+        log: &'m mut [u8],
         place: &'m mut Place<'m>,
         program: u32,
         out: &mut impl Network,
     ) -> Option<Self> {
-        let jobs = Jobs::new(memory, program, out)?;
-        let port = Port::new(place, jobs.executor().clock_hz(), out);
+        let (_, board) = Inside::new(out)?;
+        let jobs = Jobs::new(memory, program, out);
+        let port = Port::new(place, log, jobs.is_some(), &board, out);
         Some(Program { jobs, port })
     }
 
-    /// The executor.
-    pub fn executor(&self) -> &Executor {
-        self.jobs.executor()
+    /// The executor, on boards with jobs.
+    pub fn executor(&self) -> Option<&Executor> {
+        self.jobs.as_ref().map(Jobs::executor)
     }
 
-    /// Takes a frame: ARP, a ping, or a TCP segment.
+    /// Takes a frame of [`crate::net::Class::Services`].
     pub fn frame(&mut self, frame: &[u8], out: &mut impl Network) {
-        self.port.frame(&mut self.jobs, frame, out);
+        self.port.frame(self.jobs.as_mut(), frame, out);
     }
 
     /// A client is there, over a connection that is not this program's: the simulator has its own
     /// sockets.
     pub fn visit(&mut self, out: &mut impl Outside) {
-        self.jobs.visit(out);
+        if let Some(jobs) = &mut self.jobs {
+            jobs.visit(out);
+        }
     }
 
     /// Takes bytes of that connection: [`Jobs::said`].
     pub fn said(&mut self, bytes: &[u8], answer: &mut Text, out: &mut impl Outside) -> usize {
-        self.jobs.said(bytes, answer, out)
+        let jobs = self.jobs.as_mut();
+        jobs.map_or(0, |jobs| jobs.said(bytes, answer, out))
     }
 
     /// Takes bytes of another connection while there is one: [`Jobs::busy_reply`].
@@ -111,30 +143,33 @@ impl<'m> Program<'m> {
         answer: &mut Text,
         out: &mut impl Outside,
     ) -> usize {
-        self.jobs.busy_reply(busy, bytes, answer, out)
+        let jobs = self.jobs.as_mut();
+        jobs.map_or(0, |jobs| jobs.busy_reply(busy, bytes, answer, out))
     }
 
-    /// Answers a line about jobs into `room`; returns the answer's length in bytes. `trusted`: the
-    /// console's client has proved the board's key, or there is no key.
-    pub fn line(
-        &mut self,
-        line: &[u8],
-        trusted: bool,
-        room: &mut [u8],
-        out: &mut impl Outside,
-    ) -> usize {
-        let line = core::str::from_utf8(line).unwrap_or("");
-        let mut paper = Paper::new(room);
-        let now = out.now();
-        job_lines::answer(&mut self.jobs, line, trusted, now, &mut paper, out);
-        paper.used()
+    /// The jobs, on boards that have them.
+    pub fn jobs(&mut self) -> Option<&mut Jobs<'m>> {
+        self.jobs.as_mut()
     }
 
     /// Does a piece of work: a segment, a frame, a block of a job. True while there is more work.
     pub fn poll(&mut self, out: &mut impl Network) -> bool {
         let Program { jobs, port } = self;
-        let works = jobs.poll_beside(out, |jobs, _, now, out| port.turn(jobs, now, out));
+        let works = match jobs {
+            Some(jobs) => {
+                jobs.poll_beside(out, |jobs, _, now, out| port.turn(Some(jobs), now, out))
+            }
+            None => {
+                let now = out.now();
+                port.turn(None, now, out)
+            }
+        };
         works || port.busy()
+    }
+
+    /// Is a client connected, at a console or for jobs?
+    pub fn visited(&self) -> bool {
+        self.port.visited()
     }
 
     /// Is there work of the connections for the next turn?

@@ -1,4 +1,4 @@
-//! The session: one host at a time owns the motion; all others may read.
+//! The session: one host at a time owns the motion; all others may only read.
 //!
 //! A session is bound to the IP address and port that acquired it, and to a token that only its
 //! owner can read. It ends when its owner releases it, when the watchdog bites, or, if the machine

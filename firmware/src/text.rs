@@ -117,6 +117,65 @@ impl Out<'_> {
     }
 }
 
+/// Bytes of the longest [`Text`].
+pub const TEXT_ROOM: usize = 1536;
+
+/// An answer to a client of a connection, on its way.
+#[derive(Clone, Debug)]
+pub struct Text {
+    bytes: [u8; TEXT_ROOM],
+    used: usize,
+    /// Close the connection after this text.
+    pub close: bool,
+}
+
+impl Default for Text {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Text {
+    /// Empty.
+    pub const fn new() -> Self {
+        Text {
+            bytes: [0; TEXT_ROOM],
+            used: 0,
+            close: false,
+        }
+    }
+
+    /// All of it.
+    pub fn bytes(&self) -> &[u8] {
+        self.bytes.get(..self.used).unwrap_or(&[])
+    }
+
+    /// Is there anything to be sent, or to be closed?
+    pub fn some(&self) -> bool {
+        self.used > 0 || self.close
+    }
+
+    /// Bytes that still fit.
+    pub fn room(&self) -> usize {
+        TEXT_ROOM - self.used
+    }
+
+    /// Forgets all of it.
+    pub fn clear(&mut self) {
+        self.used = 0;
+        self.close = false;
+    }
+}
+
+impl Sink for Text {
+    fn put(&mut self, text: &[u8]) {
+        if let Some(room) = self.bytes.get_mut(self.used..self.used + text.len()) {
+            room.copy_from_slice(text);
+            self.used += text.len();
+        }
+    }
+}
+
 #[cfg(test)]
 impl Sink for String {
     fn put(&mut self, text: &[u8]) {

@@ -1,4 +1,5 @@
-"""`python -m ferrocnc`: elaborate, export, bitstream. Errors name the file, the key, the value and the remedy."""
+"""`python -m ferrocnc`: elaborate, export, bitstream. Errors name the file, the key, the value and
+the remedy."""
 
 import argparse
 import logging

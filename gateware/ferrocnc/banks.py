@@ -1,7 +1,8 @@
 """CSR banks around the cores: the only place where a register of `regmap.py` is connected to its
 signal.
 
-The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on LiteX's CSR bus carries pages 8 and up:
+The cores (`gateware/rtl`) know no bus; this file knows no motion. One slave on LiteX's CSR bus
+carries pages 8 and up:
 
     bus  --> write pipeline --> staging and settings registers, mirrors --> cores
          <-- gates <-- live words | what the sample caught | wide counters | mirrors  <-- cores
@@ -183,12 +184,23 @@ class FabricBus(LiteXModule):
         self.comb += self.bus.dat_r.eq(reduce(or_, self._gates))
 
 
+def guard_places():
+    """Where the services may write: (word address, words less 1) of each."""
+    snapshot, guard = (rm.TIMEBASE.base + rm.TIMEBASE.offset(name) for name in ("snapshot", "guard"))
+    start, size = rm.WINDOW
+    places = [rm.SDRAM_RAM, (rm.SEGMENTS.base, rm.CSR_PAGE), (snapshot, 4), (guard, 4), (start, size // 3 * 2), (start + size // 3 * 2, size // 3)]
+    for at, size in places:
+        assert size & size - 1 == 0 and at % size == 0, f"{at:#x}, {size:#x} bytes: not a power of two, or not at a multiple of it"
+    return [(at // 4, size // 4 - 1) for at, size in places]
+
+
 # Signals of `Pads` that leave the chip and are read back.
 DRIVEN = ("step", "dir", "step_n", "dir_n", "pwm", "pwm_dir", "outputs")
 
 
 class Pads:
-    """The signals of a board's pins, one bit per channel, after the platform's polarity has been dealt with."""
+    """The signals of a board's pins, one bit per channel, after the platform's polarity has been
+    dealt with."""
 
     def __init__(self, channels):
         self.step = Signal(max(1, channels.stepgen))
@@ -218,16 +230,17 @@ class Pads:
 
 
 class Cores(LiteXModule):
-    """All cores of one board and their banks. `arrival` is the wall clock of the frame the MAC presents."""
+    """All cores of one board and their banks. `arrival` is the wall clock of the frame the MAC
+    presents."""
 
     def __init__(self, channels, sys_clk_hz, rom_words, ext_reset_active_low=False, estop_mask=0, estop_level=0,
                  safe_mask=0, invert_mask=0, jobs=0):
         self.pads = pads = Pads(channels)
         self.abi = Signal(32)            # constant; the SoC knows it once its map is final
         self.frame_done = Signal()       # MAC: a frame is complete in `frame_slot`
-        self.frame_slot = Signal(1)
+        self.frame_slot = Signal(max=rm.ETHMAC_RX_SLOTS)
         self.frame_pending = Signal()    # MAC: presents the frame in `pending_slot`
-        self.pending_slot = Signal(1)
+        self.pending_slot = Signal(max=rm.ETHMAC_RX_SLOTS)
         self.eth_beat = Signal()         # PHY: a clock per 4 clocks of its receive clock
         self.fabric = fabric = FabricBus()
         self.bus = fabric.bus
@@ -289,6 +302,8 @@ class Cores(LiteXModule):
         self.leash = Signal()
         self.specials += Instance("leash", i_clk=self.clk, i_rst=self.rst, i_set=fabric.pulse(b, "leash"), i_clocks=fabric.data[:24], o_irq=self.leash)
 
+        self._guard(fabric)
+
         # Each slot stores the time when its frame was complete, so that a frame that had to queue
         # keeps its own time.
         slot_time = Array([Signal(64, reset_less=True) for _ in range(rm.ETHMAC_RX_SLOTS)])
@@ -304,6 +319,23 @@ class Cores(LiteXModule):
         fabric.live(b, "status", pending)
         self._sampled(fabric, "sample_lo", now[:32])
         self._sampled(fabric, "sample_hi", now[32:])
+
+    def _guard(self, fabric):
+        """The guard between the CPU's data bus and the interconnect; `soc` connects it."""
+        b, at = rm.TIMEBASE, Signal(30)
+        self.guard = guard = SimpleNamespace(
+            **{name: Signal(name=f"guard_{name}") for name in ("stb", "we", "ack", "we_out", "vacant", "answer", "irq")}, adr=Signal(30, name="guard_adr"))
+        closed, refused = Signal(), Signal()
+        places = guard_places()
+        pack = [sum(word << 30 * n for n, word in enumerate(words)) for words in zip(*places)]
+        self.specials += Instance("guard",
+            p_KEY=Constant(rm.OPEN, 32), p_WAYS=len(places), **{f"p_{name}": Constant(words, 30 * len(places)) for name, words in zip(("PLACES", "ROOMS"), pack)},
+            i_clk=self.clk, i_rst=self.rst, i_set=fabric.pulse(b, "guard"), i_word=fabric.data,
+            **{f"i_{name}": getattr(guard, name) for name in ("stb", "we", "adr", "ack", "vacant")},
+            **{f"o_{name}": getattr(guard, name) for name in ("we_out", "answer", "irq")},
+            o_closed=closed, o_refused=refused, o_at=at)
+        fabric.live(b, "guard_status", Cat(closed, Constant(0, 30), refused))
+        fabric.live(b, "guard_at", Cat(Constant(0, 2), at))
 
     def _watchdog(self, fabric, estop, active_low):
         b = rm.WATCHDOG
@@ -621,7 +653,8 @@ class Cores(LiteXModule):
             o_out=self.pads.pwm[n], o_dir=self.pads.pwm_dir[n])
 
     def _pads(self, fabric, channels):
-        """The pads' own levels. Nothing here leads to a driver, and nothing that drives waits for it."""
+        """The pads' own levels. Nothing here leads to a driver, and nothing that drives waits for
+        it."""
         b = rm.PADS
         for name, count, low, high in (("step", channels.stepgen, "step", "dir"), ("step_n", channels.stepgen, "step_n", "dir_n"),
                                        ("pwm", channels.pwm, "pwm", "pwm_dir"), ("outputs", channels.outputs, "outputs", None)):

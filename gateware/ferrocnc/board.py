@@ -15,7 +15,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class BoardError(Exception):
-    """`boards/x.toml:12:8: stepgen[2].step: "j9:3" is not a pin of 5a-75b-8.0; its headers are j1 to j8`"""
+    """`boards/x.toml:12:8: stepgen[2].step: "j9:3" is not a pin of 5a-75b-8.0; its headers are j1
+    to j8`"""
 
     def __init__(self, file, key="", problem=""):
         super().__init__(": ".join(str(part) for part in (file, key, problem) if part))
@@ -81,7 +82,7 @@ class Board:
     missing: list = field(default_factory=list)
     blob: bytes = b""
     jobs: int = 0         # axes of a job, step generators 0 and up; 0: the board executes none
-    sdram: bool = False   # jobs live in the card's SDRAM; without it a PC streams them
+    sdram: bool = False   # the services run in the card's SDRAM; without it a PC streams the jobs
 
     @property
     def estop_mask(self):
@@ -99,7 +100,8 @@ class Board:
 
 
 def _reader():
-    """The command that reads board files: the one we are told of, one built now, or, without cargo, the one that was built."""
+    """The command that reads board files: the one we are told of, one built now, or, without cargo,
+    the one that was built."""
     told, built = os.environ.get("FERROCNC_CONFIG"), ROOT / "target" / "release" / "ferrocnc-config"
     if told:
         return [told]
@@ -109,8 +111,8 @@ def _reader():
 
 
 def read_board(path, **network):
-    """Reads a board file and its platform; everything that can be checked without building it has been checked. `ip`, `port` and
-    `mac` stand in for what the file says."""
+    """Reads a board file and its platform; everything that can be checked without building it has
+    been checked. `ip`, `port` and `mac` stand in for what the file says."""
     path = Path(path)
     # As the file is named from the root, so that an error is the same wherever it is seen.
     shown = path.resolve().relative_to(ROOT) if path.resolve().is_relative_to(ROOT) else path
@@ -145,7 +147,8 @@ def pins_missing(board):
 
 
 def blob(board):
-    """The board info blob: what the board says about itself. The layout's specification is `wire::board`."""
+    """The board info blob: what the board says about itself. The layout's specification is
+    `wire::board`."""
     return board.blob
 
 

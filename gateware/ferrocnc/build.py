@@ -69,7 +69,8 @@ def _settle(out):
     script = out / f"{TOP}.ys"
     script.write_text(_READ.sub(near, script.read_text()))
     lpf = (out / f"{TOP}.lpf").read_text().splitlines(keepends=True)
-    (out / f"{TOP}.lpf").write_text("".join(line for line in lpf if 'SITE "X"' not in line))  # pins without a ball
+    # pins without a ball
+    (out / f"{TOP}.lpf").write_text("".join(line for line in lpf if 'SITE "X"' not in line))
 
 
 def place(board, folder, seed, cells, *more, name="", cancelled=None):
@@ -106,7 +107,7 @@ def _device(board):
     return f"--{device[1].lower().replace('f', 'k')}", "--package", board.platform.package, "--speed", device[2][0]
 
 
-# One board --------------------------------------------------------------------------------------------------------
+# One board ----------------------------------------------------------------------------------------
 
 class Design:
     """The build of one board, in `folder`; `folder / "work"` keeps the result of every stage, and
@@ -221,7 +222,8 @@ class Design:
         return result
 
     def _elaborate(self):
-        # In a process of its own: LiteX keeps state in its modules, and works in the current folder.
+        # In a process of its own: LiteX keeps state in its modules, and works in the current
+        # folder.
         fresh = self.work.with_name("fresh")
         shutil.rmtree(fresh, ignore_errors=True)
         command = [sys.executable, "-m", "ferrocnc", "elaborate", "--target", "board", "--board", str(self.path), "--out", str(fresh)]
@@ -330,7 +332,7 @@ class Design:
         try:
             return path.read_bytes()
         except OSError as e:
-            raise BuildError(f"{self.name}: executes jobs, but {path.name} cannot be read ({e.strerror}); firmware/build.sh makes it beside the firmware") from e
+            raise BuildError(f"{self.name}: has SDRAM, but the services for it, {path.name}, cannot be read ({e.strerror}); firmware/build.sh makes them beside the firmware") from e
 
     def _report(self, seed):
         found = self.record["seeds"][str(seed)]
@@ -520,7 +522,7 @@ def timing_document(found, failed):
     return _TIMING_DOC.format(slack=5) + "\n".join(lines) + "\n"
 
 
-# Firmware ---------------------------------------------------------------------------------------------------------
+# Firmware -----------------------------------------------------------------------------------------
 
 def read_image(path):
     """The image as ROM words, from an ELF file (what loads into the ROM) or a flat binary."""
@@ -557,9 +559,9 @@ def _clocks(board, data):
 
 # Size --------------------------------------------------------------------------------------------
 
-# The same machine on the same tools: 6 step generators, 6 encoders, 6 PWM, 12 inputs, 12 outputs, 5A-75B, 40 MHz, Etherbone in
-# gateware instead of a CPU. LiteX-CNC 1.3.4 was placed and routed with yosys 0.70 and nextpnr 0.11.1, one seed; Lcnc (f6c0d75) was
-# elaborated and simulated, not placed.
+# The same machine on the same tools: 6 step generators, 6 encoders, 6 PWM, 12 inputs, 12 outputs,
+# 5A-75B, 40 MHz, Etherbone in gateware instead of a CPU. LiteX-CNC 1.3.4 was placed and routed with
+# yosys 0.70 and nextpnr 0.11.1, one seed; Lcnc (f6c0d75) was elaborated and simulated, not placed.
 PEERS = {
     "LiteX-CNC 1.3.4, as mill6": {"lut4": 9461, "ccu2c": 2160, "ff": 7412, "ebr": 4, "dsp": 0, "lutram": 150, "trellis_comb": 15399},
     "Lcnc f6c0d75, as mill6": None,

@@ -14,7 +14,8 @@ from litex.soc.cores.clock import ECP5PLL
 from . import rgmii, soc as ferro
 from .board import BoardError, pins_missing
 
-# ABC9's default script without &mfs, with which yosys 0.70 does not finish, and with a fifth of the depth traded for area:
+# ABC9's default script without &mfs, with which yosys 0.70 does not finish, and with a fifth of the
+# depth traded for area:
 ABC9 = 'scratchpad -set abc9.script "+&scorr;&sweep;&dc2;&dch,-f,-r;&ps;&if,-R,20,-W,300,-v"'
 ABC9_AREA = ABC9.replace("&if,", "&if,-a,")
 # Without these the 125 MHz Ethernet clock closes in one run of three; with them in every run.
@@ -178,8 +179,9 @@ class BoardSoC(ferro.FerroSoC):
         self._flash(platform, board, pads)
 
     def _driven(self, pad, level, seen):
-        """A pad that is always driven, and its input buffer. It has no wire for its direction: nextpnr ties that to the driver's side, as
-        it does at a pad that is only an output. So a bit that is read back cannot let go of a pin."""
+        """A pad that is always driven, and its input buffer. It has no wire for its direction:
+        nextpnr ties that to the driver's side, as it does at a pad that is only an output. So a bit
+        that is read back cannot let go of a pin."""
         self.specials += Instance("TRELLIS_IO", p_DIR="BIDIR", io_B=pad, i_I=level, o_O=seen)
 
     def _flash(self, platform, board, pads):

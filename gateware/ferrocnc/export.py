@@ -38,7 +38,7 @@ def export(root, source_root):
     return [root / name for name in files]
 
 
-# SVD --------------------------------------------------------------------------------------------------------------
+# SVD ----------------------------------------------------------------------------------------------
 
 _ACCESS = {"ro": "read-only", "rw": "read-write", "wo": "write-only"}
 
@@ -119,7 +119,7 @@ def _xml(text):
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
-# PAC --------------------------------------------------------------------------------------------------------------
+# PAC ----------------------------------------------------------------------------------------------
 
 _PAC_DOC = """//! Registers and memory of the FerroCNC SoC: one type per kind of register page, addresses included.
 //!
@@ -129,7 +129,8 @@ _PAC_DOC = """//! Registers and memory of the FerroCNC SoC: one type per kind of
 
 
 def pac(svd_path, out, svd2rust):
-    """Writes the crate's lib.rs. Target `none`: peripherals and nothing else; interrupts and start-up belong to riscv-rt."""
+    """Writes the crate's lib.rs. Target `none`: peripherals and nothing else; interrupts and
+    start-up belong to riscv-rt."""
     with tempfile.TemporaryDirectory() as scratch:
         command = [str(svd2rust), "-i", str(Path(svd_path).resolve()), "--target", "none", "--edition", "2024", "--log", "error"]
         subprocess.run(command, cwd=scratch, check=True)
@@ -153,7 +154,7 @@ def _rustfmt(text, width):
         cwd="/", input=text, capture_output=True, text=True, check=True, encoding="utf-8").stdout
 
 
-# The map for Rust code without the PAC --------------------------------------------------------------------------------
+# The map for Rust code without the PAC ------------------------------------------------------------
 
 _REGMAP_DOC = """//! The register map: addresses and numbers on which gateware, firmware, models and tools agree.
 //!
@@ -175,7 +176,8 @@ def regmap_rs(banks, abi):
     for name, (origin, size), what in (
         ("ROM", rm.ROM, "the image"), ("RAM", rm.RAM, "data, bss and stack"),
         ("ETHMAC", rm.ETHMAC, "the MAC's slots: receive, then transmit"), ("BOARD_ROM", rm.BOARD_ROM, "the board info blob"),
-        ("SDRAM", rm.SDRAM_RAM, "the SDRAM's window, on boards with jobs; a smaller one is seen in it twice"),
+        ("WINDOW", rm.WINDOW, "what the services may write of the RAM"),
+        ("SDRAM", rm.SDRAM_RAM, "the SDRAM's window, on boards with SDRAM; a smaller one is seen in it twice"),
     ):
         out += _const(f"{name}_BASE", f"0x{origin:08x}", f"First byte of {what}.")
         out += _const(f"{name}_SIZE", f"0x{size:x}", f"Bytes of {what}.")
@@ -185,7 +187,7 @@ def regmap_rs(banks, abi):
     out += _const("ROLE_GOLDEN", rm.ROLE_GOLDEN, "Third word of a trailer: the golden image.", "u32")
     out += _const("ETHMAC_RX_SLOTS", rm.ETHMAC_RX_SLOTS, "Receive slots; the first is at [`ETHMAC_BASE`].")
     out += _const("ETHMAC_TX_SLOTS", rm.ETHMAC_TX_SLOTS, "Transmit slots; the first follows the last receive slot.")
-    out += _const("LEASH_IRQ", f"{rm.LEASH_IRQ}", "The line of `timebase.leash` among the CPU's external interrupts; no other is used.", "u32")
+    out += _const("LEASH_IRQ", f"{rm.LEASH_IRQ}", "The line of `timebase.leash` and `timebase.guard` among the CPU's external interrupts; no other is used.", "u32")
     out += _const("ETHMAC_SLOT_SIZE", f"0x{rm.ETHMAC_SLOT:x}", "Bytes of one slot.")
     for name, value, what in (
         ("STEPGEN", rm.MAX_STEPGEN, "Step generators"), ("ENCODER", rm.MAX_ENCODER, "Encoders"), ("PWM", rm.MAX_PWM, "PWM generators"),
@@ -264,7 +266,7 @@ def _doc(text):
     return ["/// " + line for line in textwrap.wrap(text.replace("<", "\\<"), 92)]
 
 
-# memory.x ---------------------------------------------------------------------------------------------------------
+# memory.x -----------------------------------------------------------------------------------------
 
 def memory_x():
     return f"""/* {HEADER} */
@@ -280,10 +282,20 @@ REGION_ALIAS("REGION_DATA", ram);
 REGION_ALIAS("REGION_BSS", ram);
 REGION_ALIAS("REGION_HEAP", ram);
 REGION_ALIAS("REGION_STACK", ram);
+
+/* What the services may write of the RAM: `timebase.guard`. */
+SECTIONS
+{{
+    .window (NOLOAD) :
+    {{
+        *(.window);
+    }} > ram
+}}
+INSERT BEFORE .data;
 """
 
 
-# registers.md -----------------------------------------------------------------------------------------------------
+# registers.md -------------------------------------------------------------------------------------
 
 def registers_md(banks, abi):
     out = [
@@ -300,10 +312,10 @@ def registers_md(banks, abi):
         "|---|---|---|---|",
     ]
     for name, (origin, size), what in (
-        ("rom", rm.ROM, f"the image; its last {rm.ROM_TRAILER} bytes are the trailer: \"FTRL\", build id, role (1 image, 2 golden), 0"), ("ram", rm.RAM, "data, bss, stack"),
+        ("rom", rm.ROM, f"the image; its last {rm.ROM_TRAILER} bytes are the trailer: \"FTRL\", build id, role (1 image, 2 golden), 0"), ("ram", rm.RAM, f"the services' window ({rm.WINDOW[1]} bytes), data, bss, stack"),
         ("ethmac", rm.ETHMAC, f"{rm.ETHMAC_RX_SLOTS} receive and {rm.ETHMAC_TX_SLOTS} transmit slots of {rm.ETHMAC_SLOT} bytes"),
         ("board rom", rm.BOARD_ROM, "board info blob; big-endian words, laid out in `wire::board`"),
-        ("sdram", rm.SDRAM_RAM, "on boards with jobs: the jobs program, its data, the jobs; a smaller SDRAM is seen twice"),
+        ("sdram", rm.SDRAM_RAM, "on boards with SDRAM: the services, their data, the jobs; a smaller SDRAM is seen twice"),
     ):
         out.append(f"| {name} | `0x{origin:08x}` | {size} | {what} |")
     done = set()

@@ -1,8 +1,10 @@
-"""nextpnr's netlist of a board, as Verilog that Verilator simulates in the place of the RTL (docs/netlist.md).
+"""nextpnr's netlist of a board, as Verilog that Verilator simulates in the place of the RTL
+(docs/netlist.md).
 
-In: the routed design as nextpnr writes it (`routedSEED.json`), and the elaboration beside it. Out: `gates.v`, a module `sim` with
-the ports of `sim.py`'s, and a manifest, so that `sim/verilator/build.sh` makes a library of it that the simulator loads as it loads
-any board. A cell that is not known here, or a setting of one, is an error.
+In: the routed design as nextpnr writes it (`routedSEED.json`), and the elaboration beside it. Out:
+`gates.v`, a module `sim` with the ports of `sim.py`'s, and a manifest, so that
+`sim/verilator/build.sh` makes a library of it that the simulator loads as it loads any board. A
+cell that is not known here, or a setting of one, is an error.
 
     cell           modelled as
     TRELLIS_COMB   its function of A to D, its half of a carry chain, its wide multiplexer, or 16 bits of LUT RAM
@@ -12,14 +14,17 @@ any board. A cell that is not known here, or a setting of one, is an error.
     IOLOGIC        a DDR pin: both levels of a clock at once, as the RTL's simulation has its bytes
     TRELLIS_IO     a pad; DCCA, EHXPLLL and USRMCLK: wires; the PLL has locked when `sys_rst` falls
 
-What the RTL does not define is random here, from a seed that the encoders' pins carry while `sys_rst` is high:
+What the RTL does not define is random here, from a seed that the encoders' pins carry while
+`sys_rst` is high:
 
 * the contents of LUT RAM and block RAM at power-up, except those of ROMs;
-* the word a port of a block RAM reads while the other port writes there. Each such clock is counted, in `collided`;
+* the word a port of a block RAM reads while the other port writes there. Each such clock is
+  counted, in `collided`;
 * the word that is stored where both ports write; counted as well;
 * the output of LUT RAM that the Ethernet clock writes, until that clock's next edge.
 
-To make a test fail on purpose, `step_index` selects the memory, counted from 1, that inverts a bit it reads.
+To make a test fail on purpose, `step_index` selects the memory, counted from 1, that inverts a bit
+it reads.
 """
 
 import json
@@ -61,7 +66,8 @@ def _undefined(path):
 
 
 def lut(init, pins):
-    """A function of up to four pins as an expression: constants and inputs that do not matter are left out."""
+    """A function of up to four pins as an expression: constants and inputs that do not matter are
+    left out."""
     table, names = [init >> n & 1 for n in range(1 << len(pins))], list(pins)
     for n in range(len(names) - 1, -1, -1):  # constant pins
         if names[n] in ("1'b0", "1'b1"):
@@ -392,7 +398,8 @@ class Gates:
         yield "assign gate = 1'b0;  // no pad"
 
 
-# Names of the driven pads, in the order of `sim.DRIVEN`: the first's number in `copper.sv`, and how many there can be.
+# Names of the driven pads, in the order of `sim.DRIVEN`: the first's number in `copper.sv`, and how
+# many there can be.
 _COPPER = tuple((pattern, 16 * n, 32 if n == 6 else 16) for n, pattern in enumerate((
     "stepgen_step{}", "stepgen_dir{}", "stepgen_step_n{}", "stepgen_dir_n{}", "pwm_pin{}", "pwm_dir{}", "gpio_out_pin{}")))
 

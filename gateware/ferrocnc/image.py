@@ -1,12 +1,13 @@
-"""Packs a routed design: firmware and board information into its memories, then the files a board is flashed and updated with.
+"""Packs a routed design: firmware and board information into its memories, then the files a board
+is flashed and updated with.
 
     NAME.bit         the image: `ferrocnc update`, `ferrocnc flash load`
     NAME-golden.bit  the same, marked as the golden one by its trailer
     NAME.svf         the image for other JTAG tools, until power-off
     NAME.flash       the complete contents of a new board's flash: `ferrocnc flash write`
 
-The jobs program of a board with jobs follows the bitstream in all files but the SVF; the length and
-the CRC of an image include it.
+The services of a board with SDRAM follow the bitstream in all files but the SVF; the length and the
+CRC of an image include them.
 
 Nothing in them depends on the date, the folder or the machine. `wire::flash`, `wire::images` and
 `host::image` define the meaning of the bytes, and parse these files in the test level `bitstream`.
@@ -36,7 +37,7 @@ _ROLES = {rm.ROLE_IMAGE: "", rm.ROLE_GOLDEN: "-golden"}
 
 def pack(board, work, routed, firmware, out, program=b""):
     """Writes the four files into `out` from the routed text configuration `work / routed`, the
-    ROM's words and the jobs program. Returns their part of the report."""
+    ROM's words and the services. Returns their part of the report."""
     missing = [name for name in ("cs", "mosi", "miso", "bytes") if name not in board.platform.flash]
     if missing or board.platform.flash["bytes"] not in _LAYOUTS:
         raise BoardError(board.platform.file, "flash", "needs cs, mosi, miso and bytes; images are made for flashes of 2 and 4 MiB")
@@ -49,6 +50,8 @@ def pack(board, work, routed, firmware, out, program=b""):
         svf = ["--svf", f"{name}.svf"] if role == rm.ROLE_IMAGE else []
         tools.run("ecppack", ["--compress", *svf, f"{name}.config", f"{name}.bit"], work, "ecppack.log")
         images[role] = with_program(body((work / f"{name}.bit").read_bytes()), program)
+        check_room(board, role, images[role], program)
+    for role, suffix in _ROLES.items():
         _write(out / f"{board.name}{suffix}.bit", header(board, part, build, images[role]) + images[role])
     _write(out / f"{board.name}.svf", (work / "packed.svf").read_bytes())
     _write(out / f"{board.name}.flash", flash(board, build, images[rm.ROLE_IMAGE], images[rm.ROLE_GOLDEN]))
@@ -62,7 +65,7 @@ def _write(path, data):
     part.replace(path)
 
 
-# Memories -----------------------------------------------------------------------------------------------------------
+# Memories -----------------------------------------------------------------------------------------
 
 def trailer(build, role):
     return [rm.TRAILER_MAGIC, build, role, 0]
@@ -75,7 +78,7 @@ def rom(firmware, build, role):
 
 
 def build_id(config):
-    """First 32 bits of the SHA-256 over the routed design with its firmware, and the jobs program:
+    """First 32 bits of the SHA-256 over the routed design with its firmware, and the services:
     two different builds have different ids."""
     return int.from_bytes(hashlib.sha256(config).digest()[:4], "big")
 
@@ -141,7 +144,7 @@ def contents(routed, config):
     return words[:len(first)], words[len(first):]
 
 
-# Files --------------------------------------------------------------------------------------------------------------
+# Files --------------------------------------------------------------------------------------------
 
 def body(file):
     """A bitstream file's bytes from the preamble on."""
@@ -152,8 +155,8 @@ def body(file):
 
 
 def with_program(data, program):
-    """An image: a bitstream, and at its end, where the ROM looks for it, the jobs program of a
-    board with jobs."""
+    """An image: a bitstream, and at its end, where the ROM looks for it, the services of a
+    board with SDRAM."""
     return data + b"\xff" * (-len(data) % 4) + program if program else data
 
 
@@ -188,10 +191,24 @@ def meta_page(board, build, data):
 
 
 def jump_page(target):
-    """A bitstream of nothing but a JUMP, as libtrellis' `generate_jump` makes it: preamble, control register 0 := 0, JUMP with the
-    flash's slow read (03) and the address."""
+    """A bitstream of nothing but a JUMP, as libtrellis' `generate_jump` makes it: preamble, control
+    register 0 := 0, JUMP with the flash's slow read (03) and the address."""
     page = b"\xff" * 16 + PREAMBLE + b"\xff" * 4 + bytes.fromhex("22000000 00000000 7e000000 03") + target.to_bytes(3, "big")
     return page.ljust(_PAGE, b"\xff")
+
+
+def check_room(board, role, data, program=b""):
+    """Refuses an image that does not fit into its place in the flash."""
+    start, end = _LAYOUTS[board.platform.flash["bytes"]][role == rm.ROLE_GOLDEN]
+    room = end - start - _SECTOR
+    missing = len(data) - room
+    if missing <= 0:
+        return
+    name = f"{board.name}{_ROLES[role]}.bit"
+    problem = f"{name} has {len(data)} bytes; its place in the flash of {board.platform.name} has {room}, {missing} too few"
+    if program and missing <= len(program):
+        problem += f"; with sdram = false in the board file it is without the services, {len(program)} bytes, and fits"
+    raise BoardError(board.file, "", problem)
 
 
 def flash(board, build, image, golden):
@@ -201,17 +218,15 @@ def flash(board, build, image, golden):
     out = bytearray(b"\xff" * size)
     slot, last = _LAYOUTS[size]
     pages = [(_STUBS, jump_page(slot[0])), (size - _PAGE, jump_page(last[0]))]
-    for (start, end), data in ((slot, image), (last, golden)):
-        room = end - start - _SECTOR
-        if len(data) > room:
-            raise BoardError(board.file, "", f"its image has {len(data)} bytes; a slot of the flash of {board.platform.name} has {room}")
+    for role, (start, end), data in ((rm.ROLE_IMAGE, slot, image), (rm.ROLE_GOLDEN, last, golden)):
+        check_room(board, role, data)
         pages += [(start, data), (end - _SECTOR, meta_page(board, build, data))]
     for at, data in pages:
         out[at:at + len(data)] = data
     return bytes(out)
 
 
-# Proof --------------------------------------------------------------------------------------------------------------
+# Proof --------------------------------------------------------------------------------------------
 
 def prove(board, work, routed, firmware, out, program=b""):
     """Unpacks the finished files and compares: the block RAMs contain the firmware with its trailer
@@ -225,7 +240,7 @@ def prove(board, work, routed, firmware, out, program=b""):
         name = f"{board.name}{suffix}.bit"
         (work / "unpack.bit").write_bytes(before[name].removesuffix(program))
         if not before[name].endswith(program):
-            raise ValueError(f"{name}: does not end with the jobs program")
+            raise ValueError(f"{name}: does not end with the services")
         tools.run("ecpunpack", ["unpack.bit", "unpacked.config"], work, "ecpunpack.log")
         found, blob = contents(said, (work / "unpacked.config").read_text())
         build = found[-3]

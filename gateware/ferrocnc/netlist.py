@@ -4,14 +4,17 @@ chain, three things.
     one half of a CCU2C                         with the LUT4 F and, of A and B alone, the LUT2 G in it:
                                                 S = F ^ CIN, COUT = F ? CIN : G
 
-* A carry that is not read. nextpnr treats it like any net, and adds a cell to lead it out of the chain.
-* A first carry that is constant. nextpnr adds a cell to lead it in. But the first half can make its own: with F = 0 its COUT is
-  G, which is all that bit 0 passes on, whatever CIN is. Its sum becomes a LUT, if it is read.
-* A LUT in front of a chain, if all its readers have room for its inputs: it goes into F, and into G if its pins are A and
-  B; and into the LUTs.
+* A carry that is not read. nextpnr treats it like any net, and adds a cell to lead it out of the
+  chain.
+* A first carry that is constant. nextpnr adds a cell to lead it in. But the first half can make its
+  own: with F = 0 its COUT is G, which is all that bit 0 passes on, whatever CIN is. Its sum becomes
+  a LUT, if it is read.
+* A LUT in front of a chain, if all its readers have room for its inputs: it goes into F, and into G
+  if its pins are A and B; and into the LUTs.
 
-That is 4 % of the LUT places of the largest board (decision 10). Every half and every LUT is compared with what it was, for every level of
-its inputs; a netlist that cannot be understood is an error.
+That is 4 % of the LUT places of the largest board (decision 10). Every half and every LUT is
+compared with what it was, for every level of its inputs; a netlist that cannot be understood is an
+error.
 """
 
 import collections
@@ -81,7 +84,8 @@ class _Half:
 
     def __init__(self, cell, half):
         bits = [cell["connections"][pin + half][0] for pin in _PINS]
-        self.bits = ["1" if bit == "x" else bit for bit in bits]  # a pin of a chain that is not connected is high
+        # a pin of a chain that is not connected is high
+        self.bits = ["1" if bit == "x" else bit for bit in bits]
         self.init = int(cell["parameters"][f"INIT{half}"], 2)
         if cell["parameters"][f"INJECT1_{half}"] != "NO":
             raise ValueError("a carry cell that is not one of an adder")
@@ -194,7 +198,8 @@ def _into_half(cell, half, bit, behind, through):
     if len(inputs) > 3:
         return None, None
     for order in itertools.permutations(inputs):
-        pins = (list(order) + ["1"] * 3)[:3] + ["1"]  # D stays high: where C and D are low, F and G are the same bits
+        # D stays high: where C and D are low, F and G are the same bits
+        pins = (list(order) + ["1"] * 3)[:3] + ["1"]
         init = _combined(old, inputs, pins, through)
         if init is None:
             continue

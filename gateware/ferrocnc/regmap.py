@@ -1,35 +1,42 @@
 """The register map: the only place where an address is written by hand.
 
-Every board has this map. A channel owns a fixed page whether or not a board has the channel: absent ones read 0 and
-ignore writes. So there is one PAC, one `memory.x` and one firmware binary; `export.py` turns this file into
-`pac/soc.svd`, `wire/src/regmap.rs`, `docs/registers.md` and the ABI number, and `banks.py` turns it into logic.
+Every board has this map. A channel owns a fixed page whether or not a board has the channel: absent
+ones read 0 and ignore writes. So there is one PAC, one `memory.x` and one firmware binary;
+`export.py` turns this file into `pac/soc.svd`, `wire/src/regmap.rs`, `docs/registers.md` and the
+ABI number, and `banks.py` turns it into logic.
 
-A page is 0x800 bytes, a register one 32-bit word; within a page the order of the list is the order of the addresses.
+A page is 0x800 bytes, a register one 32-bit word; within a page the order of the list is the order
+of the addresses.
 """
 
 from dataclasses import dataclass, field as _f
 
-# Memory -----------------------------------------------------------------------------------------------------------
+# Memory -------------------------------------------------------------------------------------------
 
 CSR_BASE = 0xF000_0000
 CSR_PAGE = 0x800
 CSR_ADDRESS_WIDTH = 16
 
-ROM = (0x0000_0000, 0x12000)  # 72 KiB, 36 EBR: the image
+ROM = (0x0000_0000, 0xF000)  # 60 KiB, 27 EBR: the image
 ROM_TRAILER = 0x10  # the ROM's last bytes, which the linker does not use: the bitstream's trailer
-RAM = (0x1000_0000, 0x3800)  # 14 KiB, 7 EBR: data, bss, 6 KiB of stack
-ETHMAC = (0x8000_0000, 0x2000)  # 2 receive slots, then 2 transmit slots, 2 KiB each; uncached
+RAM = (0x1000_0000, 0x4800)  # 18 KiB, 9 EBR: the window of the services, data, bss, stack
+ETHMAC = (0x8000_0000, 0x3000)  # 4 receive slots, then 2 transmit slots, 2 KiB each; uncached
 BOARD_ROM = (0x9000_0000, 0x800)  # the board info blob; uncached
-SDRAM_RAM = (0x4000_0000, 0x80_0000)  # 8 MiB, on boards with jobs: the jobs program, its data, the jobs; cached
+# 8 MiB, on boards with SDRAM: the services, their data, the jobs; cached.
+SDRAM_RAM = (0x4000_0000, 0x80_0000)
+# The beginning of the RAM, which the services may write while the guard is closed.
+WINDOW = (RAM[0], 0x600)
+# Uncached, and nothing is there: LiteX wants an address for what answers where nothing is.
+NOTHING = 0xE000_0000
 TRAILER_MAGIC = 0x4654_524C  # "FTRL"; the words of a trailer: magic, build, role, 0
 ROLE_IMAGE = 1
 ROLE_GOLDEN = 2
-ETHMAC_RX_SLOTS = 2
+ETHMAC_RX_SLOTS = 4
 ETHMAC_TX_SLOTS = 2
 ETHMAC_SLOT = 0x800
 LEASH_IRQ = 31  # the leash's line among the CPU's interrupts; no other is used
 
-# Channels ---------------------------------------------------------------------------------------------------------
+# Channels -----------------------------------------------------------------------------------------
 
 MAX_STEPGEN = 16
 MAX_ENCODER = 16
@@ -37,7 +44,7 @@ MAX_PWM = 16
 MAX_IN = 32
 MAX_OUT = 32
 
-# LiteX's own pages, by LiteX's names ------------------------------------------------------------------------------
+# LiteX's own pages, by LiteX's names --------------------------------------------------------------
 
 LITEX_PAGES = {"ctrl": 0, "identifier_mem": 1, "ethmac": 3, "ethphy": 4}
 
@@ -49,10 +56,13 @@ SOFT = 0x534F_4654  # "SOFT"
 STOP = 0x5354_4F50  # "STOP"
 CLEAR = 0x434C_5231  # "CLR1"
 
+OPEN = 0x4F50_4E21  # "OPN!": the key of timebase.guard
+
 
 @dataclass(frozen=True)
 class Field:
-    """Bits of a register. `values` maps names to (number, sentence) where the bits are an enumeration."""
+    """Bits of a register. `values` maps names to (number, sentence) where the bits are an
+    enumeration."""
 
     name: str
     lsb: int
@@ -74,7 +84,8 @@ class Reg:
 
 @dataclass(frozen=True)
 class Bank:
-    """One page. Banks of the same `kind` have the same registers and share one register block in the PAC."""
+    """One page. Banks of the same `kind` have the same registers and share one register block in
+    the PAC."""
 
     name: str
     page: int
@@ -99,72 +110,112 @@ def _bit(name, lsb, doc):
     return Field(name, lsb, 1, doc)
 
 
-# The pages --------------------------------------------------------------------------------------------------------
+# The pages ----------------------------------------------------------------------------------------
 
 # On boards with SDRAM only; `soc` compares it with what was built.
-SDRAM = Bank("sdram", 5, "sdram", "The SDRAM's controller, which starts the SDRAM by itself after power-up and after a reset of the system. Boards without SDRAM do not have it: the page reads 0.", (
+SDRAM = Bank("sdram", 5, "sdram", "The SDRAM's controller, which starts the SDRAM by itself after "
+    "power-up and after a reset of the system. Boards without SDRAM do not have it: the page reads "
+    "0.", (
     Reg("status", "ro", "State of the SDRAM.", (
         _bit("ready", 0, "1: it has been started, 0.4 ms after power-up or a reset at 60 MHz."),
     )),
 ))
 
-IDENT = Bank("ident", 8, "ident", "The gateware's identity. Constant; the firmware reads it at boot before anything else.", (
-    Reg("magic", "ro", "Always 0x46436e43 (\"FCnC\"): this is FerroCNC gateware and this map applies."),
-    Reg("abi", "ro", "ABI number: first 32 bits of the SHA-256 of the normalised register map and of the exchange's layout. "
+IDENT = Bank("ident", 8, "ident", "The gateware's identity. Constant; the firmware reads it at "
+    "boot before anything else.", (
+    Reg("magic", "ro", "Always 0x46436e43 (\"FCnC\"): this is FerroCNC gateware and this map "
+        "applies."),
+    Reg("abi", "ro", "ABI number: first 32 bits of the SHA-256 of the normalised register map and "
+        "of the exchange's layout. "
         "Firmware compares it with its own; unequal never arms."),
-    Reg("gateware_version", "ro", "Gateware version: major in bits 31:16, minor in 15:8, patch in 7:0.", (
+    Reg("gateware_version", "ro", "Gateware version: major in bits 31:16, minor in 15:8, patch in "
+        "7:0.", (
         Field("patch", 0, 8, "Patch version, a count."),
         Field("minor", 8, 8, "Minor version, a count."),
         Field("major", 16, 16, "Major version, a count."),
     )),
-    Reg("sys_clk_hz", "ro", "Frequency of the core clock in hertz; the unit of every time and rate in this map."),
+    Reg("sys_clk_hz", "ro", "Frequency of the core clock in hertz; the unit of every time and rate "
+        "in this map."),
     Reg("channels0", "ro", "How many channels of motion this board has, one count per byte.", (
         Field("stepgen", 0, 8, "Number of step generators."),
         Field("encoder", 8, 8, "Number of encoder counters."),
         Field("pwm", 16, 8, "Number of PWM generators."),
     )),
-    Reg("channels1", "ro", "How many digital inputs and outputs this board has, one count per byte.", (
+    Reg("channels1", "ro", "How many digital inputs and outputs this board has, one count per "
+        "byte.", (
         Field("inputs", 0, 8, "Number of general purpose inputs."),
         Field("outputs", 8, 8, "Number of general purpose outputs."),
     )),
     Reg("features", "ro", "Optional parts present, one bit each.", (
         _bit("jobs", 0, "1: the board executes jobs; `segments` is there."),
-        _bit("readback", 1, "1: `pads` and `timebase.eth_beats` are there. 0 in gateware from before them."),
+        _bit("readback", 1, "1: `pads` and `timebase.eth_beats` are there. 0 in gateware from "
+            "before them."),
     )),
     Reg("board_rom_words", "ro", "Length of the board info blob at 0x90000000 in 32-bit words."),
 ))
 
-TIMEBASE = Bank("timebase", 9, "timebase", "The 64-bit wall clock and the two strobes that make all channels act on one clock.", (
-    Reg("now_lo", "ro", "Low word of the wall clock, in clocks since power-up, as caught by the last write to `snapshot`."),
-    Reg("now_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, as caught by the last write to `snapshot`."),
-    Reg("snapshot", "wo", "Writing any value catches the wall clock in `now_lo` and `now_hi`, both on the same clock."),
-    Reg("arrival_lo", "ro", "Low word of the wall clock, in clocks, when the frame now presented by the MAC was complete in its slot."),
-    Reg("arrival_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, when the frame now presented was complete in its slot."),
-    Reg("commit_at_lo", "rw", "Low word of the apply time, in clocks: the wall clock at which a timed commit happens."),
+TIMEBASE = Bank("timebase", 9, "timebase", "The 64-bit wall clock and the two strobes that make "
+    "all channels act on one clock.", (
+    Reg("now_lo", "ro", "Low word of the wall clock, in clocks since power-up, as caught by the "
+        "last write to `snapshot`."),
+    Reg("now_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, as caught by the "
+        "last write to `snapshot`."),
+    Reg("snapshot", "wo", "Writing any value catches the wall clock in `now_lo` and `now_hi`, both "
+        "on the same clock."),
+    Reg("arrival_lo", "ro", "Low word of the wall clock, in clocks, when the frame now presented "
+        "by the MAC was complete in its slot."),
+    Reg("arrival_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, when the frame "
+        "now presented was complete in its slot."),
+    Reg("commit_at_lo", "rw", "Low word of the apply time, in clocks: the wall clock at which a "
+        "timed commit happens."),
     Reg("commit_at_hi", "rw", "High word of the apply time, in units of 2^32 clocks."),
-    Reg("strobe", "wo", "Makes things happen on one clock for all channels; bits may be written together.", (
+    Reg("strobe", "wo", "Makes things happen on one clock for all channels; bits may be written "
+        "together.", (
         _bit("commit", 0, "1: every staged command takes effect, one clock after this write."),
         _bit("sample", 1, "1: every status word is caught, one clock after this write."),
-        _bit("commit_at", 2, "1: commit when the wall clock reaches `commit_at` (at once if that has passed). Replaces a pending one."),
+        _bit("commit_at", 2, "1: commit when the wall clock reaches `commit_at` (at once if that "
+            "has passed). Replaces a pending one."),
     )),
     Reg("status", "ro", "What the timebase is waiting for.", (
         _bit("pending", 0, "1: a timed commit is waiting for its clock."),
     )),
-    Reg("eth_beats", "ro", "The PHY's receive clock, in units of 4 of its clocks since power-up, a count, as caught by the last write to `snapshot`: "
+    Reg("eth_beats", "ro", "The PHY's receive clock, in units of 4 of its clocks since power-up, a "
+        "count, as caught by the last write to `snapshot`: "
         "on the same clock as `now_lo`, so two looks give the ratio of both clocks."),
-    Reg("leash", "wo", "Clocks until the CPU is interrupted, in bits 23:0, counted from this write; the interrupt stays until the next write. 0: none."),
+    Reg("leash", "wo", "Clocks until the CPU is interrupted, in bits 23:0, counted from this "
+        "write; the interrupt stays until the next write. 0: none."),
+    Reg("guard", "wo", "The guard on the CPU's data bus. Closed, stores reach only the SDRAM, "
+        "`segments`, `snapshot`, this register and the first bytes of the RAM; "
+        "any other one, and a read where there is nothing, is answered, has no effect and "
+        "interrupts as the leash does.", (
+        Field("key", 0, 32, "The key word opens it, any other word closes it.", (
+            ("open", OPEN, "Open it."),
+        )),
+    )),
+    Reg("guard_status", "ro", "State of the guard.", (
+        _bit("closed", 0, "1: it is closed."),
+        _bit("refused", 31, "1: it has refused an access since it was closed last."),
+    )),
+    Reg("guard_at", "ro", "Address of the first access the guard has refused; anything if there "
+        "was none."),
 ))
 
-WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no CPU.", (
+WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and the watchdog that "
+    "closes it when the tokens stop. Needs no CPU.", (
     Reg("timeout", "rw", "Clocks without a new token until the watchdog bites. 0 bites at once."),
-    Reg("grace", "rw", "Longest soft stop in clocks: when it has passed the gate closes whether or not the motors stand."),
-    Reg("token", "wo", "Feeds the watchdog if the value differs from the last one written; a repeat is ignored. A count, no unit."),
+    Reg("grace", "rw", "Longest soft stop in clocks: when it has passed the gate closes whether or "
+        "not the motors stand."),
+    Reg("token", "wo", "Feeds the watchdog if the value differs from the last one written; a "
+        "repeat is ignored. A count, no unit."),
     Reg("control", "wo", "Commands to the gate, each a key word; any other value is ignored.", (
         Field("key", 0, 32, "Which command, as a key word.", (
-            ("arm", ARM, "Open the gate and wake the watchdog; only while closed, not bitten, no external reset or e-stop latched or present."),
-            ("soft", SOFT, "Bring all step generators to rest, each at its stop_accel, then close the gate."),
+            ("arm", ARM, "Open the gate and wake the watchdog; only while closed, not bitten, no "
+                "external reset or e-stop latched or present."),
+            ("soft", SOFT, "Bring all step generators to rest, each at its stop_accel, then close "
+                "the gate."),
             ("stop", STOP, "Close the gate now."),
-            ("clear", CLEAR, "Forget a bite, an external reset and an e-stop; only while the gate is closed and neither the reset pin nor an e-stop input is active."),
+            ("clear", CLEAR, "Forget a bite, an external reset and an e-stop; only while the gate "
+                "is closed and neither the reset pin nor an e-stop input is active."),
         )),
     )),
     Reg("status", "ro", "What the gate and the watchdog are doing now, one bit each.", (
@@ -174,7 +225,8 @@ WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and t
         _bit("reset_latched", 3, "1: the external reset pin has been active. Latched."),
         _bit("reset_pin", 4, "1: the external reset pin is active now."),
         _bit("armed", 5, "1: the watchdog is awake and counting."),
-        _bit("estop_latched", 6, "1: an e-stop input has been active. Latched; `status.estop` says which."),
+        _bit("estop_latched", 6, "1: an e-stop input has been active. Latched; `status.estop` says "
+            "which."),
         _bit("estop_now", 7, "1: an e-stop input is active now."),
     )),
     Reg("remaining", "ro", "Clocks left until the watchdog bites, if nothing feeds it."),
@@ -193,23 +245,32 @@ WATCHDOG = Bank("watchdog", 10, "watchdog", "The gate every output passes, and t
     )),
 ))
 
-GPIO = Bank("gpio", 11, "gpio", "Digital inputs and outputs, one bit per pin. Outputs are set in `command.gpio_out`.", (
+GPIO = Bank("gpio", 11, "gpio", "Digital inputs and outputs, one bit per pin. Outputs are set in "
+    "`command.gpio_out`.", (
     Reg("in_now", "ro", "Level of each input after its debounce, one bit per input."),
-    Reg("safe", "rw", "Level each output takes while the gate is closed, one bit per output, before inversion."),
-    Reg("invert_out", "rw", "1 inverts the output at the pin, one bit per output; applies to the safe level too."),
+    Reg("safe", "rw", "Level each output takes while the gate is closed, one bit per output, "
+        "before inversion."),
+    Reg("invert_out", "rw", "1 inverts the output at the pin, one bit per output; applies to the "
+        "safe level too."),
     Reg("out_now", "ro", "Level each output pin carries now, one bit per output."),
-    Reg("raw_now", "ro", "Level of each input pin two clocks ago (synchronised, not debounced), one bit per input."),
-    Reg("estop_mask", "ro", "1: this input is an e-stop input, one bit per input. A fact of the board file."),
-    Reg("estop_level", "ro", "Level that stops, one bit per e-stop input: 1 high, 0 low. A fact of the board file."),
-    Reg("probe", "rw", "Which input is the probe of every encoder and step generator. The probe is not debounced.", (
+    Reg("raw_now", "ro", "Level of each input pin two clocks ago (synchronised, not debounced), "
+        "one bit per input."),
+    Reg("estop_mask", "ro", "1: this input is an e-stop input, one bit per input. A fact of the "
+        "board file."),
+    Reg("estop_level", "ro", "Level that stops, one bit per e-stop input: 1 high, 0 low. A fact of "
+        "the board file."),
+    Reg("probe", "rw", "Which input is the probe of every encoder and step generator. The probe is "
+        "not debounced.", (
         Field("input", 0, 5, "Number of the input."),
         _bit("enable", 8, "1: the probe follows the input; 0: it is inactive."),
         _bit("invert", 9, "1: the probe is active while the input is low."),
     )),
 ))
 
-DEBOUNCE = Bank("debounce", 13, "debounce", "How long an input must be stable before it counts. E-stop inputs stop before their debounce.", tuple(
-    Reg(f"in{n}", "rw", f"Time input {n} must keep a new level, in units of 32 clocks; 0 follows within 33 clocks.", (Field("visits", 0, 16, "Time in units of 32 clocks."),))
+DEBOUNCE = Bank("debounce", 13, "debounce", "How long an input must be stable before it counts. "
+    "E-stop inputs stop before their debounce.", tuple(
+    Reg(f"in{n}", "rw", f"Time input {n} must keep a new level, in units of 32 clocks; 0 follows "
+        "within 33 clocks.", (Field("visits", 0, 16, "Time in units of 32 clocks."),))
     for n in range(MAX_IN)))
 
 LED = Bank("led", 12, "led", "The board's one LED.", (
@@ -227,30 +288,39 @@ LED = Bank("led", 12, "led", "The board's one LED.", (
     )),
 ))
 
-FLASH = Bank("flash", 64, "flash", "The wires to the configuration flash, raw: SPI mode 0, most significant bit first, f_clk / 4.", (
+FLASH = Bank("flash", 64, "flash", "The wires to the configuration flash, raw: SPI mode 0, most "
+    "significant bit first, f_clk / 4.", (
     Reg("control", "rw", "The flash's chip select. Survives a reset: firmware deselects first.", (
-        _bit("select", 0, "1: CS is low. It rises no earlier than a transfer's end, and stays high for 4 clocks at least."),
+        _bit("select", 0, "1: CS is low. It rises no earlier than a transfer's end, and stays high "
+            "for 4 clocks at least."),
     )),
-    Reg("data", "rw", "Writing starts a transfer of `length` bits, bit 31 first; ignored while busy or not selected. Reads what came in, the last bit in "
+    Reg("data", "rw", "Writing starts a transfer of `length` bits, bit 31 first; ignored while "
+        "busy or not selected. Reads what came in, the last bit in "
         "bit 0; above it what has not been sent of the word written, so 0 if that was 0."),
-    Reg("length", "rw", "How many bits a transfer has.", (Field("bits", 0, 6, "Bits, 1 to 32; 0 is taken as 32."),)),
+    Reg("length", "rw", "How many bits a transfer has.", (Field("bits", 0, 6,
+        "Bits, 1 to 32; 0 is taken as 32."),)),
     Reg("status", "ro", "The transfer, and a pin that is only looked at while starting.", (
         _bit("busy", 0, "1: a transfer is running or waits for CS."),
         _bit("factory_pin", 1, "1: the factory pin is active now."),
     )),
 ))
 
-RX_ADMISSION = Bank("rx_admission", 65, "rx_admission", "Which frames may occupy a receive slot: a frame that is not the owner's needs a ticket.", tuple(
-    Reg(f"header{n}", "wo", f"Word {n} of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.")
+RX_ADMISSION = Bank("rx_admission", 65, "rx_admission", "Which frames may occupy a receive slot: a "
+    "frame that is not the owner's needs a ticket.", tuple(
+    Reg(f"header{n}", "wo", f"Word {n} of the owner's frames, as a receive slot reads. Write it "
+        "between frames: a frame that passes meanwhile may be lost; no unit.")
     for n in range(10)) + (
-    Reg("mode", "rw", "Which words of a frame are compared. A frame that differs in one is a guest, and so is a frame of less than 59 bytes without FCS.", (
+    Reg("mode", "rw", "Which words of a frame are compared. A frame that differs in one is a "
+        "guest, and so is a frame of less than 59 bytes without FCS.", (
         Field("select", 0, 2, "Which words, a number.", (
             ("none", 0, "None: there are no guests."),
             ("ours", 1, "0 and 1: a frame to another MAC address is a guest."),
-            ("owner", 3, "0 to 3, 7 and 9: a frame that is not the owner's is a guest. An ARP frame between the two MAC addresses is the owner's."),
+            ("owner", 3, "0 to 3, 7 and 9: a frame that is not the owner's is a guest. An ARP "
+                "frame between the two MAC addresses is the owner's."),
         )),
     )),
-    Reg("admit", "wo", "Writing any value issues a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."),
+    Reg("admit", "wo", "Writing any value issues a ticket, if there is none: the next guest with a "
+        "right FCS that finds a slot free is taken, and uses it up."),
     Reg("refused", "ro", "Guests discarded because there was no ticket, a count since power-up."),
 ))
 
@@ -258,28 +328,40 @@ RX_ADMISSION = Bank("rx_admission", 65, "rx_admission", "Which frames may occupy
 JOB_AXES_MAX = 7
 JOB_SEGMENTS = 64
 
-SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, and what plays it into the first step generators. Boards without jobs do not have it.", tuple(
-    [Reg("clocks", "wo", "Duration of the segment being written, in clocks of the path, 64 at least."),
+SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, and what plays it "
+    "into the first step generators. Boards without jobs do not have it.", tuple(
+    [Reg("clocks", "wo", "Duration of the segment being written, in clocks of the path, 64 at "
+        "least."),
      Reg("aux", "wo", "Outputs and tag of the segment being written.", (
-         Field("outputs", 0, 16, "Level of output n and of output n + 16, where `mask` lets it, from the segment's first clock on."),
+         Field("outputs", 0, 16, "Level of output n and of output n + 16, where `mask` lets it, "
+             "from the segment's first clock on."),
          Field("tag", 16, 16, "Comes back in `current`; no unit."),
      ))] +
     [reg for n in range(JOB_AXES_MAX) for reg in (
-        Reg(f"axis{n}_velocity", "wo", f"Signed step rate of step generator {n} towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."),
-        Reg(f"axis{n}_accel", "wo", "Acceleration that leads there; one unit is f_clk^2 / 2^56 steps per second squared, 0 is no limit."),
+        Reg(f"axis{n}_velocity", "wo", f"Signed velocity of step generator {n} towards the end of "
+            "the segment being written; one unit is f_clk / 2^32 steps per second."),
+        Reg(f"axis{n}_accel", "wo", "Acceleration that leads there; one unit is f_clk^2 / 2^56 "
+            "steps per second squared, 0 is no limit."),
     )] + [
-    Reg("push", "wo", "Writing any value pushes the segment written, if it is complete and there is room; otherwise nothing changes and `status.refused` says why."),
+    Reg("push", "wo", "Writing any value pushes the segment written, if it is complete and there "
+        "is room; otherwise nothing changes and `status.refused` says why."),
     Reg("control", "wo", "Commands, a number; any other value is ignored.", (
         Field("command", 0, 2, "Which command, a number.", (
-            ("start", 1, "Play the segments: when all step generators of the job stand, the first begins. Refused unless one waits, the gate is open and no end has to be cleared."),
-            ("quit", 2, "Bring the step generators to rest, each at its stop_accel, and discard the segments."),
+            ("start", 1, "Play the segments: when all step generators of the job stand, the first "
+                "begins. Refused unless one waits, the gate is open and no end has to be cleared."),
+            ("quit", 2, "Bring the step generators to rest, each at its stop_accel, and discard "
+                "the segments."),
             ("clear", 3, "Clear `refused` and, while idle, `reason` and the waiting segments."),
         )),
     )),
-    Reg("pace", "rw", "How fast the time of the path passes, in 1/65536; 65536 or more is 1, 0 pauses.", (Field("scale", 0, 17, "Clocks of the path per clock, in 1/65536."),)),
+    Reg("pace", "rw", "How fast the time of the path passes, in 1/65536; 65536 or more is 1, 0 "
+        "pauses.", (Field("scale", 0, 17, "Clocks of the path per clock, in 1/65536."),)),
     Reg("slew", "rw", "How fast the pace changes while playing, in 2^-32 per clock; 0 is at once."),
-    Reg("beam", "rw", "Outputs of a segment that are low unless the axes are on their way: not in a pause, not in a stop, not after the end.", (Field("outputs", 0, 16, "One bit per output of `aux`."),)),
-    Reg("mask", "rw", "Outputs that follow the segments instead of `command.gpio_out`, one bit per output."),
+    Reg("beam", "rw", "Outputs of a segment that are low unless the axes are on their way: not in "
+        "a pause, not in a stop, not after the end.", (Field("outputs", 0, 16,
+            "One bit per output of `aux`."),)),
+    Reg("mask", "rw", "Outputs that follow the segments instead of `command.gpio_out`, one bit per "
+        "output."),
     Reg("status", "ro", "What the core does now.", (
         Field("level", 0, 8, "Complete segments that wait, a count."),
         Field("state", 8, 2, "What it does, a number.", (
@@ -288,7 +370,8 @@ SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, a
             ("play", 2, "Plays, or stands in a pause."),
             ("halt", 3, "Brings the step generators to rest."),
         )),
-        Field("reason", 12, 3, "Why it ended last, a number. From 2 on the FIFO stays empty and nothing starts until `clear`.", (
+        Field("reason", 12, 3, "Why it ended last, a number. From 2 on the FIFO stays empty and "
+            "nothing starts until `clear`.", (
             ("none", 0, "It has not ended since it started, or this was cleared."),
             ("done", 1, "There was no segment left, and all velocities were 0."),
             ("underrun", 2, "There was no complete segment in time, and some velocity was not 0."),
@@ -296,13 +379,17 @@ SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, a
             ("halted", 4, "The watchdog's soft stop."),
             ("closed", 5, "The gate closed."),
         )),
-        Field("refused", 16, 5, "What was refused since `clear`, one bit each: 0 a push without room, 1 one with a word missing, 2 one shorter than 64 clocks, "
+        Field("refused", 16, 5, "What was refused since `clear`, one bit each: 0 a push without "
+            "room, 1 one with a word missing, 2 one shorter than 64 clocks, "
               "3 one with the gate closed or an end to be cleared, 4 a start."),
         _bit("stands", 24, "1: the pace is 0, path time is stopped."),
-        _bit("held", 25, "1: since the start a pulse has had to wait for its pins' times, and has held the time of the path."),
+        _bit("held", 25, "1: since the start a pulse has had to wait for its pins' times, and has "
+            "held the time of the path."),
     )),
-    Reg("begun", "ro", "Segments begun since power-up, a count: the job's sign of life, and its progress."),
-    Reg("left", "ro", "Clocks of the path left of the present segment, less 1; 2^32 - 1 in its last and when there is none."),
+    Reg("begun", "ro", "Segments begun since power-up, a count: the job's sign of life, and its "
+        "progress."),
+    Reg("left", "ro", "Clocks of the path left of the present segment, less 1; 2^32 - 1 in its "
+        "last and when there is none."),
     Reg("current", "ro", "The segment begun last.", (
         Field("outputs", 0, 16, "Outputs as they are now, `beam` considered."),
         Field("tag", 16, 16, "Its tag."),
@@ -314,8 +401,10 @@ SEGMENTS = Bank("segments", 66, "segments", "Motion segments for jobs: a FIFO, a
     )),
 ]))
 
-PADS = Bank("pads", 67, "pads", "Levels at the pads that the board drives, as their own input buffers see them two clocks ago: with the gate open or closed, shorted or not. "
-            "What is behind a pad is not seen: a buffer on the card, its supply, the header. A pin the board file does not have reads 0.", (
+PADS = Bank("pads", 67, "pads", "Levels at the pads that the board drives, as their own input "
+    "buffers see them two clocks ago: with the gate open or closed, shorted or not. "
+            "What is behind a pad is not seen: a buffer on the card, its supply, the header. A pin "
+            "the board file does not have reads 0.", (
     Reg("step", "ro", "Pads of the step generators, one bit per pin.", (
         Field("step", 0, 16, "Bit n: the pad of STEP n."),
         Field("dir", 16, 16, "Bit n: the pad of DIR n."),
@@ -328,38 +417,53 @@ PADS = Bank("pads", 67, "pads", "Levels at the pads that the board drives, as th
         Field("pwm", 0, 16, "Bit n: the first pad of PWM n."),
         Field("dir", 16, 16, "Bit n: the second pad of PWM n."),
     )),
-    Reg("outputs", "ro", "Pads of the outputs, one bit per output; `gpio.out_now` is what drives them."),
+    Reg("outputs", "ro", "Pads of the outputs, one bit per output; `gpio.out_now` is what drives "
+        "them."),
 ))
 
 
 def _command():
     regs = [
-        Reg("enables", "rw", "Which step generators follow their command and which encoders wait for an index; staged until the commit strobe.", (
-            Field("stepgen", 0, 16, "Bit n: step generator n follows its velocity; 0 brings it to rest at its stop_accel."),
-            Field("encoder_index", 16, 16, "Bit n: encoder n latches its count at the next index pulse; 0 clears its latched flag."),
+        Reg("enables", "rw", "Which step generators follow their command and which encoders wait "
+            "for an index; staged until the commit strobe.", (
+            Field("stepgen", 0, 16, "Bit n: step generator n follows its velocity; 0 brings it to "
+                "rest at its stop_accel."),
+            Field("encoder_index", 16, 16, "Bit n: encoder n latches its count at the next index "
+                "pulse; 0 clears its latched flag."),
         )),
-        Reg("gpio_out", "rw", "Level of each output, one bit per output, before inversion; staged until the commit strobe."),
-        Reg("arms", "rw", "Which step generators wait for an index and which encoders for the probe; staged until the commit strobe.", (
-            Field("stepgen_index", 0, 16, "Bit n: step generator n latches its pulses at the next index pulse; 0 clears its latched flag."),
-            Field("encoder_probe", 16, 16, "Bit n: encoder n latches its count when the probe becomes active; 0 clears its latched flag."),
+        Reg("gpio_out", "rw", "Level of each output, one bit per output, before inversion; staged "
+            "until the commit strobe."),
+        Reg("arms", "rw", "Which step generators wait for an index and which encoders for the "
+            "probe; staged until the commit strobe.", (
+            Field("stepgen_index", 0, 16, "Bit n: step generator n latches its pulses at the next "
+                "index pulse; 0 clears its latched flag."),
+            Field("encoder_probe", 16, 16, "Bit n: encoder n latches its count when the probe "
+                "becomes active; 0 clears its latched flag."),
         )),
-        Reg("probe_arms", "rw", "Which step generators wait for the probe; staged until the commit strobe.", (
-            Field("stepgen_probe", 0, 16, "Bit n: step generator n latches its pulses when the probe becomes active; 0 clears its latched flag."),
+        Reg("probe_arms", "rw", "Which step generators wait for the probe; staged until the commit "
+            "strobe.", (
+            Field("stepgen_probe", 0, 16, "Bit n: step generator n latches its pulses when the "
+                "probe becomes active; 0 clears its latched flag."),
         )),
     ]
     for n in range(MAX_STEPGEN):
         regs += [
-            Reg(f"stepgen{n}_velocity", "rw", f"Signed step rate of step generator {n}; one unit is f_clk / 2^32 steps per second. "
+            Reg(f"stepgen{n}_velocity", "rw", f"Signed velocity of step generator {n}; one unit is "
+                "f_clk / 2^32 steps per second. "
                 "Staged until the commit strobe; -2^31 is taken as -(2^31-1)."),
-            Reg(f"stepgen{n}_accel", "rw", f"Acceleration limit of step generator {n}; one unit is f_clk^2 / 2^56 steps per second squared, "
+            Reg(f"stepgen{n}_accel", "rw", f"Acceleration limit of step generator {n}; one unit is "
+                "f_clk^2 / 2^56 steps per second squared, "
                 "0 is no limit. Staged until the commit strobe."),
         ]
     for n in range(MAX_PWM):
-        regs.append(Reg(f"pwm{n}_width", "rw", f"Width, enable and direction of PWM {n}. Staged until the commit strobe, applied at the next period edge.", (
-            Field("width", 0, 29, "Time the output is active in each period, in 1/256 clock; the period or more is 100 %. The fraction counts with dither only. "
+        regs.append(Reg(f"pwm{n}_width", "rw", f"Width, enable and direction of PWM {n}. Staged "
+            "until the commit strobe, applied at the next period edge.", (
+            Field("width", 0, 29, "Time the output is active in each period, in 1/256 clock; the "
+                "period or more is 100 %. The fraction counts with dither only. "
                   "PDM: bits 24:8 are the density in 1/65536; 65536 or more is constantly active."),
             _bit("enable", 30, "1: the output works; 0: it rests at its inactive level."),
-            _bit("direction", 31, "1: reverse; the level of the direction output, or which of the two outputs carries the pulses."),
+            _bit("direction", 31, "1: reverse; the level of the direction output, or which of the "
+                "two outputs carries the pulses."),
         )))
     return tuple(regs)
 
@@ -367,51 +471,77 @@ def _command():
 def _status():
     regs = [
         Reg("sample_lo", "ro", "Low word of the wall clock, in clocks, at the last sample strobe."),
-        Reg("sample_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, at the last sample strobe."),
-        Reg("gpio_in", "ro", "Level of each input after its debounce at the last sample strobe, one bit per input."),
+        Reg("sample_hi", "ro", "High word of the wall clock, in units of 2^32 clocks, at the last "
+            "sample strobe."),
+        Reg("gpio_in", "ro", "Level of each input after its debounce at the last sample strobe, "
+            "one bit per input."),
         Reg("flags0", "ro", "One bit per channel, at the last sample strobe.", (
-            Field("encoder_index", 0, 16, "Bit n: encoder n has latched its count at an index; stays until its arm bit goes 0."),
-            Field("limited", 16, 16, "Bit n: step generator n had to wait for its timing since the sample before."),
+            Field("encoder_index", 0, 16, "Bit n: encoder n has latched its count at an index; "
+                "stays until its arm bit goes 0."),
+            Field("limited", 16, 16, "Bit n: step generator n had to wait for its timing since the "
+                "sample before."),
         )),
         Reg("flags1", "ro", "One bit per channel, at the last sample strobe.", (
-            Field("stepgen_index", 0, 16, "Bit n: step generator n has latched its pulses at an index; stays until its arm bit goes 0."),
-            Field("encoder_probe", 16, 16, "Bit n: encoder n has latched its count at the probe; stays until its arm bit goes 0."),
+            Field("stepgen_index", 0, 16, "Bit n: step generator n has latched its pulses at an "
+                "index; stays until its arm bit goes 0."),
+            Field("encoder_probe", 16, 16, "Bit n: encoder n has latched its count at the probe; "
+                "stays until its arm bit goes 0."),
         )),
         Reg("flags2", "ro", "One bit per channel, at the last sample strobe.", (
-            Field("stepgen_probe", 0, 16, "Bit n: step generator n has latched its pulses at the probe; stays until its arm bit goes 0."),
-            Field("illegal", 16, 16, "Bit n: encoder n has seen A and B change on one clock since the sample before."),
+            Field("stepgen_probe", 0, 16, "Bit n: step generator n has latched its pulses at the "
+                "probe; stays until its arm bit goes 0."),
+            Field("illegal", 16, 16, "Bit n: encoder n has seen A and B change on one clock since "
+                "the sample before."),
         )),
-        Reg("estop", "ro", "Which e-stop inputs have been active since the last clear, one bit per input, at the last sample strobe."),
+        Reg("estop", "ro", "Which e-stop inputs have been active since the last clear, one bit per "
+            "input, at the last sample strobe."),
         Reg("reserved", "ro", "Reads 0; no unit."),
     ]
     for n in range(MAX_STEPGEN):
         regs += [
-            Reg(f"stepgen{n}_position_lo", "ro", f"Fraction of the position of step generator {n} at the last sample strobe, in 2^-32 steps, biased by half a step."),
-            Reg(f"stepgen{n}_position_hi", "ro", f"Pulses emitted by step generator {n} at the last sample strobe, in steps, signed."),
-            Reg(f"stepgen{n}_velocity", "ro", f"Step rate of step generator {n} at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."),
+            Reg(f"stepgen{n}_position_lo", "ro", f"Fraction of the position of step generator {n} "
+                "at the last sample strobe, in 2^-32 steps, biased by half a step."),
+            Reg(f"stepgen{n}_position_hi", "ro", f"Pulses emitted by step generator {n} at the "
+                "last sample strobe, in steps, signed."),
+            Reg(f"stepgen{n}_velocity", "ro", f"Velocity of step generator {n} at the last sample "
+                "strobe, signed; one unit is f_clk / 2^32 steps per second."),
         ]
     for n in range(MAX_ENCODER):
         regs += [
-            Reg(f"encoder{n}_count", "ro", f"Count of encoder {n} at the last sample strobe, in counts of its mode, signed."),
-            Reg(f"encoder{n}_edge", "ro", f"The last counted edge of encoder {n}, and what could not be counted.", (
-                Field("edge_time", 0, 24, "Low 24 bits of the wall clock, in clocks, at the last counted edge before the sample strobe."),
-                Field("errors", 24, 8, "Illegal transitions (A and B changed on one clock) since power-up, a count modulo 256."),
+            Reg(f"encoder{n}_count", "ro", f"Count of encoder {n} at the last sample strobe, in "
+                "counts of its mode, signed."),
+            Reg(f"encoder{n}_edge", "ro", f"The last counted edge of encoder {n}, and what could "
+                "not be counted.", (
+                Field("edge_time", 0, 24, "Low 24 bits of the wall clock, in clocks, at the last "
+                    "counted edge before the sample strobe."),
+                Field("errors", 24, 8, "Illegal transitions (A and B changed on one clock) since "
+                    "power-up, a count modulo 256."),
             )),
         ]
-    regs += [Reg(f"encoder{n}_latch", "ro", f"Count of encoder {n} at its latched index or probe, signed. Live, not sampled; holds while a flag is up.") for n in range(MAX_ENCODER)]
-    regs += [Reg(f"stepgen{n}_latch", "ro", f"Pulses emitted by step generator {n} at its latched index or probe, signed. Live, not sampled; holds while a flag is up.") for n in range(MAX_STEPGEN)]
+    regs += [Reg(f"encoder{n}_latch", "ro", f"Count of encoder {n} at its latched index or probe, "
+        "signed. Live, not sampled; holds while a flag is up.") for n in range(MAX_ENCODER)]
+    regs += [Reg(f"stepgen{n}_latch", "ro", f"Pulses emitted by step generator {n} at its latched "
+        "index or probe, signed. Live, not sampled; holds while a flag is up.")
+        for n in range(MAX_STEPGEN)]
     return tuple(regs)
 
 
-COMMAND = Bank("command", 14, "command", "Staged commands, contiguous: writing them changes nothing until the commit strobe.", _command())
-STATUS = Bank("status", 15, "status", "The last sample, contiguous: all words but the latches are of one clock, complete 18 clocks after the strobe, and reading changes nothing.", _status())
+COMMAND = Bank("command", 14, "command", "Staged commands, contiguous: writing them changes "
+    "nothing until the commit strobe.", _command())
+STATUS = Bank("status", 15, "status", "The last sample, contiguous: all words but the latches are "
+    "of one clock, complete 18 clocks after the strobe, and reading changes nothing.", _status())
 
 STEPGEN_REGS = (
-    Reg("steplen", "rw", "Shortest time STEP stays active, in clocks, 13 bits; 0 is taken as 1.", (Field("clocks", 0, 13, "Time in clocks."),)),
-    Reg("stepspace", "rw", "Shortest time STEP stays inactive, in clocks, 13 bits; 0 is taken as 1.", (Field("clocks", 0, 13, "Time in clocks."),)),
-    Reg("dirsetup", "rw", "Shortest time from an edge of DIR to the next rise of STEP, in clocks, 16 bits.", (Field("clocks", 0, 16, "Time in clocks."),)),
-    Reg("dirhold", "rw", "Shortest time from the fall of STEP to an edge of DIR, in clocks, 16 bits.", (Field("clocks", 0, 16, "Time in clocks."),)),
-    Reg("stop_accel", "rw", "Deceleration of a soft stop; one unit is f_clk^2 / 2^56 steps per second squared, 0 stops at once."),
+    Reg("steplen", "rw", "Shortest time STEP stays active, in clocks, 13 bits; 0 is taken as 1.", (
+        Field("clocks", 0, 13, "Time in clocks."),)),
+    Reg("stepspace", "rw", "Shortest time STEP stays inactive, in clocks, 13 bits; 0 is taken as "
+        "1.", (Field("clocks", 0, 13, "Time in clocks."),)),
+    Reg("dirsetup", "rw", "Shortest time from an edge of DIR to the next rise of STEP, in clocks, "
+        "16 bits.", (Field("clocks", 0, 16, "Time in clocks."),)),
+    Reg("dirhold", "rw", "Shortest time from the fall of STEP to an edge of DIR, in clocks, 16 "
+        "bits.", (Field("clocks", 0, 16, "Time in clocks."),)),
+    Reg("stop_accel", "rw", "Deceleration of a soft stop; one unit is f_clk^2 / 2^56 steps per "
+        "second squared, 0 stops at once."),
     Reg("mode", "rw", "What the two pins carry, and their polarity.", (
         _bit("step_invert", 0, "1: the STEP pin is active low."),
         _bit("dir_invert", 1, "1: the DIR pin is turned over."),
@@ -438,15 +568,18 @@ ENCODER_REGS = (
         _bit("mask_invert", 6, "1: the mask pin is active low."),
         _bit("clear_on_index", 7, "1: a latched index sets the count to 0."),
     )),
-    Reg("filter", "rw", "How long a level of A, B or index must stay before it counts, in clocks, 0 to 255.", (Field("clocks", 0, 8, "Time in clocks."),)),
+    Reg("filter", "rw", "How long a level of A, B or index must stay before it counts, in clocks, "
+        "0 to 255.", (Field("clocks", 0, 8, "Time in clocks."),)),
 )
 PWM_REGS = (
-    Reg("period", "rw", "Length of a period, or of a PDM bit, in clocks, 21 bits; 0 is off (PDM: 1). Taken at the next period edge.", (Field("clocks", 0, 21, "Time in clocks."),)),
+    Reg("period", "rw", "Length of a period, or of a PDM bit, in clocks, 21 bits; 0 is off (PDM: "
+        "1). Taken at the next period edge.", (Field("clocks", 0, 21, "Time in clocks."),)),
     Reg("mode", "rw", "What the pins carry, and their polarity.", (
         _bit("invert", 0, "1: the outputs are active low."),
         Field("kind", 1, 2, "What the pins carry, a number.", (
             ("pwm", 0, "Pulses on the output, direction beside them."),
-            ("up_down", 1, "Pulses on the output while positive, on the direction pin while negative."),
+            ("up_down", 1, "Pulses on the output while positive, on the direction pin while "
+                "negative."),
             ("pdm", 2, "Pulse density on the output, direction beside it."),
         )),
         _bit("dither", 3, "1: the width's fraction is spread over 256 periods."),
@@ -454,15 +587,20 @@ PWM_REGS = (
     )),
 )
 
-STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", f"Timing, kind and polarity of step generator {n}. Set while the gate is closed.", STEPGEN_REGS) for n in range(MAX_STEPGEN))
-ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", f"Counting mode and filter of encoder {n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
-PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n}.", PWM_REGS) for n in range(MAX_PWM))
+STEPGEN = tuple(Bank(f"stepgen{n}", 16 + n, "stepgen", "Timing, kind and polarity of step "
+    f"generator {n}. Set while the gate is closed.", STEPGEN_REGS) for n in range(MAX_STEPGEN))
+ENCODER = tuple(Bank(f"encoder{n}", 32 + n, "encoder", "Counting mode and filter of encoder "
+    f"{n}.", ENCODER_REGS) for n in range(MAX_ENCODER))
+PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n}.", PWM_REGS)
+    for n in range(MAX_PWM))
 
-BANKS = (SDRAM, IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + ENCODER + PWM + (FLASH, RX_ADMISSION, SEGMENTS, PADS)
+BANKS = (SDRAM, IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + (
+    ENCODER) + PWM + (FLASH, RX_ADMISSION, SEGMENTS, PADS)
 
 
 def check():
-    """Refuses a map that cannot be one: overlapping pages, duplicate names, fields that overlap, empty prose."""
+    """Refuses a map that cannot be one: overlapping pages, duplicate names, fields that overlap,
+    empty prose."""
     pages = list(LITEX_PAGES.values()) + [b.page for b in BANKS]
     assert len(set(pages)) == len(pages), "two banks on one page"
     for bank in BANKS:
@@ -476,7 +614,8 @@ def check():
             used = 0
             for f in reg.fields:
                 mask = ((1 << f.width) - 1) << f.lsb
-                assert f.doc.endswith(".") and mask < 1 << 32 and not used & mask, f"{bank.name}.{reg.name}.{f.name}"
+                assert f.doc.endswith(".") and mask < 1 << 32 and not used & mask, (
+                    f"{bank.name}.{reg.name}.{f.name}")
                 used |= mask
 
 

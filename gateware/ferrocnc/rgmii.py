@@ -1,9 +1,10 @@
 """The PHY's wires: RGMII at 1000, 100 and 10 Mbit/s; the speed comes from the PHY (its in-band
 status).
 
-`PHY` is what LiteEth's MAC wants of a PHY, around the cores `rgmii_rx`, `rgmii_tx` and `rgmii_link`; it has the registers
-that LiteEth's own RGMII PHY has. `Pins` are the ECP5's: a DDR register and a delay at each wire. The simulated board has
-`PHY` and other pins (`sim.py`), so that all but these few lines is simulated.
+`PHY` is what LiteEth's MAC wants of a PHY, around the cores `rgmii_rx`, `rgmii_tx` and
+`rgmii_link`; it has the registers that LiteEth's own RGMII PHY has. `Pins` are the ECP5's: a DDR
+register and a delay at each wire. The simulated board has `PHY` and other pins (`sim.py`), so that
+all but these few lines is simulated.
 
 TXC is RXC sent back: at every speed the PHY gets data at the clock it gives. The PHYs are never
 reset: the two on the board share a reset, and one of them makes the FPGA's clock.
@@ -25,8 +26,9 @@ TX_DELAY = 0
 
 
 class PHY(LiteXModule):
-    """`pins` has `rx_clk`, and in that clock `rise`, `fall`, `ctl_rise`, `ctl_fall` from the wires and `tx_rise`, `tx_fall`,
-    `tx_ctl` to them. `mdio` makes the management port. `word` is the link's state if it does not come in-band."""
+    """`pins` has `rx_clk`, and in that clock `rise`, `fall`, `ctl_rise`, `ctl_fall` from the wires
+    and `tx_rise`, `tx_fall`, `tx_ctl` to them. `mdio` makes the management port. `word` is the
+    link's state if it does not come in-band."""
 
     dw, tx_clk_freq, rx_clk_freq = 8, 125e6, 125e6
     integrated_ifg_inserter = True  # the length of a gap depends on the speed: rgmii_tx keeps it

@@ -1,4 +1,4 @@
-"""The SDRAM of boards that execute jobs: the controller with its pads, and the bridge from the bus
+"""The SDRAM, where the services run: the controller with its pads, and the bridge from the bus
 to it.
 
     CPU --- wishbone --- SdramBridge --- sdram.sv --- registers in the pads
@@ -36,7 +36,7 @@ def geometry(board):
     """The chips on this board's card."""
     said = board.platform.sdram
     if not said or said["chip"] not in CHIPS:
-        raise BoardError(board.platform.file, "sdram", f"jobs live in SDRAM, and this platform has none that is known ({', '.join(CHIPS)})")
+        raise BoardError(board.platform.file, "sdram", f"its chip is none that is known ({', '.join(CHIPS)}); a board file with sdram = false does without")
     return CHIPS[said["chip"]]
 
 

@@ -1,7 +1,9 @@
-"""The simulated board: the same SoC with its pins as plain ports, behind a PHY that speaks GMII bytes.
+"""The simulated board: the same SoC with its pins as plain ports, behind a PHY that speaks GMII
+bytes.
 
-`elaborate` writes Verilog for the module `sim`. Its ports are the same for every board. Nothing in it depends on a
-firmware image: the ROM is one public array (`manifest.json` names it) which the simulator fills from an ELF.
+`elaborate` writes Verilog for the module `sim`. Its ports are the same for every board. Nothing in
+it depends on a firmware image: the ROM is one public array (`manifest.json` names it) which the
+simulator fills from an ELF.
 """
 
 import json
@@ -33,7 +35,8 @@ PORTS = (
     ("spi_cs_n", 1), ("spi_clk", 1), ("spi_mosi", 1), ("spi_miso", 1), ("factory", 1), ("link_status", 4),
     ("pad_fault", 2), ("pad_at", 7), ("pad_to", 7),
 )
-# Ports of pins that are driven, with the signal of `banks.Pads`: 16 bits each and 32, in the order in which `copper.sv` counts pads.
+# Ports of pins that are driven, with the signal of `banks.Pads`: 16 bits each and 32, in the order
+# in which `copper.sv` counts pads.
 DRIVEN = (("step", "step"), ("dir", "dir"), ("step_n", "step_n"), ("dir_n", "dir_n"), ("pwm_out", "pwm"), ("pwm_dir", "pwm_dir"), ("gpio_out", "outputs"))
 
 
@@ -67,7 +70,8 @@ class MDIO(LiteXModule):
 
 
 class GMIIPins(LiteXModule):
-    """The PHY's wires without their DDR pins: the same register stages, a byte per clock whatever `link_status` says.
+    """The PHY's wires without their DDR pins: the same register stages, a byte per clock whatever
+    `link_status` says.
 
         eth_clk   _/‾\\_/‾\\_/‾\\_
         rx_dv     __/‾‾‾‾‾‾‾‾‾\\     preamble and FCS included, as on the wire
@@ -102,8 +106,8 @@ class _PadRegisters(Module):
 
 
 def _sdram(soc, platform, board):
-    """The wires of an SDRAM, and a model of the chip (`sdram_chip.sv`): the pads' registers are those
-    of the card."""
+    """The wires of an SDRAM, and a model of the chip (`sdram_chip.sv`): the pads' registers are
+    those of the card."""
     chips = sdram.geometry(board)
     dq = Signal(32)
     dq.out, dq.drives, dq.back = Signal(32), Signal(32), Signal(32)
@@ -145,7 +149,8 @@ class SimSoC(ferro.FerroSoC):
             self.comb += getattr(pads, port).eq(platform.request(port))
 
     def _copper(self, platform, pads, channels):
-        """The driven pads, with what the harness has shorted there: the ports carry the pads' own levels, and so does what is read back."""
+        """The driven pads, with what the harness has shorted there: the ports carry the pads' own
+        levels, and so does what is read back."""
         absent = {name for kind, names in (("stepgen", ("step", "dir", "step_n", "dir_n")), ("pwm", ("pwm", "pwm_dir")), ("outputs", ("outputs",)))
                   if not getattr(channels, kind) for name in names}
         widths, first, driven, levels = dict(PORTS), 0, Signal(128), Signal(128)

@@ -29,8 +29,9 @@ from . import regmap as rm
 
 
 class Shift(LiteXModule):
-    """Moves a frame two bytes up in a stream of 32-bit words. `swallow`: its first word, then only two pad bytes and the
-    frame's first two, is held back, which moves a padded frame two bytes down."""
+    """Moves a frame two bytes up in a stream of 32-bit words. `swallow`: its first word, then only
+    two pad bytes and the frame's first two, is held back, which moves a padded frame two bytes
+    down."""
 
     def __init__(self, swallow):
         self.sink = sink = stream.Endpoint(eth_phy_description(32))

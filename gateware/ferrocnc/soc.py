@@ -6,10 +6,11 @@ its platform, its clocks and its PHY (`sim.py`, `ecp5.py`); everything behind th
 
 import hashlib
 import random
-from functools import partial
+from functools import partial, reduce
+from operator import or_
 from pathlib import Path
 
-from migen import Memory
+from migen import Memory, Signal
 from litex.soc.integration import soc as litex_soc
 from litex.soc.integration.soc import SoCRegion
 from litex.soc.integration.soc_core import SoCCore
@@ -20,7 +21,8 @@ from liteeth import mac as liteeth_mac
 from . import VERSION, banks, board as board_file, regmap as rm, sdram, slots
 
 RTL = Path(__file__).resolve().parent.parent / "rtl"
-LAYOUT = RTL.parents[1] / "wire" / "layout.txt"  # the layout of `wire`: its version, every field, address and code
+# the layout of `wire`: its version, every field, address and code
+LAYOUT = RTL.parents[1] / "wire" / "layout.txt"
 
 
 class _BankArray(csr_bus.CSRBankArray):
@@ -33,9 +35,9 @@ class _BankArray(csr_bus.CSRBankArray):
 litex_soc.csr_bus.CSRBankArray = _BankArray
 slots.align()
 
-# LiteEth's clock crossings are 32 deep: two LUT RAMs and a multiplexer in the longest path of the 125 MHz clock (117 MHz). 16
-# is one RAM. The core clock's side moves 240 Mbyte/s, the wire 125: depth only has to cover the crossing itself.
-# `add_ethernet` cannot pass it on.
+# LiteEth's clock crossings are 32 deep: two LUT RAMs and a multiplexer in the longest path of the
+# 125 MHz clock (117 MHz). 16 is one RAM. The core clock's side moves 240 Mbyte/s, the wire 125:
+# depth only has to cover the crossing itself. `add_ethernet` cannot pass it on.
 liteeth_mac.LiteEthMAC = partial(liteeth_mac.LiteEthMAC, tx_cdc_depth=16, rx_cdc_depth=16)
 
 
@@ -56,7 +58,8 @@ class FerroSoC(SoCCore):
             ident="FerroCNC {}.{}.{} ".format(*VERSION) + board.name,
             cpu_type="vexriscv", cpu_variant="standard",
             integrated_rom_size=rm.ROM[1],
-            # Random words: a constant ROM is optimised away, and ecpbram finds the image's place by this pattern.
+            # Random words: a constant ROM is optimised away, and ecpbram finds the image's place by
+            # this pattern.
             integrated_rom_init=rom_init or random_words(rm.ROM[1] // 4),
             integrated_sram_size=rm.RAM[1],
             with_uart=False,
@@ -101,9 +104,22 @@ class FerroSoC(SoCCore):
             cores.frame_pending.eq(fifo.source.valid),
             cores.pending_slot.eq(fifo.source.payload.slot),
             cores.eth_beat.eq(self.ethphy.beat),
-            self.cpu.interrupt[rm.LEASH_IRQ].eq(cores.leash),
+            self.cpu.interrupt[rm.LEASH_IRQ].eq(cores.leash | cores.guard.irq),
         ]
+        self._add_guard(cores.guard)
         self.rx_admission = slots.RxAdmission(self.ethmac.interface, cores.fabric)
+
+    def _add_guard(self, guard):
+        """A store the guard keeps back leaves as a read, so its answer is the interconnect's, and
+        no access takes a clock more."""
+        dbus, we, nothing = self.cpu.dbus, Signal(), wishbone.Interface(data_width=32, address_width=32, addressing="word")
+        self.cpu.cpu_params["o_dBusWishbone_WE"] = we
+        self.bus.add_slave("nothing", nothing, Elsewhere(self.bus))
+        self.comb += [
+            guard.we.eq(we), dbus.we.eq(guard.we_out),
+            guard.stb.eq(dbus.stb), guard.adr.eq(dbus.adr), guard.ack.eq(dbus.ack),
+            guard.vacant.eq(nothing.cyc & nothing.stb), nothing.ack.eq(guard.answer),
+        ]
 
     def do_finalize(self):
         check_map(self)
@@ -112,6 +128,19 @@ class FerroSoC(SoCCore):
             self.cores.fabric.adr.eq(self.csr_bridge.wishbone.adr),
         ]
         SoCCore.do_finalize(self)
+
+
+class Elsewhere(SoCRegion):
+    """Every address that no other region has. Without an answer there the bus would wait for
+    ever."""
+
+    def __init__(self, bus):
+        SoCRegion.__init__(self, origin=rm.NOTHING, size=4, mode="r", cached=False)
+        self._bus = bus
+
+    def decoder(self, bus):
+        others = [region.decoder(bus) for name, region in bus.regions.items() if region is not self and name in bus.slaves]
+        return lambda adr: ~reduce(or_, [other(adr) for other in others])
 
 
 def power_up_masks(board):
@@ -139,7 +168,7 @@ def board_words(data):
     return words + [0] * (rm.BOARD_ROM[1] // 4 - len(words))
 
 
-# The map as built -------------------------------------------------------------------------------------------------
+# The map as built ---------------------------------------------------------------------------------
 
 def litex_banks(soc):
     """LiteX's own pages as built, in `regmap` terms. LiteX documents few of its registers; these
@@ -166,7 +195,7 @@ def litex_banks(soc):
 LITEX_DOC = {
     "ctrl": "LiteX's system controller.",
     "identifier_mem": "LiteX's identifier: one character per word, \"FerroCNC <version> <board>\", ended by 0.",
-    "ethmac": "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values.",
+    "ethmac": "LiteEth's MAC: four receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values.",
     "ethphy": "LiteEth's PHY.",
 }
 
@@ -231,7 +260,8 @@ def normalised_map(soc, layout=None):
             lines.append(f"{bank.base + 4 * i:08x} {bank.name}.{reg.name} {reg.access}")
             for f in reg.fields:
                 lines.append(f"  {f.lsb}:{f.width} {f.name} " + " ".join(f"{n}={v}" for n, v, _ in f.values))
-    lines += [f"key {n} {k:08x}" for n, k in (("arm", rm.ARM), ("soft", rm.SOFT), ("stop", rm.STOP), ("clear", rm.CLEAR))]
+    lines += ["window {:08x} {:x}".format(*rm.WINDOW)]
+    lines += [f"key {n} {k:08x}" for n, k in (("arm", rm.ARM), ("soft", rm.SOFT), ("stop", rm.STOP), ("clear", rm.CLEAR), ("open", rm.OPEN))]
     return "\n".join(lines) + "\n"
 
 

@@ -4,7 +4,8 @@
 #   gateware/formal/run.sh [CORE...]      JOBS=N: proofs at once (2); OUT=DIR; FORMAL_TIMEOUT=seconds of a core for one proof (600);
 #                                         SOLVER=z3: a second opinion, in twenty times the time
 #
-# CORE.proofs lists the proofs of one core, CORE.sv (if there is one) holds the wrappers around it. A line of CORE.proofs is
+# CORE.proofs lists the proofs of one core, CORE.sv (if there is one) holds the wrappers around it.
+# A line of CORE.proofs is
 #
 #   NAME  TOP  DEPTH  MODE  WIDTH  MUTATION
 #
@@ -16,10 +17,12 @@
 #   MODE      induction: no counterexample in K clocks from power-up, and K clocks that hold make the next one hold: unbounded
 #             bounded:   no counterexample in K clocks from power-up
 #   WIDTH     full, or NAME=VALUE,NAME=VALUE: parameters of TOP, printed with the result. A proof at reduced width has a
-#             companion at full width, in either mode: one of the same NAME and TOP, or one of the same TOP which includes it, that is
-#             the source says `define PROVE_NAME under `ifdef PROVE_COMPANION. Without it nothing is proven.
+#             companion at full width, in either mode: one of the same NAME and TOP, or one of the
+#             same TOP which includes it, that is the source says `define PROVE_NAME under `ifdef
+#             PROVE_COMPANION. Without it nothing is proven.
 #   MUTATION  a `sed -E` script, to the end of the line, that breaks the core. It is applied to the RTL, never to CORE.sv, and
-#             the proof must find a counterexample from power-up: that a broken core is merely not inductive proves nothing.
+#             the proof must find a counterexample from power-up: that a broken core is merely not
+#             inductive proves nothing.
 #
 # Empty lines and lines that begin with `#` are ignored. One line may begin with `rtl`: the RTL
 # files to read, relative to gateware/rtl, when they are not just CORE.sv. yices decides the proofs;
@@ -50,7 +53,8 @@ companions() {  # core: fails if a proof at reduced width has none at full width
     [ -z "$lonely" ] || exit 1
 }
 
-includes() {  # core proof other: whether the first asserts what the second does, because it defines its name
+# core proof other: whether the first asserts what the second does, because it defines its name
+includes() {
     { cat "$here/$1.sv" "$rtl"/*.sv 2>/dev/null || true; } | sed -n "/^\`ifdef PROVE_$2\$/,/^\`endif/p" | grep -xF "\`define PROVE_$3" >/dev/null
 }
 
@@ -72,7 +76,9 @@ solver=${SOLVER:-yices} program=z3
 [ "$program" = yices-smt2 ] || solver=z3
 command -v "$program" >/dev/null || { echo "FAIL: no yices and no z3 in PATH; pip install -r gateware/requirements.txt brings both"; exit 1; }
 
-model() {  # folder: writes FOLDER/model.smt2 from the sources in it. Relative paths only: YoWASP sees no others.
+# folder: writes FOLDER/model.smt2 from the sources in it. Relative paths only: YoWASP sees no
+# others.
+model() {
     local set="" pair broken=""
     [ "${1##*/}" = sound ] || broken=-DBROKEN
     if [ "$width" != full ]; then

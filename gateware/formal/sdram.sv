@@ -1,5 +1,6 @@
-// Any requests, and a reset in any clock. The guarantees are beside the logic in sdram.sv, and so are
-// the two assumptions: a request stays until it is taken, and the chip gives the word that it holds.
+// Any requests, and a reset in any clock. The guarantees are beside the logic in sdram.sv, and so
+// are the two assumptions: a request stays until it is taken, and the chip gives the word that it
+// holds.
 `default_nettype none
 module sdram_promises #(
     parameter int T_REFI = 930,

@@ -10,10 +10,12 @@ module timebase_promises (
     logic        commit, sample, pending;
     timebase core (.*);
 
-    // The register before the core: stable from the clock before the strobe until the commit has come or is replaced. Writing
-    // it earlier is allowed as what it is, a new time for what waits; the `live` proof holds that, with no assumption at all.
+    // The register before the core: stable from the clock before the strobe until the commit has
+    // come or is replaced. Writing it earlier is allowed as what it is, a new time for what waits;
+    // the `live` proof holds that, with no assumption at all.
     logic        started = 1'b0, wanted = 1'b0, was_rst;
-    logic [63:0] was_at, was_now, asked_at, asked_now;  // the request's time, and the clock after its strobe
+    // the request's time, and the clock after its strobe
+    logic [63:0] was_at, was_now, asked_at, asked_now;
     always_ff @(posedge clk) begin
         started  <= 1'b1;
         was_at   <= commit_at;
@@ -21,7 +23,8 @@ module timebase_promises (
         was_rst  <= rst;
         if (rst) wanted <= 1'b0;
         else if (commit_timed) wanted <= 1'b1;
-        else if (commit & now >= was_at) wanted <= 1'b0;  // by itself or with a commit in this clock
+        // by itself or with a commit in this clock
+        else if (commit & now >= was_at) wanted <= 1'b0;
         if (commit_timed) asked_at <= commit_at;
         if (commit_timed) asked_now <= now + 64'd1;
     end

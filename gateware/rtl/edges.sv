@@ -11,8 +11,9 @@
 //   now         low bits of the wall clock
 //   sampled     {errors 31:24, edge_time 23:0} at the strobe, valid 18 clocks after it; read without a clock at `addr`
 //
-// edge_time is `now` of the clock in which the count last changed, 0 before the first. errors counts illegal transitions
-// and wraps at 256; those of one channel within one rotation of 16 clocks count once.
+// edge_time is `now` of the clock in which the count last changed, 0 before the first. errors
+// counts illegal transitions and wraps at 256; those of one channel within one rotation of 16
+// clocks count once.
 //
 `default_nettype none
 module edges #(
@@ -38,7 +39,8 @@ module edges #(
     logic [4*CHANNELS-1:0] stamp_caught = {4*CHANNELS{1'b0}};
     logic [CHANNELS-1:0]   seen         = {CHANNELS{1'b0}};    // an edge since the last visit
     logic [CHANNELS-1:0]   seen_caught  = {CHANNELS{1'b0}};
-    logic [CHANNELS-1:0]   wrong        = {CHANNELS{1'b0}};    // an illegal transition since the last visit
+    // an illegal transition since the last visit
+    logic [CHANNELS-1:0]   wrong        = {CHANNELS{1'b0}};
     logic [CHANNELS-1:0]   wrong_caught = {CHANNELS{1'b0}};
 
     integer n;
@@ -106,7 +108,8 @@ module edges #(
     logic [31:0] samples       [0:15];
     assign sampled = samples[addr];
 
-    // The edge was 1 to 16 clocks before the visit, so its time is visit - 16 + (edge_at - at modulo 16).
+    // The edge was 1 to 16 clocks before the visit, so its time is visit - 16 + (edge_at - at
+    // modulo 16).
     logic [23:0] visited = 24'd0, time_old = 24'd0;
     logic [7:0]  errors_old = 8'd0;
     logic        to_sample = 1'b0;

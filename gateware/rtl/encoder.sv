@@ -32,10 +32,13 @@ module encoder #(
     input  wire [7:0]        mode,
     input  wire [FILTER-1:0] filter,       // in clocks
     input  wire              visit,        // wide_counter.visit of this channel
-    output logic [4:0]       delta,        // signed counts since the visit, without the one of this clock
-    output logic             index_level,  // filtered as A and B are, masked, polarity applied: rises with the count it belongs to
+    // signed counts since the visit, without the one of this clock
+    output logic [4:0]       delta,
+    // filtered as A and B are, masked, polarity applied: rises with the count it belongs to
+    output logic             index_level,
     output wire              moved,        // pulse: the count changes in this clock
-    output wire              illegal       // pulse: both lines changed at once; only where A and B are quadrature
+    // pulse: both lines changed at once; only where A and B are quadrature
+    output wire              illegal
 );
     // Two flip-flops against metastability. Those of A start unlike each other, so that no level is
     // accepted before the pin was seen.
@@ -84,7 +87,8 @@ module encoder #(
         i_meta <= index;
         m_meta <= mask;
         a_sync <= a_meta;
-        b_sync <= b_meta & (mode[2:0] != 3'd3);  // a counter's B may be open; noise there must not hold A up
+        // a counter's B may be open; noise there must not hold A up
+        b_sync <= b_meta & (mode[2:0] != 3'd3);
         i_sync <= i_meta;
         m_sync <= m_meta;
         a_was  <= a_now;
@@ -98,13 +102,15 @@ module encoder #(
     initial index_level = 1'b0;
     wire unused = &{1'b0, mode[7], mode[3], index_known};
 
-`ifdef FORMAL  // what gateware/formal proves: a shaft, as seen at the pins, and the count that is due for it
+// what gateware/formal proves: a shaft, as seen at the pins, and the count that is due for it
+`ifdef FORMAL
     wire [1:0]        f_was;
     wire [FILTER-1:0] f_still, f_mark_still;
     wire              f_mark_was;
     wire [1:0]        f_pins = {a, b & (mode[2:0] != 3'd3)};
     logic [1:0]       f_last = 0;
-    logic [2:0]       f_any = 0;  // after the pins, the flip-flops, those of the filter: not the power-up value any more
+    // after the pins, the flip-flops, those of the filter: not the power-up value any more
+    logic [2:0]       f_any = 0;
     // The ghosts count modulo 256: they are never more than three apart, so equal modulo 256 means
     // equal.
 `ifdef PROVE_total_and_delta_are_the_count
@@ -165,7 +171,8 @@ module encoder #(
     wire [F-1:0] f_step_last = f_step(mode[2:0], {a_was, b_was}, level);
     wire        f_lie_pins = f_lie(mode[2:0], f_last, f_pins), f_lie_to_level = f_lie(mode[2:0], level, f_was);
     wire        f_lie_to_last = f_lie(mode[2:0], {a_was, b_was}, level);
-    logic [FILTER+1:0] f_age = 0, f_age_sync = 0, f_age_was = 0;  // clocks since the pair at this stage came
+    // clocks since the pair at this stage came
+    logic [FILTER+1:0] f_age = 0, f_age_sync = 0, f_age_was = 0;
     logic [2:0]  f_turned = 0;  // for each stage: this pair is not the one of power-up
     logic        f_rested = 0;  // the pair before was completely counted when this one came
     logic [F-1:0] f_due = 0, f_due_sync = 0, f_due_was = 0, f_due_level = 0, f_due_last = 0, f_before = 0;

@@ -41,7 +41,8 @@ module gpio #(
     input  wire               debounce_we,
     input  wire         [4:0] debounce_pin,
     input  wire        [15:0] debounce_limit,  // 32 clocks
-    input  wire               clear,           // pulse: reset the latches of released inputs; the watchdog's `cleared`
+    // pulse: reset the latches of released inputs; the watchdog's `cleared`
+    input  wire               clear,
     output logic [INPUTS-1:0] in,              // debounced
     output logic [INPUTS-1:0] raw,             // synchronised only
     output logic              estop,           // an e-stop input is active now
@@ -51,7 +52,7 @@ module gpio #(
     // Until the pins have been seen, e-stop inputs count as released and all others as 0.
     localparam logic [31:0] RELEASED = ESTOP_MASK & ~ESTOP_LEVEL;
 
-    // Inputs ---------------------------------------------------------------------------------------------------
+    // Inputs --------------------------------------------------------------------------------------
 
     (* keep *) logic [INPUTS-1:0] meta = RELEASED[INPUTS-1:0];
     logic  [4:0] pin = 5'd0;  // the input being visited
@@ -91,7 +92,7 @@ module gpio #(
         estop_latched = 32'd0;
     end
 
-    // Outputs --------------------------------------------------------------------------------------------------
+    // Outputs -------------------------------------------------------------------------------------
 
     logic [OUTPUTS-1:0] held = {OUTPUTS{1'b0}};
     logic               live = 1'b0;  // a commit has come since the gate opened
@@ -150,7 +151,8 @@ module gpio #(
     // at no other.
     (* anyconst *) logic [4:0] f_pin;
     logic  [4:0] f_turn = 5'd0;
-    logic [15:0] f_limit = 16'd0, f_loaded = 16'd0, f_seen = 16'd0;  // now; when the run began; number of visits that differed
+    // now; when the run began; number of visits that differed
+    logic [15:0] f_limit = 16'd0, f_loaded = 16'd0, f_seen = 16'd0;
     logic        f_in = 1'b0;
     wire         f_differs = raw[f_pin] != in[f_pin];
     always_ff @(posedge clk) begin

@@ -27,8 +27,10 @@ module latch (
     output logic index_latched,
     output logic probe_latched
 );
-    logic index_was = 1'b1, probe_was = 1'b1;    // 1 while not armed: a rise before arming is not an edge
-    logic index_flag = 1'b0, probe_flag = 1'b0;  // set at once; visible outside once the value is there
+    // 1 while not armed: a rise before arming is not an edge
+    logic index_was = 1'b1, probe_was = 1'b1;
+    // set at once; visible outside once the value is there
+    logic index_flag = 1'b0, probe_flag = 1'b0;
     initial index_latched = 1'b0;
     initial probe_latched = 1'b0;
 
@@ -46,7 +48,9 @@ module latch (
         probe_latched <= arm_probe & probe_flag & ~pending;
     end
 
-`ifdef FORMAL  // what gateware/formal proves: a source is ready once it was low while armed; its next high level is an edge
+// what gateware/formal proves: a source is ready once it was low while armed; its next high level
+// is an edge
+`ifdef FORMAL
     logic f_index_ready = 0, f_probe_ready = 0, f_pending = 0;
     logic f_index_done = 0, f_probe_done = 0;  // has captured, and its arm bit has not fallen since
     wire  f_index_edge = arm_index & f_index_ready & index, f_probe_edge = arm_probe & f_probe_ready & probe;

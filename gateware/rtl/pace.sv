@@ -1,9 +1,10 @@
 // pace: how fast another clock runs, against the core clock.
 //
-// That clock divides itself and sends a beat, which changes every so many of its clocks (`rgmii_rx`: 4). The module that brings it
-// into the core clock (`rgmii_link`) says when it has changed, and here the changes are counted. The count is caught together
-// with the wall clock, so two looks give the ratio of both clocks, and how long they are apart is how exact it is: a
-// beat of 4 clocks at 125 MHz is 32 ns, or 0.03 ppm of a second.
+// That clock divides itself and sends a beat, which changes every so many of its clocks
+// (`rgmii_rx`: 4). The module that brings it into the core clock (`rgmii_link`) says when it has
+// changed, and here the changes are counted. The count is caught together with the wall clock, so
+// two looks give the ratio of both clocks, and how long they are apart is how exact it is: a beat
+// of 4 clocks at 125 MHz is 32 ns, or 0.03 ppm of a second.
 //
 //   beat      ___/‾‾‾\_______/‾‾‾‾‾‾‾‾     in the other clock
 //   changed   ____/‾\_/‾\_____/‾\_____     a clock each

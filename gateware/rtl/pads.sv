@@ -1,7 +1,8 @@
-// pads: the levels at the pads that the board drives, brought into the core clock for a CPU to look at.
+// pads: the levels at the pads that the board drives, brought into the core clock for a CPU to look
+// at.
 //
-// A pad has an input buffer beside its driver; what it sees is the pad's own level, whatever the driver wants: a pad held by a
-// short reads as it is held. Nothing of this leads back to a driver.
+// A pad has an input buffer beside its driver; what it sees is the pad's own level, whatever the
+// driver wants: a pad held by a short reads as it is held. Nothing of this leads back to a driver.
 //
 //   clk      _/‾\_/‾\_/‾\_/‾\_
 //   levels   ____/‾‾‾‾‾‾‾‾‾‾‾‾    changes at any time

@@ -165,7 +165,8 @@ module pwm (
     logic        f_swap = 1'b0, f_invert = 1'b0;
     logic [28:0] f_asked1 = 29'd0, f_asked2 = 29'd0;
     logic [23:0] f_before1 = 24'd0, f_before2 = 24'd0;
-    logic [32:0] f_debt = 33'd0;  // commanded less output, since the gate opened: clocks / 256, or bits / 65536
+    // commanded less output, since the gate opened: clocks / 256, or bits / 65536
+    logic [32:0] f_debt = 33'd0;
     logic [21:0] f_high = 22'd0;  // clocks the pins were active in this period, until now
     wire         f_plus  = (f_swap ? dir : out) ^ f_invert;
     wire         f_minus = (f_swap ? out : dir) ^ (f_invert & f_kind2 == UP_DOWN);

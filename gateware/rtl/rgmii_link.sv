@@ -1,8 +1,9 @@
 // rgmii_link: the PHY's in-band link status in the core clock; 0 when the PHY gives no clock.
 //
-// The word changes seldom and all at once, in another clock: it counts when two samples agree. A PHY that has stopped its
-// clock says nothing more, so its last word is no longer believed after 256 clocks (4.3 us; at 10 Mbit/s `beat` changes every
-// 1.6 us). Each change of `beat` is seen as long as it comes no faster than the core clock: at 1000 Mbit/s every 32 ns.
+// The word changes seldom and all at once, in another clock: it counts when two samples agree. A
+// PHY that has stopped its clock says nothing more, so its last word is no longer believed after
+// 256 clocks (4.3 us; at 10 Mbit/s `beat` changes every 1.6 us). Each change of `beat` is seen as
+// long as it comes no faster than the core clock: at 1000 Mbit/s every 32 ns.
 //
 `default_nettype none
 module rgmii_link (

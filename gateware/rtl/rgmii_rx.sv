@@ -21,7 +21,8 @@
 `default_nettype none
 module rgmii_rx (
     input  wire        clk,        // RXC: 125, 25 or 2.5 MHz
-    input  wire  [3:0] rise,       // RXD at the clock's rising edge, and at the falling one after it
+    // RXD at the clock's rising edge, and at the falling one after it
+    input  wire  [3:0] rise,
     input  wire  [3:0] fall,
     input  wire        ctl_rise,   // RX_DV
     input  wire        ctl_fall,   // RX_DV xor RX_ER
@@ -30,7 +31,8 @@ module rgmii_rx (
     output wire        last,
     output logic [3:0] status,     // the PHY's link status: bit 0 up, 2:1 speed, 3 full duplex
     output logic       slow,       // a nibble per clock
-    output wire        beat        // changes every 4 clocks, so that another clock domain can see that this clock runs
+    // changes every 4 clocks, so that another clock domain can see that this clock runs
+    output wire        beat
 );
     logic [3:0] lo = 4'd0, hi = 4'd0, lo_was = 4'd0;
     logic       dv = 1'b0, er = 1'b0;

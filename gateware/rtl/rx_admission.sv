@@ -5,7 +5,7 @@
 // A frame with the expected words is the owner's and is never refused. Every other frame is a guest
 // and needs a ticket. There is one ticket at a time: the firmware issues it when it has time for a
 // guest, and the guest that is taken uses it up. So a storm of guests occupies one slot at most,
-// costs one frame's work per ticket, and leaves the other slot to the owner.
+// costs one frame's work per ticket, and leaves the other slots to the owner.
 //
 //   mode       the words compared                                                  a guest is a frame that is not
 //   0          none                                                                (no guests)

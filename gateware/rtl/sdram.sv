@@ -2,9 +2,10 @@
 // starts the chip by itself.
 //
 // One request is in work at a time. Each bank's row stays open behind a request until another row
-// of that bank is wanted or a refresh closes all: the next request in an open row needs no activate.
-// A refresh is due every T_REFI clocks and waits for the request in work at most. The chip always
-// does single words: the cards tie its data masks to ground, so a store is a whole word.
+// of that bank is wanted or a refresh closes all: the next request in an open row needs no
+// activate. A refresh is due every T_REFI clocks and waits for the request in work at most. The
+// chip always does single words: the cards tie its data masks to ground, so a store is a whole
+// word.
 //
 //   clk      _/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_/‾\_ .. _/‾\_/‾\_/‾\_/‾\_/‾\_
 //   want     _/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾ .. ‾‾‾‾\________________    a line; `at` and `store` do not change
@@ -18,13 +19,13 @@
 //   drives   _/‾‾‾\_____________________/‾‾‾\____________________
 //
 // The outputs of this module end in the pads' registers, the chip's clock is a third of a period
-// behind ours, and `dq_in` is the pads' input register: so a word is here CL + 1 = 3 clocks after its
-// command. A store waits until the chip has let go of the lines.
+// behind ours, and `dq_in` is the pads' input register: so a word is here CL + 1 = 3 clocks after
+// its command. A store waits until the chip has let go of the lines.
 //
-// Every time is in clocks. All of them but T_REFI are at least what the data sheets ask for, rounded
-// up; T_RC and T_RRD follow from the others, as one command is issued after the other (the proofs
-// say so). The start: START intervals of rest, all banks closed, eight refreshes, the mode register,
-// an interval apart each.
+// Every time is in clocks. All of them but T_REFI are at least what the data sheets ask for,
+// rounded up; T_RC and T_RRD follow from the others, as one command is issued after the other (the
+// proofs say so). The start: START intervals of rest, all banks closed, eight refreshes, the mode
+// register, an interval apart each.
 //
 `default_nettype none
 module sdram #(
@@ -37,7 +38,8 @@ module sdram #(
     input  wire                                    reset,   // starts the chip once more
 
     input  wire                                    want,    // level, until `taken`
-    input  wire                                    store,   // of a word; else a line, from its first word on
+    // of a word; else a line, from its first word on
+    input  wire                                    store,
     input  wire [ROW_BITS+BANK_BITS+COL_BITS-1:0]  at,      // a word: row, bank, column
     input  wire [31:0]                             data,
     output wire                                    taken,   // the next request may follow
@@ -138,7 +140,8 @@ module sdram #(
         end
     end
 
-`ifdef FORMAL  // what gateware/formal proves, from the commands as the chip sees them, for any word `f_at`
+// what gateware/formal proves, from the commands as the chip sees them, for any word `f_at`
+`ifdef FORMAL
     localparam int T_RC = 4, T_MRD = 2;                  // at 60 MHz: 63 ns, 2 clocks
     localparam int PAUSE = (START - 1) * T_REFI;         // of the start
     localparam logic [6:0] BOUND = 7'd42;                // clocks from a request to its end
@@ -160,8 +163,10 @@ module sdram #(
     logic [ROW_BITS-1:0] f_row = '0;
     logic [3:0]          f_since_act = 4'd15, f_since_pre = 4'd15, f_since_wr = 4'd15, f_since_ref = 4'd15, f_since_mrs = 4'd15;
     logic                f_acted = 1'b0;            // a bank was activated in the clock before
-    logic [1:0]          f_reading = 2'd0;          // a read one and two clocks ago: its word may be on the lines
-    logic                f_modes = READY, f_closed = READY;  // since power-up or reset: mode set, all closed once
+    // a read one and two clocks ago: its word may be on the lines
+    logic [1:0]          f_reading = 2'd0;
+    // since power-up or reset: mode set, all closed once
+    logic                f_modes = READY, f_closed = READY;
     logic [3:0]          f_refreshes = READY ? 4'd8 : 4'd0;
     logic [14:0]         f_age = READY ? 15'd32767 : 15'd0;  // clocks since then, at most
     always_ff @(posedge clk) begin

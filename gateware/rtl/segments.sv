@@ -63,7 +63,8 @@ module segments #(
     input  wire         stopped,    // all of them
     output wire         advance,
     output wire         stop,       // staged velocities are 0 from then on
-    output wire         busy,       // this core controls the stepgens: `stage` and `commit` replace those of the bus
+    // this core controls the stepgens: `stage` and `commit` replace those of the bus
+    output wire         busy,
     output wire         stage,
     output wire  [3:0]  stage_at,   // 2n: velocity of axis n; 2n + 1: its acceleration
     output wire  [31:0] staged_word,
@@ -92,7 +93,7 @@ module segments #(
     wire failed = reason > DONE;
     wire dead   = failed | ~gate;
 
-    // ---- time ---------------------------------------------------------------------------------------------------
+    // ---- time -----------------------------------------------------------------------------------
     // The slew is computed as in the stepgen's ramp: after a new pace it tries a move upwards, and
     // only the comparison is used.
     logic [32:0] scale = {17'h10000, 16'd0};
@@ -129,7 +130,7 @@ module segments #(
 
     assign advance = ~state[1] | (tick & ~waits);
 
-    // ---- FIFO ---------------------------------------------------------------------------------------------------
+    // ---- FIFO -----------------------------------------------------------------------------------
     (* no_rw_check *)  // a slot is read only while it is not the one being written
     logic [31:0]      words[0:(DEPTH << BITS) - 1];
     logic [31:0]      out;
@@ -162,7 +163,7 @@ module segments #(
         if (clear) refused <= 5'd0;
     end
 
-    // ---- the next segment: its words from the last down to the duration, which is used in place ------------------
+    // ---- the next segment: its words from the last down to the duration, which is used in place -
     logic        staged = 1'b0;
     logic        fetched = 1'b0;
     logic [BITS-1:0] fetched_at = '0;
@@ -176,7 +177,7 @@ module segments #(
     assign stage = fetched & axis;
     assign stage_at = {{4 - BITS{1'b0}}, fetched_at} - 4'd2;
 
-    // ---- the current one ----------------------------------------------------------------------------------------------
+    // ---- the current one ------------------------------------------------------------------------
     logic [32:0] left  = '1;            // negative in the last clock
     logic        first = 1'b1;          // none has begun
     logic        moves = 1'b0;          // some velocity at its end is not 0
@@ -241,7 +242,7 @@ module segments #(
 `define PROVE_a_pause_holds_the_path
 `define PROVE_a_job_begins_and_ends_at_rest
 `endif
-    // ---- what must hold: gateware/formal/segments.proofs --------------------------------------------------------------
+    // ---- what must hold: gateware/formal/segments.proofs ----------------------------------------
     // Any one slot of the FIFO and any one word of it, stored apart from the memory; any one axis'
     // staged word; and a path clock of our own. Every guarantee is stated in terms of those.
     (* anyconst *) logic [SLOT-1:0] f_slot;
@@ -252,11 +253,14 @@ module segments #(
     logic        f_has0 = 1'b0, f_has1 = 1'b0, f_hasw = 1'b0;
     logic [31:0] f_clocks = '0, f_aux = '0, f_word = '0;      // the slot's
     logic [31:0] f_staged = '0;                              // the staged word, from either side
-    logic        f_mine = 1'b0;                              // the current segment came from the slot
-    logic [31:0] f_duration = '0, f_velocity = '0, f_since = '0;  // its words; path clocks since its commit
+    // the current segment came from the slot
+    logic        f_mine = 1'b0;
+    // its words; path clocks since its commit
+    logic [31:0] f_duration = '0, f_velocity = '0, f_since = '0;
     logic [15:0] f_outputs = '0;
     logic        f_known = 1'b1;                             // what the outputs should be
-    logic [WORDS-1:0] f_seen = '0;                           // the words written since the last push
+    // the words written since the last push
+    logic [WORDS-1:0] f_seen = '0;
     logic        f_short = 1'b0;
     logic [31:0] f_level = '0;
     logic        f_owes = 1'b0;                              // a stop that has not ended

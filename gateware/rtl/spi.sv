@@ -27,7 +27,8 @@ module spi (
     input  wire  [31:0] data,      // bit 31 leaves first
     input  wire  [4:0]  length,    // bits; 0 is 32
     output logic        busy,
-    output wire  [31:0] received,  // the last bit received is bit 0; above the received bits are the unsent ones
+    // the last bit received is bit 0; above the received bits are the unsent ones
+    output wire  [31:0] received,
     output logic        cs_n,
     output wire         sck,
     output wire         mosi,

@@ -13,18 +13,21 @@
 //             |-1--|---2----|    |--3--|----4----|            3 dirhold    4 dirsetup
 //   dir   ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\________________
 //
-//   kind 1, up/down: STEP carries the pulses forwards, DIR those backwards; at a reversal 3 + 4 lie between them
+//   kind 1, up/down: STEP carries the pulses forwards, DIR those backwards; at a reversal 3 + 4
+//   lie between them
 //   step  ____/‾‾‾‾\________/‾‾‾‾\_______________________
 //             |-1--|---2----|    |--3--|----4----|
 //   dir   ______________________________________/‾‾‾‾\__
 //
-//   kind 2, quadrature: each pulse changes one line; forwards STEP (A) leads DIR (B); edges are at least 1 + 2 apart
+//   kind 2, quadrature: each pulse changes one line; forwards STEP (A) leads DIR (B); edges are
+//   at least 1 + 2 apart
 //   step  ____/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾\___________________/‾‾‾‾‾‾
 //             |---1+2--|---1+2--|     3 + 4 or more
 //   dir   _____________/‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾
 //
-// Units: velocity f_clk/2^32 steps/s; accel f_clk^2/2^56 steps/s^2 (the velocity carries 24 fraction bits); times in
-// clocks. Times of 0 are read as 1, accel 0 as "no limit". Fastest: steplen = stepspace = 1, f_clk/2.
+// Units: velocity f_clk/2^32 steps/s; accel f_clk^2/2^56 steps/s^2 (the velocity carries 24
+// fraction bits); times in clocks. Times of 0 are read as 1, accel 0 as "no limit". Fastest:
+// steplen = stepspace = 1, f_clk/2.
 //
 //   commit       _/‾\__________________     the command is taken at the end of this clock,
 //   target       ----X new ------------     the ramp pauses for this clock and one more, to learn its
@@ -41,7 +44,8 @@
 // stops it while `waits` (segments.sv): a late pulse then delays all axes and loses no step.
 `default_nettype none
 module stepgen #(
-    parameter bit TIMED = 1'b0        // 1: path time is scaled; 0: `advance` is ignored, and costs no logic
+    // 1: path time is scaled; 0: `advance` is ignored, and costs no logic
+    parameter bit TIMED = 1'b0
 ) (
     input  wire         clk,
 
@@ -69,17 +73,20 @@ module stepgen #(
     input  wire         dir_invert,
 
     // results
-    input  wire         visit,        // 1: `delta` is taken, and starts again with the pulse of this clock
-    output logic [4:0]  delta,        // signed pulses since the visit before; at most 8 in 16 clocks
+    // 1: `delta` is taken, and starts again with the pulse of this clock
+    input  wire         visit,
+    // signed pulses since the visit before; at most 8 in 16 clocks
+    output logic [4:0]  delta,
     output logic [31:0] fraction,     // of the next pulse; powers up at half a step
     output wire  [31:0] velocity_now, // signed, integer part
-    output wire         waits,        // 1: a pulse is due in this clock and has to wait; independent of `advance`
+    // 1: a pulse is due in this clock and has to wait; independent of `advance`
+    output wire         waits,
 
     // the pins, registered
     output logic        step,
     output logic        dir
 );
-    // ---- target -------------------------------------------------------------------------------------------------
+    // ---- target ---------------------------------------------------------------------------------
     wire         halt    = stop | ~gate;
     logic        halted  = 1'b1;
     logic        fresh   = 1'b0;  // target changed: `up` and `jump` are not valid in this clock
@@ -92,7 +99,8 @@ module stepgen #(
 
     wire take  = commit & ~halt;
     wire pause = fresh | take | (halt & ~halted);
-    wire holds = TIMED ? pause | ~(advance | braking) : pause;  // a stop works whether or not time passes
+    // a stop works whether or not time passes
+    wire holds = TIMED ? pause | ~(advance | braking) : pause;
 
     always_ff @(posedge clk) begin
         halted <= halt;
@@ -106,7 +114,7 @@ module stepgen #(
         end
     end
 
-    // ---- velocity: s32.24, moves towards target by at most limit per clock ------------------------------------------
+    // ---- velocity: s32.24, moves towards target by at most limit per clock ----------------------
     // In the clock after a new target the adder tries a move upwards, and only its comparison is
     // used. A target above, but nearer than one move, thus counts as one below: the move downwards
     // then also reaches or passes it.
@@ -133,7 +141,7 @@ module stepgen #(
     assign velocity_now = v[55:24];
     wire negative = v[55];
 
-    // ---- position: adds the velocity, requests a pulse when the integer part would change -----------------------------
+    // ---- position: adds the velocity, requests a pulse when the integer part would change -------
     logic        reverse = 1'b0;  // direction of the pulses: DIR before inversion
     wire  [32:0] sum     = {1'b0, fraction} + {v[55], v[55:24]};
     wire         due     = sum[32];
@@ -147,10 +155,11 @@ module stepgen #(
     always_ff @(posedge clk) begin
         if (TIMED ? advance : 1'b1) if (gate & (~due | ready)) fraction <= sum[31:0];
         if (visit) delta <= {{4{emit & reverse}}, emit};
-        else if (emit) delta <= delta ^ {&carry, &carry[2:0], &carry[1:0], carry[0], 1'b1};  // +-1 without a carry chain
+        // +-1 without a carry chain
+        else if (emit) delta <= delta ^ {&carry, &carry[2:0], &carry[1:0], carry[0], 1'b1};
     end
 
-    // ---- timing: when a pulse may start and end, and the direction may change -----------------------------------------
+    // ---- timing: when a pulse may start and end, and the direction may change -------------------
     // Two clocks count up from the last event; a time is over in the clock in which they are equal.
     // In the first clock after the event, times of 0 and 1 are equivalent.
     logic        pulse      = 1'b0;
@@ -187,7 +196,7 @@ module stepgen #(
         else if (fall) setup <= 1'b0;
     end
 
-    // ---- pins -------------------------------------------------------------------------------------------------------
+    // ---- pins -----------------------------------------------------------------------------------
     logic a = 1'b0;  // the quadrature lines, before inversion
     logic b = 1'b0;
 
@@ -215,7 +224,7 @@ module stepgen #(
     end
 
 `ifdef FORMAL
-    // ---- what must hold: gateware/formal/stepgen.proofs --------------------------------------------------------------
+    // ---- what must hold: gateware/formal/stepgen.proofs -----------------------------------------
     // First a model of a drive that sees the pins and has its own clocks; then its guarantees, one
     // `ifdef per proof; then the link between its clocks and ours, so that induction needs only one
     // step (not asserted for a broken core: the guarantee must catch that). Every guarantee reads 0
@@ -403,7 +412,8 @@ module stepgen #(
         assert (~halted | braking);
         assert (~braking | target == 32'd0);
         assert (was_halt == halted | ~known);
-        if (~fresh) assert (jump == (allowed == 32'd0) | jump & v == 56'd0 & target == 32'd0);  // power-up
+        // power-up
+        if (~fresh) assert (jump == (allowed == 32'd0) | jump & v == 56'd0 & target == 32'd0);
         if (~fresh & ~jump & up) assert ($signed(v) <= $signed({target, 24'd0}));
         if (~fresh & ~jump & ~up) assert ($signed({v[55], v}) + $signed({25'd0, allowed}) >= $signed({target[31], target, 24'd0}));
     end

@@ -14,7 +14,8 @@
 `default_nettype none
 module watchdog (
     input  wire         clk,
-    input  wire         rst,        // closes the gate, resets the bite and the external reset, but not an e-stop
+    // closes the gate, resets the bite and the external reset, but not an e-stop
+    input  wire         rst,
     input  wire         ext_reset,  // synchronised pin
     input  wire         estop,      // an e-stop input is active, synchronised
 
@@ -36,7 +37,8 @@ module watchdog (
     output logic        armed,         // awake, counting
     output wire         cleared,       // `clear` was accepted: all latches fall
     output logic  [3:0] last_close,    // why the gate closed last
-    output logic [31:0] remaining,     // clocks until it bites; during a soft stop, until the gate closes
+    // clocks until it bites; during a soft stop, until the gate closes
+    output logic [31:0] remaining,
     output logic [31:0] last_token,
     output logic [31:0] bites
 );

@@ -9,8 +9,9 @@
 //   clk       0   1   2   3   4       16  17  18
 //   sample    _/‾‾‾\________________________________     at any time; in this example channel 2 is visited in clock 3
 //   visit[2]  _____________/‾‾‾\____________________     total += delta, delta restarts at this clock's event
-//   sampled       old        |   | new                   addr = 2: right two clocks after the visit,
-//                                                        so all channels are 18 clocks after the strobe
+//   sampled       old        |   | new                   addr = 2: right two clocks after the visit
+//
+// So all channels are right 18 clocks after the strobe.
 //
 // The position of a channel in a clock is total + delta, without the event of that clock. A strobe
 // or a capture stores this value. If another strobe comes within 18 clocks, the words are those of
@@ -44,7 +45,8 @@ module wide_counter #(
     output wire [31:0]             sampled,
     output wire [31:0]             latched
 `ifdef FORMAL
-    , input wire [3:0] f_channel, input wire [31:0] f_position, output logic [31:0] f_latched  // any one channel, its count
+    // any one channel, its count
+    , input wire [3:0] f_channel, input wire [31:0] f_position, output logic [31:0] f_latched
 `endif
 );
     logic [3:0] at    = 4'd0;   // the channel visited in this clock: turn, in binary
@@ -53,10 +55,12 @@ module wide_counter #(
 
     logic [CHANNELS-1:0]   clearing = {CHANNELS{1'b0}};    // the total restarts at the next visit
     logic [CHANNELS-1:0]   afresh   = {CHANNELS{1'b0}};    // the strobe came after such a capture
-    logic [5*CHANNELS-1:0] caught   = {5*CHANNELS{1'b0}};  // delta at the strobe; valid until the visit
+    // delta at the strobe; valid until the visit
+    logic [5*CHANNELS-1:0] caught   = {5*CHANNELS{1'b0}};
     logic [5*CHANNELS-1:0] held     = {5*CHANNELS{1'b0}};  // delta at the capture; likewise
-    logic [CHANNELS-1:0]   passed   = {CHANNELS{1'b0}};    // the visit was in the strobe's own clock and has added it:
-    logic [CHANNELS-1:0]   added    = {CHANNELS{1'b0}};    // the next adds nothing; the capture's own clock likewise
+    // the visit was in the strobe's own clock and has added it: the next adds nothing
+    logic [CHANNELS-1:0]   passed   = {CHANNELS{1'b0}};
+    logic [CHANNELS-1:0]   added    = {CHANNELS{1'b0}};    // the capture's own clock likewise
 
     assign visit = turn[CHANNELS-1:0] | (capture & clear);
 

@@ -22,7 +22,8 @@ def main():
     constants = (ROOT / "wire" / "src" / "regmap.rs").read_text(encoding="utf-8")
     assert f"ABI: u32 = 0x{ours:08x};" in constants, "wire/src/regmap.rs is stale: cargo xtask regen"
 
-    # The comment that names the generator is no fact; every other line is, and each makes a number of its own.
+    # The comment that names the generator is no fact; every other line is, and each makes a number
+    # of its own.
     assert ferro.abi_number(soc, layout.replace("# ", "# not ", 1)) == ours
     lines = layout.splitlines()
     seen = {ours}

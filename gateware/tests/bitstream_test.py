@@ -136,16 +136,37 @@ def the_layouts_are_those_of_wire_flash():
             assert (int(start, 0), int(end, 0)) == area, f"{size:#x}: {name}"
 
 
+def refused(board, role, data, program=b""):
+    """Why there is no room for this image; nothing if there is."""
+    try:
+        image.check_room(board, role, data, program)
+    except BoardError as e:
+        return str(e)
+    return ""
+
+
 @test
-def an_image_too_long_for_its_slot_is_refused():
-    for size, room in ((4 << 20, 0xE_F000), (2 << 20, 0x7_F000)):
-        image.flash(board(size), 1, body(room), body(100))
-        try:
-            image.flash(board(size), 1, body(room + 1), body(100))
-        except BoardError as e:
-            assert str(room) in str(e) and str(room + 1) in str(e), e
-        else:
-            raise AssertionError("not refused")
+def an_image_too_long_for_its_place_is_refused_with_the_bytes_and_the_way_out():
+    for size, rooms in ((4 << 20, (0xE_F000, 0xF_E000)), (2 << 20, (0x7_F000, 0x7_E000))):
+        for role, name, room in zip((rm.ROLE_IMAGE, rm.ROLE_GOLDEN), ("x.bit", "x-golden.bit"), rooms):
+            program, bitstream = bytes(70_000), body(room - 60_000)
+            whole = image.with_program(bitstream, program)
+            assert not refused(board(size), role, body(room))
+            assert not refused(board(size), role, image.with_program(body(room - 70_000), program), program)
+            said = refused(board(size), role, whole, program)
+            for part in ("boards/x.toml", f"{name} has {room + 10_000} bytes", f"of p has {room}, 10000 too few", "sdram = false", "70000 bytes, and fits"):
+                assert part in said, f"{part!r} is not in {said!r}"
+            # Without the services it would not fit, either: no advice that does not help.
+            said = refused(board(size), role, image.with_program(body(room + 4), program), program)
+            assert "70004 too few" in said and "sdram" not in said, said
+            images = [body(100), body(100)]
+            images[role == rm.ROLE_GOLDEN] = body(room + 1)
+            try:
+                image.flash(board(size), 1, *images)
+            except BoardError as e:
+                assert f"{room}, 1 too few" in str(e), e
+            else:
+                raise AssertionError("not refused")
 
 
 def config(words, shape):

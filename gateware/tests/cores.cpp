@@ -34,7 +34,8 @@ struct Bus {
     }
     uint32_t flash = 0;  // the flash's model: every bit comes back 32 clocks later
     bool sck_was = false;
-    // What is at the pads is not what drives them, and must not matter to it: any levels at any time.
+    // What is at the pads is not what drives them, and must not matter to it: any levels at any
+    // time.
     uint32_t steps = 0, pwms = 0, outs = 0;  // a bit per pin
     bool still = false;
     void pads() {
@@ -119,10 +120,12 @@ int main(int argc, char **argv) {
     const uint32_t estops = k.read("gpio.estop_mask"), trigger = k.read("gpio.estop_level");
     CHECK(b, estops && !(trigger & ~estops) && estops >> (ins - 1) == 1, "e-stop inputs %x, level %x", estops, trigger);
     const uint32_t free_inputs = uint32_t((1ull << ins) - 1) & ~estops;
-    auto drive = [&](uint32_t levels) { c.inputs = (levels & free_inputs) | (estops & ~trigger); };  // no e-stop active
+    // no e-stop active
+    auto drive = [&](uint32_t levels) { c.inputs = (levels & free_inputs) | (estops & ~trigger); };
     drive(0);
 
-    // Every register: absent channels read 0 and ignore writes; present ones read back what was written.
+    // Every register: absent channels read 0 and ignore writes; present ones read back what was
+    // written.
     auto present = [&](const std::string &name) {
         for (auto [kind, n] : {std::pair{"stepgen", steps}, {"encoder", encoders}, {"pwm", pwms}})
             for (auto prefix : {std::string(kind), std::string("command.") + kind, std::string("status.") + kind})
@@ -162,7 +165,8 @@ int main(int argc, char **argv) {
     k.write("watchdog.grace", 1000);
     k.write("watchdog.control", 0x434c5231);
 
-    // Time: the snapshot catches the clock of the write, always the same number of clocks after it began.
+    // Time: the snapshot catches the clock of the write, always the same number of clocks after it
+    // began.
     auto snapshot = [&] {
         const uint64_t began = k.now;
         k.write("timebase.snapshot", 0);
@@ -206,7 +210,8 @@ int main(int argc, char **argv) {
     CHECK(b, c.gate, "does not arm");
     k.expect("watchdog.status", 0x21);
 
-    // A staged command changes nothing; the strobe starts every channel on one clock, and samples on the same.
+    // A staged command changes nothing; the strobe starts every channel on one clock, and samples
+    // on the same.
     for (unsigned n = 0; n < steps; n++) {
         k.write(nth("command.stepgen", n, "_velocity"), 0x04000000);
         k.write(nth("command.stepgen", n, "_accel"), 0);
@@ -322,7 +327,8 @@ int main(int argc, char **argv) {
         k.write("timebase.strobe", 2);
         k.run(18);
     };
-    // Arm bits of the four kinds of latch; a channel has one latch, for its index and for the probe.
+    // Arm bits of the four kinds of latch; a channel has one latch, for its index and for the
+    // probe.
     auto arm = [&](uint32_t enc_index, uint32_t enc_probe, uint32_t step_index, uint32_t step_probe) {
         k.write("command.enables", enc_index << 16 | 0xffff);
         k.write("command.arms", enc_probe << 16 | step_index);
@@ -441,8 +447,9 @@ int main(int argc, char **argv) {
     }
 
     // Arrivals: each frame keeps its own time, also when it has to queue.
-    uint64_t done[2];
-    for (unsigned slot = 0; slot < 2; slot++) {
+    constexpr unsigned SLOTS = 4;
+    uint64_t done[SLOTS];
+    for (unsigned slot = 0; slot < SLOTS; slot++) {
         c.frame_done = 1, c.frame_slot = slot;
         k.clock();
         done[slot] = k.now;
@@ -450,13 +457,16 @@ int main(int argc, char **argv) {
         k.run(20 + r.below(100));
     }
     const uint64_t first = k.read64("timebase.arrival");
-    c.pending_slot = 1;
-    k.run(3);
-    const uint64_t second = k.read64("timebase.arrival");
+    uint64_t last = first;
+    for (unsigned slot = 1; slot < SLOTS; slot++) {
+        c.pending_slot = slot;
+        k.run(3);
+        last = k.read64("timebase.arrival");
+        CHECK(b, last - first == done[slot] - done[0], "slot %u: arrivals %llu clocks apart, expected %llu", slot, (unsigned long long)(last - first), (unsigned long long)(done[slot] - done[0]));
+    }
     c.frame_pending = 0, c.pending_slot = 0;
     k.run(3);
-    CHECK(b, second - first == done[1] - done[0], "arrivals %llu clocks apart, expected %llu", (unsigned long long)(second - first), (unsigned long long)(done[1] - done[0]));
-    CHECK(b, k.read64("timebase.arrival") == second, "an arrival is forgotten with its frame");
+    CHECK(b, k.read64("timebase.arrival") == last, "an arrival is forgotten with its frame");
 
     // The flash's wires: no transfer without select; 32 bits there and back; shorter ones
     // right-aligned.

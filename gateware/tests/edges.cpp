@@ -14,7 +14,8 @@ int main(int argc, char **argv) {
     unsigned since_sample = 1000, last_turn = 0;
     bool sampling = false;
     uint64_t strobes = 0, moves = 0, lies = 0;
-    uint32_t now = 0xFFFE00 + r.below(512);  // its low word wraps early, with any phase of the rotation
+    // its low word wraps early, with any phase of the rotation
+    uint32_t now = 0xFFFE00 + r.below(512);
 
     for (uint64_t clock = 0; clock < 3000000; clock++) {
         const unsigned rate = clock / 4096 % 3 == 0 ? 2 : clock / 4096 % 3 == 1 ? 11 : 150;

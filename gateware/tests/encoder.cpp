@@ -77,7 +77,8 @@ int main(int argc, char **argv) {
             for (uint64_t steps = r.below(20); steps; steps--) {
                 if (quadrature) at += direction, go(gray[at & 3]);
                 else go(r.below(4));
-                wait(filter + 2 + (r.one_in(4) ? r.below(5) : 0));  // the shortest a pair may last and still count
+                // the shortest a pair may last and still count
+                wait(filter + 2 + (r.one_in(4) ? r.below(5) : 0));
             }
             if (r.one_in(3)) {  // one clock too short, on any lines
                 wait(settled);

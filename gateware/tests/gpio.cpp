@@ -1,4 +1,5 @@
-// Inputs, e-stop inputs and outputs at their pins: debounced to the visit, latched, and safe whenever the gate is closed.
+// Inputs, e-stop inputs and outputs at their pins: debounced to the visit, latched, and safe
+// whenever the gate is closed.
 #include "Vgpio.h"
 #include "bench.h"
 
@@ -55,7 +56,8 @@ int main(int argc, char **argv) {
     run(40);
     CHECK(b, !c.estop && !c.estop_latched, "an e-stop at power-up with every input released");
 
-    // From the pin alone: limit 0 follows within 33 + 2 clocks; limit L never lets 32 * L clocks through and always 32 * (L + 1).
+    // From the pin alone: limit 0 follows within 33 + 2 clocks; limit L never lets 32 * L clocks
+    // through and always 32 * (L + 1).
     for (unsigned round = 0; round < 600; round++) {
         const unsigned n = r.below(32);
         const uint32_t l = r.one_in(3) ? 0 : r.one_in(2) ? 1 : r.up_to_bits(8);

@@ -217,7 +217,8 @@ static Segment any_segment(Random &r, const Segment &before, bool last, bool fas
     Segment s{};
     s.clocks = r.one_in(8) ? 64 : 64 + uint32_t(r.up_to_bits(11));
     s.tag = uint16_t(r.next()), s.aux = uint16_t(r.next());
-    const unsigned creeps = r.one_in(20) ? unsigned(r.below(3)) : 3;  // one axis alone, at the lowest velocity there is
+    // one axis alone, at the lowest velocity there is
+    const unsigned creeps = r.one_in(20) ? unsigned(r.below(3)) : 3;
     for (unsigned n = 0; n < 3; n++) {
         const int32_t top = fast ? 0x0fffffff : 0x007fffff;
         int32_t v = last || r.one_in(6) ? 0 : r.one_in(4) ? before.velocity[n] : int32_t(r.below(2 * uint64_t(top))) - top;

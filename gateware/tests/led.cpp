@@ -5,7 +5,8 @@
 int main(int argc, char **argv) {
     Bench<Vled> b("led", argc, argv);
     auto &c = *b.core;
-    const uint64_t round = 1ull << 14;  // run.sh builds it this short; on a board it is about a second
+    // run.sh builds it this short; on a board it is about a second
+    const uint64_t round = 1ull << 14;
     const struct { unsigned blinks; uint64_t lit; } want[8] = {{0, 0}, {0, round}, {1, round / 2}, {4, round / 2},
                                                               {2, round / 4}, {3, round * 3 / 8}, {2, round / 8}, {16, round / 2}};
     for (unsigned pattern = 0; pattern < 8; pattern++) {

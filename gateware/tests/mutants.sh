@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Breaks the cores one way at a time and expects their bench to notice. By hand, minutes: a bench that cannot fail is worth
-# nothing, but it need not prove that every day.
+# Breaks the cores one way at a time and expects their bench to notice. By hand, minutes: a bench
+# that cannot fail is worth nothing, but it need not prove that every day.
 set -uo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 scratch=$(mktemp -d)

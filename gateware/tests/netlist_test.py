@@ -24,7 +24,8 @@ def cell(kind, parameters, inputs, outputs):
 
 
 def chain(r):
-    """An adder, subtracter, comparison or counter of a few cells as yosys leaves it, some inputs behind LUTs, some outputs unread."""
+    """An adder, subtracter, comparison or counter of a few cells as yosys leaves it, some inputs
+    behind LUTs, some outputs unread."""
     inputs, cells, bits = list(range(2, 2 + r.randint(1, 10))), {}, itertools.count(100)
     first = r.choice(["0", "1", *inputs[:1]])
     inverted = r.choice(["0", "1", first])

@@ -28,7 +28,8 @@ struct Link {
     unsigned speed = 2;  // as in-band: 0, 1, 2 are 10, 100, 1000
     bool up = true, running = true;
     std::deque<Cycle> cycles;    // towards the FPGA
-    std::deque<std::pair<Frame, bool>> expected;  // the frames the MAC has to give; true: unless it is lost
+    // the frames the MAC has to give; true: unless it is lost
+    std::deque<std::pair<Frame, bool>> expected;
     std::deque<Frame> sending;   // the frames given to the MAC
     uint64_t received = 0, broken = 0, sent = 0, overtaken = 0;
     uint64_t ps = 0, next_sys = 8333, next_quarter = 1000, quarter = 0;
@@ -70,7 +71,8 @@ struct Link {
         Frame all = frame;
         for (int i = 0; i < 4; i++) all.push_back(fcs >> 8 * i);
         const size_t hit = flaw == RX_ER ? r.below(all.size()) : ~0ull;
-        if (flaw == CUT) all.resize(2 + r.below(all.size() - 2));  // LiteEth runs a frame of one byte together with the next one
+        // LiteEth runs a frame of one byte together with the next one
+        if (flaw == CUT) all.resize(2 + r.below(all.size() - 2));
         unsigned preamble = 7;
         if (flaw == FEW_PREAMBLE) {  // nibbles at the lower speeds
             preamble = r.below(7);

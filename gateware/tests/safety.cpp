@@ -1,4 +1,5 @@
-// The fault table's gateware rows, at the pins, with no CPU anywhere: bite, repeat, external reset, gate, recovery.
+// The fault table's gateware rows, at the pins, with no CPU anywhere: bite, repeat, external reset,
+// gate, recovery.
 #include "Vsafety.h"
 #include "bench.h"
 
@@ -119,7 +120,9 @@ int main(int argc, char **argv) {
             k.expect(c.gate && c.remaining == c.timeout, "a fed watchdog does not start again");
         }
         switch (r.below(8)) {
-        case 0: {  // silence, or a repeated token: the bite comes exactly timeout clocks after the last new one
+        // silence, or a repeated token: the bite comes exactly timeout clocks after the last new
+        // one
+        case 0: {
             const bool repeat = r.one_in(2);
             uint64_t clocks = 0;
             for (; !c.bitten; clocks++) {
@@ -167,7 +170,8 @@ int main(int argc, char **argv) {
             break;
         }
         case 6:
-        case 7: {  // an e-stop input, however short once it has been seen: gate and pins, from the pin
+        // an e-stop input, however short once it has been seen: gate and pins, from the pin
+        case 7: {
             c.estop_pins = RELEASED ^ (1 + r.below(3));
             const uint32_t which = c.estop_pins ^ RELEASED;
             uint64_t clocks = 0, pins = 0;
@@ -177,7 +181,8 @@ int main(int argc, char **argv) {
             k.worst_reset = clocks > k.worst_reset ? clocks : k.worst_reset, k.worst_pins = pins > k.worst_pins ? pins : k.worst_pins;
             if (r.one_in(2)) c.estop_pins = RELEASED;
             k.run(6);
-            if (r.one_in(2)) k.pulse(c.rst), k.run(2);  // a reset of the system does not clear an e-stop
+            // a reset of the system does not clear an e-stop
+            if (r.one_in(2)) k.pulse(c.rst), k.run(2);
             k.expect(!k.arm() && c.estop_latched && c.estop_inputs == which && !c.bitten, "armed after an e-stop");
             k.closed_by(E_STOP);
             k.estops++;

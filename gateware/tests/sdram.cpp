@@ -1,6 +1,6 @@
 // The SDRAM's controller at the pins of a chip that measures every time by itself: random lines and
-// stores, in a few rows and in many, with resets in between. Every word read is the last one stored,
-// and every request is done within a bound.
+// stores, in a few rows and in many, with resets in between. Every word read is the last one
+// stored, and every request is done within a bound.
 #include "Vsdram.h"
 #include "sdram_chip.h"
 #include <algorithm>
@@ -12,10 +12,12 @@ static const unsigned BANK_BITS = 2, ROW_BITS = 11, COL_BITS = 8, LINE = 8, BOUN
 struct Board {
     Bench<Vsdram> &b;
     Chip<Vsdram> chip{b, BANK_BITS, ROW_BITS, COL_BITS};
-    struct { bool ras_n = true, cas_n = true, we_n = true, drives = false; unsigned ba = 0, a = 0; uint32_t d = 0; } pins;  // the pads' registers
+    // the pads' registers
+    struct { bool ras_n = true, cas_n = true, we_n = true, drives = false; unsigned ba = 0, a = 0; uint32_t d = 0; } pins;
     std::unordered_map<unsigned, uint32_t> words;  // stored
     struct Read { unsigned at; bool known; uint32_t word; };
-    std::deque<Read> reads;                        // words that are to come, as they were when requested
+    // words that are to come, as they were when requested
+    std::deque<Read> reads;
     uint64_t lines = 0, stores = 0, longest = 0;
 
     bool clock() {  // true: the request has been taken

@@ -10,9 +10,11 @@ static const unsigned BANK_BITS = 1, ROW_BITS = 11, COL_BITS = 8, WORDS = 1u << 
 struct Master {
     Bench<Vsdram_bridge> &b;
     Chip<Vsdram_bridge> chip{b, BANK_BITS, ROW_BITS, COL_BITS};
-    struct { bool ras_n = true, cas_n = true, we_n = true, drives = false; unsigned ba = 0, a = 0; uint32_t d = 0; } pins;  // the pads' registers
+    // the pads' registers
+    struct { bool ras_n = true, cas_n = true, we_n = true, drives = false; unsigned ba = 0, a = 0; uint32_t d = 0; } pins;
     std::vector<uint32_t> words = std::vector<uint32_t>(WORDS);   // the CPU's view
-    std::vector<uint32_t> others = std::vector<uint32_t>(WORDS);  // and what they may be after an interrupted store
+    // and what they may be after an interrupted store
+    std::vector<uint32_t> others = std::vector<uint32_t>(WORDS);
 
     bool clock() {  // one clock; true if there was an ack
         auto &c = *b.core;

@@ -43,7 +43,8 @@ def main():
     out = Path(sys.argv[1])
     out.mkdir(parents=True, exist_ok=True)
     text = str(verilog.convert(top, set(top.ports.values()), name="sdram_bridge"))
-    (out / "sdram_bridge.v").write_text(text.replace("`timescale 1ns / 1ps\n", ""))  # the core has none
+    # the core has none
+    (out / "sdram_bridge.v").write_text(text.replace("`timescale 1ns / 1ps\n", ""))
 
 
 main()

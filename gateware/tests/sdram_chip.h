@@ -24,12 +24,14 @@ struct Chip {
     static constexpr uint64_t NEVER = 0;  // clocks begin at 1
     struct Bank { bool open = false; unsigned row = 0; uint64_t activated = NEVER, closed = NEVER, wrote = NEVER, read = NEVER; };
     std::vector<Bank> banks = std::vector<Bank>(1u << bank_bits);
-    std::vector<uint64_t> refreshes = std::vector<uint64_t>(t.rows, NEVER);  // when the last ones were
+    // when the last ones were
+    std::vector<uint64_t> refreshes = std::vector<uint64_t>(t.rows, NEVER);
     uint64_t now = 0, refreshed = NEVER, moded = NEVER, activated = NEVER, all_closed = NEVER, count = 0, started = 0;
     bool usable = false;
     uint64_t activates = 0, closes = 0, reads = 0, writes = 0;
     uint32_t later = 0;
-    bool drives = false, drove = false;  // the word of the last command; that of the one before it may still be there
+    // the word of the last command; that of the one before it may still be there
+    bool drives = false, drove = false;
 
     unsigned clocks(double ns) const { return unsigned(ns / t.period + 0.999999); }
     void since(uint64_t then, unsigned least, const char *what) {
@@ -39,7 +41,8 @@ struct Chip {
         usable = false, started = now, count = 0, all_closed = NEVER;
     }
 
-    // A clock with the levels of the pins. Returns what the pins' input register catches at its end.
+    // A clock with the levels of the pins. Returns what the pins' input register catches at its
+    // end.
     uint32_t clock(bool ras_n, bool cas_n, bool we_n, unsigned ba, unsigned a, bool host_drives, uint32_t d) {
         now++;
         Bank &bank = banks[ba];
@@ -109,8 +112,8 @@ struct Chip {
         case 6: CHECK(b, false, "burst stop"); break;
         default: ;
         }
-        // CL 2: the word is there from 6 ns after the next edge on, and goes 6 ns behind the edge after
-        // that. The pins' registers catch it between them.
+        // CL 2: the word is there from 6 ns after the next edge on, and goes 6 ns behind the edge
+        // after that. The pins' registers catch it between them.
         if (drives) later = words[at];
         return caught;
     }

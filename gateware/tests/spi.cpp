@@ -49,7 +49,8 @@ int main(int argc, char **argv) {
             CHECK(b, high >= 2, "SCK was high for %u clocks", high);
             answer = answer << 1 | miso, answered++;
         }
-        if (!c.sck && (sck_was || c.cs_n)) low = 0, miso = r.next() & 1;  // the bit for the next rise
+        // the bit for the next rise
+        if (!c.sck && (sck_was || c.cs_n)) low = 0, miso = r.next() & 1;
         low += !c.sck, high += c.sck;
         if (busy_was && !c.busy) {
             CHECK(b, rises == length, "%u clocks, %u asked for", rises, length);

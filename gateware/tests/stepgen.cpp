@@ -1,4 +1,5 @@
-// The stepgen at its pins, in its three kinds: the timings, one pulse per step of position, the ramp to the last bit.
+// The stepgen at its pins, in its three kinds: the timings, one pulse per step of position, the
+// ramp to the last bit.
 //
 // Two models observe the core. The drive model sees only the pins, decodes the pulses like a
 // motor's drive and has its own clocks. The reference model computes when a pulse may start at the
@@ -283,7 +284,8 @@ static void random_rounds(Checker &k, uint64_t wanted) {
                 k.commit(int32_t(r.below(7)) - 3, uint32_t(r.up_to_bits(26)), enable);
             }
             for (uint64_t i = r.one_in(5) ? r.below(4) : r.below(400); i; i--) {
-                if (r.one_in(3000)) {  // a soft stop, sometimes waited for, sometimes cut by the gate
+                // a soft stop, sometimes waited for, sometimes cut by the gate
+                if (r.one_in(3000)) {
                     c.stop = 1;
                     k.clocks(r.below(600));
                     if (r.one_in(2)) {
@@ -306,7 +308,8 @@ static void random_rounds(Checker &k, uint64_t wanted) {
 
 // The fastest: as many pulses as the times allow, to the clock, both ways, in every kind.
 static void full_rate(Checker &k) {
-    for (const uint32_t half : {1u, 20u, 25u, 30u})  // 20, 25, 30: 500 ns at 40, 50, 60 MHz, so that 1 MHz comes out exactly
+    // 20, 25, 30: 500 ns at 40, 50, 60 MHz, so that 1 MHz comes out exactly
+    for (const uint32_t half : {1u, 20u, 25u, 30u})
         for (unsigned kind = 0; kind < 3; kind++)
             for (const int32_t velocity : {INT32_MAX, INT32_MIN}) {
                 Settings s;

@@ -23,9 +23,11 @@ int main(int argc, char **argv) {
         b.settle();
     };
     while (now < 2000) edge();
-    // One request at a time: how many clocks after the strobe the commit comes, and that it comes once.
+    // One request at a time: how many clocks after the strobe the commit comes, and that it comes
+    // once.
     for (int64_t offset : {-1000ll, -2ll, -1ll, 0ll, 1ll, 2ll, 3ll, 40ll, 1000ll}) {
-        const uint64_t first = now + 2, at = first + offset;  // the first clock in which it can happen
+        // the first clock in which it can happen
+        const uint64_t first = now + 2, at = first + offset;
         unsigned fired = 0;
         ask(at);
         for (unsigned i = 0; i < 1100; i++, edge()) {
@@ -74,7 +76,8 @@ int main(int argc, char **argv) {
         if (c.rst) pending = false;
         else if (c.commit_timed) replaced += pending && !fires, pending = true, due = c.commit_at, late += due <= now;
         else if (fires) pending = false;
-        if (pending) due = c.commit_at;  // the register is live, as documented: stable from the clock before
+        // the register is live, as documented: stable from the clock before
+        if (pending) due = c.commit_at;
         b.edge();
         now++;
     }

@@ -71,7 +71,8 @@ impl core::fmt::Display for AddressError {
 
 impl std::error::Error for AddressError {}
 
-/// One board, `IP[:port]` or `NAME[:port]`.
+/// One board, `IP[:port]` or `NAME[:port]`. A name that ends in `.local` is resolved by multicast
+/// DNS ([`crate::mdns`]), for three seconds at most.
 pub fn parse(text: &str, default_port: u16) -> Result<Address, AddressError> {
     let text = text.trim();
     let (host, port) = match text.rsplit_once(':') {
@@ -84,6 +85,15 @@ pub fn parse(text: &str, default_port: u16) -> Result<Address, AddressError> {
     let unresolved = |why: String| AddressError::Unresolved(text.to_owned(), why);
     if host.is_empty() {
         return Err(unresolved("nothing before the port".to_owned()));
+    }
+    // Multicast DNS without anything installed; a resolver of the system may know it all the same.
+    if crate::mdns::is_local(host)
+        && let Ok(Some(ip)) = crate::mdns::resolve(host)
+    {
+        return Ok(Address {
+            text: text.to_owned(),
+            socket: SocketAddrV4::new(ip, port),
+        });
     }
     let mut found = (host, port)
         .to_socket_addrs()

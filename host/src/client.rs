@@ -131,7 +131,7 @@ impl core::fmt::Display for Owner {
     }
 }
 
-/// What a board is: its description and the names behind it.
+/// A board's identity: its description and the names after it.
 #[derive(Clone, Debug)]
 pub struct Identity {
     /// Versions, counts, clock, state.

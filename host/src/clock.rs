@@ -1,4 +1,4 @@
-//! The time of each board's clock, and one common moment for all boards.
+//! Estimates the time of each board's clock, and chooses one common moment for all boards.
 //!
 //! Every exchange says when this computer sent it and when the board's clock saw its last byte
 //! arrive. The difference is the offset between the two clocks plus the time on the way, and the

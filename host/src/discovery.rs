@@ -77,7 +77,7 @@ impl core::fmt::Display for DiscoveryError {
             ),
             DiscoveryError::Unsure(uid) => write!(
                 f,
-                "the board {} was told and has not answered: it may have its new settings or the old ones; ferrocnc discover shows which, and the same command again does no harm",
+                "the board {} has not answered the request: it may have its new settings or the old ones; ferrocnc discover shows which, and the same command again does no harm",
                 uid_text(*uid)
             ),
             DiscoveryError::Refused(OpResult::Armed) => f.write_str(
@@ -245,7 +245,7 @@ impl Finder {
         }
     }
 
-    /// Waits until the board with this id has restarted and says of itself what was asked for.
+    /// Waits until the board with this id has restarted and reports the requested settings.
     pub fn until(
         &self,
         uid: [u32; 2],
@@ -264,7 +264,7 @@ impl Finder {
         }
     }
 
-    /// Asks until `heard` is content or the time is over.
+    /// Asks until `heard` returns true or the time is over.
     fn ask(
         &self,
         uid: [u32; 2],

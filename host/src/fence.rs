@@ -51,7 +51,7 @@ impl Fenced {
         }
     }
 
-    /// Runs something on the driver behind the fence.
+    /// Runs a function on the driver inside the fence.
     pub fn guard(&mut self, work: impl FnOnce(&mut Driver)) {
         if !self.halted {
             let driver = &mut self.driver;

@@ -209,7 +209,7 @@ pub enum Word {
     Back,
 }
 
-/// What an operation left behind.
+/// The result of an operation.
 #[derive(Clone, Copy, Debug)]
 struct Answer {
     word: OpWord,
@@ -402,7 +402,8 @@ impl<'t> Flasher<'t> {
                 | OpResult::Address
                 | OpResult::Value
                 | OpResult::Flash
-                | OpResult::Image) => Err(FlashError::Failed {
+                | OpResult::Image
+                | OpResult::NoDhcp) => Err(FlashError::Failed {
                     op,
                     address,
                     result,

@@ -1,4 +1,4 @@
-//! Glue for the pins of other drivers' names: runs beside a driver, in its thread.
+//! Computes the pins with other drivers' names from ours; it runs in the driver's thread.
 
 use crate::hal::checked::Watch;
 

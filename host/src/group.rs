@@ -1,10 +1,10 @@
 //! Several boards that are one machine: a stop of one board stops all.
 //!
-//! With a gantry on two boards, or three axes on one board and the fourth on another, an axis that
-//! goes on while another stands is a crash. So a board that is given up, stops by itself or is
-//! halted raises the alarm, and every other board of the group is told to stop softly by its next
-//! command. All reads come before all writes in a servo thread, so that next command is this
-//! period's:
+//! With a gantry on two boards, or three axes on one board and the fourth on another, if an axis
+//! goes on while another has stopped, the machine crashes. So a board that is given up, stops by
+//! itself or is halted raises the alarm, and every other board of the group is told to stop softly
+//! by its next command. All reads come before all writes in a servo thread, so that next command is
+//! this period's:
 //!
 //! ```text
 //!   read.0  read.1  read.2 !      motion      write.0  write.1  write.2

@@ -86,7 +86,7 @@ pub enum ImageError {
         /// Bytes there are.
         found: usize,
     },
-    /// Something is behind its end.
+    /// There is data after its end.
     Longer {
         /// Bytes there should be.
         length: usize,
@@ -211,8 +211,7 @@ impl Image {
 }
 
 impl Image {
-    /// Bytes of the jobs program behind the bitstream; 0 if there is none. The FPGA must not get
-    /// it.
+    /// Bytes of the services after the bitstream; 0 if there are none. The FPGA must not get it.
     pub fn program(&self) -> usize {
         let last = self.bytes.last_chunk::<8>().map(|last| {
             let [a, b, c, d, e, f, g, h] = *last;

@@ -47,7 +47,7 @@ pub enum JtagError {
     },
     /// Another program or driver has it.
     Busy(String),
-    /// No FPGA answers behind the cable.
+    /// No FPGA answers on the cable.
     NoFpga {
         /// The cable's name.
         cable: String,

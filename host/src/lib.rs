@@ -42,7 +42,7 @@
 //! | name | | |
 //! |---|---|---|
 //! | `enable` | bit in | the machine may move; falling stops it softly |
-//! | `enable-request` | bit in | a rising edge arms, if `enable` is true and nothing is in the way |
+//! | `enable-request` | bit in | a rising edge arms, if `enable` is true and no obstacle is left |
 //! | `enabled` | bit out | armed, outputs live; for the E-stop chain |
 //! | `state` | u32 out | [`wire::State`]: 0 boot, 1 disarmed, 2 armed, 3 stopping, 4 faulted |
 //! | `fault-reason` | u32 out | [`wire::FaultReason`]: why it stopped last; 100 + n: because board n did |
@@ -51,6 +51,7 @@
 //! | `refused-total` | u32 out | datagrams the board refused since it started |
 //! | `last-reset-reason` | u32 out | [`wire::ResetReason`]: why the firmware started last |
 //! | `last-gate-close` | u32 out | [`wire::GateClose`]: why the gateware closed the outputs last |
+//! | `services` | u32 out | [`wire::describe::JobsState`]: what became of the board's services; 1: they run |
 //! | `io-error` | bit param | the board was given up, or the driver halted; cleared by arming or by hand |
 //! | `stop-group` | bit param | what stops another board stops this one, and the other way round |
 //! | `probe-input` | s32 param | which input trips the probe latches; -1 for none |
@@ -88,6 +89,7 @@ pub mod job;
 pub mod jtag;
 pub mod keys;
 pub mod link;
+pub mod mdns;
 pub mod module;
 pub mod names;
 #[cfg(feature = "tool")]

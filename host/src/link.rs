@@ -137,7 +137,7 @@ impl Link {
                         return None;
                     }
                 }
-                // "Refused" tells of an earlier datagram; the board may be about to answer this
+                // "Refused" is about an earlier datagram; the board may be about to answer this
                 // one.
                 Err(error)
                     if matches!(
@@ -175,8 +175,8 @@ impl Link {
                     core::ptr::null_mut(),
                 )
             };
-            // Nothing there, or the refusal of an earlier datagram: there may be more behind it
-            // next time.
+            // Nothing there, or the refusal of an earlier datagram: there may be more after it next
+            // time.
             let Ok(taken) = u32::try_from(taken) else {
                 break;
             };

@@ -1,4 +1,4 @@
-//! The realtime module: what `loadrt ferrocnc boards=...` finds in `ferrocnc.so`.
+//! The realtime module: the symbols of `ferrocnc.so` that `loadrt ferrocnc boards=...` needs.
 //!
 //! `rtapi_app` looks up `rtapi_app_main`, `rtapi_app_exit`, and per module parameter a pair of
 //! words saying its type and where it lives. C uses macros for them; here they are written out.

@@ -1,4 +1,4 @@
-//! New settings for a board, by its address or by its unique id.
+//! Writes new settings to a board, found by its address or its unique id.
 //!
 //! Settings that are not named stay: the settings in force are read first, through the flash window
 //! if the board can be reached, otherwise from its answer to discovery. The key is never read and
@@ -35,6 +35,10 @@ pub struct Change {
     pub mac: Option<[u8; 6]>,
     /// Etherbone port.
     pub port: Option<u16>,
+    /// Server for the board's events, 0.0.0.0 for none.
+    pub syslog: Option<Ipv4Addr>,
+    /// Server that knows the time, 0.0.0.0 for none.
+    pub sntp: Option<Ipv4Addr>,
 }
 
 /// Why it did not work; it says what to do.
@@ -45,7 +49,7 @@ pub enum ProvisionError {
     /// The same, and the board may have done what it was told: the question was sent, and no answer
     /// says that it was refused.
     Unsure(FlashError),
-    /// The new key cannot be kept, so the board has not heard of it.
+    /// The new key cannot be stored, so it was not sent to the board.
     Key(KeyError),
     /// Over discovery.
     Discovery(DiscoveryError),
@@ -75,7 +79,7 @@ impl core::fmt::Display for ProvisionError {
             ProvisionError::Flash(error) => write!(f, "{error}"),
             ProvisionError::Unsure(error) => write!(
                 f,
-                "{error}. The board was told and may have saved it: at its next start it may have the new settings or the old ones"
+                "{error}. The request was sent, and the board may have saved it: at its next start it may have the new settings or the old ones"
             ),
             ProvisionError::Key(error) => write!(f, "{error}; nothing was changed"),
             ProvisionError::Discovery(error) => write!(f, "{error}"),
@@ -91,6 +95,8 @@ impl core::fmt::Display for ProvisionError {
                         "this is no MAC address of a single station: its first byte must be even",
                     SettingsError::Value(9) =>
                         "the port must be from 1 to 65535, and not 51234, where boards are found",
+                    SettingsError::Value(22) => "no syslog server can have this address",
+                    SettingsError::Value(23) => "no SNTP server can have this address",
                     SettingsError::Value(_)
                     | SettingsError::Magic
                     | SettingsError::Version(_)
@@ -151,7 +157,8 @@ impl Change {
         if let Some((ip, prefix)) = self.ip {
             settings.ip = ip.into();
             settings.prefix = prefix.unwrap_or(settings.prefix);
-            // An address turns DHCP off, unless DHCP is asked for too: then it is the fallback.
+            // An address turns DHCP off, unless the command also asks for DHCP: then it is the
+            // fallback.
             settings.dhcp = false;
         }
         if let Some(gateway) = self.gateway {
@@ -161,11 +168,13 @@ impl Change {
         settings.name = self.name.unwrap_or(settings.name);
         settings.mac = self.mac.unwrap_or(settings.mac);
         settings.port = self.port.unwrap_or(settings.port);
+        settings.syslog = self.syslog.map_or(settings.syslog, u32::from);
+        settings.sntp = self.sntp.map_or(settings.sntp, u32::from);
         settings.check().map_err(ProvisionError::Settings)?;
         Ok(settings)
     }
 
-    /// Does the board report the settings that were asked for?
+    /// Does the board report the requested settings?
     pub fn is_in_force(&self, settings: &Settings, here: &Here) -> bool {
         let address = settings.dhcp || here.ip == settings.ip;
         let mac = settings.mac == [0; 6] || here.mac == settings.mac;
@@ -173,8 +182,8 @@ impl Change {
     }
 }
 
-/// The settings of a board from its answer to discovery. The answer does not hold net and gateway:
-/// a net of 256 addresses and no gateway are assumed.
+/// The settings of a board from its answer to discovery. The answer does not hold net, gateway and
+/// servers: a net of 256 addresses, and none of the others are assumed.
 pub fn settings_of(found: &Found) -> Settings {
     let here = &found.here;
     Settings {
@@ -372,6 +381,30 @@ mod tests {
                 .apply(&now)
                 .is_ok_and(|s| s.dhcp && s.ip == 0x0a00_0007)
         );
+    }
+
+    #[test]
+    fn servers_are_set_kept_and_removed() {
+        let server = Some(Ipv4Addr::new(192, 168, 2, 1));
+        let both = Change {
+            syslog: server,
+            sntp: server,
+            ..Change::default()
+        };
+        let set = both.apply(&Settings::default()).unwrap();
+        assert_eq!((set.syslog, set.sntp), (0xc0a8_0201, 0xc0a8_0201));
+        let none = Change {
+            syslog: Some(Ipv4Addr::UNSPECIFIED),
+            ..Change::default()
+        };
+        let left = none.apply(&set).unwrap();
+        assert_eq!((left.syslog, left.sntp), (0, 0xc0a8_0201));
+        let loopback = Change {
+            sntp: Some(Ipv4Addr::LOCALHOST),
+            ..Change::default()
+        };
+        let refused = loopback.apply(&set).unwrap_err().to_string();
+        assert!(refused.contains("SNTP"), "{refused}");
     }
 
     #[test]

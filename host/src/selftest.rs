@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 use wire::board::Kind;
 
-/// What a fact is worth.
+/// The verdict on a fact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
     /// As it should be.
@@ -54,7 +54,7 @@ pub struct Finding {
     pub check: String,
     /// What was found.
     pub fact: String,
-    /// What that is worth.
+    /// The verdict on it.
     pub verdict: Verdict,
     /// Why; empty when it is good.
     pub reason: String,

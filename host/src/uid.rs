@@ -1,4 +1,4 @@
-//! The unique id of a board's flash: it identifies a board at any address.
+//! The unique id of a board's flash. It identifies the board at any address.
 
 /// A unique id as people read it: `d162-0c8a-1b2c-3d4e`.
 pub fn uid_text([hi, lo]: [u32; 2]) -> String {

@@ -107,7 +107,7 @@ pub enum UpdateError {
         /// The slot.
         room: u32,
     },
-    /// The slot asked for is the selected one.
+    /// The requested slot is the selected one.
     Selected(Slot),
     /// What was read back is not what was written.
     Differs(u32),
@@ -137,7 +137,7 @@ impl core::fmt::Display for UpdateError {
             ),
             UpdateError::Selected(slot) => write!(
                 f,
-                "slot {slot} is what the board loads at power-up and is never written; leave --slot away, or name slot {}",
+                "slot {slot} is what the board loads at power-up and is never written; leave --slot out, or name slot {}",
                 slot.other()
             ),
             UpdateError::Differs(at) => write!(

@@ -663,6 +663,21 @@ fn the_link_is_shown_as_the_board_sees_it_and_is_down_when_the_board_is_silent()
 }
 
 #[test]
+fn services_that_fail_while_armed_are_shown_and_the_machine_stays_armed() {
+    use wire::describe::JobsState;
+    let mut rig = Rig::new();
+    let services = |rig: &Rig| rig.hal.get::<u32>("ferrocnc.0.services");
+    rig.arm();
+    for state in JobsState::ALL {
+        rig.board.look().knobs.services = Some(*state);
+        rig.run(3);
+        assert_eq!(services(&rig), state.code(), "{state:?}");
+        assert!(rig.enabled(), "{state:?}");
+        assert_eq!(rig.hal.get::<u32>("ferrocnc.0.fault-reason"), 0);
+    }
+}
+
+#[test]
 fn step_and_output_types_are_the_board_files_until_hal_says_otherwise() {
     let rig = Rig::new();
     let stepgen = |name: &str| {

@@ -114,7 +114,7 @@ fn write_unprotects_verifies_and_begins_at_0_with_the_cable_named() {
         std::fs::read(bench.path("mill6.flash")).unwrap()
     );
     let said = bench.answer("fine", &["verify", "mill6.flash"]);
-    assert!(said.contains("holds what the file says"), "{said}");
+    assert!(said.contains("agrees with the file"), "{said}");
 }
 
 #[test]

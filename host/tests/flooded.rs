@@ -1,5 +1,5 @@
-//! Datagrams without end from the board's address: what the servo thread does about them is
-//! bounded, by count and not by clock.
+//! Endless datagrams from the board's address: the work of the servo thread for them has a bound,
+//! in datagrams and not in time.
 
 mod common;
 

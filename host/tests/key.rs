@@ -88,7 +88,7 @@ fn a_client_with_the_key_gets_the_session_and_can_give_it_back() {
     assert!(board.look().owner.is_some());
     assert!(client.key().is_some());
     client.release(&session);
-    // The answer to anything is behind the release.
+    // The answer comes after the release.
     client.read(&[map::SESSION_TOKEN]).unwrap();
     assert!(board.look().owner.is_none());
 }
@@ -349,7 +349,7 @@ fn a_key_that_a_board_may_have_since_an_earlier_try_is_kept_when_a_later_one_is_
 fn a_tool_killed_while_the_board_saves_leaves_the_key_on_the_disk() {
     let (board, home) = (board(), home("killed"));
     let at = board.text();
-    // It saves for longer than the tool lives.
+    // It saves for longer than the tool runs.
     board.look().flash.looks = u32::MAX;
     let mut tool = Command::new(env!("CARGO_BIN_EXE_ferrocnc"))
         .args(["key", "new", &at])

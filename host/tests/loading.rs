@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 const LOCKSTEP: Time = Time::Lockstep(60_000);
 
-/// Everything `loadrt` asks a board before HAL hears of it.
+/// All requests of `loadrt` to a board before it exports anything to HAL.
 fn connect(address: &str) -> Result<Identity, String> {
     let address = address::parse(address, wire::DEFAULT_PORT).map_err(|e| e.to_string())?;
     let text = |error: ferrocnc::client::ClientError| error.to_string();

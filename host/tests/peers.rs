@@ -235,7 +235,7 @@ fn read_errors_fall_again_and_so_does_comm_timeout() {
     assert!(rig.hal.get::<u32>("test.communications.total-read-errors") >= 5);
 }
 
-/// LiteX-CNC: the stepgen's `enable` is exported and goes nowhere.
+/// LiteX-CNC: the stepgen's `enable` is exported and has no effect.
 #[test]
 fn the_enable_pin_stops_its_axis() {
     let mut rig = Rig::named(&Scheme::LitexCnc(vec!["test".to_owned()]));
@@ -278,7 +278,7 @@ fn a_timing_that_is_too_long_changes_no_other() {
     }
 }
 
-/// LiteX-CNC: `dither-pwm` is exported and goes nowhere.
+/// LiteX-CNC: `dither-pwm` is exported and has no effect.
 #[test]
 fn dither_reaches_the_gateware() {
     let mut hal = FakeHal::new();

@@ -149,7 +149,7 @@ fn settings_over_the_address_are_saved_with_the_key_kept_and_the_board_starts_an
         assert_eq!(mind.flash.settings.mac, [0; 6], "made from the id, not set");
         assert!(mind.boot_id > boots);
     }
-    // It wants its key from now on; with the factory pin held it does not.
+    // From now on the board requires its key; with the factory pin held it does not.
     let said = provision::forget_at(client(&board).with_keys(Keys::File("/none".into())));
     assert!(said.unwrap_err().to_string().contains("wants a key"));
     board.look().key = None;

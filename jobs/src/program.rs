@@ -1,5 +1,5 @@
-//! The source of instructions: a job in the store, or the few instructions of homing. Some can be
-//! inserted in front.
+//! The source of instructions: a job in the store, or the few instructions of homing. Instructions
+//! can be inserted before its next one.
 
 use crate::instruction::Instruction;
 use crate::job::Pull;

@@ -1,4 +1,4 @@
-//! Answers clients' requests: `wire::jobs`.
+//! Answers the requests of clients, as `wire::jobs` specifies.
 //!
 //! Requests come as bytes in pieces of any size; each is answered before the next is read. A
 //! request that is repeated with the same client's last id gets the same bytes again. A commit
@@ -26,7 +26,7 @@ pub struct JobServer {
     key: bool,
     request: [u8; FRAME],
     have: usize,
-    /// The current request waits for its answer, and was counted as heard before.
+    /// The current request waits for its answer; it has already restarted the time of silence.
     waits: bool,
     /// The client that spoke last, over this connection or an earlier one.
     client: u32,
@@ -45,7 +45,7 @@ pub struct JobServer {
 pub trait Answer {
     /// Appends bytes of an answer.
     fn put(&mut self, bytes: &[u8]);
-    /// Ends the connection behind them.
+    /// Ends the connection after them.
     fn close(&mut self);
 }
 
@@ -215,7 +215,7 @@ impl<O: Outside> RequestContext<'_, '_, O> {
     }
 
     /// A client that only looks or halts, or is refused, while the request of another one may come
-    /// again: that one stays the last, or its start would be acted on twice, behind a stop.
+    /// again: that one stays the last, or its start would be executed twice, after a stop.
     fn passes(&self, frame: &Frame, status: Status) -> bool {
         let anothers = |(client, ..): (u32, u8, u16)| client != self.server.client;
         let harmless = match Request::parse(frame) {

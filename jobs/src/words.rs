@@ -2,7 +2,7 @@
 //! the status word.
 //!
 //! An instruction counts when its last word has come, as there; words may come one by one or many
-//! at once. Those of one that is refused are gone, those that came behind them in the same request,
+//! at once. Those of one that is refused are gone, those that came after them in the same request,
 //! too.
 //!
 //! An instruction is of one client and in one form. Words of another client, or in the other form,

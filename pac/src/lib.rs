@@ -1011,14 +1011,14 @@ pub mod ctrl {
         impl crate::Resettable for BusErrorsSpec {}
     }
 }
-#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values."]
+#[doc = "LiteEth's MAC: four receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values."]
 pub type Ethmac = crate::Periph<ethmac::RegisterBlock, 0xf000_1800>;
 impl core::fmt::Debug for Ethmac {
     fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
         f.debug_struct("Ethmac").finish()
     }
 }
-#[doc = "LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values."]
+#[doc = "LiteEth's MAC: four receive and two transmit slots of 2 KiB at 0x80000000, in network order: a word reads as on the wire. A frame begins two bytes into its slot, and the length registers count them. Write the transmit slots in whole words: a byte or halfword store is lost, and reads return undefined values."]
 pub mod ethmac {
     #[repr(C)]
     #[doc = "Register block"]
@@ -2181,6 +2181,9 @@ pub mod timebase {
         status: Status,
         eth_beats: EthBeats,
         leash: Leash,
+        guard: Guard,
+        guard_status: GuardStatus,
+        guard_at: GuardAt,
     }
     impl RegisterBlock {
         #[doc = "0x00 - Low word of the wall clock, in clocks since power-up, as caught by the last write to `snapshot`."]
@@ -2237,6 +2240,21 @@ pub mod timebase {
         #[inline(always)]
         pub const fn leash(&self) -> &Leash {
             &self.leash
+        }
+        #[doc = "0x2c - The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`, `snapshot`, this register and the first bytes of the RAM; any other one, and a read where there is nothing, is answered, has no effect and interrupts as the leash does."]
+        #[inline(always)]
+        pub const fn guard(&self) -> &Guard {
+            &self.guard
+        }
+        #[doc = "0x30 - State of the guard."]
+        #[inline(always)]
+        pub const fn guard_status(&self) -> &GuardStatus {
+            &self.guard_status
+        }
+        #[doc = "0x34 - Address of the first access the guard has refused; anything if there was none."]
+        #[inline(always)]
+        pub const fn guard_at(&self) -> &GuardAt {
+            &self.guard_at
         }
     }
     #[doc = "NOW_LO (r) register accessor: Low word of the wall clock, in clocks since power-up, as caught by the last write to `snapshot`.\n\nYou can [`read`](crate::Reg::read) this register and get [`now_lo::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@now_lo`] module"]
@@ -2524,6 +2542,117 @@ pub mod timebase {
         }
         #[doc = "`reset()` method sets LEASH to value 0"]
         impl crate::Resettable for LeashSpec {}
+    }
+    #[doc = "GUARD (w) register accessor: The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`, `snapshot`, this register and the first bytes of the RAM; any other one, and a read where there is nothing, is answered, has no effect and interrupts as the leash does.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`guard::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@guard`] module"]
+    #[doc(alias = "GUARD")]
+    pub type Guard = crate::Reg<guard::GuardSpec>;
+    #[doc = "The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`, `snapshot`, this register and the first bytes of the RAM; any other one, and a read where there is nothing, is answered, has no effect and interrupts as the leash does."]
+    pub mod guard {
+        #[doc = "Register `GUARD` writer"]
+        pub type W = crate::W<GuardSpec>;
+        #[doc = "The key word opens it, any other word closes it.\n\nValue on reset: 0"]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[repr(u32)]
+        pub enum Key {
+            #[doc = "1330662945: Open it."]
+            Open = 1330662945,
+        }
+        impl From<Key> for u32 {
+            #[inline(always)]
+            fn from(variant: Key) -> Self {
+                variant as _
+            }
+        }
+        impl crate::FieldSpec for Key {
+            type Ux = u32;
+        }
+        impl crate::IsEnum for Key {}
+        #[doc = "Field `key` writer - The key word opens it, any other word closes it."]
+        pub type KeyW<'a, REG> = crate::FieldWriter<'a, REG, 32, Key>;
+        impl<'a, REG> KeyW<'a, REG>
+        where
+            REG: crate::Writable + crate::RegisterSpec,
+            REG::Ux: From<u32>,
+        {
+            #[doc = "Open it."]
+            #[inline(always)]
+            pub fn open(self) -> &'a mut crate::W<REG> {
+                self.variant(Key::Open)
+            }
+        }
+        impl W {
+            #[doc = "Bits 0:31 - The key word opens it, any other word closes it."]
+            #[inline(always)]
+            pub fn key(&mut self) -> KeyW<'_, GuardSpec> {
+                KeyW::new(self, 0)
+            }
+        }
+        #[doc = "The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`, `snapshot`, this register and the first bytes of the RAM; any other one, and a read where there is nothing, is answered, has no effect and interrupts as the leash does.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`guard::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct GuardSpec;
+        impl crate::RegisterSpec for GuardSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`guard::W`](W) writer structure"]
+        impl crate::Writable for GuardSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets GUARD to value 0"]
+        impl crate::Resettable for GuardSpec {}
+    }
+    #[doc = "GUARD_STATUS (r) register accessor: State of the guard.\n\nYou can [`read`](crate::Reg::read) this register and get [`guard_status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@guard_status`] module"]
+    #[doc(alias = "GUARD_STATUS")]
+    pub type GuardStatus = crate::Reg<guard_status::GuardStatusSpec>;
+    #[doc = "State of the guard."]
+    pub mod guard_status {
+        #[doc = "Register `GUARD_STATUS` reader"]
+        pub type R = crate::R<GuardStatusSpec>;
+        #[doc = "Field `closed` reader - 1: it is closed."]
+        pub type ClosedR = crate::BitReader;
+        #[doc = "Field `refused` reader - 1: it has refused an access since it was closed last."]
+        pub type RefusedR = crate::BitReader;
+        impl R {
+            #[doc = "Bit 0 - 1: it is closed."]
+            #[inline(always)]
+            pub fn closed(&self) -> ClosedR {
+                ClosedR::new((self.bits & 1) != 0)
+            }
+            #[doc = "Bit 31 - 1: it has refused an access since it was closed last."]
+            #[inline(always)]
+            pub fn refused(&self) -> RefusedR {
+                RefusedR::new(((self.bits >> 31) & 1) != 0)
+            }
+        }
+        #[doc = "State of the guard.\n\nYou can [`read`](crate::Reg::read) this register and get [`guard_status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct GuardStatusSpec;
+        impl crate::RegisterSpec for GuardStatusSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`guard_status::R`](R) reader structure"]
+        impl crate::Readable for GuardStatusSpec {}
+        #[doc = "`reset()` method sets GUARD_STATUS to value 0"]
+        impl crate::Resettable for GuardStatusSpec {}
+    }
+    #[doc = "GUARD_AT (r) register accessor: Address of the first access the guard has refused; anything if there was none.\n\nYou can [`read`](crate::Reg::read) this register and get [`guard_at::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@guard_at`] module"]
+    #[doc(alias = "GUARD_AT")]
+    pub type GuardAt = crate::Reg<guard_at::GuardAtSpec>;
+    #[doc = "Address of the first access the guard has refused; anything if there was none."]
+    pub mod guard_at {
+        #[doc = "Register `GUARD_AT` reader"]
+        pub type R = crate::R<GuardAtSpec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Address of the first access the guard has refused; anything if there was none.\n\nYou can [`read`](crate::Reg::read) this register and get [`guard_at::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct GuardAtSpec;
+        impl crate::RegisterSpec for GuardAtSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`guard_at::R`](R) reader structure"]
+        impl crate::Readable for GuardAtSpec {}
+        #[doc = "`reset()` method sets GUARD_AT to value 0"]
+        impl crate::Resettable for GuardAtSpec {}
     }
 }
 #[doc = "The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no CPU."]
@@ -5107,7 +5236,7 @@ pub mod command {
         pub const fn probe_arms(&self) -> &ProbeArms {
             &self.probe_arms
         }
-        #[doc = "0x10 - Signed step rate of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x10 - Signed velocity of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen0_velocity(&self) -> &Stepgen0Velocity {
             &self.stepgen0_velocity
@@ -5117,7 +5246,7 @@ pub mod command {
         pub const fn stepgen0_accel(&self) -> &Stepgen0Accel {
             &self.stepgen0_accel
         }
-        #[doc = "0x18 - Signed step rate of step generator 1; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x18 - Signed velocity of step generator 1; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen1_velocity(&self) -> &Stepgen1Velocity {
             &self.stepgen1_velocity
@@ -5127,7 +5256,7 @@ pub mod command {
         pub const fn stepgen1_accel(&self) -> &Stepgen1Accel {
             &self.stepgen1_accel
         }
-        #[doc = "0x20 - Signed step rate of step generator 2; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x20 - Signed velocity of step generator 2; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen2_velocity(&self) -> &Stepgen2Velocity {
             &self.stepgen2_velocity
@@ -5137,7 +5266,7 @@ pub mod command {
         pub const fn stepgen2_accel(&self) -> &Stepgen2Accel {
             &self.stepgen2_accel
         }
-        #[doc = "0x28 - Signed step rate of step generator 3; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x28 - Signed velocity of step generator 3; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen3_velocity(&self) -> &Stepgen3Velocity {
             &self.stepgen3_velocity
@@ -5147,7 +5276,7 @@ pub mod command {
         pub const fn stepgen3_accel(&self) -> &Stepgen3Accel {
             &self.stepgen3_accel
         }
-        #[doc = "0x30 - Signed step rate of step generator 4; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x30 - Signed velocity of step generator 4; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen4_velocity(&self) -> &Stepgen4Velocity {
             &self.stepgen4_velocity
@@ -5157,7 +5286,7 @@ pub mod command {
         pub const fn stepgen4_accel(&self) -> &Stepgen4Accel {
             &self.stepgen4_accel
         }
-        #[doc = "0x38 - Signed step rate of step generator 5; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x38 - Signed velocity of step generator 5; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen5_velocity(&self) -> &Stepgen5Velocity {
             &self.stepgen5_velocity
@@ -5167,7 +5296,7 @@ pub mod command {
         pub const fn stepgen5_accel(&self) -> &Stepgen5Accel {
             &self.stepgen5_accel
         }
-        #[doc = "0x40 - Signed step rate of step generator 6; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x40 - Signed velocity of step generator 6; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen6_velocity(&self) -> &Stepgen6Velocity {
             &self.stepgen6_velocity
@@ -5177,7 +5306,7 @@ pub mod command {
         pub const fn stepgen6_accel(&self) -> &Stepgen6Accel {
             &self.stepgen6_accel
         }
-        #[doc = "0x48 - Signed step rate of step generator 7; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x48 - Signed velocity of step generator 7; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen7_velocity(&self) -> &Stepgen7Velocity {
             &self.stepgen7_velocity
@@ -5187,7 +5316,7 @@ pub mod command {
         pub const fn stepgen7_accel(&self) -> &Stepgen7Accel {
             &self.stepgen7_accel
         }
-        #[doc = "0x50 - Signed step rate of step generator 8; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x50 - Signed velocity of step generator 8; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen8_velocity(&self) -> &Stepgen8Velocity {
             &self.stepgen8_velocity
@@ -5197,7 +5326,7 @@ pub mod command {
         pub const fn stepgen8_accel(&self) -> &Stepgen8Accel {
             &self.stepgen8_accel
         }
-        #[doc = "0x58 - Signed step rate of step generator 9; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x58 - Signed velocity of step generator 9; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen9_velocity(&self) -> &Stepgen9Velocity {
             &self.stepgen9_velocity
@@ -5207,7 +5336,7 @@ pub mod command {
         pub const fn stepgen9_accel(&self) -> &Stepgen9Accel {
             &self.stepgen9_accel
         }
-        #[doc = "0x60 - Signed step rate of step generator 10; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x60 - Signed velocity of step generator 10; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen10_velocity(&self) -> &Stepgen10Velocity {
             &self.stepgen10_velocity
@@ -5217,7 +5346,7 @@ pub mod command {
         pub const fn stepgen10_accel(&self) -> &Stepgen10Accel {
             &self.stepgen10_accel
         }
-        #[doc = "0x68 - Signed step rate of step generator 11; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x68 - Signed velocity of step generator 11; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen11_velocity(&self) -> &Stepgen11Velocity {
             &self.stepgen11_velocity
@@ -5227,7 +5356,7 @@ pub mod command {
         pub const fn stepgen11_accel(&self) -> &Stepgen11Accel {
             &self.stepgen11_accel
         }
-        #[doc = "0x70 - Signed step rate of step generator 12; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x70 - Signed velocity of step generator 12; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen12_velocity(&self) -> &Stepgen12Velocity {
             &self.stepgen12_velocity
@@ -5237,7 +5366,7 @@ pub mod command {
         pub const fn stepgen12_accel(&self) -> &Stepgen12Accel {
             &self.stepgen12_accel
         }
-        #[doc = "0x78 - Signed step rate of step generator 13; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x78 - Signed velocity of step generator 13; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen13_velocity(&self) -> &Stepgen13Velocity {
             &self.stepgen13_velocity
@@ -5247,7 +5376,7 @@ pub mod command {
         pub const fn stepgen13_accel(&self) -> &Stepgen13Accel {
             &self.stepgen13_accel
         }
-        #[doc = "0x80 - Signed step rate of step generator 14; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x80 - Signed velocity of step generator 14; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen14_velocity(&self) -> &Stepgen14Velocity {
             &self.stepgen14_velocity
@@ -5257,7 +5386,7 @@ pub mod command {
         pub const fn stepgen14_accel(&self) -> &Stepgen14Accel {
             &self.stepgen14_accel
         }
-        #[doc = "0x88 - Signed step rate of step generator 15; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+        #[doc = "0x88 - Signed velocity of step generator 15; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
         #[inline(always)]
         pub const fn stepgen15_velocity(&self) -> &Stepgen15Velocity {
             &self.stepgen15_velocity
@@ -5528,10 +5657,10 @@ pub mod command {
         #[doc = "`reset()` method sets PROBE_ARMS to value 0"]
         impl crate::Resettable for ProbeArmsSpec {}
     }
-    #[doc = "STEPGEN0_VELOCITY (rw) register accessor: Signed step rate of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen0_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen0_velocity`] module"]
+    #[doc = "STEPGEN0_VELOCITY (rw) register accessor: Signed velocity of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen0_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen0_velocity`] module"]
     #[doc(alias = "STEPGEN0_VELOCITY")]
     pub type Stepgen0Velocity = crate::Reg<stepgen0_velocity::Stepgen0VelocitySpec>;
-    #[doc = "Signed step rate of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen0_velocity {
         #[doc = "Register `STEPGEN0_VELOCITY` reader"]
         pub type R = crate::R<Stepgen0VelocitySpec>;
@@ -5543,7 +5672,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen0_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen0_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen0VelocitySpec;
         impl crate::RegisterSpec for Stepgen0VelocitySpec {
             type Ux = u32;
@@ -5586,10 +5715,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN0_ACCEL to value 0"]
         impl crate::Resettable for Stepgen0AccelSpec {}
     }
-    #[doc = "STEPGEN1_VELOCITY (rw) register accessor: Signed step rate of step generator 1; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen1_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen1_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen1_velocity`] module"]
+    #[doc = "STEPGEN1_VELOCITY (rw) register accessor: Signed velocity of step generator 1; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen1_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen1_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen1_velocity`] module"]
     #[doc(alias = "STEPGEN1_VELOCITY")]
     pub type Stepgen1Velocity = crate::Reg<stepgen1_velocity::Stepgen1VelocitySpec>;
-    #[doc = "Signed step rate of step generator 1; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 1; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen1_velocity {
         #[doc = "Register `STEPGEN1_VELOCITY` reader"]
         pub type R = crate::R<Stepgen1VelocitySpec>;
@@ -5601,7 +5730,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 1; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen1_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen1_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 1; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen1_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen1_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen1VelocitySpec;
         impl crate::RegisterSpec for Stepgen1VelocitySpec {
             type Ux = u32;
@@ -5644,10 +5773,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN1_ACCEL to value 0"]
         impl crate::Resettable for Stepgen1AccelSpec {}
     }
-    #[doc = "STEPGEN2_VELOCITY (rw) register accessor: Signed step rate of step generator 2; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen2_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen2_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen2_velocity`] module"]
+    #[doc = "STEPGEN2_VELOCITY (rw) register accessor: Signed velocity of step generator 2; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen2_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen2_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen2_velocity`] module"]
     #[doc(alias = "STEPGEN2_VELOCITY")]
     pub type Stepgen2Velocity = crate::Reg<stepgen2_velocity::Stepgen2VelocitySpec>;
-    #[doc = "Signed step rate of step generator 2; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 2; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen2_velocity {
         #[doc = "Register `STEPGEN2_VELOCITY` reader"]
         pub type R = crate::R<Stepgen2VelocitySpec>;
@@ -5659,7 +5788,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 2; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen2_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen2_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 2; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen2_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen2_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen2VelocitySpec;
         impl crate::RegisterSpec for Stepgen2VelocitySpec {
             type Ux = u32;
@@ -5702,10 +5831,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN2_ACCEL to value 0"]
         impl crate::Resettable for Stepgen2AccelSpec {}
     }
-    #[doc = "STEPGEN3_VELOCITY (rw) register accessor: Signed step rate of step generator 3; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen3_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen3_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen3_velocity`] module"]
+    #[doc = "STEPGEN3_VELOCITY (rw) register accessor: Signed velocity of step generator 3; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen3_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen3_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen3_velocity`] module"]
     #[doc(alias = "STEPGEN3_VELOCITY")]
     pub type Stepgen3Velocity = crate::Reg<stepgen3_velocity::Stepgen3VelocitySpec>;
-    #[doc = "Signed step rate of step generator 3; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 3; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen3_velocity {
         #[doc = "Register `STEPGEN3_VELOCITY` reader"]
         pub type R = crate::R<Stepgen3VelocitySpec>;
@@ -5717,7 +5846,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 3; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen3_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen3_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 3; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen3_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen3_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen3VelocitySpec;
         impl crate::RegisterSpec for Stepgen3VelocitySpec {
             type Ux = u32;
@@ -5760,10 +5889,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN3_ACCEL to value 0"]
         impl crate::Resettable for Stepgen3AccelSpec {}
     }
-    #[doc = "STEPGEN4_VELOCITY (rw) register accessor: Signed step rate of step generator 4; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen4_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen4_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen4_velocity`] module"]
+    #[doc = "STEPGEN4_VELOCITY (rw) register accessor: Signed velocity of step generator 4; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen4_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen4_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen4_velocity`] module"]
     #[doc(alias = "STEPGEN4_VELOCITY")]
     pub type Stepgen4Velocity = crate::Reg<stepgen4_velocity::Stepgen4VelocitySpec>;
-    #[doc = "Signed step rate of step generator 4; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 4; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen4_velocity {
         #[doc = "Register `STEPGEN4_VELOCITY` reader"]
         pub type R = crate::R<Stepgen4VelocitySpec>;
@@ -5775,7 +5904,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 4; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen4_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen4_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 4; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen4_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen4_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen4VelocitySpec;
         impl crate::RegisterSpec for Stepgen4VelocitySpec {
             type Ux = u32;
@@ -5818,10 +5947,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN4_ACCEL to value 0"]
         impl crate::Resettable for Stepgen4AccelSpec {}
     }
-    #[doc = "STEPGEN5_VELOCITY (rw) register accessor: Signed step rate of step generator 5; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen5_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen5_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen5_velocity`] module"]
+    #[doc = "STEPGEN5_VELOCITY (rw) register accessor: Signed velocity of step generator 5; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen5_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen5_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen5_velocity`] module"]
     #[doc(alias = "STEPGEN5_VELOCITY")]
     pub type Stepgen5Velocity = crate::Reg<stepgen5_velocity::Stepgen5VelocitySpec>;
-    #[doc = "Signed step rate of step generator 5; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 5; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen5_velocity {
         #[doc = "Register `STEPGEN5_VELOCITY` reader"]
         pub type R = crate::R<Stepgen5VelocitySpec>;
@@ -5833,7 +5962,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 5; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen5_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen5_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 5; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen5_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen5_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen5VelocitySpec;
         impl crate::RegisterSpec for Stepgen5VelocitySpec {
             type Ux = u32;
@@ -5876,10 +6005,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN5_ACCEL to value 0"]
         impl crate::Resettable for Stepgen5AccelSpec {}
     }
-    #[doc = "STEPGEN6_VELOCITY (rw) register accessor: Signed step rate of step generator 6; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen6_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen6_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen6_velocity`] module"]
+    #[doc = "STEPGEN6_VELOCITY (rw) register accessor: Signed velocity of step generator 6; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen6_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen6_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen6_velocity`] module"]
     #[doc(alias = "STEPGEN6_VELOCITY")]
     pub type Stepgen6Velocity = crate::Reg<stepgen6_velocity::Stepgen6VelocitySpec>;
-    #[doc = "Signed step rate of step generator 6; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 6; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen6_velocity {
         #[doc = "Register `STEPGEN6_VELOCITY` reader"]
         pub type R = crate::R<Stepgen6VelocitySpec>;
@@ -5891,7 +6020,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 6; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen6_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen6_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 6; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen6_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen6_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen6VelocitySpec;
         impl crate::RegisterSpec for Stepgen6VelocitySpec {
             type Ux = u32;
@@ -5934,10 +6063,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN6_ACCEL to value 0"]
         impl crate::Resettable for Stepgen6AccelSpec {}
     }
-    #[doc = "STEPGEN7_VELOCITY (rw) register accessor: Signed step rate of step generator 7; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen7_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen7_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen7_velocity`] module"]
+    #[doc = "STEPGEN7_VELOCITY (rw) register accessor: Signed velocity of step generator 7; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen7_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen7_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen7_velocity`] module"]
     #[doc(alias = "STEPGEN7_VELOCITY")]
     pub type Stepgen7Velocity = crate::Reg<stepgen7_velocity::Stepgen7VelocitySpec>;
-    #[doc = "Signed step rate of step generator 7; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 7; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen7_velocity {
         #[doc = "Register `STEPGEN7_VELOCITY` reader"]
         pub type R = crate::R<Stepgen7VelocitySpec>;
@@ -5949,7 +6078,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 7; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen7_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen7_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 7; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen7_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen7_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen7VelocitySpec;
         impl crate::RegisterSpec for Stepgen7VelocitySpec {
             type Ux = u32;
@@ -5992,10 +6121,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN7_ACCEL to value 0"]
         impl crate::Resettable for Stepgen7AccelSpec {}
     }
-    #[doc = "STEPGEN8_VELOCITY (rw) register accessor: Signed step rate of step generator 8; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen8_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen8_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen8_velocity`] module"]
+    #[doc = "STEPGEN8_VELOCITY (rw) register accessor: Signed velocity of step generator 8; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen8_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen8_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen8_velocity`] module"]
     #[doc(alias = "STEPGEN8_VELOCITY")]
     pub type Stepgen8Velocity = crate::Reg<stepgen8_velocity::Stepgen8VelocitySpec>;
-    #[doc = "Signed step rate of step generator 8; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 8; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen8_velocity {
         #[doc = "Register `STEPGEN8_VELOCITY` reader"]
         pub type R = crate::R<Stepgen8VelocitySpec>;
@@ -6007,7 +6136,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 8; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen8_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen8_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 8; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen8_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen8_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen8VelocitySpec;
         impl crate::RegisterSpec for Stepgen8VelocitySpec {
             type Ux = u32;
@@ -6050,10 +6179,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN8_ACCEL to value 0"]
         impl crate::Resettable for Stepgen8AccelSpec {}
     }
-    #[doc = "STEPGEN9_VELOCITY (rw) register accessor: Signed step rate of step generator 9; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen9_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen9_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen9_velocity`] module"]
+    #[doc = "STEPGEN9_VELOCITY (rw) register accessor: Signed velocity of step generator 9; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen9_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen9_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen9_velocity`] module"]
     #[doc(alias = "STEPGEN9_VELOCITY")]
     pub type Stepgen9Velocity = crate::Reg<stepgen9_velocity::Stepgen9VelocitySpec>;
-    #[doc = "Signed step rate of step generator 9; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 9; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen9_velocity {
         #[doc = "Register `STEPGEN9_VELOCITY` reader"]
         pub type R = crate::R<Stepgen9VelocitySpec>;
@@ -6065,7 +6194,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 9; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen9_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen9_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 9; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen9_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen9_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen9VelocitySpec;
         impl crate::RegisterSpec for Stepgen9VelocitySpec {
             type Ux = u32;
@@ -6108,10 +6237,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN9_ACCEL to value 0"]
         impl crate::Resettable for Stepgen9AccelSpec {}
     }
-    #[doc = "STEPGEN10_VELOCITY (rw) register accessor: Signed step rate of step generator 10; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen10_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen10_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen10_velocity`] module"]
+    #[doc = "STEPGEN10_VELOCITY (rw) register accessor: Signed velocity of step generator 10; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen10_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen10_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen10_velocity`] module"]
     #[doc(alias = "STEPGEN10_VELOCITY")]
     pub type Stepgen10Velocity = crate::Reg<stepgen10_velocity::Stepgen10VelocitySpec>;
-    #[doc = "Signed step rate of step generator 10; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 10; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen10_velocity {
         #[doc = "Register `STEPGEN10_VELOCITY` reader"]
         pub type R = crate::R<Stepgen10VelocitySpec>;
@@ -6123,7 +6252,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 10; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen10_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen10_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 10; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen10_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen10_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen10VelocitySpec;
         impl crate::RegisterSpec for Stepgen10VelocitySpec {
             type Ux = u32;
@@ -6166,10 +6295,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN10_ACCEL to value 0"]
         impl crate::Resettable for Stepgen10AccelSpec {}
     }
-    #[doc = "STEPGEN11_VELOCITY (rw) register accessor: Signed step rate of step generator 11; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen11_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen11_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen11_velocity`] module"]
+    #[doc = "STEPGEN11_VELOCITY (rw) register accessor: Signed velocity of step generator 11; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen11_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen11_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen11_velocity`] module"]
     #[doc(alias = "STEPGEN11_VELOCITY")]
     pub type Stepgen11Velocity = crate::Reg<stepgen11_velocity::Stepgen11VelocitySpec>;
-    #[doc = "Signed step rate of step generator 11; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 11; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen11_velocity {
         #[doc = "Register `STEPGEN11_VELOCITY` reader"]
         pub type R = crate::R<Stepgen11VelocitySpec>;
@@ -6181,7 +6310,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 11; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen11_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen11_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 11; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen11_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen11_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen11VelocitySpec;
         impl crate::RegisterSpec for Stepgen11VelocitySpec {
             type Ux = u32;
@@ -6224,10 +6353,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN11_ACCEL to value 0"]
         impl crate::Resettable for Stepgen11AccelSpec {}
     }
-    #[doc = "STEPGEN12_VELOCITY (rw) register accessor: Signed step rate of step generator 12; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen12_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen12_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen12_velocity`] module"]
+    #[doc = "STEPGEN12_VELOCITY (rw) register accessor: Signed velocity of step generator 12; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen12_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen12_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen12_velocity`] module"]
     #[doc(alias = "STEPGEN12_VELOCITY")]
     pub type Stepgen12Velocity = crate::Reg<stepgen12_velocity::Stepgen12VelocitySpec>;
-    #[doc = "Signed step rate of step generator 12; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 12; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen12_velocity {
         #[doc = "Register `STEPGEN12_VELOCITY` reader"]
         pub type R = crate::R<Stepgen12VelocitySpec>;
@@ -6239,7 +6368,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 12; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen12_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen12_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 12; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen12_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen12_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen12VelocitySpec;
         impl crate::RegisterSpec for Stepgen12VelocitySpec {
             type Ux = u32;
@@ -6282,10 +6411,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN12_ACCEL to value 0"]
         impl crate::Resettable for Stepgen12AccelSpec {}
     }
-    #[doc = "STEPGEN13_VELOCITY (rw) register accessor: Signed step rate of step generator 13; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen13_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen13_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen13_velocity`] module"]
+    #[doc = "STEPGEN13_VELOCITY (rw) register accessor: Signed velocity of step generator 13; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen13_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen13_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen13_velocity`] module"]
     #[doc(alias = "STEPGEN13_VELOCITY")]
     pub type Stepgen13Velocity = crate::Reg<stepgen13_velocity::Stepgen13VelocitySpec>;
-    #[doc = "Signed step rate of step generator 13; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 13; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen13_velocity {
         #[doc = "Register `STEPGEN13_VELOCITY` reader"]
         pub type R = crate::R<Stepgen13VelocitySpec>;
@@ -6297,7 +6426,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 13; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen13_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen13_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 13; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen13_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen13_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen13VelocitySpec;
         impl crate::RegisterSpec for Stepgen13VelocitySpec {
             type Ux = u32;
@@ -6340,10 +6469,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN13_ACCEL to value 0"]
         impl crate::Resettable for Stepgen13AccelSpec {}
     }
-    #[doc = "STEPGEN14_VELOCITY (rw) register accessor: Signed step rate of step generator 14; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen14_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen14_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen14_velocity`] module"]
+    #[doc = "STEPGEN14_VELOCITY (rw) register accessor: Signed velocity of step generator 14; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen14_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen14_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen14_velocity`] module"]
     #[doc(alias = "STEPGEN14_VELOCITY")]
     pub type Stepgen14Velocity = crate::Reg<stepgen14_velocity::Stepgen14VelocitySpec>;
-    #[doc = "Signed step rate of step generator 14; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 14; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen14_velocity {
         #[doc = "Register `STEPGEN14_VELOCITY` reader"]
         pub type R = crate::R<Stepgen14VelocitySpec>;
@@ -6355,7 +6484,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 14; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen14_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen14_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 14; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen14_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen14_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen14VelocitySpec;
         impl crate::RegisterSpec for Stepgen14VelocitySpec {
             type Ux = u32;
@@ -6398,10 +6527,10 @@ pub mod command {
         #[doc = "`reset()` method sets STEPGEN14_ACCEL to value 0"]
         impl crate::Resettable for Stepgen14AccelSpec {}
     }
-    #[doc = "STEPGEN15_VELOCITY (rw) register accessor: Signed step rate of step generator 15; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen15_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen15_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen15_velocity`] module"]
+    #[doc = "STEPGEN15_VELOCITY (rw) register accessor: Signed velocity of step generator 15; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen15_velocity::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen15_velocity::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen15_velocity`] module"]
     #[doc(alias = "STEPGEN15_VELOCITY")]
     pub type Stepgen15Velocity = crate::Reg<stepgen15_velocity::Stepgen15VelocitySpec>;
-    #[doc = "Signed step rate of step generator 15; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
+    #[doc = "Signed velocity of step generator 15; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1)."]
     pub mod stepgen15_velocity {
         #[doc = "Register `STEPGEN15_VELOCITY` reader"]
         pub type R = crate::R<Stepgen15VelocitySpec>;
@@ -6413,7 +6542,7 @@ pub mod command {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 15; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen15_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen15_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 15; one unit is f_clk / 2^32 steps per second. Staged until the commit strobe; -2^31 is taken as -(2^31-1).\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen15_velocity::R`](R). You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`stepgen15_velocity::W`](W). You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen15VelocitySpec;
         impl crate::RegisterSpec for Stepgen15VelocitySpec {
             type Ux = u32;
@@ -7745,7 +7874,7 @@ pub mod status {
         pub const fn stepgen0_position_hi(&self) -> &Stepgen0PositionHi {
             &self.stepgen0_position_hi
         }
-        #[doc = "0x28 - Step rate of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x28 - Velocity of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen0_velocity(&self) -> &Stepgen0Velocity {
             &self.stepgen0_velocity
@@ -7760,7 +7889,7 @@ pub mod status {
         pub const fn stepgen1_position_hi(&self) -> &Stepgen1PositionHi {
             &self.stepgen1_position_hi
         }
-        #[doc = "0x34 - Step rate of step generator 1 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x34 - Velocity of step generator 1 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen1_velocity(&self) -> &Stepgen1Velocity {
             &self.stepgen1_velocity
@@ -7775,7 +7904,7 @@ pub mod status {
         pub const fn stepgen2_position_hi(&self) -> &Stepgen2PositionHi {
             &self.stepgen2_position_hi
         }
-        #[doc = "0x40 - Step rate of step generator 2 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x40 - Velocity of step generator 2 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen2_velocity(&self) -> &Stepgen2Velocity {
             &self.stepgen2_velocity
@@ -7790,7 +7919,7 @@ pub mod status {
         pub const fn stepgen3_position_hi(&self) -> &Stepgen3PositionHi {
             &self.stepgen3_position_hi
         }
-        #[doc = "0x4c - Step rate of step generator 3 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x4c - Velocity of step generator 3 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen3_velocity(&self) -> &Stepgen3Velocity {
             &self.stepgen3_velocity
@@ -7805,7 +7934,7 @@ pub mod status {
         pub const fn stepgen4_position_hi(&self) -> &Stepgen4PositionHi {
             &self.stepgen4_position_hi
         }
-        #[doc = "0x58 - Step rate of step generator 4 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x58 - Velocity of step generator 4 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen4_velocity(&self) -> &Stepgen4Velocity {
             &self.stepgen4_velocity
@@ -7820,7 +7949,7 @@ pub mod status {
         pub const fn stepgen5_position_hi(&self) -> &Stepgen5PositionHi {
             &self.stepgen5_position_hi
         }
-        #[doc = "0x64 - Step rate of step generator 5 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x64 - Velocity of step generator 5 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen5_velocity(&self) -> &Stepgen5Velocity {
             &self.stepgen5_velocity
@@ -7835,7 +7964,7 @@ pub mod status {
         pub const fn stepgen6_position_hi(&self) -> &Stepgen6PositionHi {
             &self.stepgen6_position_hi
         }
-        #[doc = "0x70 - Step rate of step generator 6 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x70 - Velocity of step generator 6 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen6_velocity(&self) -> &Stepgen6Velocity {
             &self.stepgen6_velocity
@@ -7850,7 +7979,7 @@ pub mod status {
         pub const fn stepgen7_position_hi(&self) -> &Stepgen7PositionHi {
             &self.stepgen7_position_hi
         }
-        #[doc = "0x7c - Step rate of step generator 7 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x7c - Velocity of step generator 7 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen7_velocity(&self) -> &Stepgen7Velocity {
             &self.stepgen7_velocity
@@ -7865,7 +7994,7 @@ pub mod status {
         pub const fn stepgen8_position_hi(&self) -> &Stepgen8PositionHi {
             &self.stepgen8_position_hi
         }
-        #[doc = "0x88 - Step rate of step generator 8 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x88 - Velocity of step generator 8 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen8_velocity(&self) -> &Stepgen8Velocity {
             &self.stepgen8_velocity
@@ -7880,7 +8009,7 @@ pub mod status {
         pub const fn stepgen9_position_hi(&self) -> &Stepgen9PositionHi {
             &self.stepgen9_position_hi
         }
-        #[doc = "0x94 - Step rate of step generator 9 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x94 - Velocity of step generator 9 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen9_velocity(&self) -> &Stepgen9Velocity {
             &self.stepgen9_velocity
@@ -7895,7 +8024,7 @@ pub mod status {
         pub const fn stepgen10_position_hi(&self) -> &Stepgen10PositionHi {
             &self.stepgen10_position_hi
         }
-        #[doc = "0xa0 - Step rate of step generator 10 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xa0 - Velocity of step generator 10 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen10_velocity(&self) -> &Stepgen10Velocity {
             &self.stepgen10_velocity
@@ -7910,7 +8039,7 @@ pub mod status {
         pub const fn stepgen11_position_hi(&self) -> &Stepgen11PositionHi {
             &self.stepgen11_position_hi
         }
-        #[doc = "0xac - Step rate of step generator 11 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xac - Velocity of step generator 11 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen11_velocity(&self) -> &Stepgen11Velocity {
             &self.stepgen11_velocity
@@ -7925,7 +8054,7 @@ pub mod status {
         pub const fn stepgen12_position_hi(&self) -> &Stepgen12PositionHi {
             &self.stepgen12_position_hi
         }
-        #[doc = "0xb8 - Step rate of step generator 12 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xb8 - Velocity of step generator 12 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen12_velocity(&self) -> &Stepgen12Velocity {
             &self.stepgen12_velocity
@@ -7940,7 +8069,7 @@ pub mod status {
         pub const fn stepgen13_position_hi(&self) -> &Stepgen13PositionHi {
             &self.stepgen13_position_hi
         }
-        #[doc = "0xc4 - Step rate of step generator 13 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xc4 - Velocity of step generator 13 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen13_velocity(&self) -> &Stepgen13Velocity {
             &self.stepgen13_velocity
@@ -7955,7 +8084,7 @@ pub mod status {
         pub const fn stepgen14_position_hi(&self) -> &Stepgen14PositionHi {
             &self.stepgen14_position_hi
         }
-        #[doc = "0xd0 - Step rate of step generator 14 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xd0 - Velocity of step generator 14 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen14_velocity(&self) -> &Stepgen14Velocity {
             &self.stepgen14_velocity
@@ -7970,7 +8099,7 @@ pub mod status {
         pub const fn stepgen15_position_hi(&self) -> &Stepgen15PositionHi {
             &self.stepgen15_position_hi
         }
-        #[doc = "0xdc - Step rate of step generator 15 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0xdc - Velocity of step generator 15 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn stepgen15_velocity(&self) -> &Stepgen15Velocity {
             &self.stepgen15_velocity
@@ -8549,10 +8678,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN0_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen0PositionHiSpec {}
     }
-    #[doc = "STEPGEN0_VELOCITY (r) register accessor: Step rate of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen0_velocity`] module"]
+    #[doc = "STEPGEN0_VELOCITY (r) register accessor: Velocity of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen0_velocity`] module"]
     #[doc(alias = "STEPGEN0_VELOCITY")]
     pub type Stepgen0Velocity = crate::Reg<stepgen0_velocity::Stepgen0VelocitySpec>;
-    #[doc = "Step rate of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen0_velocity {
         #[doc = "Register `STEPGEN0_VELOCITY` reader"]
         pub type R = crate::R<Stepgen0VelocitySpec>;
@@ -8561,7 +8690,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen0VelocitySpec;
         impl crate::RegisterSpec for Stepgen0VelocitySpec {
             type Ux = u32;
@@ -8615,10 +8744,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN1_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen1PositionHiSpec {}
     }
-    #[doc = "STEPGEN1_VELOCITY (r) register accessor: Step rate of step generator 1 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen1_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen1_velocity`] module"]
+    #[doc = "STEPGEN1_VELOCITY (r) register accessor: Velocity of step generator 1 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen1_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen1_velocity`] module"]
     #[doc(alias = "STEPGEN1_VELOCITY")]
     pub type Stepgen1Velocity = crate::Reg<stepgen1_velocity::Stepgen1VelocitySpec>;
-    #[doc = "Step rate of step generator 1 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 1 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen1_velocity {
         #[doc = "Register `STEPGEN1_VELOCITY` reader"]
         pub type R = crate::R<Stepgen1VelocitySpec>;
@@ -8627,7 +8756,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 1 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen1_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 1 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen1_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen1VelocitySpec;
         impl crate::RegisterSpec for Stepgen1VelocitySpec {
             type Ux = u32;
@@ -8681,10 +8810,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN2_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen2PositionHiSpec {}
     }
-    #[doc = "STEPGEN2_VELOCITY (r) register accessor: Step rate of step generator 2 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen2_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen2_velocity`] module"]
+    #[doc = "STEPGEN2_VELOCITY (r) register accessor: Velocity of step generator 2 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen2_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen2_velocity`] module"]
     #[doc(alias = "STEPGEN2_VELOCITY")]
     pub type Stepgen2Velocity = crate::Reg<stepgen2_velocity::Stepgen2VelocitySpec>;
-    #[doc = "Step rate of step generator 2 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 2 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen2_velocity {
         #[doc = "Register `STEPGEN2_VELOCITY` reader"]
         pub type R = crate::R<Stepgen2VelocitySpec>;
@@ -8693,7 +8822,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 2 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen2_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 2 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen2_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen2VelocitySpec;
         impl crate::RegisterSpec for Stepgen2VelocitySpec {
             type Ux = u32;
@@ -8747,10 +8876,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN3_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen3PositionHiSpec {}
     }
-    #[doc = "STEPGEN3_VELOCITY (r) register accessor: Step rate of step generator 3 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen3_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen3_velocity`] module"]
+    #[doc = "STEPGEN3_VELOCITY (r) register accessor: Velocity of step generator 3 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen3_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen3_velocity`] module"]
     #[doc(alias = "STEPGEN3_VELOCITY")]
     pub type Stepgen3Velocity = crate::Reg<stepgen3_velocity::Stepgen3VelocitySpec>;
-    #[doc = "Step rate of step generator 3 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 3 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen3_velocity {
         #[doc = "Register `STEPGEN3_VELOCITY` reader"]
         pub type R = crate::R<Stepgen3VelocitySpec>;
@@ -8759,7 +8888,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 3 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen3_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 3 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen3_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen3VelocitySpec;
         impl crate::RegisterSpec for Stepgen3VelocitySpec {
             type Ux = u32;
@@ -8813,10 +8942,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN4_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen4PositionHiSpec {}
     }
-    #[doc = "STEPGEN4_VELOCITY (r) register accessor: Step rate of step generator 4 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen4_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen4_velocity`] module"]
+    #[doc = "STEPGEN4_VELOCITY (r) register accessor: Velocity of step generator 4 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen4_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen4_velocity`] module"]
     #[doc(alias = "STEPGEN4_VELOCITY")]
     pub type Stepgen4Velocity = crate::Reg<stepgen4_velocity::Stepgen4VelocitySpec>;
-    #[doc = "Step rate of step generator 4 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 4 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen4_velocity {
         #[doc = "Register `STEPGEN4_VELOCITY` reader"]
         pub type R = crate::R<Stepgen4VelocitySpec>;
@@ -8825,7 +8954,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 4 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen4_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 4 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen4_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen4VelocitySpec;
         impl crate::RegisterSpec for Stepgen4VelocitySpec {
             type Ux = u32;
@@ -8879,10 +9008,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN5_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen5PositionHiSpec {}
     }
-    #[doc = "STEPGEN5_VELOCITY (r) register accessor: Step rate of step generator 5 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen5_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen5_velocity`] module"]
+    #[doc = "STEPGEN5_VELOCITY (r) register accessor: Velocity of step generator 5 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen5_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen5_velocity`] module"]
     #[doc(alias = "STEPGEN5_VELOCITY")]
     pub type Stepgen5Velocity = crate::Reg<stepgen5_velocity::Stepgen5VelocitySpec>;
-    #[doc = "Step rate of step generator 5 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 5 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen5_velocity {
         #[doc = "Register `STEPGEN5_VELOCITY` reader"]
         pub type R = crate::R<Stepgen5VelocitySpec>;
@@ -8891,7 +9020,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 5 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen5_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 5 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen5_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen5VelocitySpec;
         impl crate::RegisterSpec for Stepgen5VelocitySpec {
             type Ux = u32;
@@ -8945,10 +9074,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN6_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen6PositionHiSpec {}
     }
-    #[doc = "STEPGEN6_VELOCITY (r) register accessor: Step rate of step generator 6 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen6_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen6_velocity`] module"]
+    #[doc = "STEPGEN6_VELOCITY (r) register accessor: Velocity of step generator 6 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen6_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen6_velocity`] module"]
     #[doc(alias = "STEPGEN6_VELOCITY")]
     pub type Stepgen6Velocity = crate::Reg<stepgen6_velocity::Stepgen6VelocitySpec>;
-    #[doc = "Step rate of step generator 6 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 6 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen6_velocity {
         #[doc = "Register `STEPGEN6_VELOCITY` reader"]
         pub type R = crate::R<Stepgen6VelocitySpec>;
@@ -8957,7 +9086,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 6 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen6_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 6 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen6_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen6VelocitySpec;
         impl crate::RegisterSpec for Stepgen6VelocitySpec {
             type Ux = u32;
@@ -9011,10 +9140,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN7_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen7PositionHiSpec {}
     }
-    #[doc = "STEPGEN7_VELOCITY (r) register accessor: Step rate of step generator 7 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen7_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen7_velocity`] module"]
+    #[doc = "STEPGEN7_VELOCITY (r) register accessor: Velocity of step generator 7 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen7_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen7_velocity`] module"]
     #[doc(alias = "STEPGEN7_VELOCITY")]
     pub type Stepgen7Velocity = crate::Reg<stepgen7_velocity::Stepgen7VelocitySpec>;
-    #[doc = "Step rate of step generator 7 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 7 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen7_velocity {
         #[doc = "Register `STEPGEN7_VELOCITY` reader"]
         pub type R = crate::R<Stepgen7VelocitySpec>;
@@ -9023,7 +9152,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 7 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen7_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 7 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen7_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen7VelocitySpec;
         impl crate::RegisterSpec for Stepgen7VelocitySpec {
             type Ux = u32;
@@ -9077,10 +9206,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN8_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen8PositionHiSpec {}
     }
-    #[doc = "STEPGEN8_VELOCITY (r) register accessor: Step rate of step generator 8 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen8_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen8_velocity`] module"]
+    #[doc = "STEPGEN8_VELOCITY (r) register accessor: Velocity of step generator 8 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen8_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen8_velocity`] module"]
     #[doc(alias = "STEPGEN8_VELOCITY")]
     pub type Stepgen8Velocity = crate::Reg<stepgen8_velocity::Stepgen8VelocitySpec>;
-    #[doc = "Step rate of step generator 8 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 8 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen8_velocity {
         #[doc = "Register `STEPGEN8_VELOCITY` reader"]
         pub type R = crate::R<Stepgen8VelocitySpec>;
@@ -9089,7 +9218,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 8 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen8_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 8 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen8_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen8VelocitySpec;
         impl crate::RegisterSpec for Stepgen8VelocitySpec {
             type Ux = u32;
@@ -9143,10 +9272,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN9_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen9PositionHiSpec {}
     }
-    #[doc = "STEPGEN9_VELOCITY (r) register accessor: Step rate of step generator 9 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen9_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen9_velocity`] module"]
+    #[doc = "STEPGEN9_VELOCITY (r) register accessor: Velocity of step generator 9 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen9_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen9_velocity`] module"]
     #[doc(alias = "STEPGEN9_VELOCITY")]
     pub type Stepgen9Velocity = crate::Reg<stepgen9_velocity::Stepgen9VelocitySpec>;
-    #[doc = "Step rate of step generator 9 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 9 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen9_velocity {
         #[doc = "Register `STEPGEN9_VELOCITY` reader"]
         pub type R = crate::R<Stepgen9VelocitySpec>;
@@ -9155,7 +9284,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 9 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen9_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 9 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen9_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen9VelocitySpec;
         impl crate::RegisterSpec for Stepgen9VelocitySpec {
             type Ux = u32;
@@ -9209,10 +9338,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN10_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen10PositionHiSpec {}
     }
-    #[doc = "STEPGEN10_VELOCITY (r) register accessor: Step rate of step generator 10 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen10_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen10_velocity`] module"]
+    #[doc = "STEPGEN10_VELOCITY (r) register accessor: Velocity of step generator 10 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen10_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen10_velocity`] module"]
     #[doc(alias = "STEPGEN10_VELOCITY")]
     pub type Stepgen10Velocity = crate::Reg<stepgen10_velocity::Stepgen10VelocitySpec>;
-    #[doc = "Step rate of step generator 10 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 10 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen10_velocity {
         #[doc = "Register `STEPGEN10_VELOCITY` reader"]
         pub type R = crate::R<Stepgen10VelocitySpec>;
@@ -9221,7 +9350,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 10 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen10_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 10 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen10_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen10VelocitySpec;
         impl crate::RegisterSpec for Stepgen10VelocitySpec {
             type Ux = u32;
@@ -9275,10 +9404,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN11_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen11PositionHiSpec {}
     }
-    #[doc = "STEPGEN11_VELOCITY (r) register accessor: Step rate of step generator 11 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen11_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen11_velocity`] module"]
+    #[doc = "STEPGEN11_VELOCITY (r) register accessor: Velocity of step generator 11 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen11_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen11_velocity`] module"]
     #[doc(alias = "STEPGEN11_VELOCITY")]
     pub type Stepgen11Velocity = crate::Reg<stepgen11_velocity::Stepgen11VelocitySpec>;
-    #[doc = "Step rate of step generator 11 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 11 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen11_velocity {
         #[doc = "Register `STEPGEN11_VELOCITY` reader"]
         pub type R = crate::R<Stepgen11VelocitySpec>;
@@ -9287,7 +9416,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 11 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen11_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 11 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen11_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen11VelocitySpec;
         impl crate::RegisterSpec for Stepgen11VelocitySpec {
             type Ux = u32;
@@ -9341,10 +9470,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN12_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen12PositionHiSpec {}
     }
-    #[doc = "STEPGEN12_VELOCITY (r) register accessor: Step rate of step generator 12 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen12_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen12_velocity`] module"]
+    #[doc = "STEPGEN12_VELOCITY (r) register accessor: Velocity of step generator 12 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen12_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen12_velocity`] module"]
     #[doc(alias = "STEPGEN12_VELOCITY")]
     pub type Stepgen12Velocity = crate::Reg<stepgen12_velocity::Stepgen12VelocitySpec>;
-    #[doc = "Step rate of step generator 12 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 12 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen12_velocity {
         #[doc = "Register `STEPGEN12_VELOCITY` reader"]
         pub type R = crate::R<Stepgen12VelocitySpec>;
@@ -9353,7 +9482,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 12 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen12_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 12 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen12_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen12VelocitySpec;
         impl crate::RegisterSpec for Stepgen12VelocitySpec {
             type Ux = u32;
@@ -9407,10 +9536,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN13_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen13PositionHiSpec {}
     }
-    #[doc = "STEPGEN13_VELOCITY (r) register accessor: Step rate of step generator 13 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen13_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen13_velocity`] module"]
+    #[doc = "STEPGEN13_VELOCITY (r) register accessor: Velocity of step generator 13 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen13_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen13_velocity`] module"]
     #[doc(alias = "STEPGEN13_VELOCITY")]
     pub type Stepgen13Velocity = crate::Reg<stepgen13_velocity::Stepgen13VelocitySpec>;
-    #[doc = "Step rate of step generator 13 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 13 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen13_velocity {
         #[doc = "Register `STEPGEN13_VELOCITY` reader"]
         pub type R = crate::R<Stepgen13VelocitySpec>;
@@ -9419,7 +9548,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 13 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen13_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 13 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen13_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen13VelocitySpec;
         impl crate::RegisterSpec for Stepgen13VelocitySpec {
             type Ux = u32;
@@ -9473,10 +9602,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN14_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen14PositionHiSpec {}
     }
-    #[doc = "STEPGEN14_VELOCITY (r) register accessor: Step rate of step generator 14 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen14_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen14_velocity`] module"]
+    #[doc = "STEPGEN14_VELOCITY (r) register accessor: Velocity of step generator 14 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen14_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen14_velocity`] module"]
     #[doc(alias = "STEPGEN14_VELOCITY")]
     pub type Stepgen14Velocity = crate::Reg<stepgen14_velocity::Stepgen14VelocitySpec>;
-    #[doc = "Step rate of step generator 14 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 14 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen14_velocity {
         #[doc = "Register `STEPGEN14_VELOCITY` reader"]
         pub type R = crate::R<Stepgen14VelocitySpec>;
@@ -9485,7 +9614,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 14 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen14_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 14 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen14_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen14VelocitySpec;
         impl crate::RegisterSpec for Stepgen14VelocitySpec {
             type Ux = u32;
@@ -9539,10 +9668,10 @@ pub mod status {
         #[doc = "`reset()` method sets STEPGEN15_POSITION_HI to value 0"]
         impl crate::Resettable for Stepgen15PositionHiSpec {}
     }
-    #[doc = "STEPGEN15_VELOCITY (r) register accessor: Step rate of step generator 15 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen15_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen15_velocity`] module"]
+    #[doc = "STEPGEN15_VELOCITY (r) register accessor: Velocity of step generator 15 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen15_velocity::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen15_velocity`] module"]
     #[doc(alias = "STEPGEN15_VELOCITY")]
     pub type Stepgen15Velocity = crate::Reg<stepgen15_velocity::Stepgen15VelocitySpec>;
-    #[doc = "Step rate of step generator 15 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Velocity of step generator 15 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second."]
     pub mod stepgen15_velocity {
         #[doc = "Register `STEPGEN15_VELOCITY` reader"]
         pub type R = crate::R<Stepgen15VelocitySpec>;
@@ -9551,7 +9680,7 @@ pub mod status {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Step rate of step generator 15 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen15_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Velocity of step generator 15 at the last sample strobe, signed; one unit is f_clk / 2^32 steps per second.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen15_velocity::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Stepgen15VelocitySpec;
         impl crate::RegisterSpec for Stepgen15VelocitySpec {
             type Ux = u32;
@@ -13180,7 +13309,7 @@ pub mod segments {
         pub const fn aux(&self) -> &Aux {
             &self.aux
         }
-        #[doc = "0x08 - Signed step rate of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x08 - Signed velocity of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn axis0_velocity(&self) -> &Axis0Velocity {
             &self.axis0_velocity
@@ -13190,7 +13319,7 @@ pub mod segments {
         pub const fn axis0_accel(&self) -> &Axis0Accel {
             &self.axis0_accel
         }
-        #[doc = "0x10 - Signed step rate of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x10 - Signed velocity of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn axis1_velocity(&self) -> &Axis1Velocity {
             &self.axis1_velocity
@@ -13200,7 +13329,7 @@ pub mod segments {
         pub const fn axis1_accel(&self) -> &Axis1Accel {
             &self.axis1_accel
         }
-        #[doc = "0x18 - Signed step rate of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x18 - Signed velocity of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn axis2_velocity(&self) -> &Axis2Velocity {
             &self.axis2_velocity
@@ -13210,7 +13339,7 @@ pub mod segments {
         pub const fn axis2_accel(&self) -> &Axis2Accel {
             &self.axis2_accel
         }
-        #[doc = "0x20 - Signed step rate of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x20 - Signed velocity of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn axis3_velocity(&self) -> &Axis3Velocity {
             &self.axis3_velocity
@@ -13220,7 +13349,7 @@ pub mod segments {
         pub const fn axis3_accel(&self) -> &Axis3Accel {
             &self.axis3_accel
         }
-        #[doc = "0x28 - Signed step rate of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x28 - Signed velocity of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn axis4_velocity(&self) -> &Axis4Velocity {
             &self.axis4_velocity
@@ -13230,7 +13359,7 @@ pub mod segments {
         pub const fn axis4_accel(&self) -> &Axis4Accel {
             &self.axis4_accel
         }
-        #[doc = "0x30 - Signed step rate of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x30 - Signed velocity of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn axis5_velocity(&self) -> &Axis5Velocity {
             &self.axis5_velocity
@@ -13240,7 +13369,7 @@ pub mod segments {
         pub const fn axis5_accel(&self) -> &Axis5Accel {
             &self.axis5_accel
         }
-        #[doc = "0x38 - Signed step rate of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+        #[doc = "0x38 - Signed velocity of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
         #[inline(always)]
         pub const fn axis6_velocity(&self) -> &Axis6Velocity {
             &self.axis6_velocity
@@ -13371,10 +13500,10 @@ pub mod segments {
         #[doc = "`reset()` method sets AUX to value 0"]
         impl crate::Resettable for AuxSpec {}
     }
-    #[doc = "AXIS0_VELOCITY (w) register accessor: Signed step rate of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis0_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis0_velocity`] module"]
+    #[doc = "AXIS0_VELOCITY (w) register accessor: Signed velocity of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis0_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis0_velocity`] module"]
     #[doc(alias = "AXIS0_VELOCITY")]
     pub type Axis0Velocity = crate::Reg<axis0_velocity::Axis0VelocitySpec>;
-    #[doc = "Signed step rate of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Signed velocity of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
     pub mod axis0_velocity {
         #[doc = "Register `AXIS0_VELOCITY` writer"]
         pub type W = crate::W<Axis0VelocitySpec>;
@@ -13384,7 +13513,7 @@ pub mod segments {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis0_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 0 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis0_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Axis0VelocitySpec;
         impl crate::RegisterSpec for Axis0VelocitySpec {
             type Ux = u32;
@@ -13421,10 +13550,10 @@ pub mod segments {
         #[doc = "`reset()` method sets AXIS0_ACCEL to value 0"]
         impl crate::Resettable for Axis0AccelSpec {}
     }
-    #[doc = "AXIS1_VELOCITY (w) register accessor: Signed step rate of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis1_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis1_velocity`] module"]
+    #[doc = "AXIS1_VELOCITY (w) register accessor: Signed velocity of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis1_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis1_velocity`] module"]
     #[doc(alias = "AXIS1_VELOCITY")]
     pub type Axis1Velocity = crate::Reg<axis1_velocity::Axis1VelocitySpec>;
-    #[doc = "Signed step rate of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Signed velocity of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
     pub mod axis1_velocity {
         #[doc = "Register `AXIS1_VELOCITY` writer"]
         pub type W = crate::W<Axis1VelocitySpec>;
@@ -13434,7 +13563,7 @@ pub mod segments {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis1_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 1 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis1_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Axis1VelocitySpec;
         impl crate::RegisterSpec for Axis1VelocitySpec {
             type Ux = u32;
@@ -13471,10 +13600,10 @@ pub mod segments {
         #[doc = "`reset()` method sets AXIS1_ACCEL to value 0"]
         impl crate::Resettable for Axis1AccelSpec {}
     }
-    #[doc = "AXIS2_VELOCITY (w) register accessor: Signed step rate of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis2_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis2_velocity`] module"]
+    #[doc = "AXIS2_VELOCITY (w) register accessor: Signed velocity of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis2_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis2_velocity`] module"]
     #[doc(alias = "AXIS2_VELOCITY")]
     pub type Axis2Velocity = crate::Reg<axis2_velocity::Axis2VelocitySpec>;
-    #[doc = "Signed step rate of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Signed velocity of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
     pub mod axis2_velocity {
         #[doc = "Register `AXIS2_VELOCITY` writer"]
         pub type W = crate::W<Axis2VelocitySpec>;
@@ -13484,7 +13613,7 @@ pub mod segments {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis2_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 2 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis2_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Axis2VelocitySpec;
         impl crate::RegisterSpec for Axis2VelocitySpec {
             type Ux = u32;
@@ -13521,10 +13650,10 @@ pub mod segments {
         #[doc = "`reset()` method sets AXIS2_ACCEL to value 0"]
         impl crate::Resettable for Axis2AccelSpec {}
     }
-    #[doc = "AXIS3_VELOCITY (w) register accessor: Signed step rate of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis3_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis3_velocity`] module"]
+    #[doc = "AXIS3_VELOCITY (w) register accessor: Signed velocity of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis3_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis3_velocity`] module"]
     #[doc(alias = "AXIS3_VELOCITY")]
     pub type Axis3Velocity = crate::Reg<axis3_velocity::Axis3VelocitySpec>;
-    #[doc = "Signed step rate of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Signed velocity of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
     pub mod axis3_velocity {
         #[doc = "Register `AXIS3_VELOCITY` writer"]
         pub type W = crate::W<Axis3VelocitySpec>;
@@ -13534,7 +13663,7 @@ pub mod segments {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis3_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 3 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis3_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Axis3VelocitySpec;
         impl crate::RegisterSpec for Axis3VelocitySpec {
             type Ux = u32;
@@ -13571,10 +13700,10 @@ pub mod segments {
         #[doc = "`reset()` method sets AXIS3_ACCEL to value 0"]
         impl crate::Resettable for Axis3AccelSpec {}
     }
-    #[doc = "AXIS4_VELOCITY (w) register accessor: Signed step rate of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis4_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis4_velocity`] module"]
+    #[doc = "AXIS4_VELOCITY (w) register accessor: Signed velocity of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis4_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis4_velocity`] module"]
     #[doc(alias = "AXIS4_VELOCITY")]
     pub type Axis4Velocity = crate::Reg<axis4_velocity::Axis4VelocitySpec>;
-    #[doc = "Signed step rate of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Signed velocity of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
     pub mod axis4_velocity {
         #[doc = "Register `AXIS4_VELOCITY` writer"]
         pub type W = crate::W<Axis4VelocitySpec>;
@@ -13584,7 +13713,7 @@ pub mod segments {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis4_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 4 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis4_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Axis4VelocitySpec;
         impl crate::RegisterSpec for Axis4VelocitySpec {
             type Ux = u32;
@@ -13621,10 +13750,10 @@ pub mod segments {
         #[doc = "`reset()` method sets AXIS4_ACCEL to value 0"]
         impl crate::Resettable for Axis4AccelSpec {}
     }
-    #[doc = "AXIS5_VELOCITY (w) register accessor: Signed step rate of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis5_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis5_velocity`] module"]
+    #[doc = "AXIS5_VELOCITY (w) register accessor: Signed velocity of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis5_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis5_velocity`] module"]
     #[doc(alias = "AXIS5_VELOCITY")]
     pub type Axis5Velocity = crate::Reg<axis5_velocity::Axis5VelocitySpec>;
-    #[doc = "Signed step rate of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Signed velocity of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
     pub mod axis5_velocity {
         #[doc = "Register `AXIS5_VELOCITY` writer"]
         pub type W = crate::W<Axis5VelocitySpec>;
@@ -13634,7 +13763,7 @@ pub mod segments {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis5_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 5 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis5_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Axis5VelocitySpec;
         impl crate::RegisterSpec for Axis5VelocitySpec {
             type Ux = u32;
@@ -13671,10 +13800,10 @@ pub mod segments {
         #[doc = "`reset()` method sets AXIS5_ACCEL to value 0"]
         impl crate::Resettable for Axis5AccelSpec {}
     }
-    #[doc = "AXIS6_VELOCITY (w) register accessor: Signed step rate of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis6_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis6_velocity`] module"]
+    #[doc = "AXIS6_VELOCITY (w) register accessor: Signed velocity of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis6_velocity::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@axis6_velocity`] module"]
     #[doc(alias = "AXIS6_VELOCITY")]
     pub type Axis6Velocity = crate::Reg<axis6_velocity::Axis6VelocitySpec>;
-    #[doc = "Signed step rate of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
+    #[doc = "Signed velocity of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second."]
     pub mod axis6_velocity {
         #[doc = "Register `AXIS6_VELOCITY` writer"]
         pub type W = crate::W<Axis6VelocitySpec>;
@@ -13684,7 +13813,7 @@ pub mod segments {
             }
         }
         impl W {}
-        #[doc = "Signed step rate of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis6_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Signed velocity of step generator 6 towards the end of the segment being written; one unit is f_clk / 2^32 steps per second.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`axis6_velocity::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Axis6VelocitySpec;
         impl crate::RegisterSpec for Axis6VelocitySpec {
             type Ux = u32;

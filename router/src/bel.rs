@@ -1,4 +1,4 @@
-//! Where a cell of the netlist lies on the chip.
+//! The place of a netlist's cell on the chip.
 
 use std::fmt;
 

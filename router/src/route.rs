@@ -30,7 +30,7 @@ const HISTORY: f32 = 1.0;
 const ESTIMATE: f32 = 1.1;
 /// Tiles around a net it may use, one more with every fourth round it takes part in.
 const MARGIN: i32 = 3;
-/// In a net with more pins only the part behind shared wires is routed again.
+/// In a net with more pins only the part after shared wires is routed again.
 const LARGE: usize = 24;
 /// The share of delay in the cost of a critical pin.
 const CRITICAL: f32 = 0.96;
@@ -264,7 +264,7 @@ pub struct Round {
     pub nets: usize,
     /// Wires in use.
     pub used: usize,
-    /// Wires more than one net wants.
+    /// Wires that more than one net uses.
     pub shared: usize,
     /// Longest path of each clock, in picoseconds.
     pub longest: Vec<f32>,

@@ -5,7 +5,7 @@ use crate::netlist::Net;
 /// What every pin of a design means to its clocks. Delays of wires are given to it again for every
 /// look.
 pub struct Timing {
-    /// Nets, each behind all it depends on.
+    /// Nets, each after all nets that it depends on.
     order: Vec<usize>,
     /// Picoseconds each clock should make do with.
     target: Vec<f32>,

@@ -1,5 +1,5 @@
-//! The image that an ECP5 would run from a file with the contents of its flash (or from a bitstream
-//! alone).
+//! Prints the image that an ECP5 would run from a file with the contents of its flash (or from a
+//! bitstream alone).
 //!
 //!   cargo run -p ferrocnc-sim --example boot -- FILE [IDCODE]
 

@@ -1,5 +1,5 @@
-//! Where an exchange's clocks go: `cargo run --release -p ferrocnc-sim --example profile -- SOC_DIR
-//! ELF [EXCHANGES]`.
+//! Prints where the clocks of an exchange are spent: `cargo run --release -p ferrocnc-sim --example
+//! profile -- SOC_DIR ELF [EXCHANGES]`.
 //!
 //! Acquires a session, makes exchanges a servo period apart, and charges every clock between the
 //! last request byte and the first reply byte to the source line of the instruction that left the

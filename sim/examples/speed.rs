@@ -1,5 +1,5 @@
-//! How fast this machine simulates a board: `cargo run --release -p ferrocnc-sim --example speed --
-//! SOC_DIR [ELF] [CLOCKS]`.
+//! Measures how fast this computer simulates a board: `cargo run --release -p ferrocnc-sim
+//! --example speed -- SOC_DIR [ELF] [CLOCKS]`.
 //!
 //! Without an ELF the CPU sits in a one-instruction loop; with one, the firmware boots and idles.
 

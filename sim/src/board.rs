@@ -76,7 +76,7 @@ impl Clockwork {
 /// Why [`Board::run_until`] came back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stop {
-    /// The time asked for has passed.
+    /// The requested time has passed.
     Time,
     /// The board finished sending a frame: see [`Board::take_transfer`].
     Frame,

@@ -28,8 +28,8 @@ pub struct BoardFacts {
     pub estop_level: u32,
     /// Axes of its jobs; 0 without any.
     pub jobs: u8,
-    /// It has no SDRAM: a PC streams them.
-    pub streamed: bool,
+    /// Its gateware uses the SDRAM: it has services, and executes jobs by itself.
+    pub sdram: bool,
 }
 
 /// The board files that the twin carries.
@@ -59,7 +59,7 @@ impl BoardFacts {
             return Err(Error::Board {
                 name: name.into(),
                 why: format!(
-                    "there is no {} and it is none of {:?}; elaborate it (`python -m ferrocnc elaborate` in gateware/) or give --channels and --clock",
+                    "there is no {}, and it is not one of {:?}; elaborate it (`python -m ferrocnc elaborate` in gateware/) or give --channels and --clock",
                     folder.join("board.bin").display(),
                     BUILT_IN.map(|(known, _)| known)
                 ),
@@ -84,7 +84,7 @@ impl BoardFacts {
         let blob = ferrocnc_config::blob::blob(&board).map_err(refused)?;
         Ok(BoardFacts {
             jobs: board.jobs as u8,
-            streamed: board.jobs != 0 && !board.sdram,
+            sdram: board.sdram,
             ..Self::parse(name, blob, board.sys_clk_hz.into())?
         })
     }
@@ -138,7 +138,7 @@ impl BoardFacts {
             estop_mask: 0,
             estop_level: 0,
             jobs: 0,
-            streamed: false,
+            sdram: true,
         }
     }
 
@@ -182,7 +182,7 @@ impl BoardFacts {
             estop_mask,
             estop_level,
             jobs: 0,
-            streamed: false,
+            sdram: true,
             blob,
         })
     }

@@ -35,7 +35,7 @@ pub enum Error {
     /// No board of this name is known.
     #[error("no board {name}: {why}")]
     Board {
-        /// What was asked for.
+        /// What was requested.
         name: String,
         /// What is wrong.
         why: String,

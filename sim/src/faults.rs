@@ -1,9 +1,9 @@
 //! Fault injection between host and board: which faults, when, how often, and from which seed.
 //!
-//! A [`Plan`] is text a person can type; a [`Script`] is a plan under way, in sys clocks of the
-//! board; a [`OneWay`] is one direction of the cable with the delayed frames on it. Time is
-//! simulated and random numbers come from a seed: the same plan and the same frames give the same
-//! faults on every machine.
+//! A [`Plan`] is parsed from text; a [`Script`] is a running plan, in sys clocks of the board; a
+//! [`OneWay`] is one direction of the cable with the delayed frames on it. Time is simulated and
+//! random numbers come from a seed: the same plan and the same frames give the same faults on every
+//! machine.
 //!
 //! ```text
 //!            Script::judge                        OneWay::due
@@ -115,7 +115,7 @@ pub enum Act {
 
 /// What has gone wrong so far, in frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct Tally {
+pub struct FaultCounts {
     /// Offered, towards the board and from it.
     pub offered: [u64; 2],
     /// Lost, for any reason.
@@ -173,7 +173,7 @@ pub struct Script {
     link: bool,
     frozen: bool,
     /// What has gone wrong.
-    pub tally: Tally,
+    pub counts: FaultCounts,
 }
 
 impl Script {
@@ -187,7 +187,7 @@ impl Script {
             acts: VecDeque::new(),
             link: true,
             frozen: false,
-            tally: Tally::default(),
+            counts: FaultCounts::default(),
         }
     }
 
@@ -300,7 +300,7 @@ impl Script {
 
     /// What becomes of a frame of so many bytes that enters the cable at `now`.
     fn judge(&mut self, direction: Direction, now: u64, bytes: usize) -> Verdict {
-        self.tally.offered[direction as usize] += 1;
+        self.counts.offered[direction as usize] += 1;
         let mut verdict = Verdict {
             due: now,
             ..Verdict::default()
@@ -350,15 +350,15 @@ impl Script {
         }
         self.rules.retain(|a| a.rule.kind != Kind::Drop(0));
         verdict.due = resume.max(now + delay);
-        let tally = &mut self.tally;
+        let counts = &mut self.counts;
         if verdict.lost {
-            tally.lost += 1;
+            counts.lost += 1;
             return verdict;
         }
-        tally.duplicated += u64::from(verdict.twice);
-        tally.reordered += u64::from(verdict.overtaken);
-        tally.delayed += u64::from(verdict.due > now);
-        tally.corrupted += u64::from(verdict.corrupt);
+        counts.duplicated += u64::from(verdict.twice);
+        counts.reordered += u64::from(verdict.overtaken);
+        counts.delayed += u64::from(verdict.due > now);
+        counts.corrupted += u64::from(verdict.corrupt);
         verdict
     }
 
@@ -373,7 +373,7 @@ impl Script {
                 && dice.random_bool(p)
             {
                 payload.truncate(dice.random_range(0..payload.len()));
-                self.tally.truncated += 1;
+                self.counts.truncated += 1;
             }
         }
     }
@@ -394,7 +394,7 @@ impl Script {
         } else {
             rules.join(" ")
         };
-        let t = &self.tally;
+        let t = &self.counts;
         format!(
             "faults={rules} offered={}/{} lost={} duplicated={} reordered={} delayed={} corrupted={} truncated={}",
             t.offered[0],
@@ -462,7 +462,7 @@ impl<T: Cargo> OneWay<T> {
         if verdict.corrupt {
             let bit = script.dice[self.direction as usize].random();
             if !item.damage(bit) {
-                script.tally.lost += 1;
+                script.counts.lost += 1;
                 self.spoilt += 1;
                 return;
             }
@@ -664,11 +664,11 @@ mod tests {
             (cable.line.due(0), cable.line.due(0)),
             (Some(Letter(1)), Some(Letter(1)))
         );
-        assert_eq!(cable.script.tally.duplicated, 1);
+        assert_eq!(cable.script.counts.duplicated, 1);
         let mut cable = Cable::with("corrupt=1");
         cable.line.enter(&mut cable.script, 0, Letter(1));
         assert_ne!(cable.line.due(0), Some(Letter(1)));
-        assert_eq!(cable.script.tally.corrupted, 1);
+        assert_eq!(cable.script.counts.corrupted, 1);
     }
 
     #[test]
@@ -694,7 +694,7 @@ mod tests {
             script.cut(Direction::ToBoard, 0, &mut payload);
             assert!(payload.len() < 40);
         }
-        assert_eq!(script.tally.truncated, 100);
+        assert_eq!(script.counts.truncated, 100);
     }
 
     #[test]

@@ -1,19 +1,18 @@
-//! The program that executes jobs, beside the firmware of a twin: [`firmware::services`] with a
-//! piece of this machine's memory for SDRAM.
+//! Runs the program that executes jobs beside the firmware of a twin: [`firmware::services`] with a
+//! piece of this computer's memory as SDRAM.
 //!
 //! Its TCP is the machine's own: a client's bytes go to the job server as they come. On a board the
 //! loop calls it; here it is called when something has come and every [`TURN`] while it has work.
 
 use ::jobs::server::BusyReply;
-use ::jobs::{AHEAD, Outside};
-use firmware::console::Vitals;
+use ::jobs::{AHEAD, Jobs, Outside};
 use firmware::cores::Board as _;
-use firmware::ip::Text;
-use firmware::machine::{Machine, Reply};
+use firmware::machine::{Lease, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
+use firmware::services::Network;
+use firmware::services::console::{Console, Visit};
 use firmware::services::port::Place;
-use firmware::services::{Network, TEXT_MAX};
-use firmware::text::Sink;
+use firmware::text::Text;
 use wire::MAX_WORDS;
 use wire::jobs::{self, FRAME, Op, Status};
 use wire::regmap::{self, segments};
@@ -26,9 +25,9 @@ pub const TURN: u64 = 12_000;
 /// Clocks between two looks while there is nothing to do: what the ROM's loop takes for that.
 const IDLE_MS: u64 = 1;
 /// The SDRAM, less what the program itself takes at its beginning.
-const ROOM: usize = regmap::SDRAM_SIZE - firmware::services::abi::ROOM;
+pub(crate) const ROOM: usize = regmap::SDRAM_SIZE - firmware::services::abi::ROOM;
 /// The id of the program; on a board it is the program's CRC.
-const PROGRAM: u32 = 0x7477_696e;
+pub(crate) const PROGRAM: u32 = 0x7477_696e;
 
 /// The board as the program sees it from inside.
 #[derive(Debug)]
@@ -57,9 +56,29 @@ impl Network for Outer<'_> {
     fn us(&mut self) -> Us {
         self.0.us
     }
-    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
-        self.0.converse(visitor, line, &Vitals::default(), out)
+    fn leased(&mut self, lease: Option<Lease>) {
+        self.0.leased(lease);
     }
+    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict {
+        self.0.visit(visitor, verb, words)
+    }
+}
+
+/// All that a console says to these bytes, and whether it hangs up then.
+pub fn converse<O: Network>(
+    console: &mut Console,
+    mut bytes: &[u8],
+    visit: &mut Visit<'_, '_, O>,
+) -> (Vec<u8>, bool) {
+    let (mut said, mut text) = (Vec::new(), Text::new());
+    while !text.close && (console.busy() || !bytes.is_empty()) {
+        text.clear();
+        let ready = if console.busy() { &[] } else { bytes };
+        let taken = console.turn(ready, visit, &mut text);
+        bytes = &bytes[taken..];
+        said.extend(text.bytes());
+    }
+    (said, text.close)
 }
 
 /// The program.
@@ -87,14 +106,14 @@ pub struct Said {
 }
 
 impl Program {
-    /// On this board; `None` if it has no segments.
+    /// On this board; `None` if it does not answer.
     pub fn start(machine: &mut Machine<ModelBoard>, clock_hz: u32) -> Option<Self> {
         // Never freed: there are few boards, and each lives as long as its simulator.
         let memory = vec![0; ROOM].leak();
         let place = Box::leak(Box::new(Place::new()));
         let mut outer = Outer(machine);
         Some(Program {
-            jobs: firmware::services::Program::new(memory, place, PROGRAM, &mut outer)?,
+            jobs: firmware::services::Program::new(memory, &mut [], place, PROGRAM, &mut outer)?,
             visitor: None,
             ahead: Vec::new(),
             callers: Vec::new(),
@@ -152,15 +171,9 @@ impl Program {
         self.callers.retain(|(caller, ..)| *caller != visitor);
     }
 
-    /// A line about jobs at the debug console.
-    pub fn line(&mut self, line: &str, machine: &mut Machine<ModelBoard>) -> Vec<u8> {
-        let mut room = [0; TEXT_MAX];
-        let trusted = machine.trusted();
-        let mut outer = Outer(machine);
-        let count = self
-            .jobs
-            .line(line.as_bytes(), trusted, &mut room, &mut outer);
-        room[..count].to_vec()
+    /// The jobs, for the consoles.
+    pub fn jobs(&mut self) -> Option<&mut Jobs<'static>> {
+        self.jobs.jobs()
     }
 
     /// A turn of the program: returns its output, and the clocks until the next turn.

@@ -38,6 +38,7 @@ pub mod faults;
 pub mod firmware;
 pub mod gmii;
 pub mod jobs;
+pub mod lease;
 pub mod loader;
 pub mod model;
 pub mod model_board;
@@ -48,8 +49,10 @@ pub mod report;
 pub mod rig;
 pub mod segment;
 pub mod server;
+pub mod services;
 pub mod soc;
 pub mod stimulus;
+pub mod tap;
 pub mod twin;
 
 pub use board::Board;

@@ -344,7 +344,7 @@ mod tests {
         small.bytes()
     }
 
-    /// A flash with these at their places, and golden behind its jump.
+    /// A flash with these at their places, and golden after its jump.
     fn flash(parts: &[(usize, Vec<u8>)]) -> Vec<u8> {
         let mut flash = vec![0xff; 4 << 20];
         let jump = Stub {

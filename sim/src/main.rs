@@ -25,26 +25,26 @@ use wire::describe::Channels;
 mod pages;
 
 const PLANT_HELP: &str = concat!(
-    "What else is wired to the board. Its axes and spindles take the place of the encoders on the motors. Such a file:\n\n",
+    "The machine that is wired to the board. Its axes and spindles replace the encoders on the motors. Such a file:\n\n",
     include_str!("../plant.example.toml")
 );
 
 const FAULT_HELP: &str = "\
-What is to go wrong, from the start on. Words, in one argument or several; the same behind the control command `fault`, then
-counted from that moment:
+Faults from the start on, as words in one argument or several. The control command `fault` takes the same words and counts
+their times from that moment:
 
-  loss=P dup=P reorder=P corrupt=P   a frame is lost, comes twice, is overtaken by the next, has a bit turned over; 0.01 or 1%
-  truncate=P                         a datagram loses its end, its checksums fit what is left
+  loss=P dup=P reorder=P corrupt=P   a frame is lost, comes twice, is overtaken by the next, has a flipped bit; 0.01 or 1%
+  truncate=P                         a datagram loses its end, its checksums fit the rest
   drop=N                             the next N frames are lost
-  delay=TIME[..TIME]                 a frame comes later, evenly spread; 2s, 1.5ms, 20us
-  rate=BITS                          so many bits a second: 10Mbit, 500kbit
-  pull plug                          the cable is out, is in again
-  host-pause@TIME..TIME              the host is neither heard nor hears; then everything at once
-  freeze                             the CPU's clock stands
-  reboot power                       the board restarts; power forgets the start before (--backend model)
-  off seed=N                         all trouble ends; what the dice are thrown from
+  delay=TIME[..TIME]                 a frame comes later, uniformly distributed; 2s, 1.5ms, 20us
+  rate=BITS                          bits per second of the wire: 10Mbit, 500kbit
+  pull plug                          the cable is pulled, is plugged in again
+  host-pause@TIME..TIME              the host neither sends nor receives; afterwards all frames arrive at once
+  freeze                             the CPU's clock stops
+  reboot power                       the board restarts; power also clears what a restart keeps (--backend model)
+  off seed=N                         all faults end; the seed of the random numbers
 
-In front to-board: or from-board: for one direction, behind @TIME or @TIME..TIME of the board's time for when:
+to-board: or from-board: before a word limits it to one direction; @TIME or @TIME..TIME after it, in the board's time, says when:
 
   --fault 'loss=0.1% from-board:delay=1ms..3ms@2s..10s seed=7' --fault reboot@12s";
 
@@ -122,6 +122,13 @@ struct Arguments {
     /// 0.0.0.0:1234 --discovery 0.0.0.0:51234. Needs root there.
     #[arg(long, value_name = "NAME", requires = "discovery")]
     interface: Option<String>,
+    /// The board's cable ends in this TAP interface (`ip tuntap add NAME mode tap`): Ethernet
+    /// frames go to the board's own IP stack, with ARP, ping, consoles, status page, names and
+    /// DHCP. In free time only, and no other socket than the control channel's is opened. Needs
+    /// root in the network namespace. A Verilated board has its services if --flash holds its
+    /// image.
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["interface", "discovery", "jobs"])]
+    tap: Option<String>,
     /// Loopback address that stands for the board's console, TCP port 23.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:2323")]
     console: SocketAddr,
@@ -269,7 +276,9 @@ impl Arguments {
         setup.board_ip = self.board_ip;
         setup.boot_clocks = self.boot_clocks;
         setup.plant = self.plant()?;
-        setup.flash = Some(self.flash()?);
+        let flash = self.flash()?;
+        setup.trailer = model_board::trailer(&flash.chip());
+        setup.flash = Some(flash);
         setup.factory = self.factory;
         setup.trace = self.trace.as_ref().map(|path| TraceWindow {
             path: path.clone(),
@@ -277,12 +286,20 @@ impl Arguments {
             clocks: self.trace_cycles,
         });
         let started = Instant::now();
-        let mut rig = Rig::boot(setup)?;
-        eprintln!(
-            "sim: the board answers after {} clocks ({:.1} s)",
-            rig.clock(),
-            started.elapsed().as_secs_f64()
-        );
+        let mut rig = if self.tap.is_some() {
+            // It is heard on the cable when it answers.
+            let mut rig = Rig::power_up(setup)?;
+            rig.unplug_hosts();
+            rig
+        } else {
+            let rig = Rig::boot(setup)?;
+            eprintln!(
+                "sim: the board answers after {} clocks ({:.1} s)",
+                rig.clock(),
+                started.elapsed().as_secs_f64()
+            );
+            rig
+        };
         if let Some(path) = &self.edges {
             rig.record_edges(path)?;
         }
@@ -296,7 +313,7 @@ impl Arguments {
                 let has = self.no_sdram || self.jobs.is_some();
                 BoardFacts {
                     jobs: u8::from(has) * motion::segment::AXES as u8,
-                    streamed: self.no_sdram,
+                    sdram: !self.no_sdram,
                     ..BoardFacts::plain(*channels, self.clock)
                 }
             }
@@ -310,6 +327,9 @@ impl Arguments {
         });
         if let Some(path) = &self.edges {
             twin.record_edges(path)?;
+        }
+        if self.tap.is_some() {
+            twin.plug_in();
         }
         Ok(twin)
     }
@@ -336,10 +356,10 @@ impl Arguments {
             Backend::Model => Some(1e9),
         };
         let mode = match self.mode {
-            TimeMode::Lockstep => Mode::Lockstep {
+            TimeMode::Lockstep if self.tap.is_none() => Mode::Lockstep {
                 period: device.clocks(Duration::from_nanos(self.period_ns)),
             },
-            TimeMode::Free => Mode::Free {
+            TimeMode::Lockstep | TimeMode::Free => Mode::Free {
                 pace: self
                     .pace
                     .or(real_time)
@@ -351,7 +371,8 @@ impl Arguments {
             udp: self.udp,
             discovery: self.discovery,
             interface: self.interface.clone(),
-            console: Some(self.console),
+            tap: self.tap.clone(),
+            console: self.tap.is_none().then_some(self.console),
             jobs: self.jobs,
             control: self.control,
             stdin: self.stdin,

@@ -3,7 +3,7 @@
 //! Each has `clock`, one rising edge with the inputs as they stand before it, written to be read
 //! beside its `.sv`. Two more functions make the twin fast: `quiet` returns how many of the next
 //! clocks change no pin and no visible register, `skip` makes that many at once. [`board::Board`]
-//! puts the cores behind the register map, as `gateware/ferrocnc/banks.py` does.
+//! connects the cores to the register map, as `gateware/ferrocnc/banks.py` does.
 //!
 //! Two tests check them: `tests/tests/lockstep.rs` compares every pin and register with the
 //! Verilated gateware for millions of clocks, and the tests here compare `skip` with as many calls

@@ -1,6 +1,6 @@
-//! The board of the firmware's library: the cores' models behind the verbs of
-//! [`firmware::cores::Board`], the pins and what is wired to them, the flash, and the memory that a
-//! restart keeps. It knows no datagrams and no clients; those are [`crate::twin`].
+//! The board for the firmware's library: it implements [`firmware::cores::Board`] with the models
+//! of the cores, the pins with their wiring, the flash, and the memory that a restart keeps. It
+//! handles no datagrams and no clients; [`crate::twin`] does.
 
 use firmware::cores::{self, Control, Gate, Ident, Led, Setting};
 use firmware::log;
@@ -80,7 +80,7 @@ impl Setup {
 
 /// The trailer of the image that the FPGA loads from this flash, as packing wrote it at the end of
 /// the ROM. From a blank flash nothing loads: then the twin is a board that JTAG loaded.
-fn trailer(flash: &Nor) -> Trailer {
+pub fn trailer(flash: &Nor) -> Trailer {
     let loaded = loader::power_up(flash.cells(), IDCODE);
     let Some((at, layout)) = loaded.image.zip(Layout::of(flash.part().bytes as u32)) else {
         return Trailer::NONE;

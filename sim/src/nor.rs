@@ -1,15 +1,15 @@
 //! A serial NOR flash that behaves as its data sheet says, with power failures at any step.
 //!
-//! It takes SPI bytes and gives SPI bytes; [`spi`] puts it behind `embedded-hal`, [`pins`] behind
-//! four wires. It programs by AND inside one page, erases whole sectors, obeys its write enable
-//! latch and its protection bits, and is busy for as long as the real one. It knows nothing of what
-//! is stored in it.
+//! It receives and returns SPI bytes; [`spi`] connects it to `embedded-hal`, [`pins`] to four
+//! wires. It programs by AND inside one page, erases whole sectors, obeys its write enable latch
+//! and its protection bits, and is busy for as long as the real one. It knows nothing of what is
+//! stored in it.
 //!
 //! **Power.** Every operation that changes cells is a number of *steps*: a program one per byte, an
 //! erase [`ERASE_STEPS`], a status write one. [`Nor::cut_at`] lets the power fail at any of them.
 //! The step it fails in is left half done: some bits of a byte, or a sector with some of its cells
 //! discharged or charged, drawn from the cut's seed. [`Nor::power_up`] brings the power back. A
-//! test that wants every cut runs once for [`Nor::steps`], then once for each of them.
+//! test that tries every cut runs once for [`Nor::steps`], then once for each of them.
 //!
 //! **Misuse** does what the chip does (mostly nothing) and is noted ([`Nor::misuse`]): a correct
 //! driver causes none.
@@ -82,7 +82,7 @@ pub enum Misuse {
 /// How a page program that is cut off leaves the page.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
-    /// The bytes before the cut are done, that one partly, those behind it not.
+    /// The bytes before the cut are done, that one partly, those after it not.
     #[default]
     InOrder,
     /// All bytes were under way at once: of every byte some bits, more the later the cut.

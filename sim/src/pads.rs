@@ -1,5 +1,5 @@
-//! The pads that the board drives, and one thing that is wrong with them: held at a level, or
-//! joined with another.
+//! The pads that the board drives, with one defect: a pad that is held at a level, or joined with
+//! another.
 //!
 //! What is wrong is wrong at the pad itself, so both the world outside and the gateware that reads
 //! its own pads back see it. The Verilated board has the same in `verilator/copper.sv`.

@@ -1,4 +1,4 @@
-//! Every `ferrocnc-sim` command of the documentation is one that this program takes.
+//! Checks that this program takes every `ferrocnc-sim` command of the documentation.
 
 use super::Arguments;
 use clap::Parser;

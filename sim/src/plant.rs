@@ -1,6 +1,6 @@
-//! The machine behind the pins: motors that follow every pulse, encoders on their shafts, a spindle
-//! behind a PWM, wires from outputs to inputs, jumpers between header pins, and switches and probes
-//! that an axis runs into.
+//! The machine at the pins: motors that follow every pulse, encoders on their shafts, a spindle at
+//! a PWM, wires from outputs to inputs, jumpers between header pins, and switches and probes that
+//! an axis runs into.
 //!
 //! Axes are rigid and ideal: a pulse is a movement. The edges they make are as far apart as the
 //! encoder's `gap` says and catch up with the pulses as fast as that allows. A spindle has inertia:

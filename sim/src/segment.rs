@@ -1,5 +1,5 @@
-//! The virtual Ethernet segment the board's cable ends in: any number of hosts, their ARP, ICMP
-//! echo and TCP.
+//! The virtual Ethernet segment at the board's cable: any number of hosts, their ARP, ICMP echo and
+//! TCP.
 //!
 //! UDP goes in and out as datagrams with the times of their first and last byte on the wire; TCP is
 //! a smoltcp stack living at [`HOST_IP`]. No TAP, no root: the machine's own network is never
@@ -545,7 +545,7 @@ impl<K: Copy + Eq + std::hash::Hash> Nat<K> {
         port
     }
 
-    /// The sender behind a port.
+    /// The sender of a port.
     pub fn sender(&self, port: u16) -> Option<K> {
         self.by_port.get(&port).copied()
     }

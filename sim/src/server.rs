@@ -1,4 +1,4 @@
-//! The simulated board behind real sockets: UDP and a TCP console on loopback, two ways of passing
+//! Serves a simulated board at real sockets: UDP and a TCP console on loopback, two ways of passing
 //! time, a control channel.
 //!
 //! ```text
@@ -17,6 +17,7 @@
 //!
 //! The only inspection of a datagram is whether it is an exchange.
 
+mod cable;
 mod device;
 
 use std::collections::HashMap;
@@ -32,6 +33,7 @@ use crate::exchange::{Spread, is_request};
 use crate::faults::{Direction, Plan, WORDS};
 use crate::segment::{CONSOLE_PORT, Nat};
 
+use self::cable::Cable;
 pub use device::{Addresses, Device, Reply, Service};
 
 /// How simulated time passes.
@@ -60,6 +62,9 @@ pub struct Options {
     /// whenever they change, the Etherbone port follows the board's, and discovery is answered by
     /// broadcast. Needs root and a network namespace of its own.
     pub interface: Option<String>,
+    /// A TAP interface that the board's cable ends in. Then no socket stands for a port of the
+    /// board, and time runs by itself: [`Mode::Free`].
+    pub tap: Option<String>,
     /// Loopback address that stands for the board's console port.
     pub console: Option<SocketAddr>,
     /// Loopback address that stands for the board's port of jobs.
@@ -100,7 +105,8 @@ struct Console<C> {
 pub struct Server<D: Device> {
     rig: D,
     options: Options,
-    udp: Ear,
+    udp: Option<Ear>,
+    cable: Option<Cable>,
     discovery: Option<Ear>,
     dhcp: Option<Ear>,
     /// What [`Options::interface`] was told last.
@@ -129,20 +135,24 @@ pub struct Server<D: Device> {
 const SLICE: u64 = 1000;
 /// A paced board that is later than this starts counting again instead of hurrying.
 const LATE: Duration = Duration::from_millis(100);
-/// Shorter sleeps are longer than asked for anyway.
+/// Shorter sleeps last longer than requested anyway.
 const NAP: Duration = Duration::from_micros(50);
 
 impl<D: Device> Server<D> {
     /// Open the sockets. [`Self::run`] ends when `stop` is set, for example by a signal handler.
     pub fn bind(rig: D, options: Options, stop: Arc<AtomicBool>) -> std::io::Result<Self> {
         let (sender, events) = channel();
-        let udp = Ear::open(options.udp, Service::Etherbone, &sender)?;
+        let cable = options.tap.as_deref().map(Cable::open).transpose()?;
+        let udp = match cable {
+            Some(_) => None,
+            None => Some(Ear::open(options.udp, Service::Etherbone, &sender)?),
+        };
         let discovery = options
             .discovery
             .map(|at| Ear::open(at, Service::Discovery, &sender))
             .transpose()?;
         let dhcp = options.interface.as_ref().map(|_| {
-            let at = (Ipv4Addr::UNSPECIFIED, firmware::dhcp::PORT).into();
+            let at = (Ipv4Addr::UNSPECIFIED, firmware::services::lease::PORT).into();
             Ear::open(at, Service::Dhcp, &sender)
         });
         let dhcp = dhcp.transpose()?;
@@ -182,6 +192,7 @@ impl<D: Device> Server<D> {
             rig,
             options,
             udp,
+            cable,
             discovery,
             dhcp,
             known: None,
@@ -237,9 +248,11 @@ impl<D: Device> Server<D> {
                 return Err(std::io::Error::other(format!("ip {command}: {why}")));
             }
         }
-        if self.udp.udp.local_addr()?.port() != new.port {
+        if let Some(here) = &self.udp
+            && here.udp.local_addr()?.port() != new.port
+        {
             let at = (Ipv4Addr::UNSPECIFIED, new.port).into();
-            self.udp = Ear::open(at, Service::Etherbone, &self.sender)?;
+            self.udp = Some(Ear::open(at, Service::Etherbone, &self.sender)?);
         }
         eprintln!(
             "sim: {interface} is {mac}, {}/{}, port {}",
@@ -258,9 +271,10 @@ impl<D: Device> Server<D> {
         };
         let address = |a: Option<SocketAddr>| a.map_or("-".into(), |a| a.to_string());
         let jobs = self.jobs_address.map(|at| format!(" jobs={at}"));
+        let udp = self.udp.as_ref();
         format!(
             "ready udp={} console={} control={} sys_clk_hz={} mode={mode}{}",
-            address(self.udp.udp.local_addr().ok()),
+            address(udp.and_then(|it| it.udp.local_addr().ok())),
             address(self.console_address),
             address(self.control_address),
             self.rig.clockwork().sys_hz,
@@ -337,6 +351,9 @@ impl<D: Device> Server<D> {
     }
 
     fn free(&mut self, pace: Option<f64>) {
+        if let Some(cable) = &mut self.cable {
+            cable.carry(&mut self.rig);
+        }
         let event = match self.ahead(pace) {
             // Nothing to do until time goes on or an event comes.
             Some(wait) => self
@@ -400,6 +417,10 @@ impl<D: Device> Server<D> {
         }
         let mut ports = Vec::new();
         for reply in self.rig.take_replies() {
+            if let Some(cable) = &mut self.cable {
+                cable.send(&reply.payload);
+                continue;
+            }
             ports.push(reply.port);
             if reply.service == Service::Dhcp {
                 if let Some(dhcp) = &self.dhcp {
@@ -409,7 +430,7 @@ impl<D: Device> Server<D> {
                 }
                 continue;
             }
-            let Some(sender) = self.nat.sender(reply.port) else {
+            let (Some(udp), Some(sender)) = (&self.udp, self.nat.sender(reply.port)) else {
                 continue;
             };
             // A host that is gone refuses the datagram; a real board would not notice that either.
@@ -421,7 +442,7 @@ impl<D: Device> Server<D> {
                 (Service::Discovery, Some(discovery)) => {
                     discovery.udp.send_to(&reply.payload, sender)
                 }
-                _ => self.udp.udp.send_to(&reply.payload, sender),
+                _ => udp.udp.send_to(&reply.payload, sender),
             };
         }
         self.pump_consoles();

@@ -1,5 +1,5 @@
-//! The Verilated SoC behind its C ABI: pins in, pins out, one rising clock edge at a time; and the
-//! bare cores likewise.
+//! Calls the Verilated SoC through its C ABI: pins in, pins out, one rising clock edge at a time;
+//! and the bare cores in the same way.
 //!
 //! The only file of this crate with `unsafe`: it calls a shared library made by
 //! `sim/verilator/build.sh`. It knows no frames and no time; [`crate::board`] does.
@@ -13,7 +13,7 @@ use serde::Deserialize;
 use crate::error::Error;
 
 /// Version of [`Pins`] and of the functions below; equal to `ABI_VERSION` in `verilator/shim.cpp`.
-const SHIM_ABI: u32 = 8;
+const SHIM_ABI: u32 = 9;
 
 /// Bit of the sys clock in [`Silicon::rise`].
 pub const SYS: u32 = 1;
@@ -204,7 +204,8 @@ type RiseFn = unsafe extern "C" fn(*mut c_void, *mut Pins, u32, u64);
 type RomWriteFn = unsafe extern "C" fn(*mut c_void, u32, u32);
 type WordsFn = unsafe extern "C" fn(*mut c_void) -> u32;
 type SegmentsFn = unsafe extern "C" fn(*mut c_void) -> u64;
-type SdramLowFn = unsafe extern "C" fn(*mut c_void, u32, u32) -> c_int;
+type SdramLinesFn = unsafe extern "C" fn(*mut c_void, u32, u32, u32) -> c_int;
+type SdramTurnFn = unsafe extern "C" fn(*mut c_void, u32, u32) -> c_int;
 type RamReadFn = unsafe extern "C" fn(*mut c_void, u32) -> u32;
 type TraceOpenFn = unsafe extern "C" fn(*mut c_void, *const c_char) -> c_int;
 type HandleFn = unsafe extern "C" fn(*mut c_void);
@@ -224,12 +225,14 @@ unsafe extern "C" fn on_spi(context: *mut c_void, cs_n: u8, sck: u8, mosi: u8) -
     device(cs_n != 0, sck != 0, mosi != 0).into()
 }
 
-/// Lines of the SDRAM, a bit for each.
+/// Shorted lines of the SDRAM, a bit for each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SdramLines {
-    /// Of the data.
+    /// Of the data, to ground.
     pub data: u32,
-    /// Of a row's number. The highest of them low: the chip is one of half the size.
+    /// Of the data, to the supply.
+    pub high: u32,
+    /// Of a row's number, to ground. The highest of them low: the chip is one of half the size.
     pub row: u16,
 }
 
@@ -242,7 +245,8 @@ pub struct Soc {
     ram_words: WordsFn,
     pc: WordsFn,
     segments: SegmentsFn,
-    sdram_low: SdramLowFn,
+    sdram_lines: SdramLinesFn,
+    sdram_turn: SdramTurnFn,
     ram_read: RamReadFn,
     trace_open: TraceOpenFn,
     trace_close: HandleFn,
@@ -317,7 +321,8 @@ impl Soc {
                 ram_words: *library.get(b"fc_ram_words").map_err(err)?,
                 pc: *library.get(b"fc_pc").map_err(err)?,
                 segments: *library.get(b"fc_segments").map_err(err)?,
-                sdram_low: *library.get(b"fc_sdram_low").map_err(err)?,
+                sdram_lines: *library.get(b"fc_sdram_lines").map_err(err)?,
+                sdram_turn: *library.get(b"fc_sdram_turn").map_err(err)?,
                 ram_read: *library.get(b"fc_ram_read").map_err(err)?,
                 trace_open: *library.get(b"fc_trace_open").map_err(err)?,
                 trace_close: *library.get(b"fc_trace_close").map_err(err)?,
@@ -375,11 +380,19 @@ impl Soc {
         (both != u64::MAX).then_some(((both >> 8) as u32, both as u8))
     }
 
-    /// Shorts lines of the SDRAM to ground; false on a board without one. Call it after the first
+    /// Shorts lines of the SDRAM from now on; false on a board without one. Call it after the first
     /// clock edge, as [`Soc::load_rom`].
     pub fn short_sdram(&mut self, lines: SdramLines) -> bool {
         // SAFETY: see `rom_words`.
-        unsafe { (self.sdram_low)(self.handle, lines.data, lines.row.into()) == 0 }
+        unsafe { (self.sdram_lines)(self.handle, lines.data, lines.row.into(), lines.high) == 0 }
+    }
+
+    /// Turns bits over in a word of the SDRAM, which the CPU's caches may still hold as it was;
+    /// false if there is no such word.
+    pub fn turn_sdram(&mut self, word: usize, bits: u32) -> bool {
+        let index = u32::try_from(word).unwrap_or(u32::MAX);
+        // SAFETY: see `rom_words`; the shim checks the index.
+        unsafe { (self.sdram_turn)(self.handle, index, bits) == 0 }
     }
 
     /// The on-chip RAM as it stands; empty when the manifest does not name it. A write-back in the

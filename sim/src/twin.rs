@@ -1,22 +1,27 @@
-//! The twin: the firmware's library on the cores' models, behind the same sockets as the Verilated
-//! board.
+//! The twin: the firmware's library on the models of the cores, with the same sockets as the
+//! Verilated board.
 //!
-//! No CPU, no MAC, no frames: a datagram goes into [`firmware::machine::Machine`] as the image
-//! would put it there, and the verbs of [`firmware::cores::Board`] become register writes of
-//! [`crate::model::Board`]. The pins behave as the gateware's, clock by clock; the times of the
+//! No CPU, no MAC: a datagram goes into [`firmware::machine::Machine`] as the image would put it
+//! there, and the verbs of [`firmware::cores::Board`] become register writes of
+//! [`crate::model::Board`]. Its network is datagrams and this machine's TCP, or Ethernet frames
+//! ([`Twin::plug_in`]). The pins behave as the gateware's, clock by clock; the times of the
 //! firmware's actions are round figures (see [`ANSWER`]), because no instructions are executed
 //! here.
 //!
 //! Time passes from event to event, so an idle board takes almost no computing time.
 
+mod ethernet;
+
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use firmware::console::{self, Ask, Vitals};
+use ::jobs::inside::Inside;
 use firmware::machine::{IDLE, Machine};
 use firmware::postmortem::Record;
+use firmware::services;
+use firmware::services::console::{Console, Reader, Visit};
+use firmware::services::port::CONSOLES;
 use firmware::session::Peer;
-use firmware::{dhcp, text};
 use wire::describe::JobsState;
 use wire::regmap;
 use wire::{MAX_WORDS, ResetReason};
@@ -30,11 +35,13 @@ use crate::exchange::{Meter, StatusHead, is_request, sequence, wants_reply};
 use crate::faults::{Act, Cargo, Direction, OneWay, Plan, Script};
 use crate::gmii;
 use crate::jobs;
+use crate::lease::DhcpClient;
 use crate::model_board::{ACCESS, ModelBoard, Setup, ident};
 use crate::plant::Plant;
 use crate::report::{Counters, FrameCounts, Report, Seen};
 use crate::segment::CONSOLE_PORT;
 use crate::server::{Addresses, Device, Reply, Service};
+use crate::services::Services;
 use crate::soc::LINK_1000;
 
 /// Clocks from a request's arrival to its execution, and from there to its answer. The image takes
@@ -52,25 +59,15 @@ const ENVELOPE: usize = 8 + 14 + 20 + 8 + 4;
 /// The host's address on the board's cable, as the Verilated board sees it.
 const HOST: u32 = 0xc0a8_0201;
 
-/// Text of the console on its way out.
-#[derive(Debug, Default)]
-struct Paper(Vec<u8>);
-
-impl text::Sink for Paper {
-    fn put(&mut self, text: &[u8]) {
-        self.0.extend_from_slice(text);
-    }
-}
-
-/// A client at the console.
+/// A client at a console, or at the port of jobs.
 #[derive(Debug, Default)]
 struct Visitor {
-    line: console::LineEditor,
-    out: Paper,
+    console: Console,
+    /// Its number at the board; `None`: it is at the port of jobs.
+    number: Option<usize>,
+    out: Vec<u8>,
     said_goodbye: bool,
     gone: bool,
-    /// A client of the jobs, not of the console.
-    jobs: bool,
 }
 
 /// A datagram on its way to the board.
@@ -81,13 +78,16 @@ struct Letter {
     payload: Vec<u8>,
 }
 
-fn on_the_wire(payload: &[u8]) -> usize {
-    (payload.len() + ENVELOPE).max(gmii::MIN_FRAME + 12)
+fn on_the_wire(service: Service, payload: &[u8]) -> usize {
+    match service {
+        Service::Cable => gmii::encode(payload).len(),
+        _ => (payload.len() + ENVELOPE).max(gmii::MIN_FRAME + 12),
+    }
 }
 
 impl Cargo for Letter {
     fn wire_bytes(&self) -> usize {
-        on_the_wire(&self.payload)
+        on_the_wire(self.service, &self.payload)
     }
     /// The MAC drops what its checksum does not fit.
     fn damage(&mut self, _: u64) -> bool {
@@ -97,7 +97,7 @@ impl Cargo for Letter {
 
 impl Cargo for Reply {
     fn wire_bytes(&self) -> usize {
-        on_the_wire(&self.payload)
+        on_the_wire(self.service, &self.payload)
     }
     /// So does the host's.
     fn damage(&mut self, _: u64) -> bool {
@@ -130,7 +130,7 @@ pub struct Twin {
     script: Script,
     to_board: OneWay<Letter>,
     from_board: OneWay<Reply>,
-    /// Nothing is heard before this clock: the firmware is starting.
+    /// The twin receives nothing before this clock: the firmware is starting.
     starting: u64,
     frames: FrameCounts,
     frozen: bool,
@@ -138,6 +138,14 @@ pub struct Twin {
     /// What executes jobs, and when it is called next.
     jobs: Option<jobs::Program>,
     jobs_at: u64,
+    /// For the consoles, if the services run.
+    reader: Option<Reader>,
+    /// What asks DHCP servers.
+    dhcp: Option<DhcpClient>,
+    /// Its network is frames.
+    cable: bool,
+    /// What takes them.
+    services: Option<Services>,
     busy: Duration,
     busy_clocks: u64,
 }
@@ -146,28 +154,36 @@ fn payload(words: &[u32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_be_bytes()).collect()
 }
 
-fn jobs_program(
+/// The services of a board: jobs where there are segments, what asks DHCP servers, and what the
+/// consoles read with.
+fn programs(
     machine: &mut Machine<ModelBoard>,
     facts: &BoardFacts,
     sdram: bool,
-) -> Option<jobs::Program> {
-    if facts.jobs == 0 {
-        return None;
-    }
-    if facts.streamed {
-        machine.server.jobs(JobsState::Streamed);
-        return None;
+) -> (Option<jobs::Program>, Option<DhcpClient>, Option<Reader>) {
+    if !facts.sdram {
+        machine.server.jobs(match facts.jobs {
+            0 => JobsState::None,
+            _ => JobsState::Streamed,
+        });
+        return (None, None, None);
     }
     if !sdram {
         machine.server.jobs(JobsState::Sdram);
-        return None;
+        return (None, None, None);
     }
-    let program = jobs::Program::start(machine, facts.clock_hz);
-    machine.server.jobs(match program {
-        Some(_) => JobsState::Alive,
-        None => JobsState::Missing,
-    });
-    program
+    let program = match facts.jobs {
+        0 => None,
+        _ => jobs::Program::start(machine, facts.clock_hz),
+    };
+    machine.server.jobs(JobsState::Alive);
+    let dhcp = DhcpClient::start(machine, facts.clock_hz);
+    let board = Inside::new(&mut jobs::Outer(machine));
+    (
+        program,
+        dhcp,
+        board.map(|(_, board)| Reader::new(board.channels, board.clock_hz)),
+    )
 }
 
 impl Twin {
@@ -182,12 +198,16 @@ impl Twin {
         let (mut model_board, ident) = ModelBoard::power_up(setup);
         let boot = model_board.boot();
         let mut machine = Machine::start(model_board, ident, regmap::ABI, boot);
-        let jobs = jobs_program(&mut machine, &facts, sdram);
+        let (jobs, dhcp, reader) = programs(&mut machine, &facts, sdram);
         let clockwork = Clockwork::new(facts.clock_hz.into());
         Twin {
             housekeeping_at: machine.board.clock(),
             jobs_at: machine.board.clock(),
             jobs,
+            reader,
+            dhcp,
+            cable: false,
+            services: None,
             machine,
             facts,
             sdram,
@@ -249,13 +269,15 @@ impl Twin {
                 return;
             };
             self.frames.from_board += 1;
+            let words = &buffer[..broadcast.words];
+            if self.cable {
+                self.broadcast_frame(broadcast, words);
+                continue;
+            }
             let reply = Reply {
-                service: match broadcast.from_port {
-                    dhcp::PORT => Service::Dhcp,
-                    _ => Service::Discovery,
-                },
+                service: Service::Discovery,
                 port: broadcast.to_port,
-                payload: payload(&buffer[..broadcast.words]),
+                payload: payload(words),
             };
             self.send(reply);
         }
@@ -265,7 +287,9 @@ impl Twin {
     fn send(&mut self, mut reply: Reply) {
         let now = self.machine.board.clock();
         let from = Direction::FromBoard;
-        self.script.cut(from, now, &mut reply.payload);
+        if reply.service != Service::Cable {
+            self.script.cut(from, now, &mut reply.payload);
+        }
         self.from_board.enter(&mut self.script, now, reply);
         self.heard_of(now);
     }
@@ -278,7 +302,7 @@ impl Twin {
         while let Some(reply) = self.from_board.due(now) {
             self.replies.push(reply);
         }
-        self.frames.dropped = self.script.tally.lost;
+        self.frames.dropped = self.script.counts.lost;
     }
 
     fn take_in(&mut self, letter: Letter) {
@@ -354,7 +378,20 @@ impl Twin {
             regmap::ABI,
             boot,
         );
-        self.jobs = jobs_program(&mut self.machine, &self.facts, self.sdram);
+        self.start_services();
+    }
+
+    /// Starts what runs in the SDRAM.
+    fn start_services(&mut self) {
+        let programs = |machine: &mut _| programs(machine, &self.facts, self.sdram);
+        (self.jobs, self.dhcp, self.reader) = programs(&mut self.machine);
+        if self.cable {
+            // The services have all of them.
+            let there = self.reader.is_some();
+            (self.jobs, self.dhcp, self.reader) = (None, None, None);
+            let start = || Services::start(&mut self.machine, self.facts.clock_hz);
+            self.services = there.then(start).flatten();
+        }
     }
 
     fn housekeeping(&mut self) {
@@ -364,6 +401,17 @@ impl Twin {
             eprintln!("sim: {state}, reason {reason}");
         }
         self.send_broadcasts();
+        let client = self.dhcp.as_mut();
+        if let Some(payload) = client.and_then(|client| client.turn(&mut self.machine)) {
+            self.frames.from_board += 1;
+            self.send(Reply {
+                service: Service::Dhcp,
+                port: services::lease::SERVER_PORT,
+                payload,
+            });
+        }
+        // Nothing is told: the services and the server ask for the address.
+        self.machine.moved();
         if self.machine.server.wants_restart() {
             self.machine.board.record.part(ResetReason::Requested);
             self.begin();
@@ -376,7 +424,7 @@ impl Twin {
             port: request.port,
         };
         self.machine.board.model.arrive();
-        let mut buffer = [0; MAX_WORDS];
+        let (mut buffer, mut owners) = ([0; MAX_WORDS], false);
         let words = || {
             let mut words = [0; MAX_WORDS];
             let count =
@@ -386,6 +434,7 @@ impl Twin {
         let reply = match request.service {
             Service::Etherbone => {
                 let reply = self.machine.payload(&request.payload, peer, &mut buffer);
+                owners = self.machine.session().is_owner(peer);
                 reply.unwrap_or(&[])
             }
             Service::Discovery => {
@@ -394,8 +443,13 @@ impl Twin {
                 self.machine.discover(words, request.port, &mut buffer)
             }
             Service::Dhcp => {
-                let (words, count) = words();
-                self.machine.offered(&words[..count], request.payload.len());
+                if let Some(dhcp) = &mut self.dhcp {
+                    dhcp.take(&request.payload, &mut self.machine);
+                }
+                &[]
+            }
+            Service::Cable => {
+                (request.reply, owners) = self.take_frame(&request.payload);
                 &[]
             }
         };
@@ -407,16 +461,17 @@ impl Twin {
         }
         self.send_broadcasts();
         request.answered = self.machine.board.clock() + ANSWER[1];
-        let owners = matches!(request.service, Service::Etherbone)
-            && self.machine.server.session().is_owner(peer);
         if self.machine.due(self.machine.patience(owners)) {
             self.housekeeping();
         }
         self.requests.push_front(request);
     }
 
-    /// Calls the jobs program once. True if it sent something.
+    /// Calls the jobs program once, or all services. True if it sent something.
     fn do_jobs(&mut self) -> bool {
+        if self.cable {
+            return self.turn_services();
+        }
         let now = self.machine.board.clock();
         let Some(program) = self.jobs.as_mut().filter(|_| !self.frozen) else {
             self.jobs_at = u64::MAX;
@@ -428,9 +483,31 @@ impl Twin {
             return false;
         };
         let visitor = &mut self.visitors[said.visitor];
-        visitor.out.0.extend(said.bytes);
+        visitor.out.extend(said.bytes);
         visitor.said_goodbye |= said.close;
         true
+    }
+
+    /// The input and output of a console. It takes no time here.
+    fn converse(&mut self, client: usize, bytes: &[u8]) {
+        let visitor = &mut self.visitors[client];
+        let (Some(number), Some(reader)) = (visitor.number, &mut self.reader) else {
+            return;
+        };
+        if visitor.said_goodbye {
+            return;
+        }
+        let mut visit = Visit {
+            visitor: number,
+            reader,
+            jobs: self.jobs.as_mut().and_then(jobs::Program::jobs),
+            out: &mut jobs::Outer(&mut self.machine),
+        };
+        let (said, close) = jobs::converse(&mut visitor.console, bytes, &mut visit);
+        visitor.out.extend(said);
+        visitor.said_goodbye = close;
+        // A line may have started a job.
+        self.jobs_at = self.jobs_at.min(self.machine.board.clock() + ACCESS);
     }
 
     fn answer(&mut self, request: Request) -> bool {
@@ -498,7 +575,9 @@ impl Device for Twin {
         };
         let now = self.clock();
         let to = Direction::ToBoard;
-        self.script.cut(to, now, &mut letter.payload);
+        if service != Service::Cable {
+            self.script.cut(to, now, &mut letter.payload);
+        }
         self.to_board.enter(&mut self.script, now, letter);
         self.machine.board.spoilt = self.to_board.spoilt();
         self.heard_of(now);
@@ -586,53 +665,39 @@ impl Device for Twin {
     fn open(&mut self, port: u16) -> usize {
         let mut visitor = Visitor::default();
         if port == CONSOLE_PORT {
-            self.machine.greet();
-            visitor.out.0.extend(console::PROMPT.bytes());
+            let taken = |number: &usize| {
+                let mut all = self.visitors.iter();
+                all.any(|it| it.number == Some(*number) && !it.gone && !it.said_goodbye)
+            };
+            visitor.number = (0..CONSOLES).find(|number| !taken(number));
+            // No console is free, or nothing listens there.
+            visitor.said_goodbye = visitor.number.is_none() || self.reader.is_none();
         } else {
-            visitor.jobs = true;
             let number = self.visitors.len();
             let program = self.jobs.as_mut();
             match program.map(|program| program.open(number, &mut self.machine)) {
                 Some(None) => self.jobs_at = self.jobs_at.min(self.clock() + ACCESS),
-                Some(Some(busy)) => visitor.out.0.extend(busy),
+                Some(Some(busy)) => visitor.out.extend(busy),
                 // No service listens there.
                 None => visitor.said_goodbye = true,
             }
         }
         self.visitors.push(visitor);
-        self.visitors.len() - 1
+        let last = self.visitors.len() - 1;
+        self.converse(last, &[]);
+        last
     }
 
     fn type_in(&mut self, console: usize, bytes: &[u8]) -> usize {
         if self.frozen || !self.script.link() || self.clock() < self.starting {
             return 0;
         }
-        if self.visitors[console].jobs {
+        if self.visitors[console].number.is_none() {
             let program = self.jobs.as_mut();
             self.jobs_at = self.jobs_at.min(self.machine.board.clock() + ACCESS);
             return program.map_or(bytes.len(), |program| program.type_in(console, bytes));
         }
-        let visitor = &mut self.visitors[console];
-        for byte in bytes {
-            let Some(ask) = visitor.line.push(*byte) else {
-                continue;
-            };
-            match self.jobs.as_mut().filter(|_| ask == Ask::Job) {
-                Some(program) => {
-                    let text = program.line(visitor.line.line(), &mut self.machine);
-                    visitor.out.0.extend(text);
-                    self.jobs_at = self.machine.board.clock() + ACCESS;
-                }
-                None => self
-                    .machine
-                    .answer(ask, &Vitals::default(), &mut visitor.out),
-            }
-            if ask == Ask::Quit {
-                visitor.said_goodbye = true;
-                break;
-            }
-            visitor.out.0.extend(console::PROMPT.bytes());
-        }
+        self.converse(console, bytes);
         bytes.len()
     }
 
@@ -640,7 +705,7 @@ impl Device for Twin {
         if !self.script.link() {
             return Vec::new();
         }
-        std::mem::take(&mut self.visitors[console].out.0)
+        std::mem::take(&mut self.visitors[console].out)
     }
 
     fn untold(&mut self, console: usize) -> usize {

@@ -128,10 +128,12 @@ module_of() { # hierarchical path -> the variable in the top module (deeper path
         echo 'public_flat_rd -module "segments" -var "begun"'
         echo 'public_flat_rd -module "segments" -var "level"'
     fi
-    # Solder bridges at the SDRAM.
+    # Solder bridges at the SDRAM, and what is in it.
     if grep -q '^module sdram_chip ' "${verilog[@]}"; then
         echo 'public_flat_rw -module "sdram_chip" -var "data_low"'
+        echo 'public_flat_rw -module "sdram_chip" -var "data_high"'
         echo 'public_flat_rw -module "sdram_chip" -var "row_low"'
+        echo 'public_flat_rw -module "sdram_chip" -var "mem"'
     fi
     if [ -n "$ram_path" ]; then echo "public_flat_rw -module \"$top\" -var \"$(module_of "$ram_path")\""; fi
 } > "$obj/public.vlt"
@@ -198,7 +200,8 @@ g++ -O3 -std=gnu++17 $cflags -fvisibility=default -shared -I"$include" -I"$inclu
     -DFC_MODEL=Vsoc -DFC_HEADER='"Vsoc.h"' -DFC_ROOT_HEADER='"Vsoc___024root.h"' -DFC_ROM="$rom_name" \
     ${ram_name:+-DFC_RAM=$ram_name} ${pc:+-DFC_PC=$pc -DFC_PC_VALID=${pc%Pc}IsValid} \
     ${begun:+-DFC_BEGUN=$begun -DFC_LEVEL=${begun%begun}level} \
-    ${data_low:+-DFC_DATA_LOW=$data_low -DFC_ROW_LOW=${data_low%data_low}row_low} $prev $tracedef "$here/shim.cpp" "$obj/Vsoc__ALL.a" $objects \
+    ${data_low:+-DFC_DATA_LOW=$data_low -DFC_DATA_HIGH=${data_low%low}high -DFC_ROW_LOW=${data_low%data_low}row_low} \
+    ${data_low:+-DFC_SDRAM=${data_low%data_low}mem} $prev $tracedef "$here/shim.cpp" "$obj/Vsoc__ALL.a" $objects \
     -o "$out/$name.new" -pthread -latomic $( [ "$trace" = fst ] && echo -lz -llz4 ) >> "$log" 2>&1 \
     || { tail -40 "$log" >&2; die "linking failed, see $log"; }
 mv "$out/$name.new" "$out/$name"

@@ -6,7 +6,8 @@
 //
 // After wrong use (a mode register that is not set, a row that is not open, a time that is too
 // short, a row that waited too long for its refresh) it returns rubbish and loses writes. The test
-// bench sets `data_low` and `row_low`: lines of the board that are shorted to ground. On the card
+// bench sets `data_low`, `data_high` and `row_low`: lines of the board that are shorted to ground or to
+// the supply, and it turns bits over in `mem`. On the card
 // the chip's clock is a fraction of a period late; here all share one edge, and the outputs' way
 // back is that fraction shorter.
 module sdram_chip #(
@@ -37,6 +38,7 @@ module sdram_chip #(
     logic [31:0]         later;
     logic                kept;                    // it has been refreshed in time
     logic [31:0]         data_low = 0;            // lines that are always low
+    logic [31:0]         data_high = 0;           // and always high
     logic [15:0]         row_low = 0;             // likewise those of a row's number; the highest: a chip of half the size
 
     initial begin
@@ -96,7 +98,7 @@ module sdram_chip #(
             end
             default: ;
         endcase
-        out &= ~data_low;
+        out = (out & ~data_low) | data_high;
         later <= out;
         q <= cl == 2 ? out : cl == 3 ? later : RUBBISH;
     end

@@ -7,7 +7,7 @@
 //
 // build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM
 // (array in the root), FC_RAM (likewise, optional), FC_PC and FC_PC_VALID (optional), FC_BEGUN and
-// FC_LEVEL (optional), FC_DATA_LOW and FC_ROW_LOW (optional), FC_CLOCKS with a generated
+// FC_LEVEL (optional), FC_DATA_LOW, FC_DATA_HIGH, FC_ROW_LOW and FC_SDRAM (optional), FC_CLOCKS with a generated
 // fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or FC_TRACE_VCD.
 
 #include <cstddef>
@@ -38,7 +38,7 @@ bool Vsoc___024root___eval_phase__nba(Vsoc___024root*);
 #endif
 
 namespace {
-constexpr uint32_t ABI_VERSION = 8;
+constexpr uint32_t ABI_VERSION = 9;
 constexpr uint32_t SYS = 1, ETH = 2;
 
 struct Pins {
@@ -281,16 +281,30 @@ uint64_t fc_segments(void* handle) {
 #endif
 }
 
-// Lines of the SDRAM that are low from now on: of the data, and of a row's number. 1: there is no
-// SDRAM.
-int fc_sdram_low(void* handle, uint32_t data, uint32_t row) {
+// Lines of the SDRAM that are low from now on, of the data and of a row's number, and lines of the
+// data that are high. 1: there is no SDRAM.
+int fc_sdram_lines(void* handle, uint32_t low, uint32_t row, uint32_t high) {
 #if defined(FC_DATA_LOW)
     auto* root = static_cast<Soc*>(handle)->model->rootp;
-    root->FC_DATA_LOW = data;
+    root->FC_DATA_LOW = low;
+    root->FC_DATA_HIGH = high;
     root->FC_ROW_LOW = static_cast<uint16_t>(row);
     return 0;
 #else
-    (void)handle, (void)data, (void)row;
+    (void)handle, (void)low, (void)row, (void)high;
+    return 1;
+#endif
+}
+
+// Turns these bits over in a word of the SDRAM. 1: there is no such word.
+int fc_sdram_turn(void* handle, uint32_t index, uint32_t bits) {
+#if defined(FC_SDRAM)
+    auto& words = static_cast<Soc*>(handle)->model->rootp->FC_SDRAM;
+    if (index >= words.size()) return 1;
+    words[index] ^= bits;
+    return 0;
+#else
+    (void)handle, (void)index, (void)bits;
     return 1;
 #endif
 }

@@ -140,7 +140,7 @@ impl Bench {
         words.unwrap_or_else(|| panic!("no answer to a read of {address:#x}"))[0]
     }
 
-    /// Reads words one behind the other.
+    /// Reads words one after the other.
     pub fn read_block(&mut self, base: u32, count: u32) -> Vec<u32> {
         let addresses: Vec<u32> = (0..count).map(|n| base + 4 * n).collect();
         let words = self.transact(&[], &addresses);

@@ -1,4 +1,4 @@
-//! A host that owns a board behind a real socket and keeps it armed, as LinuxCNC does.
+//! A host that owns a board through a real socket and keeps it armed, as LinuxCNC does.
 
 use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
@@ -19,9 +19,9 @@ pub struct Driver {
 }
 
 impl Driver {
-    /// Acquires and arms the board behind this address; nothing moves.
+    /// Acquires and arms the board at this address; nothing moves.
     pub fn armed(board: SocketAddr) -> Self {
-        let socket = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        let socket = UdpSocket::bind("0.0.0.0:0").expect("a socket");
         // 5 s: a busy machine, not a slow board.
         let set = socket.set_read_timeout(Some(Duration::from_secs(5)));
         set.and_then(|()| socket.connect(board))

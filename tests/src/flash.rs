@@ -38,12 +38,19 @@ pub fn image(build: u32, frames: u16) -> Vec<u8> {
     small.bytes()
 }
 
-/// The same image with the jobs program behind it, as packing puts it there.
+/// The same image followed by the services, as packing puts them there.
 pub fn with_program(image: &[u8], program: &[u8]) -> Vec<u8> {
     let mut image = image.to_vec();
     image.resize(image.len().next_multiple_of(4), 0xff);
     image.extend(program);
     image
+}
+
+/// What the build left for the SDRAM.
+pub fn program() -> Vec<u8> {
+    let (_, firmware) = crate::parts();
+    let path = firmware.with_file_name("ferrocnc-services.bin");
+    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
 /// What its meta page says.
@@ -86,6 +93,15 @@ pub fn factory(part: Part, uid: u64) -> Nor {
     nor.preload(0, &stub(layout.slot_a.start));
     nor.preload(layout.jump_page() as usize, &stub(layout.golden.start));
     nor.lock(layout.protect_bits());
+    nor
+}
+
+/// The same with the services after the image in slot A.
+pub fn with_services(part: Part, uid: u64) -> Nor {
+    let mut nor = factory(part, uid);
+    let area = layout(&nor).slot_a;
+    let image = with_program(&image(FIRST, 3), &program());
+    put(&mut nor, area, &image, &meta(&image, FIRST));
     nor
 }
 

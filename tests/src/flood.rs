@@ -29,6 +29,8 @@ const PING_ARMED: [usize; 2] = [86, 214];
 const TCP_ARMED: [usize; 2] = [74, 202];
 /// Servo periods for a handshake with the console.
 const HANDSHAKE: usize = 20;
+/// More than the pieces of the longest answer of a console, with their acknowledgements.
+const PIECES: usize = 200;
 /// Bytes a gigabit wire takes in a servo period of a millisecond, gaps and preambles included.
 const WIRE_BYTES: u64 = 125_000;
 
@@ -435,7 +437,7 @@ pub struct Mail {
     pub taken: u32,
     /// Guests without a ticket.
     pub guests: u32,
-    /// Both slots were full.
+    /// All slots were full.
     pub no_slot: u32,
     /// Wrong preamble.
     pub preamble: u32,
@@ -552,8 +554,8 @@ impl BenchMachine {
         self.rig.freeze_cpu(false);
     }
 
-    /// How long an exchange takes that comes right behind each of these lines at the console,
-    /// clocks.
+    /// The longest time of an exchange that comes right after one of these lines at the console, or
+    /// after a piece of its answer, in clocks.
     pub fn console_costs<'l>(
         &mut self,
         command: &mut Command,
@@ -583,8 +585,26 @@ impl BenchMachine {
             while let Some(frame) = self.rig.segment.take_frame() {
                 self.rig.inject_frame(&frame);
             }
-            let answer = self.period_with(command, &[], 0);
-            costs.push((*line, answer.map(|answer| answer.turnaround)));
+            // The answer comes in pieces, after the owner's answers.
+            let (mut worst, mut heard) = (Some(0), Vec::new());
+            for _ in 0..PIECES {
+                let answer = self.period_with(command, &[], 0);
+                worst = worst.max(answer.as_ref().map(|answer| answer.turnaround));
+                assert!(answer.is_some(), "{line}: no answer");
+                heard.extend(self.rig.segment.recv(connection));
+                if heard.ends_with(b"ferrocnc> ") {
+                    break;
+                }
+            }
+            let heard = String::from_utf8_lossy(&heard);
+            let whole = heard.ends_with("ferrocnc> ") && !heard.contains("not while armed");
+            if !whole {
+                for n in 0..40 { let a = self.period_with(command, &[], 0); println!("more {n} {:?} {:?}", a.map(|a| a.turnaround), String::from_utf8_lossy(&self.rig.segment.recv(connection))); }
+                for w in [9u32, 10, 11, 12] { println!("describe {w} {:x}", self.read(wire::map::DESCRIBE + 4 * w)); }
+                println!("guard {:x} {:x}", self.read(wire::regmap::address(wire::regmap::timebase::BASE, 12)), self.read(wire::regmap::address(wire::regmap::timebase::BASE, 13)));
+            }
+            assert!(whole, "{line}: {heard}");
+            costs.push((*line, worst));
         }
         settle(self, command);
         self.rig.segment.close(connection);
@@ -594,7 +614,7 @@ impl BenchMachine {
 
 /// Raw frames.
 impl BenchMachine {
-    /// Puts these bytes on the wire behind what is there.
+    /// Puts these bytes on the wire after those that are there.
     pub fn inject(&mut self, wire: Vec<u8>) {
         self.rig.inject_wire(wire);
     }

@@ -39,11 +39,12 @@ const HANDLERS: &[&str] = &[
 const RA: u32 = 1;
 const SP: u32 = 2;
 const T0: u32 = 5;
+const T2: u32 = 7;
 const EBREAK: u32 = 0x0010_0073;
 const UNIMP: u32 = 0xc000_1073;
 const MRET: u32 = 0x3020_0073;
 const RET: u32 = 0x0000_8067;
-/// `j` to the instruction behind it.
+/// `j` to the next instruction.
 const J_NEXT: u32 = 0x0040_006f;
 /// Restores registers and returns, for the function that jumps to it (`firmware/src/bin/saves.s`).
 const RESTORE: &str = "__riscv_restore_";
@@ -100,11 +101,20 @@ pub struct Deepest {
 
 /// What the services call back: they have a stack of their own, in SDRAM
 /// (`firmware::services::abi`).
-pub const CALLED_BACK: [&str; 3] = ["services_datagram", "services_send", "services_console"];
+pub const CALLED_BACK: [&str; 4] = [
+    "services_datagram",
+    "services_send",
+    "services_console",
+    "services_leased",
+];
+/// They jump there with the function in `t2`, which it calls with the guard open.
+const ENTER: &str = "services_enter";
+/// Bytes of stack it takes for that.
+const ENTER_STACK: u32 = 16;
 /// The entry of the services, in its header: only the ROM calls it.
 const WAY_IN: &str = "services_entry";
 /// Takes the stack back from services that failed: it is as it was when they were called.
-const WAY_BACK: &str = "services_leave";
+const WAY_BACK: &str = "services_end";
 /// What was saved there.
 const SAVED: i64 = 64;
 
@@ -278,9 +288,13 @@ impl Code {
             let made = made
                 .then(|| self.constant(at + 4, word >> 7 & 31))
                 .flatten()?;
-            // What is jumped to at once is followed where it is jumped to.
-            let next = self.words.get(&(at + 4))?;
-            (next & 0x7f != 0x67).then_some(made)
+            // What is jumped to at once, or entered, is followed where that is done.
+            let next = *self.words.get(&(at + 4))?;
+            let enters = next & 0xfff == 0x6f
+                && self
+                    .jump_target(at + 4, next)
+                    .is_some_and(|to| self.function(to).1 == ENTER);
+            (next & 0x7f != 0x67 && !enters).then_some(made)
         });
         in_data
             .chain(in_code)
@@ -370,8 +384,16 @@ impl Code {
                 }
                 0x6f | 0x67 => {
                     let target = target.unwrap_or_default();
+                    let named = self.function(target).1;
                     if inside(&target) {
                         todo.push((target, depth));
+                    } else if named == WAY_BACK {
+                        left = left.max(Some(0));
+                    } else if named == ENTER {
+                        let function = self.constant(at, T2);
+                        let function = function.ok_or_else(|| format!("{name} enters nothing"))?;
+                        frame.calls.insert(Callee::At(function), deep + ENTER_STACK);
+                        left = left.max(Some(depth));
                     } else {
                         call(&mut frame, Callee::At(target));
                         left = left.max(Some(depth + walk.left(target)?));
@@ -394,7 +416,7 @@ impl Code {
         Ok(frame)
     }
 
-    /// The depth of the stack behind an instruction that writes its pointer.
+    /// The depth of the stack after an instruction that writes its pointer.
     fn depth_behind(&self, name: &str, at: u32, word: u32, depth: i64) -> Result<i64, String> {
         let (rs1, function) = (word >> 15 & 31, word >> 12 & 7);
         match word & 0x7f {

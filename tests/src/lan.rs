@@ -4,12 +4,17 @@
 //!   Lan            a namespace with nothing but a bridge
 //!    |-- Place     "host":    eth0, where `ferrocnc` runs
 //!    |-- Place     "board 0": eth0, where a twin with --interface eth0 runs
+//!    |-- tap1      the cable of a board whose network is frames: --tap tap1
 //!    `-- ...
 //! ```
 //!
 //! It has no name outside the processes that hold it, so it ends with the test, even after a crash;
 //! the machine's own network is never touched. It needs root, or a kernel that lets users make user
 //! namespaces; where neither is given the test fails and says so.
+
+pub mod arp;
+pub mod avahi;
+pub mod dhcp;
 
 use std::process::{Child, Command, Stdio};
 
@@ -66,6 +71,14 @@ impl Place {
         command
     }
 
+    /// A command that will run here, and ends when the thread that starts it does, even after a
+    /// crash of this process.
+    pub fn service(&self, program: impl AsRef<std::ffi::OsStr>) -> Command {
+        let mut command = self.command("setpriv");
+        command.args(["--pdeathsig", "KILL", "--"]).arg(program);
+        command
+    }
+
     /// Runs `ip` here.
     pub fn ip(&self, arguments: &str) {
         let mut ip = self.command("ip");
@@ -112,6 +125,16 @@ impl Lan {
         bridge.ip("link add br0 type bridge");
         bridge.ip("link set br0 up");
         Lan { bridge, plugged: 0 }
+    }
+
+    /// A new TAP interface on it, and a command that runs this program where it is: in the place of
+    /// the bridge, which has no address.
+    pub fn tap(&mut self, program: impl AsRef<std::ffi::OsStr>) -> (String, Command) {
+        let name = format!("tap{}", self.plugged);
+        self.plugged += 1;
+        self.bridge.ip(&format!("tuntap add dev {name} mode tap"));
+        self.bridge.ip(&format!("link set {name} master br0 up"));
+        (name, self.bridge.service(program))
     }
 
     /// A new place on it. Its `eth0` is up and has this address, or none.

@@ -86,7 +86,7 @@ pub fn root() -> &'static std::path::Path {
         .expect("the crate lies in the workspace")
 }
 
-/// What a board says of itself.
+/// A board's description of itself.
 pub fn description<S: Silicon>(rig: &mut Rig<S>) -> Describe {
     let words = rig
         .read_block(map::DESCRIBE, wire::describe::WORDS as u32)
@@ -152,6 +152,20 @@ pub fn to_words(bytes: &[u8]) -> Vec<u32> {
         .collect()
 }
 
+/// Lets a board load its services, if it has some: it does while no host owns it.
+pub fn wait_for_services(rig: &mut Rig) {
+    let loading = |rig: &mut Rig| {
+        let features = rig.read_word(map::DESCRIBE + 4 * FEATURES_AT as u32);
+        features.is_none_or(|word| JobsState::of(word) == JobsState::Loading)
+    };
+    for _ in 0..LOADING_MS {
+        if !loading(rig) {
+            break;
+        }
+        rig.run_ms(1);
+    }
+}
+
 impl BenchMachine {
     /// A board that has just started.
     pub fn start() -> Self {
@@ -170,17 +184,7 @@ impl BenchMachine {
         let mut rig = Rig::boot(setup).unwrap_or_else(|error| panic!("{error}"));
         let image = Image::read(&firmware, rig.board.silicon().rom_words())
             .unwrap_or_else(|error| panic!("{error}"));
-        // The services are loaded while no host owns the board.
-        let loading = |rig: &mut Rig| {
-            let features = rig.read_word(map::DESCRIBE + 4 * FEATURES_AT as u32);
-            features.is_none_or(|word| JobsState::of(word) == JobsState::Loading)
-        };
-        for _ in 0..LOADING_MS {
-            if !loading(&mut rig) {
-                break;
-            }
-            rig.run_ms(1);
-        }
+        wait_for_services(&mut rig);
         // What was asked while they started is answered late.
         rig.run_ms(2);
         rig.take_datagrams();
@@ -232,6 +236,11 @@ impl BenchMachine {
         self.token = self.read(map::SESSION_TOKEN);
         assert_ne!(self.token, 0, "the session was not granted");
         self.sequence = self.read(map::SESSION_LAST_SEQ);
+    }
+
+    /// Gives the session back. The machine should be at rest.
+    pub fn release(&mut self) {
+        self.write(map::SESSION_RELEASE, self.token);
     }
 
     /// Writes step timings and watchdog of an ordinary machine, and gives them to the check at the
@@ -633,7 +642,7 @@ impl BenchMachine {
 }
 
 /// Address range of the first function with `part` in its name.
-fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
+pub fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
     use object::{Object, ObjectSymbol};
     let bytes = std::fs::read(elf).unwrap_or_else(|error| panic!("{}: {error}", elf.display()));
     let file =
@@ -646,6 +655,17 @@ fn symbol(elf: &std::path::Path, part: &str) -> (usize, usize) {
         found.address() as usize,
         (found.address() + found.size()) as usize,
     )
+}
+
+/// The address of this symbol.
+fn place(elf: &std::path::Path, name: &str) -> usize {
+    use object::{Object, ObjectSymbol};
+    let bytes = std::fs::read(elf).unwrap_or_else(|error| panic!("{}: {error}", elf.display()));
+    let file =
+        object::File::parse(&*bytes).unwrap_or_else(|error| panic!("{}: {error}", elf.display()));
+    let found = file.symbols().find(|symbol| symbol.name() == Ok(name));
+    let found = found.unwrap_or_else(|| panic!("{} has no {name}", elf.display()));
+    found.address() as usize
 }
 
 /// A program of this workspace, built beside the tests, or in the folder `FERROCNC_PROGRAMS` names.

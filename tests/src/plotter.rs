@@ -36,7 +36,7 @@ const CHANNELS: Channels = Channels {
 };
 const CLOCK: u32 = 60_000_000;
 
-/// A twin behind sockets of this machine, running as fast as it goes.
+/// A twin at sockets of this computer, running as fast as possible.
 pub struct Plotter {
     /// Where its jobs are.
     pub jobs: SocketAddrV4,
@@ -66,7 +66,7 @@ impl Plotter {
 
     fn bare(slower: u32, trouble: &str) -> Self {
         let mut facts = BoardFacts::plain(CHANNELS, CLOCK);
-        (facts.jobs, facts.streamed) = (AXES as u8, true);
+        (facts.jobs, facts.sdram) = (AXES as u8, false);
         let pace = f64::from(CLOCK) / f64::from(slower);
         Plotter::switched_on(facts, Some(pace), trouble)
     }
@@ -89,7 +89,7 @@ impl Plotter {
     }
 
     fn switched_on(facts: BoardFacts, pace: Option<f64>, trouble: &str) -> Self {
-        let streamed = facts.streamed;
+        let streamed = !facts.sdram;
         let mut twin = Twin::power_up(Setup::new(facts, Plant::default()));
         if !trouble.is_empty() {
             let plan = trouble.parse().expect("words for trouble");
@@ -102,6 +102,7 @@ impl Plotter {
             udp: any,
             discovery: None,
             interface: None,
+            tap: None,
             console: Some(any),
             jobs: (!streamed).then_some(any),
             control: Some(any),
@@ -112,8 +113,15 @@ impl Plotter {
             report: None,
         };
         let stop = Arc::<AtomicBool>::default();
-        let server = Server::bind(twin, options, stop.clone()).expect("sockets of this machine");
-        let ready = server.ready_line();
+        let (told, hear) = std::sync::mpsc::channel();
+        let stopped = stop.clone();
+        let thread = std::thread::spawn(move || {
+            let server = Server::bind(twin, options, stopped).expect("sockets of this machine");
+            told.send(server.ready_line())
+                .expect("a plotter that waits");
+            server.run()
+        });
+        let ready = hear.recv().expect("a server");
         let place = |key: &str| -> Option<SocketAddrV4> {
             let mut words = ready.split(' ');
             words.find_map(|word| word.strip_prefix(key))?.parse().ok()
@@ -130,7 +138,7 @@ impl Plotter {
             console: place("console=").expect("it says where its console is"),
             control: place("control=").expect("it says where it is controlled"),
             stop,
-            thread: std::thread::spawn(move || server.run()),
+            thread,
             streamer: None,
         }
     }

@@ -1,10 +1,14 @@
-//! Programs for the SDRAM that fail: the services of the build with other code in a function.
+//! Programs for the SDRAM that fail: the services of the build with other code in a function, and
+//! an SDRAM that does not keep them.
 
-use crate::parts;
+use crate::{BenchMachine, parts};
+use rand::Rng;
+use rand_pcg::Pcg64Mcg;
+use std::ops::Range;
 use wire::crc::crc32_words;
+use wire::refusal::COUNTERS_CALLS;
+use wire::regmap::SDRAM_BASE;
 
-/// Where the program lies.
-const SDRAM: usize = 0x4000_0000;
 /// Bytes of [`beginning`] before its end: more than one piece of the ROM's, and a part of one.
 const BEGINNING: usize = 3_800;
 
@@ -14,7 +18,7 @@ pub fn broken(mut program: Vec<u8>, part: &str, code: &[u32]) -> Vec<u8> {
     let (start, end) = crate::symbol(&elf, part);
     let bytes: Vec<u8> = code.iter().flat_map(|word| word.to_le_bytes()).collect();
     assert!(bytes.len() <= end - start, "{part} is too short for this");
-    let at = start - SDRAM;
+    let at = start - SDRAM_BASE;
     program[at..at + bytes.len()].copy_from_slice(&bytes);
     program
 }
@@ -28,11 +32,68 @@ pub fn beginning(program: &[u8]) -> Vec<u8> {
     sealed(bytes)
 }
 
-/// Words again behind a change: the CRC made right.
+/// The words after a change, with a corrected CRC.
 pub fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
     let (words, _) = bytes.as_chunks();
     let words: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
     let crc = crc32_words(&words[1..]);
     bytes[..4].copy_from_slice(&crc.to_le_bytes());
     bytes
+}
+
+/// A part of the SDRAM.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Code and constants of the services.
+    Code,
+    /// What they write: variables, sockets, and the upper end of their stack.
+    Data,
+}
+
+/// Words of the header, which the ROM reads only behind a check.
+const HEADER: usize = 9;
+/// Bytes of the stack that are used.
+const STACK: usize = 4096;
+
+impl Part {
+    /// Its words.
+    pub fn words(self, program: &[u8]) -> Vec<Range<usize>> {
+        let fixed_end = program[32..36].try_into().expect("four bytes");
+        let fixed_end = u32::from_le_bytes(fixed_end) as usize - SDRAM_BASE;
+        assert!(fixed_end < program.len() && fixed_end.is_multiple_of(256));
+        let word = |address: usize| (address - SDRAM_BASE) / 4;
+        match self {
+            Part::Code => vec![HEADER..fixed_end / 4],
+            Part::Data => {
+                let elf = parts().1.with_file_name("ferrocnc-services.elf");
+                let end = crate::place(&elf, "__services_bss_end");
+                let top = crate::place(&elf, "__services_stack");
+                vec![fixed_end / 4..word(end), word(top - STACK)..word(top)]
+            }
+        }
+    }
+}
+
+impl BenchMachine {
+    /// Clocks of the longest call of the services since the start, while a host moved the machine
+    /// and at any other time.
+    pub fn longest_calls(&mut self) -> [u32; 2] {
+        [COUNTERS_CALLS, COUNTERS_CALLS + 4].map(|at| self.read(at))
+    }
+
+    /// Turns so many bits over in these words of the SDRAM.
+    pub fn turn_over(&mut self, words: &[Range<usize>], bits: usize, rng: &mut Pcg64Mcg) {
+        let all: usize = words.iter().map(Range::len).sum();
+        for _ in 0..bits {
+            let mut at = rng.random_range(0..all);
+            let range = words.iter().find(|range| {
+                let here = at < range.len();
+                at -= if here { 0 } else { range.len() };
+                here
+            });
+            let word = range.map_or(0, |range| range.start + at);
+            let bit = 1 << rng.random_range(0..32);
+            assert!(self.rig.board.silicon().turn_sdram(word, bit));
+        }
+    }
 }

@@ -1,11 +1,12 @@
-//! The simulator as a program of its own.
+//! Starts the simulator as a separate program.
 
 use crate::{flash, lan, parts, program, root};
 
-/// The simulator as a program of its own, behind real sockets; ends with the test.
+/// The simulator as a separate program with real sockets; it ends with the test.
 pub struct Simulator {
     child: std::process::Child,
     udp: std::net::SocketAddr,
+    console: Option<std::net::SocketAddr>,
     control: Option<std::net::SocketAddr>,
 }
 
@@ -71,6 +72,29 @@ impl Simulator {
         Self::run(command, udp, None)
     }
 
+    /// A twin of this board whose cable ends in this segment, with a flash of its own and these
+    /// further arguments: its IP stack is the board's.
+    pub fn on_cable(lan: &mut lan::Lan, board: &str, arguments: &[&str]) -> Self {
+        let (tap, mut command) = lan.tap(program("ferrocnc-sim"));
+        command
+            .args(["--backend", "model", "--board", board, "--tap", &tap])
+            .args(arguments);
+        Self::run(command, ([0, 0, 0, 0], 1234).into(), None)
+    }
+
+    /// The Verilated board at the end of such a cable, with what is in this flash.
+    pub fn rtl_on_cable(lan: &mut lan::Lan, flash: &std::path::Path) -> Self {
+        let (soc, firmware) = parts();
+        let (tap, mut command) = lan.tap(program("ferrocnc-sim"));
+        command
+            .arg("--soc")
+            .arg(soc)
+            .arg("--firmware")
+            .arg(firmware);
+        command.args(["--tap", &tap, "--flash"]).arg(flash);
+        Self::run(command, ([0, 0, 0, 0], 1234).into(), None)
+    }
+
     fn run(
         mut command: std::process::Command,
         udp: std::net::SocketAddr,
@@ -91,9 +115,11 @@ impl Simulator {
             ready.contains("ready"),
             "the simulator said {ready:?} instead of being ready"
         );
+        let console = { ready.split_whitespace() }.find_map(|word| word.strip_prefix("console="));
         Simulator {
             child,
             udp,
+            console: console.and_then(|at| at.parse().ok()),
             control,
         }
     }
@@ -129,6 +155,11 @@ impl Simulator {
     /// Where its board listens for datagrams.
     pub fn udp(&self) -> std::net::SocketAddr {
         self.udp
+    }
+
+    /// Where its consoles are.
+    pub fn console(&self) -> std::net::SocketAddr {
+        self.console.expect("it says where they are")
     }
 
     /// Where its control channel is.

@@ -1,4 +1,5 @@
-//! Random machines that are stopped in mid-job, and what their pins may do then.
+//! Random machines that are stopped in the middle of a job, and the allowed behaviour of their
+//! pins.
 //!
 //! What leaves the pins is held against the prediction of the whole job. As far as the two agree
 //! nothing has stopped; from there on each axis has the way that its own acceleration takes from

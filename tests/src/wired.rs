@@ -8,7 +8,9 @@
 //! The board's time passes while the client does something, and when a test says so; otherwise it
 //! stands still.
 
+pub use crate::flash::program;
 use crate::pins::{Event, Pin};
+
 use crate::{BenchMachine, flash, parts};
 use host::job::client::Board;
 use host::keys::Keys;
@@ -34,7 +36,7 @@ const TURN: u64 = 1000;
 /// same place.
 const SAMPLE: u64 = 61;
 /// 2 ms from what the board says to what the client answers, and of that one frame after the other.
-/// The board has two places for frames and the program takes up to 2 ms for each; what is lost
+/// The board has four places for frames and the program takes up to 2 ms for each; what is lost
 /// comes again after most of a second, which is minutes here.
 const THINKS: u64 = 120_000;
 /// Bytes of one frame, as the board says in its handshake.
@@ -42,14 +44,7 @@ const PIECE: usize = 1460;
 /// Where the jobs program lies.
 const PROGRAM: u32 = wire::regmap::SDRAM_BASE as u32;
 
-/// What the build left for the SDRAM.
-pub fn program() -> Vec<u8> {
-    let (_, firmware) = parts();
-    let path = firmware.with_file_name("ferrocnc-services.bin");
-    std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
-}
-
-/// A board with jobs, with this behind the bitstream in its flash; its image runs from slot A.
+/// A board with jobs, with this after the bitstream in its flash; its image runs from slot A.
 pub fn setup(behind: &[u8]) -> Setup {
     let trailer = Trailer {
         build_id: flash::FIRST,
@@ -58,7 +53,15 @@ pub fn setup(behind: &[u8]) -> Setup {
     preloaded(trailer, |layout| layout.slot_a, behind)
 }
 
-/// The same, but it is the golden image that runs and has this behind it.
+/// The board of most tests with the services in its flash. To load them takes half a minute of a
+/// core, so most tests do without.
+pub fn mill() -> Setup {
+    let mut setup = setup(&program());
+    (setup.soc_dir, _) = parts();
+    setup
+}
+
+/// As [`setup`], but the golden image runs and is followed by this.
 pub fn golden(behind: &[u8]) -> Setup {
     let trailer = Trailer {
         build_id: flash::GOLDEN,

@@ -1,6 +1,6 @@
 //! Other projects' programs against the board: ping, a console session, LiteX's RemoteClient.
 
-use ferrocnc_tests::{BenchMachine, Simulator};
+use ferrocnc_tests::{BenchMachine, Simulator, wired};
 use std::path::Path;
 use std::process::Command;
 
@@ -13,7 +13,7 @@ fn a_ping_is_answered() {
 
 #[test]
 fn a_console_session_answers_and_changes_nothing() {
-    let mut machine = BenchMachine::start();
+    let mut machine = BenchMachine::boot(wired::mill());
     let before = machine.registers();
     let heard = machine
         .console("help\r\nstatus\r\nnet\r\nstepgen\r\nencoder\r\nwatchdog\r\nregs\r\nnonsense\r\n");
@@ -28,7 +28,7 @@ fn a_console_session_answers_and_changes_nothing() {
 
 #[test]
 fn the_console_takes_one_visitor_after_the_other() {
-    let mut machine = BenchMachine::start();
+    let mut machine = BenchMachine::boot(wired::mill());
     for visit in 0..3 {
         let heard = machine.console("net\r\n");
         assert!(
@@ -41,6 +41,65 @@ fn the_console_takes_one_visitor_after_the_other() {
             "visit {visit}, leaving politely:\n{heard}"
         );
     }
+}
+
+/// Debian's telnet against a twin's console.
+fn telnet(mode: &str) {
+    let twin = Simulator::twin(&["--mode", "free"]);
+    let console = twin.console();
+    let out = Command::new("python3")
+        .arg(ferrocnc_tests::root().join("tests/clients/telnet.py"))
+        .args([&console.ip().to_string(), &console.port().to_string(), mode])
+        .output()
+        .expect("Python is there");
+    let said = [out.stdout, out.stderr].concat();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&said));
+}
+
+#[test]
+fn a_telnet_client_that_negotiates_edits_its_line_on_the_board() {
+    telnet("characters");
+}
+
+#[test]
+fn a_telnet_client_that_does_not_negotiate_sends_lines() {
+    telnet("lines");
+}
+
+#[test]
+fn three_clients_have_a_console_each_and_a_fourth_when_one_has_gone() {
+    use std::io::{Read as _, Write as _};
+    use std::net::TcpStream;
+    let twin = Simulator::twin(&["--mode", "free"]);
+    let dial = || TcpStream::connect(twin.console()).expect("the twin listens");
+    let hears = |mut client: &TcpStream| {
+        let (mut heard, mut piece) = (Vec::new(), [0; 512]);
+        while !heard.ends_with(b"ferrocnc> ") {
+            match client.read(&mut piece).expect("a connection") {
+                0 => break,
+                length => heard.extend(&piece[..length]),
+            }
+        }
+        String::from_utf8(heard).expect("ASCII")
+    };
+    let all = [dial(), dial(), dial()];
+    for client in &all {
+        assert_eq!(hears(client), "ferrocnc> ");
+    }
+    // Half lines of all three before any of them ends.
+    for part in ["pw", "m ", "0\n"] {
+        for mut client in &all {
+            client.write_all(part.as_bytes()).expect("a connection");
+        }
+    }
+    for client in &all {
+        let heard = hears(client);
+        assert!(heard.starts_with("0: period "), "{heard}");
+    }
+    assert_eq!(hears(&dial()), "", "there is no fourth");
+    (&all[1]).write_all(b"quit\n").expect("a connection");
+    assert_eq!(hears(&all[1]), "bye\r\n");
+    assert_eq!(hears(&dial()), "ferrocnc> ");
 }
 
 #[test]

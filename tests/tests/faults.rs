@@ -227,7 +227,7 @@ fn malformed_truncated_padded_oversized_datagram() {
     mill.run(1000);
     mill.trouble("off");
     mill.nothing_is_wrong();
-    let cut = mill.twin.faults().tally.truncated;
+    let cut = mill.twin.faults().counts.truncated;
     assert!(cut > 20, "{cut} were cut");
 
     // The same from a hostile host: each is counted under its own name, and nothing changes at the

@@ -1,5 +1,5 @@
-//! The rows of the fault table that must hold with the CPU removed, on the Verilated board with its
-//! CPU's clock stopped; and the release image's own share of the others.
+//! The rows of the fault table that must hold without the CPU, on the Verilated board with the
+//! CPU's clock stopped; and the part of the release image in the other rows.
 
 use ferrocnc_tests::BenchMachine;
 use wire::exchange::Command;

@@ -5,7 +5,7 @@
 //! frames of the others. The figures are printed and stand in `target/reports/flood.json`.
 
 use ferrocnc_tests::flood::{Answer, KINDS, Kind};
-use ferrocnc_tests::wired::{program, setup};
+use ferrocnc_tests::wired::{mill, program, setup};
 use ferrocnc_tests::{BenchMachine, report_part, seed};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -35,7 +35,9 @@ const MARGIN: u32 = 3 * 60_000 - BOUND as u32;
 
 /// A machine with six moving axes, each at its own rate.
 fn moving() -> (BenchMachine, Command) {
-    set_moving(BenchMachine::armed())
+    let mut machine = BenchMachine::boot(mill());
+    machine.make_ready();
+    set_moving(machine)
 }
 
 /// The same with three axes, at a board that executes jobs, too.
@@ -97,6 +99,16 @@ fn a_board_that_executes_jobs_keeps_the_bound_under_floods_and_behind_every_fram
     report("guests_with_jobs", costs);
     let floods = floods(&mut machine, &mut command, PERIODS_WITH_JOBS);
     report("floods_with_jobs", floods);
+    let [moving, other] = machine.longest_calls();
+    println!("longest call of the services {moving} clocks while moving, {other} else");
+    report(
+        "longest_call_clocks",
+        json!({"moving": moving, "else": other}),
+    );
+    assert!(
+        (1..=BOUND).contains(&moving.into()) && other > 0,
+        "{moving}, {other}"
+    );
     comes_to_rest(&mut machine, &mut command);
 }
 

@@ -1,8 +1,8 @@
-//! The release image cannot panic behind its parser and cannot run out of stack: shown from its
-//! machine code.
+//! Shows from the machine code that the release image cannot panic after its parser and cannot run
+//! out of stack.
 
 use ferrocnc_tests::image::{CALLED_BACK, Code, Deepest};
-use ferrocnc_tests::{BenchMachine, parts};
+use ferrocnc_tests::{BenchMachine, parts, wired};
 use std::path::PathBuf;
 
 /// Every place that may panic: a part of its function's name, how many there are in it, and why
@@ -178,7 +178,9 @@ fn the_services_stack_holds_its_longest_way_what_it_calls_back_and_a_trap() {
 fn a_board_at_work_has_used_no_more_stack_than_the_longest_way_and_most_of_it() {
     let code = Code::read(&parts().1);
     let longest = longest(&code, "_abs_start");
-    let mut machine = BenchMachine::armed();
+    // The console tells.
+    let mut machine = BenchMachine::boot(wired::mill());
+    machine.make_ready();
     let mut command = machine.enabled_command();
     for _ in 0..20 {
         machine.exchange_and_wait(&mut command);

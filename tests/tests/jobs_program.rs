@@ -1,5 +1,5 @@
-//! The services on the Verilated board: the release image finds them behind the bitstream in the
-//! flash, puts them into the SDRAM and lets them answer on the port of jobs; without them, or with
+//! The services on the Verilated board: the release image finds them after the bitstream in the
+//! flash, loads them into the SDRAM, and they answer on the jobs port. Without them, or with
 //! damaged ones, everything else works.
 
 use ferrocnc_tests::BenchMachine;
@@ -79,12 +79,26 @@ fn empty_job() -> Vec<u8> {
     bytes
 }
 
-/// A board without jobs does everything else.
+/// A board with its services does everything else, too.
 fn works_otherwise(machine: &mut BenchMachine) {
     assert!(
         machine.console("status\n").contains("disarmed"),
         "the console answers"
     );
+    works_for_its_host(machine);
+}
+
+/// A board without its services has no console, and works for its host.
+fn works_without_services(machine: &mut BenchMachine) {
+    assert!(
+        machine.rig().tcp_connect(wire::CONSOLE_PORT).is_err(),
+        "the port of the console does not answer"
+    );
+    works_for_its_host(machine);
+}
+
+/// Ping and exchange are answered, and the machine can be enabled.
+fn works_for_its_host(machine: &mut BenchMachine) {
     assert!(machine.ping().is_some(), "a ping is answered");
     machine.make_ready();
     let mut command = machine.enabled_command();
@@ -193,9 +207,7 @@ fn without_a_whole_program_of_this_build_there_are_no_jobs_and_everything_else_w
             machine.rig().tcp_connect(wire::jobs::PORT).is_err(),
             "{what}: the port of jobs does not answer"
         );
-        let said = machine.console("job stop\n");
-        assert!(said.contains("no jobs here"), "{what}: {said}");
-        works_otherwise(&mut machine);
+        works_without_services(&mut machine);
     }
 }
 
@@ -205,7 +217,7 @@ fn an_image_loaded_by_jtag_has_no_program() {
     setup.trailer.build_id ^= 1;
     let mut machine = BenchMachine::boot(setup);
     assert_eq!(state(&mut machine), JobsState::Missing);
-    works_otherwise(&mut machine);
+    works_without_services(&mut machine);
 }
 
 #[test]
@@ -274,13 +286,13 @@ fn an_sdram_with_a_line_shorted_to_ground_has_no_jobs_and_everything_else_works(
         ),
     ] {
         let mut setup = setup(&program());
-        setup.shorted = SdramLines { data, row };
+        setup.shorted = SdramLines { data, row, high: 0 };
         let mut machine = BenchMachine::boot(setup);
         assert_eq!(state(&mut machine), told, "{what}");
         assert!(
             machine.rig().tcp_connect(wire::jobs::PORT).is_err(),
             "{what}: the port of jobs does not answer"
         );
-        works_otherwise(&mut machine);
+        works_without_services(&mut machine);
     }
 }

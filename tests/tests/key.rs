@@ -5,10 +5,10 @@
 //! real wires makes challenges that differ, and accepts the key and nothing else.
 
 use ferrocnc_tests::flash::{self, factory};
-use ferrocnc_tests::{to_bytes, to_words};
+use ferrocnc_tests::{to_bytes, to_words, wait_for_services};
 use host::keys::Key;
 use sim::nor::spi::Shared;
-use sim::nor::{Part, Times};
+use sim::nor::{Nor, Part, Times};
 use sim::rig::Rig;
 use sim::segment::{BOARD_IP, HOST_IP};
 use std::net::Ipv4Addr;
@@ -36,12 +36,20 @@ fn wrong_key() -> Key {
     Key::new([first ^ 1, b, c, d]).expect("not all zeros")
 }
 
+const PART: Part = Part::W25Q32JV;
+const UID64: u64 = (UID[0] as u64) << 32 | UID[1] as u64;
+
 /// A flash with the key among its settings.
 fn locked_flash() -> Shared {
-    let mut nor = factory(
-        Part::W25Q32JV.with(Times::QUICK),
-        u64::from(UID[0]) << 32 | u64::from(UID[1]),
-    );
+    locked(factory(PART.with(Times::QUICK), UID64))
+}
+
+/// The same with services, which are the console.
+fn locked_flash_with_services() -> Shared {
+    locked(flash::with_services(PART.with(Times::QUICK), UID64))
+}
+
+fn locked(mut nor: Nor) -> Shared {
     let settings = Settings {
         sequence: 1,
         key: KEY,
@@ -197,8 +205,9 @@ fn discover(rig: &mut Rig, message: &Message) -> Option<Body> {
 
 #[test]
 fn discovery_and_console_ask_for_the_key_too_and_the_factory_pin_opens_the_board() {
-    let flash = locked_flash();
+    let flash = locked_flash_with_services();
     let mut rig = power_up(&flash, false);
+    wait_for_services(&mut rig);
     let settings = Settings {
         prefix: 16,
         keep_key: true,

@@ -88,7 +88,7 @@ fn at_speed(out: &Path) {
     );
 }
 
-/// The steps before and behind the longest pause.
+/// The steps before and after the longest pause.
 fn around_the_pause(steps: &[Step]) -> [Step; 2] {
     let gap = steps
         .windows(2)

@@ -26,7 +26,7 @@ use sim::stimulus::{Chance, Write};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use wire::describe::Channels;
-use wire::regmap::watchdog;
+use wire::regmap::{timebase, watchdog};
 
 const ARM: u32 = watchdog::CONTROL_KEY_ARM;
 const SOFT: u32 = watchdog::CONTROL_KEY_SOFT;
@@ -75,7 +75,7 @@ impl Stimulus {
         let mut registers: Vec<(u32, u32)> = Vec::new();
         for (page, words) in [
             (pages::IDENT, 8),
-            (pages::TIMEBASE, 10),
+            (pages::TIMEBASE, 14),
             (pages::WATCHDOG, 9),
             (pages::GPIO, 8),
             (pages::LED, 1),
@@ -278,6 +278,15 @@ impl Stimulus {
         if self.random.one_in(4) {
             self.write(pages::TIMEBASE, 2, 0);
         }
+        if self.random.one_in(8) {
+            let open = self.random.one_in(2);
+            let word = if open {
+                timebase::GUARD_KEY_OPEN
+            } else {
+                self.random.random()
+            };
+            self.write(pages::TIMEBASE, timebase::GUARD as u32, word);
+        }
     }
 
     /// Arms and strobes as close together as the bus can carry them: what a rotation of the wide
@@ -435,11 +444,11 @@ impl Stimulus {
             ..Bus::default()
         };
         if self.random.one_in(700) {
-            bus.frame_done = Some(self.random.one_in(2));
+            bus.frame_done = Some(self.random.below(4) as u8);
         }
         bus.beat = self.random.one_in(2);
         if self.random.one_in(300) {
-            bus.frame_pending = Some(self.random.one_in(2));
+            bus.frame_pending = Some(self.random.below(4) as u8);
         }
         // Writes as close as the bus can carry them, and with the CPU's pauses.
         let writes = if self.busy { 1 } else { 3 };
@@ -461,14 +470,14 @@ impl Stimulus {
 
 /// What happened, by core.
 #[derive(Default)]
-struct Tally {
+struct EventCounts {
     counts: BTreeMap<&'static str, u64>,
     was: Pins,
     status_was: [u32; 8],
     bites: u32,
 }
 
-impl Tally {
+impl EventCounts {
     fn add(&mut self, what: &'static str, n: u32) {
         *self.counts.entry(what).or_default() += u64::from(n);
     }
@@ -531,6 +540,10 @@ impl Tally {
             "timebase: timed commits seen waiting",
             board.peek(pages::TIMEBASE, 8),
         );
+        self.add(
+            "guard: looks while it is closed",
+            board.peek(pages::TIMEBASE, timebase::GUARD_STATUS as u32),
+        );
     }
 }
 
@@ -539,7 +552,7 @@ struct Run {
     clocks: u64,
     reads: u64,
     seconds: f64,
-    tally: Tally,
+    events: EventCounts,
     counts: [u64; 2],
 }
 
@@ -565,7 +578,7 @@ fn run(seed: u64, clocks: u64) -> Run {
         abi: 0x1234_5678,
         ..CoresPins::default()
     };
-    let mut tally = Tally::default();
+    let mut events = EventCounts::default();
     let (mut reads, mut travelled) = (0, [0u64; 2]);
     let mut counts_were = [0i32; 32];
     for clock in 0..clocks {
@@ -578,9 +591,9 @@ fn run(seed: u64, clocks: u64) -> Run {
         pins.rst = bus.rst.into();
         pins.eth_beat = bus.beat.into();
         (pins.pad_fault, pins.pad_at, pins.pad_to) = (s.pad_fault, s.pad_at, s.pad_to);
-        (pins.frame_done, pins.frame_slot) = bus.frame_done.map_or((0, 0), |slot| (1, slot.into()));
+        (pins.frame_done, pins.frame_slot) = bus.frame_done.map_or((0, 0), |slot| (1, slot));
         (pins.frame_pending, pins.pending_slot) =
-            bus.frame_pending.map_or((0, 0), |slot| (1, slot.into()));
+            bus.frame_pending.map_or((0, 0), |slot| (1, slot));
         (pins.gpio_in, pins.ext_reset) = (s.gpio_in, s.ext_reset);
         (pins.enc_a, pins.enc_b, pins.enc_i) = (s.enc_a, s.enc_b, s.enc_i);
         (pins.step_index, pins.enc_mask) = (s.step_index, s.enc_mask);
@@ -618,10 +631,10 @@ fn run(seed: u64, clocks: u64) -> Run {
             address & 0x1ff,
             pins.dat_r
         );
-        tally.clock(m);
-        tally.add("pads: clocks with a short", u32::from(s.pad_fault != 0));
+        events.clock(m);
+        events.add("pads: clocks with a short", u32::from(s.pad_fault != 0));
         if clock % 256 == 0 {
-            tally.look(&board);
+            events.look(&board);
             for (n, was) in counts_were.iter_mut().enumerate() {
                 let word = if n < 16 { 9 + 3 * n } else { 56 + 2 * (n - 16) };
                 let now = board.status(word) as i32;
@@ -635,7 +648,7 @@ fn run(seed: u64, clocks: u64) -> Run {
         clocks,
         reads,
         seconds: started.elapsed().as_secs_f64(),
-        tally,
+        events,
         counts: travelled,
     }
 }
@@ -674,7 +687,7 @@ fn gateware_and_models_agree_on_every_pin_and_register_in_every_clock() {
     });
     let mut happened: BTreeMap<&str, u64> = BTreeMap::new();
     for run in &runs {
-        for (what, n) in &run.tally.counts {
+        for (what, n) in &run.events.counts {
             *happened.entry(what).or_default() += n;
         }
         *happened.entry("stepgen: pulses counted").or_default() += run.counts[0];

@@ -8,10 +8,11 @@
 use std::collections::HashSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use ferrocnc_tests::flash::{self, Boots, FIRST, SECOND, UID, boots, factory};
+use ferrocnc_tests::lan::dhcp::DhcpServer;
 use ferrocnc_tests::lan::{Lan, Place};
 use ferrocnc_tests::{Simulator, program};
 use serde_json::Value;
@@ -187,48 +188,6 @@ fn three_boards_with_the_factory_address_are_found_named_and_told_apart() {
     let _ = std::fs::remove_dir_all(&folder);
 }
 
-/// A real DHCP server at a place; gone with this.
-struct DhcpServer {
-    process: Child,
-    leases: PathBuf,
-}
-
-impl DhcpServer {
-    /// Gives out 10.7.0.50 to 10.7.0.59.
-    fn start(place: &Place, folder: &Path) -> Self {
-        let leases = folder.join("leases");
-        let mut dnsmasq = place.command("dnsmasq");
-        dnsmasq
-            .args(["--keep-in-foreground", "--conf-file=/dev/null", "--port=0"])
-            .args(["--user=", "--group=", "--pid-file=", "--leasefile-ro"])
-            .args(["--interface=eth0", "--dhcp-range=10.7.0.50,10.7.0.59,2m"])
-            .arg("--dhcp-script=/bin/true")
-            .arg("--log-facility=-")
-            .arg("--log-dhcp");
-        let log = std::fs::File::create(&leases).expect("a file for what it says");
-        let process = dnsmasq
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(log)
-            .spawn()
-            .unwrap_or_else(|error| panic!("{dnsmasq:?}: {error} (Debian's dnsmasq-base)"));
-        DhcpServer { process, leases }
-    }
-
-    /// What it has to say.
-    fn said(&self) -> String {
-        std::fs::read_to_string(&self.leases).unwrap_or_default()
-    }
-}
-
-impl Drop for DhcpServer {
-    fn drop(&mut self) {
-        // Killing `nsenter` kills the server: it became it.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
-
 /// Asks for boards until the only one is where it should be.
 fn wait_for_ip(host: &Place, wanted: impl Fn(&str) -> bool) -> Value {
     let began = Instant::now();
@@ -254,7 +213,7 @@ fn a_real_dhcp_server_gives_a_board_its_address_and_without_one_it_falls_back() 
     let path = flash_file(&folder, UIDS[0]);
     let mut board = Simulator::at(&place, &path, UIDS[0]);
     let uid = uid_text(UIDS[0]);
-    let server = DhcpServer::start(&host, &folder);
+    let server = DhcpServer::start(&host, &folder, "2m");
     assert_eq!(wait_for_ip(&host, |_| true)["ip"], "192.168.2.50");
     at_host(
         &host,

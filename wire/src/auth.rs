@@ -1,4 +1,4 @@
-//! The pre-shared key: a client has to have it to take a board that has it.
+//! The pre-shared key: a client needs it to acquire a board that has a key.
 //!
 //! A board with a key ([`crate::describe::FEATURE_KEY`]) asks every client that wants to change
 //! something to prove that it has the same key. It sends a challenge that never repeats, and the

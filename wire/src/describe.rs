@@ -66,15 +66,16 @@ pub const FEATURE_JOBS: u32 = ident::FEATURES_JOBS;
 pub const FEATURE_READBACK: u32 = ident::FEATURES_READBACK;
 
 codes! {
-    /// Whether jobs can be executed without a PC: the feature bits from [`JobsState::AT`] on.
+    /// How the services are, and with them the jobs of a board with [`FEATURE_JOBS`]: the feature
+    /// bits from [`JobsState::AT`] on.
     JobsState: u32 {
-        /// The gateware has no segments.
-        None = 0, "none";
+        /// The board uses no SDRAM, and has no segments either.
+        None = 0, "none: no SDRAM is used";
         /// The services run.
         Alive = 1, "ready";
         /// The SDRAM does not keep what is written into it.
         Sdram = 2, "the SDRAM failed its test";
-        /// The image that runs has no jobs program: it was loaded by JTAG, or built without one.
+        /// The image that runs has no services: it was loaded by JTAG, or built without one.
         Missing = 3, "no program in flash";
         /// The program's CRC or length is wrong.
         Damaged = 4, "the program is damaged";
@@ -84,11 +85,13 @@ codes! {
         /// registers.
         Streamed = 6, "a PC streams them (ferrocnc job serve)";
         /// The services failed while the board ran; the machine is as it was. The board loads them
-        /// again when it starts.
-        Ended = 7, "the services failed; restart the board";
+        /// again as soon as no host owns it.
+        Ended = 7, "the services failed";
         /// The board copies the services from its flash. It goes on with that whenever no host owns
         /// it.
         Loading = 8, "the services are being loaded";
+        /// The services failed as often as the board loads them again; the machine is as it was.
+        GivenUp = 9, "the services failed four times";
     }
 }
 
@@ -130,7 +133,7 @@ pub struct Describe {
     pub features: u32,
     /// Changes with every start of the firmware.
     pub boot_id: u32,
-    /// Words in the board blob behind it.
+    /// Words in the board blob that follows it.
     pub blob_words: u32,
     /// As the first word of a status block.
     pub state: exchange::StateWord,
@@ -283,6 +286,7 @@ mod tests {
                 link: true,
                 estop: false,
                 speed: LinkSpeed::M1000,
+                services: JobsState::Ended,
                 link_errors: 200,
             },
             obstacles: OBSTACLE_ABI,

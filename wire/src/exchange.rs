@@ -35,6 +35,7 @@
 //! its next command and finds the value in the answer. A lost frame only delays this.
 
 use crate::channels::Channels;
+use crate::describe::JobsState;
 use crate::regmap::{command, pwm, status};
 use crate::state::{FaultReason, LinkSpeed, State};
 use crate::units::{Accel, Clocks, Count, Position, Velocity};
@@ -335,6 +336,8 @@ pub struct StateWord {
     pub estop: bool,
     /// The link's speed.
     pub speed: LinkSpeed,
+    /// What became of the services.
+    pub services: JobsState,
     /// Frames the MAC dropped since power-up (CRC, preamble, no slot free), modulo 256.
     pub link_errors: u8,
 }
@@ -342,6 +345,8 @@ pub struct StateWord {
 impl StateWord {
     /// Lowest bit of the link's speed: above the state, which never needs six bits.
     pub const SPEED_SHIFT: u32 = 6;
+    /// Lowest bit of the services' state: above the reason, which never needs more than four bits.
+    pub const SERVICES_SHIFT: u32 = 12;
     /// Lowest bit of the count of errors.
     pub const ERRORS_SHIFT: u32 = 24;
 
@@ -351,6 +356,7 @@ impl StateWord {
             | (self.speed as u32) << Self::SPEED_SHIFT
             | (self.link_errors as u32) << Self::ERRORS_SHIFT
             | (self.reason as u32) << 8
+            | (self.services as u32) << Self::SERVICES_SHIFT
             | (self.position_trusted as u32) << 16
             | (self.enabled as u32) << 17
             | (self.session_yours as u32) << 18
@@ -361,12 +367,14 @@ impl StateWord {
             | (self.estop as u32) << 23
     }
 
-    /// From a word; refused if it has a state or reason that this version does not know.
+    /// From a word; refused if it has a state, a reason or a state of the services that this version
+    /// does not know.
     pub const fn from_word(word: u32) -> Result<Self, Refusal> {
-        let (Some(state), Some(reason), Some(speed)) = (
+        let (Some(state), Some(reason), Some(speed), Some(services)) = (
             State::from_code(word as u8 & 0x3f),
-            FaultReason::from_code((word >> 8) as u8),
+            FaultReason::from_code((word >> 8) as u8 & 15),
             LinkSpeed::from_code((word >> Self::SPEED_SHIFT) as u8 & 3),
+            JobsState::from_code(word >> Self::SERVICES_SHIFT & JobsState::MASK),
         ) else {
             return Err(Refusal::Value);
         };
@@ -382,6 +390,7 @@ impl StateWord {
             link: word >> 22 & 1 != 0,
             estop: word >> 23 & 1 != 0,
             speed,
+            services,
             link_errors: (word >> Self::ERRORS_SHIFT) as u8,
         })
     }

@@ -77,6 +77,8 @@ codes! {
         Image = 6, "the slot holds no whole image for this board";
         /// There is no flash.
         NoFlash = 7, "no flash answers";
+        /// Settings that ask for DHCP, on a board without SDRAM.
+        NoDhcp = 8, "refused: a board without SDRAM cannot ask a DHCP server; give it a static address";
     }
 }
 
@@ -447,7 +449,7 @@ mod tests {
             OpWord::from_word(0x8000_0103).unwrap().op,
             Some(Op::EraseBlock)
         );
-        assert_eq!(OpWord::from_word(0x0000_0803), None);
+        assert_eq!(OpWord::from_word(0x0000_0903), None);
         assert_eq!(OpWord::from_word(0x0000_000a), None);
     }
 

@@ -147,7 +147,7 @@ codes! {
         /// No such op.
         UnknownOp = 3, "the board does not know this request: its firmware is older than this program";
         /// The payload does not fit this op.
-        Malformed = 4, "the request's payload is not what belongs there";
+        Malformed = 4, "the request has a wrong payload";
         /// The first request of a connection must be Hello.
         NoHello = 5, "the connection did not begin with Hello";
         /// No job of this name, or no upload to continue.

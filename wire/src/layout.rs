@@ -293,6 +293,7 @@ fn rest_word() -> StateWord {
         link: false,
         estop: false,
         speed: LinkSpeed::Down,
+        services: JobsState::None,
         link_errors: 0,
     }
 }
@@ -312,6 +313,7 @@ fn state_word(out: &mut impl Write) -> Result {
         link 1 |it, bits| it.link = bits != 0;
         estop 1 |it, bits| it.estop = bits != 0;
         speed 1 |it, bits| it.speed = if bits == 0 { LinkSpeed::Down } else { LinkSpeed::M10 };
+        services 1 |it, bits| it.services = if bits == 0 { JobsState::None } else { JobsState::Alive };
         link_errors 8 |it, bits| it.link_errors = bits as u8;
     }
     Ok(())
@@ -341,7 +343,7 @@ fn constants(out: &mut impl Write) -> Result {
     codes! { out; ResetReason: PowerUp Requested Panic Trap Unknown }
     codes! { out; GateClose: Never Bite ExternalReset Order SoftStop EStop SystemReset }
     codes! { out; LinkSpeed: Down M10 M100 M1000 }
-    codes! { out; JobsState: None Alive Sdram Missing Damaged Foreign Streamed Ended Loading }
+    codes! { out; JobsState: None Alive Sdram Missing Damaged Foreign Streamed Ended Loading GivenUp }
     codes! { out; StepgenConfig: Steplen Stepspace Dirsetup Dirhold StopAccel Mode }
     codes! { out; StepType: StepDir UpDown Quadrature }
     codes! { out; CountMode: X4 X2 X1 Counter StepDir UpDown }

@@ -19,6 +19,7 @@
 //! | [`settings`] | the settings of a board that outlive a power cycle |
 //! | [`images`] | bitstreams in flash: meta page, stub pages, the trailer of the ROM |
 //! | [`discovery`] | finding boards at any address, and giving them an address |
+//! | [`mdns`] | multicast DNS: `NAME.local`, and which boards there are |
 //! | [`jobs`] | over TCP: programs the board executes by itself, and its operator's commands |
 //! | [`name`] | names of 32 bytes |
 //! | [`crc`] | the CRC of the whole project |
@@ -27,9 +28,9 @@
 //! | [`regmap`] | the register map: what lies in the service window, and the board's memory |
 //! | [`units`] | velocity, acceleration, position and counts as types |
 //!
-//! Everything on the wire except [`jobs`] is big-endian 32-bit words. In memory, words are `u32` in
-//! the machine's own order: a transport converts once ([`words_from_bytes`], [`words_to_bytes`]),
-//! all other code reads numbers.
+//! Everything on the wire except [`jobs`] and [`mdns`] is big-endian 32-bit words. In memory, words
+//! are `u32` in the machine's own order: a transport converts once ([`words_from_bytes`],
+//! [`words_to_bytes`]), all other code reads numbers.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -47,6 +48,7 @@ pub mod images;
 pub mod jobs;
 pub mod layout;
 pub mod map;
+pub mod mdns;
 pub mod name;
 pub mod refusal;
 pub mod regmap;
@@ -61,7 +63,7 @@ pub use state::{FaultReason, GateClose, LinkSpeed, ResetReason, State};
 
 /// Version of everything in this crate. Host and board must agree; unequal versions never arm. It
 /// is part of the ABI number ([`layout`]), so that gateware, firmware and host use the same one.
-pub const WIRE_VERSION: u32 = 4;
+pub const WIRE_VERSION: u32 = 5;
 
 /// UDP port of the Etherbone server. LiteX's and Lcnc's default (CERN's would be 60368).
 pub const DEFAULT_PORT: u16 = 1234;
@@ -71,6 +73,8 @@ pub const DISCOVERY_PORT: u16 = 51234;
 
 /// TCP port of the debug console: telnet's.
 pub const CONSOLE_PORT: u16 = 23;
+/// TCP port of the status page.
+pub const PAGE_PORT: u16 = 80;
 
 /// Largest UDP payload in one Ethernet frame without fragments: 1500 - 20 (IPv4) - 8 (UDP).
 pub const MAX_PAYLOAD: usize = 1472;

@@ -245,7 +245,7 @@ pub const COMMAND: u32 = 0x0003_0000;
 pub const STATUS: u32 = 0x0004_0000;
 /// Frames received, frames sent, exchanges executed, then [`COUNTERS_REFUSED`].
 pub const COUNTERS: u32 = 0x0004_1000;
-/// One counter per [`crate::Refusal`], in its order; behind them how often pulses may have been cut
+/// One counter per [`crate::Refusal`], in its order; after them, how often pulses may have been cut
 /// off since the start.
 pub const COUNTERS_REFUSED: u32 = COUNTERS + 0xc;
 
@@ -323,7 +323,7 @@ pub const ETH_BEAT_CLOCKS: u32 = 4;
 
 /// The registers of the segments core, at their place among the raw ones (docs/cores/segments.md).
 /// On a board whose jobs a PC streams ([`crate::describe::JobsState::Streamed`]) its owner may
-/// write the first [`SEGMENTS_WRITABLE`] at any time, behind [`SESSION_SEGMENTS`].
+/// write the first [`SEGMENTS_WRITABLE`] at any time, after [`SESSION_SEGMENTS`].
 pub const SEGMENTS: u32 = segments::BASE as u32;
 /// The words of a segment, push, control, pace, slew, beam, mask.
 pub const SEGMENTS_WRITABLE: u32 = segments::STATUS as u32;

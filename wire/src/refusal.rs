@@ -81,9 +81,14 @@ refusals! {
     Key = "key", "the board has a key and the sender has not proved to have it";
 }
 
-/// The counter behind those of the refusals: how often pulses may have been cut off since the
+/// The counter after those of the refusals: how often pulses may have been cut off since the
 /// board's start. A board that does not count them reads 0 there.
 pub const COUNTERS_CUTS: u32 = crate::map::COUNTERS_REFUSED + 4 * Refusal::COUNT as u32;
+
+/// The two counters behind that: clocks of the longest call of the services since the board's
+/// start, while a host moved the machine, and at any other time. Their first call is not counted:
+/// it tests the SDRAM.
+pub const COUNTERS_CALLS: u32 = COUNTERS_CUTS + 4;
 
 impl Refusal {
     /// How many reasons there are: the number of refusal counters.

@@ -11,31 +11,35 @@
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
 /// exchange's layout (`wire/layout.txt`).
-pub const ABI: u32 = 0xf1329b41;
+pub const ABI: u32 = 0x21da9fc8;
 /// The value of [`ident::MAGIC`]: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
 pub const ROM_BASE: usize = 0x00000000;
 /// Bytes of the image.
-pub const ROM_SIZE: usize = 0x12000;
+pub const ROM_SIZE: usize = 0xf000;
 /// First byte of data, bss and stack.
 pub const RAM_BASE: usize = 0x10000000;
 /// Bytes of data, bss and stack.
-pub const RAM_SIZE: usize = 0x3800;
+pub const RAM_SIZE: usize = 0x4800;
 /// First byte of the MAC's slots: receive, then transmit.
 pub const ETHMAC_BASE: usize = 0x80000000;
 /// Bytes of the MAC's slots: receive, then transmit.
-pub const ETHMAC_SIZE: usize = 0x2000;
+pub const ETHMAC_SIZE: usize = 0x3000;
 /// First byte of the board info blob.
 pub const BOARD_ROM_BASE: usize = 0x90000000;
 /// Bytes of the board info blob.
 pub const BOARD_ROM_SIZE: usize = 0x800;
-/// First byte of the SDRAM's window, on boards with jobs; a smaller one is seen in it twice.
+/// First byte of what the services may write of the RAM.
+pub const WINDOW_BASE: usize = 0x10000000;
+/// Bytes of what the services may write of the RAM.
+pub const WINDOW_SIZE: usize = 0x600;
+/// First byte of the SDRAM's window, on boards with SDRAM; a smaller one is seen in it twice.
 pub const SDRAM_BASE: usize = 0x40000000;
-/// Bytes of the SDRAM's window, on boards with jobs; a smaller one is seen in it twice.
+/// Bytes of the SDRAM's window, on boards with SDRAM; a smaller one is seen in it twice.
 pub const SDRAM_SIZE: usize = 0x800000;
 /// First byte of the trailer: four words, [`TRAILER_MAGIC`], build id, role, 0.
-pub const ROM_TRAILER: usize = 0x00011ff0;
+pub const ROM_TRAILER: usize = 0x0000eff0;
 /// First word of a trailer: "FTRL".
 pub const TRAILER_MAGIC: u32 = 0x4654524c;
 /// Third word of a trailer: an image of a slot.
@@ -43,10 +47,11 @@ pub const ROLE_IMAGE: u32 = 1;
 /// Third word of a trailer: the golden image.
 pub const ROLE_GOLDEN: u32 = 2;
 /// Receive slots; the first is at [`ETHMAC_BASE`].
-pub const ETHMAC_RX_SLOTS: usize = 2;
+pub const ETHMAC_RX_SLOTS: usize = 4;
 /// Transmit slots; the first follows the last receive slot.
 pub const ETHMAC_TX_SLOTS: usize = 2;
-/// The line of `timebase.leash` among the CPU's external interrupts; no other is used.
+/// The line of `timebase.leash` and `timebase.guard` among the CPU's external interrupts; no
+/// other is used.
 pub const LEASH_IRQ: u32 = 31;
 /// Bytes of one slot.
 pub const ETHMAC_SLOT_SIZE: usize = 0x800;
@@ -104,7 +109,7 @@ pub mod identifier_mem {
     pub const WORDS: usize = 0;
 }
 
-/// LiteEth's MAC: two receive and two transmit slots of 2 KiB at 0x80000000, in network order:
+/// LiteEth's MAC: four receive and two transmit slots of 2 KiB at 0x80000000, in network order:
 /// a word reads as on the wire. A frame begins two bytes into its slot, and the length
 /// registers count them. Write the transmit slots in whole words: a byte or halfword store is
 /// lost, and reads return undefined values.
@@ -277,7 +282,7 @@ pub mod timebase {
     /// First byte of the page.
     pub const BASE: usize = 0xf0004800;
     /// Registers on the page.
-    pub const WORDS: usize = 11;
+    pub const WORDS: usize = 14;
     /// Low word of the wall clock, in clocks since power-up, as caught by the last write to
     /// `snapshot`. (ro)
     pub const NOW_LO: usize = 0;
@@ -317,6 +322,20 @@ pub mod timebase {
     /// Clocks until the CPU is interrupted, in bits 23:0, counted from this write; the interrupt
     /// stays until the next write. 0: none. (wo)
     pub const LEASH: usize = 10;
+    /// The guard on the CPU's data bus. Closed, stores reach only the SDRAM, `segments`,
+    /// `snapshot`, this register and the first bytes of the RAM; any other one, and a read where
+    /// there is nothing, is answered, has no effect and interrupts as the leash does. (wo)
+    pub const GUARD: usize = 11;
+    /// Open it.
+    pub const GUARD_KEY_OPEN: u32 = 0x4f504e21;
+    /// State of the guard. (ro)
+    pub const GUARD_STATUS: usize = 12;
+    /// 1: it is closed.
+    pub const GUARD_STATUS_CLOSED: u32 = 1 << 0;
+    /// 1: it has refused an access since it was closed last.
+    pub const GUARD_STATUS_REFUSED: u32 = 1 << 31;
+    /// Address of the first access the guard has refused; anything if there was none. (ro)
+    pub const GUARD_AT: usize = 13;
 }
 
 /// The gate every output passes, and the watchdog that closes it when the tokens stop. Needs no
@@ -506,8 +525,8 @@ pub mod command {
     /// Bit n: step generator n latches its pulses when the probe becomes active; 0 clears its
     /// latched flag.
     pub const PROBE_ARMS_STEPGEN_PROBE: u32 = 0xffff;
-    /// Signed step rate of step generator 0; one unit is f_clk / 2^32 steps per second. Staged
-    /// until the commit strobe; -2^31 is taken as -(2^31-1). The next is 2 words on. (rw)
+    /// Signed velocity of step generator 0; one unit is f_clk / 2^32 steps per second. Staged until
+    /// the commit strobe; -2^31 is taken as -(2^31-1). The next is 2 words on. (rw)
     pub const STEPGEN0_VELOCITY: usize = 4;
     /// Words from one to the next.
     pub const STEPGEN_STRIDE: usize = 2;
@@ -580,7 +599,7 @@ pub mod status {
     /// Pulses emitted by step generator 0 at the last sample strobe, in steps, signed. The next is
     /// 3 words on. (ro)
     pub const STEPGEN0_POSITION_HI: usize = 9;
-    /// Step rate of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32
+    /// Velocity of step generator 0 at the last sample strobe, signed; one unit is f_clk / 2^32
     /// steps per second. The next is 3 words on. (ro)
     pub const STEPGEN0_VELOCITY: usize = 10;
     /// Count of encoder 0 at the last sample strobe, in counts of its mode, signed. The next is 2
@@ -803,7 +822,7 @@ pub mod segments {
     pub const AUX_TAG: u32 = 0xffff0000;
     /// Its lowest bit.
     pub const AUX_TAG_SHIFT: u32 = 16;
-    /// Signed step rate of step generator 0 towards the end of the segment being written; one unit
+    /// Signed velocity of step generator 0 towards the end of the segment being written; one unit
     /// is f_clk / 2^32 steps per second. The next is 2 words on. (wo)
     pub const AXIS0_VELOCITY: usize = 2;
     /// Words from one to the next.

@@ -1,11 +1,16 @@
 //! The settings of a board that survive a power cycle: its name, its addresses and its key.
 //!
 //! ```text
-//! word  0 "FSET"          4 IPv4 address        8 MAC, lower 32 bits     18..21 key
-//!       1 version, 1      5 prefix length       9 UDP port               22..30 zero
-//!       2 sequence        6 gateway, 0 none     10..17 name              31 CRC-32 of words 0..30
-//!       3 flags           7 MAC, upper 16
+//! word  0 "FSET"          5 prefix length       10..17 name
+//!       1 version, 1      6 gateway, 0 none     18..21 key
+//!       2 sequence        7 MAC, upper 16       22 syslog server, 0 none
+//!       3 flags           8 MAC, lower 32       23 SNTP server, 0 none
+//!       4 IPv4 address    9 UDP port            24..30 zero
+//!                                               31 CRC-32 of words 0..30
 //! ```
+//!
+//! Words 22 and 23 were zero before there were these servers. An older firmware takes settings with
+//! a server for invalid ones, and those built into the image apply.
 //!
 //! There are two copies in flash, a sector each. The newest whole one is in force; a save writes
 //! the other one, so a power cut at any moment leaves the old or the new. The board numbers the
@@ -53,6 +58,10 @@ pub struct Settings {
     pub name: Name,
     /// Pre-shared key, all zeros for none.
     pub key: [u32; 4],
+    /// IPv4 address of the syslog server that gets the board's events, 0 for none.
+    pub syslog: u32,
+    /// IPv4 address of the SNTP server that knows the time, 0 for none.
+    pub sntp: u32,
 }
 
 impl Default for Settings {
@@ -75,6 +84,8 @@ impl Settings {
         port: DEFAULT_PORT,
         name: Name::EMPTY,
         key: [0; 4],
+        syslog: 0,
+        sntp: 0,
     };
 }
 
@@ -129,6 +140,7 @@ impl Settings {
             u32::from(self.port),
         ];
         let all = head.into_iter().chain(self.name.to_words()).chain(self.key);
+        let all = all.chain([self.syslog, self.sntp]);
         for (place, word) in words.iter_mut().zip(all) {
             *place = word;
         }
@@ -161,6 +173,8 @@ impl Settings {
             k1,
             k2,
             k3,
+            syslog,
+            sntp,
             rest @ ..,
             crc,
         ] = *words;
@@ -188,9 +202,11 @@ impl Settings {
             name: Name::from_words(&[n0, n1, n2, n3, n4, n5, n6, n7])
                 .map_err(|_| SettingsError::Value(10))?,
             key: [k0, k1, k2, k3],
+            syslog,
+            sntp,
         };
         if rest.iter().any(|word| *word != 0) {
-            return Err(SettingsError::Value(22));
+            return Err(SettingsError::Value(24));
         }
         settings.check()?;
         Ok(settings)
@@ -212,6 +228,11 @@ impl Settings {
         }
         if self.port == 0 || self.port == DISCOVERY_PORT {
             return Err(SettingsError::Value(9));
+        }
+        for (word, server) in [(22, self.syslog), (23, self.sntp)] {
+            if server != 0 && !unicast(server) {
+                return Err(SettingsError::Value(word));
+            }
         }
         Ok(())
     }
@@ -293,6 +314,8 @@ mod tests {
             mac: [2, 1, 2, 3, 4, 5],
             name: Name::new("mill").unwrap(),
             key: [1, 2, 3, 4],
+            syslog: 0xc0a8_0202,
+            sntp: 0xc0a8_0203,
             ..Settings::default()
         }
     }
@@ -309,6 +332,16 @@ mod tests {
         for settings in [settings(), Settings::default()] {
             assert_eq!(Settings::parse(&settings.to_words()), Ok(settings));
         }
+    }
+
+    #[test]
+    fn settings_from_before_there_were_servers_are_valid() {
+        let mut words = settings().to_words();
+        (words[22], words[23]) = (0, 0);
+        words[WORDS - 1] = sum(&words);
+        let old = Settings::parse(&words).unwrap();
+        assert_eq!((old.syslog, old.sntp), (0, 0));
+        assert_eq!(old.to_words(), words);
     }
 
     #[test]
@@ -345,12 +378,15 @@ mod tests {
             (9, 51234),
             (9, 65536),
             (10, 0x0a00_0000), // a control character
+            (22, 0x7f00_0001), // itself
             (22, 1),
+            (23, 0xffff_ffff),
+            (24, 1),
             (30, 1),
         ] {
             assert_eq!(
                 with(word, value),
-                Err(SettingsError::Value(word.min(22))),
+                Err(SettingsError::Value(word.min(24))),
                 "{word} {value:x}"
             );
         }

@@ -45,6 +45,38 @@ codes! {
     }
 }
 
+impl FaultReason {
+    /// What the operator can do about it, in one sentence.
+    pub const fn remedy(self) -> &'static str {
+        match self {
+            FaultReason::None => "Nothing is wrong; enable the machine to move it.",
+            FaultReason::Watchdog => {
+                "No command came in time: check cable, switch and the computer's latency, then enable again."
+            }
+            FaultReason::ExternalReset => {
+                "Release the external reset or emergency stop, then enable again."
+            }
+            FaultReason::HostDisable => "LinuxCNC switched the machine off; enable it there.",
+            FaultReason::SessionLost => {
+                "LinuxCNC ended or another host took the board: start LinuxCNC again, then enable."
+            }
+            FaultReason::LinkDown => {
+                "Check the cable and the other end's power, wait for the link, then enable again."
+            }
+            FaultReason::FirmwareFault => {
+                "The firmware failed and started again: read the log, home again, and report it."
+            }
+            FaultReason::JobUnderrun => {
+                "The job's source was too slow: start the job again, from the board's own store."
+            }
+            FaultReason::AbiMismatch => {
+                "Firmware and gateware are of different builds: flash an image that has both."
+            }
+            FaultReason::EStop => "Release the emergency stop, then enable again.",
+        }
+    }
+}
+
 codes! {
     /// Why the firmware started.
     ResetReason: u8 {

@@ -20,8 +20,9 @@ pub const ALL: [&str; 9] = [
     "max",
 ];
 
-/// The one the gate builds: with no step generator and no encoder it is the smallest.
-pub const SMALLEST: &str = "75b_v8_26o23i6p";
+/// The one the gate builds, `tests/boards/smallest.toml`: with no step generator, no encoder and no
+/// SDRAM it is the smallest.
+pub const SMALLEST: &str = "smallest";
 
 /// What a bitstream build can be told.
 #[derive(Args)]
@@ -69,7 +70,7 @@ pub fn run(options: &Options) -> Result<()> {
     step::heading("bitstream");
     let boards: Vec<PathBuf> = match &options.board {
         Some(board) => vec![board.clone()],
-        None => ALL.iter().map(|name| file(name)).collect(),
+        None => ALL.iter().map(|name| build::board_file(name)).collect(),
     };
     let mut more: Vec<String> = Vec::new();
     let values = [
@@ -103,7 +104,7 @@ pub fn run(options: &Options) -> Result<()> {
 
 /// Builds the smallest configuration, unpacks it and compares. Says what was proven.
 pub fn prove() -> Result<Vec<String>> {
-    let printed = images(&[file(SMALLEST)], &["--prove".to_owned()])?;
+    let printed = images(&[build::board_file(SMALLEST)], &["--prove".to_owned()])?;
     let proven: Vec<String> = printed
         .lines()
         .filter_map(|line| line.strip_prefix("PASS "))
@@ -117,16 +118,12 @@ pub fn prove() -> Result<Vec<String>> {
 
 /// Builds the smallest configuration.
 pub fn smallest() -> Result<()> {
-    images(&[file(SMALLEST)], &[]).map(drop)
+    images(&[build::board_file(SMALLEST)], &[]).map(drop)
 }
 
 /// Where a board's files go.
 pub fn folder(name: &str) -> PathBuf {
     target("bitstream").join(name)
-}
-
-fn file(name: &str) -> PathBuf {
-    root().join("boards").join(format!("{name}.toml"))
 }
 
 fn images(boards: &[PathBuf], more: &[String]) -> Result<String> {

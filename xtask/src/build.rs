@@ -1,6 +1,6 @@
 //! Builds the parts: simulated board, firmware image, driver and tools, bitstream.
 
-use crate::{python, setup, step, target};
+use crate::{python, root, setup, step, target};
 use anyhow::{Result, bail};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -95,13 +95,9 @@ fn elaborate_and_verilate(board: &str, reader: &Path) -> Result<PathBuf> {
     let mut elaborate = python::gateware("elaborate");
     elaborate
         .env("FERROCNC_CONFIG", reader)
-        .args([
-            "--target",
-            "sim",
-            "--board",
-            &format!("boards/{board}.toml"),
-            "--out",
-        ])
+        .args(["--target", "sim", "--board"])
+        .arg(board_file(board))
+        .arg("--out")
         .arg(&elaborated);
     step::run(
         "elaborate",
@@ -121,6 +117,13 @@ fn elaborate_and_verilate(board: &str, reader: &Path) -> Result<PathBuf> {
         &mut verilate,
     )?;
     Ok(soc(board))
+}
+
+/// The file of a board: one that users can take, or one that only the tests have.
+pub fn board_file(name: &str) -> PathBuf {
+    let file = format!("{name}.toml");
+    let [users, tests] = ["boards", "tests/boards"].map(|folder| root().join(folder).join(&file));
+    if users.exists() { users } else { tests }
 }
 
 /// `tests/boards/NAME.toml`: what a job needs.

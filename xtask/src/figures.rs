@@ -86,7 +86,7 @@ struct Source {
     /// What every value is multiplied by.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     scale: f64,
-    /// Digits behind the point.
+    /// Digits after the point.
     #[serde(default)]
     digits: u32,
 }
@@ -211,7 +211,7 @@ impl Source {
         }
         let values = self.paths.iter().map(|path| {
             let value = self.value(report, path)?;
-            // What was counted has no digits behind the point, whatever its neighbours have.
+            // A count has no digits after the point, even if its neighbours have some.
             if self.scale == 1.0 && value.is_u64() {
                 return Ok(value);
             }
@@ -235,7 +235,7 @@ impl Source {
             "max" => found.iter().filter_map(number).reduce(f64::max),
             "min" => found.iter().filter_map(number).reduce(f64::min),
             "sum" => found.iter().filter_map(number).reduce(|a, b| a + b),
-            other => bail!("`{other}` in front of {path} is none of max, min, sum"),
+            other => bail!("`{other}` before {path} is not one of max, min, sum"),
         };
         made.map(Value::from).ok_or(self.lacks(path))
     }

@@ -1,8 +1,9 @@
-//! `cargo xtask lint`: format, clippy, ruff, verible, licences. It changes nothing; every check
-//! runs, and all findings are told together.
+//! `cargo xtask lint` checks format, clippy, ruff, verible, licences, and cargo-deny if it is
+//! installed. It changes nothing. Every check runs, and all findings are printed together.
 
 #[cfg(test)]
 mod circles;
+mod deny;
 #[cfg(test)]
 mod hardware;
 #[cfg(test)]
@@ -38,12 +39,13 @@ pub fn run() -> Result<()> {
 pub fn check() -> Result<usize> {
     step::heading("lint");
     setup::rust_components()?;
-    let checks: [Check; 5] = [
+    let checks: [Check; 6] = [
         ("format", format),
         ("clippy", clippy),
         ("Python", ruff),
         ("SystemVerilog", verible),
         ("licences", licences),
+        ("cargo-deny", deny::check),
     ];
     let mut findings = Vec::new();
     for (name, check) in &checks {

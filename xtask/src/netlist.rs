@@ -1,7 +1,7 @@
 //! Simulates the netlist of the smallest board, as yosys and nextpnr made it, beside its RTL
 //! (docs/netlist.md).
 
-use crate::{bitstream, build, cargo_tests, python, root, setup, step, target};
+use crate::{bitstream, build, cargo_tests, python, setup, step, target};
 use anyhow::Result;
 use clap::Args;
 use std::process::Command;
@@ -37,7 +37,7 @@ pub fn compare(seeds: u32, seed: Option<u64>) -> Result<usize> {
     let mut write = python::gateware("gates");
     write
         .arg("--board")
-        .arg(root().join("boards").join(format!("{name}.toml")))
+        .arg(build::board_file(name))
         .arg("--built")
         .arg(bitstream::folder(name))
         .arg("--out")

@@ -24,6 +24,12 @@ const PACKAGES: &[(&str, &str)] = &[
     ("iputils-ping", "a real ping for the tests"),
     ("iproute2", "virtual Ethernet segments for the tests"),
     ("util-linux", "their network namespaces"),
+    ("inetutils-telnet", "a real telnet at the consoles"),
+    ("curl", "reads the status page"),
+    ("avahi-daemon", "looks for boards by their names"),
+    ("avahi-utils", "asks it"),
+    ("dbus-daemon", "the bus they talk over, one of each test's"),
+    ("tcpdump", "listens to ARP"),
     ("dnsmasq-base", "a real DHCP server on such a segment"),
     (
         "procps",

@@ -1,6 +1,6 @@
-//! How long each test took, from what libtest prints and when it printed that. libtest itself tells
-//! times with a nightly compiler only; cargo-nextest runs each test in a process of its own, and
-//! the tests of a Verilated board share boards within a process.
+//! Computes how long each test took from libtest's lines and the times at which they were printed.
+//! libtest itself reports times with a nightly compiler only; cargo-nextest runs each test in a
+//! process of its own, and the tests of a Verilated board share boards within a process.
 
 use crate::step::Printed;
 use std::sync::{Mutex, PoisonError};

@@ -1,4 +1,4 @@
-//! One step of work: a title while it runs, how long it took, and on failure the end of its log.
+//! Runs one step of work and prints its title, its time, and on failure the end of its log.
 
 use anyhow::{Context, Result, bail};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};

@@ -1,4 +1,4 @@
-//! The files of the tree: one walk for all that judges, copies or writes them.
+//! Lists the files of the tree, for all code that checks, copies or writes them.
 
 use anyhow::{Context, Result, bail};
 use std::fs;

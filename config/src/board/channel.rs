@@ -1,4 +1,4 @@
-//! One channel: what a table of a board file says of it.
+//! One channel of a machine, as a table of the board file describes it.
 
 use super::class::{Class, PinKey};
 use super::wiring::Wiring;

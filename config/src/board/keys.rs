@@ -1,4 +1,5 @@
-//! The keys of a board file: which there are, what each takes, and the words to ask for it with.
+//! The keys of a board file: their names, the values they take, and the sentences that ask for a
+//! missing one.
 
 use crate::hal::{self, HalClass};
 use crate::tree::{Key, Kind, may, must};
@@ -197,7 +198,7 @@ pub const KEYS: &[Key] = &[
     may(
         "sdram",
         Kind::Flag,
-        "true (if nothing is said) or false: without the SDRAM a PC streams the jobs",
+        "true (if nothing is said) or false: without the SDRAM there are no services, and a PC streams the jobs",
     ),
     must(
         "network",

@@ -1,4 +1,4 @@
-//! The pins of a platform on one machine: which way each may go, and what it is used for.
+//! The pins of a platform on one machine: the direction and the use of each.
 
 use super::Modified;
 use crate::error::Error;

@@ -62,7 +62,7 @@ pub(super) fn parse<'t>(file: &str, text: &'t str) -> Result<Vec<Section<'t>>, E
         let Some(section) = sections.last_mut() else {
             return Err(error(
                 "",
-                "stands before any section",
+                "is before the first section",
                 "begin with [Hardware]",
             ));
         };

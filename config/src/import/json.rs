@@ -1,5 +1,5 @@
-//! JSON as a tree with places: serde_json parses, and each value's slice of the text tells where it
-//! stands.
+//! Reads JSON as a tree with places: serde_json parses, and the slice of the text of each value
+//! gives its place.
 
 use crate::error::{Error, Place, Report};
 use crate::tree::{Node, Value};

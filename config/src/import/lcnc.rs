@@ -27,7 +27,7 @@ const HARDWARE: [&str; 8] = [
 ];
 
 /// Board and revision -> platform.
-const PLATFORMS: [(&str, &str, &str); 8] = [
+const PLATFORMS: &[(&str, &str, &str)] = &[
     ("5a-75b", "6.1", "5a-75b-6.1"),
     ("5a-75b", "7.0", "5a-75b-7.0"),
     ("5a-75b", "8.0", "5a-75b-8.0"),
@@ -122,7 +122,7 @@ fn channels(
                 entry.place,
                 &path(&entry.key),
                 "",
-                format!("stands where {wanted} should"),
+                format!("is in the place of {wanted}"),
                 "Lcnc numbers channels by the order of the lines; bring numbers and lines together"
                     .to_owned(),
             ));

@@ -5,23 +5,25 @@
 
 use core::arch::global_asm;
 use core::mem::MaybeUninit;
-use core::ptr::null;
 use core::slice;
-use firmware::machine::Reply;
+use firmware::machine::{Lease, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
-use firmware::services::abi::{
-    FAILED, FRAME_MAX, Header, INTERFACE, RESTLESS, ROOM, Rom, START, word_to_reply,
-};
+use firmware::services::abi::{FAILED, FRAME_MAX, Header, INTERFACE, RESTLESS, ROOM, Rom, START};
+use firmware::services::journal;
 use firmware::services::memory::{self, Cells};
 use firmware::services::port::Place;
-use firmware::services::{Network, Program};
-use firmware::text::Sink;
+use firmware::services::{Network, PORTS, Program};
 use jobs::Outside;
 use wire::MAX_WORDS;
 use wire::regmap::{self, CSR_PAGE, SDRAM_BASE, SDRAM_SIZE};
 
 /// Shorter frames end in zeros.
 const SHORTEST: usize = 60;
+
+/// The log begins so many bytes behind the program, and outlives its restart: the test of the SDRAM
+/// writes to addresses that are powers of two, and no other code writes there.
+const LOG_AT: usize = 0x1000;
+const _: () = assert!((ROOM + LOG_AT + journal::BYTES) < 2 * ROOM && ROOM.is_power_of_two());
 
 const _: () = assert!(SDRAM_BASE == 0x4000_0000 && ROOM == 512 * 1024);
 
@@ -48,6 +50,7 @@ unsafe extern "C" {
     safe fn services_entry(rom: &Rom, frame: *const u8, length: usize) -> u32;
     static mut __services_bss: u32;
     static mut __services_bss_end: u32;
+    static __services_fixed_end: u32;
 }
 
 #[unsafe(no_mangle)]
@@ -57,6 +60,9 @@ static SERVICES_HEADER: Header = Header {
     interface: INTERFACE,
     abi: regmap::ABI,
     entry: services_entry,
+    ports: PORTS,
+    // SAFETY: the linker's; nothing reads through it.
+    fixed_end: unsafe { &__services_fixed_end },
 };
 
 /// The program's state; in `.bss`, and initialised from [`START`] on.
@@ -93,7 +99,7 @@ extern "C" fn services_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
     u32::from(restless) * RESTLESS
 }
 
-/// `None` if the SDRAM has an error, or the board has no jobs.
+/// `None` if the SDRAM has an error.
 fn start(rom: &mut Calls) -> Option<Program<'static>> {
     clear();
     // SAFETY: the first word is the image's CRC, which was right. The test below overwrites it.
@@ -102,9 +108,11 @@ fn start(rom: &mut Calls) -> Option<Program<'static>> {
     let memory = memory::size(&mut Sdram, used, SDRAM_SIZE)?.checked_sub(ROOM)?;
     // SAFETY: from the end of the program to the SDRAM's end; no other code uses it.
     let memory = unsafe { slice::from_raw_parts_mut((SDRAM_BASE + ROOM) as *mut u8, memory) };
+    let (log, memory) = memory.split_at_mut((LOG_AT + journal::BYTES).min(memory.len()));
+    let (_, log) = log.split_at_mut(LOG_AT.min(log.len()));
     // SAFETY: this runs once behind each loading, and is the only reference.
     let place = unsafe { (*(&raw mut PLACE)).write(Place::new()) };
-    Program::new(memory, place, program, rom)
+    Program::new(memory, log, place, program, rom)
 }
 
 /// Clears all memory that is not in the image.
@@ -185,14 +193,26 @@ impl Network for Calls<'_> {
         result
     }
 
-    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
-        let (at, length) = line.map_or((null(), 0), |line| (line.as_ptr(), line.len()));
-        let word = (self.0.console)(self.0.context, visitor, at, length);
-        let (reply, text) = word_to_reply(word);
-        // SAFETY: as above.
-        let room = unsafe { &*self.0.output };
-        out.put(room.get(..text).unwrap_or(&[]));
-        reply
+    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict {
+        Verdict::from_code((self.0.console)(
+            self.0.context,
+            visitor,
+            verb as u32,
+            words,
+        ))
+    }
+
+    fn leased(&mut self, lease: Option<Lease>) {
+        let Lease {
+            ip,
+            prefix,
+            gateway,
+        } = lease.unwrap_or_default();
+        (self.0.leased)(self.0.context, ip, prefix.into(), gateway);
+    }
+
+    fn moving(&mut self) -> bool {
+        self.0.moving
     }
 
     fn us(&mut self) -> Us {

@@ -1,6 +1,7 @@
 use super::*;
 use crate::fake::*;
 use wire::GateClose;
+use wire::describe::JobsState;
 
 fn ident() -> Ident {
     *Rig::new().server.ident()
@@ -137,14 +138,6 @@ fn a_change_of_state_is_told_once() {
     assert_eq!(machine.housekeeping(), Some(told));
 }
 
-#[test]
-fn the_console_answers_through_the_machine() {
-    let mut machine = machine(Notebook::new());
-    let mut text = String::new();
-    machine.answer(Ask::Net, &Vitals::default(), &mut text);
-    assert!(text.contains("192.168.2.50:1234"), "{text}");
-}
-
 fn ask(machine: &mut Machine<Notebook>, message: &Message) -> Option<Message> {
     let mut words = [0; wire::discovery::WORDS_MAX];
     let mut reply = [0; MAX_WORDS];
@@ -248,8 +241,8 @@ fn a_board_that_is_armed_or_owned_is_not_told_anything() {
     assert!(machine.board.chip.writes.is_empty());
 }
 
-#[test]
-fn a_board_with_dhcp_asks_falls_back_after_ten_seconds_and_asks_on() {
+/// A board whose settings ask for DHCP.
+fn with_dhcp() -> (Machine<Notebook>, Settings) {
     let mut board = Notebook::new();
     let settings = Settings {
         dhcp: true,
@@ -258,25 +251,105 @@ fn a_board_with_dhcp_asks_falls_back_after_ten_seconds_and_asks_on() {
     let mut words = [0; 128];
     wire::words_to_bytes(&settings.to_words(), &mut words);
     board.chip.put(0x1f_0000, &words);
-    let mut machine = machine(board);
+    (machine(board), settings)
+}
+
+/// A second passes.
+fn second(machine: &mut Machine<Notebook>) {
+    machine.board.now += u64::from(CLOCK);
+    machine.due(IDLE);
+    machine.housekeeping();
+}
+
+const LEASE: Lease = Lease {
+    ip: 0x0a07_0037,
+    prefix: 16,
+    gateway: 0x0a07_0001,
+};
+
+#[test]
+fn a_board_with_dhcp_falls_back_to_its_static_address_after_ten_seconds() {
+    let (mut machine, settings) = with_dhcp();
     assert_eq!(machine.us.ip, 0, "none yet");
-    let asked = broadcasts(&mut machine);
-    assert_eq!((asked[0].0.from_ip, asked[0].0.to_port), (0, 67));
-    let mut seconds = Vec::new();
-    for second in 1..=16 {
-        machine.board.now += u64::from(CLOCK);
-        machine.due(IDLE);
-        if broadcasts(&mut machine)
-            .iter()
-            .any(|(broadcast, _)| broadcast.to_port == 67)
-        {
-            seconds.push(second);
-        }
-        let ip = if second < 10 { 0 } else { settings.ip };
-        assert_eq!(machine.us.ip, ip, "second {second}");
+    for passed in 1..=16 {
+        second(&mut machine);
+        let ip = if passed < 10 { 0 } else { settings.ip };
+        assert_eq!(machine.us.ip, ip, "second {passed}");
     }
-    assert_eq!(seconds, [2, 6, 14]);
     assert!(machine.moved() && !machine.moved());
+    machine.leased(Some(LEASE));
+    assert_eq!(
+        (machine.us.ip, machine.net),
+        (LEASE.ip, (16, LEASE.gateway))
+    );
+    assert!(machine.moved(), "a server that comes later");
+    machine.leased(None);
+    assert_eq!(machine.us.ip, settings.ip, "the lease is over");
+}
+
+#[test]
+fn a_lease_waits_until_no_host_owns_the_session() {
+    let (mut machine, _) = with_dhcp();
+    machine.leased(Some(LEASE));
+    assert!(machine.moved());
+    let answer = ask(&mut machine, &message(UID, Body::Discover));
+    let Some(Body::Here(here)) = answer.map(|answer| answer.body) else {
+        panic!("{answer:?}");
+    };
+    assert!(here.dhcp && here.ip == LEASE.ip);
+    let mut rig = Rig::new();
+    rig.acquire();
+    core::mem::swap(&mut machine.server.session, &mut rig.server.session);
+    let other = Lease {
+        ip: LEASE.ip + 1,
+        ..LEASE
+    };
+    machine.leased(Some(other));
+    assert!(!machine.moved() && machine.us.ip == LEASE.ip);
+    core::mem::swap(&mut machine.server.session, &mut rig.server.session);
+    second(&mut machine);
+    assert!(machine.moved() && machine.us.ip == other.ip);
+}
+
+#[test]
+fn a_lease_of_an_address_that_no_host_can_have_is_none() {
+    let (mut machine, _) = with_dhcp();
+    for ip in [0, 0x7f00_0001, 0xe000_00fb, u32::MAX] {
+        machine.leased(Some(Lease { ip, ..LEASE }));
+        assert!(!machine.moved(), "{ip:08x}");
+    }
+    let prefix = 33;
+    machine.leased(Some(Lease { prefix, ..LEASE }));
+    assert!(!machine.moved());
+}
+
+#[test]
+fn a_lease_that_was_not_asked_for_changes_nothing() {
+    let mut machine = machine(Notebook::new());
+    let before = machine.us;
+    machine.leased(Some(LEASE));
+    second(&mut machine);
+    assert!(!machine.moved() && machine.us == before);
+}
+
+#[test]
+fn a_board_without_sdram_refuses_settings_that_ask_for_dhcp() {
+    let settings = Settings {
+        dhcp: true,
+        ..Settings::default()
+    };
+    for (state, taken) in [
+        (JobsState::None, false),
+        (JobsState::Streamed, false),
+        (JobsState::Alive, true),
+        (JobsState::Ended, true),
+    ] {
+        let mut machine = machine(Notebook::new());
+        machine.jobs(state);
+        let answer = ask(&mut machine, &message(UID, Body::Set(settings)));
+        let refused = message(UID, Body::Done(OpResult::NoDhcp));
+        assert_eq!(answer, (!taken).then_some(refused), "{state}");
+    }
 }
 
 #[test]
@@ -322,4 +395,27 @@ fn the_factory_pin_at_start_gives_the_built_in_address() {
     assert_eq!(machine(board.clone()).us.ip, 0x0a00_0002);
     board.factory = true;
     assert_eq!(machine(board).us.ip, 0xc0a8_0232);
+}
+
+#[test]
+fn the_services_question_at_start_up_does_not_name_the_boot() {
+    let boot = Boot {
+        reset: wire::ResetReason::PowerUp,
+        ..BOOT
+    };
+    let mut machine = Machine::start(Notebook::new(), ident(), ABI, boot);
+    let mut reply = [0; MAX_WORDS];
+    let words = [
+        wire::etherbone::HEADER,
+        0,
+        wire::etherbone::record(0, 1),
+        0,
+        0,
+    ];
+    machine
+        .inside(&words, &mut reply, Machine::hold_path)
+        .unwrap();
+    assert_eq!(machine.server.boot(), boot);
+    machine.datagram(&words, ALICE, &mut reply).unwrap();
+    assert_ne!(machine.server.boot().id, boot.id);
 }

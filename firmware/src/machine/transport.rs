@@ -1,9 +1,8 @@
-//! What a transport tells the [`Machine`] and asks it, so that it need not know the server in it.
-//! All of it is inlined: the image's fast path runs through it.
+//! The calls of a transport to the [`Machine`], so that a transport does not use the server
+//! directly. All of them are inlined, because the image's fast path runs through them.
 
 use super::Machine;
 use crate::block::{Reply, Request, Shape};
-use crate::console::Ask;
 use crate::cores::Board;
 use crate::exchange::SlotReply;
 use crate::net::Slot;
@@ -86,7 +85,7 @@ impl<B: Board> Machine<B> {
         self.server.may_warm_up()
     }
 
-    /// A client that is allowed to has asked for a restart.
+    /// A client with the right to do so has requested a restart.
     #[inline(always)]
     pub fn wants_restart(&self) -> bool {
         self.server.wants_restart()
@@ -104,6 +103,14 @@ impl<B: Board> Machine<B> {
         self.server.jobs(state);
     }
 
+    /// Counts a call of the services that took so many clocks; did a host move the machine then?
+    #[inline(always)]
+    pub fn called(&mut self, clocks: u32, moving: bool) {
+        let [while_moving, other] = &mut self.server.counters_mut().calls;
+        let longest = if moving { while_moving } else { other };
+        *longest = clocks.max(*longest);
+    }
+
     /// Where the image that runs lies in the flash: its first byte and its length.
     #[inline(always)]
     pub fn image(&mut self) -> Option<(u32, u32)> {
@@ -115,14 +122,5 @@ impl<B: Board> Machine<B> {
     #[inline(always)]
     pub fn may_load(&self) -> bool {
         self.session().owner().is_none() && !self.server.flash().busy()
-    }
-
-    /// May the console answer this line now? To write an answer takes up to a servo period, and the
-    /// owner would wait for it. While a job moves the machine, no host waits.
-    #[inline(always)]
-    pub fn may_answer(&self, ask: Ask) -> bool {
-        let short = matches!(ask, Ask::Nothing | Ask::Quit);
-        let jobs = ask == Ask::Job && self.session().is_owner(Peer::INSIDE);
-        short || jobs || self.at_rest()
     }
 }

@@ -11,6 +11,8 @@ const US: Us = Us {
     ip: 0xc0a8_0232,
     port: 1234,
 };
+/// Where the services listen.
+const PORTS: UdpPorts = [68, 5353, 0, 0, 0, 0, 0, 0];
 const THEIR_MAC: [u8; 6] = [2, 3, 4, 5, 6, 7];
 
 /// A frame in bytes, read as the MAC's slots are.
@@ -93,7 +95,7 @@ fn udp_frame(payload: &[u8], with_checksum: bool) -> Vec<u8> {
 }
 
 fn look(frame: &[u8]) -> Class {
-    classify(&Bytes(frame.to_vec()), frame.len(), &US)
+    classify(&Bytes(frame.to_vec()), frame.len(), &US, &PORTS)
 }
 
 fn with(at: usize, value: u8) -> Vec<u8> {
@@ -137,7 +139,7 @@ fn payload_words_are_the_payload() {
 }
 
 #[test]
-fn ping_tcp_and_arp_about_us_are_left_to_the_stack_and_nothing_else_is() {
+fn ping_tcp_and_arp_about_us_are_left_to_the_services_and_nothing_else_is() {
     let arp = |about: [u8; 4]| {
         let mut frame = with(13, 6);
         frame[38..42].copy_from_slice(&about);
@@ -146,14 +148,14 @@ fn ping_tcp_and_arp_about_us_are_left_to_the_stack_and_nothing_else_is() {
     for (what, frame, class) in [
         ("another MAC", with(5, 2), Class::Nothing),
         ("broadcast", with(0, 0xff), Class::Nothing),
-        ("ARP about us", arp([192, 168, 2, 50]), Class::Other),
+        ("ARP about us", arp([192, 168, 2, 50]), Class::Services),
         ("ARP about another", arp([192, 168, 2, 51]), Class::Nothing),
         ("IPv6", with(14, 0x65), Class::Nothing),
         ("an IP header too short", with(14, 0x44), Class::Nothing),
         ("more fragments", with(20, 0x20), Class::Nothing),
         ("a fragment's tail", with(21, 1), Class::Nothing),
-        ("ICMP", with(23, 1), Class::Other),
-        ("TCP", with(23, 6), Class::Other),
+        ("ICMP", with(23, 1), Class::Services),
+        ("TCP", with(23, 6), Class::Services),
         ("another IP", with(33, 0x33), Class::Nothing),
         ("another port", with(37, 80), Class::Nothing),
         (
@@ -167,21 +169,82 @@ fn ping_tcp_and_arp_about_us_are_left_to_the_stack_and_nothing_else_is() {
     }
 }
 
+/// A datagram to this port, MAC and IP address.
+fn to(port: u16, mac: [u8; 6], ip: [u8; 4]) -> Vec<u8> {
+    let mut frame = udp_frame(&[1, 2, 3, 4], false);
+    frame[..6].copy_from_slice(&mac);
+    frame[30..34].copy_from_slice(&ip);
+    frame[36..38].copy_from_slice(&port.to_be_bytes());
+    rechecked(frame)
+}
+
 #[test]
-fn discovery_and_dhcp_are_taken_whatever_address_they_are_sent_to() {
-    for (port, ours) in [(51234u16, true), (68, true), (1234, false), (9, false)] {
+fn discovery_and_the_services_ports_are_taken_whatever_address_they_are_sent_to() {
+    for port in [51234u16, 68, 5353, 1234, 9, 0] {
         for address in [[255, 255, 255, 255], [10, 0, 0, 255], [192, 168, 2, 50]] {
-            let mut frame = udp_frame(&[1, 2, 3, 4], false);
-            frame[..6].fill(0xff);
-            frame[30..34].copy_from_slice(&address);
-            frame[36..38].copy_from_slice(&port.to_be_bytes());
-            let class = look(&rechecked(frame.clone()));
-            let taken = matches!(class, Class::Discovery(_) | Class::Dhcp(_));
-            assert_eq!(taken, ours, "port {port} at {address:?}: {class:?}");
-            frame[0] = 0x02;
-            assert_eq!(look(&rechecked(frame)), Class::Nothing, "another board's");
+            let class = look(&to(port, [0xff; 6], address));
+            let right = match port {
+                51234 => matches!(class, Class::Discovery(_)),
+                68 | 5353 => class == Class::Services,
+                _ => class == Class::Nothing,
+            };
+            assert!(right, "port {port} at {address:?}: {class:?}");
+            let mut other = US.mac;
+            other[5] ^= 1;
+            assert_eq!(look(&to(port, other, address)), Class::Nothing);
         }
     }
+}
+
+#[test]
+fn a_group_is_heard_at_the_services_ports_only_and_not_without_services() {
+    let (mac, ip) = ([1, 0, 0x5e, 0, 0, 0xfb], [224, 0, 0, 251]);
+    assert_eq!(look(&to(5353, mac, ip)), Class::Services);
+    assert_eq!(look(&to(51234, mac, ip)), Class::Nothing);
+    assert_eq!(look(&to(1234, mac, [192, 168, 2, 50])), Class::Nothing);
+    let mut query = to(5353, [1, 0, 0x5e, 0, 0, 1], [224, 0, 0, 1]);
+    query[23] = 2;
+    assert_eq!(look(&query), Class::Services, "a router's query");
+    let bytes = Bytes(query.clone());
+    let unheard = classify(&bytes, query.len(), &US, &[0; 8]);
+    assert_eq!(unheard, Class::Nothing);
+    // The neighbours of that MAC address.
+    for mac in [
+        [1, 0, 0x5f, 0, 0, 0xfb],
+        [0, 0, 0x5e, 0, 0, 0xfb],
+        [1, 1, 0x5e, 0, 0, 0xfb],
+    ] {
+        assert_eq!(look(&to(5353, mac, ip)), Class::Nothing, "{mac:x?}");
+    }
+}
+
+#[test]
+fn without_an_address_only_the_services_ports_and_discovery_are_heard() {
+    let us = Us { ip: 0, ..US };
+    let look = |frame: Vec<u8>| {
+        let length = frame.len();
+        classify(&Bytes(frame), length, &us, &PORTS)
+    };
+    assert_eq!(look(to(68, US.mac, [10, 0, 0, 9])), Class::Services);
+    assert_eq!(look(to(68, [0xff; 6], [255; 4])), Class::Services);
+    for protocol in [1, 6] {
+        let mut frame = to(68, US.mac, [0; 4]);
+        frame[23] = protocol;
+        assert_eq!(look(frame), Class::Nothing, "protocol {protocol}");
+    }
+    let mut arp = with(13, 6);
+    arp[38..42].fill(0);
+    assert_eq!(look(arp), Class::Nothing);
+}
+
+#[test]
+fn a_dhcp_servers_frame_is_told_from_others() {
+    let comes = |frame: Vec<u8>| comes_from_dhcp(&Bytes(frame));
+    assert!(comes(to(68, [0xff; 6], [255; 4])));
+    assert!(!comes(to(5353, [0xff; 6], [255; 4])));
+    let mut tcp = to(68, US.mac, [192, 168, 2, 50]);
+    tcp[23] = 6;
+    assert!(!comes(tcp));
 }
 
 #[test]
@@ -293,7 +356,7 @@ fn our_answers_satisfy_our_own_checks_seen_from_the_other_side() {
         ip: ALICE.ip,
         port: ALICE.port,
     };
-    let seen = classify(&Bytes(bytes.clone()), length, &them);
+    let seen = classify(&Bytes(bytes.clone()), length, &them, &[0; 8]);
     let expected = Datagram {
         peer: crate::session::Peer {
             ip: US.ip,

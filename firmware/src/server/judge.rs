@@ -1,4 +1,4 @@
-//! What a client may read and write, judged against a copy of the session and the state before
+//! Decides what a client may read and write, with a copy of the session and the state, before
 //! anything is executed.
 
 use crate::auth::{Auth, Words};

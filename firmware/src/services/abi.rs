@@ -5,7 +5,8 @@
 //! last byte is the image's last:
 //!
 //! ```text
-//!   0 CRC-32 of all words after it   1 interface   2 ABI number   3 entry
+//!   0 CRC-32 of all words after it   1 interface   2 ABI number   3 entry   4..7 UDP ports
+//!   8 where its code and constants end
 //!   ... code and data ...
 //!   the last two words: length in bytes, magic "FJOB"
 //! ```
@@ -13,26 +14,26 @@
 //! Words have the softcore's byte order, lowest byte first; the CRC takes the highest byte first,
 //! as usual. The ROM copies the program page by page while no host owns the board, checks it
 //! ([`Check`]) and calls its entry ([`Entry`]) from the frame loop, never between a request and its
-//! answer: with a frame for it ([`ours`]), and from time to time without one, behind an answer to
-//! the board's owner if there is one. The program switches to a stack of its own. It calls back
-//! through [`Rom`], and that is the whole interface: it asks the board with the same datagrams as a
-//! host, as the peer [`crate::session::Peer::INSIDE`].
+//! answer: with a frame for it ([`crate::net::Class::Services`]), and from time to time without
+//! one, behind an answer to the board's owner if there is one. The program switches to a stack of
+//! its own. It calls back through [`Rom`], and that is the whole interface: it asks the board with
+//! the same datagrams as a host, as the peer [`crate::session::Peer::INSIDE`].
 //!
 //! A call does one thing: it takes a frame, lets one connection answer one request, or sends one
 //! segment. A panic or a trap in the program ends the call with [`DEAD`]: the ROM keeps its own
 //! registers, and is never called by the program again.
 
-use crate::console::ANSWER_MAX;
-use crate::machine::Reply;
-use crate::net::Us;
+use crate::machine::VISIT_WORDS;
+use crate::net::{UdpPorts, Us};
 use core::ffi::c_void;
 use wire::MAX_WORDS;
 use wire::crc::Crc32;
 use wire::describe::JobsState;
 use wire::images::PROGRAM_MAX;
+use wire::regmap::SDRAM_BASE;
 
 /// Version of this interface. The program starts only if both sides have the same.
-pub const INTERFACE: u32 = 4;
+pub const INTERFACE: u32 = 7;
 /// Bytes at the beginning of the SDRAM for the program: code, data and stack. The jobs get the
 /// rest.
 pub const ROOM: usize = PROGRAM_MAX;
@@ -49,7 +50,18 @@ pub struct Header {
     pub abi: u32,
     /// The function to call.
     pub entry: Entry,
+    /// Where the program listens.
+    pub ports: UdpPorts,
+    /// Behind its code and its constants: what is before it never changes, but for the first word.
+    pub fixed_end: &'static u32,
 }
+
+/// The word of the header with [`Header::fixed_end`].
+pub const FIXED_END_AT: usize = 8;
+const _: () = assert!(
+    core::mem::offset_of!(Header, fixed_end) == FIXED_END_AT * size_of::<usize>()
+        || usize::BITS != 32
+);
 
 /// The ROM's call. With a frame: `frame` and its length. Without: null and [`POLL`]; the first call
 /// of all is null and [`START`]. The result is [`RESTLESS`], [`FAILED`], [`DEAD`] or 0.
@@ -83,63 +95,80 @@ pub struct Rom {
     ) -> isize,
     /// Sends this many bytes of `output` as an Ethernet frame, without its FCS.
     pub send: extern "C" fn(context: *mut c_void, length: usize),
-    /// Answers a line of one of the consoles into `output`; a null line: a client has connected.
-    /// Returns a [`Reply`] as [`reply_to_word`] puts it.
-    pub console:
-        extern "C" fn(context: *mut c_void, visitor: usize, line: *const u8, length: usize) -> u32,
-    /// Room for a frame to be sent, or for a console's answer; never that of the frame that came.
+    /// Judges what the client of console `visitor` asks for: the code of a
+    /// [`crate::machine::Verb`] and its words. Returns that of a [`crate::machine::Verdict`].
+    pub console: extern "C" fn(
+        context: *mut c_void,
+        visitor: usize,
+        verb: u32,
+        words: &mut [u32; VISIT_WORDS],
+    ) -> u32,
+    /// A DHCP server's address: [`crate::machine::Lease`]; prefix 0: there is none any more.
+    pub leased: extern "C" fn(context: *mut c_void, ip: u32, prefix: u32, gateway: u32),
+    /// Room for a frame to be sent; never that of the frame that came.
     pub output: *mut [u8; FRAME_MAX],
     /// The board's addresses.
     pub us: *const Us,
+    /// A host moves the machine.
+    pub moving: bool,
 }
 
 /// Longest frame, without its FCS.
 pub const FRAME_MAX: usize = 1514;
 
-const _: () = assert!(ANSWER_MAX <= FRAME_MAX && FRAME_MAX < CLOSE as usize);
+/// Words that are summed at a time: 4600 clocks, less than half of what a guest's frame takes.
+const PATROL: usize = 32;
 
-/// In the word of a reply: hang up behind the text.
-const CLOSE: u32 = 1 << 16;
-/// In the word of a reply: the line is about jobs, and the services answer it.
-const JOB: u32 = 1 << 17;
-/// With [`JOB`]: the client may do more than look.
-const TRUSTED: u32 = 1 << 18;
-
-/// The bytes of text in `output`, and what to do.
-pub fn reply_to_word(reply: Reply, text: usize) -> u32 {
-    let code = match reply {
-        Reply::Said => 0,
-        Reply::Close => CLOSE,
-        Reply::Job { trusted } => JOB | (u32::from(trusted) * TRUSTED),
-    };
-    code | text as u32
+/// Sums the program's code and constants, a piece at a time and again from the beginning: the SDRAM
+/// may lose a bit, and what runs then is another program.
+#[derive(Clone, Copy, Debug)]
+pub struct Patrol {
+    /// Words at the beginning of the program that never change; 0: not known.
+    end: usize,
+    /// Their sum as they were loaded.
+    sum: u32,
+    done: usize,
+    check: Check,
 }
 
-/// The inverse of [`reply_to_word`].
-pub fn word_to_reply(word: u32) -> (Reply, usize) {
-    let reply = if word & JOB != 0 {
-        let trusted = word & TRUSTED != 0;
-        Reply::Job { trusted }
-    } else if word & CLOSE != 0 {
-        Reply::Close
-    } else {
-        Reply::Said
-    };
-    (reply, (word % CLOSE) as usize)
+impl Default for Patrol {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
-/// Is this frame for the services: ARP about our address, or a ping or TCP to it? The ROM asks
-/// before it calls, because a call from a cold cache takes thousands of clocks.
-pub fn ours(frame: &[u8], us: &Us) -> bool {
-    let ip = us.ip.to_be_bytes();
-    let about = |at: usize| frame.get(at..at + 4) == Some(&ip) && us.ip != 0;
-    match frame.get(12..14) {
-        Some([8, 6]) => about(38),
-        Some([8, 0]) => {
-            let kind = matches!(frame.get(23), Some(1 | 6));
-            kind && frame.starts_with(&us.mac) && about(30)
+impl Patrol {
+    /// Of no program.
+    pub const fn new() -> Self {
+        Patrol {
+            end: 0,
+            sum: 0,
+            done: 0,
+            check: Check::new(),
         }
-        Some(_) | None => false,
+    }
+
+    /// So many words of the program are loaded, and `check` has taken them. The piece that ends
+    /// with the code says its sum.
+    pub fn loaded(&mut self, words: &[u32], done: usize, check: &Check) {
+        let end = words.get(FIXED_END_AT).copied().unwrap_or(0);
+        let bytes = end.wrapping_sub(SDRAM_BASE as u32) as usize;
+        if done * 4 == bytes {
+            (self.end, self.sum) = (done, check.crc.value());
+        }
+    }
+
+    /// Sums the next piece of the program, which `words` begin with. False: it is not the program
+    /// that was loaded.
+    pub fn step(&mut self, words: &[u32]) -> bool {
+        if self.done >= self.end {
+            self.done = 0;
+            self.check = Check::new();
+        }
+        let next = self.end.min(self.done + PATROL);
+        self.check.add(words.get(self.done..next).unwrap_or(&[]));
+        self.done = next;
+        next < self.end || self.end == 0 || self.check.crc.value() == self.sum
     }
 }
 
@@ -222,66 +251,6 @@ mod tests {
         all[0]
     }
 
-    const US: Us = Us {
-        mac: [2, 0, 0, 0, 0, 7],
-        ip: 0xc0a8_0232,
-        port: 1234,
-    };
-
-    /// An IPv4 frame to us of this protocol.
-    fn frame(protocol: u8) -> Vec<u8> {
-        let mut frame = vec![0; 60];
-        frame[..6].copy_from_slice(&US.mac);
-        frame[12..14].copy_from_slice(&[8, 0]);
-        frame[14] = 0x45;
-        frame[23] = protocol;
-        frame[30..34].copy_from_slice(&US.ip.to_be_bytes());
-        frame
-    }
-
-    /// An ARP request about this address.
-    fn arp(about: u32) -> Vec<u8> {
-        let mut frame = vec![0xff; 42];
-        frame[12..14].copy_from_slice(&[8, 6]);
-        frame[38..].copy_from_slice(&about.to_be_bytes());
-        frame
-    }
-
-    #[test]
-    fn the_programs_frames_are_arp_pings_and_tcp_to_this_board_and_no_others() {
-        assert!(ours(&frame(6), &US) && ours(&frame(1), &US));
-        assert!(!ours(&frame(17), &US), "UDP");
-        assert!(ours(&arp(US.ip), &US));
-        assert!(!ours(&arp(US.ip + 1), &US), "a neighbour's");
-        let no_address = Us { ip: 0, ..US };
-        assert!(!ours(&arp(0), &no_address), "without an address");
-        let mut others = frame(6);
-        others[30] ^= 1;
-        assert!(!ours(&others, &US), "another address");
-        let mut others = frame(6);
-        others[0] ^= 1;
-        assert!(!ours(&others, &US), "another MAC");
-        for (frame, needed) in [(frame(6), 34), (arp(US.ip), 42)] {
-            for length in 0..needed {
-                assert!(!ours(&frame[..length], &US), "{length} bytes of it");
-            }
-        }
-    }
-
-    #[test]
-    fn a_reply_comes_through_as_it_was() {
-        for reply in [
-            Reply::Said,
-            Reply::Close,
-            Reply::Job { trusted: false },
-            Reply::Job { trusted: true },
-        ] {
-            for text in [0, 1, ANSWER_MAX] {
-                assert_eq!(word_to_reply(reply_to_word(reply, text)), (reply, text));
-            }
-        }
-    }
-
     #[test]
     fn a_whole_program_for_this_map_is_started() {
         let words = program();
@@ -298,6 +267,58 @@ mod tests {
                 assert_ne!(check(&words, ABI), JobsState::Alive, "word {at} bit {bit}");
             }
         }
+    }
+
+    /// A program of which the first `fixed` words never change, and its patrol, loaded in pieces of
+    /// 64 words as the ROM does.
+    fn loaded(fixed: usize) -> (Vec<u32>, Patrol) {
+        let mut words = program();
+        words.resize(1000, 0x1234_5678);
+        words[FIXED_END_AT] = (SDRAM_BASE + 4 * fixed) as u32;
+        let words = sealed(words);
+        let (mut check, mut patrol) = (Check::new(), Patrol::new());
+        for (n, piece) in words.chunks(64).enumerate() {
+            check.add(piece);
+            patrol.loaded(&words, 64 * n + piece.len(), &check);
+        }
+        (words, patrol)
+    }
+
+    #[test]
+    fn a_program_that_keeps_its_code_is_never_taken_for_another_whatever_its_data_become() {
+        for fixed in [64, 128, 960] {
+            let (mut words, mut patrol) = loaded(fixed);
+            for turn in 0..1000 {
+                assert!(patrol.step(&words), "{fixed} words, turn {turn}");
+                // The test of the SDRAM overwrites the first word.
+                words[0] = turn;
+                words[fixed + turn as usize % (1000 - fixed)] ^= turn;
+            }
+        }
+    }
+
+    #[test]
+    fn a_bit_of_the_code_that_turns_over_at_any_time_is_noticed_within_two_sums() {
+        let fixed = 128;
+        for at in 1..fixed {
+            for turns in 0..8 {
+                let (mut words, mut patrol) = loaded(fixed);
+                (0..turns).for_each(|_| assert!(patrol.step(&words)));
+                words[at] ^= 1 << (at % 32);
+                let noticed = (0..2 * fixed / PATROL).any(|_| !patrol.step(&words));
+                assert!(noticed, "word {at} behind {turns} turns");
+            }
+        }
+    }
+
+    #[test]
+    fn a_program_whose_end_of_code_is_nowhere_is_not_summed() {
+        for fixed in [63, 65, 1001, usize::MAX / 8] {
+            let (mut words, mut patrol) = loaded(fixed);
+            words[50] ^= 1;
+            assert!((0..100).all(|_| patrol.step(&words)), "{fixed}");
+        }
+        assert!(Patrol::new().step(&[]));
     }
 
     #[test]

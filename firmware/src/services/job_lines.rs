@@ -4,26 +4,25 @@
 //! One difference: a console cannot promise to keep asking, so a job that is started here runs
 //! unattended.
 
-use crate::text::{Out, Paper, Sink};
+use crate::text::{Out, Sink};
 use jobs::executor::Executor;
 use jobs::store::Store;
 use jobs::{Jobs, Outside};
 use wire::Name;
 use wire::jobs::{AXES, Command, End, Entry, NAME, Report, Status, UNATTENDED};
 
-const HELP: &str = "job status        the state of the job\r\n\
-    job list          the jobs in the store\r\n\
-    job start NAME    execute it, unattended\r\n\
-    job pause         stand still on the path\r\n\
-    job continue      resume\r\n\
-    job stop          end it, softly\r\n\
-    job home [AXES]   home the axes (x, z, xy, ...)\r\n\
-    job here [AXES]   these axes, without a switch, are at 0\r\n\
-    job feed PERCENT  percent of the job's own feed\r\n\
-    job delete NAME   delete it from the store\r\n";
-
-/// Longest line of an entry, in bytes.
-const ENTRY: usize = 100;
+const HELP: [&str; 10] = [
+    "job status        the state of the job",
+    "job list          the jobs in the store",
+    "job start NAME    execute it, unattended",
+    "job pause         stand still on the path",
+    "job continue      resume",
+    "job stop          end it, softly",
+    "job home [AXES]   home the axes (x, z, xy, ...)",
+    "job here [AXES]   these axes, without a switch, are at 0",
+    "job feed PERCENT  percent of the job's own feed",
+    "job delete NAME   delete it from the store",
+];
 
 /// No client of the server has this number: the executor does not wait for the client that started
 /// this job.
@@ -72,13 +71,31 @@ impl Ask {
         })
     }
 
-    /// Only reads, or stops: every client may, with a key or without.
-    fn harmless(self) -> bool {
+    fn need(self) -> Need {
         match self {
-            Ask::Help | Ask::Status | Ask::List => true,
-            Ask::Delete(_) | Ask::Feed(_) => false,
-            Ask::Do(command, _, _) => matches!(command, Command::Stop | Command::Pause),
+            Ask::Help | Ask::Status | Ask::List => Need::Look,
+            Ask::Do(Command::Stop | Command::Pause, ..) => Need::Stop,
+            Ask::Delete(_) | Ask::Feed(_) | Ask::Do(..) => Need::Change,
         }
+    }
+}
+
+/// What a client has to be allowed for a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// It only reads.
+    Look,
+    /// It stops a job: every client may, with a key or without.
+    Stop,
+    /// It changes something.
+    Change,
+}
+
+/// What this line needs. One that is not understood changes nothing.
+pub fn need(line: &str) -> Need {
+    match Ask::parse(line) {
+        Some(Ok(ask)) => ask.need(),
+        Some(Err(_)) | None => Need::Look,
     }
 }
 
@@ -97,24 +114,31 @@ fn axes(text: &str) -> Option<u8> {
     })
 }
 
-/// Executes a line from a client of the console, and answers. `trusted`: the client has proved the
-/// key, or there is none.
-pub fn answer(
+/// Executes a line of a console's client that may do what the line needs, and writes the piece
+/// number `step` of the answer. True: there is another piece.
+pub fn piece(
     jobs: &mut Jobs,
     line: &str,
-    trusted: bool,
-    now: u64,
-    paper: &mut Paper,
+    step: u16,
+    paper: &mut dyn Sink,
     out: &mut impl Outside,
-) {
+) -> bool {
+    let now = out.now();
     let (store, executor) = jobs.works();
     let mut visit = Visit {
         store,
         executor,
         now,
-        trusted,
     };
-    visit.answer(line, paper, out);
+    let Some(ask) = Ask::parse(line) else {
+        Out(paper).text("? try job help").end();
+        return false;
+    };
+    let more = ask.and_then(|ask| visit.obey(ask, step, paper, out));
+    more.unwrap_or_else(|status| {
+        Out(paper).text("refused: ").text(status.text()).end();
+        false
+    })
 }
 
 /// One line from a client of the console.
@@ -122,34 +146,23 @@ struct Visit<'a, 'm> {
     store: &'a mut Store<'m>,
     executor: &'a mut Executor,
     now: u64,
-    trusted: bool,
 }
 
 impl Visit<'_, '_> {
-    fn answer(&mut self, line: &str, paper: &mut Paper, out: &mut impl Outside) {
-        let ask = match Ask::parse(line) {
-            None => return Out(paper).text("? try job help").end(),
-            Some(Ok(ask)) if !self.trusted && !ask.harmless() => {
-                let refused = "refused: the board has a key; use `ferrocnc console`";
-                return Out(paper).text(refused).end();
-            }
-            Some(ask) => ask,
-        };
-        if let Err(status) = ask.and_then(|ask| self.obey(ask, paper, out)) {
-            Out(paper).text("refused: ").text(status.text()).end();
-        }
-    }
-
-    fn obey(&mut self, ask: Ask, paper: &mut Paper, out: &mut impl Outside) -> Result<(), Status> {
+    fn obey(
+        &mut self,
+        ask: Ask,
+        step: u16,
+        paper: &mut dyn Sink,
+        out: &mut impl Outside,
+    ) -> Result<bool, Status> {
         match ask {
             Ask::Help => {
-                paper.put(HELP.as_bytes());
-                return Ok(());
+                let step = usize::from(step);
+                Out(paper).text(HELP.get(step).unwrap_or(&"")).end();
+                return Ok(step + 1 < HELP.len());
             }
-            Ask::List => {
-                self.list(paper);
-                return Ok(());
-            }
+            Ask::List => return Ok(self.list(step, &mut Out(paper))),
             Ask::Delete(name) => {
                 if self.executor.executes(self.store, &name) {
                     return Err(Status::NotNow);
@@ -158,7 +171,7 @@ impl Visit<'_, '_> {
                 let mut out = Out(paper);
                 out.text(name.text()).text(" is deleted, ");
                 out.number(self.store.free()).text(" bytes are free").end();
-                return Ok(());
+                return Ok(false);
             }
             Ask::Status => {}
             Ask::Feed(percent) => self.executor.feed(percent)?,
@@ -169,26 +182,21 @@ impl Visit<'_, '_> {
             }
         }
         status(&self.executor.report(out), &mut Out(paper));
-        Ok(())
+        Ok(false)
     }
 
-    fn list(&self, paper: &mut Paper) {
-        let mut count = 0;
-        while let Some(entry) = self.store.entry(count) {
-            // Room for this line, the number of further ones, and the free bytes.
-            if paper.room() < 3 * ENTRY {
-                let left = entry.count - count;
-                let mut out = Out(paper);
-                out.text("... and ").number(left.into());
-                out.text(" more: ferrocnc job list").end();
-                break;
+    /// An entry a piece, and the free bytes in the last one.
+    fn list(&self, step: u16, out: &mut Out) -> bool {
+        let entry = u8::try_from(step).ok();
+        let entry = entry.and_then(|step| self.store.entry(step));
+        match &entry {
+            Some(entry) => list_entry(entry, out),
+            None => {
+                out.number(self.store.free()).text(" of ");
+                out.number(self.store.room()).text(" bytes are free").end();
             }
-            list_entry(&entry, &mut Out(paper));
-            count += 1;
         }
-        let mut out = Out(paper);
-        out.number(self.store.free()).text(" of ");
-        out.number(self.store.room()).text(" bytes are free").end();
+        entry.is_some()
     }
 }
 

@@ -1,5 +1,6 @@
-//! The TCP connections of the board: three consoles, the client of jobs, and the clients that come
-//! while another one has the line for jobs.
+//! The connections of the board: three consoles, two readers of the status page, the client of
+//! jobs, and the clients that come while another one has the line for jobs. Datagrams of UDP are
+//! passed on from here ([`super::lease`], [`super::status`]).
 //!
 //! Each connection has its own socket, and its own set for it. A segment goes to the connection of
 //! its sender; one that opens a connection goes to the first place that is free. A place is free,
@@ -11,42 +12,65 @@
 //! A turn looks at one connection, and does one thing for it: it answers a request, or sends a
 //! segment. After ten seconds of silence a client is asked whether it is still there.
 
+use super::console::{Console, PIECE_MAX, Reader, Visit};
+use super::line_editor::LINE_MAX;
+use super::shut::{NOD, nod};
 use super::stack::Stack;
-use super::{Network, job_lines};
-use crate::console::{ANSWER_MAX, LineEditor, PROMPT};
-use crate::ip::Text;
-use crate::machine::Reply;
-use crate::text::{Paper, Sink};
+use super::status::{self, Status};
+use super::{Network, facts, http, lease};
+use crate::net::GUEST_FRAME_SERVICES;
+use crate::text::Text;
 use ::jobs::server::BusyReply;
 use ::jobs::{AHEAD, Jobs};
 use core::num::NonZeroU32;
 use smoltcp::iface::{SocketHandle, SocketSet, SocketStorage};
 use smoltcp::socket::tcp::{Socket, SocketBuffer, State};
 use smoltcp::time::{Duration, Instant};
-use wire::CONSOLE_PORT;
+use wire::describe::Describe;
 use wire::jobs::{PORT, SILENCE_SECONDS};
+use wire::{CONSOLE_PORT, PAGE_PORT};
 
 /// Consoles at a time.
 pub const CONSOLES: usize = 3;
+/// Readers of the status page at a time.
+pub const PAGES: usize = 2;
 /// Clients told Busy at a time, and one place for the next. When a client takes that place, the one
 /// that has waited longest is dropped.
 const BUSY: usize = 5;
 /// The connection that has the line for jobs.
-const LINE: usize = CONSOLES;
+const LINE: usize = CONSOLES + PAGES;
 const FIRST_BUSY: usize = LINE + 1;
 const CONNECTIONS: usize = FIRST_BUSY + BUSY;
 
 /// Bytes a client of a console may send ahead: the longest line. So its frames are short enough to
 /// be taken while a host moves the machine.
-const CONSOLE_AHEAD: usize = crate::console::LINE_MAX;
+const CONSOLE_AHEAD: usize = LINE_MAX;
+/// Bytes that a reader of the page may send ahead. A request is longer and comes in pieces, so that
+/// a reader hears that the board is busy while a host moves the machine.
+const PAGE_AHEAD: usize = 64;
+/// Bytes of a segment around its data; no option of TCP is agreed on that would need more.
+const AROUND: usize = 14 + 20 + 20;
+const _: () = assert!(AROUND + CONSOLE_AHEAD <= GUEST_FRAME_SERVICES);
+const _: () = assert!(AROUND + PAGE_AHEAD <= GUEST_FRAME_SERVICES);
 /// Bytes that a client told Busy may send ahead: a Hello and a command.
 const BUSY_AHEAD: usize = 128;
 /// Room for what the client has not acknowledged yet: the longest answer.
-const TEXT: usize = crate::ip::TEXT;
-const _: () = assert!(TEXT >= ANSWER_MAX && TEXT >= wire::jobs::FRAME);
+const TEXT: usize = crate::text::TEXT_ROOM;
+const _: () = assert!(TEXT >= LEISURE + PIECE_MAX && TEXT >= wire::jobs::FRAME);
+const _: () = assert!(TEXT >= http::TURN_MAX);
+/// Text of a console that is made in one turn while the machine is at rest, ...
+const LEISURE: usize = 512;
+/// ... and that may wait for an acknowledgement while it is not: to send more in one segment takes
+/// longer than the owner should wait.
+const SHORT: usize = 256;
 
 /// A handshake that takes longer yields to the next client.
 const HANDSHAKE_MS: u32 = 250;
+/// After so many strangers and so much time a client's MAC address is told to the stack again,
+/// which keeps 16 of them for a minute: no connection waits for ARP, and a client that does not
+/// answer ARP any more is asked over its connection until it is gone.
+const FORGOTTEN: u32 = 16 - CONNECTIONS as u32;
+const EXPIRES_MS: u32 = 50_000;
 /// After so much silence a client is asked whether it is still there.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 /// A client that has answered nothing for so long is gone.
@@ -61,12 +85,15 @@ const ACK: u8 = 16;
 
 /// The memory of the sockets, given to [`super::Program::new`].
 pub struct Place<'m> {
+    lease: lease::Place<'m>,
+    status: status::Place<'m>,
     sockets: [[SocketStorage<'m>; 1]; CONNECTIONS],
     buffers: [u8; BUFFERS],
 }
 
 /// Bytes of all buffers.
-const BUFFERS: usize = CONNECTIONS * TEXT + CONSOLES * CONSOLE_AHEAD + AHEAD + BUSY * BUSY_AHEAD;
+const BUFFERS: usize =
+    CONNECTIONS * TEXT + CONSOLES * CONSOLE_AHEAD + PAGES * PAGE_AHEAD + AHEAD + BUSY * BUSY_AHEAD;
 
 impl Default for Place<'_> {
     fn default() -> Self {
@@ -84,10 +111,20 @@ impl Place<'_> {
     /// Without a socket.
     pub const fn new() -> Self {
         Place {
+            lease: lease::Place::new(),
+            status: status::Place::new(),
             sockets: [const { [SocketStorage::EMPTY] }; CONNECTIONS],
             buffers: [0; BUFFERS],
         }
     }
+}
+
+/// The destination port, if this is UDP.
+fn udp_port(frame: &[u8]) -> Option<u16> {
+    let udp = frame.get(12..14)? == [8, 0] && *frame.get(23)? == 17;
+    let at = 14 + usize::from(frame.get(14)? & 15) * 4;
+    let port = frame.get(at + 2..)?.first_chunk()?;
+    udp.then(|| u16::from_be_bytes(*port))
 }
 
 /// The other end of a connection.
@@ -135,8 +172,10 @@ struct Connection<'m> {
     sockets: SocketSet<'m>,
     handle: SocketHandle,
     peer: Peer,
-    /// The client's MAC address is to be told to the stack.
-    introduce: Option<[u8; 6]>,
+    /// The client's MAC address, of its SYN.
+    mac: [u8; 6],
+    /// [`Port::strangers`] and the milliseconds when it was told to the stack.
+    introduced: Option<(u32, u32)>,
     /// The number of the first byte of the client's that was not read.
     expected: u32,
     /// When it was opened, or when we closed it; milliseconds.
@@ -175,7 +214,7 @@ impl<'m> Connection<'m> {
 
     /// Forgets the client, and listens.
     fn listen(&mut self, port: u16) {
-        (self.introduce, self.greeted, self.closing) = (None, false, false);
+        (self.introduced, self.greeted, self.closing) = (None, false, false);
         let socket = self.socket();
         socket.abort();
         // A port that is not 0, and a socket that is closed: it cannot fail.
@@ -196,15 +235,27 @@ impl<'m> Connection<'m> {
         taken
     }
 
-    /// Is this a reset that its sender guessed?
-    fn guessed(&mut self, segment: &Segment) -> bool {
+    /// The number that the client's next byte will have.
+    fn next_number(&mut self) -> u32 {
         let ended = matches!(
             self.state(),
             State::CloseWait | State::LastAck | State::Closing | State::TimeWait
         );
         let waits = self.socket().recv_queue() as u32 + u32::from(ended);
-        let expected = self.expected.wrapping_add(waits);
-        segment.flags & RST != 0 && segment.sequence != expected
+        self.expected.wrapping_add(waits)
+    }
+
+    /// Is this a reset that its sender guessed?
+    fn guessed(&mut self, segment: &Segment) -> bool {
+        segment.flags & RST != 0 && segment.sequence != self.next_number()
+    }
+
+    /// The acknowledgement of a segment that comes while there is no room for its bytes.
+    fn nod_at_a_shut_window(&mut self, frame: &[u8]) -> Option<[u8; NOD]> {
+        let next = self.next_number();
+        let socket = self.socket();
+        let shut = socket.recv_queue() == socket.recv_capacity() && socket.send_queue() > 0;
+        shut.then(|| nod(frame, next))?
     }
 
     /// Ends the connection behind what is to be sent.
@@ -227,31 +278,46 @@ impl<'m> Connection<'m> {
 struct Millis {
     per_ms: NonZeroU32,
     at: u64,
-    ms: u32,
+    /// smoltcp's clock must not begin anew, as 32 bits would every 50 days.
+    ms: u64,
 }
 
 impl Millis {
-    fn pass(&mut self, now: u64) -> u32 {
+    /// The milliseconds for smoltcp, and their lower half for differences.
+    fn pass(&mut self, now: u64) -> (Instant, u32) {
         let passed = u32::try_from(now.wrapping_sub(self.at)).unwrap_or(u32::MAX);
         let ms = passed / self.per_ms;
         self.at = self.at.wrapping_add(u64::from(ms * self.per_ms.get()));
-        self.ms = self.ms.wrapping_add(ms);
-        self.ms
+        self.ms = self.ms.wrapping_add(u64::from(ms));
+        let instant = Instant::from_millis(self.ms.cast_signed());
+        (instant, self.ms as u32)
     }
 }
 
 /// The connections.
 pub struct Port<'m> {
     stack: Stack,
+    /// If the board's address comes from a DHCP server.
+    lease: Option<lease::Client<'m>>,
     connections: [Connection<'m>; CONNECTIONS],
+    /// What the board says of itself.
+    status: Status<'m>,
+    pages: [http::Connection; PAGES],
+    /// Connections that can be used: on boards without jobs the consoles and the pages.
+    count: usize,
+    /// Hosts that the stack may have learned the MAC address of, a count. It keeps 16.
+    strangers: u32,
     /// For frames of no connection.
     none: SocketSet<'m>,
-    lines: [LineEditor; CONSOLES],
+    consoles: [Console; CONSOLES],
+    reader: Reader,
     busy: [BusyReply; BUSY],
     clock: Millis,
     /// The connection that is looked at next, and how many were looked at in vain.
     next: usize,
     in_vain: usize,
+    /// The last turn looked at [`Port::status`] first.
+    own_turn: bool,
     /// An answer.
     text: Text,
 }
@@ -264,13 +330,34 @@ impl core::fmt::Debug for Port<'_> {
 
 /// The port that this connection listens at.
 const fn port_of(index: usize) -> u16 {
-    if index < CONSOLES { CONSOLE_PORT } else { PORT }
+    match index {
+        0..CONSOLES => CONSOLE_PORT,
+        CONSOLES..LINE => PAGE_PORT,
+        _ => PORT,
+    }
+}
+
+/// Which reader of the page has this connection.
+fn page_of(index: usize) -> Option<usize> {
+    index.checked_sub(CONSOLES).filter(|page| *page < PAGES)
 }
 
 impl<'m> Port<'m> {
-    /// Listens at all ports.
-    pub fn new(place: &'m mut Place<'m>, clock_hz: u32, out: &mut impl Network) -> Self {
-        let Place { sockets, buffers } = place;
+    /// Listens at all ports; at that of jobs if there are `jobs`.
+    pub fn new(
+        place: &'m mut Place<'m>,
+        log: &'m mut [u8],
+        jobs: bool,
+        board: &Describe,
+        out: &mut impl Network,
+    ) -> Self {
+        let Place {
+            lease,
+            status,
+            sockets,
+            buffers,
+        } = place;
+        let count = if jobs { CONNECTIONS } else { LINE };
         let mut buffers = &mut buffers[..];
         let mut cut = |length: usize| {
             let (piece, rest) = core::mem::take(&mut buffers).split_at_mut(length);
@@ -281,7 +368,8 @@ impl<'m> Port<'m> {
         let connections = core::array::from_fn(|index| {
             let ahead = match index {
                 LINE => AHEAD,
-                0..LINE => CONSOLE_AHEAD,
+                0..CONSOLES => CONSOLE_AHEAD,
+                CONSOLES..LINE => PAGE_AHEAD,
                 _ => BUSY_AHEAD,
             };
             let mut socket = Socket::new(cut(ahead), cut(TEXT));
@@ -297,50 +385,86 @@ impl<'m> Port<'m> {
                 sockets,
                 handle,
                 peer: Peer::default(),
-                introduce: None,
+                mac: [0; 6],
+                introduced: None,
                 expected: 0,
                 since: 0,
                 greeted: false,
                 closing: false,
             };
-            connection.listen(port_of(index));
+            if index < count {
+                connection.listen(port_of(index));
+            }
             connection
         });
         let now = out.now();
         let us = out.us();
-        let mut stack = Stack::new(now ^ u64::from(us.ip) << 32, out);
+        let settings = facts::settings(out);
+        let lease = settings
+            .dhcp
+            .then(|| lease::Client::new(lease, &settings.name));
+        let [a, b, c, d, e, f] = us.mac;
+        let mac = u64::from_be_bytes([a, b, c, d, e, f, 0, 0]);
+        let seed = now ^ mac ^ u64::from(us.ip) << 32;
+        let mut stack = Stack::new(seed, out);
         stack.settle(us);
+        let seconds = now.checked_div(board.clock_hz.into()).unwrap_or(0) as u32;
+        let random = (seed ^ seed >> 32) as u32;
+        let status = Status::new(status, log, settings, seconds, random);
         Port {
             stack,
+            lease,
             connections,
+            status,
+            pages: [const { http::Connection::new() }; PAGES],
+            count,
+            strangers: 0,
             none: SocketSet::new(&mut [][..]),
-            lines: [const { LineEditor::new() }; CONSOLES],
+            consoles: [const { Console::new() }; CONSOLES],
+            reader: Reader::new(board.channels, board.clock_hz),
             busy: [const { BusyReply::new() }; BUSY],
             clock: Millis {
-                per_ms: NonZeroU32::new(clock_hz / 1000).unwrap_or(NonZeroU32::MIN),
+                per_ms: NonZeroU32::new(board.clock_hz / 1000).unwrap_or(NonZeroU32::MIN),
                 at: now,
                 ms: 0,
             },
             next: 0,
             in_vain: 0,
+            own_turn: false,
             text: Text::new(),
         }
     }
 
     /// Takes a frame. What it asks for is answered in later turns, but for ARP and ping.
-    pub fn frame(&mut self, jobs: &mut Jobs, frame: &[u8], out: &mut impl Network) {
+    pub fn frame(&mut self, jobs: Option<&mut Jobs>, frame: &[u8], out: &mut impl Network) {
         let now = out.now();
-        let ms = self.clock.pass(now);
-        let instant = Instant::from_millis(ms);
-        if self.settle(out) {
+        let (instant, ms) = self.clock.pass(now);
+        let nowhere = self.settle(out);
+        if let Some(lease) = &mut self.lease
+            && udp_port(frame) == Some(lease::PORT)
+        {
+            return lease.take(frame, &mut self.stack, instant, out);
+        }
+        if nowhere {
             return;
         }
+        if let Some(port) = udp_port(frame).filter(|port| Status::listens(*port)) {
+            self.strangers = self.strangers.wrapping_add(1);
+            let stack = &mut self.stack;
+            return self.status.frame((port, frame), stack, instant, out);
+        }
         let segment = Segment::parse(frame);
-        let Some((segment, index)) = segment.and_then(|segment| {
-            let index = self.place_for(&segment, ms)?;
-            Some((segment, index))
-        }) else {
-            self.stack.take(frame, &mut self.none, instant, out);
+        let placed = segment.as_ref().and_then(|segment| {
+            let index = self.place_for(segment, ms)?;
+            Some((*segment, index))
+        });
+        let Some((segment, index)) = placed else {
+            self.strangers = self.strangers.wrapping_add(1);
+            // smoltcp's answer to a segment of no connection, a reset, takes 12 000 clocks. While
+            // the machine moves such a segment gets none, and its client asks again.
+            if segment.is_none() || !out.moving() {
+                self.stack.take(frame, &mut self.none, instant, out);
+            }
             return;
         };
         (self.next, self.in_vain) = (index, 0);
@@ -351,25 +475,40 @@ impl<'m> Port<'m> {
         if connection.guessed(&segment) {
             return;
         }
+        if let Some(nod) = connection.nod_at_a_shut_window(frame) {
+            self.stack.take(&nod, &mut connection.sockets, instant, out);
+        }
         self.stack
             .take(frame, &mut connection.sockets, instant, out);
         if listened && connection.state() == State::SynReceived {
             connection.peer = segment.peer;
             connection.expected = segment.sequence.wrapping_add(1);
             connection.since = ms;
-            connection.introduce = Some(segment.mac);
+            connection.mac = segment.mac;
+            connection.introduced = None;
             self.opened(index, jobs, now, ms, out);
         }
     }
 
     /// A client begins its handshake.
-    fn opened(&mut self, index: usize, jobs: &mut Jobs, now: u64, ms: u32, out: &mut impl Network) {
-        if let Some(line) = self.lines.get_mut(index) {
-            *line = LineEditor::new();
+    fn opened(
+        &mut self,
+        index: usize,
+        jobs: Option<&mut Jobs>,
+        now: u64,
+        ms: u32,
+        out: &mut impl Network,
+    ) {
+        if let Some(console) = self.consoles.get_mut(index) {
+            console.open();
+        } else if let Some(page) = page_of(index).and_then(|page| self.pages.get_mut(page)) {
+            page.open(ms);
         } else if index == LINE {
             // A client has the time of silence from its first frame on, not from its predecessor's
             // last.
-            jobs.request_context(now, out).greet();
+            if let Some(jobs) = jobs {
+                jobs.request_context(now, out).greet();
+            }
         } else if self.connections[FIRST_BUSY..]
             .iter()
             .all(|connection| !connection.free(ms))
@@ -400,7 +539,7 @@ impl<'m> Port<'m> {
             }
             Some(index) => Some(index),
             None if opens => {
-                let mut all = self.connections.iter_mut().enumerate();
+                let mut all = self.connections.iter_mut().enumerate().take(self.count);
                 let (index, connection) =
                     all.find(|(index, connection)| port_of(*index) == to && connection.free(ms))?;
                 if connection.state() != State::Listen {
@@ -416,11 +555,17 @@ impl<'m> Port<'m> {
     fn settle(&mut self, out: &mut impl Network) -> bool {
         let us = out.us();
         if self.stack.settle(us) {
-            for (index, connection) in self.connections.iter_mut().enumerate() {
+            let connections = self.connections.iter_mut().enumerate();
+            for (index, connection) in connections.take(self.count) {
                 connection.listen(port_of(index));
             }
         }
         us.ip == 0
+    }
+
+    /// Is a client connected?
+    pub fn visited(&self) -> bool {
+        self.connections.iter().any(Connection::used)
     }
 
     /// Is there something to do soon?
@@ -430,17 +575,29 @@ impl<'m> Port<'m> {
     }
 
     /// Does one thing for the next connection. True if there was something to do.
-    pub fn turn(&mut self, jobs: &mut Jobs, now: u64, out: &mut impl Network) -> bool {
-        let ms = self.clock.pass(now);
-        if self.settle(out) {
+    pub fn turn(&mut self, jobs: Option<&mut Jobs>, now: u64, out: &mut impl Network) -> bool {
+        let (instant, ms) = self.clock.pass(now);
+        let nowhere = self.settle(out);
+        if let Some(lease) = &mut self.lease
+            && lease.turn(&mut self.stack, instant, out)
+        {
+            return true;
+        }
+        if nowhere {
             return false;
+        }
+        // At most one of these between two turns of the connections.
+        self.own_turn = !self.own_turn;
+        let (status, stack) = (&mut self.status, &mut self.stack);
+        if self.own_turn && status.turn(stack, &mut self.none, (instant, ms), out) {
+            return true;
         }
         let rest = (self.next..CONNECTIONS).chain(0..self.next);
         let Some(index) = { rest }.find(|index| self.connections[*index].used()) else {
             return false;
         };
         self.next = (index + 1) % CONNECTIONS;
-        let done = self.look_at(index, jobs, (now, ms), out);
+        let done = self.look_at(index, jobs, (now, instant, ms), out);
         self.in_vain = if done {
             0
         } else {
@@ -452,27 +609,42 @@ impl<'m> Port<'m> {
     fn look_at(
         &mut self,
         index: usize,
-        jobs: &mut Jobs,
-        (now, ms): (u64, u32),
+        jobs: Option<&mut Jobs>,
+        (now, instant, ms): (u64, Instant, u32),
         out: &mut impl Network,
     ) -> bool {
-        let instant = Instant::from_millis(ms);
         let connection = &mut self.connections[index];
-        if let Some(mac) = connection.introduce.take() {
-            let client = (mac, connection.peer.ip);
+        let known = connection.introduced.is_some_and(|(strangers, since)| {
+            self.strangers.wrapping_sub(strangers) < FORGOTTEN
+                && ms.wrapping_sub(since) < EXPIRES_MS
+        });
+        if !known {
+            let client = (connection.mac, connection.peer.ip);
+            // Only the first time: the connections must not drive each other out.
+            let new = connection.introduced.is_none();
+            self.strangers = self.strangers.wrapping_add(u32::from(new));
+            connection.introduced = Some((self.strangers, ms));
             self.stack.introduce(client, &mut self.none, instant, out);
             return true;
         }
         let waited = ms.wrapping_sub(connection.since);
         let over = match index {
-            _ if connection.closing => waited >= CLOSING_MS,
-            0..LINE => false,
-            LINE => jobs.server().silent(now),
+            // The one line for jobs waits for its client's end no longer than for a request.
+            0..CONSOLES => connection.closing && waited >= CLOSING_MS,
+            CONSOLES..LINE => {
+                let page = page_of(index).and_then(|page| self.pages.get(page));
+                page.is_some_and(|page| page.late(ms))
+            }
+            LINE => jobs.as_ref().is_some_and(|jobs| jobs.server().silent(now)),
+            // A place for Busy is not held open longer either.
             _ => waited >= SILENCE_SECONDS * 1000,
         };
         if over {
+            // A reset: a client that is still there need not wait for its own clock.
+            connection.socket().abort();
+            self.stack.send(&mut connection.sockets, instant, out);
             connection.listen(port_of(index));
-            return false;
+            return true;
         }
         // What still comes behind the last answer is dropped, so that the client can end, too.
         if connection.closing && connection.read(<[u8]>::len) > 0 {
@@ -485,10 +657,13 @@ impl<'m> Port<'m> {
         }
         let open = matches!(connection.state(), State::Established | State::CloseWait);
         let done = open
-            && match index {
-                0..LINE => self.console(index, jobs, now, out),
-                LINE => self.request(jobs, now, out),
-                _ => self.busy_reply(index, jobs, now, out),
+            && match (index, jobs) {
+                (0..CONSOLES, jobs) => self.console(index, jobs, out),
+                (CONSOLES..LINE, _) => self.page(index, ms, out),
+                (LINE, Some(jobs)) => self.request(jobs, now, out),
+                (_, Some(jobs)) => self.busy_reply(index, jobs, now, out),
+                // Nothing listens there.
+                (_, None) => false,
             };
         let connection = &mut self.connections[index];
         if done {
@@ -514,42 +689,69 @@ impl<'m> Port<'m> {
         self.text.clear();
     }
 
-    /// Takes bytes of a console's client, at most one line, and answers it.
-    fn console(&mut self, index: usize, jobs: &mut Jobs, now: u64, out: &mut impl Network) -> bool {
+    /// A console's turn: it takes bytes of its client, or answers.
+    fn console(
+        &mut self,
+        index: usize,
+        mut jobs: Option<&mut Jobs>,
+        out: &mut impl Network,
+    ) -> bool {
         let connection = &mut self.connections[index];
-        if connection.room() < ANSWER_MAX {
-            return false;
-        }
-        let Some(editor) = self.lines.get_mut(index) else {
+        let Some(console) = self.consoles.get_mut(index) else {
             return false;
         };
-        if !connection.greeted {
-            connection.greeted = true;
-            out.console(index, None, &mut self.text);
+        let waits = connection.socket().send_queue();
+        let moving = out.moving();
+        let most = if moving {
+            SHORT
+        } else {
+            TEXT - LEISURE - PIECE_MAX
+        };
+        if waits > most {
+            return false;
+        }
+        let mut visit = Visit {
+            visitor: index,
+            reader: &mut self.reader,
+            jobs: jobs.take(),
+            out,
+        };
+        let text = &mut self.text;
+        if console.busy() {
+            console.turn(&[], &mut visit, text);
+            while !moving && console.busy() && text.bytes().len() < LEISURE {
+                console.turn(&[], &mut visit, text);
+            }
             return true;
         }
-        let mut whole = false;
-        let used = connection.read(|bytes| {
-            let end = bytes.iter().position(|byte| editor.collect(*byte));
-            whole = end.is_some();
-            end.map_or(bytes.len(), |end| end + 1)
-        });
-        if !whole {
-            return used > 0;
+        connection.read(|bytes| console.turn(bytes, &mut visit, text)) > 0
+    }
+
+    /// The turn of a reader of the page: it takes bytes, or answers. While a host moves the
+    /// machine, the answer is that the machine needs the time.
+    fn page(&mut self, index: usize, ms: u32, out: &mut impl Network) -> bool {
+        let connection = &mut self.connections[index];
+        let Some(page) = page_of(index).and_then(|page| self.pages.get_mut(page)) else {
+            return false;
+        };
+        if !page.answers() {
+            return connection.read(|bytes| page.take(bytes, ms)) > 0;
         }
-        match out.console(index, Some(editor.line()), &mut self.text) {
-            Reply::Said => {}
-            Reply::Close => self.text.close = true,
-            Reply::Job { trusted } => {
-                let mut room = [0; super::TEXT_MAX];
-                let mut paper = Paper::new(&mut room);
-                job_lines::answer(jobs, editor.line(), trusted, now, &mut paper, out);
-                let used = paper.used();
-                self.text.put(room.get(..used).unwrap_or(&[]));
-                self.text.put(PROMPT.as_bytes());
+        if connection.room() < http::TURN_MAX {
+            return false;
+        }
+        let load = match out.moving() {
+            true => http::Load::Busy,
+            false => http::Load::Rest,
+        };
+        match page.turn(&self.status.world(ms), load, &mut self.text, out) {
+            http::Turn::Idle => false,
+            http::Turn::Wrote => true,
+            http::Turn::Close => {
+                self.text.close = true;
+                true
             }
         }
-        true
     }
 
     /// Takes bytes of the client of jobs, at most one request.

@@ -1,4 +1,5 @@
-//! smoltcp's interface over the board's frames: ARP, ping, and the segments of the connections.
+//! smoltcp's interface over the board's frames: ARP, ping, groups, datagrams, and the segments of
+//! the connections.
 //!
 //! A call does one thing ([`Stack::take`], [`Stack::send`]): smoltcp's own `poll` would do all that
 //! is due, and the owner's exchange would wait for it. Each connection has a socket set of its own,
@@ -8,7 +9,7 @@ use super::Network;
 use crate::net::Us;
 use smoltcp::iface::{Config, Interface, PollResult, SocketSet};
 use smoltcp::phy::{Device, DeviceCapabilities, Medium, RxToken, TxToken};
-use smoltcp::time::Instant;
+use smoltcp::time::{Duration, Instant};
 use smoltcp::wire::{EthernetAddress, IpCidr, Ipv4Address, Ipv4Cidr};
 
 /// Bytes of the longest frame.
@@ -36,9 +37,12 @@ impl Stack {
         config.random_seed = seed;
         let mut wire = Wire {
             received: None,
+            sent: false,
             out,
         };
-        let iface = Interface::new(config, &mut wire, Instant::ZERO);
+        let mut iface = Interface::new(config, &mut wire, Instant::ZERO);
+        // The first group of a few that it has room for.
+        let _ = iface.join_multicast_group(Ipv4Address::from_bits(wire::mdns::GROUP));
         let us = Us { ip: 0, ..us };
         Stack { iface, us }
     }
@@ -71,18 +75,28 @@ impl Stack {
     ) {
         let mut wire = Wire {
             received: Some(frame),
+            sent: false,
             out,
         };
         self.iface.poll_ingress_single(now, &mut wire, sockets);
     }
 
-    /// Sends a segment that is due. True if there was one.
+    /// Sends a segment that is due, or a report of the multicast groups. True if there was one.
     pub fn send(&mut self, sockets: &mut SocketSet, now: Instant, out: &mut impl Network) -> bool {
         let mut wire = Wire {
             received: None,
+            sent: false,
             out,
         };
-        self.iface.poll_egress(now, &mut wire, sockets) == PollResult::SocketStateChanged
+        let changed = self.iface.poll_egress(now, &mut wire, sockets);
+        wire.sent || changed == PollResult::SocketStateChanged
+    }
+
+    /// When one of these sockets has something to send; at most a second from now.
+    pub fn due(&mut self, sockets: &SocketSet, now: Instant) -> Instant {
+        let second = now + Duration::from_secs(1);
+        let due = self.iface.poll_at(now, sockets);
+        due.map_or(second, |due| due.min(second))
     }
 
     /// A client's MAC address, from its own frame: smoltcp would ask for it, and asks only once a
@@ -112,15 +126,18 @@ impl Stack {
     }
 }
 
-/// At most one frame that came, and the way out.
+/// At most one frame that came, and the way out for one frame. smoltcp would send a report of its
+/// multicast groups after a socket's frame, in the same call; it keeps the report for the next one.
 struct Wire<'a, O> {
     received: Option<&'a [u8]>,
+    sent: bool,
     out: &'a mut O,
 }
 
 struct Received<'a>(&'a [u8]);
 
 struct Answer<'a, O> {
+    sent: &'a mut bool,
     out: &'a mut O,
 }
 
@@ -133,6 +150,7 @@ impl RxToken for Received<'_> {
 impl<O: Network> TxToken for Answer<'_, O> {
     fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, length: usize, write: F) -> R {
         // smoltcp keeps to the longest frame that `capabilities` says.
+        *self.sent = true;
         self.out.send_with(length, write)
     }
 }
@@ -153,7 +171,11 @@ impl<O: Network> Device for Wire<'_, O> {
     }
 
     fn transmit(&mut self, _: Instant) -> Option<Answer<'_, O>> {
-        Some(Answer { out: self.out })
+        let sent = &mut self.sent;
+        (!*sent).then_some(Answer {
+            sent,
+            out: self.out,
+        })
     }
 
     fn capabilities(&self) -> DeviceCapabilities {

@@ -1,4 +1,4 @@
-//! A host reads a board's description, however wrong: words, names, pins in HAL.
+//! A host reads a description with any errors: words, names, pins in HAL.
 
 use crate::byte_reader::ByteReader;
 use host::address::Address;

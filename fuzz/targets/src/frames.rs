@@ -8,18 +8,18 @@
 
 use crate::byte_reader::ByteReader;
 use crate::server::Bench;
-use crate::watched::Watched;
+use crate::watched::Inside;
 use firmware::block::Request;
-use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
-use firmware::ip::{Ip, StreamHandler, Text};
-use firmware::machine::Machine;
 use firmware::net::{self, Class, Datagram, FastPath, Frame, HEADERS, PAYLOAD_WORD, Slot, Us};
-use firmware::text::Sink;
+use firmware::services::port::Place;
+use firmware::services::{self, PORTS, Program};
 use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
 
 /// Longest frame without its FCS.
 const FRAME_MAX: usize = 1514;
+/// Calls of the services after a frame.
+const TURNS: usize = 16;
 /// Longer scripts add nothing.
 const FRAMES: usize = 64;
 
@@ -64,42 +64,11 @@ impl Sent {
     }
 }
 
-/// A client of the console.
-struct Visitor<'a> {
-    machine: &'a mut Machine<Watched>,
-    line: &'a mut console::LineEditor,
-}
-
-impl StreamHandler for Visitor<'_> {
-    fn greet(&mut self, out: &mut Text) {
-        self.machine.greet();
-        *self.line = console::LineEditor::default();
-        out.put(console::PROMPT.as_bytes());
-    }
-
-    fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize {
-        for (used, byte) in bytes.iter().enumerate() {
-            if let Some(ask) = self.line.push(*byte) {
-                self.machine.answer(ask, &Vitals::default(), out);
-                if ask == Ask::Quit {
-                    out.close = true;
-                } else {
-                    out.put(console::PROMPT.as_bytes());
-                }
-                return used + 1;
-            }
-        }
-        bytes.len()
-    }
-}
-
 /// The board's end of the wire.
-struct Station {
+struct Station<'p> {
     bench: Bench,
-    ip: Ip,
-    line: console::LineEditor,
+    services: Program<'p>,
     fast_path: Option<FastPath>,
-    ms: u32,
     /// The board's last TCP numbers: the next sequence number it expects, and its own next one.
     expected: u32,
     next: u32,
@@ -124,17 +93,23 @@ pub fn frames(data: &[u8]) {
 
 /// Runs a script of frames and returns its result.
 pub fn script(data: &[u8]) -> Outcome {
+    let mut place = Place::new();
+    let mut log = [0; firmware::services::journal::BYTES];
+    let mut bench = Bench::new();
+    let mut inside = Inside {
+        machine: &mut bench.machine,
+        sent: Vec::new(),
+    };
+    let services =
+        Program::new(&mut [], &mut log, &mut place, 1, &mut inside).expect("a board that answers");
     let mut station = Station {
-        bench: Bench::new(),
-        ip: Ip::new(),
-        line: console::LineEditor::default(),
+        bench,
+        services,
         fast_path: None,
-        ms: 0,
         expected: 0,
         next: 0,
         outcome: Outcome::default(),
     };
-    station.ip.listen(CONSOLE_PORT, ANSWER_MAX);
     let mut input = ByteReader(data);
     for _ in 0..FRAMES {
         if input.is_over() {
@@ -143,7 +118,7 @@ pub fn script(data: &[u8]) -> Outcome {
         station.step(&mut input);
     }
     Outcome {
-        visited: station.ip.busy(),
+        visited: station.services.visited(),
         ..station.outcome
     }
 }
@@ -230,7 +205,7 @@ fn packet(us: &Us, protocol: u8, body: &[u8], odd: &Oddities, input: &mut ByteRe
     frame
 }
 
-impl Station {
+impl Station<'_> {
     fn step(&mut self, input: &mut ByteReader) {
         let us = self.bench.machine.us;
         let step = input.byte();
@@ -241,7 +216,7 @@ impl Station {
             }
             1 | 2 => {
                 let odd = Oddities(input.byte());
-                let port = [us.port, wire::DISCOVERY_PORT, firmware::dhcp::PORT, 9]
+                let port = [us.port, wire::DISCOVERY_PORT, services::lease::PORT, 9]
                     [usize::from(step >> 3) % 4];
                 let payload = if step & 7 == 2 {
                     self.exchange(input)
@@ -307,7 +282,6 @@ impl Station {
             }
             _ => {
                 let ms = 1u32 << (step >> 3 & 15);
-                self.ms = self.ms.wrapping_add(ms);
                 crate::watched::pass(&mut self.bench.machine, u64::from(ms.min(200)) * 60_000, 2);
                 self.talk(None);
             }
@@ -345,7 +319,7 @@ impl Station {
         let frame = Received(bytes);
         let length = bytes.len();
         let us = self.bench.machine.us;
-        let class = net::classify(&frame, length, &us);
+        let class = net::classify(&frame, length, &us, &PORTS);
         if self.fast_path(&frame, length, class) {
             return;
         }
@@ -376,18 +350,13 @@ impl Station {
                     send(&us, &Datagram::broadcast(datagram.peer.port), &answer);
                 }
             }
-            Class::Dhcp(datagram) => {
-                let words = payload(&frame, &datagram, bytes);
-                self.bench.machine.offered(&words, datagram.length);
-                self.untouched("a DHCP server's datagram");
-            }
             Class::Refused(why) => {
                 self.bench.machine.server.refuse(why);
                 self.untouched("a refused frame");
             }
-            Class::Other => {
+            Class::Services => {
                 self.talk(Some(bytes));
-                self.untouched("a frame for the IP stack");
+                self.untouched("a frame for the services");
             }
             Class::Nothing => self.untouched("a frame to another station"),
         }
@@ -433,7 +402,7 @@ impl Station {
                     "the fast path takes a frame that is refused: {class:?}"
                 )
             }
-            Class::Discovery(_) | Class::Dhcp(_) | Class::Other | Class::Nothing => {
+            Class::Discovery(_) | Class::Services | Class::Nothing => {
                 panic!("the fast path takes {class:?}")
             }
         }
@@ -497,22 +466,28 @@ impl Station {
         }
     }
 
+    /// A call of the services with a frame, and the turns that it leads to.
     fn talk(&mut self, frame: Option<&[u8]>) {
         let us = self.bench.machine.us;
-        let mut out = [0; FRAME_MAX];
-        let mut visitor = Visitor {
+        let mut inside = Inside {
             machine: &mut self.bench.machine,
-            line: &mut self.line,
+            sent: Vec::new(),
         };
-        let mut sent = Vec::new();
-        let mut answer = frame
-            .and_then(|frame| self.ip.frame(frame, &us, self.ms, &mut visitor, &mut out))
-            .or_else(|| self.ip.poll(&us, self.ms, &mut visitor, &mut out));
-        while let Some(length) = answer {
-            sent.push(out[..length].to_vec());
-            assert!(sent.len() <= 16, "one frame brought {} answers", sent.len());
-            answer = self.ip.poll(&us, self.ms, &mut visitor, &mut out);
+        if let Some(frame) = frame {
+            self.services.frame(frame, &mut inside);
+            let answers = inside.sent.len();
+            assert!(answers <= 1, "one frame brought {answers} answers at once");
         }
+        for _ in 0..TURNS {
+            let before = inside.sent.len();
+            let busy = self.services.poll(&mut inside);
+            let sent = inside.sent.len() - before;
+            assert!(sent <= 1, "one turn sent {sent} frames");
+            if !busy {
+                break;
+            }
+        }
+        let sent = inside.sent;
         for frame in sent {
             self.outcome.sent += 1;
             check(&frame, &us);
@@ -564,11 +539,19 @@ fn check(frame: &[u8], us: &Us) {
     );
     assert_eq!(frame[6..12], us.mac, "the sender's address is wrong");
     match frame[12..14] {
-        [8, 6] => assert_eq!(
-            frame[20..22],
-            [0, 2],
-            "the board answers ARP but does not ask"
-        ),
+        [8, 6] => {
+            // The services send an ARP request for an unknown neighbour.
+            assert!(
+                matches!(frame[20..22], [0, 1 | 2]),
+                "ARP, neither question nor answer"
+            );
+            assert_eq!(frame[22..28], us.mac, "the sender's address is wrong");
+            assert_eq!(
+                frame[28..32],
+                us.ip.to_be_bytes(),
+                "the sender's address is wrong"
+            );
+        }
         [8, 0] => {
             assert_eq!(frame[14], 0x45);
             let total = usize::from(u16::from_be_bytes([frame[16], frame[17]]));
@@ -583,6 +566,11 @@ fn check(frame: &[u8], us: &Us) {
             let address = |at: usize| -> [u8; 4] { std::array::from_fn(|n| frame[at + n]) };
             match frame[23] {
                 1 => assert_eq!(ones(body, 0), 0xffff, "the ping's sum"),
+                2 => {
+                    assert_eq!(body[0], 0x16, "IGMP, and no report of version 2");
+                    assert_eq!(ones(body, 0), 0xffff, "the report's sum");
+                    assert_eq!(address(30), address(38), "a report goes to its group");
+                }
                 6 => {
                     let sum = segment_sum(address(26), address(30), 6, body);
                     assert_eq!(sum, 0xffff, "the segment's sum");

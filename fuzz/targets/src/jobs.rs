@@ -1,6 +1,6 @@
-//! The port of jobs, from its bytes to the pins: clients' requests, in any order and in pieces of
-//! any size, to the server with the store and the executor, on the firmware's library and the
-//! models of the cores.
+//! The jobs port, from bytes to pins: requests of clients, in any order and in pieces of any size,
+//! go to the server with the store and the executor, on the firmware's library and the models of
+//! the cores.
 //!
 //! The input is a script of steps: one byte for the kind, then the bytes the step needs. What must
 //! hold:
@@ -15,15 +15,20 @@
 //! * the machine is armed only while the executor is busy, and no pulse leaves while it is not.
 
 use crate::byte_reader::ByteReader;
+use ::jobs::Outside;
+use ::jobs::inside::Inside;
 use ::jobs::instruction::{Arc, Feed, Instruction};
 use ::jobs::job::Writer;
-use firmware::ip::Text;
-use firmware::machine::{IDLE, Machine};
+use firmware::machine::{IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
+use firmware::net::Us;
+use firmware::services::console::{Console, Reader, Visit};
+use firmware::services::line_editor::PROMPT;
 use firmware::services::port::Place;
-use firmware::services::{Program, TEXT_MAX};
+use firmware::services::{Network, Program};
+use firmware::text::Text;
 use motion::segment::AXES;
 use sim::board_facts::BoardFacts;
-use sim::jobs::Outer;
+use sim::jobs::{Outer, converse};
 use sim::model_board::{ModelBoard, Setup, UID};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
@@ -35,7 +40,7 @@ use wire::describe::Channels;
 use wire::jobs::{
     self, Axis, DATA, Entry, FRAME, Frame, Home, Op, Report, Request, Status, Welcome,
 };
-use wire::{Name, State};
+use wire::{MAX_WORDS, Name, State};
 
 /// Longer scripts add nothing.
 const STEPS: usize = 120;
@@ -65,6 +70,7 @@ struct Shot {
 struct Bench<'m> {
     machine: Machine<ModelBoard>,
     jobs: Program<'m>,
+    reader: Reader,
     /// Bytes sent and not read yet; requests read and not answered yet.
     ahead: Vec<u8>,
     reading: Vec<u8>,
@@ -79,6 +85,42 @@ struct Bench<'m> {
     story: Vec<String>,
 }
 
+/// The board with a client at its console that is trusted, or is not.
+struct ConsoleNetwork<'a>(Outer<'a>, bool);
+
+impl Outside for ConsoleNetwork<'_> {
+    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
+        self.0.datagram(request, reply)
+    }
+    fn read_segments(&mut self, word: usize) -> u32 {
+        self.0.read_segments(word)
+    }
+    fn write_segments(&mut self, word: usize, value: u32) {
+        self.0.write_segments(word, value);
+    }
+    fn now(&mut self) -> u64 {
+        self.0.now()
+    }
+}
+
+impl Network for ConsoleNetwork<'_> {
+    fn send_frame(&mut self, frame: &[u8]) {
+        self.0.send_frame(frame);
+    }
+    fn us(&mut self) -> Us {
+        self.0.us()
+    }
+    fn leased(&mut self, lease: Option<Lease>) {
+        self.0.leased(lease);
+    }
+    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict {
+        match self.0.console(visitor, verb, words) {
+            Verdict::Yes if verb == Verb::Change && !self.1 => Verdict::Key,
+            verdict => verdict,
+        }
+    }
+}
+
 /// Runs a script.
 pub fn jobs(data: &[u8]) {
     script(data);
@@ -89,8 +131,16 @@ pub fn script(data: &[u8]) -> String {
     let mut memory = vec![0xa5; ROOM];
     let mut machine = board();
     let mut place = Place::new();
-    let program = Program::new(&mut memory, &mut place, 7, &mut Outer(&mut machine));
+    let program = Program::new(
+        &mut memory,
+        &mut [],
+        &mut place,
+        7,
+        &mut Outer(&mut machine),
+    );
+    let (_, board) = Inside::new(&mut Outer(&mut machine)).expect("a board at rest");
     let mut bench = Bench {
+        reader: Reader::new(board.channels, board.clock_hz),
         jobs: program.expect("a board with jobs"),
         machine,
         ahead: Vec::new(),
@@ -255,10 +305,11 @@ fn harmless(request: Request) -> bool {
 
 impl Bench<'_> {
     fn step(&mut self, input: &mut ByteReader) {
-        let idle = (!self.jobs.executor().busy()).then(|| self.pulses());
+        let idle = (!self.jobs.executor().expect("jobs").busy()).then(|| self.pulses());
         let asked = self.act(input);
         self.holds();
-        if let Some(pulses) = idle.filter(|_| !asked && !self.jobs.executor().busy()) {
+        if let Some(pulses) = idle.filter(|_| !asked && !self.jobs.executor().expect("jobs").busy())
+        {
             assert_eq!(
                 self.pulses(),
                 pulses,
@@ -268,7 +319,7 @@ impl Bench<'_> {
         }
     }
 
-    /// What the step says; whether the board was asked for something.
+    /// Executes the step; true if the board received a request.
     fn act(&mut self, input: &mut ByteReader) -> bool {
         match input.byte() & 15 {
             0 => self.ask(&Request::Hello {
@@ -383,7 +434,7 @@ impl Bench<'_> {
 
     fn holds(&self) {
         let armed = self.machine.server.safety().state() == State::Armed;
-        let busy = self.jobs.executor().busy();
+        let busy = self.jobs.executor().expect("jobs").busy();
         assert!(!armed || busy, "armed without work\n{:#?}", self.story);
     }
 
@@ -551,20 +602,24 @@ impl Bench<'_> {
             None => format!("job {said}"),
         };
         // Without the key no work begins.
-        let busy = self.jobs.executor().busy();
+        let busy = self.jobs.executor().expect("jobs").busy();
         self.line(&line, how & 1 != 0);
-        let begun = !busy && self.jobs.executor().busy();
+        let begun = !busy && self.jobs.executor().expect("jobs").busy();
         assert!(how & 1 != 0 || !begun, "{line:?}\n{:#?}", self.story);
         self.tell(|| line);
     }
 
     fn line(&mut self, line: &str, trusted: bool) -> String {
-        let mut room = [0; TEXT_MAX];
-        let mut outer = Outer(&mut self.machine);
-        let count = self
-            .jobs
-            .line(line.as_bytes(), trusted, &mut room, &mut outer);
-        let text = String::from_utf8(room[..count].to_vec()).expect("text");
+        let mut network = ConsoleNetwork(Outer(&mut self.machine), trusted);
+        let mut visit = Visit {
+            visitor: 0,
+            reader: &mut self.reader,
+            jobs: self.jobs.jobs(),
+            out: &mut network,
+        };
+        let line = format!("{line}\n");
+        let (said, _) = converse(&mut Console::new(), line.as_bytes(), &mut visit);
+        let text = String::from_utf8(said).expect("text").replace(PROMPT, "");
         assert!(text.ends_with("\r\n"), "{line:?}: {text:?}");
         let upsets = |c: char| c.is_control() && c != '\r' && c != '\n';
         assert!(!text.contains(upsets), "{line:?}: {text:?}");
@@ -575,7 +630,7 @@ impl Bench<'_> {
         Shot {
             list: self.line("job list", true),
             status: self.line("job status", true),
-            machine: self.jobs.executor().machine().copied(),
+            machine: self.jobs.executor().expect("jobs").machine().copied(),
         }
     }
 }

@@ -2,6 +2,13 @@
 //! datagram.
 
 use crate::byte_reader::{ByteReader, bytes, words};
+use crate::watched::Watched;
+use firmware::machine::{Lease, Machine, VISIT_WORDS, Verb, Verdict};
+use firmware::net::Us;
+use firmware::services::Network;
+use sim::model_board::UID;
+use sim::nor::spi::Shared;
+use sim::nor::{Nor, Part, Times};
 use std::net::Ipv4Addr;
 use wire::describe::Channels;
 use wire::discovery::{Body, Message, WORDS_MAX};
@@ -197,57 +204,120 @@ fn change(input: &mut ByteReader, settings: &Settings) {
         name: given(5).then_some(Name::cut(&String::from_utf8_lossy(input.some()))),
         mac: given(6).then_some(input.array()),
         port: given(7).then_some(port),
+        // Bits 0 and 2 mean an address each already; servers come with them.
+        syslog: given(0).then_some(gateway.into()),
+        sntp: given(2).then_some(ip.into()),
     };
     if let Ok(changed) = change.apply(settings) {
         assert_eq!(Settings::parse(&changed.to_words()), Ok(changed));
     }
 }
 
+/// A board that asks for an address, and the frames its client sends.
+struct Cable {
+    machine: Machine<Watched>,
+    sent: Vec<Vec<u8>>,
+}
+
+impl Cable {
+    fn new() -> Self {
+        let settings = Settings {
+            dhcp: true,
+            ..Settings::BUILT_IN
+        };
+        let mut nor = Nor::new(Part::W25Q16JV.with(Times::QUICK), UID);
+        let layout = wire::flash::Layout::of(nor.part().bytes as u32).expect("a known size");
+        nor.preload(
+            layout.settings_copy(0) as usize,
+            &bytes(&settings.to_words()),
+        );
+        Cable {
+            machine: crate::watched::start_on(Shared::new(nor)),
+            sent: Vec::new(),
+        }
+    }
+}
+
+impl jobs::Outside for Cable {
+    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
+        let answer = self.machine.inside(request, reply, Machine::hold_path);
+        answer.map_or(0, <[u32]>::len)
+    }
+    fn read_segments(&mut self, _: usize) -> u32 {
+        0
+    }
+    fn write_segments(&mut self, _: usize, _: u32) {}
+    fn now(&mut self) -> u64 {
+        0
+    }
+}
+
+impl Network for Cable {
+    fn send_frame(&mut self, frame: &[u8]) {
+        self.sent.push(frame.to_vec());
+    }
+    fn us(&mut self) -> Us {
+        self.machine.us
+    }
+    fn leased(&mut self, lease: Option<Lease>) {
+        self.machine.leased(lease);
+    }
+    fn console(&mut self, _: usize, _: Verb, _: &mut [u32; VISIT_WORDS]) -> Verdict {
+        Verdict::NotNow
+    }
+}
+
 /// A malicious DHCP server: its lease is an address a host can have, or there is none.
 pub fn dhcp(data: &[u8]) {
-    use firmware::dhcp::{Client, WORDS};
-    const MAC: [u8; 6] = [0x12, 0xe2, 0xd5, 0, 0, 1];
+    use firmware::services::lease::{Client, Place};
+    use firmware::services::stack::Stack;
+    use sim::lease::{framed, payload};
+    use smoltcp::time::Instant;
     let mut input = ByteReader(data);
-    let mut client = Client::on(input.word());
-    let mut second = 0u32;
-    client.tick(second);
+    let mut board = Cable::new();
+    let mut place = Place::new();
+    let mut client = Client::new(&mut place, &Name::cut("board"));
+    let mut stack = Stack::new(input.word().into(), &mut board);
+    let mut ms = 0i64;
+    let mut asked = Vec::new();
     while !input.is_over() {
         let step = input.byte();
-        let mut sent = [0; WORDS];
-        client.emit(MAC, "board", &mut sent);
-        assert_eq!(sent[0] >> 16, 0x0101, "a request");
         match step & 3 {
-            0 => {
-                second = second.wrapping_add(input.word() >> (step >> 3));
-                client.tick(second);
-            }
+            0 => ms += i64::from(input.word() >> (step >> 3)),
             1 => {
-                let offered = input.many();
-                client.take(MAC, &words(offered), offered.len(), second);
+                let frame = framed(input.many());
+                client.take(&frame, &mut stack, Instant::from_millis(ms), &mut board);
             }
             // Answers to what was asked, with any address and options.
             _ => {
-                let mut answer = [0; 60];
-                answer[0] = 0x0201_0600;
-                answer[1] = sent[1];
-                answer[4] = input.word();
-                (answer[7], answer[8]) = (sent[7], sent[8]);
-                answer[59] = 0x6382_5363;
-                let mut offered = bytes(&answer);
+                let mut offered = vec![0; 240];
+                offered[..4].copy_from_slice(&[2, 1, 6, 0]);
+                offered[4..8].copy_from_slice(asked.get(4..8).unwrap_or(&[0; 4]));
+                offered[16..20].copy_from_slice(&input.word().to_be_bytes());
+                offered[28..34].copy_from_slice(&board.machine.us.mac);
+                offered[236..240].copy_from_slice(&[0x63, 0x82, 0x53, 0x63]);
                 offered.extend([53, 1, step >> 2]);
                 offered.extend(input.some());
-                let length = offered.len();
-                client.take(MAC, &words(&offered), length, second);
+                let frame = framed(&offered);
+                client.take(&frame, &mut stack, Instant::from_millis(ms), &mut board);
             }
         }
-        if let Some(lease) = client.lease() {
-            assert!(
-                wire::settings::unicast(lease.ip),
-                "{} is no host's address",
-                Ipv4Addr::from(lease.ip)
-            );
-            assert!(lease.prefix <= 32, "a netmask of {} bits", lease.prefix);
+        for _ in 0..4 {
+            let us = board.us();
+            stack.settle(us);
+            client.turn(&mut stack, Instant::from_millis(ms), &mut board);
         }
-        client.gave_up(second);
+        for frame in board.sent.drain(..) {
+            if let Some(bytes) = payload(&frame) {
+                asked = bytes;
+            }
+        }
+        let (ip, (prefix, _)) = (board.machine.us.ip, board.machine.net);
+        assert!(
+            ip == 0 || wire::settings::unicast(ip),
+            "{} is no host's address",
+            Ipv4Addr::from(ip)
+        );
+        assert!(prefix <= 32, "a netmask of {prefix} bits");
     }
 }

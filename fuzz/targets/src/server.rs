@@ -11,11 +11,12 @@
 //! * answers are packets.
 
 use crate::byte_reader::{ByteReader, words};
-use crate::watched::{self, Deeds, Watched};
-use firmware::console::Vitals;
+use crate::watched::{self, Deeds, Inside, Watched};
 use firmware::cores::Board;
-use firmware::machine::Machine;
+use firmware::machine::{Lease, Machine};
+use firmware::services::console::{Console, PIECE_MAX, Reader, Visit};
 use firmware::session::Peer;
+use firmware::text::Text;
 use std::sync::atomic::Ordering::Relaxed;
 use wire::describe::Channels;
 use wire::etherbone::Record;
@@ -78,7 +79,7 @@ struct Served<'w> {
 }
 
 impl Served<'_> {
-    /// It was executed; the owner behind it.
+    /// It was executed; the owner after it.
     fn executed(&self, reply: &[u32], story: &[String]) -> Option<Peer> {
         let deeds = self.deeds;
         let packet = Packet::new_checked(self.words)
@@ -217,8 +218,14 @@ impl Bench {
             }
             11 => self.discovery(input),
             12 => {
-                let offer = input.many();
-                self.machine.offered(&words(offer), offer.len());
+                let (ip, gateway) = (input.word(), input.word());
+                let prefix = input.byte();
+                let lease = Lease {
+                    ip,
+                    prefix,
+                    gateway,
+                };
+                self.machine.leased((prefix != 0).then_some(lease));
                 self.tell(|| "a DHCP server".to_owned());
                 self.untouched();
             }
@@ -462,14 +469,7 @@ impl Bench {
     }
 
     fn console(&mut self, bytes: &[u8]) {
-        let mut line = firmware::console::LineEditor::default();
-        for byte in bytes {
-            if let Some(ask) = line.push(*byte) {
-                let mut paper = Paper::default();
-                self.machine.answer(ask, &Vitals::default(), &mut paper);
-                paper.judge();
-            }
-        }
+        type_in(&mut self.machine, bytes);
         self.tell(|| format!("console {:?}", String::from_utf8_lossy(bytes)));
         self.untouched();
     }
@@ -548,27 +548,33 @@ fn rewrote_session(words: &[u32]) -> bool {
     })
 }
 
-/// Text of the console.
-#[derive(Debug, Default)]
-pub struct Paper(pub Vec<u8>);
-
-impl firmware::text::Sink for Paper {
-    fn put(&mut self, text: &[u8]) {
-        self.0.extend_from_slice(text);
-    }
-}
-
-impl Paper {
-    /// It fits its buffer, and does not disturb a terminal.
-    pub fn judge(&self) {
-        let text = String::from_utf8_lossy(&self.0);
-        assert!(
-            self.0.len() <= firmware::console::ANSWER_MAX,
-            "{} bytes of answer\n{text}",
-            self.0.len()
-        );
+/// Bytes of a client of a console. A turn's text is not longer than it may be, and does not disturb
+/// a terminal: what it sends beside text are the keys' echo and telnet's answers.
+fn type_in(machine: &mut Machine<Watched>, mut bytes: &[u8]) {
+    let ident = *watched::ident(machine);
+    let mut reader = Reader::new(ident.channels, ident.clock_hz);
+    let mut console = Console::new();
+    let mut outer = Inside {
+        machine,
+        sent: Vec::new(),
+    };
+    let mut text = Text::new();
+    while !text.close && (console.busy() || !bytes.is_empty()) {
+        text.clear();
+        let busy = console.busy();
+        let mut visit = Visit {
+            visitor: 0,
+            reader: &mut reader,
+            jobs: None,
+            out: &mut outer,
+        };
+        let taken = console.turn(if busy { &[] } else { bytes }, &mut visit, &mut text);
+        assert!(busy || taken > 0, "it takes no byte");
+        bytes = &bytes[taken..];
+        let said = text.bytes();
+        assert!(said.len() <= PIECE_MAX, "{} bytes", said.len());
         let plain = |byte: &u8| matches!(byte, b' '..=b'~' | b'\r' | b'\n');
-        assert!(self.0.iter().all(plain), "{text:?}");
+        assert!(!busy || said.iter().all(plain), "{said:?}");
     }
 }
 
@@ -581,14 +587,7 @@ thread_local! {
 pub fn console(data: &[u8]) {
     // No console line changes the board, which is asserted: so one board is enough for all inputs.
     let mut bench = CONSOLE.take().unwrap_or_default();
-    let mut line = firmware::console::LineEditor::default();
-    for byte in data {
-        if let Some(ask) = line.push(*byte) {
-            let mut paper = Paper::default();
-            bench.machine.answer(ask, &Vitals::default(), &mut paper);
-            paper.judge();
-        }
-    }
+    type_in(&mut bench.machine, data);
     bench.untouched();
     CONSOLE.set(Some(bench));
 }

@@ -2,13 +2,18 @@
 
 use firmware::cores::{Board, Control, Gate, Ident, Led, Link, Setting};
 use firmware::log;
-use firmware::machine::{IDLE, Machine};
+use firmware::machine::{IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
+use firmware::net::Us;
+use firmware::services::Network;
+use firmware::services::abi::FRAME_MAX;
+use jobs::Outside;
 use sim::board_facts::BoardFacts;
 use sim::model_board::{ModelBoard, Setup, UID};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part, Times};
 use sim::plant::Plant;
 use std::cell::RefCell;
+use wire::MAX_WORDS;
 use wire::regmap::{self, segments, timebase};
 
 /// The segments core's mask of outputs.
@@ -193,6 +198,11 @@ pub fn start() -> Machine<Watched> {
         Shared::new(Nor::new(part, UID))
     });
     BLANK.set(Some(flash.clone()));
+    start_on(flash)
+}
+
+/// A board with this flash.
+pub fn start_on(flash: Shared) -> Machine<Watched> {
     let setup = Setup {
         flash,
         ..Setup::new(FACTS.with(BoardFacts::clone), Plant::direct(3))
@@ -218,5 +228,45 @@ pub fn pass(machine: &mut Machine<Watched>, clocks: u64, looks: u64) {
         if machine.due(IDLE) {
             machine.housekeeping();
         }
+    }
+}
+
+/// The board as the services see it, and the frames they send.
+pub(crate) struct Inside<'a> {
+    pub machine: &'a mut Machine<Watched>,
+    pub sent: Vec<Vec<u8>>,
+}
+
+impl Outside for Inside<'_> {
+    fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
+        let answer = self.machine.inside(request, reply, Machine::hold_path);
+        answer.map_or(0, <[u32]>::len)
+    }
+    fn read_segments(&mut self, word: usize) -> u32 {
+        let address = regmap::address(segments::BASE, word);
+        self.machine.board.csr_read(address)
+    }
+    fn write_segments(&mut self, word: usize, value: u32) {
+        let address = regmap::address(segments::BASE, word);
+        self.machine.board.csr_write(address, value);
+    }
+    fn now(&mut self) -> u64 {
+        self.machine.board.now()
+    }
+}
+
+impl Network for Inside<'_> {
+    fn send_frame(&mut self, frame: &[u8]) {
+        assert!(frame.len() <= FRAME_MAX, "{} bytes", frame.len());
+        self.sent.push(frame.to_vec());
+    }
+    fn us(&mut self) -> Us {
+        self.machine.us
+    }
+    fn leased(&mut self, lease: Option<Lease>) {
+        self.machine.leased(lease);
+    }
+    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict {
+        self.machine.visit(visitor, verb, words)
     }
 }

@@ -1,7 +1,7 @@
 //! `enable-request`: one rising edge at the pin becomes one rising edge on the wire.
 //!
-//! An edge is an event and a datagram may be lost, so the request stays up until the board has
-//! accepted a command that carried it and the one after, which is what arms. Then the request is
+//! An edge is an event, and a datagram may be lost. So the request stays set until the board has
+//! accepted a command with it and the next command, which arms the machine. Then the request is
 //! over, even if the pin stays high. A pin that is already high at load or when a session comes
 //! back is not an edge: the machine never re-arms silently.
 

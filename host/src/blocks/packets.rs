@@ -6,7 +6,7 @@
 //! | `packet-error-level` | s32 out | rises by `-increment` per period with a missing answer, falls by `-decrement` per period without |
 //! | `packet-error-exceeded` | bit out | the level has reached `packet-error-limit`: the board is given up until it answers again |
 //! | `packet-error-total` | u32 out | periods with a missing answer since load |
-//! | `packet-discarded-total` | u32 out | datagrams thrown away unread since load: behind more than a board sends |
+//! | `packet-discarded-total` | u32 out | datagrams discarded unread since load, after more than a board sends in a period |
 //! | `packet-read-timeout` | s32 param | 0 or less: 80 % of the period; below 100: percent of the period; else ns. Never below 100 us |
 //!
 //! Limit, increment and decrement of 0 count as 1, as in hostmot2: the bucket must be able to fill.

@@ -2,7 +2,7 @@
 //!
 //! | pin | | |
 //! |---|---|---|
-//! | `value` | float in | `value / scale + offset` is the duty cycle asked for |
+//! | `value` | float in | `value / scale + offset` is the commanded duty cycle |
 //! | `enable` | bit in | false: duty 0, output inactive |
 //! | `scale`, `offset` | float io | 1, 0 |
 //! | `pwm-freq` | float io | Hz, 1000; takes effect at once. With PDM: bits per second |

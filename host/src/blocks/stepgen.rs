@@ -29,7 +29,7 @@
 //! acceleration limit takes to get there; the error expected at that moment is corrected with gain
 //! 0.5 per period, or by ramping whichever way makes it smaller when matching takes longer than a
 //! period. The result stays within reach of one period at `maxaccel`, so a board that receives no
-//! further command holds a velocity that the command asked for.
+//! further command holds a velocity that was commanded.
 //!
 //! While feedback is frozen, an outer loop through `velocity-cmd` sees a false error and would run
 //! away. Therefore the velocity may fall then, but not rise or change its sign.

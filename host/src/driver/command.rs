@@ -1,4 +1,4 @@
-//! What goes to the board every period: missing settings, and the command.
+//! Sends missing settings and the command to the board in every period.
 
 use super::Driver;
 use super::tell::Event;

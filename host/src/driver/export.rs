@@ -38,6 +38,7 @@ pub(super) struct Pins {
     pub(super) estop: Out<bool>,
     pub(super) reset_reason: Out<u32>,
     pub(super) gate_close: Out<u32>,
+    pub(super) services: Out<u32>,
     pub(super) io_error: Param<bool>,
     pub(super) stop_group: Param<bool>,
     pub(super) probe_input: Checked<i32>,
@@ -98,6 +99,7 @@ impl Pins {
             estop: hal.output("estop")?,
             reset_reason: hal.output("last-reset-reason")?,
             gate_close: hal.output("last-gate-close")?,
+            services: hal.output("services")?,
             io_error: hal.param("io-error", false)?,
             stop_group: hal.param("stop-group", true)?,
             probe_input: hal.setting("probe-input", -1, PROBE_INPUTS)?,
@@ -107,6 +109,7 @@ impl Pins {
         pins.reset_reason
             .set(u32::from(describe.reset_reason.code()));
         pins.gate_close.set(u32::from(describe.gate_close.code()));
+        pins.services.set(describe.state.services.code());
         Ok(pins)
     }
 }

@@ -31,7 +31,7 @@ impl Driver {
     pub(super) fn send_acquire(&mut self) -> u32 {
         let tag = self.next_tag();
         let mut words = [0; 16];
-        // A board with a key is asked for a challenge first; `prove` answers it.
+        // The driver first requests a challenge from a board with a key; `prove` answers it.
         let request = Request::new(&mut words);
         let request = match self.session.key {
             None => request

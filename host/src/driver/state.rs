@@ -1,4 +1,4 @@
-//! What a driver remembers of its board, by concern.
+//! The state that a driver keeps about its board, one type per concern.
 
 use crate::blocks::arming::ArmRequest;
 use crate::blocks::encoder::Encoder;

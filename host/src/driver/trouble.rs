@@ -229,6 +229,7 @@ impl Driver {
             .set(word.position_trusted && !self.condition.restarted);
         self.pins.refused_total.set(status.refused.0);
         self.pins.estop.set(word.estop);
+        self.pins.services.set(word.services.code());
         self.blocks.ethernet.sampled(&word);
         if fell && word.reason != FaultReason::HostDisable && self.grouped() {
             self.group.shared.raise(self.index);

@@ -258,8 +258,8 @@ impl Board {
         }
     }
 
-    /// Shows the board the key it asked for, every one it may have in turn. Only then, because the
-    /// last request must stay the last one.
+    /// Answers the board's challenge with each key that it may have, in turn. Only then, because
+    /// the last request must stay the last one.
     fn prove(&mut self) -> Result<(), JobError> {
         let mut uid = [0; 2];
         let mut left = None;
@@ -558,7 +558,8 @@ pub fn halt_within(
     }
 }
 
-/// Says Hello and the command in one go: the command is heard, whichever client has the line.
+/// Says Hello and the command in one go: the board takes the command even if another client has the
+/// connection.
 fn try_to_halt(
     at: SocketAddrV4,
     code: Command,

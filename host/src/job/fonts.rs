@@ -1,4 +1,4 @@
-//! The system's fonts, and one of them for each family that is only called `serif` or `sans-serif`.
+//! Finds the system's fonts, and chooses one for each generic family (`serif`, `sans-serif`).
 
 use resvg::usvg::fontdb::{Database, Family, Query};
 use resvg::usvg::{FontFamily, Options, TextChunk};

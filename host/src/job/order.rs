@@ -1,4 +1,4 @@
-//! An order of strokes with short travel: always the nearest end next.
+//! Sorts strokes for short travel: the next stroke is always the one with the nearest end.
 //!
 //! The ends lie in an R-tree, so the next one is found among 60 000 by looking at some dozen. Ends
 //! at the same place are one entry of it: a drawing of a thousand strokes from one point is found

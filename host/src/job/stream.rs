@@ -1,5 +1,5 @@
-//! Jobs of a board without SDRAM: the program that executes them runs here, and streams their
-//! segments.
+//! Executes the jobs of a board without SDRAM on this computer, and streams their segments to the
+//! board.
 //!
 //! ```text
 //!   ferrocnc job send|start|.. --TCP--> Streamer: jobs::Jobs --> Far --UDP--> the board's server
@@ -273,7 +273,7 @@ impl Streamer {
 #[derive(Debug, Default)]
 struct Answers {
     bytes: Vec<u8>,
-    /// Ends the connection behind them.
+    /// Ends the connection after them.
     close: bool,
 }
 

@@ -2,7 +2,7 @@
 //! arming.
 
 use super::{Finding, Verdict};
-use wire::describe::{Describe, FEATURE_JOBS, JobsState};
+use wire::describe::{Describe, JobsState};
 use wire::{ResetReason, State};
 
 /// The facts.
@@ -37,14 +37,11 @@ fn halves(facts: &Facts) -> Finding {
 
 fn sdram(facts: &Facts) -> Finding {
     let check = "sdram";
-    if facts.describe.features & FEATURE_JOBS == 0 {
-        return Finding::skipped(check, "not used", "the board file has no jobs", "");
-    }
     match JobsState::of(facts.describe.features) {
         JobsState::Alive => {
             Finding::good(check, "passed its test at start; the services run in it")
         }
-        JobsState::Streamed => {
+        JobsState::Streamed | JobsState::None => {
             Finding::skipped(check, "not used", "the board file says sdram = false", "")
         }
         JobsState::Sdram => Finding::bad(
@@ -55,7 +52,7 @@ fn sdram(facts: &Facts) -> Finding {
         ),
         state @ (JobsState::Missing | JobsState::Damaged | JobsState::Foreign) => Finding::note(
             check,
-            format!("passed its test at start; jobs: {}", state.text()),
+            format!("passed its test at start; services: {}", state.text()),
             "the services did not come from the flash whole and of this build",
             "`ferrocnc update` with this board's .bit",
         ),
@@ -65,17 +62,11 @@ fn sdram(facts: &Facts) -> Finding {
             "the services are loaded while no host owns the board",
             "run this again in a second, without LinuxCNC",
         ),
-        JobsState::Ended => Finding::bad(
+        JobsState::Ended | JobsState::GivenUp => Finding::bad(
             check,
             "passed its test at start; the services failed since",
             "the SDRAM loses what is in it, or the services have a defect",
             "restart the board; if it happens again, send the log (`ferrocnc log`)",
-        ),
-        JobsState::None => Finding::bad(
-            check,
-            "not tested",
-            "the gateware has jobs and the firmware has not looked for their program",
-            "flash gateware and firmware of one build",
         ),
     }
 }
@@ -148,7 +139,7 @@ pub(super) mod tests {
             gateware_version: 0x100,
             clock_hz: 60_000_000,
             channels: wire::describe::Channels::default(),
-            features: FEATURE_JOBS | JobsState::Alive.code() << JobsState::AT,
+            features: JobsState::Alive.code() << JobsState::AT,
             boot_id: 1,
             blob_words: 4,
             state: StateWord {
@@ -163,6 +154,7 @@ pub(super) mod tests {
                 link: true,
                 estop: false,
                 speed: LinkSpeed::M1000,
+                services: JobsState::None,
                 link_errors: 0,
             },
             obstacles: 0,
@@ -196,13 +188,13 @@ pub(super) mod tests {
             verdicts(|f| f.describe.features = 0),
             [Good, Skipped, Good, Good]
         );
-        let sdram = |state: JobsState| {
-            verdicts(|f| f.describe.features = FEATURE_JOBS | state.code() << JobsState::AT)[1]
-        };
+        let sdram =
+            |state: JobsState| verdicts(|f| f.describe.features = state.code() << JobsState::AT)[1];
         assert_eq!(sdram(JobsState::Sdram), Bad);
         assert_eq!(sdram(JobsState::Damaged), Note);
         assert_eq!(sdram(JobsState::Loading), Note);
         assert_eq!(sdram(JobsState::Ended), Bad);
+        assert_eq!(sdram(JobsState::GivenUp), Bad);
         assert_eq!(sdram(JobsState::Streamed), Skipped);
         assert_eq!(verdicts(|f| f.panics = 1), [Good, Good, Bad, Good]);
         assert_eq!(

@@ -175,7 +175,7 @@ fn ethernet(counted: &Counted, hz: u32, speed: LinkSpeed, by_host: Option<(f64, 
     }
     if apart > 100_000.0 && (rate / nearest - 1.0).abs() < 0.01 {
         let says =
-            format!("the link is told to be at {speed}, and this is the clock of another speed");
+            format!("the PHY reports a link at {speed}, but this is the clock of another speed");
         let remedy = "the PHY's in-band status, or its wires to the FPGA; send this report";
         return Finding::bad(check, fact, &says, remedy);
     }

@@ -1,4 +1,4 @@
-//! Arms a board and drives the outputs and jumpers that were asked for, and no others.
+//! Arms a board and drives only the outputs and jumpers that the command names.
 //!
 //! While it is armed each exchange feeds the watchdog. Its times are short here: if the self-test
 //! dies, the outputs are safe within half a second. Settings it needs are put back before the
@@ -18,7 +18,7 @@ use wire::{FaultReason, MAX_WORDS};
 
 /// 200 ms without an exchange: this computer promises no period, and no motor hangs on the board.
 const TIMEOUT_S: f64 = 0.2;
-/// Time for a soft stop behind that.
+/// Time for a soft stop after that.
 const GRACE_S: f64 = 0.2;
 /// Between two exchanges.
 const EVERY: Duration = Duration::from_millis(2);

@@ -1,4 +1,4 @@
-//! The flash: which chip answers, and whether the images in it are whole.
+//! Checks the flash: which chip answers, and whether its images are complete.
 
 use super::Finding;
 use wire::flash::{Running, Slot};
@@ -162,7 +162,7 @@ fn judge_image(name: &str, image: &Image, facts: &Facts) -> Finding {
         Image::Empty => Finding::bad(
             check,
             "empty",
-            "what the board falls back to or loads is not there",
+            "the image that the board loads or falls back to is missing",
             remedy,
         ),
         Image::NoMeta if !needed => Finding::note(

@@ -1,5 +1,5 @@
-//! Asks a board for the facts. Takes no session unless the board has a key and its flash is to be
-//! summed; changes nothing.
+//! Reads the facts from a board and changes nothing. It takes a session only to compute the CRCs of
+//! the flash of a board with a key.
 
 use super::{Time, board, clock, flash, link};
 use crate::client::{Client, ClientError, Identity};

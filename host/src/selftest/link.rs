@@ -1,4 +1,5 @@
-//! The PHY's link and the cable: the reported state, and the loss among some thousand datagrams.
+//! Checks the PHY's link and the cable: the reported state, and the loss among some thousand
+//! datagrams.
 
 use super::Finding;
 use std::time::Duration;
@@ -16,7 +17,7 @@ pub struct Facts {
     pub asked: u32,
     /// Of these never answered.
     pub missing: u32,
-    /// Answers with other words than were asked for.
+    /// Answers with other words than requested.
     pub wrong: u32,
     /// Datagrams the board refused meanwhile.
     pub refused: u32,

@@ -199,7 +199,7 @@ pub fn judge_output(output: &Output) -> Finding {
         return Finding::bad(
             check,
             format!("ordered {level}, and its register is not"),
-            "the gateware does not do what it is told",
+            "the gateware does not follow its registers",
             "send this report: no wiring can do this",
         );
     }

@@ -1,4 +1,4 @@
-//! The order of the tests: first those that change nothing, then those that were asked for. A
+//! Runs the tests in order: first those that change nothing, then those that the command names. A
 //! failure ends its part, not the report.
 
 use super::drive::{DriveError, Driven, Pins};
@@ -86,7 +86,7 @@ impl core::fmt::Display for BusyError {
         match self {
             BusyError::Client(error) => error.fmt(f),
             BusyError::State(state) => {
-                write!(f, "the board is {state}; the self-test wants it at rest")
+                write!(f, "the board is {state}; the self-test needs it at rest")
             }
         }
     }

@@ -1,4 +1,4 @@
-//! What the board says of itself.
+//! The description of the fake board.
 
 use super::{ABI, CLOCK_HZ, Mind};
 use wire::GateClose;

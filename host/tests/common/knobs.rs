@@ -1,4 +1,4 @@
-//! What a test can do to the board.
+//! Changes that a test can make to the fake board.
 
 use std::net::SocketAddrV4;
 use std::time::Duration;
@@ -44,6 +44,8 @@ pub struct Knobs {
     pub estop: u32,
     /// Its link is down or slow, and has lost so many frames.
     pub link: Option<(wire::LinkSpeed, u8)>,
+    /// What became of its services.
+    pub services: Option<wire::describe::JobsState>,
     /// Say this instead of our wire version.
     pub wire_version: Option<u32>,
     /// Say this as the gateware's ABI.

@@ -22,7 +22,7 @@ use std::net::{SocketAddr, SocketAddrV4, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, Instant};
-use wire::describe::Channels;
+use wire::describe::{Channels, JobsState};
 use wire::exchange::{self, Command, StateWord, Status};
 use wire::units::{Accel, Velocity};
 use wire::{FaultReason, MAX_PAYLOAD, MAX_WORDS, Packet, ResetReason, State, map};
@@ -172,7 +172,7 @@ impl Mind {
         self.bitten = false;
     }
 
-    /// Lets time pass by the clock the board lives by.
+    /// Lets time pass on the clock of the board.
     fn tick(&mut self, exchange: bool) {
         let now = match self.time {
             Time::Wall => {
@@ -304,6 +304,7 @@ impl Mind {
             link: self.link().0 != wire::LinkSpeed::Down,
             estop: self.estop_latched != 0,
             speed: self.link().0,
+            services: self.knobs.services.unwrap_or(JobsState::None),
             link_errors: self.link().1,
         }
     }

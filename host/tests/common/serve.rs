@@ -1,4 +1,4 @@
-//! What the board does with a datagram: reads, writes, and the exchange.
+//! Executes a datagram: reads, writes, and the exchange.
 
 use super::Mind;
 use std::net::SocketAddr;

@@ -1,4 +1,4 @@
-//! The time the board lives by.
+//! The clock of the fake board.
 
 use super::CLOCK_HZ;
 use ferrocnc::clock::Timebase;

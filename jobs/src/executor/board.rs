@@ -1,4 +1,4 @@
-//! The board under the executor: its session and its segments core, what they said last, and
+//! The executor's view of the board: its session and its segments core with their last answers, and
 //! whether the next exchange is due.
 
 use super::setup::slew;

@@ -1,4 +1,5 @@
-//! What clients ask for: which command is taken in which phase, and what it changes.
+//! Executes commands of clients: decides which command is allowed in which phase, and what it
+//! changes.
 
 use super::Executor;
 use super::order::{Order, Starter, Work, asked};
@@ -198,7 +199,7 @@ impl Executor {
             return self.over(why);
         }
         if self.phase == Phase::Lift {
-            // What the program does behind the switches is not to begin.
+            // The program must not begin after the switches were found.
             self.path.waiting = Some(Output::End);
         }
         if next == Phase::Brake {

@@ -1,5 +1,5 @@
-//! Where the axes are, and what that is worth: a switch makes a position known, a cut pulse makes
-//! it doubtful.
+//! The positions of the axes, and whether they are known: a switch makes a position known, a cut
+//! pulse makes it unknown.
 
 use motion::segment::AXES;
 use wire::exchange::StateWord;
@@ -82,7 +82,7 @@ impl Known {
         }
     }
 
-    /// Takes the board's count of cuts. It may have armed again behind a stop that was cut off, and
+    /// Takes the board's count of cuts. It may have armed again after a stop that was cut off, and
     /// then the state says nothing of that.
     pub fn counted(&mut self, cuts: Option<u32>) {
         if let Some(cuts) = cuts

@@ -1,4 +1,4 @@
-//! What a client ordered, and how long it may be silent.
+//! A client's order to execute a job, and how long the client may be silent.
 
 use crate::store::Id;
 use motion::segment::AXES;

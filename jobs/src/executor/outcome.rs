@@ -1,4 +1,5 @@
-//! How work ends, and why: the first reason counts, unless the board has a better one.
+//! The end of a job and its reason: the first reason counts, unless the board reports a more exact
+//! one.
 
 use wire::FaultReason;
 use wire::jobs::End;

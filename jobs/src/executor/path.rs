@@ -1,4 +1,5 @@
-//! From the program to the core: the next instruction, the planner, and the output that waits.
+//! Moves data from the program to the core: the next instruction, the planner, and the output that
+//! waits.
 //!
 //! ```text
 //!   program --instruction--> planner --segment--> until the FIFO has room

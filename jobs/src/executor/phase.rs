@@ -47,7 +47,7 @@ pub enum Hold {
 }
 
 impl Phase {
-    /// What pause and continue do, `homes`: in a homing that a client asked for.
+    /// The effect of pause and continue; `homes`: in a homing that a client requested.
     pub fn hold(self, homes: bool) -> Hold {
         match self {
             Phase::Check | Phase::Open(_) | Phase::Play if !homes => Hold::Path,

@@ -93,7 +93,7 @@ impl Reached {
         number
     }
 
-    /// The planner has taken this instruction: the next one begins behind it.
+    /// The planner has taken this instruction: the next one begins after it.
     pub fn planned(&mut self, instruction: &Instruction, machine: &MachineConfig) {
         let micros = nominal(&self.from, instruction, machine);
         self.micros = self.micros.saturating_add(micros);

@@ -1,4 +1,4 @@
-//! How it goes: the state and the report for clients.
+//! The state and the report for clients.
 
 use super::Executor;
 use super::phase::Phase;

@@ -1,4 +1,4 @@
-//! The lines of the look-ahead: what is planned for each.
+//! The lines of the look-ahead, with the plan of each.
 
 use super::FASTEST;
 use motion::segment::AXES;

@@ -1,4 +1,4 @@
-//! The machine as the planner takes it, and in the units of the integrators.
+//! The machine in the units of the planner and of the integrators.
 
 use super::FASTEST;
 use core::fmt;

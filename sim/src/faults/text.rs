@@ -1,4 +1,4 @@
-//! Plans as people type them: `loss=0.1% to-board:delay=1ms..3ms pull@2s..4s seed=7`.
+//! Parses and prints fault plans: `loss=0.1% to-board:delay=1ms..3ms pull@2s..4s seed=7`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -29,7 +29,7 @@ fn probability(text: &str) -> Result<f64, String> {
     match number.parse::<f64>().map(|p| p / scale) {
         Ok(p) if (0.0..=1.0).contains(&p) => Ok(p),
         _ => Err(format!(
-            "{text:?} is no probability; say 0 to 1, or a percentage such as 0.1%"
+            "{text:?} is not a probability; write 0 to 1, or a percentage such as 0.1%"
         )),
     }
 }
@@ -94,7 +94,7 @@ fn kind(name: &str, value: Option<&str>) -> Result<Kind, String> {
         "drop" => {
             let n = given()?;
             let n = n.parse();
-            Kind::Drop(n.map_err(|_| "drop wants a number of frames, as drop=3".to_string())?)
+            Kind::Drop(n.map_err(|_| "drop needs a number of frames, as in drop=3".to_string())?)
         }
         "dup" => Kind::Duplicate(probability(given()?)?),
         "reorder" => Kind::Reorder(probability(given()?)?),

@@ -1,4 +1,4 @@
-//! All cores of one board behind the register map, as `gateware/ferrocnc/banks.py` wires them.
+//! All cores of one board, connected to the register map as in `gateware/ferrocnc/banks.py`.
 //!
 //! Time passes in one of two ways, with the same bits. [`Board::clock`] makes one rising edge of
 //! everything, with the register bus as it stands before it. [`Board::run`] goes from event to
@@ -70,9 +70,9 @@ pub struct Bus {
     /// System reset.
     pub rst: bool,
     /// A frame is complete in this slot.
-    pub frame_done: Option<bool>,
+    pub frame_done: Option<u8>,
     /// The frame in this slot is presented.
-    pub frame_pending: Option<bool>,
+    pub frame_pending: Option<u8>,
     /// The PHY's clock has made another beat.
     pub beat: bool,
 }
@@ -120,7 +120,7 @@ pub struct Board {
     /// Beats of the PHY's clock, and as they were then.
     beats: u32,
     beats_caught: u32,
-    slot_time: [u64; 2],
+    slot_time: [u64; regmap::ETHMAC_RX_SLOTS],
     arrival: u64,
     sample: u64,
     gpio_caught: u32,
@@ -199,7 +199,7 @@ impl Board {
             now_caught: 0,
             beats: 0,
             beats_caught: 0,
-            slot_time: [0; 2],
+            slot_time: [0; regmap::ETHMAC_RX_SLOTS],
             arrival: 0,
             sample: 0,
             gpio_caught: 0,

@@ -1,5 +1,5 @@
-//! `encoder.sv` with its channel of `edges.sv`: filters the pins, counts in one of six modes, tells
-//! the index and the time.
+//! `encoder.sv` with its channel of `edges.sv`: filters the pins, counts in one of six modes, and
+//! reports the index and the time.
 
 use super::debounce::Debounce;
 use wire::exchange::EDGE_TIME_BITS;
@@ -26,7 +26,8 @@ impl Default for Encoder {
     fn default() -> Self {
         Encoder {
             meta: [false; 4],
-            // A starts unlike the pin, so that nothing is believed before the pin is seen.
+            // A starts with the opposite level of the pin, so that nothing counts before the pin is
+            // sampled.
             sync: [true, false, false, false],
             shaft: Debounce::default(),
             mark: Debounce::default(),

@@ -1,4 +1,4 @@
-//! `gpio.sv`: inputs with their debouncer, e-stop inputs, outputs behind the gate.
+//! `gpio.sv`: inputs with their debouncer, e-stop inputs, and outputs with the gate.
 
 /// Pins the debouncer visits in turn.
 const PINS: usize = 32;

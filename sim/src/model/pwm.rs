@@ -1,4 +1,4 @@
-//! `pwm.sv`: one PWM, changed only at the edge of a period.
+//! `pwm.sv`: one PWM, which changes only at the edge of a period.
 
 const PDM: u32 = wire::map::PwmType::Pdm as u32;
 const UP_DOWN: u32 = wire::map::PwmType::UpDown as u32;

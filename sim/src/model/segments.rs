@@ -476,7 +476,7 @@ impl Segments {
                 && self.tick
                 && pace >= PACE_ONE
                 && self.scale == u64::from(PACE_ONE) << 16;
-            // The last clock, and the commit behind it, are made one by one.
+            // The last clock, and the commit after it, are made one by one.
             return if steady { self.left.max(0) as u64 } else { 0 };
         }
         let settled = self.state == State::Idle

@@ -206,7 +206,7 @@ impl Stepgen {
         i64::from(self.fraction) + (self.v >> VELOCITY_FRACTION)
     }
 
-    /// The integer part of the position wants to change in this clock.
+    /// The integer part of the position is due to change in this clock.
     fn due(&self) -> bool {
         self.sum() >> 32 != 0
     }
@@ -223,7 +223,7 @@ impl Stepgen {
         i.gate && self.due() && !self.ready(&i.set)
     }
 
-    /// The velocity wants the other direction.
+    /// The velocity has the other direction.
     fn wants_turn(&self) -> bool {
         match self.negative() {
             true => !self.reverse,
@@ -412,7 +412,7 @@ impl Stepgen {
         }
     }
 
-    /// No fewer than these clocks until the integer part of the position wants to change.
+    /// At least this many clocks until the integer part of the position changes.
     fn clocks_to_due(&self, arrives: u64, set: &Settings) -> u64 {
         let velocity = self.v >> VELOCITY_FRACTION;
         // Clocks at a constant velocity until the fraction leaves 0..2^32.

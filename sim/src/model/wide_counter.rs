@@ -1,5 +1,5 @@
-//! The visible behaviour of `wide_counter.sv`: a value caught in a clock can be read after the
-//! channel's next turn.
+//! The visible behaviour of `wide_counter.sv`: a value captured in a clock can be read after the
+//! next visit of the channel.
 //!
 //! The wide totals and the five-bit deltas are one number here, which the channel keeps itself: at
 //! the pins and registers they cannot be told apart, and the lock-step test says so.

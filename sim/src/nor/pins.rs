@@ -1,4 +1,4 @@
-//! The chip behind its four wires, SPI mode 0: for gateware.
+//! The chip at its four wires, in SPI mode 0, for gateware.
 //!
 //! ```text
 //! cs_n  ‾\________________________________________/‾

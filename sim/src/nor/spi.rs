@@ -1,4 +1,4 @@
-//! The chip behind `embedded-hal`: for drivers that run on this machine.
+//! The chip as an `embedded-hal` device, for drivers that run on this computer.
 
 use std::convert::Infallible;
 use std::sync::{Arc, Mutex, MutexGuard};

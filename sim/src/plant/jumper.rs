@@ -70,7 +70,7 @@ impl TryFrom<String> for Source {
             Some(("pwm", n)) => channel(&text, n, CHANNELS).map(Source::Pwm),
             Some(("output", n)) => channel(&text, n, 32).map(Source::Output),
             _ => Err(format!(
-                "\"{text}\" is none of step.N, dir.N, pwm.N, output.N, low, high"
+                "\"{text}\" is not one of step.N, dir.N, pwm.N, output.N, low, high"
             )),
         }
     }
@@ -87,7 +87,7 @@ impl TryFrom<String> for Sink {
             ["encoder", n, "b"] => channel(&text, n, CHANNELS).map(Sink::B),
             ["encoder", n, "index"] => channel(&text, n, CHANNELS).map(Sink::Index),
             _ => Err(format!(
-                "\"{text}\" is none of encoder.N.a, encoder.N.b, encoder.N.index, input.N"
+                "\"{text}\" is not one of encoder.N.a, encoder.N.b, encoder.N.index, input.N"
             )),
         }
     }

@@ -2,13 +2,13 @@ use super::*;
 
 /// A quadrature counter as simple as can be.
 #[derive(Default)]
-struct Counter {
+struct QuadratureCounter {
     count: i64,
     last: (u16, u16),
     illegal: u32,
 }
 
-impl Counter {
+impl QuadratureCounter {
     fn see(&mut self, levels: Levels) {
         let now = (levels.a & 1, levels.b & 1);
         let state = |(a, b): (u16, u16)| i64::from(if b == 0 { a } else { 3 - a });
@@ -22,9 +22,9 @@ impl Counter {
     }
 }
 
-fn follow(axis: Axis, steps: &[(u64, i64)], clocks: u64) -> (Counter, Plant) {
+fn follow(axis: Axis, steps: &[(u64, i64)], clocks: u64) -> (QuadratureCounter, Plant) {
     let mut plant = Plant::new([axis]);
-    let mut counter = Counter::default();
+    let mut counter = QuadratureCounter::default();
     let mut steps = steps.iter().peekable();
     for clock in 0..clocks {
         if let Some((_, by)) = steps.next_if(|(at, _)| *at == clock) {
@@ -174,8 +174,14 @@ fn an_index_reaches_encoder_and_stepgen_at_its_count() {
 
 /// A PWM of 3000 clocks at `duty` percent for `clocks`, from `start`; returns the counter and
 /// the indexes seen.
-fn spin(plant: &mut Plant, start: u64, clocks: u64, duty: u64, dir: u16) -> (Counter, u32) {
-    let (mut counter, mut indexes, mut index_was) = (Counter::default(), 0, true);
+fn spin(
+    plant: &mut Plant,
+    start: u64,
+    clocks: u64,
+    duty: u64,
+    dir: u16,
+) -> (QuadratureCounter, u32) {
+    let (mut counter, mut indexes, mut index_was) = (QuadratureCounter::default(), 0, true);
     let last = plant.levels();
     counter.last = (last.a & 1, last.b & 1);
     for clock in start..start + clocks {

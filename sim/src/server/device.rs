@@ -21,6 +21,9 @@ pub enum Service {
     Discovery,
     /// The DHCP client. Only a board that is an interface has one.
     Dhcp,
+    /// Whatever an Ethernet frame carries: the payload is the frame, from the destination's MAC
+    /// address on. Only for a board whose network is frames.
+    Cable,
 }
 
 /// A datagram of the board's.
@@ -64,6 +67,10 @@ pub trait Device {
     fn pass(&mut self, until: u64) -> bool;
     /// What the board has sent.
     fn take_replies(&mut self) -> Vec<Reply>;
+    /// Clocks from one frame of [`Service::Cable`] to the next.
+    fn between_frames(&self) -> u64 {
+        0
+    }
     /// Longest wait for the answer to `payload`, or for it to take effect, sys clocks.
     fn wait_for(&self, service: Service, payload: &[u8]) -> u64;
     /// The network addresses of the board at present; `None` if nothing outside its cable needs
@@ -131,12 +138,27 @@ impl<S: Silicon> Device for Rig<S> {
             Service::Etherbone => Rig::post(self, (HOST_IP, port), BOARD_PORT, payload),
             Service::Discovery => self.broadcast((HOST_IP, port), wire::DISCOVERY_PORT, payload),
             Service::Dhcp => {}
+            Service::Cable => drop(self.inject_frame(payload)),
         }
+    }
+    /// Half a millisecond, in which the image takes any frame. This machine sends ten while the
+    /// board takes one, and what the board loses comes again after a second of its own, which is a
+    /// minute here.
+    fn between_frames(&self) -> u64 {
+        self.clocks(Duration::from_micros(500))
     }
     fn pass(&mut self, until: u64) -> bool {
         self.advance(until)
     }
     fn take_replies(&mut self) -> Vec<Reply> {
+        if self.unplugged() {
+            let frame = |payload| Reply {
+                service: Service::Cable,
+                port: 0,
+                payload,
+            };
+            return self.take_frames().into_iter().map(frame).collect();
+        }
         let datagrams = self.take_datagrams().into_iter();
         datagrams
             .map(|(datagram, _)| Reply {

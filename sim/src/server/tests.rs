@@ -81,6 +81,7 @@ fn serve(
         udp: any,
         discovery: None,
         interface: None,
+        tap: None,
         console: None,
         jobs: None,
         control: Some(any),
@@ -91,15 +92,22 @@ fn serve(
         report: None,
     };
     let stop = Arc::new(AtomicBool::new(false));
-    let server = Server::bind(rig, options, stop.clone()).unwrap();
-    let (udp, control) = (
-        server.udp.udp.local_addr().unwrap(),
-        server.control_address.unwrap(),
-    );
-    assert!(server.ready_line().starts_with(&format!(
-        "ready udp={udp} console=- control={control} sys_clk_hz=60000000"
-    )));
-    (udp, control, stop, std::thread::spawn(move || server.run()))
+    let (told, hear) = channel();
+    let stopped = stop.clone();
+    let thread = std::thread::spawn(move || {
+        let server = Server::bind(rig, options, stopped).unwrap();
+        let (udp, control) = (
+            server.udp.as_ref().unwrap().udp.local_addr().unwrap(),
+            server.control_address.unwrap(),
+        );
+        assert!(server.ready_line().starts_with(&format!(
+            "ready udp={udp} console=- control={control} sys_clk_hz=60000000"
+        )));
+        told.send((udp, control)).unwrap();
+        server.run()
+    });
+    let (udp, control) = hear.recv().unwrap();
+    (udp, control, stop, thread)
 }
 
 fn client(to: SocketAddr) -> UdpSocket {

@@ -1,5 +1,6 @@
 use super::*;
 use crate::plant::{Axis, Spindle, Switch};
+use firmware::services::line_editor::PROMPT;
 use wire::describe::{self, Channels};
 use wire::etherbone::{HEADER, record};
 use wire::exchange::{Command, Latch, REQUEST_OVERHEAD, Status};
@@ -236,7 +237,7 @@ fn a_spindle_turns_as_its_pwm_says() {
 fn a_visitor_is_greeted_answered_and_let_go() {
     let mut twin = Twin::start(BoardFacts::plain(SIX, HZ), Plant::default());
     let visitor = twin.open(CONSOLE_PORT);
-    assert_eq!(twin.heard(visitor), console::PROMPT.as_bytes());
+    assert_eq!(twin.heard(visitor), PROMPT.as_bytes());
     twin.type_in(visitor, b"status\nquit\n");
     let heard = String::from_utf8(twin.heard(visitor)).expect("text");
     assert!(heard.contains("disarmed"), "{heard}");

@@ -1,4 +1,4 @@
-//! What a job tells its board, and how often it speaks to it.
+//! What a job writes to its board, and how often.
 
 use crate::rig::*;
 use crate::stops::client::Client;

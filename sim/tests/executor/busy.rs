@@ -1,4 +1,5 @@
-//! Stop and Pause are taken from every client, also while another one has the one line for jobs.
+//! Stop and Pause are taken from every client, also while another client has the one connection for
+//! jobs.
 
 use crate::lan::*;
 use crate::rig::*;
@@ -100,7 +101,7 @@ impl Held {
     }
 
     fn state(&mut self) -> State {
-        self.lan.rig.jobs.executor().state()
+        self.lan.rig.jobs.executor().expect("jobs").state()
     }
 }
 
@@ -194,7 +195,7 @@ fn nothing_else_is_done_for_a_second_client() {
         );
         assert_eq!(held.state(), State::Running, "{request:?}");
     }
-    let executor = held.lan.rig.jobs.executor();
+    let executor = held.lan.rig.jobs.executor().expect("jobs");
     assert!(executor.busy());
 }
 
@@ -207,7 +208,7 @@ fn a_frame_that_is_none_stops_nothing_and_is_the_last_of_its_connection() {
         let mut bytes = out[..length].to_vec();
         bytes[at] ^= 1 << (at % 8);
         let mut busy = ::jobs::server::BusyReply::new();
-        let mut text = firmware::ip::Text::new();
+        let mut text = firmware::text::Text::new();
         let mut outer = Outer {
             machine: &mut held.lan.rig.machine,
             sent: &mut held.lan.rig.sent,

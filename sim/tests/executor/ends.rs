@@ -110,7 +110,10 @@ fn a_job_stopped_before_it_has_begun_never_arms() {
         for _ in 0..turns {
             rig.turn();
         }
-        assert!(rig.jobs.executor().busy(), "after {turns} turns");
+        assert!(
+            rig.jobs.executor().expect("jobs").busy(),
+            "after {turns} turns"
+        );
         assert_eq!(rig.command(0), Status::Normal);
         let report = rig.finish();
         assert_eq!((report.end, report.steps), (End::Stopped, [0; 3]));
@@ -247,7 +250,7 @@ fn a_path_that_stands_though_it_should_pass_is_ended_by_the_watchdog() {
 #[test]
 fn an_underrun_brakes_and_says_so() {
     let mut rig = Rig::plotter();
-    // A move of FPGA G's that ends at speed, and nothing behind it.
+    // A move of FPGA G's protocol that ends at speed, and no further one.
     let word = |high: u32, low: u32| (high << 16 | low).to_le_bytes();
     let words = [word(0x0160, 0), word(400, 1000), word(1000, 0), word(0, 0)];
     for (command, words) in [(1, &words[..]), (3, &[])] {

@@ -1,7 +1,8 @@
-//! An axis without a switch is at 0 where the operator says so.
+//! `here`: an axis without a switch is at 0 where the operator sets it.
 
 use crate::rig::*;
 use crate::stops::client::Client;
+use sim::plant::Plant;
 use wire::jobs::{End, Report, Request, Status};
 
 const HERE: u8 = 13;
@@ -15,7 +16,10 @@ fn here(rig: &mut Rig, axes: u8) -> Status {
 
 /// A plotter after an e-stop in mid-line: it is somewhere, and nothing is known.
 fn lost() -> (Rig, Report) {
-    let mut rig = Rig::plotter();
+    lost_on(Rig::plotter())
+}
+
+fn lost_on(mut rig: Rig) -> (Rig, Report) {
     rig.start("G1 X50 Y25 F6000\nM2\n");
     rig.underway();
     rig.estop(true);
@@ -93,8 +97,12 @@ fn it_is_refused_without_a_machine_for_no_axis_while_a_job_goes_and_while_a_sess
 
 #[test]
 fn the_console_says_it_too_and_asks_for_the_key() {
-    let (mut rig, _) = lost();
+    let mut rig = Rig::keyed(Plant::direct(0));
+    rig.prove();
+    rig.ok(&Request::PutMachine(plotter()));
+    let (mut rig, _) = lost_on(rig);
     let refused = rig.say("job here", false);
+    assert!(refused.contains("has a key"), "{refused}");
     assert!(!rig.report().known, "{refused}");
     let taken = rig.say("job here", true);
     assert!(rig.report().known, "{taken}");

@@ -38,7 +38,7 @@ fn the_order_is_the_machines_and_the_pen_is_up_before_anything_moves() {
     let mut rig = Rig::switched();
     home(&mut rig, 0);
     let mut order = Vec::new();
-    while rig.jobs.executor().busy() {
+    while rig.jobs.executor().expect("jobs").busy() {
         rig.run(5 * MS);
         let report = rig.report();
         if report.state == State::Calibrating
@@ -169,10 +169,10 @@ fn a_job_may_find_the_switches_itself_and_its_pen_comes_back() {
     let mut rig = Rig::switched();
     rig.start("G28\nG1 X5 F6000\nM3\nG1 X10\nG28 X0\nG1 X2 Y4\nM2\n");
     let mut last = false;
-    while rig.jobs.executor().busy() {
+    while rig.jobs.executor().expect("jobs").busy() {
         rig.turn();
         let pen = rig.machine.board.environment().pins().gpio_out & 1 == 1;
-        let state = rig.jobs.executor().state();
+        let state = rig.jobs.executor().expect("jobs").state();
         assert!(
             !(pen && state == State::Calibrating && last),
             "the pen is down"
@@ -195,7 +195,7 @@ fn a_homing_in_a_job_is_the_line_it_stands_on_while_the_tool_is_lifted() {
     rig.ok(&Request::PutMachine(machine));
     rig.start("G28\nG1 X5 F6000\nM3\nG1 X10\nG28 X0\nG1 X2 Y4\nM2\n");
     let (mut line, mut progress) = (0, 0);
-    while rig.jobs.executor().busy() {
+    while rig.jobs.executor().expect("jobs").busy() {
         let report = rig.report();
         assert!(
             report.line >= line && report.progress >= progress,

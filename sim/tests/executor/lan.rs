@@ -136,7 +136,7 @@ impl Lan {
         answers
     }
 
-    /// All of these, one behind the other without a look at the answers.
+    /// Sends all of these one after the other, without reading the answers.
     pub fn pipeline(&mut self, connection: Connection, requests: &[Request]) {
         let mut bytes = Vec::new();
         for request in requests {

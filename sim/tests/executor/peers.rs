@@ -9,7 +9,7 @@ use wire::jobs::{End, Request, State, Status, UNATTENDED};
 /// The farthest each axis gets from where it began.
 fn extent(rig: &mut Rig) -> [i64; 3] {
     let mut most = [0; 3];
-    while rig.jobs.executor().busy() {
+    while rig.jobs.executor().expect("jobs").busy() {
         rig.turn();
         let pins = rig.pins();
         most = core::array::from_fn(|axis| pins[axis].abs().max(most[axis]));
@@ -60,7 +60,7 @@ fn arcs_of_two_degrees_and_less_are_arcs() {
         };
         rig.begin(&[(Instruction::Arc(arc), 1), (Instruction::End, 2)]);
         let mut off = 0.0f64;
-        while rig.jobs.executor().busy() {
+        while rig.jobs.executor().expect("jobs").busy() {
             rig.turn();
             let [x, y, _] = rig.pins().map(|steps| steps as f64 * 1000.0);
             off = off.max((x.hypot(y - radius) - radius).abs());
@@ -111,7 +111,7 @@ fn a_command_is_acted_on_again_under_a_new_id_and_not_under_the_old_one() {
     let second = rig.ask_as(902, &start);
     assert_eq!(second.0, Status::Normal);
     assert!(
-        rig.jobs.executor().busy(),
+        rig.jobs.executor().expect("jobs").busy(),
         "the same code under a new id is a new command"
     );
     assert_eq!(
@@ -120,13 +120,13 @@ fn a_command_is_acted_on_again_under_a_new_id_and_not_under_the_old_one() {
         "answered again, not refused as it runs"
     );
     rig.run(2000 * MS);
-    assert!(!rig.jobs.executor().busy());
+    assert!(!rig.jobs.executor().expect("jobs").busy());
     assert_eq!(rig.ask_as(902, &start), second);
-    assert!(!rig.jobs.executor().busy(), "acted on twice");
-    // Nor behind a new connection: that begins with a Hello.
+    assert!(!rig.jobs.executor().expect("jobs").busy(), "acted on twice");
+    // Nor after a new connection: that begins with a Hello.
     rig.connect();
     assert_eq!(rig.ask_as(902, &start), second);
-    assert!(!rig.jobs.executor().busy(), "acted on twice");
+    assert!(!rig.jobs.executor().expect("jobs").busy(), "acted on twice");
     // Pause, and pause again: twice right.
     rig.start("G1 X50 F6000\nM2\n");
     rig.underway();
@@ -159,7 +159,7 @@ fn a_start_that_comes_again_behind_another_clients_stop_starts_nothing() {
     rig.client = owner;
     rig.connect();
     assert_eq!(rig.ask_as(900, &start), first, "acted on once, long ago");
-    assert!(!rig.jobs.executor().busy(), "it was stopped");
+    assert!(!rig.jobs.executor().expect("jobs").busy(), "it was stopped");
 }
 
 #[test]
@@ -170,7 +170,7 @@ fn a_start_that_comes_again_behind_a_refused_stranger_starts_nothing() {
     let first = rig.ask_as(900, &start);
     assert_eq!(first.0, Status::Normal);
     rig.run(2000 * MS);
-    assert!(!rig.jobs.executor().busy(), "done");
+    assert!(!rig.jobs.executor().expect("jobs").busy(), "done");
     // The answer is lost with its connection. A stranger sends no frame, or none that it may.
     let owner = rig.client;
     rig.knock();
@@ -186,7 +186,7 @@ fn a_start_that_comes_again_behind_a_refused_stranger_starts_nothing() {
     rig.client = owner;
     rig.connect();
     assert_eq!(rig.ask_as(900, &start), first, "acted on once, long ago");
-    assert!(!rig.jobs.executor().busy(), "started twice");
+    assert!(!rig.jobs.executor().expect("jobs").busy(), "started twice");
 }
 
 #[test]

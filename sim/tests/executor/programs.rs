@@ -36,7 +36,7 @@ fn the_pen_switches_while_everything_stands_and_is_off_in_the_end() {
     let mut rig = Rig::plotter();
     rig.start("G1 X2 F6000\nM3\nG4 P0.05\nG1 X4\nM5\nG1 X6\nM2\n");
     let mut seen = Vec::new();
-    while rig.jobs.executor().busy() {
+    while rig.jobs.executor().expect("jobs").busy() {
         rig.turn();
         let pins = *rig.machine.board.environment().pins();
         let (x, pen) = (rig.pins()[0], pins.gpio_out & 1 == 1);
@@ -69,7 +69,7 @@ fn progress_is_by_the_time_of_the_path_and_the_line_is_the_one_being_drawn() {
     text += "G1 X90 F6000\nM2\n";
     rig.start(&text);
     let (mut last, mut half) = (rig.report(), None);
-    while rig.jobs.executor().busy() {
+    while rig.jobs.executor().expect("jobs").busy() {
         rig.run(10 * MS);
         let report = rig.report();
         if report.state == State::Running {

@@ -1,19 +1,20 @@
 //! A board that executes jobs, and a client.
 
+use ::jobs::inside::Inside;
 use ::jobs::instruction::Instruction;
 use ::jobs::plan::{AxisSetup, Output, Planner, Setup as Planned};
 use ::jobs::{Outside, gcode, job};
-use firmware::console::Vitals;
 use firmware::cores::Board as _;
-use firmware::ip::Text;
-use firmware::machine::{IDLE, Machine, Reply};
+use firmware::machine::{IDLE, Machine, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
+use firmware::services::console::{Console, Reader, Visit};
 use firmware::services::port::Place;
-use firmware::services::{Network, Program, TEXT_MAX};
+use firmware::services::{Network, Program};
 use firmware::session::Peer;
-use firmware::text::Sink;
+use firmware::text::Text;
 use motion::segment::{AXES, Segment};
 use sim::board_facts::BoardFacts;
+use sim::jobs::converse;
 use sim::model_board::{ModelBoard, Setup};
 use sim::nor::spi::Shared;
 use sim::nor::{Nor, Part};
@@ -66,9 +67,11 @@ impl Network for Outer<'_> {
     fn us(&mut self) -> Us {
         self.machine.us
     }
-    fn console(&mut self, visitor: usize, line: Option<&str>, out: &mut dyn Sink) -> Reply {
-        let vitals = Vitals::default();
-        self.machine.converse(visitor, line, &vitals, out)
+    fn leased(&mut self, lease: Option<firmware::machine::Lease>) {
+        self.machine.leased(lease);
+    }
+    fn console(&mut self, visitor: usize, verb: Verb, words: &mut [u32; VISIT_WORDS]) -> Verdict {
+        self.machine.visit(visitor, verb, words)
     }
 }
 
@@ -83,6 +86,8 @@ pub struct Rig {
     pub hangs: bool,
     pub unattended: bool,
     pub turn: u64,
+    keyed: bool,
+    reader: Reader,
 }
 
 /// Switches at -500 steps of X and Y and at 800 of Z, which is normally closed; nothing else is
@@ -289,6 +294,7 @@ impl Rig {
         let (mut server, ident) = ModelBoard::power_up(setup);
         let boot = server.boot();
         let mut rig = Rig::of(Machine::start(server, ident, regmap::ABI, boot), room);
+        rig.keyed = keyed;
         rig.connect();
         rig
     }
@@ -300,8 +306,9 @@ impl Rig {
             machine: &mut machine,
             sent: &mut sent,
         };
+        let (_, board) = Inside::new(&mut outer).expect("a board that describes itself");
         let place = Box::leak(Box::new(Place::new()));
-        let jobs = Program::new(memory, place, 0x1234_5678, &mut outer);
+        let jobs = Program::new(memory, &mut [], place, 0x1234_5678, &mut outer);
         let jobs = jobs.expect("a board with jobs");
         Rig {
             machine,
@@ -313,6 +320,8 @@ impl Rig {
             hangs: false,
             unattended: true,
             turn: TURN,
+            keyed: false,
+            reader: Reader::new(board.channels, board.clock_hz),
         }
     }
 
@@ -393,17 +402,33 @@ impl Rig {
         Welcome::parse(&payload).unwrap()
     }
 
-    /// A line of the debug console that begins with `job`; returns the answer.
+    /// A line at a console of a client that has just connected and, on a board with a key, has
+    /// proved that it has the key; returns the answer.
     pub fn say(&mut self, line: &str, trusted: bool) -> String {
-        let mut room = [0; TEXT_MAX];
         let mut outer = Outer {
             machine: &mut self.machine,
             sent: &mut self.sent,
         };
-        let count = self
-            .jobs
-            .line(line.as_bytes(), trusted, &mut room, &mut outer);
-        String::from_utf8(room[..count].to_vec()).unwrap()
+        let mut console = Console::new();
+        let mut visit = Visit {
+            visitor: 0,
+            reader: &mut self.reader,
+            jobs: self.jobs.jobs(),
+            out: &mut outer,
+        };
+        let (prompt, _) = converse(&mut console, &[], &mut visit);
+        if trusted && self.keyed {
+            let mut words = [0; VISIT_WORDS];
+            visit.out.console(0, Verb::Challenge, &mut words);
+            let [a, b, c, d, ..] = words;
+            let head = wire::auth::Purpose::Login.head([a, b, c, d]);
+            let [a, b, c, d] = firmware::auth::tag(&wire::auth::EXAMPLE_KEY, &head, &[]);
+            let welcome = visit.out.console(0, Verb::Answer, &mut [a, b, c, d, 0, 0]);
+            assert_eq!(welcome, Verdict::Yes);
+        }
+        let (said, _) = converse(&mut console, format!("{line}\n").as_bytes(), &mut visit);
+        let said = said.strip_suffix(&prompt[..]).expect("a prompt");
+        String::from_utf8(said.to_vec()).unwrap()
     }
 
     /// Bytes as they are; what is answered.
@@ -505,7 +530,7 @@ impl Rig {
     /// Until nothing is going on; how it ended.
     pub fn finish(&mut self) -> Report {
         for _ in 0..200_000 {
-            if !self.jobs.executor().busy() {
+            if !self.jobs.executor().expect("jobs").busy() {
                 // Positions are sampled now and then.
                 self.run(30 * MS);
                 return self.report();
@@ -548,7 +573,7 @@ impl Rig {
     }
 
     pub fn machine_of(&self) -> jobs::MachineConfig {
-        *self.jobs.executor().machine().unwrap()
+        *self.jobs.executor().expect("jobs").machine().unwrap()
     }
 
     /// A LinuxCNC somewhere takes the session; false: it cannot.

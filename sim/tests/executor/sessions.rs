@@ -1,4 +1,4 @@
-//! A job and LinuxCNC exclude each other, and a board with a key asks for it.
+//! A job and LinuxCNC exclude each other, and a board with a key requires it.
 
 use crate::rig::*;
 use crate::stops::client::Client;

@@ -127,7 +127,7 @@ fn a_stop_that_the_grace_may_have_cut_short_is_said_for_axes_without_switches_to
         rig.pins(),
         "the count is what left the pins"
     );
-    let said = rig.say("status", true);
+    let said = rig.say("job status", true);
     assert!(said.contains("position not trusted"), "{said}");
     // A job may be drawn, and does not make it known.
     rig.start("G1 X10 Y10 F9000\nM2\n");

@@ -1,4 +1,4 @@
-//! The port of jobs on the network: frames, with another TCP implementation at the other end and a
+//! The jobs port on the network: frames, with another TCP implementation at the other end and a
 //! wire that loses frames.
 
 use crate::lan::*;
@@ -83,7 +83,7 @@ fn a_client_after_a_long_silence_is_accepted_at_once() {
 
 #[test]
 fn a_client_that_vanished_keeps_the_next_one_out_no_longer_than_the_silence() {
-    // Its cable is pulled behind a Hello, behind a commit, in the middle of a request.
+    // Its cable is pulled after a Hello, after a commit, in the middle of a request.
     for pieces in [0, 1, 2] {
         let mut lan = Lan::of(Rig::plotter());
         let first = lan.dial();
@@ -273,7 +273,7 @@ fn an_upload_beside_a_running_job_over_a_wire_that_loses_frames_is_whole() {
     );
     lan.loss = 0;
     lan.leave(connection);
-    while lan.rig.jobs.executor().busy() {
+    while lan.rig.jobs.executor().expect("jobs").busy() {
         lan.turn();
     }
     lan.rig.connect();
@@ -330,7 +330,7 @@ fn a_commit_that_comes_right_behind_the_last_data_is_answered() {
         lan.pipeline(client, &requests);
         let answers = lan.answers(client, requests.len());
         whole(&requests, &answers, crc32(&bytes));
-        // And what comes behind is answered, too.
+        // And the next request is answered, too.
         assert_eq!(lan.ask(client, &Request::Report).0, Status::Normal);
     }
 }
@@ -350,7 +350,7 @@ fn a_commit_that_waits_beside_a_dense_job_is_answered() {
     let answers = lan.answers(client, requests.len());
     whole(&requests, &answers, crc32(&bytes));
     lan.leave(client);
-    while lan.rig.jobs.executor().busy() {
+    while lan.rig.jobs.executor().expect("jobs").busy() {
         lan.turn();
     }
     lan.rig.connect();

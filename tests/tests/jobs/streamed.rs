@@ -1,4 +1,4 @@
-//! A host that streams vanishes, is stopped, or has a bad wire.
+//! A host that streams disappears, is stopped, or has a bad network.
 
 use crate::rig::*;
 use ferrocnc_tests::drawing::{self, TOLERANCE};

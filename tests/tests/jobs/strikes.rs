@@ -1,4 +1,4 @@
-//! Random stops of what is streamed.
+//! Random stops of streamed jobs.
 
 use crate::rig::*;
 use ferrocnc_tests::plotter::Plotter;
@@ -75,7 +75,7 @@ impl Strikes {
     }
 }
 
-/// Until the pins have come to rest behind a closed gate, or in a pause.
+/// Until the gate is closed and the pins are at rest, or in a pause.
 fn stood(plotter: &Plotter, board: &mut Board, strikes: Strikes) -> [i64; 3] {
     if strikes == Strikes::Pause {
         loop {
@@ -129,7 +129,7 @@ fn struck(seed: u64) -> (Strikes, f64) {
     let counts = stood(&plotter, &mut board, strikes);
     Strikes::over(&plotter);
     if strikes == Strikes::Pause {
-        // A pause that came behind the end is refused.
+        // A pause that came after the end is refused.
         let _over = board.command(Code::Stop);
     }
     // It may have been over before.

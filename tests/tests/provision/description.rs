@@ -1,4 +1,4 @@
-//! What a board says of its flash, and what it reads there.
+//! A board's description of its flash, and the information it reads there.
 
 use crate::rig::*;
 use ferrocnc_tests::bench::{Bench, Went, packed};

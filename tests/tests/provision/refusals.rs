@@ -1,4 +1,4 @@
-//! What no client and no order of operations may do.
+//! Operations that no client and no sequence of operations may achieve.
 
 use crate::rig::*;
 use ferrocnc_tests::bench::Went;

@@ -1,4 +1,4 @@
-//! Boards with a flash, and the plug that is pulled at every step.
+//! Boards with a flash, and a power cut at every step.
 
 use ferrocnc_tests::bench::{Bench, KEY};
 use ferrocnc_tests::flash::{self, factory};

@@ -1,4 +1,4 @@
-//! Settings: saved, told by discovery, forgotten.
+//! Settings: saved, reported by discovery, and reset.
 
 use crate::rig::*;
 use ferrocnc_tests::bench::{Bench, Went};

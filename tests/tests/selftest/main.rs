@@ -1,10 +1,10 @@
-//! The self-test of a new board, on the twin: a healthy board is found healthy, and each defect is
-//! found as itself. What the gateware does for it (pads, the Ethernet clock) on the Verilated board
-//! as well, with the release image.
+//! The self-test of a new board, on the twin: it finds no defect on a good board, and names each
+//! defect correctly. The parts in gateware (pads, the Ethernet clock) are also tested on the
+//! Verilated board with the release image.
 //!
-//! The board is behind a real socket and its time passes with its datagrams only. The host's clock
-//! is the board's times a rate the test chooses, so nothing here depends on this computer's clock
-//! or on how busy it is.
+//! The test reaches the board through a real socket, and its time passes only with its datagrams.
+//! The host's clock is the board's times a rate the test chooses, so nothing here depends on this
+//! computer's clock or on how busy it is.
 
 mod defects;
 mod manners;

@@ -1,4 +1,4 @@
-//! What a test does with a healthy board, and what it leaves alone.
+//! What the self-test changes on a good board, and what it does not change.
 
 use crate::rig::*;
 use ferrocnc_tests::flash;

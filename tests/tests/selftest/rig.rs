@@ -1,4 +1,4 @@
-//! A board behind a socket, with jumpers, and the clock of its host.
+//! A board at a socket, with jumpers, and the clock of its host.
 
 use ferrocnc_tests::flash::{CONFIGURATION, factory};
 use host::address;
@@ -25,7 +25,7 @@ pub use sim::model_board::UID;
 /// Microseconds of board time in front of each datagram.
 pub const BEFORE_EACH: u64 = 200;
 
-/// A board behind a socket. Dropping it ends its thread.
+/// A board at a socket. Dropping it ends its thread.
 pub struct Board<D = Twin> {
     pub twin: Arc<Mutex<D>>,
     pub address: SocketAddr,

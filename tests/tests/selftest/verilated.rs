@@ -1,4 +1,4 @@
-//! The same on the Verilated board.
+//! The self-test on the Verilated board.
 
 use crate::rig::*;
 use ferrocnc_tests::parts;

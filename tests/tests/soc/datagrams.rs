@@ -309,8 +309,8 @@ fn ten_thousand_random_datagrams_later_a_normal_exchange_still_works() {
     let before = machine.registers();
     for _ in 0..10_000 {
         let mut datagram = match random.random_range(0..4) {
-            // Noise, noise behind a good header, and good datagrams with a few bits or their end
-            // knocked off.
+            // Random bytes, random bytes after a good header, and good datagrams with a few bits or
+            // their end knocked off.
             0 => vec![0; random.random_range(0..64)],
             1 => [
                 hex("4e6f1044 00000000"),

@@ -168,7 +168,7 @@ fn a_foreign_host_may_read_but_not_command() {
     let bytes = machine.command_bytes(&foreign);
     assert_eq!(machine.ask_from(STRANGER, &bytes), None);
     assert_eq!(machine.refusals(Refusal::NotOwner), 1);
-    // One frame of another host a millisecond comes in, behind an answer to the owner.
+    // One frame of another host per millisecond arrives, after an answer to the owner.
     machine.exchange_and_wait(&mut command);
     machine.exchange_and_wait(&mut command);
     let read = machine.ask_from(

@@ -93,10 +93,11 @@ fn every_flag_of_the_state_word_has_its_bit() {
         (State::Boot, FaultReason::None)
     );
     type Set = fn(&mut StateWord);
-    let flags: [(u32, Set); 12] = [
+    let flags: [(u32, Set); 13] = [
         (0, |word| word.state = State::Disarmed),
         (6, |word| word.speed = LinkSpeed::M10),
         (8, |word| word.reason = FaultReason::Watchdog),
+        (12, |word| word.services = JobsState::Alive),
         (16, |word| word.position_trusted = true),
         (17, |word| word.enabled = true),
         (18, |word| word.session_yours = true),
@@ -115,8 +116,8 @@ fn every_flag_of_the_state_word_has_its_bit() {
         assert_eq!(word.to_word(), 1 << bit, "{word:?}");
         assert_eq!(StateWord::from_word(1 << bit), Ok(word));
     }
-    assert_eq!(all.to_word(), 0x01ff_0141);
-    assert_eq!(StateWord::from_word(0x01ff_0141), Ok(all));
+    assert_eq!(all.to_word(), 0x01ff_1141);
+    assert_eq!(StateWord::from_word(0x01ff_1141), Ok(all));
 }
 
 #[test]

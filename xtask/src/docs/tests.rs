@@ -1,6 +1,7 @@
-//! What is held of the pages: links lead somewhere, every page is in the summary, every decision in
-//! the index, every `cargo xtask` command is one, every message of the troubleshooting page is in
-//! the source. `ferrocnc`'s commands are held in `host` (`tests/pages.rs`, and beside its `main`).
+//! Checks the pages: no link is dead, every page is in the summary, every decision in the index,
+//! every `cargo xtask` command exists, and every message of the troubleshooting page is in the
+//! source. Tests of `host` check the commands of `ferrocnc` (`tests/pages.rs`, and beside its
+//! `main`).
 
 use super::*;
 use clap::CommandFactory;
@@ -87,7 +88,7 @@ fn xtask_commands(page: &str) -> Vec<String> {
     found
 }
 
-/// The word behind each `cargo xtask` in code spans of a source's messages and comments.
+/// The word after each `cargo xtask` in code spans of a source's messages and comments.
 fn xtask_words(text: &str) -> Vec<&str> {
     let spans = text.split("`cargo xtask ").skip(1);
     let end = |span: &str| span.find(|c: char| !c.is_ascii_lowercase() && c != '-');
@@ -115,9 +116,9 @@ fn every_command_of_xtask_in_a_source_is_one() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// The words of a command without what explains it: a comment, or text behind two blanks. Words
-/// that stand for others (`NAME`, `..`, `[..]`, `a|b`) are left out with all behind them; then it
-/// is not whole.
+/// The words of a command without what explains it: a comment, or text after two blanks. Words that
+/// stand for others (`NAME`, `..`, `[..]`, `a|b`) are left out with all behind them; then it is not
+/// whole.
 fn words(command: &str) -> (Vec<&str>, bool) {
     let command = command.split(" #").next().unwrap();
     let command = command.split("  ").next().unwrap();

@@ -1,5 +1,5 @@
-//! Modules beside each other, each with all below it, do not use each other in a circle. A module
-//! and its parent may. Tests are left out, and so are names that come with `use super::*`.
+//! Checks that no sibling modules, each with its submodules, depend on each other in a circle. A
+//! module and its parent may. Tests and names from `use super::*` are left out.
 
 use crate::{root, tree};
 use std::collections::{BTreeMap, BTreeSet};

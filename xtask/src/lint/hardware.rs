@@ -1,4 +1,4 @@
-//! What touches the hardware is in `firmware/src/bin`: the rest of the tree runs on a PC.
+//! Checks that only `firmware/src/bin` accesses the hardware; the rest of the tree runs on a PC.
 
 use crate::{root, tree};
 use std::fs;

@@ -1,5 +1,4 @@
-//! A function fits a screen and a file fits an idea: no function of a Rust file is longer than 100
-//! lines, no Rust file is longer than 800.
+//! Checks that no function of a Rust file has more than 100 lines, and no Rust file more than 800.
 //!
 //! A function is counted from the line of its `fn` to its closing brace, with blank lines and
 //! comments: all of it has to be read. The functions are found in the tokens of the file, so those
@@ -36,7 +35,7 @@ fn functions(tokens: TokenStream, found: &mut Vec<(usize, String, usize)>) {
     }
 }
 
-/// The name behind `fn`; a macro may have a `$` before it. A type of functions has none.
+/// The name after `fn`; a macro may have a `$` before it. A type of functions has none.
 fn name(rest: &[TokenTree]) -> Option<String> {
     let dollar = matches!(rest.first()?, TokenTree::Punct(sign) if sign.as_char() == '$');
     match rest.get(usize::from(dollar))? {

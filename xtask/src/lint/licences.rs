@@ -1,4 +1,4 @@
-//! Judges what cargo says of our dependencies: each has a licence we may use, and comes from
+//! Checks the output of `cargo metadata`: each dependency has an allowed licence and comes from
 //! crates.io.
 
 use anyhow::{Context, Result, bail};

@@ -1,5 +1,5 @@
-//! No line of the tree hides what acts behind a person: it is the board, the host or the client, in
-//! prose, in names and in messages.
+//! Checks that no line of the tree uses a vague word for the board, the host or the client, in
+//! prose, names and messages.
 
 use crate::{root, tree};
 use std::fs;

@@ -4,27 +4,20 @@
 use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc, TxSlot};
 use core::arch::global_asm;
 use core::ffi::c_void;
-use firmware::console::{self, ANSWER_MAX, Ask, Vitals};
+use core::sync::atomic::{AtomicPtr, Ordering::Relaxed};
+use firmware::cores::Board as _;
 use firmware::exchange::{FRAME_FLAGS, SlotReply};
-use firmware::ip::{Ip, StreamHandler, Text};
-use firmware::machine::{IDLE, Machine, NOT_WHILE_ARMED};
-use firmware::net::{self, Class, Datagram, FastPath, Frame as _, Us};
+use firmware::machine::{IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
+use firmware::net::{self, Class, Datagram, FastPath, Frame as _, UdpPorts, Us};
+use firmware::reserve;
 use firmware::services::abi;
-use firmware::text::{Paper, Sink as _};
 use wire::describe::JobsState;
-use wire::{CONSOLE_PORT, MAX_WORDS, Refusal};
+use wire::{MAX_WORDS, Refusal};
 
 /// The loop looks at the MAC this many times between two looks at the clock: about 20 us.
 const POLLS: u32 = 128;
-/// Longest ping or console segment that is answered while the machine is not at rest: to sum, copy
-/// and answer one takes 20 clocks a byte. A console client never sends more, because our window is
-/// smaller.
-const GUEST_FRAME: usize = 256;
-/// The same with services: smoltcp takes 12 000 clocks before it looks at the first byte of what a
-/// segment carries.
-const GUEST_FRAME_SERVICES: usize = 128;
-/// 10 ms between two looks at TCP's timers.
-const HOUSEKEEPING_PER_IP: u8 = 10;
+/// 10 ms between two turns of services that have nothing to do: precise enough for TCP's timers.
+const HOUSEKEEPING_PER_TURN: u8 = 10;
 
 /// Longest call of the services in clocks, behind which they are ended: while an owner moves the
 /// machine, ...
@@ -44,14 +37,14 @@ pub struct App {
     fast_path: Option<FastPath>,
     /// Code outside the fast path ran and may have pushed it out of the instruction cache.
     cold: bool,
-    ip: &'static mut Ip,
-    line: console::LineEditor,
-    ip_in: u8,
-    /// A copy of [`Ip::busy`]: a look into `Ip` itself costs the next exchange a line of the data
-    /// cache.
-    talking: bool,
+    /// Housekeepings until the next turn of the services.
+    turn_in: u8,
     /// The services, if they run.
     services: Option<abi::Entry>,
+    /// Where they listen.
+    ports: UdpPorts,
+    /// Sums their code while the machine is at rest.
+    patrol: abi::Patrol,
     /// They want to be called in every turn.
     restless: bool,
     /// They are being loaded.
@@ -66,23 +59,21 @@ impl App {
         let Parts {
             soc,
             mac,
-            memory,
             boot,
             ident,
         } = parts;
         let mut app = App {
             machine: Machine::asleep(soc, ident, soc::ABI, boot),
-            ip_in: HOUSEKEEPING_PER_IP,
+            turn_in: HOUSEKEEPING_PER_TURN,
             mac,
             fast_path: None,
             cold: false,
-            ip: &mut memory.ip,
-            talking: false,
             services: None,
+            ports: [0; 8],
+            patrol: abi::Patrol::new(),
             restless: false,
             loader: Some(Loader::new()),
             reloads: RELOADS,
-            line: console::LineEditor::default(),
         };
         app.machine.wake();
         defmt::info!("boot {=u32:x}, reset {=u8}", boot.id, boot.reset.code());
@@ -93,7 +84,6 @@ impl App {
                 ident.abi
             );
         }
-        app.ip.listen(CONSOLE_PORT, ANSWER_MAX);
         soc::watch_services();
         app.machine.jobs(JobsState::Loading);
         app.load();
@@ -134,7 +124,8 @@ impl App {
                 self.housekeeping_if(IDLE);
             }
             // The services run here only while there is no exchange that they could delay.
-            if self.fast_path.is_none() && (self.restless || self.loader.is_some()) {
+            let something = self.services.is_some() || self.loader.is_some();
+            if self.fast_path.is_none() && something {
                 self.leisure();
             }
         }
@@ -205,15 +196,12 @@ impl App {
         self.cold = true;
         let (frame, length) = self.mac.frame();
         self.machine.received();
-        match net::classify(&frame, length, &self.machine.us) {
+        match net::classify(&frame, length, &self.machine.us, &self.ports) {
             Class::Ours(datagram) => {
                 let words = self.copy_payload(&datagram);
                 self.mac.dismiss();
                 match words {
-                    Ok(count) if datagram.length.is_multiple_of(4) => {
-                        self.datagram(&datagram, count);
-                    }
-                    Ok(_) => self.machine.refuse(Refusal::Ragged),
+                    Ok(count) => self.datagram(&datagram, count),
                     Err(why) => self.machine.refuse(why),
                 }
                 return self.machine.session().is_owner(datagram.peer);
@@ -222,40 +210,29 @@ impl App {
                 let words = self.copy_payload(&datagram);
                 self.mac.dismiss();
                 match words {
-                    Ok(count) if datagram.length.is_multiple_of(4) => {
-                        self.discover(count, datagram.peer.port);
-                    }
-                    Ok(_) => self.machine.refuse(Refusal::Ragged),
+                    Ok(count) => self.discover(count, datagram.peer.port),
                     Err(why) => self.machine.refuse(why),
                 }
-            }
-            Class::Dhcp(datagram) => {
-                let words = self.copy_payload(&datagram);
-                self.mac.dismiss();
-                let words = self.mac.input.words().get(..words.unwrap_or(0));
-                self.machine.offered(words.unwrap_or(&[]), datagram.length);
-                self.send_broadcasts();
             }
             Class::Refused(why) => {
                 self.mac.dismiss();
                 self.machine.refuse(why);
             }
-            Class::Other
-                if length > self.guest_frame()
+            Class::Services
+                if length > net::longest_in_motion(&frame, self.services.is_some())
                     && self.fast_path.is_some()
                     && !self.machine.at_rest() =>
             {
                 self.mac.dismiss();
                 self.machine.refuse(Refusal::Oversized);
             }
-            Class::Other => {
+            Class::Services => {
                 let length = self.mac.take_bytes();
-                let frame = self.mac.input.bytes().get(..length).unwrap_or(&[]);
-                if self.services.is_none() {
-                    self.talk(Some(length));
-                } else if abi::ours(frame, &self.machine.us) {
-                    let at = frame.as_ptr();
+                if self.services.is_some() {
+                    let at = self.mac.input.bytes().as_ptr();
                     self.services(at, length);
+                } else {
+                    self.reserve(length);
                 }
             }
             Class::Nothing => self.mac.dismiss(),
@@ -263,16 +240,8 @@ impl App {
         false
     }
 
-    fn guest_frame(&self) -> usize {
-        match self.services {
-            Some(_) => GUEST_FRAME_SERVICES,
-            None => GUEST_FRAME,
-        }
-    }
-
     fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
-        // The length of a DHCP server's options need not be a multiple of 4.
-        let count = net::payload_words(datagram.length.next_multiple_of(4))?;
+        let count = net::payload_words(datagram.length)?;
         let (frame, _) = self.mac.frame();
         for (index, word) in self.mac.input.words().iter_mut().take(count).enumerate() {
             *word = net::payload_word(&frame, datagram.options, index);
@@ -347,7 +316,6 @@ impl App {
             defmt::info!("address {=u32:x}", self.machine.us.ip);
             // The session has no owner, or the change of address would have waited.
             self.close_fast_path();
-            self.ip.reset();
         }
     }
 
@@ -411,8 +379,7 @@ impl App {
         soc::check_stack();
         // Admits one frame of a guest, a sender that does not own the session. The owner's next
         // frame is most of a servo period away, and serving one guest takes less. Not while a frame
-        // is pending: that may be a guest's, and with a second one in the other slot there would be
-        // no slot for the owner's frame.
+        // is pending: that may be a guest's, and the owner's frame waits for one of them at most.
         if !self.mac.pending() {
             self.mac.admit();
         }
@@ -423,30 +390,45 @@ impl App {
         {
             self.close_fast_path();
         }
-        // 10 ms are precise enough for TCP's timers.
-        self.ip_in = self.ip_in.wrapping_sub(1);
-        let due = self.ip_in == 0;
+        self.turn_in = self.turn_in.wrapping_sub(1);
+        let due = self.turn_in == 0;
         if due {
-            self.ip_in = HOUSEKEEPING_PER_IP;
-            if self.talking {
-                self.talk(None);
-            }
+            self.turn_in = HOUSEKEEPING_PER_TURN;
         }
         // The check is here because the call alone may push lines of the fast path out of the
         // cache. Without services no warm-up follows it.
-        if self.services.is_some() && (due || self.restless) {
-            self.services(core::ptr::null(), abi::POLL);
+        if self.services.is_some() {
+            if due || self.restless {
+                self.services(core::ptr::null(), abi::POLL);
+            } else if self.fast_path.is_some() && self.machine.at_rest() {
+                self.patrol();
+            }
         }
     }
 
-    /// No host exchanges: a turn of the services, or the next piece of them from the flash.
+    /// Sums a piece of the services' code. One that has changed is not called again.
+    #[cold]
+    #[inline(never)]
+    fn patrol(&mut self) {
+        self.cold = true;
+        if !soc::patrol(&mut self.patrol) {
+            defmt::error!("services failed: their code has changed in the SDRAM");
+            self.ended();
+        }
+    }
+
+    /// No host exchanges: a turn of the services, the sum of a piece of them, or the next piece of
+    /// them from the flash.
     #[cold]
     #[inline(never)]
     fn leisure(&mut self) {
-        if self.loader.is_none() {
+        if self.restless {
             self.services(core::ptr::null(), abi::POLL);
-        } else if self.machine.may_load() {
-            self.load();
+        } else if self.machine.may_load() && self.machine.at_rest() {
+            match self.loader {
+                Some(_) => self.load(),
+                None => self.patrol(),
+            }
         }
     }
 
@@ -462,25 +444,23 @@ impl App {
         self.loader = None;
         let state = match verdict {
             Err(why) => why,
-            Ok(entry) => {
-                self.services = Some(entry);
+            Ok((header, patrol)) => {
+                self.patrol = patrol;
+                self.services = Some(header.entry);
+                self.ports = header.ports;
                 let answer = self.services(core::ptr::null(), abi::START);
+                if answer == abi::DEAD {
+                    return;
+                }
                 if answer & abi::FAILED != 0 {
                     self.services = None;
-                }
-                match (self.services, answer) {
-                    (Some(_), _) => JobsState::Alive,
-                    (None, abi::DEAD) => JobsState::Ended,
-                    (None, _) => JobsState::Sdram,
+                    JobsState::Sdram
+                } else {
+                    JobsState::Alive
                 }
             }
         };
         self.machine.jobs(state);
-        // The clients of the ROM's console have to connect again.
-        if self.services.is_some() {
-            self.ip.reset();
-            self.talking = false;
-        }
     }
 
     /// Calls the services. Without them the answer is 0. If they fail, the machine goes on without
@@ -492,31 +472,36 @@ impl App {
             return 0;
         };
         self.cold = true;
+        let moving = self.fast_path.is_some() && !self.machine.at_rest();
         let rom = abi::Rom {
             datagram: services_datagram,
             send: services_send,
             console: services_console,
+            leased: services_leased,
             output: self.mac.output.bytes().as_mut_ptr().cast(),
             us: &raw const self.machine.us,
-            context: (&raw mut *self).cast(),
+            moving,
+            context: core::ptr::null_mut(),
         };
-        let clocks = match (&self.fast_path, frame.is_null() && length == abi::START) {
+        CALLER.store(self, Relaxed);
+        let first = frame.is_null() && length == abi::START;
+        let clocks = match (&self.fast_path, first) {
             (_, true) => 0,
             (None, false) => LEISURE,
             (Some(_), false) if self.machine.at_rest() => AT_REST,
             (Some(_), false) => MOVING,
         };
+        let begun = self.machine.board.now_lo();
         let answer = soc::call_services(entry, &rom, frame, length, clocks);
+        if !first {
+            let clocks = self.machine.board.now_lo().wrapping_sub(begun);
+            self.machine.called(clocks, moving);
+        }
         self.restless = answer & abi::RESTLESS != 0;
         if answer == abi::DEAD {
-            self.services = None;
-            self.machine.jobs(JobsState::Ended);
-            if let Some(left) = self.reloads.checked_sub(1) {
-                self.reloads = left;
-                self.loader = Some(Loader::new());
-            }
             let (cause, at) = soc::last_trap();
             defmt::error!("services failed: cause {=u32} at {=u32:x}", cause, at);
+            self.ended();
         }
         // The last text of a console should leave first.
         if !self.restless {
@@ -525,31 +510,37 @@ impl App {
         answer
     }
 
-    /// ARP, ping and the console, where there are no services: takes a frame of `length` bytes from
-    /// `input`, and sends all that is due.
+    /// The services have failed: they are loaded again, unless that was done too often.
+    #[cold]
     #[inline(never)]
-    fn talk(&mut self, length: Option<usize>) {
-        self.cold = true;
-        let now = soc::milliseconds(&mut self.machine.board);
-        let us = self.machine.us;
-        let Mac { input, output, .. } = &mut self.mac;
-        let mut visitor = Visitor {
-            machine: &mut self.machine,
-            line: &mut self.line,
+    fn ended(&mut self) {
+        self.services = None;
+        self.restless = false;
+        let state = match self.reloads.checked_sub(1) {
+            Some(left) => {
+                self.reloads = left;
+                self.loader = Some(Loader::new());
+                JobsState::Ended
+            }
+            None => {
+                // A lease that is not renewed is over some day.
+                self.machine.leased(None);
+                JobsState::GivenUp
+            }
         };
-        let frame = length.and_then(|length| input.bytes().get(..length));
-        let mut sent = 0;
-        let mut answer = frame
-            .and_then(|frame| self.ip.frame(frame, &us, now, &mut visitor, output.bytes()))
-            .or_else(|| self.ip.poll(&us, now, &mut visitor, output.bytes()));
-        while let Some(length) = answer {
+        self.machine.jobs(state);
+    }
+
+    /// Where there are no services: answers a frame of `length` bytes from `input`.
+    #[cold]
+    #[inline(never)]
+    fn reserve(&mut self, length: usize) {
+        let Mac { input, output, .. } = &mut self.mac;
+        let frame = input.bytes().get(..length).unwrap_or(&[]);
+        if let Some(length) = reserve::answer(frame, &self.machine.us, output.frame()) {
             output.send(length);
-            sent += 1;
-            answer = self.ip.poll(&us, now, &mut visitor, output.bytes());
+            self.machine.sent(1);
         }
-        self.talking = self.ip.busy();
-        self.machine.sent(sent);
-        self.restart_if();
     }
 }
 
@@ -560,24 +551,25 @@ fn hold_path(machine: &mut Machine<Soc>) {
     machine.hold_path();
 }
 
-// What the services call: the functions below, and the way back that enables the leash's interrupt.
+// What the services call: the functions below, through `services_enter`, which opens the guard and
+// closes it again behind them.
 global_asm!(
     ".macro called_back name, function",
     ".section .text.services_\\name,\"ax\",@progbits",
     ".type services_\\name, @function",
     ".global services_\\name",
     "services_\\name:",
-    "    addi    sp, sp, -16",
-    "    sw      ra, 12(sp)",
-    "    call    \\function",
-    "    j       services_back",
+    "    la      t2, \\function",
+    "    j       services_enter",
     ".endm",
     "called_back datagram, {datagram}",
     "called_back send, {send}",
     "called_back console, {console}",
+    "called_back leased, {leased}",
     datagram = sym datagram,
     send = sym send,
     console = sym console,
+    leased = sym leased,
 );
 
 unsafe extern "C" {
@@ -591,97 +583,78 @@ unsafe extern "C" {
     safe fn services_console(
         context: *mut c_void,
         visitor: usize,
-        line: *const u8,
-        length: usize,
+        verb: u32,
+        words: &mut [u32; VISIT_WORDS],
     ) -> u32;
+    safe fn services_leased(context: *mut c_void, ip: u32, prefix: u32, gateway: u32);
+}
+
+/// The app whose services ask for something. What they give as the context may be anything.
+static CALLER: AtomicPtr<App> = AtomicPtr::new(core::ptr::null_mut());
+
+/// Runs `serve` on the app; `None` without one.
+fn caller<R>(serve: impl FnOnce(&mut App) -> R) -> Option<R> {
+    // SAFETY: it waits in `App::services` and touches nothing meanwhile; at no other time is there
+    // a caller.
+    unsafe { CALLER.load(Relaxed).as_mut() }.map(serve)
 }
 
 /// [`abi::Rom::datagram`].
 extern "C" fn datagram(
-    context: *mut c_void,
+    _context: *mut c_void,
     request: *const u32,
     words: usize,
-    reply: &mut [u32; MAX_WORDS],
+    reply: *mut [u32; MAX_WORDS],
 ) -> isize {
-    // SAFETY: `context` is the app that waits in `App::services` and touches nothing meanwhile; the
-    // program says how long its request is.
-    let (app, request) = unsafe {
-        (
-            &mut *context.cast::<App>(),
-            core::slice::from_raw_parts(request, words),
-        )
-    };
-    match app.machine.inside(request, reply, hold_path) {
+    const REFUSED: isize = -1 - Refusal::Oversized as isize;
+    let fits = words <= MAX_WORDS
+        && soc::theirs(request.addr(), words * 4)
+        && soc::theirs(reply.addr(), size_of::<[u32; MAX_WORDS]>());
+    if !fits {
+        return REFUSED;
+    }
+    // SAFETY: both lie in the SDRAM, where every word may be read and written; the program waits.
+    let (request, reply) = unsafe { (core::slice::from_raw_parts(request, words), &mut *reply) };
+    caller(|app| match app.machine.inside(request, reply, hold_path) {
         Ok(reply) => reply.len() as isize,
         Err(why) => -1 - why as isize,
-    }
+    })
+    .unwrap_or(REFUSED)
 }
 
 /// [`abi::Rom::send`].
-extern "C" fn send(context: *mut c_void, length: usize) {
-    // SAFETY: as above.
-    let app = unsafe { &mut *context.cast::<App>() };
-    app.mac.output.send(length);
-    app.machine.sent(1);
+extern "C" fn send(_context: *mut c_void, length: usize) {
+    caller(|app| {
+        app.mac.output.send(length.min(abi::FRAME_MAX));
+        app.machine.sent(1);
+    });
 }
 
 /// [`abi::Rom::console`].
-extern "C" fn console(context: *mut c_void, visitor: usize, line: *const u8, length: usize) -> u32 {
-    // SAFETY: as above; the program says how long its line is.
-    let (app, line) = unsafe {
-        (
-            &mut *context.cast::<App>(),
-            (!line.is_null()).then(|| core::slice::from_raw_parts(line, length)),
-        )
-    };
-    let line = line.map(|line| core::str::from_utf8(line).unwrap_or("!"));
-    let mut paper = Paper::new(app.mac.output.bytes());
-    let vitals = vitals(&app.machine);
-    let reply = app.machine.converse(visitor, line, &vitals, &mut paper);
-    let text = paper.used();
-    abi::reply_to_word(reply, text)
-}
-
-fn vitals(machine: &Machine<Soc>) -> Vitals {
-    Vitals {
-        stack: soc::stack_used(),
-        mac_errors: machine.board.mac_errors(),
-    }
-}
-
-/// A client of the ROM's own console.
-struct Visitor<'a> {
-    machine: &'a mut Machine<Soc>,
-    line: &'a mut console::LineEditor,
-}
-
-impl StreamHandler for Visitor<'_> {
-    fn greet(&mut self, out: &mut Text) {
-        *self.line = console::LineEditor::new();
-        self.machine.greet();
-        out.put(console::PROMPT.as_bytes());
-    }
-
-    fn take(&mut self, bytes: &[u8], out: &mut Text) -> usize {
-        let mut used = 0;
-        for byte in bytes {
-            used += 1;
-            if let Some(ask) = self.line.push(*byte) {
-                if !self.machine.may_answer(ask) {
-                    out.put(NOT_WHILE_ARMED);
-                    out.put(console::PROMPT.as_bytes());
-                    break;
-                }
-                let vitals = vitals(self.machine);
-                self.machine.answer(ask, &vitals, out);
-                if ask == Ask::Quit {
-                    out.close = true;
-                } else {
-                    out.put(console::PROMPT.as_bytes());
-                }
-                break;
-            }
+extern "C" fn console(
+    _context: *mut c_void,
+    visitor: usize,
+    verb: u32,
+    words: *mut [u32; VISIT_WORDS],
+) -> u32 {
+    let verdict = match Verb::from_code(verb) {
+        Some(verb) if soc::theirs(words.addr(), size_of::<[u32; VISIT_WORDS]>()) => {
+            // SAFETY: as above.
+            let words = unsafe { &mut *words };
+            caller(|app| app.machine.visit(visitor, verb, words))
         }
-        used
-    }
+        Some(_) | None => None,
+    };
+    verdict.unwrap_or(Verdict::NotNow) as u32
+}
+
+/// [`abi::Rom::leased`].
+extern "C" fn leased(_context: *mut c_void, ip: u32, prefix: u32, gateway: u32) {
+    let prefix = u8::try_from(prefix).unwrap_or(0);
+    let lease = Lease {
+        ip,
+        prefix,
+        gateway,
+    };
+    caller(|app| app.machine.leased((prefix != 0).then_some(lease)));
 }

@@ -11,13 +11,11 @@ mod stack;
 
 pub use mac::{Mac, RxFrame, TxSlot};
 pub use postmortem::{last_trap, restart};
-pub use services::{Loader, call as call_services, watch as watch_services};
+pub use services::{Loader, call as call_services, patrol, theirs, watch as watch_services};
 pub use stack::{check as check_stack, used as stack_used};
 
-use crate::memory::Memory;
 use core::ptr::{read_volatile, write_volatile};
 use firmware::cores::{self, Board, Control, Gate, Ident, Led, Setting};
-use firmware::thrift::divide;
 use firmware::{log, postmortem as record};
 use litex_pac::Peripherals;
 use wire::describe::Channels;
@@ -32,8 +30,6 @@ pub struct Parts {
     pub soc: Soc,
     /// The MAC.
     pub mac: Mac,
-    /// Buffers.
-    pub memory: &'static mut Memory,
     /// Boot id, and the reason of this start.
     pub boot: record::Boot,
     /// The gateware's identity.
@@ -45,8 +41,6 @@ pub struct Soc {
     p: Peripherals,
     spi: hal::FlashSpi,
 }
-
-static mut MEMORY: Memory = Memory::new();
 
 /// Brings the machine into a safe state, then reads the board's identity. Called once, before
 /// anything else.
@@ -61,21 +55,12 @@ pub fn start() -> Parts {
     stack::paint();
     let boot = postmortem::boot(soc.now_lo());
     let ident = soc.ident();
-    // SAFETY: as above; this is the only reference to MEMORY.
-    let memory = unsafe { &mut *(&raw mut MEMORY) };
     Parts {
         soc,
         mac: Mac::new(),
-        memory,
         boot,
         ident,
     }
-}
-
-/// Milliseconds since power-up, for TCP's timers.
-pub fn milliseconds(soc: &mut Soc) -> u32 {
-    let per_ms = soc.p.ident.sys_clk_hz().read().bits() / 1000;
-    divide(soc.now(), per_ms) as u32
 }
 
 fn blob_word(word: usize) -> u32 {
@@ -108,7 +93,7 @@ impl Soc {
 
     /// Frames dropped: no slot free, wrong preamble, wrong CRC.
     #[inline(always)]
-    pub fn mac_errors(&self) -> [u32; 3] {
+    fn mac_errors(&self) -> [u32; 3] {
         let mac = &self.p.ethmac;
         [
             mac.sram_writer_errors().read().bits(),
@@ -276,5 +261,9 @@ impl Board for Soc {
 
     fn rename_boot(&mut self, seed: u32) -> u32 {
         postmortem::rename(seed)
+    }
+
+    fn stack(&mut self) -> (u32, u32) {
+        stack_used()
     }
 }

@@ -1,4 +1,4 @@
-//! Segments that the host streams.
+//! Segments that a host streams.
 
 use super::*;
 
@@ -37,7 +37,7 @@ fn a_board_without_the_segments_core_is_neither_asked_for_it_nor_told_anything()
     assert_eq!(meets_segments(Rig::with_segments()), (true, true));
 }
 
-/// Two segments' words, a push behind each, and what is wanted to be known then.
+/// The words of two segments with a push after each, and the reads of the receipt.
 fn two_segments(number: u32) -> Vec<u32> {
     let mut words = vec![HEADER, 0, 0x000f_0100, map::SESSION_SEGMENTS, number];
     for n in 0..2 {

@@ -1,4 +1,4 @@
-//! What the windows show.
+//! The contents of the windows.
 
 use super::*;
 
@@ -74,14 +74,15 @@ fn the_counters_window_has_a_word_for_each_counter_and_zeros_behind() {
         exchanges: 13,
         refused_total: 14,
         cuts: 77,
+        calls: [78, 79],
         refused: core::array::from_fn(|reason| 100 + reason as u32),
     };
     let count = 3 + Refusal::COUNT as u32;
-    for word in 0..count + 3 {
+    for word in 0..count + 6 {
         let wanted = match word {
             0..3 => 11 + word,
             _ if word < count => 100 + word - 3,
-            _ if word == count => 77,
+            _ if word < count + 3 => 77 + word - count,
             _ => 0,
         };
         assert_eq!(rig.read_as(BOB, map::COUNTERS + 4 * word), Ok(wanted));

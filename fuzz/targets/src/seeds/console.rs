@@ -14,6 +14,15 @@ pub(super) fn console_seeds() -> Vec<Seed> {
         ),
         (
             "console",
+            "keys_are_echoed",
+            [
+                &[255, 253, 1][..],
+                b"pwn\x7fm 0\r\0\x1b[A\x1b[D\x1b[3~1\r\0\x0c\x03\x04",
+            ]
+            .concat(),
+        ),
+        (
+            "console",
             "corrected",
             b"statsu\x08\x08us\r\n\x7f\x7f\n? \nstepgen 256\n".to_vec(),
         ),

@@ -1,4 +1,4 @@
-//! Real conversations with the port of jobs, as scripts of [`crate::jobs`].
+//! Real conversations with the jobs port, as scripts of [`crate::jobs`].
 
 use super::Seed;
 

@@ -1,4 +1,4 @@
-//! Programs in each language they come in.
+//! Programs in each of the formats.
 
 use super::Seed;
 use jobs::instruction::{AUX_TOOL, Arc, Feed, Instruction};

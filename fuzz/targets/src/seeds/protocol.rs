@@ -3,7 +3,7 @@
 use super::{SIX, Seed, message, settings};
 use crate::byte_reader::bytes;
 use sim::board_facts::BoardFacts;
-use wire::describe::Describe;
+use wire::describe::{Describe, JobsState};
 use wire::discovery::{Body, Here};
 use wire::exchange::{Command, REQUEST_OVERHEAD, StateWord};
 use wire::flash::{OpResult, Origin, Running};
@@ -22,6 +22,7 @@ fn state() -> StateWord {
         link: true,
         estop: false,
         speed: LinkSpeed::M1000,
+        services: JobsState::None,
         link_errors: 0,
     }
 }

@@ -172,7 +172,7 @@ fn new(new: &New) -> Result<()> {
     };
     let board = layout(&stem(&file), platform, &wanted)?;
     let notes = [
-        format!("{}: what stands on which pin of a {}. `ferrocnc config pinout` draws it.", board.name, board.platform.title),
+        format!("{}: the use of every pin of a {}. `ferrocnc config pinout` draws it.", board.name, board.platform.title),
         "ext_reset: closing the KEY terminal to ground stops the machine. A machine with an emergency-stop chain wires a normally closed contact to ground and says \"high\", so that a broken wire stops it.".to_owned(),
     ];
     let toml = write::to_toml(&board, &notes);

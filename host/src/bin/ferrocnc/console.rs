@@ -1,4 +1,5 @@
-//! `ferrocnc console`: the board's debug console over TCP, interactive or for one command.
+//! `ferrocnc console`: connects to the board's debug console over TCP, interactively or for one
+//! command.
 
 use anyhow::{Context, Result, bail};
 use ferrocnc::address::Address;
@@ -84,7 +85,7 @@ impl TelnetLine {
         loop {
             match self.stream.read(&mut buffer) {
                 Ok(0) if text.len() == before => {
-                    bail!("the board closed the console; one user at a time")
+                    bail!("the board closed the console; it may have no place left")
                 }
                 Ok(0) => break,
                 Ok(length) => text.extend_from_slice(&buffer[..length]),

@@ -1,7 +1,7 @@
-//! `ferrocnc describe`: everything a board says of itself.
+//! `ferrocnc describe`: prints a board's description of itself.
 
 use crate::text::{mac_text, version};
-use anyhow::Result;
+use anyhow::{Result, bail};
 use ferrocnc::client::{Client, Identity};
 use ferrocnc::flash::Overview;
 use ferrocnc::uid::uid_text;
@@ -10,18 +10,45 @@ use std::io::Write;
 use std::net::Ipv4Addr;
 use wire::board::Kind;
 use wire::describe::{FEATURE_JOBS, JobsState, OBSTACLE_ABI, OBSTACLE_FLASH};
+use wire::refusal::COUNTERS_CALLS;
 use wire::settings::mac_of_uid;
 
 pub(crate) fn run(client: &mut Client, as_json: bool) -> Result<()> {
     let identity = client.identify()?;
     let overview = Overview::read(client)?;
+    let calls = Calls::read(client)?;
     let mut out = std::io::stdout().lock();
     if as_json {
-        writeln!(out, "{:#}", to_json(&identity, &overview))?;
+        let mut value = to_json(&identity, &overview);
+        value["services_longest_call"] = calls.to_json();
+        writeln!(out, "{value:#}")?;
     } else {
-        write!(out, "{}", to_text(&identity, &overview))?;
+        write!(out, "{}", to_text(&identity, &overview, calls))?;
     }
     Ok(())
+}
+
+/// Clocks of the longest call of the services since the board's start.
+#[derive(Clone, Copy)]
+struct Calls {
+    /// While a host moved the machine.
+    moving: u32,
+    /// At any other time.
+    other: u32,
+}
+
+impl Calls {
+    fn read(client: &mut Client) -> Result<Self> {
+        let words = client.read_from(COUNTERS_CALLS, 2)?;
+        let [moving, other] = words[..] else {
+            bail!("the board answered {} words instead of two", words.len());
+        };
+        Ok(Calls { moving, other })
+    }
+
+    fn to_json(self) -> Value {
+        json!({ "moving": self.moving, "else": self.other })
+    }
 }
 
 /// Names of one kind's channels, with their header pins.
@@ -85,23 +112,32 @@ fn network(identity: &Identity) -> (Option<String>, Option<String>, Option<u16>)
     (mac, ip, port)
 }
 
-/// The state of jobs; `None`: the gateware plays no segments, so the board has no jobs.
-fn jobs(features: u32) -> Option<(JobsState, String)> {
+/// The state of the services, and what it means for the operator.
+fn services(features: u32) -> (JobsState, String) {
     let state = JobsState::of(features);
     let remedy = match state {
-        _ if features & FEATURE_JOBS == 0 => return None,
-        JobsState::Alive => "`ferrocnc job` sends and starts them",
-        JobsState::Streamed => "the board stores no jobs",
-        JobsState::None => "the firmware has not looked for their program",
-        JobsState::Sdram => "bad solder joints or a bad chip; everything but jobs works",
+        JobsState::Alive if features & FEATURE_JOBS != 0 => {
+            "consoles, DHCP; `ferrocnc job` sends and starts jobs"
+        }
+        JobsState::Alive => "consoles, DHCP",
+        JobsState::Streamed => "the board stores no jobs, and has no console and no DHCP",
+        JobsState::None => "the board has no console and no DHCP",
+        JobsState::Sdram => {
+            "bad solder joints or a bad chip; everything but consoles, DHCP and jobs works"
+        }
         JobsState::Missing => {
             "`ferrocnc update` with this board's .bit; an image loaded by JTAG has none"
         }
-        JobsState::Ended => "the machine goes on without them; `ferrocnc log` says where",
+        JobsState::Ended => {
+            "the board loads them again when no host owns it; `ferrocnc log` says where"
+        }
+        JobsState::GivenUp => {
+            "the machine goes on without them; `ferrocnc log` says where; restart the board"
+        }
         JobsState::Loading => "it goes on whenever no host owns the board",
         JobsState::Damaged | JobsState::Foreign => "`ferrocnc update` with this board's .bit",
     };
-    Some((state, format!("{}: {remedy}", state.text())))
+    (state, format!("{}: {remedy}", state.text()))
 }
 
 fn has_uid(overview: &Overview) -> bool {
@@ -203,7 +239,8 @@ fn to_json(identity: &Identity, overview: &Overview) -> Value {
         "external_reset": describe.state.external_reset,
         "estop": describe.state.estop,
         "obstacles": describe.obstacles,
-        "jobs": jobs(describe.features).map(|(state, _)| state.text()),
+        "services": services(describe.features).0.text(),
+        "jobs": describe.features & FEATURE_JOBS != 0,
         "last_reset_reason": describe.reset_reason.text(),
         "last_gate_close": describe.gate_close.text(),
         "default_mac": mac,
@@ -246,7 +283,7 @@ fn to_json(identity: &Identity, overview: &Overview) -> Value {
     value
 }
 
-fn to_text(identity: &Identity, overview: &Overview) -> String {
+fn to_text(identity: &Identity, overview: &Overview, calls: Calls) -> String {
     use std::fmt::Write;
     let describe = &identity.describe;
     let blob = identity.blob();
@@ -307,9 +344,14 @@ fn to_text(identity: &Identity, overview: &Overview) -> String {
             describe.reset_reason, describe.gate_close
         ),
     );
-    if let Some((_, text)) = jobs(describe.features) {
-        line("jobs", text);
-    }
+    line("services", services(describe.features).1);
+    line(
+        "",
+        format!(
+            "longest call {} clocks while a host moved the machine, {} else",
+            calls.moving, calls.other
+        ),
+    );
     if let (Some(mac), Some(ip), Some(port)) = network(identity) {
         line("default", format!("{ip}:{port}, MAC {mac}"));
     }
@@ -337,22 +379,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_state_of_jobs_is_told_in_words_of_its_own() {
+    fn every_state_of_the_services_is_told_in_words_of_its_own() {
         let mut seen = std::collections::BTreeSet::new();
         for state in JobsState::ALL {
             let features = FEATURE_JOBS | state.code() << JobsState::AT;
-            let (told, text) = jobs(features).expect("the gateware has segments");
+            let (told, text) = services(features);
             assert_eq!(told, *state);
             assert!(seen.insert(text.clone()), "{text}");
         }
-        assert_eq!(seen.len(), 9);
-        let (_, text) = jobs(FEATURE_JOBS | 2 << JobsState::AT).expect("segments");
+        assert_eq!(seen.len(), 10);
+        let (_, text) = services(JobsState::Sdram.code() << JobsState::AT);
         assert!(text.starts_with("the SDRAM failed its test: "), "{text}");
     }
 
     #[test]
     fn a_board_without_segments_says_nothing_of_jobs() {
-        assert!(jobs(0).is_none());
-        assert!(jobs(wire::describe::FEATURE_KEY).is_none());
+        let (_, text) = services(JobsState::Alive.code() << JobsState::AT);
+        assert!(!text.contains("jobs"), "{text}");
+        let (state, _) = services(wire::describe::FEATURE_KEY);
+        assert_eq!(state, JobsState::None);
     }
 }

@@ -1,13 +1,14 @@
-//! `ferrocnc discover`: every board on the segment, at any address.
+//! `ferrocnc discover`: lists every board on the segment, at any address.
 
 use crate::text::{mac_text, version};
 use anyhow::Result;
 use clap::Args;
 use ferrocnc::address;
 use ferrocnc::discovery::{Finder, Found, WAIT, filters};
+use ferrocnc::mdns;
 use ferrocnc::uid::uid_text;
 use serde_json::{Value, json};
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::Duration;
 
 /// Where to look.
@@ -41,7 +42,11 @@ pub(crate) struct Discover {
 
 pub(crate) fn run(arguments: &Discover, as_json: bool) -> Result<()> {
     let finder = arguments.wherever.finder()?;
-    let boards = finder.all(Duration::from_millis(arguments.wait))?;
+    let wait = Duration::from_millis(arguments.wait);
+    let boards = match arguments.wherever.at {
+        Some(_) => finder.all(wait)?,
+        None => both_ways(&finder, arguments.wherever.interface.as_deref(), wait)?,
+    };
     if as_json {
         let boards: Vec<Value> = boards.iter().map(to_json).collect();
         println!("{:#}", json!({ "boards": boards }));
@@ -63,6 +68,26 @@ pub(crate) fn run(arguments: &Discover, as_json: bool) -> Result<()> {
         eprint!("{}", advice(&filters));
     }
     Ok(())
+}
+
+/// The boards that answer the broadcast, and those that announce themselves by multicast DNS and
+/// then answer at their address: some switches and firewalls let only one of both through.
+fn both_ways(finder: &Finder, interface: Option<&str>, wait: Duration) -> Result<Vec<Found>> {
+    let (found, adverts) = std::thread::scope(|scope| {
+        let asked = scope.spawn(|| mdns::Asker::everywhere(interface)?.boards(wait));
+        (finder.all(wait), asked.join())
+    });
+    let mut found = found?;
+    // Without multicast there is still the broadcast.
+    let adverts = adverts.ok().and_then(Result::ok).unwrap_or_default();
+    for advert in adverts {
+        if found.iter().any(|known| known.uid == advert.uid) {
+            continue;
+        }
+        let at = SocketAddrV4::new(*advert.socket.ip(), wire::DISCOVERY_PORT);
+        found.extend(Finder::at(at)?.one(advert.uid, wait).ok());
+    }
+    Ok(found)
 }
 
 /// How to receive answers that this computer drops.

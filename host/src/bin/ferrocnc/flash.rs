@@ -1,4 +1,4 @@
-//! `ferrocnc flash load|write|verify`: through a JTAG cable, by openFPGALoader.
+//! `ferrocnc flash load|write|verify`: runs openFPGALoader for a board at a JTAG cable.
 
 use crate::progress::Bar;
 use anyhow::{Context, Result, bail};
@@ -79,7 +79,7 @@ fn load(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
     if program == 0 {
         loader.load(file, &mut |progress| show(bar, &progress))?;
     } else {
-        // The firmware reads the data behind the bitstream from the flash. The FPGA would take it
+        // The firmware reads the data after the bitstream from the flash. The FPGA would take it
         // for commands.
         let name = format!("ferrocnc-load-{}.bit", std::process::id());
         let alone = std::env::temp_dir().join(name);
@@ -128,7 +128,7 @@ fn verify(file: &Path, loader: &Loader, bar: &mut Bar) -> Result<String> {
             pieces.join(", ")
         );
     }
-    Ok("the flash holds what the file says".to_owned())
+    Ok("the flash agrees with the file".to_owned())
 }
 
 fn show(bar: &mut Bar, progress: &Progress) {

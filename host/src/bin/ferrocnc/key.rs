@@ -1,4 +1,5 @@
-//! `ferrocnc key`: a board's pre-shared key. The key itself is never on a command line, nor shown.
+//! `ferrocnc key`: makes, sets, removes and shows a board's pre-shared key. The key is never on a
+//! command line and is never printed.
 
 use anyhow::{Context, Result, bail};
 use clap::Subcommand;
@@ -62,9 +63,9 @@ pub(crate) fn run(command: &Command, as_json: bool) -> Result<()> {
     }
 }
 
-/// Sets or clears. The new key lies on the disk before the board hears of it, and beside the old
-/// one's file until the board is known to have it or to have refused it: after any interruption or
-/// loss both files exist, and every command that needs the key tries both.
+/// Sets or clears the key. The new key is on the disk before it is sent to the board, and beside
+/// the old one's file until the board is known to have it or to have refused it: after any
+/// interruption or loss both files exist, and every command that needs the key tries both.
 fn set(address: &str, key: Option<Key>, as_json: bool) -> Result<()> {
     let mut client = crate::open(address)?;
     let (locked, uid) = client.locked()?;

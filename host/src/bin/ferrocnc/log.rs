@@ -1,7 +1,8 @@
-//! `ferrocnc log`: the firmware's defmt frames out of the board's ring, as text.
+//! `ferrocnc log`: prints the firmware's defmt frames from the board's ring buffer as text.
 //!
-//! The firmware stores numbers; the texts are in its ELF. After the ring has wrapped it begins in
-//! the middle of a frame. Frames end with a zero byte, so the decoder finds the next one by itself.
+//! The firmware stores numbers; the texts are in its ELF. After the ring has wrapped, its first
+//! bytes are the rest of a frame. Frames end with a zero byte, so the decoder finds the next one by
+//! itself.
 
 use anyhow::{Context, Result, bail, ensure};
 use defmt_decoder::{DecodeError, Table};

@@ -1,6 +1,8 @@
-//! `ferrocnc`: a board from the command line. A command that only reads takes no session and
-//! changes nothing, so it works while LinuxCNC drives the board. The board then refuses a command
-//! that changes something (`set`, `update`, `flash`) or needs it at rest (`selftest`).
+//! `ferrocnc`: the tool for boards on the command line. A command that only reads takes no session
+//! and changes nothing, so it works while LinuxCNC drives the board. The board then refuses a
+//! command that changes something (`set`, `update`, `flash`) or needs it at rest (`selftest`).
+// `describe --json` is one object with many keys.
+#![recursion_limit = "256"]
 
 mod config;
 mod console;

@@ -1,4 +1,4 @@
-//! Every `ferrocnc` command of the documentation is one that this program takes, options included.
+//! Checks that this program takes every `ferrocnc` command of the documentation, options included.
 
 use super::Arguments;
 use clap::Parser;
@@ -37,7 +37,7 @@ fn commands(page: &str) -> Vec<String> {
         if !fenced || !line.starts_with("ferrocnc ") {
             continue;
         }
-        // What explains the command: a comment, or text behind two blanks.
+        // What explains the command: a comment, or text after two blanks.
         let command = line.split(" #").next().expect("a part");
         let command = command.split("  ").next().expect("a part");
         let choice = command.split(' ').find(|word| word.contains('|'));

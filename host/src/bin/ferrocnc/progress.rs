@@ -1,4 +1,4 @@
-//! One bar on the terminal; without a terminal, one line per step.
+//! Shows progress: a bar on a terminal, otherwise one line per step.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;

@@ -1,4 +1,4 @@
-//! `ferrocnc set`: a board's address, name, MAC and port.
+//! `ferrocnc set`: changes a board's address, name, MAC and port, and the servers of its log.
 
 use crate::discover::{Where, to_json};
 use crate::text::mac_text;
@@ -40,8 +40,15 @@ pub(crate) struct Set {
     /// Its UDP port for LinuxCNC.
     #[arg(long)]
     port: Option<u16>,
+    /// The syslog server that gets the board's events, on its own network; 0.0.0.0 for none.
+    #[arg(long, value_name = "IP")]
+    syslog: Option<Ipv4Addr>,
+    /// The server that the board asks for the time of its log, on its own network; 0.0.0.0 for
+    /// none.
+    #[arg(long, value_name = "IP")]
+    sntp: Option<Ipv4Addr>,
     /// Forget all settings: the values built into its bitstream apply again.
-    #[arg(long, conflicts_with_all = ["ip", "gateway", "dhcp", "name", "mac", "port"])]
+    #[arg(long, conflicts_with_all = ["ip", "gateway", "dhcp", "name", "mac", "port", "syslog", "sntp"])]
     factory: bool,
     #[command(flatten)]
     wherever: Where,
@@ -55,9 +62,14 @@ pub(crate) fn run(arguments: &Set, as_json: bool) -> Result<()> {
         name: arguments.name,
         mac: arguments.mac.map(|mac| mac.0),
         port: arguments.port,
+        syslog: arguments.syslog,
+        sntp: arguments.sntp,
     };
     if change.is_empty() && !arguments.factory {
-        bail!("nothing to set: say --ip, --dhcp, --gateway, --name, --mac, --port or --factory");
+        bail!(
+            "nothing to set: say --ip, --dhcp, --gateway, --name, --mac, --port, --syslog, --sntp \
+             or --factory"
+        );
     }
     match (&arguments.address, arguments.uid) {
         (Some(address), _) => at(crate::open(address)?, &change, arguments.factory, as_json),
@@ -111,7 +123,7 @@ fn at(client: Client, change: &Change, factory: bool, as_json: bool) -> Result<(
         match as_json {
             true => println!("{:#}", json!({ "factory": true })),
             false => println!(
-                "{address} has forgotten its settings and starts with what is built in; ferrocnc discover shows its address"
+                "{address} has erased its settings and starts with the built-in ones; ferrocnc discover shows its address"
             ),
         }
         return Ok(());

@@ -1,4 +1,4 @@
-//! Words of a board as an operator reads them.
+//! Turns values of a board into text for the operator.
 
 /// A MAC: `02:00:00:1b:2c:3d`.
 pub(crate) fn mac_text(mac: [u8; 6]) -> String {

@@ -1,4 +1,4 @@
-//! `ferrocnc update`: a new image over the network.
+//! `ferrocnc update`: writes a new image over the network.
 
 use crate::discover::Where;
 use crate::progress::Bar;

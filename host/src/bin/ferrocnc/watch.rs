@@ -1,4 +1,5 @@
-//! `ferrocnc watch`: the status window, again and again. Reading it changes nothing on the board.
+//! `ferrocnc watch`: reads and shows the status window repeatedly. Reading it changes nothing on
+//! the board.
 
 use anyhow::{Context, Result};
 use ferrocnc::client::{Client, Identity};

@@ -627,7 +627,7 @@ proptest! {
     fn no_more_is_asked_than_the_acceleration_reaches_in_a_period(
         velocity in -1e5..1e5f64, error in -1e4..1e4f64, feed_forward in -1e5..1e5f64, accel in 1.0..1e6f64
     ) {
-        // A board that hears nothing further goes on with what it was asked for.
+        // A board that receives nothing more goes on with the last command.
         let now = Motion { position: 0.0, velocity };
         let given = approach(now, error, feed_forward, accel, 0.001);
         prop_assert!((given - velocity).abs() <= accel * 0.001 + 1e-6, "{} from {}", given, velocity);

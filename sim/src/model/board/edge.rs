@@ -1,5 +1,5 @@
-//! One rising edge of everything, in the order of the hardware: what the bus wrote, what a sample
-//! catches, the cores, the registers, the pins.
+//! One rising edge of all parts, in the order of the hardware: bus writes, samples, cores,
+//! registers, pins.
 
 use super::registers::place;
 use super::{Board, Bus, Strobes, pages, put};
@@ -54,6 +54,7 @@ impl Board {
             let (page, word) = place(address);
             self.store(page, word, data, self.common.job);
         }
+        self.regs.guarded &= !bus.rst;
         self.shine();
         self.write = bus.write.filter(|_| !bus.rst);
         self.show_all();

@@ -1,4 +1,4 @@
-//! From event to event: edges of those lanes only that want one.
+//! Goes from event to event: makes edges only for lanes that need one.
 
 use super::edge::Pulses;
 use super::{Board, Bus, Strobes};

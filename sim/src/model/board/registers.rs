@@ -1,4 +1,4 @@
-//! The registers: the values that the bus wrote, and what each reads.
+//! The registers: the values that the bus wrote, and the value that each reads.
 
 use super::{Board, CHANNELS, pages};
 use crate::model::segments::{self, State, Told};
@@ -48,6 +48,8 @@ pub(super) struct Regs {
     pub(super) timeout: u32,
     pub(super) grace: u32,
     pub(super) commit_at: [u32; 2],
+    /// The guard is closed. There is no bus here whose stores it would refuse.
+    pub(super) guarded: bool,
     pub(super) safe: u32,
     pub(super) invert: u32,
     pub(super) probe: u32,
@@ -85,6 +87,7 @@ impl Regs {
             timeout: 0,
             grace: 0,
             commit_at: [0; 2],
+            guarded: false,
             safe: 0,
             invert: 0,
             probe: 0,
@@ -158,6 +161,9 @@ impl Board {
         match (page, word) {
             (pages::TIMEBASE, regmap::timebase::COMMIT_AT_LO) => regs.commit_at[0] = data,
             (pages::TIMEBASE, regmap::timebase::COMMIT_AT_HI) => regs.commit_at[1] = data,
+            (pages::TIMEBASE, regmap::timebase::GUARD) => {
+                regs.guarded = data != regmap::timebase::GUARD_KEY_OPEN;
+            }
             (pages::WATCHDOG, regmap::watchdog::TIMEOUT) => regs.timeout = data,
             (pages::WATCHDOG, regmap::watchdog::GRACE) => regs.grace = data,
             (pages::GPIO, regmap::gpio::SAFE) => regs.safe = data & outputs,
@@ -262,6 +268,7 @@ impl Board {
             (pages::TIMEBASE, regmap::timebase::COMMIT_AT_LO) => regs.commit_at[0],
             (pages::TIMEBASE, regmap::timebase::COMMIT_AT_HI) => regs.commit_at[1],
             (pages::TIMEBASE, regmap::timebase::STATUS) => hub.timebase.pending().into(),
+            (pages::TIMEBASE, regmap::timebase::GUARD_STATUS) => regs.guarded.into(),
             (pages::TIMEBASE, regmap::timebase::ETH_BEATS) if self.build.readback => {
                 self.beats_caught
             }

@@ -63,6 +63,8 @@ fn deed() -> impl Strategy<Value = Deed> {
         6 => prop_oneof![Just(1u32), Just(2), Just(3), Just(4), Just(6)]
             .prop_map(|s| Deed::Write(pages::TIMEBASE, 7, s)),
         1 => (0..2u32, 0..3000u32).prop_map(|(w, at)| Deed::Write(pages::TIMEBASE, 6 - w, at * w)),
+        1 => prop_oneof![Just(0), Just(regmap::timebase::GUARD_KEY_OPEN)]
+            .prop_map(|word| Deed::Write(pages::TIMEBASE, regmap::timebase::GUARD as u32, word)),
         2 => key.prop_map(|key| Deed::Write(pages::WATCHDOG, 3, key)),
         3 => word().prop_map(|token| Deed::Write(pages::WATCHDOG, 2, token)),
         1 => (0..2u32, 0..20_000u32).prop_map(|(w, t)| Deed::Write(pages::WATCHDOG, w, t)),

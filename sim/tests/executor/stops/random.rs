@@ -1,6 +1,6 @@
-//! Stops as a property: random machines, at random moments, whatever goes wrong. Under a host, in a
-//! job and while switches are looked for, each axis stands within what its own acceleration allows,
-//! and the board says that it knows where the axes are exactly when it does.
+//! Stops as a property: random machines are stopped at random moments by random causes, under a
+//! host, in a job and during homing. Each axis stops within the distance that its own acceleration
+//! allows, and the board reports a trusted position exactly when the position is right.
 //!
 //! `FERROCNC_STOPS` is how many of each; a few in the gate, thousands by hand. Each prints its seed
 //! when it fails, and `FERROCNC_SEED` begins there.
@@ -18,7 +18,7 @@
 //! | stop and pause, from any client; the starter falls silent | `Stop`, `Pause`, `Silence` |
 //! | no segment in time | `Starved` |
 //! | a stop that its grace cuts short | every fifth session has a grace of its own |
-//! | what a session left behind | before every job |
+//! | settings of an earlier session | before every job |
 //!
 //! Elsewhere, because another part notices or because nothing is left to be judged: the whole board
 //! restarts and its counts with it

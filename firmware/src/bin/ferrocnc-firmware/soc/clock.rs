@@ -1,6 +1,5 @@
 //! The time since power-up, for code that has no [`super::Soc`].
 
-use firmware::thrift::divide;
 use litex_pac::{Ident, Timebase};
 
 /// Microseconds since power-up, for log stamps.
@@ -10,5 +9,6 @@ pub fn microseconds() -> u64 {
     timebase.snapshot().write(|w| unsafe { w.bits(1) });
     let now = u64::from(timebase.now_hi().read().bits()) << 32
         | u64::from(timebase.now_lo().read().bits());
-    divide(now, ident.sys_clk_hz().read().bits() / 1_000_000)
+    let per_us = u64::from(ident.sys_clk_hz().read().bits() / 1_000_000);
+    now.checked_div(per_us).unwrap_or(0)
 }

@@ -1,8 +1,8 @@
-//! LiteEth's MAC: two receive slots and two transmit slots, each for one frame.
+//! LiteEth's MAC: four receive slots and two transmit slots, each for one frame.
 //!
 //! The slots hold frames in network order, at an offset of two bytes: a 32-bit load yields a
 //! big-endian word, and everything after the Ethernet header is aligned, so the exchange swaps and
-//! shifts nothing. The IP stack works on bytes and gets its frames copied.
+//! shifts nothing. The services work on bytes and gets its frames copied.
 //!
 //! Transmit slot 0 belongs to the fast path alone, and its headers stay in it. All other frames
 //! use slot 1.
@@ -11,6 +11,7 @@
 //! admits all frames addressed to it alone, and of all others one at a time. With an owner it
 //! admits the owner's frames, and one other frame for each call of [`Mac::admit`].
 
+use core::mem::MaybeUninit;
 use core::ptr::{read_volatile, write_volatile};
 use firmware::net::{FastPath, Frame, Slot, WARM_UP_WORDS};
 use litex_pac::{Ethmac, RxAdmission};
@@ -18,7 +19,7 @@ use wire::MAX_WORDS;
 use wire::regmap::{self, rx_admission};
 
 /// Longest frame, without FCS.
-const FRAME_MAX: usize = 1514;
+const FRAME_MAX: usize = firmware::reserve::ROOM;
 /// Bytes in front of a frame in its slot; the MAC's length registers count them.
 const PAD: usize = 2;
 const FAST_PATH: usize = 0;
@@ -56,7 +57,7 @@ impl Slot for TxSlot {
     }
 }
 
-/// A datagram as words for the server, or a frame as bytes for the IP stack; never both at once.
+/// A datagram as words for the server, or a frame as bytes for the services; never both at once.
 pub struct Buffer([u32; FRAME_MAX.div_ceil(4)]);
 
 impl Buffer {
@@ -67,6 +68,12 @@ impl Buffer {
             Some(words) => words,
             None => unreachable!(), // the assertion above excludes it
         }
+    }
+
+    /// As room for a frame.
+    pub fn frame(&mut self) -> &mut [u8; FRAME_MAX] {
+        // SAFETY: as below.
+        unsafe { &mut *self.0.as_mut_ptr().cast() }
     }
 
     /// As bytes of a frame.
@@ -132,24 +139,33 @@ pub struct Mac {
     open: bool,
     /// Received data that does not take the fast path.
     pub input: &'static mut Buffer,
-    /// Data to be sent by the server or the IP stack.
+    /// Data to be sent by the server or the services.
     pub output: &'static mut Buffer,
 }
 
 static mut INPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
-static mut OUTPUT: Buffer = Buffer([0; FRAME_MAX.div_ceil(4)]);
+/// In the part of the RAM that the services may write. Its first contents are what was there.
+#[unsafe(link_section = ".window")]
+static mut OUTPUT: MaybeUninit<Window> = MaybeUninit::uninit();
+
+/// All of that part, so that nothing else is in it.
+#[repr(C)]
+struct Window(
+    Buffer,
+    [u32; (regmap::WINDOW_SIZE - size_of::<Buffer>()) / 4],
+);
 
 impl Mac {
     /// The board's only MAC.
     pub fn new() -> Self {
         // SAFETY: `super::start` calls this once; no other code touches the MAC, its filter or the
-        // buffers.
+        // buffers. Any bits are words.
         let (regs, admission, input, output) = unsafe {
             (
                 Ethmac::steal(),
                 RxAdmission::steal(),
                 &mut *(&raw mut INPUT),
-                &mut *(&raw mut OUTPUT),
+                &mut (*(&raw mut OUTPUT)).assume_init_mut().0,
             )
         };
         Mac {

@@ -1,5 +1,5 @@
-//! Waits for the SDRAM; finds, copies, checks and calls the services, and outlives them. The
-//! program tests the rest of the SDRAM: the ROM has no room for that, and a right CRC shows that
+//! Waits for the SDRAM; finds, copies, checks and calls the services, sums their code again and
+//! again, and outlives them. The program tests the rest of the SDRAM: the ROM has no room for that, and a right CRC shows that
 //! the program's own memory works.
 
 use super::{ABI, Soc};
@@ -11,7 +11,7 @@ use firmware::services::abi::{self, Header};
 use litex_pac::Sdram;
 use wire::describe::JobsState;
 use wire::images::program_length;
-use wire::regmap::{LEASH_IRQ, RAM_BASE, ROM_SIZE, SDRAM_BASE};
+use wire::regmap::{self, LEASH_IRQ, SDRAM_BASE, SDRAM_SIZE, timebase};
 
 /// Clocks until there is an SDRAM, or none: its controller starts it in 0.4 ms at 60 MHz, in clocks
 /// twice as many at most at 125.
@@ -31,6 +31,7 @@ pub struct Loader {
     length: usize,
     done: usize,
     check: abi::Check,
+    patrol: abi::Patrol,
 }
 
 impl Loader {
@@ -41,12 +42,17 @@ impl Loader {
             length: 0,
             done: 0,
             check: abi::Check::new(),
+            patrol: abi::Patrol::new(),
         }
     }
 
-    /// The next piece. At the end: the program's entry, or the state to report.
+    /// The next piece. At the end: the program's header and the sum of its code, or the state to
+    /// report.
     #[inline(never)]
-    pub fn step(&mut self, machine: &mut Machine<Soc>) -> Option<Result<abi::Entry, JobsState>> {
+    pub fn step(
+        &mut self,
+        machine: &mut Machine<Soc>,
+    ) -> Option<Result<(Header, abi::Patrol), JobsState>> {
         // SAFETY: no program runs in the SDRAM, it is at least this large, and it is aligned.
         let room = unsafe { &mut *(SDRAM_BASE as *mut Room) };
         if self.length == 0 {
@@ -59,6 +65,7 @@ impl Loader {
         let _ = nor.read(at, bytes(words, count));
         self.check.add(words.get(..count / 4).unwrap_or(&[]));
         self.done += count;
+        self.patrol.loaded(&room.0, self.done / 4, &self.check);
         if self.done < self.length {
             return None;
         }
@@ -68,7 +75,7 @@ impl Loader {
                 // complete header of a program linked to this address.
                 unsafe {
                     core::arch::asm!("fence.i");
-                    Ok((*(SDRAM_BASE as *const Header)).entry)
+                    Ok((*(SDRAM_BASE as *const Header), self.patrol))
                 }
             }
             state => Err(state),
@@ -77,11 +84,11 @@ impl Loader {
 
     /// Waits for the SDRAM and finds the program.
     fn begin(&mut self, machine: &mut Machine<Soc>, room: &mut Room) -> Result<(), JobsState> {
-        if !machine.plays_segments() {
-            return Err(JobsState::None);
-        }
         if !wake(&mut machine.board) {
-            return Err(JobsState::Streamed);
+            return Err(match machine.plays_segments() {
+                true => JobsState::Streamed,
+                false => JobsState::None,
+            });
         }
         let (start, length) = machine.image().ok_or(JobsState::Missing)?;
         let end = start + length;
@@ -104,12 +111,18 @@ fn bytes(words: &mut [u32], count: usize) -> &mut [u8] {
 }
 
 // The services are called with the ROM's registers saved, and what is in them is taken from there
-// if they do not come back. `services_sp` is the stack pointer while they run, and 0 otherwise.
+// if they do not come back. `services_sp` is the stack pointer while they run. The guard is closed
+// exactly then: it is what tells their code from the ROM's, wherever the program counter is.
 //
-// Every trap comes to `services_trap`. One that comes from the services, or from where they went
-// astray to, ends them, and their stack pointer is not used. The leash's interrupt may come while
-// the ROM does what they asked for: it is enabled again by the instruction that returns to them
-// (`services_back`). All others are the ROM's own.
+// Every trap comes to `services_trap`. One with the guard closed ends the services, and their stack
+// pointer is not used. The leash's interrupt may come while the ROM does what they asked for: it is
+// enabled again by the instruction that returns to them (`services_back`). All others are the ROM's
+// own. A jump to the reset vector with the guard closed is no reset (`__pre_init`).
+//
+// A store that the guard keeps back may be in the data cache, which is discarded in `services_end`
+// before anything is read through it. The read of the guard's status waits for the stores before
+// it, and is not cached: the ROM looks at it before it opens the guard and goes on
+// (`services_enter`, `services_call`).
 global_asm!(
     ".option push",
     ".option norelax",
@@ -120,71 +133,49 @@ global_asm!(
     ".type services_call, @function",
     ".global services_call",
     "services_call:",
-    "    addi    sp, sp, -64",
-    "    sw      ra, 60(sp)",
-    "    sw      s0, 56(sp)",
-    "    sw      s1, 52(sp)",
-    "    sw      s2, 48(sp)",
-    "    sw      s3, 44(sp)",
-    "    sw      s4, 40(sp)",
-    "    sw      s5, 36(sp)",
-    "    sw      s6, 32(sp)",
-    "    sw      s7, 28(sp)",
-    "    sw      s8, 24(sp)",
-    "    sw      s9, 20(sp)",
-    "    sw      s10, 16(sp)",
-    "    sw      s11, 12(sp)",
-    "    sw      gp, 8(sp)",
-    "    sw      tp, 4(sp)",
+    "    jal     t0, __riscv_save_12",
     "    la      t0, services_sp",
     "    sw      sp, 0(t0)",
+    "    lui     t0, {page}",
+    "    sw      zero, {guard}(t0)",
     "    csrsi   mstatus, 8",
     "    jalr    a3",
     "    csrci   mstatus, 8",
-    "    la      t0, services_sp",
-    "    sw      zero, 0(t0)",
-    "    lw      ra, 60(sp)",
-    "    addi    sp, sp, 64",
-    "    ret",
-    ".section .text.services_leave,\"ax\",@progbits",
-    ".type services_leave, @function",
-    ".global services_leave",
-    "services_leave:",
+    "    lui     t0, {page}",
+    "    lw      t1, {status}(t0)",
+    "    bltz    t1, services_end",
+    "    li      t1, {key}",
+    "    sw      t1, {guard}(t0)",
+    "    j       __riscv_restore_12",
+    ".section .text.services_end,\"ax\",@progbits",
+    ".type services_end, @function",
+    ".global services_end",
+    "services_end:",
+    "    csrci   mstatus, 8",
+    "    lui     t0, {page}",
+    "    li      t1, {key}",
+    "    sw      t1, {guard}(t0)",
+    "    .word   0x500f", // VexRiscv: discards the data cache
+    "    nop",
+    "    nop",
+    "    nop",
+    "    nop",
+    "    nop",
     "    la      t0, services_sp",
     "    lw      sp, 0(t0)",
-    "    sw      zero, 0(t0)",
-    "    lw      ra, 60(sp)",
-    "    lw      s0, 56(sp)",
-    "    lw      s1, 52(sp)",
-    "    lw      s2, 48(sp)",
-    "    lw      s3, 44(sp)",
-    "    lw      s4, 40(sp)",
-    "    lw      s5, 36(sp)",
-    "    lw      s6, 32(sp)",
-    "    lw      s7, 28(sp)",
-    "    lw      s8, 24(sp)",
-    "    lw      s9, 20(sp)",
-    "    lw      s10, 16(sp)",
-    "    lw      s11, 12(sp)",
-    "    lw      gp, 8(sp)",
-    "    lw      tp, 4(sp)",
+    "    la      gp, __global_pointer$",
     "    li      a0, {dead}",
-    "    addi    sp, sp, 64",
-    "    ret",
+    "    j       __riscv_restore_12",
     ".section .text.services_trap,\"ax\",@progbits",
     ".balign 4",
     ".type services_trap, @function",
     ".global services_trap",
     "services_trap:",
     "    csrw    mscratch, t0",
-    "    la      t0, services_sp",
-    "    lw      t0, 0(t0)",
-    "    beqz    t0, 1f",
-    "    csrr    t0, mepc",
-    "    srli    t0, t0, {behind_rom}",
-    "    beqz    t0, 2f",
-    "    j       services_leave",
-    "2:",
+    "    lui     t0, {page}",
+    "    lw      t0, {status}(t0)",
+    "    andi    t0, t0, 1",
+    "    bnez    t0, 2f",
     "    csrr    t0, mcause",
     "    bgez    t0, 1f",
     "    li      t0, 0x80",
@@ -193,25 +184,53 @@ global_asm!(
     "    mret",
     "1:  csrr    t0, mscratch",
     "    j       _start_trap",
-    ".section .text.services_back,\"ax\",@progbits",
-    ".type services_back, @function",
-    ".global services_back",
-    "services_back:",
+    "2:  j       services_end",
+    ".section .text.services_enter,\"ax\",@progbits",
+    ".type services_enter, @function",
+    ".global services_enter",
+    "services_enter:",
+    "    addi    sp, sp, -16",
+    "    sw      ra, 12(sp)",
+    "    lui     t0, {page}",
+    "    lw      t1, {status}(t0)",
+    "    bltz    t1, services_end",
+    "    li      t1, {key}",
+    "    sw      t1, {guard}(t0)",
+    "    jalr    t2",
     "    lw      ra, 12(sp)",
     "    addi    sp, sp, 16",
     "    csrci   mstatus, 8",
+    "    lui     t0, {page}",
+    "    sw      zero, {guard}(t0)",
     "    csrw    mepc, ra",
     "    li      t0, 0x1880",
     "    csrs    mstatus, t0",
     "    mret",
+    // Runs at the reset vector, before the RAM is written.
+    ".section .text.__pre_init,\"ax\",@progbits",
+    ".type __pre_init, @function",
+    ".global __pre_init",
+    "__pre_init:",
+    "    lui     t0, {page}",
+    "    lw      t0, {status}(t0)",
+    "    andi    t0, t0, 1",
+    "    bnez    t0, services_end",
+    "    ret",
     ".option pop",
-    behind_rom = const BEHIND_ROM,
+    page = const (GUARD + 0x800) >> 12,
+    guard = const GUARD as i32 - PAGE as i32,
+    status = const GUARD_STATUS as i32 - PAGE as i32,
+    key = const timebase::GUARD_KEY_OPEN,
     dead = const abi::DEAD,
 );
 
-/// Addresses of the ROM have no bits from here on, all others have.
-const BEHIND_ROM: u32 = 20;
-const _: () = assert!(ROM_SIZE <= 1 << BEHIND_ROM && RAM_BASE >= 1 << BEHIND_ROM);
+/// The guard's registers, and what `lui` makes of their upper bits.
+const GUARD: u32 = regmap::address(timebase::BASE, timebase::GUARD);
+const GUARD_STATUS: u32 = regmap::address(timebase::BASE, timebase::GUARD_STATUS);
+const PAGE: u32 = (GUARD + 0x800) & !0xfff;
+const _: () = assert!((GUARD_STATUS + 0x800) & !0xfff == PAGE);
+const _: () =
+    assert!(timebase::GUARD_STATUS_CLOSED == 1 && timebase::GUARD_STATUS_REFUSED == 1 << 31);
 /// Where an external interrupt is enabled in `mie`.
 const EXTERNAL: u32 = 1 << 11;
 
@@ -237,6 +256,21 @@ pub fn watch() {
     }
 }
 
+/// Sums the next piece of the services that were loaded. False: they have changed.
+#[inline(never)]
+pub fn patrol(patrol: &mut abi::Patrol) -> bool {
+    // SAFETY: the program lies there and does not run now; only what it never writes is read.
+    let room = unsafe { &*(SDRAM_BASE as *const Room) };
+    patrol.step(&room.0)
+}
+
+/// Do these bytes lie in the SDRAM, and at a word's address? The ROM does what the services ask for
+/// with no other memory: their code may be what is broken.
+pub fn theirs(at: usize, bytes: usize) -> bool {
+    let offset = at.wrapping_sub(SDRAM_BASE);
+    at.is_multiple_of(4) && offset < SDRAM_SIZE && bytes <= SDRAM_SIZE - offset
+}
+
 /// Calls the services, which have to come back within so many clocks.
 pub fn call(
     entry: abi::Entry,
@@ -250,6 +284,10 @@ pub fn call(
     // has to keep, and if it ends otherwise they are restored.
     let answer = unsafe { services_call(rom, frame, length, entry) };
     leash(0);
+    if answer == abi::DEAD {
+        // They may have come to the reset vector, where interrupts and traps are set anew.
+        watch();
+    }
     answer
 }
 

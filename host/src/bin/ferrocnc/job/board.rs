@@ -1,7 +1,7 @@
 //! `ferrocnc job send|start|pause|...`: jobs on a board.
 //!
-//! A board has one connection for jobs. A watching command closes it between two looks, so that
-//! another terminal can stop the job.
+//! A board has one connection for jobs. A command that watches a job closes it between two
+//! requests, so that another terminal can stop the job.
 
 use crate::progress::Bar;
 use anyhow::{Context, Result, anyhow, bail};
@@ -20,7 +20,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use wire::jobs::{Command as Code, End, Entry, KEEPALIVE_MS, Report, State, Status};
 
-/// Between two looks at a job that is being executed; a keepalive is longer.
+/// Time between two requests about a running job; a keepalive is longer.
 const LOOK: Duration = Duration::from_millis(250);
 
 /// The board with the jobs.
@@ -148,7 +148,7 @@ fn axes(text: &str) -> Result<[bool; 3], String> {
     for letter in text.to_lowercase().chars() {
         match "xyz".find(letter) {
             Some(axis) => axes[axis] = true,
-            None => return Err(format!("{letter} is none of x, y, z")),
+            None => return Err(format!("{letter} is not one of x, y, z")),
         }
     }
     Ok(axes)

@@ -1,4 +1,4 @@
-//! While switches are looked for.
+//! Stops during homing.
 
 use super::player::{Player, Trouble};
 use super::watch::{HZ, Used, Watch, exact, strays};
@@ -160,7 +160,8 @@ fn homing(seed: u64) -> (Trouble, f64) {
         .fold(0.0f64, |t, (axis, top)| t.max(top / axis.0));
     let mut watch = Watch::of(search.axes.iter().map(|axis| axis.0).collect());
     watch.look(&mut player.rig);
-    let stopped = |player: &Player| player.rig.jobs.executor().state() == State::Stopping;
+    let stopped =
+        |player: &Player| player.rig.jobs.executor().expect("jobs").state() == State::Stopping;
     // The switches were found, and the axes were on their way to 0, which is a path.
     let begun = regmap::address(segments::BASE, segments::BEGUN);
     let drives = |player: &mut Player| player.rig.machine.board.csr_read(begun) > 0;

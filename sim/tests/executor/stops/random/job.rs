@@ -1,4 +1,4 @@
-//! A job, of a board that executes it itself and of one that a PC streams it to.
+//! Stops in a job, on a board that executes it itself and on one to which a PC streams it.
 
 use super::player::{Player, Trouble, left_behind};
 use super::watch::{HZ, Used, Watch, exact, strays};
@@ -207,7 +207,7 @@ fn said(
     told: &str,
 ) {
     player.recovers();
-    if trouble == Trouble::Pause && player.rig.jobs.executor().busy() {
+    if trouble == Trouble::Pause && player.rig.jobs.executor().expect("jobs").busy() {
         let report = player.report();
         assert!(report.stands && report.known, "{told}: {report:?}");
         return;

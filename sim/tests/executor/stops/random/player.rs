@@ -1,15 +1,14 @@
-//! A board and what executes its jobs, inside of it or at the other end of a cable, and what can
-//! happen to them.
+//! A board and the program that executes its jobs, on the board or at the other end of a cable, and
+//! the faults that can happen to them.
 
 use super::super::client::{Client, HOST, post};
 use super::watch::{TURN, Watch};
 use crate::rig::*;
 use ::jobs::Outside;
 use firmware::cores::{Board as _, Control};
-use firmware::machine::Reply;
+use firmware::machine::{VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
 use firmware::services::Network;
-use firmware::text::Sink;
 use rand::Rng;
 use rand_pcg::Pcg32;
 use wire::describe::JobsState;
@@ -84,8 +83,9 @@ impl Network for Wire<'_> {
     fn us(&mut self) -> Us {
         self.rig.us
     }
-    fn console(&mut self, _: usize, _: Option<&str>, _: &mut dyn Sink) -> Reply {
-        Reply::Said
+    fn leased(&mut self, _: Option<firmware::machine::Lease>) {}
+    fn console(&mut self, _: usize, _: Verb, _: &mut [u32; VISIT_WORDS]) -> Verdict {
+        Verdict::NotNow
     }
 }
 
@@ -158,7 +158,7 @@ impl Player {
         let mut out = [0; jobs::FRAME];
         let length = request.emit(self.rig.id, &mut out);
         self.rig.id = self.rig.id.wrapping_add(1);
-        let mut text = firmware::ip::Text::new();
+        let mut text = firmware::text::Text::new();
         let mut taken = 0;
         for _ in 0..100_000 {
             let mut wire = Wire {
@@ -238,7 +238,7 @@ impl Player {
     /// Until nothing is going on, and positions were sampled.
     pub fn settles(&mut self) {
         for _ in 0..50_000 {
-            if !self.rig.jobs.executor().busy() {
+            if !self.rig.jobs.executor().expect("jobs").busy() {
                 break;
             }
             self.turn();
@@ -249,7 +249,7 @@ impl Player {
     }
 }
 
-/// What the last owner of a board leaves behind in it.
+/// The settings that the last owner of a board leaves in it.
 pub fn left_behind(rig: &mut Rig, random: &mut Pcg32) {
     let client = Client::of(rig);
     let [timeout, grace] = [

@@ -1,4 +1,4 @@
-//! Under a host, as under LinuxCNC.
+//! Stops under a host, as under LinuxCNC.
 
 use super::super::client::Client;
 use super::watch::{HZ, TURN, Used, Watch, exact};

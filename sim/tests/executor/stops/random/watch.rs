@@ -1,4 +1,4 @@
-//! What is seen of the axes at their pins, from a cause on.
+//! Watches the axes at their pins from the cause of a stop on.
 
 use super::super::stopping;
 use crate::rig::*;

@@ -1,0 +1,220 @@
+//! What the status page asks the board: a few words of the windows at a time, as any host may.
+//!
+//! A call asks for sixteen words at most, as a guest of an armed machine may.
+
+use heapless::String;
+use jobs::Outside;
+use wire::board::{Blob, HEADER_LEN, Kind};
+use wire::describe::{self, Channels, WORDS};
+use wire::etherbone::{self, record};
+use wire::{GUEST_READS, MAX_WORDS, map};
+
+/// Reads words at these addresses. `None`: the board refused, or `N` is more than a guest may ask.
+pub fn ask<const N: usize>(addresses: [u32; N], out: &mut impl Outside) -> Option<[u32; N]> {
+    let mut request = [0; 4 + GUEST_READS];
+    let mut reply = [0; MAX_WORDS];
+    let (head, places) = request.split_first_chunk_mut()?;
+    *head = [etherbone::HEADER, 0, record(0, N), 0];
+    places.get_mut(..N)?.copy_from_slice(&addresses);
+    let length = out.datagram(request.get(..4 + N)?, &mut reply);
+    reply.get(..length)?.get(4..)?.first_chunk().copied()
+}
+
+/// Words of the board information that are kept: the whole ROM.
+const BLOB_WORDS: usize = wire::regmap::BOARD_ROM_SIZE / 4;
+/// Bytes of a channel's name; a longer one is cut.
+const NAME: usize = 40;
+
+/// A channel's own name, or none.
+pub type ChannelName = String<NAME>;
+
+/// What does not change while the firmware runs, read once in small pieces.
+#[derive(Debug)]
+pub struct Facts {
+    /// What the board says of itself, except for its state.
+    pub words: [u32; WORDS],
+    /// The counts of channels.
+    pub channels: Channels,
+    /// The clock.
+    pub clock_hz: u32,
+    /// The flash's unique id.
+    pub uid: [u32; 2],
+    /// The PCB.
+    pub board: ChannelName,
+    /// The configuration.
+    pub configuration: ChannelName,
+    stepgens: [ChannelName; 16],
+    encoders: [ChannelName; 16],
+    inputs: [ChannelName; 32],
+    outputs: [ChannelName; 32],
+    blob: [u8; 4 * BLOB_WORDS],
+    stage: Stage,
+}
+
+/// How far the reading is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Words of the description that are there.
+    Describe(usize),
+    Uid,
+    /// Words of the board information that are there.
+    Blob(usize),
+    /// All is there, but the names are not found in it yet.
+    Names,
+    Done,
+}
+
+impl Default for Facts {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Facts {
+    /// Nothing is known.
+    pub const fn new() -> Self {
+        Facts {
+            words: [0; WORDS],
+            channels: Channels {
+                stepgens: 0,
+                encoders: 0,
+                pwms: 0,
+                inputs: 0,
+                outputs: 0,
+            },
+            clock_hz: 0,
+            uid: [0; 2],
+            board: String::new(),
+            configuration: String::new(),
+            stepgens: [const { String::new() }; 16],
+            encoders: [const { String::new() }; 16],
+            inputs: [const { String::new() }; 32],
+            outputs: [const { String::new() }; 32],
+            blob: [0; 4 * BLOB_WORDS],
+            stage: Stage::Describe(0),
+        }
+    }
+
+    /// Are channels and clock known? Names may be missing.
+    pub fn known(&self) -> bool {
+        self.clock_hz != 0
+    }
+
+    /// Is everything known?
+    pub fn done(&self) -> bool {
+        self.stage == Stage::Done
+    }
+
+    /// The name of a stepgen; empty: none of its own.
+    pub fn stepgen(&self, n: usize) -> &str {
+        self.stepgens.get(n).map_or("", String::as_str)
+    }
+
+    /// The name of an encoder.
+    pub fn encoder(&self, n: usize) -> &str {
+        self.encoders.get(n).map_or("", String::as_str)
+    }
+
+    /// The name of an input.
+    pub fn input(&self, n: usize) -> &str {
+        self.inputs.get(n).map_or("", String::as_str)
+    }
+
+    /// The name of an output.
+    pub fn output(&self, n: usize) -> &str {
+        self.outputs.get(n).map_or("", String::as_str)
+    }
+
+    /// Reads on: at most sixteen words. The names are found when the machine stands (`rests`),
+    /// because that takes tens of thousands of clocks, once.
+    pub fn read(&mut self, rests: bool, out: &mut impl Outside) {
+        match self.stage {
+            Stage::Describe(have) => {
+                let at = core::array::from_fn::<_, { WORDS / 2 }, _>(|n| have + n);
+                let Some(words) = ask(at.map(describe::address), out) else {
+                    return;
+                };
+                for (at, word) in at.into_iter().zip(words) {
+                    if let Some(place) = self.words.get_mut(at) {
+                        *place = word;
+                    }
+                }
+                self.stage = Stage::Describe(have + at.len());
+                if have + at.len() >= WORDS {
+                    self.described();
+                }
+            }
+            Stage::Uid => {
+                if let Some(uid) = ask([map::FLASH_UID_HI, map::FLASH_UID_LO], out) {
+                    self.uid = uid;
+                    self.stage = Stage::Blob(0);
+                }
+            }
+            Stage::Blob(have) => self.blob(have, out),
+            Stage::Names if rests => {
+                self.name();
+                self.stage = Stage::Done;
+            }
+            Stage::Names | Stage::Done => {}
+        }
+    }
+
+    fn described(&mut self) {
+        self.stage = Stage::Done;
+        if let Ok(board) = describe::Describe::parse(&self.words) {
+            (self.channels, self.clock_hz) = (board.channels, board.clock_hz);
+            self.stage = Stage::Uid;
+        }
+    }
+
+    fn blob(&mut self, have: usize, out: &mut impl Outside) {
+        const PIECE: usize = GUEST_READS;
+        let at = |n: usize| map::DESCRIBE_BLOB + 4 * n as u32;
+        // Words behind the blob read as 0.
+        let Some(words) = ask::<PIECE>(core::array::from_fn(|n| at(have + n)), out) else {
+            return;
+        };
+        let (places, _) = self.blob.as_chunks_mut();
+        for (place, word) in places.iter_mut().skip(have).zip(words) {
+            *place = word.to_be_bytes();
+        }
+        let have = have + PIECE;
+        let all = self.words.get(13).map_or(0, |words| *words as usize);
+        self.stage = match have >= all.min(BLOB_WORDS) {
+            true => Stage::Names,
+            false => Stage::Blob(have),
+        };
+    }
+
+    /// Finds the names.
+    fn name(&mut self) {
+        const _: () = assert!(HEADER_LEN <= 4 * BLOB_WORDS);
+        let Ok(blob) = Blob::new_checked(&self.blob) else {
+            return;
+        };
+        for entry in blob.entries() {
+            let n = usize::from(entry.channel);
+            let place = match entry.kind {
+                Kind::Board => Some(&mut self.board),
+                Kind::Configuration => Some(&mut self.configuration),
+                Kind::Stepgen => self.stepgens.get_mut(n),
+                Kind::Encoder => self.encoders.get_mut(n),
+                Kind::Input => self.inputs.get_mut(n),
+                Kind::Output => self.outputs.get_mut(n),
+                Kind::Pwm
+                | Kind::Pins
+                | Kind::Mac
+                | Kind::Ipv4
+                | Kind::Port
+                | Kind::Fpga
+                | Kind::Platform => None,
+            };
+            if let Some(place) = place {
+                place.clear();
+                let text = core::str::from_utf8(entry.value).unwrap_or("?");
+                // A name that is too long is cut behind a character.
+                text.chars().all(|c| place.push(c).is_ok());
+            }
+        }
+    }
+}

@@ -1,0 +1,262 @@
+//! What the board says of itself: the status page as a browser asks for it, and names, events and
+//! the time as datagrams.
+
+use super::host::Host;
+use super::rig::{Board, US};
+use crate::services::mdns;
+use serde_json::Value as Json;
+use simple_dns::{CLASS, Name, Packet, QCLASS, QTYPE, Question, TYPE};
+use smoltcp::phy::ChecksumCapabilities;
+use smoltcp::wire::{
+    EthernetAddress, EthernetFrame, EthernetProtocol, IgmpPacket, IgmpRepr, IpProtocol,
+    Ipv4Address, Ipv4Packet, Ipv4Repr, UdpPacket, UdpRepr,
+};
+use std::string::{String, ToString};
+use std::vec;
+use std::vec::Vec;
+use wire::PAGE_PORT;
+use wire::mdns::{GROUP, PORT};
+
+const CLIENT: Ipv4Address = Ipv4Address::new(192, 168, 2, 9);
+const CLIENT_MAC: EthernetAddress = EthernetAddress([2, 9, 9, 9, 9, 9]);
+
+/// A board that has learned what it says of itself.
+fn board() -> Board {
+    let mut board = Board::new();
+    board.wait(5000);
+    board
+}
+
+/// What a browser at this port hears.
+fn get(board: &mut Board, port: u16, request: &str) -> String {
+    let mut host = Host {
+        to: PAGE_PORT,
+        ..Host::new(7).at(port)
+    };
+    assert!(host.knocks(board), "a place is free");
+    board.frame(&host.nod());
+    let heard = host.says(board, request.as_bytes());
+    host.leaves(board);
+    String::from_utf8(heard).expect("UTF-8")
+}
+
+fn content(answer: &str) -> &str {
+    answer.split_once("\r\n\r\n").expect("a head").1
+}
+
+/// A datagram to the group, or to the board alone.
+fn datagram(to: u32, payload: &[u8]) -> Vec<u8> {
+    let sums = ChecksumCapabilities::default();
+    let to = Ipv4Address::from_bits(to);
+    let udp = UdpRepr {
+        src_port: PORT,
+        dst_port: PORT,
+    };
+    let ip = Ipv4Repr {
+        src_addr: CLIENT,
+        dst_addr: to,
+        next_header: IpProtocol::Udp,
+        payload_len: udp.header_len() + payload.len(),
+        hop_limit: 255,
+    };
+    let mut bytes = vec![0; 14 + ip.buffer_len() + ip.payload_len];
+    let mut frame = EthernetFrame::new_unchecked(&mut bytes);
+    frame.set_src_addr(CLIENT_MAC);
+    let [_, a, b, c] = to.octets();
+    frame.set_dst_addr(match to.is_multicast() {
+        true => EthernetAddress([1, 0, 0x5e, a & 0x7f, b, c]),
+        false => EthernetAddress(US.mac),
+    });
+    frame.set_ethertype(EthernetProtocol::Ipv4);
+    let mut packet = Ipv4Packet::new_unchecked(frame.payload_mut());
+    ip.emit(&mut packet, &sums);
+    udp.emit(
+        &mut UdpPacket::new_unchecked(packet.payload_mut()),
+        &CLIENT.into(),
+        &to.into(),
+        payload.len(),
+        |room| room.copy_from_slice(payload),
+        &sums,
+    );
+    bytes
+}
+
+/// The messages of names among these frames; every one is right in all its sums.
+fn messages(frames: &[Vec<u8>]) -> Vec<Vec<u8>> {
+    let mut all = Vec::new();
+    for frame in frames {
+        let frame = EthernetFrame::new_checked(frame).expect("Ethernet");
+        assert_eq!(frame.dst_addr(), EthernetAddress([1, 0, 0x5e, 0, 0, 251]));
+        let ip = Ipv4Packet::new_checked(frame.payload()).expect("IPv4");
+        assert!(ip.verify_checksum());
+        if ip.next_header() == IpProtocol::Igmp {
+            let report = IgmpRepr::parse(&IgmpPacket::new_checked(ip.payload()).expect("IGMP"));
+            let group = Ipv4Address::from_bits(GROUP);
+            let joined = matches!(report, Ok(IgmpRepr::MembershipReport { group_addr, .. })
+                if group_addr == group);
+            assert!(joined, "{report:?}");
+            continue;
+        }
+        assert_eq!(ip.hop_limit(), 255, "RFC 6762, 11");
+        let udp = UdpPacket::new_checked(ip.payload()).expect("UDP");
+        assert!(udp.verify_checksum(&ip.src_addr().into(), &ip.dst_addr().into()));
+        assert_eq!((udp.src_port(), udp.dst_port()), (PORT, PORT));
+        all.push(udp.payload().to_vec());
+    }
+    all
+}
+
+/// Does a device of this segment ask for the board's address?
+fn question(host: &str, kind: TYPE) -> Vec<u8> {
+    let mut packet = Packet::new_query(0);
+    packet.questions.push(Question::new(
+        Name::new(host).expect("a name").into_owned(),
+        QTYPE::TYPE(kind),
+        QCLASS::CLASS(CLASS::IN),
+        false,
+    ));
+    packet.build_bytes_vec().expect("a message")
+}
+
+#[test]
+fn a_browser_reads_the_page_and_a_program_reads_the_same_as_json() {
+    let mut board = board();
+    let page = get(&mut board, 50_000, "GET / HTTP/1.1\r\nHost: x\r\n\r\n");
+    assert!(page.starts_with("HTTP/1.1 200 OK\r\n"), "{page}");
+    assert!(page.contains("</script>"), "{page}");
+    let json = get(&mut board, 50_001, "GET /status.json HTTP/1.0\r\n\r\n");
+    let json: Json = serde_json::from_str(content(&json)).expect("JSON");
+    assert!(json["machine"].is_object(), "{json}");
+    let log = get(&mut board, 50_002, "GET /log HTTP/1.0\r\n\r\n");
+    assert!(content(&log).contains("firmware started"), "{log}");
+}
+
+#[test]
+fn a_request_in_single_bytes_is_one_too() {
+    let mut board = board();
+    let mut host = Host {
+        to: PAGE_PORT,
+        ..Host::new(7)
+    };
+    assert!(host.knocks(&mut board));
+    board.frame(&host.nod());
+    let mut heard = Vec::new();
+    for byte in b"GET /status.json HTTP/1.0\r\n\r\n" {
+        heard.extend(host.says(&mut board, &[*byte]));
+    }
+    let heard = String::from_utf8(heard).expect("UTF-8");
+    serde_json::from_str::<Json>(content(&heard)).expect("JSON");
+}
+
+#[test]
+fn while_a_host_moves_the_machine_the_page_is_busy_and_says_when_to_come_again() {
+    let mut board = board();
+    board.world.moving = true;
+    let said = get(&mut board, 50_000, "GET / HTTP/1.1\r\nHost: x\r\n\r\n");
+    assert!(said.starts_with("HTTP/1.1 503 "), "{said}");
+    assert!(said.contains("Retry-After: 2\r\n"), "{said}");
+    board.world.moving = false;
+    let said = get(&mut board, 50_001, "GET / HTTP/1.1\r\nHost: x\r\n\r\n");
+    assert!(said.starts_with("HTTP/1.1 200 "), "{said}");
+}
+
+#[test]
+fn readers_that_say_nothing_leave_their_places_within_five_seconds() {
+    let mut board = board();
+    for port in [50_000, 50_001] {
+        let mut silent = Host {
+            to: PAGE_PORT,
+            ..Host::new(7).at(port)
+        };
+        assert!(silent.knocks(&mut board));
+        board.frame(&silent.nod());
+    }
+    let mut third = Host {
+        to: PAGE_PORT,
+        ..Host::new(8)
+    };
+    assert!(!third.knocks(&mut board), "both places are taken");
+    board.wait(5100);
+    let page = get(&mut board, 50_002, "GET / HTTP/1.0\r\n\r\n");
+    assert!(page.starts_with("HTTP/1.1 200 OK\r\n"), "{page}");
+}
+
+#[test]
+fn a_board_asks_three_times_for_its_name_and_announces_it_twice() {
+    let board = board();
+    let all = messages(&board.world.announced);
+    let all: Vec<_> = all
+        .iter()
+        .map(|message| Packet::parse(message).expect("a DNS message"))
+        .collect();
+    let probes = all.iter().filter(|packet| !packet.questions.is_empty());
+    let announced = all.iter().filter(|packet| !packet.answers.is_empty());
+    assert_eq!((probes.count(), announced.count()), (3, 2));
+}
+
+#[test]
+fn a_board_has_a_name_a_second_after_its_start() {
+    // Up to 250 ms, and three probes with 250 ms behind each; nothing is waited for before.
+    let mut board = Board::new();
+    board.wait(1_100);
+    let name = board_name(&board);
+    assert!(name.starts_with("ferrocnc-"), "{name}");
+    assert!(get(&mut board, 50_000, "GET /status.json HTTP/1.0\r\n\r\n").contains(&name[..17]));
+}
+
+#[test]
+fn a_question_for_the_name_is_answered_to_the_group() {
+    let mut board = board();
+    let name = board_name(&board);
+    board.wait(2000);
+    board.world.announced.clear();
+    board.frame(&datagram(GROUP, &question(&name, TYPE::A)));
+    board.wait(200);
+    let answers = messages(&board.world.announced);
+    let answer = Packet::parse(answers.last().expect("an answer")).expect("a DNS message");
+    assert!(answer.answers.iter().any(|it| it.name.to_string() == name));
+}
+
+/// The name it has announced.
+fn board_name(board: &Board) -> String {
+    let all = messages(&board.world.announced);
+    let mut names = all.iter().filter_map(|message| {
+        let packet = Packet::parse(message).ok()?;
+        let mut addresses = packet.answers.iter();
+        let address = addresses.find(|it| it.rdata.type_code() == TYPE::A)?;
+        Some(address.name.to_string())
+    });
+    names.next().expect("a name")
+}
+
+#[test]
+fn while_a_host_moves_the_machine_names_are_not_answered_and_nothing_piles_up() {
+    let mut board = board();
+    let name = board_name(&board);
+    board.wait(2000);
+    board.world.announced.clear();
+    board.world.moving = true;
+    for _ in 0..50 {
+        board.frame(&datagram(GROUP, &question(&name, TYPE::A)));
+        board.wait(20);
+    }
+    assert!(board.world.announced.is_empty());
+    board.world.moving = false;
+    board.wait(1000);
+    assert!(
+        board.world.announced.is_empty(),
+        "an answer that is too late"
+    );
+}
+
+#[test]
+fn garbage_at_the_port_of_names_disturbs_no_console() {
+    let mut board = board();
+    let mut visitor = super::host::visitor(&mut board, 1);
+    for length in [0, 1, 11, 12, 13, 300, mdns::MESSAGE, 1472] {
+        for to in [GROUP, US.ip] {
+            board.frame(&datagram(to, &vec![0xff; length]));
+        }
+        assert!(visitor.is_heard(&mut board), "{length} bytes");
+    }
+}
