@@ -598,11 +598,6 @@ impl BenchMachine {
             }
             let heard = String::from_utf8_lossy(&heard);
             let whole = heard.ends_with("ferrocnc> ") && !heard.contains("not while armed");
-            if !whole {
-                for n in 0..40 { let a = self.period_with(command, &[], 0); println!("more {n} {:?} {:?}", a.map(|a| a.turnaround), String::from_utf8_lossy(&self.rig.segment.recv(connection))); }
-                for w in [9u32, 10, 11, 12] { println!("describe {w} {:x}", self.read(wire::map::DESCRIBE + 4 * w)); }
-                println!("guard {:x} {:x}", self.read(wire::regmap::address(wire::regmap::timebase::BASE, 12)), self.read(wire::regmap::address(wire::regmap::timebase::BASE, 13)));
-            }
             assert!(whole, "{line}: {heard}");
             costs.push((*line, worst));
         }

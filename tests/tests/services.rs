@@ -494,25 +494,3 @@ fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
     println!("turnaround while a page is asked for {spread:?}");
     assert!(spread.max <= BOUND, "{spread:?}");
 }
-
-#[test]
-fn tmp_debug() {
-    let mut machine = BenchMachine::boot(setup(&program()));
-    println!("clock {}", machine.clock());
-    machine.acquire();
-    println!("acquired {} calls {:?}", machine.clock(), machine.longest_calls());
-    let mut trace = Vec::new();
-    for n in 0..11u32 {
-        machine.rig().write_words(map::CONFIG_STEPGEN + n % 3 * map::CONFIG_STRIDE, &[60, 60, 120, 120]);
-        trace.push(machine.clock());
-    }
-    let got = machine.rig().read_word(0x20c00);
-    println!("{trace:?} read {got:?} at {}", machine.clock());
-    for _ in 0..4 {
-        let c = machine.clock();
-        let a = machine.rig().read_word(map::COUNTERS);
-        let b = machine.rig().read_word(wire::refusal::COUNTERS_CALLS + 4);
-        let e = machine.rig().read_word(wire::regmap::address(wire::regmap::ethmac::BASE, wire::regmap::ethmac::SRAM_WRITER_ERRORS));
-        println!("{c}: rx {a:?} else {b:?} no slot {e:?} till {}", machine.clock());
-    }
-}
