@@ -178,7 +178,8 @@ struct Connection<'m> {
     introduced: Option<(u32, u32)>,
     /// The number of the first byte of the client's that was not read.
     expected: u32,
-    /// When it was opened, or when we closed it; milliseconds.
+    /// When it was opened; when we closed it, or when the client was heard after that and lacked
+    /// text; milliseconds.
     since: u32,
     greeted: bool,
     closing: bool,
@@ -480,6 +481,11 @@ impl<'m> Port<'m> {
         }
         self.stack
             .take(frame, &mut connection.sockets, instant, out);
+        // A client that is there and lacks text still has its time behind our end: its network may
+        // lose a segment several times, and each time it is sent later.
+        if connection.closing && connection.socket().send_queue() > 0 {
+            connection.since = ms;
+        }
         if listened && connection.state() == State::SynReceived {
             connection.peer = segment.peer;
             connection.expected = segment.sequence.wrapping_add(1);

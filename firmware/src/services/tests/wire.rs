@@ -57,7 +57,7 @@ impl Faults {
     /// client that was not heard for 92 s is gone: on the worst wires a connection may end early.
     /// What was said over it is right even so.
     fn may_part(self) -> bool {
-        self.lost > 12
+        self.lost >= 10
     }
 }
 
