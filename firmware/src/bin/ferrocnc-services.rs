@@ -8,7 +8,9 @@ use core::mem::MaybeUninit;
 use core::slice;
 use firmware::machine::{Lease, VISIT_WORDS, Verb, Verdict};
 use firmware::net::Us;
-use firmware::services::abi::{FAILED, FRAME_MAX, Header, INTERFACE, RESTLESS, ROOM, Rom, START};
+use firmware::services::abi::{
+    FAILED, FRAME_MAX, Header, INTERFACE, MORE, RESTLESS, ROOM, Rom, START,
+};
 use firmware::services::journal;
 use firmware::services::memory::{self, Cells};
 use firmware::services::port::Place;
@@ -49,6 +51,7 @@ global_asm!(
 unsafe extern "C" {
     safe fn services_entry(rom: &Rom, frame: *const u8, length: usize) -> u32;
     static mut __services_bss: u32;
+    static mut __services_clear_end: u32;
     static mut __services_bss_end: u32;
     static __services_fixed_end: u32;
 }
@@ -65,9 +68,13 @@ static SERVICES_HEADER: Header = Header {
     fixed_end: unsafe { &__services_fixed_end },
 };
 
-/// The program's state; in `.bss`, and initialised from [`START`] on.
+/// The program's state, initialised from [`START`] on.
+#[unsafe(link_section = ".uninit")]
 static mut PROGRAM: MaybeUninit<Program<'static>> = MaybeUninit::uninit();
+/// The CRC-32 of the program, and the bytes of the SDRAM behind its room.
+static mut MEMORY: (u32, usize) = (0, 0);
 /// The memory of its sockets.
+#[unsafe(link_section = ".uninit")]
 static mut PLACE: MaybeUninit<Place<'static>> = MaybeUninit::uninit();
 
 /// Runs on the program's own stack; its contract is [`firmware::services::abi::Entry`].
@@ -76,14 +83,8 @@ extern "C" fn services_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
     let mut rom = Calls(rom);
     // SAFETY: the ROM makes one call at a time, and the callbacks do not call again.
     let place = unsafe { &mut *(&raw mut PROGRAM) };
-    if frame.is_null() && length == START {
-        return match start(&mut rom) {
-            Some(program) => {
-                place.write(program);
-                0
-            }
-            None => FAILED,
-        };
+    if frame.is_null() && length >= START {
+        return start(length - START, &mut rom);
     }
     // SAFETY: the ROM makes no call before START, and none after a START that FAILED.
     let program = unsafe { place.assume_init_mut() };
@@ -99,25 +100,57 @@ extern "C" fn services_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
     u32::from(restless) * RESTLESS
 }
 
-/// `None` if the SDRAM has an error.
-fn start(rom: &mut Calls) -> Option<Program<'static>> {
-    clear();
-    // SAFETY: the first word is the image's CRC, which was right. The test below overwrites it.
-    let program = unsafe { (SDRAM_BASE as *const u32).read_volatile() };
-    let used = (&raw const __services_bss_end) as usize - SDRAM_BASE;
-    let memory = memory::size(&mut Sdram, used, SDRAM_SIZE)?.checked_sub(ROOM)?;
-    // SAFETY: from the end of the program to the SDRAM's end; no other code uses it.
-    let memory = unsafe { slice::from_raw_parts_mut((SDRAM_BASE + ROOM) as *mut u8, memory) };
-    let (log, memory) = memory.split_at_mut((LOG_AT + journal::BYTES).min(memory.len()));
-    let (_, log) = log.split_at_mut(LOG_AT.min(log.len()));
-    // SAFETY: this runs once behind each loading, and is the only reference.
-    let place = unsafe { (*(&raw mut PLACE)).write(Place::new()) };
-    Program::new(memory, log, place, program, rom)
+/// A piece of the beginning.
+fn start(piece: usize, rom: &mut Calls) -> u32 {
+    // SAFETY: only these calls use them, one at a time; they are read behind their piece.
+    let (memory, place, program) = unsafe {
+        (
+            &mut *(&raw mut MEMORY),
+            &mut *(&raw mut PLACE),
+            &mut *(&raw mut PROGRAM),
+        )
+    };
+    match piece {
+        0 => {
+            clear();
+            // SAFETY: the first word is the image's CRC, which was right. The test below
+            // overwrites it.
+            let crc = unsafe { (SDRAM_BASE as *const u32).read_volatile() };
+            let used = (&raw const __services_bss_end) as usize - SDRAM_BASE;
+            let size = memory::size(&mut Sdram, used, SDRAM_SIZE);
+            let Some(size) = size.and_then(|size| size.checked_sub(ROOM)) else {
+                return FAILED;
+            };
+            *memory = (crc, size);
+            MORE
+        }
+        1 => {
+            place.write(Place::new());
+            MORE
+        }
+        _ => {
+            let (crc, size) = *memory;
+            // SAFETY: from the end of the program to the SDRAM's end; no other code uses it.
+            let memory =
+                unsafe { slice::from_raw_parts_mut((SDRAM_BASE + ROOM) as *mut u8, size) };
+            let (log, memory) = memory.split_at_mut((LOG_AT + journal::BYTES).min(size));
+            let (_, log) = log.split_at_mut(LOG_AT.min(log.len()));
+            // SAFETY: it was written in the piece before, and this is the only reference.
+            let place = unsafe { place.assume_init_mut() };
+            match Program::new(memory, log, place, crc, rom) {
+                Some(it) => {
+                    program.write(it);
+                    0
+                }
+                None => FAILED,
+            }
+        }
+    }
 }
 
-/// Clears all memory that is not in the image.
+/// Clears the memory that is not in the image, but for what the beginning writes.
 fn clear() {
-    let (mut at, end) = (&raw mut __services_bss, &raw mut __services_bss_end);
+    let (mut at, end) = (&raw mut __services_bss, &raw mut __services_clear_end);
     while at < end {
         // SAFETY: the linker's bounds of `.bss`, which is not in use yet.
         unsafe {

@@ -63,14 +63,18 @@ const _: () = assert!(
         || usize::BITS != 32
 );
 
-/// The ROM's call. With a frame: `frame` and its length. Without: null and [`POLL`]; the first call
-/// of all is null and [`START`]. The result is [`RESTLESS`], [`FAILED`], [`DEAD`] or 0.
+/// The ROM's call. With a frame: `frame` and its length. Without: null and [`POLL`]. The first calls
+/// of all are null and [`START`], `START + 1` and so on, for as long as the result is [`MORE`].
+/// Otherwise the result is [`RESTLESS`], [`FAILED`], [`DEAD`] or 0.
 pub type Entry = extern "C" fn(rom: &Rom, frame: *const u8, length: usize) -> u32;
 
 /// Length of a call without a frame: time has passed.
 pub const POLL: usize = 0;
 /// Length of the first call, without a frame.
 pub const START: usize = 1;
+/// Result of [`START`]: that was a piece of the beginning. All of it takes milliseconds, and a host
+/// that asks meanwhile should not wait for so long.
+pub const MORE: u32 = 2;
 /// Result: call again in the next turn of the loop. Otherwise 10 ms are soon enough.
 pub const RESTLESS: u32 = 1;
 /// Result of [`START`]: the SDRAM has an error, and the program must not be called again.

@@ -25,6 +25,8 @@ pub const BYTES: usize = SLOTS * SLOT;
 
 /// "FJRN".
 const MAGIC: u32 = 0x464a_524e;
+/// If so many of the newest entries are torn, the others are not looked for.
+const TORN: u32 = 8;
 const TEXT_AT: usize = 24;
 const CRC_AT: usize = SLOT - 4;
 const _: () = assert!(TEXT_AT + TEXT == CRC_AT);
@@ -118,9 +120,12 @@ impl<'m> Journal<'m> {
         let count = slots.len().min(SLOTS);
         let (slots, _) = slots.split_at_mut(count);
         let mut journal = Journal { slots, next: 1 };
-        // Only magic, number and place of all entries; the CRC of those that may be the newest.
+        // Only magic, number and place of all entries; the CRC of the few that may be the newest.
         let mut below = u32::MAX;
-        while let Some(newest) = journal.candidate(below) {
+        for _ in 0..TORN {
+            let Some(newest) = journal.candidate(below) else {
+                break;
+            };
             if journal.entry(newest).is_some() {
                 journal.next = newest + 1;
                 break;
@@ -168,7 +173,10 @@ impl<'m> Journal<'m> {
     pub fn log(&mut self, stamp: Stamp, severity: Severity, text: &str) {
         let mut rest = text;
         while !rest.is_empty() {
-            let (piece, behind) = rest.split_at(cut(rest));
+            // A place between two characters: there is one.
+            let Some((piece, behind)) = rest.split_at_checked(cut(rest)) else {
+                break;
+            };
             self.append(stamp, severity, piece);
             rest = behind;
         }

@@ -47,10 +47,18 @@ pub struct App {
     patrol: abi::Patrol,
     /// They want to be called in every turn.
     restless: bool,
-    /// They are being loaded.
-    loader: Option<Loader>,
+    /// They are about to run.
+    coming: Option<Coming>,
     /// How often they are still loaded again when they fail.
     reloads: u8,
+}
+
+/// The services before they run.
+enum Coming {
+    /// They are being copied and checked.
+    Loading(Loader),
+    /// They begin, in calls of this length and the next ones: [`abi::START`].
+    Starting(abi::Header, usize),
 }
 
 impl App {
@@ -72,7 +80,7 @@ impl App {
             ports: [0; 8],
             patrol: abi::Patrol::new(),
             restless: false,
-            loader: Some(Loader::new()),
+            coming: Some(Coming::Loading(Loader::new())),
             reloads: RELOADS,
         };
         app.machine.wake();
@@ -124,7 +132,7 @@ impl App {
                 self.housekeeping_if(IDLE);
             }
             // The services run here only while there is no exchange that they could delay.
-            let something = self.services.is_some() || self.loader.is_some();
+            let something = self.services.is_some() || self.coming.is_some();
             if self.fast_path.is_none() && something {
                 self.leisure();
             }
@@ -425,52 +433,55 @@ impl App {
         if self.restless {
             self.services(core::ptr::null(), abi::POLL);
         } else if self.machine.may_load() && self.machine.at_rest() {
-            match self.loader {
+            match self.coming {
                 Some(_) => self.load(),
                 None => self.patrol(),
             }
         }
     }
 
-    /// Loads a piece of the services. Behind the last one it starts them, and records the result.
+    /// Loads a piece of the services, or makes the next call of their beginning. At the end it
+    /// records the result.
     #[inline(never)]
     fn load(&mut self) {
-        let Some(loader) = &mut self.loader else {
-            return;
-        };
-        let Some(verdict) = loader.step(&mut self.machine) else {
-            return;
-        };
-        self.loader = None;
-        let state = match verdict {
-            Err(why) => why,
-            Ok((header, patrol)) => {
-                self.patrol = patrol;
-                self.services = Some(header.entry);
-                self.ports = header.ports;
-                let answer = self.services(core::ptr::null(), abi::START);
-                if answer == abi::DEAD {
+        let state = match &mut self.coming {
+            None => return,
+            Some(Coming::Loading(loader)) => match loader.step(&mut self.machine) {
+                None => return,
+                Some(Ok((header, patrol))) => {
+                    self.patrol = patrol;
+                    self.coming = Some(Coming::Starting(header, abi::START));
                     return;
                 }
-                if answer & abi::FAILED != 0 {
-                    self.services = None;
-                    JobsState::Sdram
-                } else {
-                    JobsState::Alive
+                Some(Err(why)) => why,
+            },
+            Some(Coming::Starting(header, length)) => {
+                let (abi::Header { entry, ports, .. }, call) = (*header, *length);
+                *length += 1;
+                match self.call(entry, core::ptr::null(), call) {
+                    abi::DEAD | abi::MORE => return,
+                    abi::FAILED => JobsState::Sdram,
+                    _ => {
+                        (self.services, self.ports) = (Some(entry), ports);
+                        JobsState::Alive
+                    }
                 }
             }
         };
+        self.coming = None;
         self.machine.jobs(state);
     }
 
-    /// Calls the services. Without them the answer is 0. If they fail, the machine goes on without
-    /// them.
+    /// Calls the services. If they fail, the machine goes on without them.
+    fn services(&mut self, frame: *const u8, length: usize) {
+        if let Some(entry) = self.services {
+            self.call(entry, frame, length);
+        }
+    }
+
     #[cold]
     #[inline(never)]
-    fn services(&mut self, frame: *const u8, length: usize) -> u32 {
-        let Some(entry) = self.services else {
-            return 0;
-        };
+    fn call(&mut self, entry: abi::Entry, frame: *const u8, length: usize) -> u32 {
         self.cold = true;
         let moving = self.fast_path.is_some() && !self.machine.at_rest();
         let rom = abi::Rom {
@@ -484,20 +495,16 @@ impl App {
             context: core::ptr::null_mut(),
         };
         CALLER.store(self, Relaxed);
-        let first = frame.is_null() && length == abi::START;
-        let clocks = match (&self.fast_path, first) {
-            (_, true) => 0,
-            (None, false) => LEISURE,
-            (Some(_), false) if self.machine.at_rest() => AT_REST,
-            (Some(_), false) => MOVING,
+        let clocks = match &self.fast_path {
+            None => LEISURE,
+            Some(_) if self.machine.at_rest() => AT_REST,
+            Some(_) => MOVING,
         };
         let begun = self.machine.board.now_lo();
         let answer = soc::call_services(entry, &rom, frame, length, clocks);
-        if !first {
-            let clocks = self.machine.board.now_lo().wrapping_sub(begun);
-            self.machine.called(clocks, moving);
-        }
-        self.restless = answer & abi::RESTLESS != 0;
+        let clocks = self.machine.board.now_lo().wrapping_sub(begun);
+        self.machine.called(clocks, moving);
+        self.restless = answer == abi::RESTLESS;
         if answer == abi::DEAD {
             let (cause, at) = soc::last_trap();
             defmt::error!("services failed: cause {=u32} at {=u32:x}", cause, at);
@@ -519,10 +526,11 @@ impl App {
         let state = match self.reloads.checked_sub(1) {
             Some(left) => {
                 self.reloads = left;
-                self.loader = Some(Loader::new());
+                self.coming = Some(Coming::Loading(Loader::new()));
                 JobsState::Ended
             }
             None => {
+                self.coming = None;
                 // A lease that is not renewed is over some day.
                 self.machine.leased(None);
                 JobsState::GivenUp
