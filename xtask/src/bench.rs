@@ -57,10 +57,8 @@ pub fn exchange(parts: &build::Parts) -> Result<()> {
     std::fs::create_dir_all(target("reports"))?;
     let mut bench = Command::new(build::bench_exchange()?);
     bench
-        .arg("--soc")
-        .arg(&parts.soc)
-        .arg("--firmware")
-        .arg(&parts.firmware)
+        .env("FERROCNC_SOC", &parts.soc)
+        .env("FERROCNC_FIRMWARE", &parts.firmware)
         .arg("--report")
         .arg(target("reports/exchange.json"));
     let printed = step::run_quietly(

@@ -8,6 +8,7 @@ use crate::text::{Out, Paper};
 use jobs::Outside;
 use wire::describe::{BOOT_ID_AT, RESET_REASON_AT, address};
 use wire::exchange::StateWord;
+use core::mem::replace;
 use wire::{FaultReason, ResetReason, State, map};
 
 /// Words of the text of the last crash that are read at once.
@@ -40,19 +41,22 @@ impl Watch {
         self.boot
     }
 
-    /// Looks, and logs what has changed. It asks for sixteen words at most.
-    pub fn look(&mut self, stamp: Stamp, journal: &mut Journal, out: &mut impl Outside) {
+    /// Looks, and logs the first thing that has changed: true, and the others with the next looks.
+    /// It asks for sixteen words at most.
+    pub fn look(&mut self, stamp: Stamp, journal: &mut Journal, out: &mut impl Outside) -> bool {
         if self.boot.is_none() {
-            return self.started(stamp, journal, out);
+            self.started(stamp, journal, out);
+            return self.boot.is_some();
         }
         if let Some((from, length)) = self.obituary {
-            return self.mourn(from, length, stamp, journal, out);
+            self.mourn(from, length, stamp, journal, out);
+            return self.obituary != Some((from, length));
         }
         let Some([word, owner]) = ask([map::STATUS, map::SESSION_OWNER_IP], out) else {
-            return;
+            return false;
         };
         let Ok(now) = StateWord::from_word(word) else {
-            return;
+            return false;
         };
         let mut logged = |severity, pieces: &[&str]| line(journal, stamp, severity, pieces);
         if owner != self.owner {
@@ -73,10 +77,13 @@ impl Watch {
             let text = core::str::from_utf8(room.get(..used).unwrap_or(&[])).unwrap_or("");
             logged(Severity::Info, &[text]);
             self.owner = owner;
+            return true;
         }
-        if let Some(last) = self.seen.replace(now) {
-            changes(&last, &now, &mut logged);
+        let change = self.seen.get_or_insert(now).change(&now);
+        if let Some((severity, pieces)) = change {
+            logged(severity, &pieces);
         }
+        change.is_some()
     }
 
     /// The firmware has started: why, and if it crashed, its last words.
@@ -158,31 +165,42 @@ fn line(journal: &mut Journal, stamp: Stamp, severity: Severity, pieces: &[&str]
     journal.log(stamp, severity, text);
 }
 
-/// What is different now.
-fn changes(last: &StateWord, now: &StateWord, logged: &mut impl FnMut(Severity, &[&str])) {
-    if last.state != now.state {
-        let stopped = now.reason != FaultReason::None;
-        match now.state {
-            State::Boot => {}
-            State::Armed => logged(Severity::Notice, &["armed"]),
-            State::Stopping => logged(Severity::Warning, &["stopping: ", now.reason.text()]),
-            State::Faulted => logged(Severity::Error, &["stopped: ", now.reason.text()]),
-            State::Disarmed if stopped && last.state != State::Faulted => {
-                logged(Severity::Notice, &["disarmed: ", now.reason.text()]);
+/// What was seen, and follows the board one change at a time.
+trait Follow {
+    /// The first thing that is worth a line and different `now`.
+    fn change(&mut self, now: &StateWord) -> Option<(Severity, [&'static str; 2])>;
+}
+
+impl Follow for StateWord {
+    fn change(&mut self, now: &StateWord) -> Option<(Severity, [&'static str; 2])> {
+        let last = replace(&mut self.state, now.state);
+        if last != now.state {
+            let reason = now.reason.text();
+            let stopped = now.reason != FaultReason::None;
+            match now.state {
+                State::Boot => {}
+                State::Armed => return Some((Severity::Notice, ["armed", ""])),
+                State::Stopping => return Some((Severity::Warning, ["stopping: ", reason])),
+                State::Faulted => return Some((Severity::Error, ["stopped: ", reason])),
+                State::Disarmed if stopped && last != State::Faulted => {
+                    return Some((Severity::Notice, ["disarmed: ", reason]));
+                }
+                State::Disarmed => return Some((Severity::Notice, ["disarmed", ""])),
             }
-            State::Disarmed => logged(Severity::Notice, &["disarmed"]),
         }
-    }
-    if last.position_trusted && !now.position_trusted {
-        logged(Severity::Warning, &["positions are not trusted any more"]);
-    }
-    if last.estop != now.estop {
-        let tripped = [&["e-stop cleared"], &["e-stop tripped"]][usize::from(now.estop)];
-        logged(Severity::Warning, tripped);
-    }
-    if last.link != now.link {
-        let link = [&["link down"], &["link up"]][usize::from(now.link)];
-        logged(Severity::Warning, link);
+        if replace(&mut self.position_trusted, now.position_trusted) && !now.position_trusted {
+            let text = "positions are not trusted any more";
+            return Some((Severity::Warning, [text, ""]));
+        }
+        if replace(&mut self.estop, now.estop) != now.estop {
+            let text = ["e-stop cleared", "e-stop tripped"][usize::from(now.estop)];
+            return Some((Severity::Warning, [text, ""]));
+        }
+        if replace(&mut self.link, now.link) != now.link {
+            let text = ["link down", "link up"][usize::from(now.link)];
+            return Some((Severity::Warning, [text, ""]));
+        }
+        None
     }
 }
 

@@ -276,7 +276,9 @@ impl<'m> Status<'m> {
             let boot = self.watch.boot().unwrap_or(0);
             let (uptime, unix) = (self.uptime.seconds, self.clock.unix(ms));
             let stamp = Stamp { boot, uptime, unix };
-            self.watch.look(stamp, &mut self.journal, out);
+            if self.watch.look(stamp, &mut self.journal, out) {
+                self.due = ms.wrapping_add(LEARN_MS);
+            }
         }
         true
     }

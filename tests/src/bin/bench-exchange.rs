@@ -3,21 +3,16 @@
 
 use anyhow::{Context, Result};
 use clap::Parser;
-use ferrocnc_tests::BenchMachine;
+use ferrocnc_tests::{BenchMachine, parts, wired};
 use object::{Object, ObjectSection, SectionKind};
 use rand::{Rng, SeedableRng};
 use std::path::{Path, PathBuf};
 use wire::exchange::{self, Command};
 use wire::units::{Accel, Velocity};
 
+/// The board and the image are those of the tests (`ferrocnc_tests::parts`).
 #[derive(Parser)]
 struct Options {
-    /// Folder with the Verilated board.
-    #[arg(long)]
-    soc: PathBuf,
-    /// The release image.
-    #[arg(long)]
-    firmware: PathBuf,
     /// Where the figures go.
     #[arg(long)]
     report: PathBuf,
@@ -28,7 +23,7 @@ struct Options {
 
 fn main() -> Result<()> {
     let options = Options::parse();
-    let mut machine = BenchMachine::start_with(&options.soc, &options.firmware);
+    let mut machine = BenchMachine::boot(wired::mill());
     let channels = machine.channels();
     let bytes = |words: usize| 4 * words + 42 + 12; // UDP/IP/Ethernet headers, preamble and FCS
     let (rx, tx) = (
@@ -59,7 +54,7 @@ fn main() -> Result<()> {
     // The console is shut while the machine is armed: silence until the watchdog has disarmed it.
     machine.run_millis(100);
     let stack = machine.stack_used();
-    let image = image_sizes(&options.firmware)?;
+    let image = image_sizes(&parts().1)?;
 
     println!(
         "| exchange, {} axes, {rx} bytes in, {tx} out | min | median | max | clocks |",
