@@ -131,8 +131,7 @@ fn start(piece: usize, rom: &mut Calls) -> u32 {
         _ => {
             let (crc, size) = *memory;
             // SAFETY: from the end of the program to the SDRAM's end; no other code uses it.
-            let memory =
-                unsafe { slice::from_raw_parts_mut((SDRAM_BASE + ROOM) as *mut u8, size) };
+            let memory = unsafe { slice::from_raw_parts_mut((SDRAM_BASE + ROOM) as *mut u8, size) };
             let (log, memory) = memory.split_at_mut((LOG_AT + journal::BYTES).min(size));
             let (_, log) = log.split_at_mut(LOG_AT.min(log.len()));
             // SAFETY: it was written in the piece before, and this is the only reference.

@@ -5,10 +5,10 @@
 use super::journal::{Journal, Severity, Stamp};
 use super::look::ask;
 use crate::text::{Out, Paper};
+use core::mem::replace;
 use jobs::Outside;
 use wire::describe::{BOOT_ID_AT, RESET_REASON_AT, address};
 use wire::exchange::StateWord;
-use core::mem::replace;
 use wire::{FaultReason, ResetReason, State, map};
 
 /// Words of the text of the last crash that are read at once.
