@@ -255,9 +255,13 @@ fn services_that_failed_are_loaded_again_at_rest_and_three_times_at_most() {
         assert!(alive, "life {life}");
         // The ping ends them, and nothing answers it.
         assert!(machine.ping().is_none(), "life {life}");
-        assert_eq!(state(&mut machine), JobsState::Ended, "life {life}");
+        let told = match life {
+            3 => JobsState::GivenUp,
+            _ => JobsState::Ended,
+        };
+        assert_eq!(state(&mut machine), told, "life {life}");
     }
-    machine.run_millis(600);
+    machine.run_millis(300);
     assert_eq!(state(&mut machine), JobsState::GivenUp);
     assert!(machine.ping().is_some(), "the ROM's");
 }
@@ -474,14 +478,17 @@ fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
 
     let mut command = moving(&mut machine);
     let reader = machine.rig().segment.connect(wire::PAGE_PORT);
-    let (mut heard, mut asked) = (Vec::new(), false);
-    for period in 0..200 {
+    let (mut heard, mut connected, mut asked) = (Vec::new(), false, false);
+    for period in 0..60 {
         let status = machine.exchange_and_wait(&mut command);
         assert_eq!(status.state.state, State::Armed, "period {period}");
         let segment = &mut machine.rig().segment;
-        if !asked && segment.established(reader) {
+        // The board takes one frame of a guest in a period. The last of the handshake is one, and a
+        // request right behind it would come again a second later.
+        if connected && !asked {
             asked = segment.send(reader, ASK.as_bytes()) == ASK.len();
         }
+        connected = segment.established(reader);
         heard.extend(segment.recv(reader));
     }
     let heard = String::from_utf8(heard).expect("text");
@@ -490,7 +497,7 @@ fn the_status_page_is_read_at_rest_and_is_busy_while_the_machine_moves() {
         heard.ends_with("busy: the machine needs the time\n"),
         "{heard:?}"
     );
-    let spread = machine.turnaround_spread(200);
+    let spread = machine.turnaround_spread(60);
     println!("turnaround while a page is asked for {spread:?}");
     assert!(spread.max <= BOUND, "{spread:?}");
 }
