@@ -80,6 +80,11 @@ class FerroSoC(SoCCore):
             sdram.add(self, sdram_pads)
         self._add_cores()
 
+    def add_csr_bridge(self, name="csr", origin=None, register=False):
+        """LiteX registers the bridge of a SoC that has an `sdram`, which costs each access to a core
+        a clock, and an exchange 55 of them."""
+        SoCCore.add_csr_bridge(self, name, origin, register=False)
+
     def _jobs(self):
         """Axes of a job."""
         return getattr(self.board, "jobs", 0)
