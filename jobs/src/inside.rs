@@ -6,17 +6,20 @@ use motion::segment::AXES;
 use wire::describe::{self, Channels, Describe};
 use wire::etherbone::record;
 use wire::exchange::{
-    COMMAND_MAX, Command, REQUEST_OVERHEAD, STATUS_HEAD, STATUS_STEPGEN, StateWord, Status,
+    COMMAND_MAX, Command, REQUEST_OVERHEAD, STATUS_HEAD, STATUS_MAX, STATUS_STEPGEN, StateWord,
+    Status,
 };
 use wire::jobs::MachineConfig;
 use wire::refusal::COUNTERS_CUTS;
 use wire::units::{Accel, Velocity};
-use wire::{MAX_WORDS, Refusal, etherbone, map};
+use wire::{Refusal, etherbone, map};
 
 /// 100 ms: the executor exchanges every 5 ms, and a loop that takes longer hangs.
 const WATCHDOG_PER_SECOND: u32 = 10;
 /// Largest number of settings in one write.
 const SETTINGS: usize = 6;
+/// Words of an answer with one word, and some to spare.
+const ANSWER: usize = 8;
 /// Step generators of a job.
 const STEPGENS: u16 = (1 << AXES) - 1;
 
@@ -38,14 +41,14 @@ pub const REST: Velocities = [(Velocity(0), Accel(0)); AXES];
 impl Inside {
     /// Asks the board for its description.
     pub fn new(out: &mut impl Outside) -> Option<(Inside, Describe)> {
-        let mut reply = [0; MAX_WORDS];
+        let mut reply = [0; 4 + describe::WORDS];
         let mut request = [0; 4 + describe::WORDS];
         let (head, addresses) = request.split_at_mut(4);
         head.copy_from_slice(&[etherbone::HEADER, 0, record(0, describe::WORDS), 0]);
         for (word, address) in addresses.iter_mut().zip((map::DESCRIBE..).step_by(4)) {
             *word = address;
         }
-        let length = out.datagram(&request, &mut reply);
+        let length = out.ask(&request, &mut reply);
         let words = reply.get(4..length)?.first_chunk()?;
         let board = Describe::parse(words).ok()?;
         let inside = Inside {
@@ -59,9 +62,9 @@ impl Inside {
 
     /// Reads one word; `None` if it was refused.
     fn read(&self, address: u32, out: &mut impl Outside) -> Option<u32> {
-        let mut reply = [0; MAX_WORDS];
+        let mut reply = [0; ANSWER];
         let request = [etherbone::HEADER, 0, record(0, 1), 0, address];
-        let length = out.datagram(&request, &mut reply);
+        let length = out.ask(&request, &mut reply);
         reply.get(..length)?.get(4).copied()
     }
 
@@ -80,7 +83,7 @@ impl Inside {
     /// nothing.
     pub fn look(&self, out: &mut impl Outside) -> Option<(StateWord, [i64; AXES])> {
         const WORDS: usize = 1 + 2 * AXES;
-        let mut reply = [0; MAX_WORDS];
+        let mut reply = [0; 4 + WORDS];
         let mut request = [0; 4 + WORDS];
         let (head, addresses) = request.split_at_mut(4);
         head.copy_from_slice(&[etherbone::HEADER, 0, record(0, WORDS), 0]);
@@ -91,7 +94,7 @@ impl Inside {
             };
             *address = map::STATUS + 4 * word as u32;
         }
-        let length = out.datagram(&request, &mut reply);
+        let length = out.ask(&request, &mut reply);
         let words: &[u32; WORDS] = reply.get(4..length)?.first_chunk()?;
         let [state, positions @ ..] = words;
         let mut places = [0; AXES];
@@ -105,7 +108,7 @@ impl Inside {
     #[must_use]
     pub fn acquire(&mut self, out: &mut impl Outside) -> bool {
         let nonce = (out.now() as u32) | 1;
-        let mut reply = [0; MAX_WORDS];
+        let mut reply = [0; ANSWER];
         let request = [
             etherbone::HEADER,
             0,
@@ -115,7 +118,7 @@ impl Inside {
             0,
             map::SESSION_TOKEN,
         ];
-        let length = out.datagram(&request, &mut reply);
+        let length = out.ask(&request, &mut reply);
         self.sequence = 0;
         self.token = reply
             .get(..length)
@@ -129,7 +132,7 @@ impl Inside {
     /// it.
     #[must_use]
     pub fn prove(&mut self, nonce: u32, answer: [u32; 4], out: &mut impl Outside) -> bool {
-        let mut reply = [0; MAX_WORDS];
+        let mut reply = [0; ANSWER];
         let [a, b, c, d] = answer;
         let request = [
             etherbone::HEADER,
@@ -146,7 +149,7 @@ impl Inside {
             0,
             map::SESSION_TOKEN,
         ];
-        let length = out.datagram(&request, &mut reply);
+        let length = out.ask(&request, &mut reply);
         self.token = reply
             .get(..length)
             .and_then(|reply| reply.get(4))
@@ -174,8 +177,7 @@ impl Inside {
 
     /// Gives the session back.
     pub fn release(&mut self, out: &mut impl Outside) {
-        let mut reply = [0; MAX_WORDS];
-        let token = core::mem::take(&mut self.token);
+                let token = core::mem::take(&mut self.token);
         if token != 0 {
             let request = [
                 etherbone::HEADER,
@@ -184,7 +186,7 @@ impl Inside {
                 map::SESSION_RELEASE,
                 token,
             ];
-            out.datagram(&request, &mut reply);
+            out.ask(&request, &mut []);
         }
     }
 
@@ -248,8 +250,8 @@ impl Inside {
         }
         let mut words = [0; REQUEST_OVERHEAD + COMMAND_MAX];
         let request = command.emit_request(self.channels, &mut words)?;
-        let mut reply = [0; MAX_WORDS];
-        let length = out.datagram(request, &mut reply);
+        let mut reply = [0; REQUEST_OVERHEAD + STATUS_MAX];
+        let length = out.ask(request, &mut reply);
         let answer: Result<Status, Refusal> =
             Status::parse_reply(reply.get(..length)?, self.channels);
         answer.ok()
@@ -261,7 +263,7 @@ fn set<const N: usize>(base: u32, words: [u32; N], out: &mut impl Outside) -> bo
     // Header and padding; the record's header, its base, its words; the answer's base, the
     // addresses.
     let mut request = [0; 5 + 2 * SETTINGS];
-    let mut reply = [0; MAX_WORDS];
+    let mut reply = [0; 4 + SETTINGS];
     let addresses = (base..).step_by(4).take(N);
     let head = [etherbone::HEADER, 0, record(N, N), base];
     let all = head.into_iter().chain(words).chain([0]).chain(addresses);
@@ -270,7 +272,7 @@ fn set<const N: usize>(base: u32, words: [u32; N], out: &mut impl Outside) -> bo
         *place = word;
         length += 1;
     }
-    let answered = out.datagram(request.get(..length).unwrap_or(&[]), &mut reply);
+    let answered = out.ask(request.get(..length).unwrap_or(&[]), &mut reply);
     let there = reply.get(..answered).and_then(|reply| reply.get(4..));
     there == Some(&words[..])
 }

@@ -62,6 +62,17 @@ pub trait Outside {
     /// Gives a datagram to the board's own server; returns the answer's words, 0 if there is no
     /// answer.
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize;
+    /// The same for an answer of a few words; a longer one is cut, and its length says so. On a
+    /// board most of the time of a short question would go into clearing room for the longest
+    /// answer: it has one room for all ([`Outside::datagram`] writes what it returns).
+    fn ask(&mut self, request: &[u32], reply: &mut [u32]) -> usize {
+        let mut room = [0; MAX_WORDS];
+        let length = self.datagram(request, &mut room);
+        for (place, word) in reply.iter_mut().zip(room.iter().take(length)) {
+            *place = *word;
+        }
+        length
+    }
     /// A register of the segments core, by its word.
     fn read_segments(&mut self, word: usize) -> u32;
     /// See [`Outside::read_segments`].

@@ -77,6 +77,9 @@ static mut MEMORY: (u32, usize) = (0, 0);
 #[unsafe(link_section = ".uninit")]
 static mut PLACE: MaybeUninit<Place<'static>> = MaybeUninit::uninit();
 
+/// Room for the answers of the board's own server.
+static mut ANSWER: [u32; MAX_WORDS] = [0; MAX_WORDS];
+
 /// Runs on the program's own stack; its contract is [`firmware::services::abi::Entry`].
 #[unsafe(no_mangle)]
 extern "C" fn services_main(rom: &Rom, frame: *const u8, length: usize) -> u32 {
@@ -182,6 +185,17 @@ impl Outside for Calls<'_> {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
         let words = (self.0.datagram)(self.0.context, request.as_ptr(), request.len(), reply);
         usize::try_from(words).unwrap_or(0)
+    }
+
+    fn ask(&mut self, request: &[u32], reply: &mut [u32]) -> usize {
+        // SAFETY: the ROM makes one call at a time, and its callback makes none; this is the only
+        // place that uses it.
+        let room = unsafe { &mut *(&raw mut ANSWER) };
+        let length = self.datagram(request, room);
+        for (place, word) in reply.iter_mut().zip(room.iter().take(length)) {
+            *place = *word;
+        }
+        length
     }
 
     fn read_segments(&mut self, word: usize) -> u32 {

@@ -3,19 +3,23 @@
 use ::jobs::Outside;
 use wire::etherbone::{HEADER, record};
 use wire::settings::{self, Settings};
-use wire::{MAX_WORDS, map};
+use wire::map;
 
-/// Reads `N` words from `address` on, as a client does. `None`: the board refuses.
+/// Words that are read at most.
+const READS: usize = settings::WORDS;
+
+/// Reads `N` words from `address` on, as a client does. `None`: the board refuses, or they are more
+/// than [`READS`].
 pub fn read<const N: usize>(address: u32, out: &mut impl Outside) -> Option<[u32; N]> {
-    let mut request = [0; MAX_WORDS];
-    let mut reply = [0; MAX_WORDS];
+    let mut request = [0; 4 + READS];
+    let mut reply = [0; 4 + READS];
     let (head, addresses) = request.get_mut(..4 + N)?.split_at_mut(4);
     head.copy_from_slice(&[HEADER, 0, record(0, N), 0]);
     for (place, address) in addresses.iter_mut().zip((address..).step_by(4)) {
         *place = address;
     }
-    let length = out.datagram(request.get(..4 + N)?, &mut reply);
-    reply.get(4..length)?.first_chunk().copied()
+    let length = out.ask(request.get(..4 + N)?, &mut reply);
+    reply.get(..length)?.get(4..)?.first_chunk().copied()
 }
 
 /// The settings in force, without the key. `None`: the board does not say them now.

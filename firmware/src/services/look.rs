@@ -7,16 +7,16 @@ use jobs::Outside;
 use wire::board::{Blob, HEADER_LEN, Kind};
 use wire::describe::{self, Channels, WORDS};
 use wire::etherbone::{self, record};
-use wire::{GUEST_READS, MAX_WORDS, map};
+use wire::{GUEST_READS, map};
 
 /// Reads words at these addresses. `None`: the board refused, or `N` is more than a guest may ask.
 pub fn ask<const N: usize>(addresses: [u32; N], out: &mut impl Outside) -> Option<[u32; N]> {
     let mut request = [0; 4 + GUEST_READS];
-    let mut reply = [0; MAX_WORDS];
+    let mut reply = [0; 4 + GUEST_READS];
     let (head, places) = request.split_first_chunk_mut()?;
     *head = [etherbone::HEADER, 0, record(0, N), 0];
     places.get_mut(..N)?.copy_from_slice(&addresses);
-    let length = out.datagram(request.get(..4 + N)?, &mut reply);
+    let length = out.ask(request.get(..4 + N)?, &mut reply);
     reply.get(..length)?.get(4..)?.first_chunk().copied()
 }
 
