@@ -503,7 +503,10 @@ impl App {
         let begun = self.machine.board.now_lo();
         let answer = soc::call_services(entry, &rom, frame, length, clocks);
         let clocks = self.machine.board.now_lo().wrapping_sub(begun);
-        self.machine.called(clocks, moving);
+        // Not the beginning, when there is nothing to delay.
+        if self.services.is_some() {
+            self.machine.called(clocks, moving);
+        }
         self.restless = answer == abi::RESTLESS;
         if answer == abi::DEAD {
             let (cause, at) = soc::last_trap();
