@@ -120,7 +120,7 @@ pub struct Rom {
 /// Longest frame, without its FCS.
 pub const FRAME_MAX: usize = 1514;
 
-/// Words that are summed at a time: 4600 clocks, less than half of what a guest's frame takes.
+/// Words that are summed at a time: a small part of what a guest's frame takes.
 const PATROL: usize = 32;
 
 /// Sums the program's code and constants, a piece at a time and again from the beginning: the SDRAM

@@ -54,6 +54,7 @@ fn main() -> Result<()> {
     // The console is shut while the machine is armed: silence until the watchdog has disarmed it.
     machine.run_millis(100);
     let stack = machine.stack_used();
+    let services = wired::program().len();
     let image = image_sizes(&parts().1)?;
 
     println!(
@@ -71,7 +72,7 @@ fn main() -> Result<()> {
         );
     }
     println!(
-        "image: text {} data {} bss {} stack {stack} bytes",
+        "image: text {} data {} bss {} stack {stack}, services {services} bytes",
         image.text, image.data, image.bss
     );
 
@@ -84,7 +85,7 @@ fn main() -> Result<()> {
     let report = serde_json::json!({
         "sys_clk_hz": machine.clock_hz(),
         "cases": cases,
-        "image": { "text": image.text, "data": image.data, "bss": image.bss, "stack_max": stack },
+        "image": { "text": image.text, "data": image.data, "bss": image.bss, "stack_max": stack, "services": services },
     });
     std::fs::write(&options.report, serde_json::to_string_pretty(&report)?)
         .with_context(|| format!("cannot write {}", options.report.display()))

@@ -1,6 +1,6 @@
 //! Waits for the SDRAM; finds, copies, checks and calls the services, sums their code again and
-//! again, and outlives them. The program tests the rest of the SDRAM: the ROM has no room for that, and a right CRC shows that
-//! the program's own memory works.
+//! again, and outlives them. The program tests the rest of the SDRAM: the ROM has no room for that,
+//! and a right CRC shows that the program's own memory works.
 
 use super::{ABI, Soc};
 use core::arch::global_asm;
@@ -20,7 +20,7 @@ const START: u32 = 60_000;
 /// The beginning of the SDRAM.
 struct Room([u32; abi::ROOM / 4]);
 
-/// Bytes of a piece: 20 000 clocks to read and to sum it, as long as a guest's frame.
+/// Bytes of a piece: less time to read and to sum it than for a guest's frame.
 const PIECE: usize = 256;
 
 /// Copies and checks the program, a piece at a time.
