@@ -69,6 +69,8 @@ pub struct Notebook {
     pub trailer: [u32; 4],
     pub factory: bool,
     pub link: Link,
+    /// Parts of its stack that were never used.
+    pub free_stack: u32,
 }
 
 impl Notebook {
@@ -97,6 +99,7 @@ impl Notebook {
                 status: 0b1101,
                 errors: 0,
             },
+            free_stack: 0,
         }
     }
 
@@ -127,6 +130,9 @@ impl Board for Notebook {
     }
     fn factory_pin(&mut self) -> bool {
         self.factory
+    }
+    fn stack(&mut self, part: u32) -> Option<(u32, u32)> {
+        (part >= self.free_stack).then_some((100, 100 + 2048 * self.free_stack))
     }
     fn link(&mut self) -> Link {
         self.link

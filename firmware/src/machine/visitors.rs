@@ -25,7 +25,8 @@ pub enum Verb {
     Restart = 3,
     /// Asks whether the client may change anything now.
     Change = 4,
-    /// Gives the bytes of the ROM's stack that were ever used, and its size.
+    /// With the number of a part of the stack: gives the bytes of the ROM's stack that were ever
+    /// used, and its size. [`Verdict::NotNow`]: that part never was, ask for the next.
     Stack = 5,
 }
 
@@ -131,7 +132,10 @@ impl<B: Board> Machine<B> {
             Verb::Change if self.server.auth.trusted() => Verdict::Yes,
             Verb::Change => Verdict::Key,
             Verb::Stack => {
-                let (used, size) = self.board.stack();
+                let [part, ..] = *words;
+                let Some((used, size)) = self.board.stack(part) else {
+                    return Verdict::NotNow;
+                };
                 *words = [used, size, 0, 0, 0, 0];
                 Verdict::Yes
             }

@@ -232,9 +232,13 @@ impl<O: Network> Visit<'_, '_, O> {
                 paper.text(HELP.get(step).unwrap_or(&"")).end();
                 return Some(More::when(step + 1 < HELP.len()));
             }
-            Ask::Status if step == board::STACK => {
+            Ask::Status if step >= board::STACK => {
                 let mut words = [0; VISIT_WORDS];
-                out.console(self.visitor, Verb::Stack, &mut words);
+                let [part, ..] = &mut words;
+                *part = (step - board::STACK).into();
+                if out.console(self.visitor, Verb::Stack, &mut words) == Verdict::NotNow {
+                    return Some(More::Yes);
+                }
                 let [used, size, ..] = words;
                 paper.text("stack    ").number(used);
                 paper.text(" of ").number(size).text(" bytes").end();

@@ -263,7 +263,7 @@ impl Board for Soc {
         postmortem::rename(seed)
     }
 
-    fn stack(&mut self) -> (u32, u32) {
-        stack_used()
+    fn stack(&mut self, part: u32) -> Option<(u32, u32)> {
+        stack_used(part)
     }
 }

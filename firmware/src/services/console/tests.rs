@@ -177,7 +177,7 @@ fn status_says_what_the_board_is_doing() {
         lines[7],
         format!("services none: no SDRAM is used, {calls}")
     );
-    assert_eq!(lines[8], "stack    0 of 0 bytes");
+    assert_eq!(lines[8], "stack    100 of 100 bytes");
     let mut rig = Rig::new();
     rig.acquire();
     let text = Bench::of(rig).say("status");
@@ -185,6 +185,14 @@ fn status_says_what_the_board_is_doing() {
         text.contains("session  192.168.2.1:40000, last sequence 0\r\n"),
         "{text}"
     );
+}
+
+#[test]
+fn a_stack_of_many_unused_parts_is_looked_at_part_by_part() {
+    let mut rig = Rig::new();
+    rig.board.free_stack = 5;
+    let text = Bench::of(rig).say("status");
+    assert!(text.contains("stack    100 of 10340 bytes\r\n"), "{text}");
 }
 
 #[test]

@@ -35,18 +35,20 @@ pub fn paint() {
     }
 }
 
-/// Bytes ever used, and the stack's size.
-pub fn used() -> (u32, u32) {
+/// Words that are looked at in one call: 3000 clocks.
+const PART: usize = 512;
+
+/// Bytes ever used, and the stack's size; `None` if this part of it, from the bottom, never was.
+pub fn used(part: u32) -> Option<(u32, u32)> {
     let (low, high) = bounds();
-    let mut at = low;
+    let words = (high as usize - low as usize) / 4;
+    let from = words.min(PART.saturating_mul(part as usize));
+    let to = words.min(from + PART);
     // SAFETY: inside the stack region.
-    while at < high && unsafe { read_volatile(at) } == PAINT {
-        at = unsafe { at.add(1) };
-    }
-    (
-        (high as usize - at as usize) as u32,
-        (high as usize - low as usize) as u32,
-    )
+    let painted = |at: usize| unsafe { read_volatile(low.add(at)) } == PAINT;
+    let first = (from..to).find(|at| !painted(*at));
+    let first = first.or((to == words).then_some(words))?;
+    Some((4 * (words - first) as u32, 4 * words as u32))
 }
 
 /// Panics when the stack came too close to its end: a restart is better than a corrupted record.
