@@ -32,6 +32,17 @@ pub struct Inside {
     sequence: u32,
 }
 
+/// How the board is.
+#[derive(Clone, Copy, Debug)]
+pub struct Look {
+    /// Its state.
+    pub state: StateWord,
+    /// How often pulses may have been cut off since the board's start, in any session.
+    pub cuts: u32,
+    /// Where the integrators were at its last sample.
+    pub positions: [i64; AXES],
+}
+
 /// Rate and acceleration of each axis, for motion without segments.
 pub type Velocities = [(Velocity, Accel); AXES];
 
@@ -79,29 +90,33 @@ impl Inside {
         self.read(COUNTERS_CUTS, out)
     }
 
-    /// How the board is, and where the integrators were at its last sample: for a client that owns
-    /// nothing.
-    pub fn look(&self, out: &mut impl Outside) -> Option<(StateWord, [i64; AXES])> {
-        const WORDS: usize = 1 + 2 * AXES;
+    /// What a client sees that owns nothing, in one datagram.
+    pub fn look(&self, out: &mut impl Outside) -> Option<Look> {
+        const WORDS: usize = 2 + 2 * AXES;
         let mut reply = [0; 4 + WORDS];
         let mut request = [0; 4 + WORDS];
         let (head, addresses) = request.split_at_mut(4);
         head.copy_from_slice(&[etherbone::HEADER, 0, record(0, WORDS), 0]);
         for (n, address) in addresses.iter_mut().enumerate() {
-            let word = match n.checked_sub(1) {
-                None => 0,
-                Some(n) => STATUS_HEAD + n / 2 * STATUS_STEPGEN + n % 2,
+            let word = |word: usize| map::STATUS + 4 * word as u32;
+            *address = match n.checked_sub(2) {
+                None if n == 0 => word(0),
+                None => COUNTERS_CUTS,
+                Some(n) => word(STATUS_HEAD + n / 2 * STATUS_STEPGEN + n % 2),
             };
-            *address = map::STATUS + 4 * word as u32;
         }
         let length = out.ask(&request, &mut reply);
-        let words: &[u32; WORDS] = reply.get(4..length)?.first_chunk()?;
-        let [state, positions @ ..] = words;
+        let words: &[u32; WORDS] = reply.get(..length)?.get(4..)?.first_chunk()?;
+        let [state, cuts, positions @ ..] = words;
         let mut places = [0; AXES];
         for (place, [low, high]) in places.iter_mut().zip(positions.as_chunks().0) {
             *place = (u64::from(*high) << 32 | u64::from(*low)) as i64;
         }
-        Some((StateWord::from_word(*state).ok()?, places))
+        Some(Look {
+            state: StateWord::from_word(*state).ok()?,
+            cuts: *cuts,
+            positions: places,
+        })
     }
 
     /// Takes the session. False: another client has it.

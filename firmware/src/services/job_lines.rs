@@ -99,11 +99,15 @@ pub fn need(line: &str) -> Need {
     }
 }
 
-/// The first word, and the rest.
+/// The first word, and the rest. The standard library's search and `trim`, which know Unicode, took
+/// 3000 clocks of each piece of an answer.
 fn word(text: &str) -> (&str, &str) {
-    let text = text.trim();
-    let (word, rest) = text.split_once(' ').unwrap_or((text, ""));
-    (word, rest.trim_start())
+    let text = text.trim_ascii();
+    let end = text.bytes().position(|byte| byte == b' ');
+    let (word, rest) = text
+        .split_at_checked(end.unwrap_or(text.len()))
+        .unwrap_or((text, ""));
+    (word, rest.trim_ascii_start())
 }
 
 /// One bit per axis.

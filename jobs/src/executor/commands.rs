@@ -6,6 +6,7 @@ use super::order::{Order, Starter, Work, asked};
 use super::phase::{Hold, Phase};
 use super::setup::limits;
 use crate::check::Check;
+use crate::inside::Look;
 use crate::instruction::Instruction;
 use crate::plan::Output;
 use crate::store::Store;
@@ -76,7 +77,9 @@ impl Executor {
     /// Declares that these axes are at 0.
     fn here(&mut self, axes: [bool; AXES], out: &mut impl Outside) -> Result<(), Status> {
         let look = self.board.inside.look(out);
-        let (state, positions) = look.ok_or(Status::NotNow)?;
+        let Look {
+            state, positions, ..
+        } = look.ok_or(Status::NotNow)?;
         if state.enabled {
             // The axis may still be on its way to rest.
             return Err(Status::NotNow);
@@ -145,8 +148,7 @@ impl Executor {
                 let limits = limits(machine, &self.path.limits(), self.board.clock_hz);
                 if !self.busy() && self.words.is_none() {
                     let look = self.board.inside.look(out);
-                    let (_, positions) = look.ok_or(Status::NotNow)?;
-                    self.known.at(positions);
+                    self.known.at(look.ok_or(Status::NotNow)?.positions);
                     self.words = Some(Words::new(limits, self.known.places()));
                 }
                 let queue = self.words.as_mut().ok_or(Status::NotNow)?;

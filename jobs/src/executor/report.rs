@@ -58,14 +58,14 @@ impl Executor {
 
     /// Looks at the board while another client may use it. False: it does not answer.
     fn look(&mut self, out: &mut impl Outside) -> bool {
-        let Some((state, positions)) = self.board.inside.look(out) else {
+        let Some(look) = self.board.inside.look(out) else {
             return false;
         };
-        self.board.word = state.to_word();
+        self.board.word = look.state.to_word();
         self.board.at_rest = true;
-        self.known.at(positions);
-        self.known.seen(state);
-        self.known.counted(self.board.inside.cuts(out));
+        self.known.at(look.positions);
+        self.known.seen(look.state);
+        self.known.counted(Some(look.cuts));
         true
     }
 }
