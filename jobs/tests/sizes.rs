@@ -16,7 +16,7 @@ fn the_page_names_the_memory_of_planner_and_reader() {
     );
     let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/jobs.md"));
     let said = format!(
-        "{PLANNER} KiB for {LOOK_AHEAD} lines of look-ahead, {READER} bytes for the reader"
+        "{PLANNER} KiB for {LOOK_AHEAD} lines of look-ahead, and {READER} bytes for the reader"
     );
     let page = page.expect("the page");
     let words: Vec<&str> = page.split_whitespace().collect();

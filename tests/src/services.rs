@@ -63,7 +63,10 @@ impl Part {
         assert!(fixed_end < program.len() && fixed_end.is_multiple_of(256));
         let word = |address: usize| (address - SDRAM_BASE) / 4;
         match self {
-            Part::Code => Vec::from([HEADER..fixed_end / 4]),
+            Part::Code => {
+                let all = HEADER..fixed_end / 4;
+                Vec::from([all])
+            }
             Part::Data => {
                 let elf = parts().1.with_file_name("ferrocnc-services.elf");
                 let end = crate::place(&elf, "__services_bss_end");
