@@ -177,16 +177,24 @@ impl Visit<'_, '_> {
                 out.number(self.store.free()).text(" bytes are free").end();
                 return Ok(false);
             }
-            Ask::Status => {}
-            Ask::Feed(percent) => self.executor.feed(percent)?,
-            Ask::Do(command, flags, name) => {
+            // The others are answered with the state, in pieces: all at once would take longer than
+            // a host that moves the machine should wait.
+            Ask::Feed(percent) if step == 0 => self.executor.feed(percent)?,
+            Ask::Do(command, flags, name) if step == 0 => {
                 let code = (command.code(), flags, 0);
                 self.executor
                     .command(code, &name, CLIENT, self.store, self.now, out)?;
             }
+            Ask::Status | Ask::Feed(_) | Ask::Do(..) => {
+                let first = u16::from(ask != Ask::Status);
+                if step > first {
+                    status(&self.executor.report_seen(out), &mut Out(paper));
+                    return Ok(false);
+                }
+                self.executor.refresh(out);
+            }
         }
-        status(&self.executor.report(out), &mut Out(paper));
-        Ok(false)
+        Ok(true)
     }
 
     /// An entry a piece, and the free bytes in the last one.

@@ -21,6 +21,8 @@ pub struct Board {
     pub word: u32,
     /// All axes stood at the last exchange.
     pub at_rest: bool,
+    /// It answered when it was asked last, or is ours.
+    pub heard: bool,
     exchanged: u64,
     /// Segments begun and clocks left at that time.
     progress: (u32, u32),
@@ -36,6 +38,7 @@ impl Board {
             channels: board.channels,
             word: 0,
             at_rest: true,
+            heard: false,
             exchanged: 0,
             progress: (0, 0),
         }

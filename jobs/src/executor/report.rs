@@ -13,9 +13,19 @@ impl Executor {
 
     /// The complete report.
     pub fn report(&mut self, out: &mut impl Outside) -> Report {
-        let so_far = self.reached.so_far(self.board.core.progress(out));
+        self.refresh(out);
+        self.report_seen(out)
+    }
+
+    /// The first half of [`Executor::report`], which takes half of the time: looks at the board.
+    pub fn refresh(&mut self, out: &mut impl Outside) {
         // What a board out of reach did meanwhile is known when it answers again.
-        let heard = self.busy() || self.look(out);
+        self.board.heard = self.busy() || self.look(out);
+    }
+
+    /// The second half: the report, with the board as it was seen last.
+    pub fn report_seen(&mut self, out: &mut impl Outside) -> Report {
+        let so_far = self.reached.so_far(self.board.core.progress(out));
         let core = self.board.core.state(out);
         let per_ms = u64::from((self.board.clock_hz / 1000).max(1));
         let elapsed = u32::try_from(so_far.clocks / per_ms).unwrap_or(u32::MAX);
@@ -32,7 +42,7 @@ impl Executor {
             stands: core.idle() && self.board.at_rest || core.stands(),
             machine: self.machine.is_some(),
             attended: self.busy() && self.order.attended(),
-            known: heard && self.machine.is_some() && self.known.complete(),
+            known: self.board.heard && self.machine.is_some() && self.known.complete(),
             homed: homed.fold(0, |bits, homed| bits << 1 | u8::from(*homed)),
             axis: if self.phase == Phase::Home {
                 self.homing.axis()
