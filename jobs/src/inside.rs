@@ -192,7 +192,7 @@ impl Inside {
 
     /// Gives the session back.
     pub fn release(&mut self, out: &mut impl Outside) {
-                let token = core::mem::take(&mut self.token);
+        let token = core::mem::take(&mut self.token);
         if token != 0 {
             let request = [
                 etherbone::HEADER,

@@ -2,8 +2,8 @@
 
 use ::jobs::Outside;
 use wire::etherbone::{HEADER, record};
-use wire::settings::{self, Settings};
 use wire::map;
+use wire::settings::{self, Settings};
 
 /// Words that are read at most.
 const READS: usize = settings::WORDS;

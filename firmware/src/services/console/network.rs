@@ -101,16 +101,21 @@ pub(super) fn settings(
             out.text("name     ").text(name.text()).end();
         }
         1 => {
-            let [origin, flags, ip, prefix, gateway, port] =
-                reader.words([map::FLASH_ORIGIN, FLAGS, IP, PREFIX, GATEWAY, PORT], from)?;
-            let us = from.us();
+            let [origin] = reader.words([map::FLASH_ORIGIN], from)?;
             out.text("from     ")
                 .text(Origin::from_code(origin)?.text());
             out.end();
+        }
+        2 => {
+            let [flags, ip, prefix, port] = reader.words([FLAGS, IP, PREFIX, PORT], from)?;
+            let us = from.us();
             out.text("address  ").address(us.ip, us.port);
             out.either(flags & FLAG_DHCP != 0, ", DHCP, else ", ", static ");
             out.address(ip, port as u16).text(", /");
             out.number(prefix).end();
+        }
+        3 => {
+            let [gateway] = reader.words([GATEWAY], from)?;
             out.text("gateway  ").address(gateway, 0).end();
         }
         _ => {
