@@ -253,8 +253,9 @@ pub trait Board {
     fn panic(&mut self, offset: u32) -> u32;
     /// Derives another boot id for this start from `seed`, and returns it.
     fn rename_boot(&mut self, seed: u32) -> u32;
-    /// Bytes of the firmware's stack that were ever used, and its size; zeros if unknown. It looks at
-    /// one part of the stack, counted from its end; `None` if that was never used: ask for the next.
+    /// Bytes of the firmware's stack that were ever used, and its size; zeros if unknown. It looks
+    /// at one part of the stack, counted from its end; `None` if that was never used: ask for the
+    /// next.
     fn stack(&mut self, _part: u32) -> Option<(u32, u32)> {
         Some((0, 0))
     }

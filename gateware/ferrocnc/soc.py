@@ -81,8 +81,8 @@ class FerroSoC(SoCCore):
         self._add_cores()
 
     def add_csr_bridge(self, name="csr", origin=None, register=False):
-        """LiteX registers the bridge of a SoC that has an `sdram`, which costs each access to a core
-        a clock, and an exchange 55 of them."""
+        """LiteX registers the bridge of a SoC that has an `sdram`, which costs each access to a
+        core a clock, and an exchange 55 of them."""
         SoCCore.add_csr_bridge(self, name, origin, register=False)
 
     def _jobs(self):

@@ -7,8 +7,9 @@
 //
 // build.sh names the model Vsoc and defines: FC_MODEL (class), FC_HEADER, FC_ROOT_HEADER, FC_ROM
 // (array in the root), FC_RAM (likewise, optional), FC_PC and FC_PC_VALID (optional), FC_BEGUN and
-// FC_LEVEL (optional), FC_DATA_LOW, FC_DATA_HIGH, FC_ROW_LOW and FC_SDRAM (optional), FC_CLOCKS with a generated
-// fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or FC_TRACE_VCD.
+// FC_LEVEL (optional), FC_DATA_LOW, FC_DATA_HIGH, FC_ROW_LOW and FC_SDRAM (optional), FC_CLOCKS
+// with a generated fc_clocks.h (Verilator's memory of each clock's last level), FC_TRACE_FST or
+// FC_TRACE_VCD.
 
 #include <cstddef>
 #include <cstdint>

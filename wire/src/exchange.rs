@@ -35,8 +35,8 @@
 //! its next command and finds the value in the answer. A lost frame only delays this.
 
 use crate::channels::Channels;
-use crate::describe::JobsState;
 use crate::regmap::{command, pwm, status};
+use crate::services::JobsState;
 use crate::state::{FaultReason, LinkSpeed, State};
 use crate::units::{Accel, Clocks, Count, Position, Velocity};
 use crate::{Refusal, etherbone, map};
@@ -367,8 +367,8 @@ impl StateWord {
             | (self.estop as u32) << 23
     }
 
-    /// From a word; refused if it has a state, a reason or a state of the services that this version
-    /// does not know.
+    /// From a word; refused if it has a state, a reason or a state of the services that this
+    /// version does not know.
     pub const fn from_word(word: u32) -> Result<Self, Refusal> {
         let (Some(state), Some(reason), Some(speed), Some(services)) = (
             State::from_code(word as u8 & 0x3f),

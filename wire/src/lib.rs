@@ -52,6 +52,7 @@ pub mod mdns;
 pub mod name;
 pub mod refusal;
 pub mod regmap;
+pub mod services;
 pub mod settings;
 pub mod state;
 pub mod units;

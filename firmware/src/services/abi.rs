@@ -63,9 +63,9 @@ const _: () = assert!(
         || usize::BITS != 32
 );
 
-/// The ROM's call. With a frame: `frame` and its length. Without: null and [`POLL`]. The first calls
-/// of all are null and [`START`], `START + 1` and so on, for as long as the result is [`MORE`].
-/// Otherwise the result is [`RESTLESS`], [`FAILED`], [`DEAD`] or 0.
+/// The ROM's call. With a frame: `frame` and its length. Without: null and [`POLL`]. The first
+/// calls of all are null and [`START`], `START + 1` and so on, for as long as the result is
+/// [`MORE`]. Otherwise the result is [`RESTLESS`], [`FAILED`], [`DEAD`] or 0.
 pub type Entry = extern "C" fn(rom: &Rom, frame: *const u8, length: usize) -> u32;
 
 /// Length of a call without a frame: time has passed.
