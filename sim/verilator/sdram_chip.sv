@@ -6,9 +6,9 @@
 //
 // After wrong use (a mode register that is not set, a row that is not open, a time that is too
 // short, a row that waited too long for its refresh) it returns rubbish and loses writes. The test
-// bench sets `data_low`, `data_high` and `row_low`: lines of the board that are shorted to ground or
-// to the supply, and it turns bits over in `mem`. On the card the chip's clock is a fraction of a
-// period late; here all share one edge, and the outputs' way back is that fraction shorter.
+// bench sets `data_low`, `data_high` and `row_low`: lines of the board that are shorted to ground
+// or to the supply, and it turns bits over in `mem`. On the card the chip's clock is a fraction of
+// a period late; here all share one edge, and the outputs' way back is that fraction shorter.
 module sdram_chip #(
     parameter int BANK_BITS = 2, ROW_BITS = 11, COL_BITS = 8,
     parameter int T_RCD = 2, T_RP = 2, T_RAS = 3, T_RFC = 5, T_WR = 2,   // clocks at 60 MHz, rounded up from 21, 21, 42 and 80 ns; the last one is 2 clocks
