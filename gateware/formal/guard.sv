@@ -20,7 +20,7 @@ module guard_promises (
     ) core (.*);
 
     wire [31:0] byte_at = {adr, 2'b00};
-    wire inside = byte_at >= 32'h4000_0000 & byte_at < 32'h4080_0000  // SDRAM
+    wire theirs = byte_at >= 32'h4000_0000 & byte_at < 32'h4080_0000  // SDRAM
         | byte_at >= 32'hf002_1000 & byte_at < 32'hf002_1800          // segments
         | byte_at == 32'hf000_4808                                    // timebase.snapshot
         | byte_at == 32'hf000_482c                                    // timebase.guard
@@ -32,7 +32,7 @@ module guard_promises (
     logic        was_refused = 1'b0;
     logic [29:0] first = 30'd0;
     logic        past_answer = 1'b0, past_vacant = 1'b0;
-    wire store = stb & we & ~inside, answered = answer & ack;
+    wire store = stb & we & ~theirs, answered = answer & ack;
     always_ff @(posedge clk) begin
         {past_answer, past_vacant} <= {answer, vacant};
         if (shut & ~was_refused & (store | answered)) begin
@@ -61,10 +61,10 @@ module guard_promises (
         assert (past_answer ? ~answer : answer == past_vacant);
 `endif
 `ifdef PROVE_closed_no_write_leaves_but_to_what_is_allowed
-        if (shut & ~inside) assert (~we_out);
+        if (shut & ~theirs) assert (~we_out);
 `endif
 `ifdef PROVE_what_is_allowed_passes_closed_as_well
-        if (inside) assert (we_out == we);
+        if (theirs) assert (we_out == we);
 `endif
 `ifdef PROVE_only_the_key_or_a_reset_opens_it
         if (valid & past_closed & ~past_opens) assert (closed);

@@ -147,6 +147,6 @@ fn a_port_without_a_listener_refuses_at_once() {
     let mut lan = Lan::of(Rig::plotter());
     console(&mut lan);
     let from = lan.rig.now();
-    assert!(lan.dial_at(80, 5000).is_none());
+    assert!(lan.dial_at(81, 5000).is_none());
     assert!(lan.rig.now() - from < 100 * MS);
 }
