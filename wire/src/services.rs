@@ -3,8 +3,8 @@
 use crate::codes::codes;
 
 codes! {
-    /// How the services are, and with them the jobs of a board with [`crate::describe::FEATURE_JOBS`]: the feature
-    /// bits from [`JobsState::AT`] on.
+    /// How the services are, and with them the jobs of a board with
+    /// [`crate::describe::FEATURE_JOBS`]: the feature bits from [`JobsState::AT`] on.
     JobsState: u32 {
         /// The board uses no SDRAM, and has no segments either.
         None = 0, "none: no SDRAM is used";
