@@ -66,8 +66,11 @@ pub trait Outside {
     /// board most of the time of a short question would go into clearing room for the longest
     /// answer: it has one room for all ([`Outside::datagram`] writes what it returns).
     fn ask(&mut self, request: &[u32], reply: &mut [u32]) -> usize {
-        let mut room = [0; MAX_WORDS];
-        let length = self.datagram(request, &mut room);
+        self.ask_in(&mut [0; MAX_WORDS], request, reply)
+    }
+    /// [`Outside::ask`] with this room for the whole answer.
+    fn ask_in(&mut self, room: &mut [u32; MAX_WORDS], request: &[u32], reply: &mut [u32]) -> usize {
+        let length = self.datagram(request, room);
         for (place, word) in reply.iter_mut().zip(room.iter().take(length)) {
             *place = *word;
         }

@@ -170,12 +170,7 @@ impl BenchMachine {
     /// A board that has just started.
     pub fn start() -> Self {
         let (soc, firmware) = parts();
-        Self::start_with(&soc, &firmware)
-    }
-
-    /// As [`BenchMachine::start`], from these places.
-    pub fn start_with(soc: &std::path::Path, firmware: &std::path::Path) -> Self {
-        Self::boot(Setup::new(soc, firmware))
+        Self::boot(Setup::new(&soc, &firmware))
     }
 
     /// A board set up like this that has just started.

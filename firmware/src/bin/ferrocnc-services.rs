@@ -191,11 +191,7 @@ impl Outside for Calls<'_> {
         // SAFETY: the ROM makes one call at a time, and its callback makes none; this is the only
         // place that uses it.
         let room = unsafe { &mut *(&raw mut ANSWER) };
-        let length = self.datagram(request, room);
-        for (place, word) in reply.iter_mut().zip(room.iter().take(length)) {
-            *place = *word;
-        }
-        length
+        self.ask_in(room, request, reply)
     }
 
     fn read_segments(&mut self, word: usize) -> u32 {

@@ -1,22 +1,16 @@
 //! Reads the board's windows for the consoles, a few words at a time.
 
+use crate::services::look;
 use ::jobs::Outside;
-use wire::MAX_WORDS;
 use wire::describe::Channels;
-use wire::etherbone::{HEADER, record};
 
-/// Header, padding, the record's header and the base its answer goes to.
-const HEAD: usize = 4;
-
-/// What the consoles know of the board, and room for its answers.
+/// What the consoles know of the board.
 #[derive(Clone, Debug)]
 pub struct Reader {
     /// How many of each channel there are.
     pub channels: Channels,
     /// The board's clock.
     pub clock_hz: u32,
-    /// Kept, because to clear it for every question takes as long as to read thirty words.
-    reply: [u32; MAX_WORDS],
 }
 
 impl Reader {
@@ -25,11 +19,7 @@ impl Reader {
 
     /// For the board with these channels and this clock.
     pub const fn new(channels: Channels, clock_hz: u32) -> Self {
-        Reader {
-            channels,
-            clock_hz,
-            reply: [0; MAX_WORDS],
-        }
+        Reader { channels, clock_hz }
     }
 
     /// The words at these addresses. `None`: the board refuses.
@@ -39,13 +29,7 @@ impl Reader {
         out: &mut impl Outside,
     ) -> Option<[u32; N]> {
         const { assert!(N <= Self::WORDS) };
-        let mut request = [0; HEAD + Self::WORDS];
-        let all = [HEADER, 0, record(0, N), 0].into_iter().chain(addresses);
-        for (place, word) in request.iter_mut().zip(all) {
-            *place = word;
-        }
-        let length = out.datagram(request.get(..HEAD + N)?, &mut self.reply);
-        self.reply.get(HEAD..length)?.first_chunk().copied()
+        look::ask(addresses, out)
     }
 
     /// `N` words from this address on.

@@ -35,7 +35,7 @@ pub fn paint() {
     }
 }
 
-/// Words that are looked at in one call: 3000 clocks.
+/// Words that are looked at in one call. A look at all of an 18 KiB RAM's stack took 16 000 clocks.
 const PART: usize = 512;
 
 /// Bytes ever used, and the stack's size; `None` if this part of it, from the bottom, never was.
