@@ -220,6 +220,11 @@ pub fn longest_in_motion(frame: &impl Frame, services: bool) -> usize {
     }
 }
 
+/// Is this frame of [`Class::Services`] ARP?
+pub fn is_arp(frame: &impl Frame) -> bool {
+    frame.word(3) & 0xffff == ETHERTYPE_ARP
+}
+
 /// Does this frame of [`Class::Services`] come to a DHCP client?
 fn comes_from_dhcp(frame: &impl Frame) -> bool {
     let udp = frame.word(3) & 0xffff == ETHERTYPE_IPV4

@@ -74,8 +74,9 @@ refusals! {
     Value = "value", "a value is out of range";
     /// A wrong IPv4 or UDP checksum.
     Checksum = "checksum", "a checksum is wrong";
-    /// An operation of the flash is running; ask again when it is done.
-    Busy = "busy", "a flash operation is still running";
+    /// An operation of the flash is running, or the datagram came while the board had no time for a
+    /// guest of a moving machine; ask again.
+    Busy = "busy", "a flash operation is running, or the machine moves and the board has no time; ask again";
     /// The board has a key, and the sender has not proved that it has it, too: no answer to the
     /// challenge, a wrong or a used one, or a late one.
     Key = "key", "the board has a key and the sender has not proved to have it";

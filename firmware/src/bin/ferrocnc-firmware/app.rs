@@ -47,6 +47,10 @@ pub struct App {
     patrol: abi::Patrol,
     /// They want to be called in every turn.
     restless: bool,
+    /// The last housekeeping had a turn of theirs, ...
+    turned: bool,
+    /// ... and at its end a frame was pending while the machine moves.
+    crowded: bool,
     /// They are about to run.
     coming: Option<Coming>,
     /// How often they are still loaded again when they fail.
@@ -80,6 +84,8 @@ impl App {
             ports: [0; 8],
             patrol: abi::Patrol::new(),
             restless: false,
+            turned: false,
+            crowded: false,
             coming: Some(Coming::Loading(Loader::new())),
             reloads: RELOADS,
         };
@@ -204,7 +210,13 @@ impl App {
         self.cold = true;
         let (frame, length) = self.mac.frame();
         self.machine.received();
-        match net::classify(&frame, length, &self.machine.us, &self.ports) {
+        let class = net::classify(&frame, length, &self.machine.us, &self.ports);
+        if core::mem::take(&mut self.crowded) && self.may_be_dropped(&class, &frame) {
+            self.mac.dismiss();
+            self.machine.refuse(Refusal::Busy);
+            return false;
+        }
+        match class {
             Class::Ours(datagram) => {
                 let words = self.copy_payload(&datagram);
                 self.mac.dismiss();
@@ -246,6 +258,18 @@ impl App {
             Class::Nothing => self.mac.dismiss(),
         }
         false
+    }
+
+    /// A guest's frame that came during a turn of the services, or in front of one, has the owner's
+    /// frame behind it, perhaps for as long as the turn took. Both together would be longer than
+    /// the owner should wait. ARP takes a fifth of a turn and may be the owner's.
+    fn may_be_dropped(&self, class: &Class, frame: &RxFrame) -> bool {
+        match class {
+            Class::Ours(datagram) => !self.machine.session().is_owner(datagram.peer),
+            Class::Discovery(_) => true,
+            Class::Services => !net::is_arp(frame),
+            Class::Refused(_) | Class::Nothing => false,
+        }
     }
 
     fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
@@ -385,10 +409,18 @@ impl App {
             self.send_broadcasts();
         }
         soc::check_stack();
-        // Admits one frame of a guest, a sender that does not own the session. The owner's next
-        // frame is most of a servo period away, and serving one guest takes less. Not while a frame
-        // is pending: that may be a guest's, and the owner's frame waits for one of them at most.
-        if !self.mac.pending() {
+        self.turn_in = self.turn_in.saturating_sub(1);
+        let due = self.services.is_some() && (self.turn_in == 0 || self.restless);
+        let pending = self.mac.pending();
+        // The owner's next frame is most of a servo period away, and serving one guest takes less,
+        // as does a turn of the services. Both take longer: while the machine moves there is a
+        // turn or a guest, and with both waiting, one after the other.
+        let moving = self.fast_path.is_some() && !self.machine.at_rest();
+        let turn = due && !(moving && (pending || self.turned));
+        (self.turned, self.crowded) = (turn, false);
+        // Admits one frame of a guest, a sender that does not own the session. Not while a frame is
+        // pending: that may be a guest's, and the owner's frame waits for one of them at most.
+        if !pending && !(moving && turn) {
             self.mac.admit();
         }
         let session = self.machine.session();
@@ -398,19 +430,14 @@ impl App {
         {
             self.close_fast_path();
         }
-        self.turn_in = self.turn_in.wrapping_sub(1);
-        let due = self.turn_in == 0;
-        if due {
-            self.turn_in = HOUSEKEEPING_PER_TURN;
-        }
         // The check is here because the call alone may push lines of the fast path out of the
         // cache. Without services no warm-up follows it.
-        if self.services.is_some() {
-            if due || self.restless {
-                self.services(core::ptr::null(), abi::POLL);
-            } else if self.fast_path.is_some() && self.machine.at_rest() {
-                self.patrol();
-            }
+        if turn {
+            self.turn_in = HOUSEKEEPING_PER_TURN;
+            self.services(core::ptr::null(), abi::POLL);
+            self.crowded = moving && self.mac.pending();
+        } else if self.services.is_some() && self.fast_path.is_some() && self.machine.at_rest() {
+            self.patrol();
         }
     }
 
