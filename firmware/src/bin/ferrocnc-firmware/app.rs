@@ -47,9 +47,7 @@ pub struct App {
     patrol: abi::Patrol,
     /// They want to be called in every turn.
     restless: bool,
-    /// The last housekeeping had a turn of theirs, ...
-    turned: bool,
-    /// ... and at its end a frame was pending while the machine moves.
+    /// A turn of theirs has ended with a frame pending while the machine moves.
     crowded: bool,
     /// They are about to run.
     coming: Option<Coming>,
@@ -84,7 +82,6 @@ impl App {
             ports: [0; 8],
             patrol: abi::Patrol::new(),
             restless: false,
-            turned: false,
             crowded: false,
             coming: Some(Coming::Loading(Loader::new())),
             reloads: RELOADS,
@@ -210,17 +207,13 @@ impl App {
         self.cold = true;
         let (frame, length) = self.mac.frame();
         self.machine.received();
-        let class = net::classify(&frame, length, &self.machine.us, &self.ports);
-        if core::mem::take(&mut self.crowded) && self.may_be_dropped(&class, &frame) {
-            self.mac.dismiss();
-            self.machine.refuse(Refusal::Busy);
-            return false;
-        }
-        match class {
+        match net::classify(&frame, length, &self.machine.us, &self.ports) {
             Class::Ours(datagram) => {
                 let words = self.copy_payload(&datagram);
                 self.mac.dismiss();
+                let owner = self.machine.session().is_owner(datagram.peer);
                 match words {
+                    Ok(_) if !owner && self.yields() => {}
                     Ok(count) => self.datagram(&datagram, count),
                     Err(why) => self.machine.refuse(why),
                 }
@@ -230,6 +223,7 @@ impl App {
                 let words = self.copy_payload(&datagram);
                 self.mac.dismiss();
                 match words {
+                    Ok(_) if self.yields() => {}
                     Ok(count) => self.discover(count, datagram.peer.port),
                     Err(why) => self.machine.refuse(why),
                 }
@@ -247,7 +241,12 @@ impl App {
                 self.machine.refuse(Refusal::Oversized);
             }
             Class::Services => {
+                // ARP takes a fifth of the time of a turn, and may be the owner's.
+                let arp = net::is_arp(&frame);
                 let length = self.mac.take_bytes();
+                if !arp && self.yields() {
+                    return false;
+                }
                 if self.services.is_some() {
                     let at = self.mac.input.bytes().as_ptr();
                     self.services(at, length);
@@ -260,16 +259,15 @@ impl App {
         false
     }
 
-    /// A guest's frame that came during a turn of the services, or in front of one, has the owner's
-    /// frame behind it, perhaps for as long as the turn took. Both together would be longer than
-    /// the owner should wait. ARP takes a fifth of a turn and may be the owner's.
-    fn may_be_dropped(&self, class: &Class, frame: &RxFrame) -> bool {
-        match class {
-            Class::Ours(datagram) => !self.machine.session().is_owner(datagram.peer),
-            Class::Discovery(_) => true,
-            Class::Services => !net::is_arp(frame),
-            Class::Refused(_) | Class::Nothing => false,
+    /// A guest's frame came during a turn of the services or in front of it, and the owner's frame
+    /// is behind it. The owner has waited for the turn: it does not wait for the guest, too, whose
+    /// frame is refused.
+    fn yields(&mut self) -> bool {
+        let yields = core::mem::take(&mut self.crowded) && self.mac.pending();
+        if yields {
+            self.machine.refuse(Refusal::Busy);
         }
+        yields
     }
 
     fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
@@ -409,18 +407,11 @@ impl App {
             self.send_broadcasts();
         }
         soc::check_stack();
-        self.turn_in = self.turn_in.saturating_sub(1);
-        let due = self.services.is_some() && (self.turn_in == 0 || self.restless);
-        let pending = self.mac.pending();
-        // The owner's next frame is most of a servo period away, and serving one guest takes less,
-        // as does a turn of the services. Both take longer: while the machine moves there is a
-        // turn or a guest, and with both waiting, one after the other.
-        let moving = self.fast_path.is_some() && !self.machine.at_rest();
-        let turn = due && !(moving && (pending || self.turned));
-        (self.turned, self.crowded) = (turn, false);
-        // Admits one frame of a guest, a sender that does not own the session. Not while a frame is
-        // pending: that may be a guest's, and the owner's frame waits for one of them at most.
-        if !pending && !(moving && turn) {
+        self.crowded = false;
+        // Admits one frame of a guest, a sender that does not own the session. The owner's next
+        // frame is most of a servo period away, and serving one guest takes less. Not while a frame
+        // is pending: that may be a guest's, and the owner's frame waits for one of them at most.
+        if !self.mac.pending() {
             self.mac.admit();
         }
         let session = self.machine.session();
@@ -430,14 +421,21 @@ impl App {
         {
             self.close_fast_path();
         }
+        self.turn_in = self.turn_in.wrapping_sub(1);
+        let due = self.turn_in == 0;
+        if due {
+            self.turn_in = HOUSEKEEPING_PER_TURN;
+        }
         // The check is here because the call alone may push lines of the fast path out of the
         // cache. Without services no warm-up follows it.
-        if turn {
-            self.turn_in = HOUSEKEEPING_PER_TURN;
-            self.services(core::ptr::null(), abi::POLL);
-            self.crowded = moving && self.mac.pending();
-        } else if self.services.is_some() && self.fast_path.is_some() && self.machine.at_rest() {
-            self.patrol();
+        if self.services.is_some() {
+            if due || self.restless {
+                self.services(core::ptr::null(), abi::POLL);
+                let moving = self.fast_path.is_some() && !self.machine.at_rest();
+                self.crowded = moving && self.mac.pending();
+            } else if self.fast_path.is_some() && self.machine.at_rest() {
+                self.patrol();
+            }
         }
     }
 
