@@ -17,7 +17,7 @@ pub mod page;
 pub mod request;
 
 use self::form::{PIECE, Piece};
-use self::page::{Cursor, World};
+use self::page::{Cursor, PageSource};
 use self::request::{Ask, Reader, Request};
 use crate::text::{Out, Sink};
 use jobs::Outside;
@@ -157,7 +157,7 @@ impl Connection {
     /// Writes the next piece of the answer into `sink`, which has room for [`TURN_MAX`] bytes.
     pub fn turn(
         &mut self,
-        world: &World,
+        source: &PageSource,
         load: Load,
         sink: &mut dyn Sink,
         out: &mut impl Outside,
@@ -166,7 +166,7 @@ impl Connection {
             Stage::Reading => Turn::Idle,
             Stage::Over => Turn::Close,
             Stage::Heading(request) => {
-                self.cursor = Cursor::new(world.journal);
+                self.cursor = Cursor::new(source.journal);
                 let content = heading(&request, load, sink);
                 self.stage = match content {
                     true => Stage::Content(request),
@@ -178,7 +178,7 @@ impl Connection {
                 let mut piece = Piece::new();
                 let one_step = load != Load::Rest;
                 self.cursor
-                    .fill(request.ask, one_step, world, &mut piece, out);
+                    .fill(request.ask, one_step, source, &mut piece, out);
                 let done = self.cursor.done();
                 put(&request, piece.bytes(), done, sink);
                 if done {

@@ -750,7 +750,7 @@ impl<'m> Port<'m> {
             true => http::Load::Busy,
             false => http::Load::Rest,
         };
-        match page.turn(&self.status.world(ms), load, &mut self.text, out) {
+        match page.turn(&self.status.source(ms), load, &mut self.text, out) {
             http::Turn::Idle => false,
             http::Turn::Wrote => true,
             http::Turn::Close => {

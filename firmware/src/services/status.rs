@@ -7,7 +7,7 @@
 
 use super::events::Watch;
 use super::facts;
-use super::http::page::World;
+use super::http::page::PageSource;
 use super::journal::{Journal, Stamp};
 use super::look::Facts;
 use super::mdns::{self, Identity, Responder};
@@ -125,8 +125,8 @@ impl<'m> Status<'m> {
     }
 
     /// What the status page shows.
-    pub fn world(&self, ms: u32) -> World<'_, 'm> {
-        World {
+    pub fn source(&self, ms: u32) -> PageSource<'_, 'm> {
+        PageSource {
             facts: &self.facts,
             journal: &self.journal,
             host: self.responder.as_ref().map_or("", Responder::name),

@@ -14,13 +14,13 @@ use wire::map::BoardConfig;
 use wire::{MAX_WORDS, Refusal, map};
 
 /// The board as the services see it, and how many words the last turn asked for.
-struct Door {
+struct ModelRom {
     machine: Machine<Notebook>,
     words: usize,
     datagrams: usize,
 }
 
-impl Outside for Door {
+impl Outside for ModelRom {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
         self.datagrams += 1;
         self.words += request.len() - 4;
@@ -38,7 +38,7 @@ impl Outside for Door {
     }
 }
 
-impl Network for Door {
+impl Network for ModelRom {
     fn send_frame(&mut self, _: &[u8]) {}
     fn us(&mut self) -> Us {
         self.machine.us
@@ -51,7 +51,7 @@ impl Network for Door {
 
 /// A board with three consoles.
 struct Bench {
-    door: Door,
+    rom: ModelRom,
     reader: Reader,
     consoles: [Console; 3],
 }
@@ -63,14 +63,14 @@ impl Bench {
     }
 
     fn with(ident: Ident) -> Self {
-        let mut door = Door {
+        let mut rom = ModelRom {
             machine: Machine::start(Notebook::new(), ident, ABI, BOOT),
             words: 0,
             datagrams: 0,
         };
-        let (_, board) = ::jobs::inside::Inside::new(&mut door).expect("it describes itself");
+        let (_, board) = ::jobs::inside::Inside::new(&mut rom).expect("it describes itself");
         Bench {
-            door,
+            rom,
             reader: Reader::new(board.channels, board.clock_hz),
             consoles: Default::default(),
         }
@@ -79,24 +79,24 @@ impl Bench {
     /// As a host has left it.
     fn of(rig: Rig) -> Self {
         let mut bench = Bench::with(*rig.server.ident());
-        (bench.door.machine.server, bench.door.machine.board) = (rig.server, rig.board);
+        (bench.rom.machine.server, bench.rom.machine.board) = (rig.server, rig.board);
         // The loop does it behind each answer.
-        bench.door.machine.hold_path();
+        bench.rom.machine.hold_path();
         bench
     }
 
     /// One turn of a console: the bytes it took and its text.
     fn turn(&mut self, visitor: usize, bytes: &[u8]) -> (usize, String, bool) {
-        (self.door.words, self.door.datagrams) = (0, 0);
+        (self.rom.words, self.rom.datagrams) = (0, 0);
         let mut text = Text::new();
         let mut visit = Visit {
             visitor,
             reader: &mut self.reader,
             jobs: None,
-            out: &mut self.door,
+            out: &mut self.rom,
         };
         let taken = self.consoles[visitor].turn(bytes, &mut visit, &mut text);
-        assert!(self.door.datagrams <= 1 && self.door.words <= Reader::WORDS);
+        assert!(self.rom.datagrams <= 1 && self.rom.words <= Reader::WORDS);
         assert!(text.bytes().len() <= PIECE_MAX, "{}", text.bytes().len());
         let said = text.bytes().iter().map(|byte| char::from(*byte)).collect();
         (taken, said, text.close)
@@ -198,9 +198,9 @@ fn a_stack_of_many_unused_parts_is_looked_at_part_by_part() {
 #[test]
 fn refusals_are_told_by_reason() {
     let mut bench = Bench::new();
-    bench.door.machine.refuse(Refusal::ALL[0]);
+    bench.rom.machine.refuse(Refusal::ALL[0]);
     for _ in 0..3 {
-        bench.door.machine.refuse(*Refusal::ALL.last().unwrap());
+        bench.rom.machine.refuse(*Refusal::ALL.last().unwrap());
     }
     let text = bench.say("net");
     assert!(text.contains("; refused 4\r\n"), "{text}");
@@ -221,11 +221,11 @@ fn a_restart_needs_a_machine_at_rest_without_an_owner() {
     rig.acquire();
     let mut bench = Bench::of(rig);
     assert_eq!(bench.say("restart"), "refused: a host drives the board\r\n");
-    assert!(!bench.door.machine.server.wants_restart());
+    assert!(!bench.rom.machine.server.wants_restart());
     assert_eq!(said("restart 1"), "? try help\r\n");
     let mut bench = Bench::new();
     assert_eq!(bench.say("restart"), "restarting\r\n");
-    assert!(bench.door.machine.server.wants_restart());
+    assert!(bench.rom.machine.server.wants_restart());
 }
 
 #[test]
@@ -236,7 +236,7 @@ fn a_board_with_a_key_restarts_for_a_friend_only_and_shows_itself_to_all() {
         bench.say("login").starts_with("challenge 00000000"),
         "none is needed"
     );
-    bench.door.machine.server.auth.lock(KEY);
+    bench.rom.machine.server.auth.lock(KEY);
     assert!(bench.say("status").contains("disarmed"));
     assert!(bench.say("settings").contains("key      set"));
     let refused = "refused: the board has a key; use `ferrocnc console`\r\n";
@@ -253,7 +253,7 @@ fn a_board_with_a_key_restarts_for_a_friend_only_and_shows_itself_to_all() {
         let tag: String = tag.iter().map(|word| format!("{word:08x}")).collect();
         assert_eq!(bench.say(&format!("login {tag}")), said);
     }
-    let counters = bench.door.machine.server.counters();
+    let counters = bench.rom.machine.server.counters();
     assert_eq!(counters.refused[Refusal::Key.index()], 1);
     // The others are strangers.
     assert!(
@@ -298,7 +298,7 @@ const LOOKS: [&str; 24] = [
 fn every_look_is_the_same_while_a_host_moves_the_machine_and_changes_nothing() {
     for line in LOOKS {
         let mut bench = Bench::of(Rig::armed());
-        let before = bench.door.machine.board.changes();
+        let before = bench.rom.machine.board.changes();
         let told = |server: &Server| {
             format!(
                 "{:?} {:?} {:?}",
@@ -307,10 +307,10 @@ fn every_look_is_the_same_while_a_host_moves_the_machine_and_changes_nothing() {
                 server.counters()
             )
         };
-        let state = told(&bench.door.machine.server);
+        let state = told(&bench.rom.machine.server);
         let text = bench.say(line);
-        assert_eq!(bench.door.machine.board.changes(), before, "{line}");
-        assert_eq!(told(&bench.door.machine.server), state, "{line}");
+        assert_eq!(bench.rom.machine.board.changes(), before, "{line}");
+        assert_eq!(told(&bench.rom.machine.server), state, "{line}");
         assert!(
             text.is_ascii() && text.replace("\r\n", "").find(['\r', '\n']).is_none(),
             "{line}: {text:?}"
@@ -375,7 +375,7 @@ fn the_probe_is_told_by_its_input() {
             "probe input 5, active low\r\n",
         ),
     ] {
-        crate::cores::Board::set(&mut bench.door.machine.board, probe, value);
+        crate::cores::Board::set(&mut bench.rom.machine.board, probe, value);
         let said = bench.say("gpio");
         assert!(said.ends_with(text), "{said}");
     }
@@ -387,7 +387,7 @@ fn the_last_obituary_is_told_whole() {
         let mut bench = Bench::new();
         let text: String = ('!'..='~').cycle().take(length).collect();
         bench
-            .door
+            .rom
             .machine
             .board
             .record
@@ -525,8 +525,8 @@ proptest! {
         bytes in prop::collection::vec(prop_oneof![any::<u8>(), Just(b'\n'), Just(IAC)], 0..300)
     ) {
         let mut bench = Bench::of(Rig::armed());
-        let before = bench.door.machine.board.changes();
+        let before = bench.rom.machine.board.changes();
         bench.hear(0, &bytes);
-        prop_assert_eq!(bench.door.machine.board.changes(), before);
+        prop_assert_eq!(bench.rom.machine.board.changes(), before);
     }
 }

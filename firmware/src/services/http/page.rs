@@ -30,7 +30,7 @@ const REFUSALS: usize = 4;
 
 /// What the page is made of, besides what the board answers.
 #[derive(Debug)]
-pub struct World<'w, 'm> {
+pub struct PageSource<'w, 'm> {
     /// Names, counts, versions.
     pub facts: &'w Facts,
     /// The log.
@@ -111,8 +111,8 @@ impl Part {
     }
 
     /// Steps between beginning and end.
-    fn steps(self, world: &World) -> usize {
-        let channels = world.facts.channels;
+    fn steps(self, source: &PageSource) -> usize {
+        let channels = source.facts.channels;
         match self {
             Axes => channels.stepgens.into(),
             Encoders => channels.encoders.into(),
@@ -169,16 +169,16 @@ impl Cursor {
         &mut self,
         which: Ask,
         one_step: bool,
-        world: &World,
+        source: &PageSource,
         piece: &mut Piece,
         out: &mut impl Outside,
     ) {
         while !self.done {
             let (before, used) = (*self, piece.bytes().len());
             match which {
-                Ask::Page => self.page(world, piece, out),
-                Ask::Json => self.json(world, piece, out),
-                Ask::Log => self.log(world, piece),
+                Ask::Page => self.page(source, piece, out),
+                Ask::Json => self.json(source, piece, out),
+                Ask::Log => self.log(source, piece),
                 Ask::Unknown | Ask::Method | Ask::Bad => self.done = true,
             }
             if piece.full() {
@@ -195,11 +195,11 @@ impl Cursor {
         }
     }
 
-    fn page(&mut self, world: &World, piece: &mut Piece, out: &mut impl Outside) {
+    fn page(&mut self, source: &PageSource, piece: &mut Piece, out: &mut impl Outside) {
         if self.part == 0 && self.step == 0 && self.fixed < HEAD.len() {
             self.slice(HEAD, piece);
         } else if self.part < PARTS.len() {
-            self.part(Form::Html, world, piece, out);
+            self.part(Form::Html, source, piece, out);
             if self.part == PARTS.len() {
                 self.fixed = 0;
             }
@@ -216,12 +216,12 @@ impl Cursor {
         self.fixed += now.len();
     }
 
-    fn json(&mut self, world: &World, piece: &mut Piece, out: &mut impl Outside) {
+    fn json(&mut self, source: &PageSource, piece: &mut Piece, out: &mut impl Outside) {
         if self.fixed == 0 {
             piece.put(b"{");
             self.fixed = 1;
         }
-        self.part(Form::Json, world, piece, out);
+        self.part(Form::Json, source, piece, out);
         if self.part == PARTS.len() {
             piece.put(b"}\n");
             self.done = true;
@@ -229,10 +229,10 @@ impl Cursor {
     }
 
     /// The journal as plain text, an entry a step.
-    fn log(&mut self, world: &World, piece: &mut Piece) {
-        let numbers = world.journal.numbers();
+    fn log(&mut self, source: &PageSource, piece: &mut Piece) {
+        let numbers = source.journal.numbers();
         self.entry = self.entry.max(numbers.start);
-        if let Some(entry) = world.journal.entry(self.entry) {
+        if let Some(entry) = source.journal.entry(self.entry) {
             let mut out = Out(piece);
             when(entry.stamp, &mut out);
             out.text(" ").ascii(entry.text.as_bytes()).text("\n");
@@ -242,11 +242,11 @@ impl Cursor {
     }
 
     /// A step of a section.
-    fn part(&mut self, form: Form, world: &World, piece: &mut Piece, out: &mut impl Outside) {
+    fn part(&mut self, form: Form, source: &PageSource, piece: &mut Piece, out: &mut impl Outside) {
         let Some(part) = PARTS.get(self.part) else {
             return;
         };
-        let steps = part.steps(world);
+        let steps = part.steps(source);
         let mut sheet = Sheet {
             form,
             place: &mut self.place,
@@ -256,7 +256,7 @@ impl Cursor {
         };
         match self.step.checked_sub(1) {
             None => sheet.open(),
-            Some(step) if step < steps => write(*part, step, world, &mut sheet, out),
+            Some(step) if step < steps => write(*part, step, source, &mut sheet, out),
             Some(_) => sheet.close(),
         }
         self.step += 1;
@@ -268,25 +268,25 @@ impl Cursor {
 }
 
 /// Writes a step of a section.
-fn write(part: Part, n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) {
+fn write(part: Part, n: usize, source: &PageSource, sheet: &mut Sheet, out: &mut impl Outside) {
     match part {
         Machine => machine(n, sheet, out),
-        Axes => axis(n, world, sheet, out),
-        Encoders => encoder(n, world, sheet, out),
+        Axes => axis(n, source, sheet, out),
+        Encoders => encoder(n, source, sheet, out),
         Inputs => {
             let on = bit(gpio::IN_NOW, n, out);
-            pin(n, ("input ", world.facts.input(n)), on, sheet);
+            pin(n, ("input ", source.facts.input(n)), on, sheet);
         }
         Outputs => {
             let on = bit(gpio::OUT_NOW, n, out);
-            pin(n, ("output ", world.facts.output(n)), on, sheet);
+            pin(n, ("output ", source.facts.output(n)), on, sheet);
         }
-        Board => board(n, world, sheet, out),
-        Link => link(n, world, sheet, out),
-        Versions => versions(n, world, sheet, out),
+        Board => board(n, source, sheet, out),
+        Link => link(n, source, sheet, out),
+        Versions => versions(n, source, sheet, out),
         Counters => counters(n, sheet, out),
         Refused => refused(n, sheet, out),
-        Log => entry(n, world, sheet),
+        Log => entry(n, source, sheet),
     }
 }
 
@@ -361,7 +361,7 @@ fn machine(n: usize, sheet: &mut Sheet, out: &mut impl Outside) {
     }
 }
 
-fn axis(n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) {
+fn axis(n: usize, source: &PageSource, sheet: &mut Sheet, out: &mut impl Outside) {
     let at = map::STATUS + 4 * (STATUS_HEAD + n * STATUS_STEPGEN) as u32;
     let config = CONFIG_STEPGEN + n as u32 * CONFIG_STRIDE;
     let words = ask(
@@ -375,14 +375,14 @@ fn axis(n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) {
         ],
         out,
     );
-    let clock = world.facts.clock_hz;
+    let clock = source.facts.clock_hz;
     let fixed = |value: Option<i64>| value.map_or(Value::Nothing, Value::Fixed);
     let position = words.map(|[low, high, ..]| (u64::from(high) << 32 | u64::from(low)) as i64);
     // One unit of velocity is the clock / 2^32.
     let velocity = words.map(|[_, _, velocity, ..]| i64::from(velocity as i32) * i64::from(clock));
     let most = words.and_then(|[.., high, low]| clock.checked_div(high.wrapping_add(low)));
     sheet.element(n);
-    name(n, ("stepgen ", world.facts.stepgen(n)), sheet);
+    name(n, ("stepgen ", source.facts.stepgen(n)), sheet);
     sheet.field("position", "", fixed(position));
     sheet.field("velocity", "", fixed(velocity));
     sheet.field("max_velocity", "", most);
@@ -391,24 +391,24 @@ fn axis(n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) {
     sheet.end();
 }
 
-fn encoder(n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) {
-    let stepgens = usize::from(world.facts.channels.stepgens) * STATUS_STEPGEN;
+fn encoder(n: usize, source: &PageSource, sheet: &mut Sheet, out: &mut impl Outside) {
+    let stepgens = usize::from(source.facts.channels.stepgens) * STATUS_STEPGEN;
     let at = map::STATUS + 4 * (STATUS_HEAD + stepgens + n * STATUS_ENCODER) as u32;
     let words = ask([at, at + 4], out);
     let count = words.map_or(Value::Nothing, |[count, _]| Value::Signed(count as i32));
     let errors = words.map(|[_, edge]| edge >> wire::exchange::EDGE_TIME_BITS);
     sheet.element(n);
-    name(n, ("encoder ", world.facts.encoder(n)), sheet);
+    name(n, ("encoder ", source.facts.encoder(n)), sheet);
     sheet.field("count", "", count);
     sheet.field("errors", "", errors);
     sheet.end();
 }
 
-fn board(n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) {
-    let facts = world.facts;
+fn board(n: usize, source: &PageSource, sheet: &mut Sheet, out: &mut impl Outside) {
+    let facts = source.facts;
     match n {
         0 => {
-            sheet.field("name", "Name", Value::Text(world.host));
+            sheet.field("name", "Name", Value::Text(source.host));
             sheet.field("board", "Card", Value::Text(&facts.board));
             sheet.field(
                 "configuration",
@@ -430,21 +430,21 @@ fn board(n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) {
             sheet.field(
                 "uptime",
                 "Seconds since power-up",
-                Value::Number(world.uptime),
+                Value::Number(source.uptime),
             );
-            let time = world.unix.map_or(Value::Nothing, Value::Date);
+            let time = source.unix.map_or(Value::Nothing, Value::Date);
             sheet.field("time", "Time", time);
         }
     }
 }
 
-fn link(n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) {
+fn link(n: usize, source: &PageSource, sheet: &mut Sheet, out: &mut impl Outside) {
     let words = ask([map::STATUS, map::FLASH_LINK, map::FLASH_IP], out);
     let up = words.and_then(|[state, ..]| StateWord::from_word(state).ok());
     let link = words.map(|[_, link, _]| LinkWord::from_word(link));
     if n == 0 {
         let ip = words.map_or(Value::Nothing, |[.., ip]| Value::Ip(ip));
-        sheet.field("host", "Name.local", Value::Text(world.host));
+        sheet.field("host", "Name.local", Value::Text(source.host));
         sheet.field("ip", "Address", ip);
         sheet.field("up", "Link up", up.map(|it| it.link));
     } else {
@@ -454,8 +454,8 @@ fn link(n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) {
     }
 }
 
-fn versions(n: usize, world: &World, sheet: &mut Sheet, out: &mut impl Outside) {
-    let [_, version, abi, _, firmware, gateware, ..] = world.facts.words;
+fn versions(n: usize, source: &PageSource, sheet: &mut Sheet, out: &mut impl Outside) {
+    let [_, version, abi, _, firmware, gateware, ..] = source.facts.words;
     match n {
         0 => {
             sheet.field("firmware", "Firmware", Value::Version(firmware));
@@ -527,9 +527,9 @@ fn refused(n: usize, sheet: &mut Sheet, out: &mut impl Outside) {
 }
 
 /// An entry of the journal, the newest first. A page has all rows, so that new entries find theirs.
-fn entry(n: usize, world: &World, sheet: &mut Sheet) {
-    let number = world.journal.next().checked_sub(1 + n as u32);
-    let entry = number.and_then(|number| world.journal.entry(number));
+fn entry(n: usize, source: &PageSource, sheet: &mut Sheet) {
+    let number = source.journal.next().checked_sub(1 + n as u32);
+    let entry = number.and_then(|number| source.journal.entry(number));
     if entry.is_none() && sheet.form == Form::Json {
         return;
     }

@@ -197,7 +197,7 @@ fn answer(
     memory: &mut [u8],
 ) -> Option<Got> {
     let journal = Journal::open(memory);
-    let world = World {
+    let source = PageSource {
         facts,
         journal: &journal,
         host: "mill",
@@ -208,7 +208,7 @@ fn answer(
     loop {
         let mut piece = String::new();
         fake.asked = 0;
-        let turn = connection.turn(&world, load, &mut piece, fake);
+        let turn = connection.turn(&source, load, &mut piece, fake);
         assert!(piece.len() <= TURN_MAX, "{} bytes", piece.len());
         if load == Load::Moving {
             assert!(fake.asked <= 16, "{} words in a turn", fake.asked);

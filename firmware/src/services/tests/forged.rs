@@ -100,7 +100,7 @@ fn a_reset_ends_a_handshake_only_with_its_number() {
 #[test]
 fn what_acknowledges_what_was_never_sent_is_not_taken() {
     let (mut board, [mut host, ..]) = visited();
-    let logins = board.world.logins;
+    let logins = board.rom.logins;
     for ahead in [1, 1000, 1 << 30, i32::MIN] {
         for data in [&b""[..], b"login\n"] {
             board.wait(2_000);
@@ -116,14 +116,14 @@ fn what_acknowledges_what_was_never_sent_is_not_taken() {
     // A segment without an acknowledgement is ignored.
     let sent = board.frame(&host.segment(TcpControl::Psh, false, b"login\n"));
     assert_eq!(sent, Vec::<Vec<u8>>::new());
-    assert_eq!(board.world.logins, logins);
+    assert_eq!(board.rom.logins, logins);
     assert!(host.is_heard(&mut board));
 }
 
 #[test]
 fn data_outside_the_window_is_not_taken() {
     let (mut board, [mut host, ..]) = visited();
-    let logins = board.world.logins;
+    let logins = board.rom.logins;
     for distance in [64, 65, 5_000, 1 << 30, -6, -64, -5_000, i32::MIN] {
         board.wait(2_000);
         let mut forged = host.clone();
@@ -131,7 +131,7 @@ fn data_outside_the_window_is_not_taken() {
         let sent = board.frame(&forged.segment(TcpControl::Psh, true, b"login\n"));
         assert!(only_says_where_it_is(&sent, &host, host.ack), "{distance}");
     }
-    assert_eq!(board.world.logins, logins);
+    assert_eq!(board.rom.logins, logins);
     assert!(host.is_heard(&mut board));
 }
 
@@ -211,7 +211,7 @@ fn while_the_machine_moves_a_segment_of_no_connection_costs_no_answer() {
         1,
         "a reset, or a question for its MAC address"
     );
-    board.world.moving = true;
+    board.rom.moving = true;
     assert_eq!(board.frame(&stranger), Vec::<Vec<u8>>::new());
     assert!(Host::new(6).enters(&mut board), "a client still enters");
 }
@@ -220,7 +220,7 @@ fn while_the_machine_moves_a_segment_of_no_connection_costs_no_answer() {
 fn a_wrong_sum_and_a_fragment_are_nothing() {
     let (mut board, [mut host, other, _]) = visited();
     other.resets(&mut board);
-    let logins = board.world.logins;
+    let logins = board.rom.logins;
     let good = host.segment(TcpControl::Psh, true, b"login\n");
     let length = good.len() as u8 - 14;
     let knock = Host::new(4).segment(TcpControl::Syn, false, b"");
@@ -249,7 +249,7 @@ fn a_wrong_sum_and_a_fragment_are_nothing() {
             assert_eq!(sent, Vec::<Vec<u8>>::new(), "{length} bytes");
         }
     }
-    assert_eq!(board.world.logins, logins);
+    assert_eq!(board.rom.logins, logins);
     assert!(host.is_heard(&mut board));
     assert!(
         Host::new(4).enters(&mut board),

@@ -36,7 +36,7 @@ pub const TICK_MS: u64 = 10;
 const TURNS: usize = 200;
 
 /// What the services see of the board.
-pub struct World {
+pub struct ModelRom {
     server: fake::Rig,
     pub us: Us,
     pub sent: Vec<Vec<u8>>,
@@ -48,12 +48,12 @@ pub struct World {
     pub moving: bool,
 }
 
-impl World {
+impl ModelRom {
     /// So many milliseconds after power-up.
     fn new(ms: u64) -> Self {
         let mut server = fake::Rig::with_segments();
         server.board.now = ms * MS;
-        World {
+        ModelRom {
             server,
             us: US,
             sent: Vec::new(),
@@ -64,7 +64,7 @@ impl World {
     }
 }
 
-impl Outside for World {
+impl Outside for ModelRom {
     fn datagram(&mut self, request: &[u32], reply: &mut [u32; MAX_WORDS]) -> usize {
         let Ok(answer) = self.server.send_as(Peer::INSIDE, request) else {
             return 0;
@@ -86,8 +86,8 @@ impl Outside for World {
 
 /// What the console says to a line; this board says the same whenever it is asked.
 pub fn echo(line: &str) -> String {
-    let mut world = World::new(1);
-    let (_, board) = Inside::new(&mut world).expect("it describes itself");
+    let mut rom = ModelRom::new(1);
+    let (_, board) = Inside::new(&mut rom).expect("it describes itself");
     let mut console = Console::new();
     let mut reader = Reader::new(board.channels, board.clock_hz);
     let mut text = Text::new();
@@ -96,7 +96,7 @@ pub fn echo(line: &str) -> String {
         visitor: 0,
         reader: &mut reader,
         jobs: None,
-        out: &mut world,
+        out: &mut rom,
     };
     console.turn(&[], &mut visit, &mut text);
     text.clear();
@@ -110,7 +110,7 @@ pub fn echo(line: &str) -> String {
     String::from_utf8(text.bytes().to_vec()).expect("ASCII")
 }
 
-impl Network for World {
+impl Network for ModelRom {
     fn send_frame(&mut self, frame: &[u8]) {
         assert!(frame.len() <= super::super::abi::FRAME_MAX);
         match frame.first_chunk() {
@@ -132,7 +132,7 @@ impl Network for World {
 }
 
 pub struct Board {
-    pub world: World,
+    pub rom: ModelRom,
     pub program: Program<'static>,
     restless: bool,
 }
@@ -144,31 +144,31 @@ impl Board {
 
     /// A board whose services start so many milliseconds after power-up.
     pub fn started(ms: u64) -> Self {
-        let mut world = World::new(ms);
+        let mut rom = ModelRom::new(ms);
         let place = Box::leak(Box::new(Place::new()));
         let memory = vec![0xa5; ROOM].leak();
         let log = vec![0xa5; crate::services::journal::BYTES].leak();
-        let program = Program::new(memory, log, place, 0x1234_5678, &mut world);
+        let program = Program::new(memory, log, place, 0x1234_5678, &mut rom);
         Board {
             program: program.expect("a board with jobs"),
-            world,
+            rom,
             restless: false,
         }
     }
 
     pub fn ms(&self) -> u64 {
-        self.world.server.board.now / MS
+        self.rom.server.board.now / MS
     }
 
     /// A frame comes in; nothing else happens.
     pub fn take(&mut self, frame: &[u8]) {
-        self.program.frame(frame, &mut self.world);
+        self.program.frame(frame, &mut self.rom);
         self.restless = true;
     }
 
     /// One call without a frame.
     pub fn turn(&mut self) {
-        self.restless = self.program.poll(&mut self.world);
+        self.restless = self.program.poll(&mut self.rom);
     }
 
     /// Turns as long as there is work.
@@ -191,12 +191,12 @@ impl Board {
     }
 
     pub fn sent(&mut self) -> Vec<Vec<u8>> {
-        std::mem::take(&mut self.world.sent)
+        std::mem::take(&mut self.rom.sent)
     }
 
     /// Time passes, and nothing is called.
     pub fn hold(&mut self, clocks: u64) {
-        self.world.server.board.now += clocks;
+        self.rom.server.board.now += clocks;
     }
 
     /// Time passes, with a turn every 10 ms; the frames that were sent, and when.

@@ -151,11 +151,11 @@ fn a_request_in_single_bytes_is_one_too() {
 #[test]
 fn while_a_host_moves_the_machine_the_page_is_busy_and_says_when_to_come_again() {
     let mut board = board();
-    board.world.moving = true;
+    board.rom.moving = true;
     let said = get(&mut board, 50_000, "GET / HTTP/1.1\r\nHost: x\r\n\r\n");
     assert!(said.starts_with("HTTP/1.1 503 "), "{said}");
     assert!(said.contains("Retry-After: 2\r\n"), "{said}");
-    board.world.moving = false;
+    board.rom.moving = false;
     let said = get(&mut board, 50_001, "GET / HTTP/1.1\r\nHost: x\r\n\r\n");
     assert!(said.starts_with("HTTP/1.1 200 "), "{said}");
 }
@@ -184,7 +184,7 @@ fn readers_that_say_nothing_leave_their_places_within_five_seconds() {
 #[test]
 fn a_board_asks_three_times_for_its_name_and_announces_it_twice() {
     let board = board();
-    let all = messages(&board.world.announced);
+    let all = messages(&board.rom.announced);
     let all: Vec<_> = all
         .iter()
         .map(|message| Packet::parse(message).expect("a DNS message"))
@@ -209,17 +209,17 @@ fn a_question_for_the_name_is_answered_to_the_group() {
     let mut board = board();
     let name = board_name(&board);
     board.wait(2000);
-    board.world.announced.clear();
+    board.rom.announced.clear();
     board.frame(&datagram(GROUP, &question(&name, TYPE::A)));
     board.wait(200);
-    let answers = messages(&board.world.announced);
+    let answers = messages(&board.rom.announced);
     let answer = Packet::parse(answers.last().expect("an answer")).expect("a DNS message");
     assert!(answer.answers.iter().any(|it| it.name.to_string() == name));
 }
 
 /// The name it has announced.
 fn board_name(board: &Board) -> String {
-    let all = messages(&board.world.announced);
+    let all = messages(&board.rom.announced);
     let mut names = all.iter().filter_map(|message| {
         let packet = Packet::parse(message).ok()?;
         let mut addresses = packet.answers.iter();
@@ -234,19 +234,16 @@ fn while_a_host_moves_the_machine_names_are_not_answered_and_nothing_piles_up() 
     let mut board = board();
     let name = board_name(&board);
     board.wait(2000);
-    board.world.announced.clear();
-    board.world.moving = true;
+    board.rom.announced.clear();
+    board.rom.moving = true;
     for _ in 0..50 {
         board.frame(&datagram(GROUP, &question(&name, TYPE::A)));
         board.wait(20);
     }
-    assert!(board.world.announced.is_empty());
-    board.world.moving = false;
+    assert!(board.rom.announced.is_empty());
+    board.rom.moving = false;
     board.wait(1000);
-    assert!(
-        board.world.announced.is_empty(),
-        "an answer that is too late"
-    );
+    assert!(board.rom.announced.is_empty(), "an answer that is too late");
 }
 
 #[test]

@@ -103,7 +103,7 @@ impl Line {
 
 /// The network card of the client.
 #[derive(Default)]
-struct Card {
+struct NetworkCard {
     rx: VecDeque<Vec<u8>>,
     tx: Vec<Vec<u8>>,
 }
@@ -126,7 +126,7 @@ impl TxToken for Put<'_> {
     }
 }
 
-impl Device for Card {
+impl Device for NetworkCard {
     type RxToken<'a> = Taken;
     type TxToken<'a> = Put<'a>;
 
@@ -151,7 +151,7 @@ impl Device for Card {
 struct Lan {
     board: Board,
     iface: Interface,
-    card: Card,
+    card: NetworkCard,
     sockets: SocketSet<'static>,
     there: Line,
     back: Line,
@@ -164,7 +164,7 @@ impl Lan {
     fn new(seed: u64, faults: Faults) -> Self {
         let mut config = Config::new(EthernetAddress([2, 0, 0, 0, 1, 9]).into());
         config.random_seed = seed;
-        let mut card = Card::default();
+        let mut card = NetworkCard::default();
         let mut iface = Interface::new(config, &mut card, Instant::ZERO);
         iface.update_ip_addrs(|all| {
             let ours = Ipv4Cidr::new(Ipv4Address::new(192, 168, 2, 9), 24);
