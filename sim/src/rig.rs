@@ -649,6 +649,12 @@ impl<S: Silicon> Rig<S> {
         self.tcp_talk_until(connection, text, 3, |_| false)
     }
 
+    /// The same with a console, until it waits for a line: the answer to one line, or the greeting.
+    pub fn tcp_say(&mut self, console: Connection, line: &str) -> String {
+        let prompt = ::firmware::services::line_editor::PROMPT.as_bytes();
+        self.tcp_talk_until(console, line, 25, |heard| heard.ends_with(prompt))
+    }
+
     /// The same with so many milliseconds of silence, or until `enough`.
     fn tcp_talk_until(
         &mut self,

@@ -237,11 +237,12 @@ fn discovery_and_console_ask_for_the_key_too_and_the_factory_pin_opens_the_board
     assert_eq!(flash.chip().programs(), 0);
 
     let console = rig.tcp_connect(CONSOLE_PORT).expect("a console");
-    let said = rig.tcp_talk(console, "restart\r\n");
+    assert!(rig.tcp_say(console, "").ends_with("> "), "no greeting");
+    let said = rig.tcp_say(console, "restart\r\n");
     assert!(said.contains("refused: the board has a key"), "{said}");
-    let said = rig.tcp_talk(console, "status\r\n");
+    let said = rig.tcp_say(console, "status\r\n");
     assert!(said.contains("disarmed"), "looking is free: {said}");
-    let said = rig.tcp_talk(console, "login\r\n");
+    let said = rig.tcp_say(console, "login\r\n");
     let digits = said.split("challenge ").nth(1).expect("a challenge");
     let words: Vec<u32> = (0..6)
         .map(|n| u32::from_str_radix(&digits[8 * n..][..8], 16).expect("hex digits"))
@@ -254,9 +255,9 @@ fn discovery_and_console_ask_for_the_key_too_and_the_factory_pin_opens_the_board
             answer.map(|word| format!("{word:08x}")).concat()
         )
     };
-    let said = rig.tcp_talk(console, &login(answer(wrong_key())));
+    let said = rig.tcp_say(console, &login(answer(wrong_key())));
     assert!(said.contains("refused: wrong answer"), "{said}");
-    let said = rig.tcp_talk(console, &login(answer(key())));
+    let said = rig.tcp_say(console, &login(answer(key())));
     assert!(said.contains("welcome"), "{said}");
 
     // The console's right answer made the challenges before it worthless.
