@@ -172,7 +172,7 @@ fn real_clients_are_served_by_the_release_image_on_the_verilated_board() {
     let mut lan = Lan::new();
     let host = lan.plug(Some("192.168.2.1/24"));
     let mut board = Simulator::rtl_on_cable(&mut lan, &flash);
-    // An armed machine is the twin's part: on this board its guests were not served within a minute,
+    // An armed machine is the twin's part: on this board its guests were not served in a minute,
     // and the cause is not known.
     all_clients(&folder, &host, false);
     // It says how many clocks that were.
