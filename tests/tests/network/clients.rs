@@ -100,7 +100,8 @@ fn while_armed(host: &Place) {
 }
 
 /// From its first answer on the board answers each question for its address once, to where it came
-/// from. It asks for no address that it has heard from, and answers for no other one.
+/// from. Questions that came before, while it started or was slow, may have been lost or may be
+/// answered late. It asks for no address that it has heard from, and answers for no other one.
 fn judge_arp(heard: &[Arp]) {
     let board = mac();
     let asked = |ip: &str, heard: &[Arp]| {
@@ -117,7 +118,10 @@ fn judge_arp(heard: &[Arp]) {
     }
     let host = heard.iter().find(|arp| arp.from != board);
     let host = host.expect("a question").from.clone();
-    assert_eq!(from_board, vec![host; 1 + asked(BOARD, then)], "{heard:#?}");
+    assert!(from_board.iter().all(|to| *to == host), "{heard:#?}");
+    let fewest = 1 + asked(BOARD, then);
+    let answers = fewest..fewest + asked(BOARD, before);
+    assert!(answers.contains(&from_board.len()), "{heard:#?}");
     assert!(asked(BOARD, then) >= 1, "{heard:#?}");
     assert!(asked(NOWHERE, then) >= 1, "{heard:#?}");
     let answered = |arp: &Arp| matches!(&arp.says, Says::IsAt(ip, _) if ip == NOWHERE);
