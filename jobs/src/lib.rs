@@ -68,6 +68,7 @@ pub trait Outside {
     fn ask(&mut self, request: &[u32], reply: &mut [u32]) -> usize {
         self.ask_in(&mut [0; MAX_WORDS], request, reply)
     }
+
     /// [`Outside::ask`] with this room for the whole answer.
     fn ask_in(&mut self, room: &mut [u32; MAX_WORDS], request: &[u32], reply: &mut [u32]) -> usize {
         let length = self.datagram(request, room);
