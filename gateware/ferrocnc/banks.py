@@ -353,7 +353,7 @@ class Cores(LiteXModule):
             Instance("extreset", p_ACTIVE_LOW=int(active_low), i_clk=self.clk, i_pin=self.pads.ext_reset, o_active=pin),
             Instance("watchdog",
                 i_clk=self.clk, i_rst=self.rst, i_ext_reset=pin, i_estop=estop,
-                i_token_we=fabric.pulse(b, "token"), i_token=fabric.data,
+                i_token_we=fabric.pulse(b, "token"), i_token=fabric.data, i_feed=0,
                 i_arm=keys["arm"], i_soft_stop=keys["soft"], i_shut=keys["stop"], i_clear=keys["clear"],
                 i_timeout=timeout, i_grace=grace, i_all_stopped=self.all_stopped,
                 o_gate=self.gate, o_stop=self.stop, o_bitten=bitten, o_reset_latched=latched, o_estop_latched=estop_latched,
@@ -364,6 +364,7 @@ class Cores(LiteXModule):
                             ("status", Cat(self.gate, self.stop, bitten, latched, pin, armed, estop_latched, estop)),
                             ("last_close", last_close)):
             fabric.live(b, name, value)
+        self._sampled(fabric, "left", remaining)
 
     def _ident(self, fabric, channels, sys_clk_hz, rom_words):
         major, minor, patch = VERSION
@@ -555,7 +556,7 @@ class Cores(LiteXModule):
             at.eq(word[:4] ^ latch & 15),
             Case(word, {first + 3 * n + k: [at.eq(n), hit.eq(1)] for n in range(channels) for k, hit in enumerate(hits)}),
         ]
-        assert latch % 8 == 0  # so that the exclusive or is a subtraction
+        assert latch % 16 == 0  # so that the exclusive or is a subtraction
         sampled, latched = Signal(32), Signal(32)
         self.specials += Instance("wide_counter",
             p_CHANNELS=channels, i_clk=self.clk, i_delta=Cat(*deltas), i_sample=self.sample, i_capture=Cat(*captures),
@@ -616,7 +617,7 @@ class Cores(LiteXModule):
             deltas.append(delta), moves.append(moved), illegals_now.append(illegal)
 
         # count and edge words alternate from an address with a half of 12 mod 16; the latches
-        # follow from 8 mod 16.
+        # follow from 0 mod 16.
         word = fabric.word
         at, counts, latches = Signal(4), Signal(), Signal()
         count, latch = (rm.STATUS.offset(f"encoder0_{name}") // 4 for name in ("count", "latch"))

@@ -34,6 +34,8 @@ ROLE_GOLDEN = 2
 ETHMAC_RX_SLOTS = 4
 ETHMAC_TX_SLOTS = 2
 ETHMAC_SLOT = 0x800
+# Words of a frame's head that `rx_admission` compares: 0 to 17 without 5 and 12.
+HEADER_PLACES = 16
 LEASH_IRQ = 31  # the leash's line among the CPU's interrupts; no other is used
 
 # Channels -----------------------------------------------------------------------------------------
@@ -307,9 +309,9 @@ FLASH = Bank("flash", 64, "flash", "The wires to the configuration flash, raw: S
 
 RX_ADMISSION = Bank("rx_admission", 65, "rx_admission", "Which frames may occupy a receive slot: a "
     "frame that is not the owner's needs a ticket.", tuple(
-    Reg(f"header{n}", "wo", f"Word {n} of the owner's frames, as a receive slot reads. Write it "
-        "between frames: a frame that passes meanwhile may be lost; no unit.")
-    for n in range(10)) + (
+    Reg(f"header{n}", "wo", f"Word {n + (n > 4) + (n > 10)} of the owner's frames, as a receive "
+        "slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.")
+    for n in range(HEADER_PLACES)) + (
     Reg("mode", "rw", "Which words of a frame are compared. A frame that differs in one is a "
         "guest, and so is a frame of less than 59 bytes without FCS.", (
         Field("select", 0, 2, "Which words, a number.", (
@@ -322,6 +324,44 @@ RX_ADMISSION = Bank("rx_admission", 65, "rx_admission", "Which frames may occupy
     Reg("admit", "wo", "Writing any value issues a ticket, if there is none: the next guest with a "
         "right FCS that finds a slot free is taken, and uses it up."),
     Reg("refused", "ro", "Guests discarded because there was no ticket, a count since power-up."),
+))
+
+
+FAST_PATH = Bank("fast_path", 68, "fast_path", "Executes the owner's next command without the CPU, "
+    "and answers it. Firmware says what its frame must look like (here and in "
+    "`rx_admission.header0` to `header15`), and hands out a pass for it. Change nothing here "
+    "while a pass is out or an answer is being sent.", tuple(
+    Reg(f"run{n}", "wo", f"Run {n}, a number of words. Runs 0 to 3 say where words of the frame "
+        "go, from its word 18 on; runs 4 to 15 what the answer consists of.", (
+        Field("register", 0, 10, "First word: page less 8 in bits 9:7, word in bits 6:0. With "
+            "`skip` the word of the transmit slot at which the answer goes on."),
+        Field("count", 10, 6, "Words less 1. With `skip` clocks less 1."),
+        _bit("skip", 16, "1: no words, but clocks."),
+        _bit("select", 17, "1: bits 20:16 of `command.probe_arms` are added to the word's number "
+            "by OR: the latch that was asked for."),
+        _bit("end", 18, "1: the last run."),
+    )) for n in range(16)) + (
+    Reg("ip_sum", "wo", "Ones' complement sum of words 4, 7 and 8 of the frame, a number.", (
+        Field("sum", 0, 16, "Sum of the halves."),)),
+    Reg("udp_sum", "wo", "Ones' complement sum of the UDP pseudo header and both ports, a "
+        "number.", (Field("sum", 0, 16, "Sum of the halves."),)),
+    Reg("length", "wo", "Length of the answer in transmit slot 0.", (
+        Field("bytes", 0, 11, "Bytes without FCS, with the two in front of the frame."),)),
+    Reg("gate", "wo", "Under which condition the command is executed, and how.", (
+        Field("status", 0, 8, "What `watchdog.status` must read."),
+        _bit("executes", 8, "1: the command is committed; 0: only sampled and answered."),
+        _bit("timed", 9, "1: committed when the wall clock reaches words 18 and 19."),
+    )),
+    Reg("pass", "wo", "Writing any value hands out a pass for one command, whose frame begins "
+        "later, and clears `executed`."),
+    Reg("revoke", "wo", "Writing any value takes the pass back. What `status` reads next is "
+        "final."),
+    Reg("status", "ro", "What has become of the pass.", (
+        _bit("executed", 0, "1: a command has been executed since the last pass, which it has "
+            "used up."),
+        _bit("out", 1, "1: a pass is out."),
+        _bit("sending", 2, "1: the answer is being sent: transmit slot 0 must not be written."),
+    )),
 ))
 
 
@@ -495,7 +535,8 @@ def _status():
         )),
         Reg("estop", "ro", "Which e-stop inputs have been active since the last clear, one bit per "
             "input, at the last sample strobe."),
-        Reg("reserved", "ro", "Reads 0; no unit."),
+        Reg("left", "ro", "Clocks the watchdog had left at the last sample strobe; as "
+            "`watchdog.remaining`."),
     ]
     for n in range(MAX_STEPGEN):
         regs += [
@@ -518,6 +559,8 @@ def _status():
                     "power-up, a count modulo 256."),
             )),
         ]
+    # The latches begin at a multiple of 32 words: selecting one is an OR (`fast_path.run0`).
+    regs += [Reg(f"reserved{n}", "ro", "Reads 0; no unit.") for n in range(8)]
     regs += [Reg(f"encoder{n}_latch", "ro", f"Count of encoder {n} at its latched index or probe, "
         "signed. Live, not sampled; holds while a flag is up.") for n in range(MAX_ENCODER)]
     regs += [Reg(f"stepgen{n}_latch", "ro", f"Pulses emitted by step generator {n} at its latched "
@@ -595,7 +638,7 @@ PWM = tuple(Bank(f"pwm{n}", 48 + n, "pwm", f"Period, kind and polarity of PWM {n
     for n in range(MAX_PWM))
 
 BANKS = (SDRAM, IDENT, TIMEBASE, WATCHDOG, GPIO, LED, DEBOUNCE, COMMAND, STATUS) + STEPGEN + (
-    ENCODER) + PWM + (FLASH, RX_ADMISSION, SEGMENTS, PADS)
+    ENCODER) + PWM + (FLASH, RX_ADMISSION, SEGMENTS, PADS, FAST_PATH)
 
 
 def check():

@@ -165,7 +165,8 @@ class RxAdmission(LiteXModule):
             i_clk=ClockSignal("sys"), i_header_we=fabric.write_page(bank.page, bank.offset("mode") // 4), i_header_at=fabric.we_word[:4],
             i_header=fabric.data, i_mode=mode, i_admit=fabric.pulse(bank, "admit"),
             i_valid=words.valid, i_last=words.last, i_bad=interface.bad, i_room=interface.sram.writer.room,
-            i_data=reverse_bytes(words.data), o_refuse=interface.refuse, o_refused=refused)
+            i_data=reverse_bytes(words.data), o_refuse=interface.refuse, o_refused=refused,
+            o_at=Signal(5), o_like_high=Signal(), o_like_low=Signal())
         fabric.live(bank, "mode", mode)
         fabric.live(bank, "refused", refused)
 

@@ -3,7 +3,7 @@
 `default_nettype none
 module watchdog_promises (
     input wire        clk,
-    input wire        rst, ext_reset, estop, token_we, arm, soft_stop, shut, clear, all_stopped,
+    input wire        rst, ext_reset, estop, token_we, feed, arm, soft_stop, shut, clear, all_stopped,
     input wire [31:0] token
 );
     (* anyconst *) logic [31:0] timeout;
@@ -27,11 +27,11 @@ module watchdog_promises (
     wire pins     = ext_reset | estop;
     wire was_pins = was_ext_reset | was_estop;
 
-    // A heartbeat is a token that differs from the last one written, and an arming. `silence`
-    // counts the clocks without one.
+    // A heartbeat is a token that differs from the last one written, a command of the fast path,
+    // and an arming. `silence` counts the clocks without one.
     logic [31:0] heard = 32'd0;
     logic [32:0] silence = 33'd0, stopping = 33'd0;
-    wire         heartbeat = token_we & (token != heard);
+    wire         heartbeat = (token_we & (token != heard)) | feed;
     always_ff @(posedge clk) begin
         if (token_we) heard <= token;
         silence  <= (heartbeat | ~armed) ? 33'd0 : silence + 33'd1;

@@ -1,10 +1,11 @@
 // watchdog: controls the gate that every output passes. It closes the gate when the tokens stop,
 // independently of the CPU.
 //
-// A token feeds it if it differs from the one before; a repeated token does not count. A bite is
-// latched: only `clear` resets it, a token never does. The external reset and the e-stop inputs
-// close the gate in the clock in which they are seen. None of this needs the CPU, and the reason of
-// the last close survives a reset of the CPU.
+// A token feeds it if it differs from the one before; a repeated token does not count. So does
+// `feed`, a pulse for each command that the fast path executes. A bite is latched: only `clear`
+// resets it, a token or `feed` never does. The external reset and the e-stop inputs close the gate
+// in the clock in which they are seen. None of this needs the CPU, and the reason of the last close
+// survives a reset of the CPU.
 //
 //   token     1    2    3    3    3
 //   remaining \|\  |\   |\__|\_______           timeout, then the rest of `grace`
@@ -21,6 +22,7 @@ module watchdog (
 
     input  wire         token_we,
     input  wire  [31:0] token,
+    input  wire         feed,       // pulse: the fast path has executed a command
     input  wire         arm,        // pulses
     input  wire         soft_stop,
     input  wire         shut,
@@ -51,7 +53,7 @@ module watchdog (
     assign gate    = open & ~pins;
     assign cleared = clear & ~open & ~pins;
 
-    wire        fed   = token_we & (token != last_token);
+    wire        fed   = (token_we & (token != last_token)) | feed;
     wire [32:0] less  = {1'b0, remaining} - 33'd1;
     wire        done  = less[32];
     wire        bite  = armed & done & ~fed;

@@ -50,7 +50,7 @@ module safety (
     /* verilator lint_off PINCONNECTEMPTY */
     extreset #(.ACTIVE_LOW(1'b0)) r (.clk(clk), .pin(pin), .active(ext_reset));
     watchdog w (
-        .clk(clk), .rst(rst), .ext_reset(ext_reset), .estop(estop), .token_we(token_we), .token(token), .arm(arm), .soft_stop(soft_stop),
+        .clk(clk), .rst(rst), .ext_reset(ext_reset), .estop(estop), .token_we(token_we), .token(token), .feed(1'b0), .arm(arm), .soft_stop(soft_stop),
         .shut(shut), .clear(clear), .timeout(timeout), .grace(grace), .all_stopped(stopped), .gate(gate), .stop(stopping),
         .bitten(bitten), .reset_latched(reset_latched), .estop_latched(estop_latched), .armed(armed), .cleared(cleared),
         .last_close(last_close), .remaining(remaining), .last_token(), .bites(bites));

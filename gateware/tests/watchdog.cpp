@@ -20,7 +20,7 @@ int main(int argc, char **argv) {
         const bool pins = c.ext_reset || c.estop, open = state != CLOSED;
         CHECK(b, c.gate == (open && !pins), "gate %d", c.gate);
         CHECK(b, c.cleared == (c.clear && !open && !pins), "cleared %d", c.cleared);
-        const bool fed = c.token_we && c.token != last_token;
+        const bool fed = (c.token_we && c.token != last_token) || c.feed;
         if (c.token_we) last_token = c.token;
         const bool bites_now = state == AWAKE && left == 0 && !fed;
         if (bites_now) bites++;
@@ -53,7 +53,7 @@ int main(int argc, char **argv) {
     auto open = [&] { b.settle(); return c.gate; };
     auto feed = [&](uint32_t token) { c.token = token, pulse(c.token_we); };
 
-    c.rst = c.ext_reset = c.estop = c.token_we = c.token = c.arm = c.soft_stop = c.shut = c.clear = c.all_stopped = 0;
+    c.rst = c.ext_reset = c.estop = c.token_we = c.feed = c.token = c.arm = c.soft_stop = c.shut = c.clear = c.all_stopped = 0;
     c.timeout = 50, c.grace = 20;
     run(10);
     CHECK(b, c.last_close == NEVER && !open(), "power-up");
@@ -120,8 +120,8 @@ int main(int argc, char **argv) {
         CHECK(b, !open() && c.last_close == how, "closed by %d, says %d", how, c.last_close);
         CHECK(b, bites == before + (how == BITE), "bites counted");
         if (how == BITE) {
-            for (unsigned i = 0; i < 20; i++) feed(r.next()), pulse(c.arm);
-            CHECK(b, c.bitten && !open(), "bitten, and a token or an arm undid it");
+            for (unsigned i = 0; i < 20; i++) feed(r.next()), pulse(c.feed), pulse(c.arm);
+            CHECK(b, c.bitten && !open(), "bitten, and a token, a command or an arm undid it");
         }
         pulse(c.rst);
         run(r.below(5));
@@ -131,7 +131,7 @@ int main(int argc, char **argv) {
     for (unsigned i = 0; i < 8000000; i++) {
         c.arm = r.one_in(8), c.clear = r.one_in(12), c.soft_stop = r.one_in(150), c.shut = r.one_in(250), c.rst = r.one_in(400);
         c.ext_reset = r.one_in(300), c.estop = r.one_in(300), c.all_stopped = r.one_in(20);
-        c.token_we = r.one_in(10), c.token = r.below(3);
+        c.token_we = r.one_in(10), c.token = r.below(3), c.feed = r.one_in(60);
         if (r.one_in(50)) c.timeout = r.up_to_bits(7), c.grace = r.up_to_bits(6);
         clock();
     }

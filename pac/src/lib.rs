@@ -7709,7 +7709,7 @@ pub mod status {
         flags1: Flags1,
         flags2: Flags2,
         estop: Estop,
-        reserved: Reserved,
+        left: Left,
         stepgen0_position_lo: Stepgen0PositionLo,
         stepgen0_position_hi: Stepgen0PositionHi,
         stepgen0_velocity: Stepgen0Velocity,
@@ -7790,6 +7790,14 @@ pub mod status {
         encoder14_edge: Encoder14Edge,
         encoder15_count: Encoder15Count,
         encoder15_edge: Encoder15Edge,
+        reserved0: Reserved0,
+        reserved1: Reserved1,
+        reserved2: Reserved2,
+        reserved3: Reserved3,
+        reserved4: Reserved4,
+        reserved5: Reserved5,
+        reserved6: Reserved6,
+        reserved7: Reserved7,
         encoder0_latch: Encoder0Latch,
         encoder1_latch: Encoder1Latch,
         encoder2_latch: Encoder2Latch,
@@ -7859,10 +7867,10 @@ pub mod status {
         pub const fn estop(&self) -> &Estop {
             &self.estop
         }
-        #[doc = "0x1c - Reads 0; no unit."]
+        #[doc = "0x1c - Clocks the watchdog had left at the last sample strobe; as `watchdog.remaining`."]
         #[inline(always)]
-        pub const fn reserved(&self) -> &Reserved {
-            &self.reserved
+        pub const fn left(&self) -> &Left {
+            &self.left
         }
         #[doc = "0x20 - Fraction of the position of step generator 0 at the last sample strobe, in 2^-32 steps, biased by half a step."]
         #[inline(always)]
@@ -8264,162 +8272,202 @@ pub mod status {
         pub const fn encoder15_edge(&self) -> &Encoder15Edge {
             &self.encoder15_edge
         }
-        #[doc = "0x160 - Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x160 - Reads 0; no unit."]
+        #[inline(always)]
+        pub const fn reserved0(&self) -> &Reserved0 {
+            &self.reserved0
+        }
+        #[doc = "0x164 - Reads 0; no unit."]
+        #[inline(always)]
+        pub const fn reserved1(&self) -> &Reserved1 {
+            &self.reserved1
+        }
+        #[doc = "0x168 - Reads 0; no unit."]
+        #[inline(always)]
+        pub const fn reserved2(&self) -> &Reserved2 {
+            &self.reserved2
+        }
+        #[doc = "0x16c - Reads 0; no unit."]
+        #[inline(always)]
+        pub const fn reserved3(&self) -> &Reserved3 {
+            &self.reserved3
+        }
+        #[doc = "0x170 - Reads 0; no unit."]
+        #[inline(always)]
+        pub const fn reserved4(&self) -> &Reserved4 {
+            &self.reserved4
+        }
+        #[doc = "0x174 - Reads 0; no unit."]
+        #[inline(always)]
+        pub const fn reserved5(&self) -> &Reserved5 {
+            &self.reserved5
+        }
+        #[doc = "0x178 - Reads 0; no unit."]
+        #[inline(always)]
+        pub const fn reserved6(&self) -> &Reserved6 {
+            &self.reserved6
+        }
+        #[doc = "0x17c - Reads 0; no unit."]
+        #[inline(always)]
+        pub const fn reserved7(&self) -> &Reserved7 {
+            &self.reserved7
+        }
+        #[doc = "0x180 - Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder0_latch(&self) -> &Encoder0Latch {
             &self.encoder0_latch
         }
-        #[doc = "0x164 - Count of encoder 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x184 - Count of encoder 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder1_latch(&self) -> &Encoder1Latch {
             &self.encoder1_latch
         }
-        #[doc = "0x168 - Count of encoder 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x188 - Count of encoder 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder2_latch(&self) -> &Encoder2Latch {
             &self.encoder2_latch
         }
-        #[doc = "0x16c - Count of encoder 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x18c - Count of encoder 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder3_latch(&self) -> &Encoder3Latch {
             &self.encoder3_latch
         }
-        #[doc = "0x170 - Count of encoder 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x190 - Count of encoder 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder4_latch(&self) -> &Encoder4Latch {
             &self.encoder4_latch
         }
-        #[doc = "0x174 - Count of encoder 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x194 - Count of encoder 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder5_latch(&self) -> &Encoder5Latch {
             &self.encoder5_latch
         }
-        #[doc = "0x178 - Count of encoder 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x198 - Count of encoder 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder6_latch(&self) -> &Encoder6Latch {
             &self.encoder6_latch
         }
-        #[doc = "0x17c - Count of encoder 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x19c - Count of encoder 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder7_latch(&self) -> &Encoder7Latch {
             &self.encoder7_latch
         }
-        #[doc = "0x180 - Count of encoder 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1a0 - Count of encoder 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder8_latch(&self) -> &Encoder8Latch {
             &self.encoder8_latch
         }
-        #[doc = "0x184 - Count of encoder 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1a4 - Count of encoder 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder9_latch(&self) -> &Encoder9Latch {
             &self.encoder9_latch
         }
-        #[doc = "0x188 - Count of encoder 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1a8 - Count of encoder 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder10_latch(&self) -> &Encoder10Latch {
             &self.encoder10_latch
         }
-        #[doc = "0x18c - Count of encoder 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1ac - Count of encoder 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder11_latch(&self) -> &Encoder11Latch {
             &self.encoder11_latch
         }
-        #[doc = "0x190 - Count of encoder 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1b0 - Count of encoder 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder12_latch(&self) -> &Encoder12Latch {
             &self.encoder12_latch
         }
-        #[doc = "0x194 - Count of encoder 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1b4 - Count of encoder 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder13_latch(&self) -> &Encoder13Latch {
             &self.encoder13_latch
         }
-        #[doc = "0x198 - Count of encoder 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1b8 - Count of encoder 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder14_latch(&self) -> &Encoder14Latch {
             &self.encoder14_latch
         }
-        #[doc = "0x19c - Count of encoder 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1bc - Count of encoder 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn encoder15_latch(&self) -> &Encoder15Latch {
             &self.encoder15_latch
         }
-        #[doc = "0x1a0 - Pulses emitted by step generator 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1c0 - Pulses emitted by step generator 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen0_latch(&self) -> &Stepgen0Latch {
             &self.stepgen0_latch
         }
-        #[doc = "0x1a4 - Pulses emitted by step generator 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1c4 - Pulses emitted by step generator 1 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen1_latch(&self) -> &Stepgen1Latch {
             &self.stepgen1_latch
         }
-        #[doc = "0x1a8 - Pulses emitted by step generator 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1c8 - Pulses emitted by step generator 2 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen2_latch(&self) -> &Stepgen2Latch {
             &self.stepgen2_latch
         }
-        #[doc = "0x1ac - Pulses emitted by step generator 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1cc - Pulses emitted by step generator 3 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen3_latch(&self) -> &Stepgen3Latch {
             &self.stepgen3_latch
         }
-        #[doc = "0x1b0 - Pulses emitted by step generator 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1d0 - Pulses emitted by step generator 4 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen4_latch(&self) -> &Stepgen4Latch {
             &self.stepgen4_latch
         }
-        #[doc = "0x1b4 - Pulses emitted by step generator 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1d4 - Pulses emitted by step generator 5 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen5_latch(&self) -> &Stepgen5Latch {
             &self.stepgen5_latch
         }
-        #[doc = "0x1b8 - Pulses emitted by step generator 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1d8 - Pulses emitted by step generator 6 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen6_latch(&self) -> &Stepgen6Latch {
             &self.stepgen6_latch
         }
-        #[doc = "0x1bc - Pulses emitted by step generator 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1dc - Pulses emitted by step generator 7 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen7_latch(&self) -> &Stepgen7Latch {
             &self.stepgen7_latch
         }
-        #[doc = "0x1c0 - Pulses emitted by step generator 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1e0 - Pulses emitted by step generator 8 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen8_latch(&self) -> &Stepgen8Latch {
             &self.stepgen8_latch
         }
-        #[doc = "0x1c4 - Pulses emitted by step generator 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1e4 - Pulses emitted by step generator 9 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen9_latch(&self) -> &Stepgen9Latch {
             &self.stepgen9_latch
         }
-        #[doc = "0x1c8 - Pulses emitted by step generator 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1e8 - Pulses emitted by step generator 10 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen10_latch(&self) -> &Stepgen10Latch {
             &self.stepgen10_latch
         }
-        #[doc = "0x1cc - Pulses emitted by step generator 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1ec - Pulses emitted by step generator 11 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen11_latch(&self) -> &Stepgen11Latch {
             &self.stepgen11_latch
         }
-        #[doc = "0x1d0 - Pulses emitted by step generator 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1f0 - Pulses emitted by step generator 12 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen12_latch(&self) -> &Stepgen12Latch {
             &self.stepgen12_latch
         }
-        #[doc = "0x1d4 - Pulses emitted by step generator 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1f4 - Pulses emitted by step generator 13 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen13_latch(&self) -> &Stepgen13Latch {
             &self.stepgen13_latch
         }
-        #[doc = "0x1d8 - Pulses emitted by step generator 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1f8 - Pulses emitted by step generator 14 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen14_latch(&self) -> &Stepgen14Latch {
             &self.stepgen14_latch
         }
-        #[doc = "0x1dc - Pulses emitted by step generator 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
+        #[doc = "0x1fc - Pulses emitted by step generator 15 at its latched index or probe, signed. Live, not sampled; holds while a flag is up."]
         #[inline(always)]
         pub const fn stepgen15_latch(&self) -> &Stepgen15Latch {
             &self.stepgen15_latch
@@ -8612,27 +8660,27 @@ pub mod status {
         #[doc = "`reset()` method sets ESTOP to value 0"]
         impl crate::Resettable for EstopSpec {}
     }
-    #[doc = "RESERVED (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved`] module"]
-    #[doc(alias = "RESERVED")]
-    pub type Reserved = crate::Reg<reserved::ReservedSpec>;
-    #[doc = "Reads 0; no unit."]
-    pub mod reserved {
-        #[doc = "Register `RESERVED` reader"]
-        pub type R = crate::R<ReservedSpec>;
+    #[doc = "LEFT (r) register accessor: Clocks the watchdog had left at the last sample strobe; as `watchdog.remaining`.\n\nYou can [`read`](crate::Reg::read) this register and get [`left::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@left`] module"]
+    #[doc(alias = "LEFT")]
+    pub type Left = crate::Reg<left::LeftSpec>;
+    #[doc = "Clocks the watchdog had left at the last sample strobe; as `watchdog.remaining`."]
+    pub mod left {
+        #[doc = "Register `LEFT` reader"]
+        pub type R = crate::R<LeftSpec>;
         impl core::fmt::Debug for R {
             fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
-        pub struct ReservedSpec;
-        impl crate::RegisterSpec for ReservedSpec {
+        #[doc = "Clocks the watchdog had left at the last sample strobe; as `watchdog.remaining`.\n\nYou can [`read`](crate::Reg::read) this register and get [`left::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct LeftSpec;
+        impl crate::RegisterSpec for LeftSpec {
             type Ux = u32;
         }
-        #[doc = "`read()` method returns [`reserved::R`](R) reader structure"]
-        impl crate::Readable for ReservedSpec {}
-        #[doc = "`reset()` method sets RESERVED to value 0"]
-        impl crate::Resettable for ReservedSpec {}
+        #[doc = "`read()` method returns [`left::R`](R) reader structure"]
+        impl crate::Readable for LeftSpec {}
+        #[doc = "`reset()` method sets LEFT to value 0"]
+        impl crate::Resettable for LeftSpec {}
     }
     #[doc = "STEPGEN0_POSITION_LO (r) register accessor: Fraction of the position of step generator 0 at the last sample strobe, in 2^-32 steps, biased by half a step.\n\nYou can [`read`](crate::Reg::read) this register and get [`stepgen0_position_lo::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@stepgen0_position_lo`] module"]
     #[doc(alias = "STEPGEN0_POSITION_LO")]
@@ -10569,6 +10617,182 @@ pub mod status {
         impl crate::Readable for Encoder15EdgeSpec {}
         #[doc = "`reset()` method sets ENCODER15_EDGE to value 0"]
         impl crate::Resettable for Encoder15EdgeSpec {}
+    }
+    #[doc = "RESERVED0 (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved0::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved0`] module"]
+    #[doc(alias = "RESERVED0")]
+    pub type Reserved0 = crate::Reg<reserved0::Reserved0Spec>;
+    #[doc = "Reads 0; no unit."]
+    pub mod reserved0 {
+        #[doc = "Register `RESERVED0` reader"]
+        pub type R = crate::R<Reserved0Spec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved0::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Reserved0Spec;
+        impl crate::RegisterSpec for Reserved0Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`reserved0::R`](R) reader structure"]
+        impl crate::Readable for Reserved0Spec {}
+        #[doc = "`reset()` method sets RESERVED0 to value 0"]
+        impl crate::Resettable for Reserved0Spec {}
+    }
+    #[doc = "RESERVED1 (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved1::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved1`] module"]
+    #[doc(alias = "RESERVED1")]
+    pub type Reserved1 = crate::Reg<reserved1::Reserved1Spec>;
+    #[doc = "Reads 0; no unit."]
+    pub mod reserved1 {
+        #[doc = "Register `RESERVED1` reader"]
+        pub type R = crate::R<Reserved1Spec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved1::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Reserved1Spec;
+        impl crate::RegisterSpec for Reserved1Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`reserved1::R`](R) reader structure"]
+        impl crate::Readable for Reserved1Spec {}
+        #[doc = "`reset()` method sets RESERVED1 to value 0"]
+        impl crate::Resettable for Reserved1Spec {}
+    }
+    #[doc = "RESERVED2 (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved2::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved2`] module"]
+    #[doc(alias = "RESERVED2")]
+    pub type Reserved2 = crate::Reg<reserved2::Reserved2Spec>;
+    #[doc = "Reads 0; no unit."]
+    pub mod reserved2 {
+        #[doc = "Register `RESERVED2` reader"]
+        pub type R = crate::R<Reserved2Spec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved2::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Reserved2Spec;
+        impl crate::RegisterSpec for Reserved2Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`reserved2::R`](R) reader structure"]
+        impl crate::Readable for Reserved2Spec {}
+        #[doc = "`reset()` method sets RESERVED2 to value 0"]
+        impl crate::Resettable for Reserved2Spec {}
+    }
+    #[doc = "RESERVED3 (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved3::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved3`] module"]
+    #[doc(alias = "RESERVED3")]
+    pub type Reserved3 = crate::Reg<reserved3::Reserved3Spec>;
+    #[doc = "Reads 0; no unit."]
+    pub mod reserved3 {
+        #[doc = "Register `RESERVED3` reader"]
+        pub type R = crate::R<Reserved3Spec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved3::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Reserved3Spec;
+        impl crate::RegisterSpec for Reserved3Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`reserved3::R`](R) reader structure"]
+        impl crate::Readable for Reserved3Spec {}
+        #[doc = "`reset()` method sets RESERVED3 to value 0"]
+        impl crate::Resettable for Reserved3Spec {}
+    }
+    #[doc = "RESERVED4 (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved4::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved4`] module"]
+    #[doc(alias = "RESERVED4")]
+    pub type Reserved4 = crate::Reg<reserved4::Reserved4Spec>;
+    #[doc = "Reads 0; no unit."]
+    pub mod reserved4 {
+        #[doc = "Register `RESERVED4` reader"]
+        pub type R = crate::R<Reserved4Spec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved4::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Reserved4Spec;
+        impl crate::RegisterSpec for Reserved4Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`reserved4::R`](R) reader structure"]
+        impl crate::Readable for Reserved4Spec {}
+        #[doc = "`reset()` method sets RESERVED4 to value 0"]
+        impl crate::Resettable for Reserved4Spec {}
+    }
+    #[doc = "RESERVED5 (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved5::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved5`] module"]
+    #[doc(alias = "RESERVED5")]
+    pub type Reserved5 = crate::Reg<reserved5::Reserved5Spec>;
+    #[doc = "Reads 0; no unit."]
+    pub mod reserved5 {
+        #[doc = "Register `RESERVED5` reader"]
+        pub type R = crate::R<Reserved5Spec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved5::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Reserved5Spec;
+        impl crate::RegisterSpec for Reserved5Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`reserved5::R`](R) reader structure"]
+        impl crate::Readable for Reserved5Spec {}
+        #[doc = "`reset()` method sets RESERVED5 to value 0"]
+        impl crate::Resettable for Reserved5Spec {}
+    }
+    #[doc = "RESERVED6 (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved6::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved6`] module"]
+    #[doc(alias = "RESERVED6")]
+    pub type Reserved6 = crate::Reg<reserved6::Reserved6Spec>;
+    #[doc = "Reads 0; no unit."]
+    pub mod reserved6 {
+        #[doc = "Register `RESERVED6` reader"]
+        pub type R = crate::R<Reserved6Spec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved6::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Reserved6Spec;
+        impl crate::RegisterSpec for Reserved6Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`reserved6::R`](R) reader structure"]
+        impl crate::Readable for Reserved6Spec {}
+        #[doc = "`reset()` method sets RESERVED6 to value 0"]
+        impl crate::Resettable for Reserved6Spec {}
+    }
+    #[doc = "RESERVED7 (r) register accessor: Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved7::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@reserved7`] module"]
+    #[doc(alias = "RESERVED7")]
+    pub type Reserved7 = crate::Reg<reserved7::Reserved7Spec>;
+    #[doc = "Reads 0; no unit."]
+    pub mod reserved7 {
+        #[doc = "Register `RESERVED7` reader"]
+        pub type R = crate::R<Reserved7Spec>;
+        impl core::fmt::Debug for R {
+            fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+                write!(f, "{}", self.bits())
+            }
+        }
+        #[doc = "Reads 0; no unit.\n\nYou can [`read`](crate::Reg::read) this register and get [`reserved7::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Reserved7Spec;
+        impl crate::RegisterSpec for Reserved7Spec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`reserved7::R`](R) reader structure"]
+        impl crate::Readable for Reserved7Spec {}
+        #[doc = "`reset()` method sets RESERVED7 to value 0"]
+        impl crate::Resettable for Reserved7Spec {}
     }
     #[doc = "ENCODER0_LATCH (r) register accessor: Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a flag is up.\n\nYou can [`read`](crate::Reg::read) this register and get [`encoder0_latch::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@encoder0_latch`] module"]
     #[doc(alias = "ENCODER0_LATCH")]
@@ -12778,6 +13002,12 @@ pub mod rx_admission {
         header7: Header7,
         header8: Header8,
         header9: Header9,
+        header10: Header10,
+        header11: Header11,
+        header12: Header12,
+        header13: Header13,
+        header14: Header14,
+        header15: Header15,
         mode: Mode,
         admit: Admit,
         refused: Refused,
@@ -12808,42 +13038,72 @@ pub mod rx_admission {
         pub const fn header4(&self) -> &Header4 {
             &self.header4
         }
-        #[doc = "0x14 - Word 5 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[doc = "0x14 - Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header5(&self) -> &Header5 {
             &self.header5
         }
-        #[doc = "0x18 - Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[doc = "0x18 - Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header6(&self) -> &Header6 {
             &self.header6
         }
-        #[doc = "0x1c - Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[doc = "0x1c - Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header7(&self) -> &Header7 {
             &self.header7
         }
-        #[doc = "0x20 - Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[doc = "0x20 - Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header8(&self) -> &Header8 {
             &self.header8
         }
-        #[doc = "0x24 - Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[doc = "0x24 - Word 10 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
         #[inline(always)]
         pub const fn header9(&self) -> &Header9 {
             &self.header9
         }
-        #[doc = "0x28 - Which words of a frame are compared. A frame that differs in one is a guest, and so is a frame of less than 59 bytes without FCS."]
+        #[doc = "0x28 - Word 11 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[inline(always)]
+        pub const fn header10(&self) -> &Header10 {
+            &self.header10
+        }
+        #[doc = "0x2c - Word 13 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[inline(always)]
+        pub const fn header11(&self) -> &Header11 {
+            &self.header11
+        }
+        #[doc = "0x30 - Word 14 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[inline(always)]
+        pub const fn header12(&self) -> &Header12 {
+            &self.header12
+        }
+        #[doc = "0x34 - Word 15 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[inline(always)]
+        pub const fn header13(&self) -> &Header13 {
+            &self.header13
+        }
+        #[doc = "0x38 - Word 16 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[inline(always)]
+        pub const fn header14(&self) -> &Header14 {
+            &self.header14
+        }
+        #[doc = "0x3c - Word 17 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+        #[inline(always)]
+        pub const fn header15(&self) -> &Header15 {
+            &self.header15
+        }
+        #[doc = "0x40 - Which words of a frame are compared. A frame that differs in one is a guest, and so is a frame of less than 59 bytes without FCS."]
         #[inline(always)]
         pub const fn mode(&self) -> &Mode {
             &self.mode
         }
-        #[doc = "0x2c - Writing any value issues a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."]
+        #[doc = "0x44 - Writing any value issues a ticket, if there is none: the next guest with a right FCS that finds a slot free is taken, and uses it up."]
         #[inline(always)]
         pub const fn admit(&self) -> &Admit {
             &self.admit
         }
-        #[doc = "0x30 - Guests discarded because there was no ticket, a count since power-up."]
+        #[doc = "0x48 - Guests discarded because there was no ticket, a count since power-up."]
         #[inline(always)]
         pub const fn refused(&self) -> &Refused {
             &self.refused
@@ -12974,10 +13234,10 @@ pub mod rx_admission {
         #[doc = "`reset()` method sets HEADER4 to value 0"]
         impl crate::Resettable for Header4Spec {}
     }
-    #[doc = "HEADER5 (w) register accessor: Word 5 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header5::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header5`] module"]
+    #[doc = "HEADER5 (w) register accessor: Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header5::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header5`] module"]
     #[doc(alias = "HEADER5")]
     pub type Header5 = crate::Reg<header5::Header5Spec>;
-    #[doc = "Word 5 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    #[doc = "Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header5 {
         #[doc = "Register `HEADER5` writer"]
         pub type W = crate::W<Header5Spec>;
@@ -12987,7 +13247,7 @@ pub mod rx_admission {
             }
         }
         impl W {}
-        #[doc = "Word 5 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header5::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header5::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header5Spec;
         impl crate::RegisterSpec for Header5Spec {
             type Ux = u32;
@@ -12999,10 +13259,10 @@ pub mod rx_admission {
         #[doc = "`reset()` method sets HEADER5 to value 0"]
         impl crate::Resettable for Header5Spec {}
     }
-    #[doc = "HEADER6 (w) register accessor: Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header6::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header6`] module"]
+    #[doc = "HEADER6 (w) register accessor: Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header6::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header6`] module"]
     #[doc(alias = "HEADER6")]
     pub type Header6 = crate::Reg<header6::Header6Spec>;
-    #[doc = "Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    #[doc = "Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header6 {
         #[doc = "Register `HEADER6` writer"]
         pub type W = crate::W<Header6Spec>;
@@ -13012,7 +13272,7 @@ pub mod rx_admission {
             }
         }
         impl W {}
-        #[doc = "Word 6 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header6::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header6::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header6Spec;
         impl crate::RegisterSpec for Header6Spec {
             type Ux = u32;
@@ -13024,10 +13284,10 @@ pub mod rx_admission {
         #[doc = "`reset()` method sets HEADER6 to value 0"]
         impl crate::Resettable for Header6Spec {}
     }
-    #[doc = "HEADER7 (w) register accessor: Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header7::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header7`] module"]
+    #[doc = "HEADER7 (w) register accessor: Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header7::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header7`] module"]
     #[doc(alias = "HEADER7")]
     pub type Header7 = crate::Reg<header7::Header7Spec>;
-    #[doc = "Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    #[doc = "Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header7 {
         #[doc = "Register `HEADER7` writer"]
         pub type W = crate::W<Header7Spec>;
@@ -13037,7 +13297,7 @@ pub mod rx_admission {
             }
         }
         impl W {}
-        #[doc = "Word 7 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header7::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header7::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header7Spec;
         impl crate::RegisterSpec for Header7Spec {
             type Ux = u32;
@@ -13049,10 +13309,10 @@ pub mod rx_admission {
         #[doc = "`reset()` method sets HEADER7 to value 0"]
         impl crate::Resettable for Header7Spec {}
     }
-    #[doc = "HEADER8 (w) register accessor: Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header8::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header8`] module"]
+    #[doc = "HEADER8 (w) register accessor: Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header8::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header8`] module"]
     #[doc(alias = "HEADER8")]
     pub type Header8 = crate::Reg<header8::Header8Spec>;
-    #[doc = "Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    #[doc = "Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header8 {
         #[doc = "Register `HEADER8` writer"]
         pub type W = crate::W<Header8Spec>;
@@ -13062,7 +13322,7 @@ pub mod rx_admission {
             }
         }
         impl W {}
-        #[doc = "Word 8 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header8::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header8::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header8Spec;
         impl crate::RegisterSpec for Header8Spec {
             type Ux = u32;
@@ -13074,10 +13334,10 @@ pub mod rx_admission {
         #[doc = "`reset()` method sets HEADER8 to value 0"]
         impl crate::Resettable for Header8Spec {}
     }
-    #[doc = "HEADER9 (w) register accessor: Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header9::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header9`] module"]
+    #[doc = "HEADER9 (w) register accessor: Word 10 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header9::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header9`] module"]
     #[doc(alias = "HEADER9")]
     pub type Header9 = crate::Reg<header9::Header9Spec>;
-    #[doc = "Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    #[doc = "Word 10 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
     pub mod header9 {
         #[doc = "Register `HEADER9` writer"]
         pub type W = crate::W<Header9Spec>;
@@ -13087,7 +13347,7 @@ pub mod rx_admission {
             }
         }
         impl W {}
-        #[doc = "Word 9 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header9::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Word 10 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header9::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct Header9Spec;
         impl crate::RegisterSpec for Header9Spec {
             type Ux = u32;
@@ -13098,6 +13358,156 @@ pub mod rx_admission {
         }
         #[doc = "`reset()` method sets HEADER9 to value 0"]
         impl crate::Resettable for Header9Spec {}
+    }
+    #[doc = "HEADER10 (w) register accessor: Word 11 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header10::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header10`] module"]
+    #[doc(alias = "HEADER10")]
+    pub type Header10 = crate::Reg<header10::Header10Spec>;
+    #[doc = "Word 11 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    pub mod header10 {
+        #[doc = "Register `HEADER10` writer"]
+        pub type W = crate::W<Header10Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header10Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 11 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header10::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header10Spec;
+        impl crate::RegisterSpec for Header10Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header10::W`](W) writer structure"]
+        impl crate::Writable for Header10Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER10 to value 0"]
+        impl crate::Resettable for Header10Spec {}
+    }
+    #[doc = "HEADER11 (w) register accessor: Word 13 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header11::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header11`] module"]
+    #[doc(alias = "HEADER11")]
+    pub type Header11 = crate::Reg<header11::Header11Spec>;
+    #[doc = "Word 13 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    pub mod header11 {
+        #[doc = "Register `HEADER11` writer"]
+        pub type W = crate::W<Header11Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header11Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 13 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header11::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header11Spec;
+        impl crate::RegisterSpec for Header11Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header11::W`](W) writer structure"]
+        impl crate::Writable for Header11Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER11 to value 0"]
+        impl crate::Resettable for Header11Spec {}
+    }
+    #[doc = "HEADER12 (w) register accessor: Word 14 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header12::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header12`] module"]
+    #[doc(alias = "HEADER12")]
+    pub type Header12 = crate::Reg<header12::Header12Spec>;
+    #[doc = "Word 14 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    pub mod header12 {
+        #[doc = "Register `HEADER12` writer"]
+        pub type W = crate::W<Header12Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header12Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 14 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header12::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header12Spec;
+        impl crate::RegisterSpec for Header12Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header12::W`](W) writer structure"]
+        impl crate::Writable for Header12Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER12 to value 0"]
+        impl crate::Resettable for Header12Spec {}
+    }
+    #[doc = "HEADER13 (w) register accessor: Word 15 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header13::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header13`] module"]
+    #[doc(alias = "HEADER13")]
+    pub type Header13 = crate::Reg<header13::Header13Spec>;
+    #[doc = "Word 15 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    pub mod header13 {
+        #[doc = "Register `HEADER13` writer"]
+        pub type W = crate::W<Header13Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header13Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 15 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header13::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header13Spec;
+        impl crate::RegisterSpec for Header13Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header13::W`](W) writer structure"]
+        impl crate::Writable for Header13Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER13 to value 0"]
+        impl crate::Resettable for Header13Spec {}
+    }
+    #[doc = "HEADER14 (w) register accessor: Word 16 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header14::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header14`] module"]
+    #[doc(alias = "HEADER14")]
+    pub type Header14 = crate::Reg<header14::Header14Spec>;
+    #[doc = "Word 16 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    pub mod header14 {
+        #[doc = "Register `HEADER14` writer"]
+        pub type W = crate::W<Header14Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header14Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 16 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header14::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header14Spec;
+        impl crate::RegisterSpec for Header14Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header14::W`](W) writer structure"]
+        impl crate::Writable for Header14Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER14 to value 0"]
+        impl crate::Resettable for Header14Spec {}
+    }
+    #[doc = "HEADER15 (w) register accessor: Word 17 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header15::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@header15`] module"]
+    #[doc(alias = "HEADER15")]
+    pub type Header15 = crate::Reg<header15::Header15Spec>;
+    #[doc = "Word 17 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit."]
+    pub mod header15 {
+        #[doc = "Register `HEADER15` writer"]
+        pub type W = crate::W<Header15Spec>;
+        impl core::fmt::Debug for crate::generic::Reg<Header15Spec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Word 17 of the owner's frames, as a receive slot reads. Write it between frames: a frame that passes meanwhile may be lost; no unit.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`header15::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Header15Spec;
+        impl crate::RegisterSpec for Header15Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`header15::W`](W) writer structure"]
+        impl crate::Writable for Header15Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets HEADER15 to value 0"]
+        impl crate::Resettable for Header15Spec {}
     }
     #[doc = "MODE (rw) register accessor: Which words of a frame are compared. A frame that differs in one is a guest, and so is a frame of less than 59 bytes without FCS.\n\nYou can [`read`](crate::Reg::read) this register and get [`mode::R`]. You can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`mode::W`]. You can also [`modify`](crate::Reg::modify) this register. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@mode`] module"]
     #[doc(alias = "MODE")]
@@ -14568,6 +14978,1272 @@ pub mod pads {
         impl crate::Resettable for OutputsSpec {}
     }
 }
+#[doc = "Executes the owner's next command without the CPU, and answers it. Firmware says what its frame must look like (here and in `rx_admission.header0` to `header15`), and hands out a pass for it. Change nothing here while a pass is out or an answer is being sent."]
+pub type FastPath = crate::Periph<fast_path::RegisterBlock, 0xf002_2000>;
+impl core::fmt::Debug for FastPath {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        f.debug_struct("FastPath").finish()
+    }
+}
+#[doc = "Executes the owner's next command without the CPU, and answers it. Firmware says what its frame must look like (here and in `rx_admission.header0` to `header15`), and hands out a pass for it. Change nothing here while a pass is out or an answer is being sent."]
+pub mod fast_path {
+    #[repr(C)]
+    #[doc = "Register block"]
+    pub struct RegisterBlock {
+        run0: Run0,
+        run1: Run1,
+        run2: Run2,
+        run3: Run3,
+        run4: Run4,
+        run5: Run5,
+        run6: Run6,
+        run7: Run7,
+        run8: Run8,
+        run9: Run9,
+        run10: Run10,
+        run11: Run11,
+        run12: Run12,
+        run13: Run13,
+        run14: Run14,
+        run15: Run15,
+        ip_sum: IpSum,
+        udp_sum: UdpSum,
+        length: Length,
+        gate: Gate,
+        pass: Pass,
+        revoke: Revoke,
+        status: Status,
+    }
+    impl RegisterBlock {
+        #[doc = "0x00 - Run 0, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run0(&self) -> &Run0 {
+            &self.run0
+        }
+        #[doc = "0x04 - Run 1, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run1(&self) -> &Run1 {
+            &self.run1
+        }
+        #[doc = "0x08 - Run 2, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run2(&self) -> &Run2 {
+            &self.run2
+        }
+        #[doc = "0x0c - Run 3, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run3(&self) -> &Run3 {
+            &self.run3
+        }
+        #[doc = "0x10 - Run 4, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run4(&self) -> &Run4 {
+            &self.run4
+        }
+        #[doc = "0x14 - Run 5, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run5(&self) -> &Run5 {
+            &self.run5
+        }
+        #[doc = "0x18 - Run 6, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run6(&self) -> &Run6 {
+            &self.run6
+        }
+        #[doc = "0x1c - Run 7, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run7(&self) -> &Run7 {
+            &self.run7
+        }
+        #[doc = "0x20 - Run 8, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run8(&self) -> &Run8 {
+            &self.run8
+        }
+        #[doc = "0x24 - Run 9, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run9(&self) -> &Run9 {
+            &self.run9
+        }
+        #[doc = "0x28 - Run 10, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run10(&self) -> &Run10 {
+            &self.run10
+        }
+        #[doc = "0x2c - Run 11, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run11(&self) -> &Run11 {
+            &self.run11
+        }
+        #[doc = "0x30 - Run 12, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run12(&self) -> &Run12 {
+            &self.run12
+        }
+        #[doc = "0x34 - Run 13, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run13(&self) -> &Run13 {
+            &self.run13
+        }
+        #[doc = "0x38 - Run 14, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run14(&self) -> &Run14 {
+            &self.run14
+        }
+        #[doc = "0x3c - Run 15, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+        #[inline(always)]
+        pub const fn run15(&self) -> &Run15 {
+            &self.run15
+        }
+        #[doc = "0x40 - Ones' complement sum of words 4, 7 and 8 of the frame, a number."]
+        #[inline(always)]
+        pub const fn ip_sum(&self) -> &IpSum {
+            &self.ip_sum
+        }
+        #[doc = "0x44 - Ones' complement sum of the UDP pseudo header and both ports, a number."]
+        #[inline(always)]
+        pub const fn udp_sum(&self) -> &UdpSum {
+            &self.udp_sum
+        }
+        #[doc = "0x48 - Length of the answer in transmit slot 0."]
+        #[inline(always)]
+        pub const fn length(&self) -> &Length {
+            &self.length
+        }
+        #[doc = "0x4c - Under which condition the command is executed, and how."]
+        #[inline(always)]
+        pub const fn gate(&self) -> &Gate {
+            &self.gate
+        }
+        #[doc = "0x50 - Writing any value hands out a pass for one command, whose frame begins later, and clears `executed`."]
+        #[inline(always)]
+        pub const fn pass(&self) -> &Pass {
+            &self.pass
+        }
+        #[doc = "0x54 - Writing any value takes the pass back. What `status` reads next is final."]
+        #[inline(always)]
+        pub const fn revoke(&self) -> &Revoke {
+            &self.revoke
+        }
+        #[doc = "0x58 - What has become of the pass."]
+        #[inline(always)]
+        pub const fn status(&self) -> &Status {
+            &self.status
+        }
+    }
+    #[doc = "RUN0 (w) register accessor: Run 0, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run0::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run0`] module"]
+    #[doc(alias = "RUN0")]
+    pub type Run0 = crate::Reg<run0::Run0Spec>;
+    #[doc = "Run 0, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run0 {
+        #[doc = "Register `RUN0` writer"]
+        pub type W = crate::W<Run0Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run0Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run0Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run0Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run0Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run0Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 0, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run0::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run0Spec;
+        impl crate::RegisterSpec for Run0Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run0::W`](W) writer structure"]
+        impl crate::Writable for Run0Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN0 to value 0"]
+        impl crate::Resettable for Run0Spec {}
+    }
+    #[doc = "RUN1 (w) register accessor: Run 1, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run1::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run1`] module"]
+    #[doc(alias = "RUN1")]
+    pub type Run1 = crate::Reg<run1::Run1Spec>;
+    #[doc = "Run 1, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run1 {
+        #[doc = "Register `RUN1` writer"]
+        pub type W = crate::W<Run1Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run1Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run1Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run1Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run1Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run1Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 1, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run1::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run1Spec;
+        impl crate::RegisterSpec for Run1Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run1::W`](W) writer structure"]
+        impl crate::Writable for Run1Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN1 to value 0"]
+        impl crate::Resettable for Run1Spec {}
+    }
+    #[doc = "RUN2 (w) register accessor: Run 2, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run2::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run2`] module"]
+    #[doc(alias = "RUN2")]
+    pub type Run2 = crate::Reg<run2::Run2Spec>;
+    #[doc = "Run 2, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run2 {
+        #[doc = "Register `RUN2` writer"]
+        pub type W = crate::W<Run2Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run2Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run2Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run2Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run2Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run2Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 2, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run2::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run2Spec;
+        impl crate::RegisterSpec for Run2Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run2::W`](W) writer structure"]
+        impl crate::Writable for Run2Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN2 to value 0"]
+        impl crate::Resettable for Run2Spec {}
+    }
+    #[doc = "RUN3 (w) register accessor: Run 3, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run3::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run3`] module"]
+    #[doc(alias = "RUN3")]
+    pub type Run3 = crate::Reg<run3::Run3Spec>;
+    #[doc = "Run 3, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run3 {
+        #[doc = "Register `RUN3` writer"]
+        pub type W = crate::W<Run3Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run3Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run3Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run3Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run3Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run3Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 3, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run3::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run3Spec;
+        impl crate::RegisterSpec for Run3Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run3::W`](W) writer structure"]
+        impl crate::Writable for Run3Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN3 to value 0"]
+        impl crate::Resettable for Run3Spec {}
+    }
+    #[doc = "RUN4 (w) register accessor: Run 4, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run4::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run4`] module"]
+    #[doc(alias = "RUN4")]
+    pub type Run4 = crate::Reg<run4::Run4Spec>;
+    #[doc = "Run 4, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run4 {
+        #[doc = "Register `RUN4` writer"]
+        pub type W = crate::W<Run4Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run4Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run4Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run4Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run4Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run4Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 4, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run4::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run4Spec;
+        impl crate::RegisterSpec for Run4Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run4::W`](W) writer structure"]
+        impl crate::Writable for Run4Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN4 to value 0"]
+        impl crate::Resettable for Run4Spec {}
+    }
+    #[doc = "RUN5 (w) register accessor: Run 5, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run5::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run5`] module"]
+    #[doc(alias = "RUN5")]
+    pub type Run5 = crate::Reg<run5::Run5Spec>;
+    #[doc = "Run 5, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run5 {
+        #[doc = "Register `RUN5` writer"]
+        pub type W = crate::W<Run5Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run5Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run5Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run5Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run5Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run5Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 5, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run5::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run5Spec;
+        impl crate::RegisterSpec for Run5Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run5::W`](W) writer structure"]
+        impl crate::Writable for Run5Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN5 to value 0"]
+        impl crate::Resettable for Run5Spec {}
+    }
+    #[doc = "RUN6 (w) register accessor: Run 6, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run6::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run6`] module"]
+    #[doc(alias = "RUN6")]
+    pub type Run6 = crate::Reg<run6::Run6Spec>;
+    #[doc = "Run 6, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run6 {
+        #[doc = "Register `RUN6` writer"]
+        pub type W = crate::W<Run6Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run6Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run6Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run6Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run6Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run6Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 6, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run6::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run6Spec;
+        impl crate::RegisterSpec for Run6Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run6::W`](W) writer structure"]
+        impl crate::Writable for Run6Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN6 to value 0"]
+        impl crate::Resettable for Run6Spec {}
+    }
+    #[doc = "RUN7 (w) register accessor: Run 7, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run7::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run7`] module"]
+    #[doc(alias = "RUN7")]
+    pub type Run7 = crate::Reg<run7::Run7Spec>;
+    #[doc = "Run 7, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run7 {
+        #[doc = "Register `RUN7` writer"]
+        pub type W = crate::W<Run7Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run7Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run7Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run7Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run7Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run7Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 7, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run7::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run7Spec;
+        impl crate::RegisterSpec for Run7Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run7::W`](W) writer structure"]
+        impl crate::Writable for Run7Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN7 to value 0"]
+        impl crate::Resettable for Run7Spec {}
+    }
+    #[doc = "RUN8 (w) register accessor: Run 8, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run8::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run8`] module"]
+    #[doc(alias = "RUN8")]
+    pub type Run8 = crate::Reg<run8::Run8Spec>;
+    #[doc = "Run 8, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run8 {
+        #[doc = "Register `RUN8` writer"]
+        pub type W = crate::W<Run8Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run8Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run8Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run8Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run8Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run8Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 8, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run8::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run8Spec;
+        impl crate::RegisterSpec for Run8Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run8::W`](W) writer structure"]
+        impl crate::Writable for Run8Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN8 to value 0"]
+        impl crate::Resettable for Run8Spec {}
+    }
+    #[doc = "RUN9 (w) register accessor: Run 9, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run9::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run9`] module"]
+    #[doc(alias = "RUN9")]
+    pub type Run9 = crate::Reg<run9::Run9Spec>;
+    #[doc = "Run 9, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run9 {
+        #[doc = "Register `RUN9` writer"]
+        pub type W = crate::W<Run9Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run9Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run9Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run9Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run9Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run9Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 9, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run9::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run9Spec;
+        impl crate::RegisterSpec for Run9Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run9::W`](W) writer structure"]
+        impl crate::Writable for Run9Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN9 to value 0"]
+        impl crate::Resettable for Run9Spec {}
+    }
+    #[doc = "RUN10 (w) register accessor: Run 10, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run10::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run10`] module"]
+    #[doc(alias = "RUN10")]
+    pub type Run10 = crate::Reg<run10::Run10Spec>;
+    #[doc = "Run 10, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run10 {
+        #[doc = "Register `RUN10` writer"]
+        pub type W = crate::W<Run10Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run10Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run10Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run10Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run10Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run10Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 10, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run10::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run10Spec;
+        impl crate::RegisterSpec for Run10Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run10::W`](W) writer structure"]
+        impl crate::Writable for Run10Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN10 to value 0"]
+        impl crate::Resettable for Run10Spec {}
+    }
+    #[doc = "RUN11 (w) register accessor: Run 11, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run11::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run11`] module"]
+    #[doc(alias = "RUN11")]
+    pub type Run11 = crate::Reg<run11::Run11Spec>;
+    #[doc = "Run 11, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run11 {
+        #[doc = "Register `RUN11` writer"]
+        pub type W = crate::W<Run11Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run11Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run11Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run11Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run11Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run11Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 11, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run11::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run11Spec;
+        impl crate::RegisterSpec for Run11Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run11::W`](W) writer structure"]
+        impl crate::Writable for Run11Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN11 to value 0"]
+        impl crate::Resettable for Run11Spec {}
+    }
+    #[doc = "RUN12 (w) register accessor: Run 12, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run12::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run12`] module"]
+    #[doc(alias = "RUN12")]
+    pub type Run12 = crate::Reg<run12::Run12Spec>;
+    #[doc = "Run 12, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run12 {
+        #[doc = "Register `RUN12` writer"]
+        pub type W = crate::W<Run12Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run12Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run12Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run12Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run12Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run12Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 12, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run12::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run12Spec;
+        impl crate::RegisterSpec for Run12Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run12::W`](W) writer structure"]
+        impl crate::Writable for Run12Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN12 to value 0"]
+        impl crate::Resettable for Run12Spec {}
+    }
+    #[doc = "RUN13 (w) register accessor: Run 13, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run13::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run13`] module"]
+    #[doc(alias = "RUN13")]
+    pub type Run13 = crate::Reg<run13::Run13Spec>;
+    #[doc = "Run 13, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run13 {
+        #[doc = "Register `RUN13` writer"]
+        pub type W = crate::W<Run13Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run13Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run13Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run13Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run13Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run13Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 13, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run13::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run13Spec;
+        impl crate::RegisterSpec for Run13Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run13::W`](W) writer structure"]
+        impl crate::Writable for Run13Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN13 to value 0"]
+        impl crate::Resettable for Run13Spec {}
+    }
+    #[doc = "RUN14 (w) register accessor: Run 14, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run14::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run14`] module"]
+    #[doc(alias = "RUN14")]
+    pub type Run14 = crate::Reg<run14::Run14Spec>;
+    #[doc = "Run 14, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run14 {
+        #[doc = "Register `RUN14` writer"]
+        pub type W = crate::W<Run14Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run14Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run14Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run14Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run14Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run14Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 14, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run14::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run14Spec;
+        impl crate::RegisterSpec for Run14Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run14::W`](W) writer structure"]
+        impl crate::Writable for Run14Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN14 to value 0"]
+        impl crate::Resettable for Run14Spec {}
+    }
+    #[doc = "RUN15 (w) register accessor: Run 15, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run15::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@run15`] module"]
+    #[doc(alias = "RUN15")]
+    pub type Run15 = crate::Reg<run15::Run15Spec>;
+    #[doc = "Run 15, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of."]
+    pub mod run15 {
+        #[doc = "Register `RUN15` writer"]
+        pub type W = crate::W<Run15Spec>;
+        #[doc = "Field `register` writer - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+        pub type RegisterW<'a, REG> = crate::FieldWriter<'a, REG, 10, u16>;
+        #[doc = "Field `count` writer - Words less 1. With `skip` clocks less 1."]
+        pub type CountW<'a, REG> = crate::FieldWriter<'a, REG, 6>;
+        #[doc = "Field `skip` writer - 1: no words, but clocks."]
+        pub type SkipW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `select` writer - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+        pub type SelectW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `end` writer - 1: the last run."]
+        pub type EndW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:9 - First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit slot at which the answer goes on."]
+            #[inline(always)]
+            pub fn register(&mut self) -> RegisterW<'_, Run15Spec> {
+                RegisterW::new(self, 0)
+            }
+            #[doc = "Bits 10:15 - Words less 1. With `skip` clocks less 1."]
+            #[inline(always)]
+            pub fn count(&mut self) -> CountW<'_, Run15Spec> {
+                CountW::new(self, 10)
+            }
+            #[doc = "Bit 16 - 1: no words, but clocks."]
+            #[inline(always)]
+            pub fn skip(&mut self) -> SkipW<'_, Run15Spec> {
+                SkipW::new(self, 16)
+            }
+            #[doc = "Bit 17 - 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that was asked for."]
+            #[inline(always)]
+            pub fn select(&mut self) -> SelectW<'_, Run15Spec> {
+                SelectW::new(self, 17)
+            }
+            #[doc = "Bit 18 - 1: the last run."]
+            #[inline(always)]
+            pub fn end(&mut self) -> EndW<'_, Run15Spec> {
+                EndW::new(self, 18)
+            }
+        }
+        #[doc = "Run 15, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on; runs 4 to 15 what the answer consists of.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`run15::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct Run15Spec;
+        impl crate::RegisterSpec for Run15Spec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`run15::W`](W) writer structure"]
+        impl crate::Writable for Run15Spec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets RUN15 to value 0"]
+        impl crate::Resettable for Run15Spec {}
+    }
+    #[doc = "IP_SUM (w) register accessor: Ones' complement sum of words 4, 7 and 8 of the frame, a number.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`ip_sum::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@ip_sum`] module"]
+    #[doc(alias = "IP_SUM")]
+    pub type IpSum = crate::Reg<ip_sum::IpSumSpec>;
+    #[doc = "Ones' complement sum of words 4, 7 and 8 of the frame, a number."]
+    pub mod ip_sum {
+        #[doc = "Register `IP_SUM` writer"]
+        pub type W = crate::W<IpSumSpec>;
+        #[doc = "Field `sum` writer - Sum of the halves."]
+        pub type SumW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl W {
+            #[doc = "Bits 0:15 - Sum of the halves."]
+            #[inline(always)]
+            pub fn sum(&mut self) -> SumW<'_, IpSumSpec> {
+                SumW::new(self, 0)
+            }
+        }
+        #[doc = "Ones' complement sum of words 4, 7 and 8 of the frame, a number.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`ip_sum::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct IpSumSpec;
+        impl crate::RegisterSpec for IpSumSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`ip_sum::W`](W) writer structure"]
+        impl crate::Writable for IpSumSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets IP_SUM to value 0"]
+        impl crate::Resettable for IpSumSpec {}
+    }
+    #[doc = "UDP_SUM (w) register accessor: Ones' complement sum of the UDP pseudo header and both ports, a number.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`udp_sum::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@udp_sum`] module"]
+    #[doc(alias = "UDP_SUM")]
+    pub type UdpSum = crate::Reg<udp_sum::UdpSumSpec>;
+    #[doc = "Ones' complement sum of the UDP pseudo header and both ports, a number."]
+    pub mod udp_sum {
+        #[doc = "Register `UDP_SUM` writer"]
+        pub type W = crate::W<UdpSumSpec>;
+        #[doc = "Field `sum` writer - Sum of the halves."]
+        pub type SumW<'a, REG> = crate::FieldWriter<'a, REG, 16, u16>;
+        impl W {
+            #[doc = "Bits 0:15 - Sum of the halves."]
+            #[inline(always)]
+            pub fn sum(&mut self) -> SumW<'_, UdpSumSpec> {
+                SumW::new(self, 0)
+            }
+        }
+        #[doc = "Ones' complement sum of the UDP pseudo header and both ports, a number.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`udp_sum::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct UdpSumSpec;
+        impl crate::RegisterSpec for UdpSumSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`udp_sum::W`](W) writer structure"]
+        impl crate::Writable for UdpSumSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets UDP_SUM to value 0"]
+        impl crate::Resettable for UdpSumSpec {}
+    }
+    #[doc = "LENGTH (w) register accessor: Length of the answer in transmit slot 0.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`length::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@length`] module"]
+    #[doc(alias = "LENGTH")]
+    pub type Length = crate::Reg<length::LengthSpec>;
+    #[doc = "Length of the answer in transmit slot 0."]
+    pub mod length {
+        #[doc = "Register `LENGTH` writer"]
+        pub type W = crate::W<LengthSpec>;
+        #[doc = "Field `bytes` writer - Bytes without FCS, with the two in front of the frame."]
+        pub type BytesW<'a, REG> = crate::FieldWriter<'a, REG, 11, u16>;
+        impl W {
+            #[doc = "Bits 0:10 - Bytes without FCS, with the two in front of the frame."]
+            #[inline(always)]
+            pub fn bytes(&mut self) -> BytesW<'_, LengthSpec> {
+                BytesW::new(self, 0)
+            }
+        }
+        #[doc = "Length of the answer in transmit slot 0.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`length::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct LengthSpec;
+        impl crate::RegisterSpec for LengthSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`length::W`](W) writer structure"]
+        impl crate::Writable for LengthSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets LENGTH to value 0"]
+        impl crate::Resettable for LengthSpec {}
+    }
+    #[doc = "GATE (w) register accessor: Under which condition the command is executed, and how.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`gate::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@gate`] module"]
+    #[doc(alias = "GATE")]
+    pub type Gate = crate::Reg<gate::GateSpec>;
+    #[doc = "Under which condition the command is executed, and how."]
+    pub mod gate {
+        #[doc = "Register `GATE` writer"]
+        pub type W = crate::W<GateSpec>;
+        #[doc = "Field `status` writer - What `watchdog.status` must read."]
+        pub type StatusW<'a, REG> = crate::FieldWriter<'a, REG, 8>;
+        #[doc = "Field `executes` writer - 1: the command is committed; 0: only sampled and answered."]
+        pub type ExecutesW<'a, REG> = crate::BitWriter<'a, REG>;
+        #[doc = "Field `timed` writer - 1: committed when the wall clock reaches words 18 and 19."]
+        pub type TimedW<'a, REG> = crate::BitWriter<'a, REG>;
+        impl W {
+            #[doc = "Bits 0:7 - What `watchdog.status` must read."]
+            #[inline(always)]
+            pub fn status(&mut self) -> StatusW<'_, GateSpec> {
+                StatusW::new(self, 0)
+            }
+            #[doc = "Bit 8 - 1: the command is committed; 0: only sampled and answered."]
+            #[inline(always)]
+            pub fn executes(&mut self) -> ExecutesW<'_, GateSpec> {
+                ExecutesW::new(self, 8)
+            }
+            #[doc = "Bit 9 - 1: committed when the wall clock reaches words 18 and 19."]
+            #[inline(always)]
+            pub fn timed(&mut self) -> TimedW<'_, GateSpec> {
+                TimedW::new(self, 9)
+            }
+        }
+        #[doc = "Under which condition the command is executed, and how.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`gate::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct GateSpec;
+        impl crate::RegisterSpec for GateSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`gate::W`](W) writer structure"]
+        impl crate::Writable for GateSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets GATE to value 0"]
+        impl crate::Resettable for GateSpec {}
+    }
+    #[doc = "PASS (w) register accessor: Writing any value hands out a pass for one command, whose frame begins later, and clears `executed`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`pass::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@pass`] module"]
+    #[doc(alias = "PASS")]
+    pub type Pass = crate::Reg<pass::PassSpec>;
+    #[doc = "Writing any value hands out a pass for one command, whose frame begins later, and clears `executed`."]
+    pub mod pass {
+        #[doc = "Register `PASS` writer"]
+        pub type W = crate::W<PassSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<PassSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Writing any value hands out a pass for one command, whose frame begins later, and clears `executed`.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`pass::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct PassSpec;
+        impl crate::RegisterSpec for PassSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`pass::W`](W) writer structure"]
+        impl crate::Writable for PassSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets PASS to value 0"]
+        impl crate::Resettable for PassSpec {}
+    }
+    #[doc = "REVOKE (w) register accessor: Writing any value takes the pass back. What `status` reads next is final.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`revoke::W`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@revoke`] module"]
+    #[doc(alias = "REVOKE")]
+    pub type Revoke = crate::Reg<revoke::RevokeSpec>;
+    #[doc = "Writing any value takes the pass back. What `status` reads next is final."]
+    pub mod revoke {
+        #[doc = "Register `REVOKE` writer"]
+        pub type W = crate::W<RevokeSpec>;
+        impl core::fmt::Debug for crate::generic::Reg<RevokeSpec> {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                write!(f, "(not readable)")
+            }
+        }
+        impl W {}
+        #[doc = "Writing any value takes the pass back. What `status` reads next is final.\n\nYou can [`reset`](crate::Reg::reset), [`write`](crate::Reg::write), [`write_with_zero`](crate::Reg::write_with_zero) this register using [`revoke::W`](W). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct RevokeSpec;
+        impl crate::RegisterSpec for RevokeSpec {
+            type Ux = u32;
+        }
+        #[doc = "`write(|w| ..)` method takes [`revoke::W`](W) writer structure"]
+        impl crate::Writable for RevokeSpec {
+            type Safety = crate::Unsafe;
+        }
+        #[doc = "`reset()` method sets REVOKE to value 0"]
+        impl crate::Resettable for RevokeSpec {}
+    }
+    #[doc = "STATUS (r) register accessor: What has become of the pass.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@status`] module"]
+    #[doc(alias = "STATUS")]
+    pub type Status = crate::Reg<status::StatusSpec>;
+    #[doc = "What has become of the pass."]
+    pub mod status {
+        #[doc = "Register `STATUS` reader"]
+        pub type R = crate::R<StatusSpec>;
+        #[doc = "Field `executed` reader - 1: a command has been executed since the last pass, which it has used up."]
+        pub type ExecutedR = crate::BitReader;
+        #[doc = "Field `out` reader - 1: a pass is out."]
+        pub type OutR = crate::BitReader;
+        #[doc = "Field `sending` reader - 1: the answer is being sent: transmit slot 0 must not be written."]
+        pub type SendingR = crate::BitReader;
+        impl R {
+            #[doc = "Bit 0 - 1: a command has been executed since the last pass, which it has used up."]
+            #[inline(always)]
+            pub fn executed(&self) -> ExecutedR {
+                ExecutedR::new((self.bits & 1) != 0)
+            }
+            #[doc = "Bit 1 - 1: a pass is out."]
+            #[inline(always)]
+            pub fn out(&self) -> OutR {
+                OutR::new(((self.bits >> 1) & 1) != 0)
+            }
+            #[doc = "Bit 2 - 1: the answer is being sent: transmit slot 0 must not be written."]
+            #[inline(always)]
+            pub fn sending(&self) -> SendingR {
+                SendingR::new(((self.bits >> 2) & 1) != 0)
+            }
+        }
+        #[doc = "What has become of the pass.\n\nYou can [`read`](crate::Reg::read) this register and get [`status::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        pub struct StatusSpec;
+        impl crate::RegisterSpec for StatusSpec {
+            type Ux = u32;
+        }
+        #[doc = "`read()` method returns [`status::R`](R) reader structure"]
+        impl crate::Readable for StatusSpec {}
+        #[doc = "`reset()` method sets STATUS to value 0"]
+        impl crate::Resettable for StatusSpec {}
+    }
+}
 #[unsafe(no_mangle)]
 static mut DEVICE_PERIPHERALS: bool = false;
 #[doc = r" All the peripherals."]
@@ -14701,6 +16377,8 @@ pub struct Peripherals {
     pub segments: Segments,
     #[doc = "PADS"]
     pub pads: Pads,
+    #[doc = "FAST_PATH"]
+    pub fast_path: FastPath,
 }
 impl Peripherals {
     #[doc = r" Returns all the peripherals *once*."]
@@ -14787,6 +16465,7 @@ impl Peripherals {
             rx_admission: unsafe { RxAdmission::steal() },
             segments: unsafe { Segments::steal() },
             pads: unsafe { Pads::steal() },
+            fast_path: unsafe { FastPath::steal() },
         }
     }
 }

@@ -81,7 +81,7 @@ impl Stimulus {
             (pages::LED, 1),
             (pages::DEBOUNCE, 32),
             (pages::COMMAND, 52),
-            (pages::STATUS, 120),
+            (pages::STATUS, 128),
             (pages::PADS, 4),
         ] {
             registers.extend((0..words).map(|word| (page, word)));

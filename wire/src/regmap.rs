@@ -11,7 +11,7 @@
 
 /// ABI number: first 32 bits of the SHA-256 of the normalised register map and of the
 /// exchange's layout (`wire/layout.txt`).
-pub const ABI: u32 = 0x21da9fc8;
+pub const ABI: u32 = 0x6b8313fd;
 /// The value of [`ident::MAGIC`]: "FCnC".
 pub const IDENT_MAGIC: u32 = 0x46436e43;
 /// First byte of the image.
@@ -555,7 +555,7 @@ pub mod status {
     /// First byte of the page.
     pub const BASE: usize = 0xf0007800;
     /// Registers on the page.
-    pub const WORDS: usize = 120;
+    pub const WORDS: usize = 128;
     /// Low word of the wall clock, in clocks, at the last sample strobe. (ro)
     pub const SAMPLE_LO: usize = 0;
     /// High word of the wall clock, in units of 2^32 clocks, at the last sample strobe. (ro)
@@ -589,8 +589,8 @@ pub mod status {
     /// Which e-stop inputs have been active since the last clear, one bit per input, at the last
     /// sample strobe. (ro)
     pub const ESTOP: usize = 6;
-    /// Reads 0; no unit. (ro)
-    pub const RESERVED: usize = 7;
+    /// Clocks the watchdog had left at the last sample strobe; as `watchdog.remaining`. (ro)
+    pub const LEFT: usize = 7;
     /// Fraction of the position of step generator 0 at the last sample strobe, in 2^-32 steps,
     /// biased by half a step. The next is 3 words on. (ro)
     pub const STEPGEN0_POSITION_LO: usize = 8;
@@ -616,12 +616,14 @@ pub mod status {
     pub const ENCODER0_EDGE_ERRORS: u32 = 0xff000000;
     /// Its lowest bit.
     pub const ENCODER0_EDGE_ERRORS_SHIFT: u32 = 24;
+    /// Reads 0; no unit. The next is 1 word on. (ro)
+    pub const RESERVED0: usize = 88;
     /// Count of encoder 0 at its latched index or probe, signed. Live, not sampled; holds while a
     /// flag is up. The next is 1 word on. (ro)
-    pub const ENCODER0_LATCH: usize = 88;
+    pub const ENCODER0_LATCH: usize = 96;
     /// Pulses emitted by step generator 0 at its latched index or probe, signed. Live, not sampled;
     /// holds while a flag is up. The next is 1 word on. (ro)
-    pub const STEPGEN0_LATCH: usize = 104;
+    pub const STEPGEN0_LATCH: usize = 112;
 }
 
 /// Timing, kind and polarity of step generator 0. Set while the gate is closed.
@@ -779,13 +781,13 @@ pub mod rx_admission {
     /// First byte of the page.
     pub const BASE: usize = 0xf0020800;
     /// Registers on the page.
-    pub const WORDS: usize = 13;
+    pub const WORDS: usize = 19;
     /// Word 0 of the owner's frames, as a receive slot reads. Write it between frames: a frame that
     /// passes meanwhile may be lost; no unit. The next is 1 word on. (wo)
     pub const HEADER0: usize = 0;
     /// Which words of a frame are compared. A frame that differs in one is a guest, and so is a
     /// frame of less than 59 bytes without FCS. (rw)
-    pub const MODE: usize = 10;
+    pub const MODE: usize = 16;
     /// Which words, a number.
     pub const MODE_SELECT: u32 = 0x3;
     /// None: there are no guests.
@@ -797,9 +799,9 @@ pub mod rx_admission {
     pub const MODE_SELECT_OWNER: u32 = 3;
     /// Writing any value issues a ticket, if there is none: the next guest with a right FCS that
     /// finds a slot free is taken, and uses it up. (wo)
-    pub const ADMIT: usize = 11;
+    pub const ADMIT: usize = 17;
     /// Guests discarded because there was no ticket, a count since power-up. (ro)
-    pub const REFUSED: usize = 12;
+    pub const REFUSED: usize = 18;
 }
 
 /// Motion segments for jobs: a FIFO, and what plays it into the first step generators. Boards
@@ -962,4 +964,66 @@ pub mod pads {
     pub const PWM_DIR_SHIFT: u32 = 16;
     /// Pads of the outputs, one bit per output; `gpio.out_now` is what drives them. (ro)
     pub const OUTPUTS: usize = 3;
+}
+
+/// Executes the owner's next command without the CPU, and answers it. Firmware says what its
+/// frame must look like (here and in `rx_admission.header0` to `header15`), and hands out a
+/// pass for it. Change nothing here while a pass is out or an answer is being sent.
+pub mod fast_path {
+    /// Number of the page.
+    pub const PAGE: u32 = 68;
+    /// First byte of the page.
+    pub const BASE: usize = 0xf0022000;
+    /// Registers on the page.
+    pub const WORDS: usize = 23;
+    /// Run 0, a number of words. Runs 0 to 3 say where words of the frame go, from its word 18 on;
+    /// runs 4 to 15 what the answer consists of. The next is 1 word on. (wo)
+    pub const RUN0: usize = 0;
+    /// First word: page less 8 in bits 9:7, word in bits 6:0. With `skip` the word of the transmit
+    /// slot at which the answer goes on.
+    pub const RUN0_REGISTER: u32 = 0x3ff;
+    /// Words less 1. With `skip` clocks less 1.
+    pub const RUN0_COUNT: u32 = 0xfc00;
+    /// Its lowest bit.
+    pub const RUN0_COUNT_SHIFT: u32 = 10;
+    /// 1: no words, but clocks.
+    pub const RUN0_SKIP: u32 = 1 << 16;
+    /// 1: bits 20:16 of `command.probe_arms` are added to the word's number by OR: the latch that
+    /// was asked for.
+    pub const RUN0_SELECT: u32 = 1 << 17;
+    /// 1: the last run.
+    pub const RUN0_END: u32 = 1 << 18;
+    /// Ones' complement sum of words 4, 7 and 8 of the frame, a number. (wo)
+    pub const IP_SUM: usize = 16;
+    /// Sum of the halves.
+    pub const IP_SUM_SUM: u32 = 0xffff;
+    /// Ones' complement sum of the UDP pseudo header and both ports, a number. (wo)
+    pub const UDP_SUM: usize = 17;
+    /// Sum of the halves.
+    pub const UDP_SUM_SUM: u32 = 0xffff;
+    /// Length of the answer in transmit slot 0. (wo)
+    pub const LENGTH: usize = 18;
+    /// Bytes without FCS, with the two in front of the frame.
+    pub const LENGTH_BYTES: u32 = 0x7ff;
+    /// Under which condition the command is executed, and how. (wo)
+    pub const GATE: usize = 19;
+    /// What `watchdog.status` must read.
+    pub const GATE_STATUS: u32 = 0xff;
+    /// 1: the command is committed; 0: only sampled and answered.
+    pub const GATE_EXECUTES: u32 = 1 << 8;
+    /// 1: committed when the wall clock reaches words 18 and 19.
+    pub const GATE_TIMED: u32 = 1 << 9;
+    /// Writing any value hands out a pass for one command, whose frame begins later, and clears
+    /// `executed`. (wo)
+    pub const PASS: usize = 20;
+    /// Writing any value takes the pass back. What `status` reads next is final. (wo)
+    pub const REVOKE: usize = 21;
+    /// What has become of the pass. (ro)
+    pub const STATUS: usize = 22;
+    /// 1: a command has been executed since the last pass, which it has used up.
+    pub const STATUS_EXECUTED: u32 = 1 << 0;
+    /// 1: a pass is out.
+    pub const STATUS_OUT: u32 = 1 << 1;
+    /// 1: the answer is being sent: transmit slot 0 must not be written.
+    pub const STATUS_SENDING: u32 = 1 << 2;
 }

@@ -125,6 +125,7 @@ pub struct Board {
     sample: u64,
     gpio_caught: u32,
     estop_caught: u32,
+    left_caught: u32,
     flags_caught: [u32; 3],
     out: Pins,
     /// The same at the pads, and their registers since which clock: now, before, and before that.
@@ -204,6 +205,7 @@ impl Board {
             sample: 0,
             gpio_caught: 0,
             estop_caught: 0,
+            left_caught: 0,
             flags_caught: [0; 3],
             out: Pins::default(),
             at_pads: Pins::default(),

@@ -40,6 +40,8 @@ pub struct Input {
     pub estop: bool,
     /// A token is written.
     pub token: Option<u32>,
+    /// The fast path has executed a command.
+    pub feed: bool,
     /// The key words.
     pub arm: bool,
     /// See `arm`.
@@ -112,7 +114,7 @@ impl Watchdog {
     pub fn clock(&mut self, i: &Input) {
         let pins = i.ext_reset || i.estop;
         let cleared = self.cleared(i);
-        let fed = i.token.is_some_and(|token| token != self.last_token);
+        let fed = i.feed || i.token.is_some_and(|token| token != self.last_token);
         let done = self.remaining == 0;
         let bite = self.armed && done && !fed;
         let latched = self.bitten || self.reset_latched || self.estop_latched;

@@ -223,11 +223,11 @@ fn every_unknown_flag_is_refused_and_every_known_one_is_not() {
 fn the_answer_carries_the_latch_the_command_selected() {
     let mut rig = Rig::armed();
     for (latch, word) in [
-        (Latch::Encoder(0), 88),
-        (Latch::Encoder(15), 103),
-        (Latch::Stepgen(0), 104),
-        (Latch::Stepgen(5), 109),
-        (Latch::Stepgen(15), 119),
+        (Latch::Encoder(0), 96),
+        (Latch::Encoder(15), 111),
+        (Latch::Stepgen(0), 112),
+        (Latch::Stepgen(5), 117),
+        (Latch::Stepgen(15), 127),
     ] {
         let command = Command {
             latch,

@@ -335,7 +335,7 @@ fn the_channels_are_told_as_the_host_reads_them() {
     assert_eq!(said("stepgen 6"), "");
     let text = said("stepgen 5");
     assert!(
-        text.starts_with("5: 4120 steps, 57 steps/s, latch 4205\r\n    steplen 300\r\n"),
+        text.starts_with("5: 4120 steps, 57 steps/s, latch 4213\r\n    steplen 300\r\n"),
         "{text}"
     );
     assert!(
@@ -343,7 +343,7 @@ fn the_channels_are_told_as_the_host_reads_them() {
         "{text}"
     );
     assert!(said("stepgen").starts_with("0: 4105 steps, 57 steps/s\r\n1: 4108 steps"));
-    assert!(said("encoder").starts_with("0: 4152, latch 4184, errors 0, edge at 0x00001039\r\n"));
+    assert!(said("encoder").starts_with("0: 4152, latch 4192, errors 0, edge at 0x00001039\r\n"));
     assert!(said("encoder 5").ends_with("\r\n    mode 0x00000000, filter 0 clocks\r\n"));
     let watchdog = said("watchdog");
     assert!(

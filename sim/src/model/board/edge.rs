@@ -84,6 +84,7 @@ impl Board {
         self.sample = now;
         self.gpio_caught = self.hub.gpio.level();
         self.estop_caught = self.hub.gpio.estop_latched();
+        self.left_caught = self.hub.watchdog.remaining();
         let mut flags = [0u32; 3];
         for (n, lane) in self.encoders.iter().enumerate() {
             flags[0] |= u32::from(lane.latch.index_latched()) << n;
@@ -139,6 +140,7 @@ impl Board {
             ext_reset: common.reset_pin,
             estop: common.estop,
             token: pulses.token,
+            feed: false,
             arm: pulses.control == regmap::watchdog::CONTROL_KEY_ARM,
             soft_stop: pulses.control == regmap::watchdog::CONTROL_KEY_SOFT,
             shut: pulses.control == regmap::watchdog::CONTROL_KEY_STOP,

@@ -361,6 +361,7 @@ impl Board {
             status::FLAGS1 => self.flags_caught[1],
             status::FLAGS2 => self.flags_caught[2],
             status::ESTOP => self.estop_caught,
+            status::LEFT => self.left_caught,
             status::STEPGEN0_POSITION_LO..status::ENCODER0_COUNT => {
                 let at = after(status::STEPGEN0_POSITION_LO);
                 let lane = self.steps.get(at / status::STEPGEN_STRIDE);
@@ -370,7 +371,7 @@ impl Board {
                     _ => lane.sampled[1],
                 })
             }
-            status::ENCODER0_COUNT..status::ENCODER0_LATCH => {
+            status::ENCODER0_COUNT..status::RESERVED0 => {
                 let at = after(status::ENCODER0_COUNT);
                 let lane = self.encoders.get(at / status::ENCODER_STRIDE);
                 lane.map_or(0, |lane| match at % status::ENCODER_STRIDE {

@@ -9,6 +9,7 @@ const SILENCE: Input = Input {
     ext_reset: false,
     estop: false,
     token: None,
+    feed: false,
     arm: false,
     soft_stop: false,
     shut: false,
