@@ -4,6 +4,7 @@
 //! record of calls, the simulator with models. Word numbers of the `command` and `status` pages are
 //! those of [`wire::regmap`].
 
+use crate::pass::Pass;
 use wire::describe::Channels;
 use wire::map::BoardConfig;
 use wire::regmap::{CSR_PAGE, debounce, encoder, gpio, led, pwm, stepgen, watchdog};
@@ -227,6 +228,20 @@ pub trait Board {
     fn watchdog_left(&mut self) -> u32;
     /// Feeds the watchdog with a new token.
     fn feed(&mut self, token: u32);
+    /// Hands out a pass for one command. A board without a fast path never does.
+    fn hand_out(&mut self, _pass: &Pass) {}
+    /// Takes the pass back. Was a command executed with it? The answer is final.
+    fn revoke(&mut self) -> bool {
+        false
+    }
+    /// Has a command been executed with the pass that is out?
+    fn executed(&mut self) -> bool {
+        false
+    }
+    /// The fast path's answer has not left yet: no pass can be handed out.
+    fn sending(&mut self) -> bool {
+        true
+    }
     /// The gate.
     fn gate(&mut self) -> Gate;
     /// Why the gate closed last ([`wire::GateClose`]); the gateware remembers it through a restart.

@@ -94,6 +94,9 @@ impl Server {
     ) -> Result<(), Refusal> {
         let head = Head::take(request);
         self.judge(peer, &head)?;
+        if peer != Peer::INSIDE {
+            self.took_long_way(head.sequence, head.flags);
+        }
         let mut gate = board.gate();
         let left = board.watchdog_left();
         self.stage(board, &head, request)?;
@@ -211,6 +214,7 @@ impl Server {
     #[inline]
     pub fn exchanged(&mut self, flags: u32) {
         self.spoke = true;
+        self.flags = flags;
         if self.safety.state() == State::Armed {
             self.path_stop.executed(flags);
         }

@@ -23,6 +23,7 @@
 //! | [`server`] | Etherbone: checks a whole datagram, then executes all of it or nothing |
 //! | [`block`] | the words of an exchange and how many there are on this board |
 //! | [`exchange`] | the servo-period datagram: judge, stage, commit, sample, answer |
+//! | [`pass`] | the next exchange, judged before it comes: the gateware executes it |
 //! | [`session`] | which host owns the motion |
 //! | [`auth`] | the pre-shared key: challenges, and judging the answers |
 //! | [`safety`] | the state machine: when outputs may be live |
@@ -58,6 +59,7 @@ pub mod log;
 pub mod machine;
 pub mod net;
 pub mod nor;
+pub mod pass;
 pub(crate) mod path_stop;
 pub mod postmortem;
 pub mod reserve;

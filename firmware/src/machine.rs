@@ -518,9 +518,11 @@ impl Built {
     }
 }
 
+mod shared;
 mod transport;
 mod visitors;
 
+pub use shared::{Guest, Shared};
 pub use visitors::{Verb, Verdict, WORDS as VISIT_WORDS};
 
 #[cfg(test)]

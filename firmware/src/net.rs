@@ -28,22 +28,22 @@ pub const PAYLOAD_WORD: usize = 11;
 pub const WARM_UP_WORDS: usize =
     PAYLOAD_WORD + wire::exchange::REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX;
 
-const ETHERTYPE_IPV4: u32 = 0x0800;
+pub(crate) const ETHERTYPE_IPV4: u32 = 0x0800;
 const ETHERTYPE_ARP: u32 = 0x0806;
 /// Word that holds the address an ARP request asks for.
 const ARP_TARGET: usize = 10;
 /// Version 4, five words of header, no type of service; the total length goes below.
-const IPV4_IHL5: u32 = 0x4500 << 16;
+pub(crate) const IPV4_IHL5: u32 = 0x4500 << 16;
 const PROTOCOL_ICMP: u32 = 1;
 const PROTOCOL_IGMP: u32 = 2;
 const PROTOCOL_TCP: u32 = 6;
-const PROTOCOL_UDP: u32 = 17;
+pub(crate) const PROTOCOL_UDP: u32 = 17;
 /// More-fragments flag, fragment offset and the reserved bit; don't-fragment may be either.
 const FRAGMENT: u32 = 0xbfff;
-const IP_HEADER: usize = 20;
+pub(crate) const IP_HEADER: usize = 20;
 /// IHL is four bits: at most fifteen words, five of which are no options.
 const OPTIONS_MAX: usize = 10;
-const UDP_HEADER: usize = 8;
+pub(crate) const UDP_HEADER: usize = 8;
 /// UDP port of DHCP clients.
 pub const DHCP_CLIENT: u16 = 68;
 const ETHERNET_HEADER: usize = 14;
@@ -120,6 +120,10 @@ pub struct Datagram {
     pub length: usize,
     /// Words of IP options: the payload begins that many words later.
     pub options: usize,
+    /// Type of service.
+    pub service: u8,
+    /// Time to live.
+    pub ttl: u8,
 }
 
 impl Datagram {
@@ -130,6 +134,8 @@ impl Datagram {
             mac: (u16::MAX, u32::MAX),
             length: 0,
             options: 0,
+            service: 0,
+            ttl: 0,
         }
     }
 }
@@ -207,6 +213,8 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) ->
         mac: ((w2 >> 16) as u16, w2 << 16 | w3 >> 16),
         length: udp_length - UDP_HEADER,
         options,
+        service: (w4 >> 16) as u8,
+        ttl: (w6 >> 24) as u8,
     })
 }
 

@@ -7,6 +7,7 @@
 //! The server answers probes, reads and the exchange, but not a plain write. A refused datagram is
 //! counted by reason and has no other effect.
 
+mod ahead;
 mod judge;
 
 use self::judge::{COMMAND_END, FLASH_END, Judge, PANIC_END, check_read, writes_of};
@@ -15,6 +16,7 @@ use crate::block::{REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
 use crate::cores::{Board, Control, Gate, Ident, Led, Setting};
 use crate::flash::Flash;
 use crate::link::Link;
+use crate::pass::Pass;
 use crate::path_stop::PathStop;
 use crate::postmortem::Boot;
 use crate::safety::{Effects, Event, Safety};
@@ -26,9 +28,9 @@ use wire::exchange::{
     STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, command_word, status_word,
 };
 use wire::map::BoardConfig;
-use wire::refusal::{COUNTERS_CALLS, COUNTERS_CUTS};
+use wire::refusal::{COUNTERS_CALLS, COUNTERS_CUTS, COUNTERS_WAYS};
 use wire::regmap::{self, command, segments, status, timebase};
-use wire::{GateClose, MAX_WORDS, Refusal, ResetReason, map};
+use wire::{GateClose, LongWay, MAX_WORDS, Refusal, ResetReason, map};
 
 /// 10 ms: clients do not poll an idle machine faster than this, and a sample is cheap.
 const IDLE_SAMPLE_PER_SECOND: u32 = 100;
@@ -40,6 +42,9 @@ const CUTS_WORD: u32 = (COUNTERS_CUTS - map::COUNTERS) / 4;
 /// The words of [`Counters::calls`].
 const CALLS_WORD: u32 = (COUNTERS_CALLS - map::COUNTERS) / 4;
 const CALLS_END: u32 = CALLS_WORD + 2;
+/// The words of [`Counters::ways`] and [`Counters::long_way`].
+const WAYS_WORD: u32 = (COUNTERS_WAYS - map::COUNTERS) / 4;
+const WAYS_END: u32 = WAYS_WORD + 3;
 /// Outputs that follow the segments core; boards without that core are not told.
 const SEGMENTS_MASK: u32 = regmap::address(segments::BASE, segments::MASK);
 
@@ -62,6 +67,10 @@ pub struct Counters {
     /// Clocks of the longest call of the services, while a host moved the machine and at any other
     /// time.
     pub calls: [u32; 2],
+    /// Exchanges that the gateware executed with a pass, and those that took the long way.
+    pub ways: [u32; 2],
+    /// Why the last one of those did.
+    pub long_way: LongWay,
 }
 
 /// The server's whole state.
@@ -82,10 +91,14 @@ pub struct Server {
     pub(crate) path_stop: PathStop,
     /// A timed commit may still be waiting in gateware.
     pub(crate) commit_pending: bool,
+    /// The pass that was taken back without a command, if the next exchange is the first since.
+    pub(crate) returned: Option<Pass>,
     /// The latch that the last answer carried.
     pub(crate) select: u32,
     /// The owner sent something since the last [`Server::poll`].
     pub(crate) spoke: bool,
+    /// The flags of the last exchange that was executed.
+    pub(crate) flags: u32,
     /// A command was committed since the machine was last put to rest.
     committed: bool,
     sampled_at: u64,
@@ -118,14 +131,18 @@ impl Server {
                 refused: [0; Refusal::COUNT],
                 cuts: 0,
                 calls: [0; 2],
+                ways: [0; 2],
+                long_way: LongWay::None,
             },
             flash: Flash::new(),
             link: Link::new(),
             state_word: 0,
             path_stop: PathStop::new(),
             commit_pending: false,
+            returned: None,
             select: 0,
             spoke: false,
+            flags: 0,
             committed: true,
             sampled_at: 0,
             frames: (0, 0),
@@ -736,6 +753,11 @@ impl Server {
             1 => self.counters.frames_tx,
             2 => self.counters.exchanges,
             CUTS_WORD => self.counters.cuts,
+            WAYS_WORD..WAYS_END => {
+                let [fast, long] = self.counters.ways;
+                let all = [fast, long, self.counters.long_way as u32];
+                all.get((word - WAYS_WORD) as usize).copied().unwrap_or(0)
+            }
             CALLS_WORD..CALLS_END => {
                 let [moving, other] = self.counters.calls;
                 if word == CALLS_WORD { moving } else { other }

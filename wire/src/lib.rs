@@ -59,7 +59,7 @@ pub mod units;
 
 pub use etherbone::{Packet, Record, ReplyWriter, Request};
 pub use name::Name;
-pub use refusal::Refusal;
+pub use refusal::{LongWay, Refusal};
 pub use state::{FaultReason, GateClose, LinkSpeed, ResetReason, State};
 
 /// Version of everything in this crate. Host and board must agree; unequal versions never arm. It

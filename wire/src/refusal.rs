@@ -91,6 +91,58 @@ pub const COUNTERS_CUTS: u32 = crate::map::COUNTERS_REFUSED + 4 * Refusal::COUNT
 /// it tests the SDRAM.
 pub const COUNTERS_CALLS: u32 = COUNTERS_CUTS + 4;
 
+/// The three words behind that: exchanges that the gateware executed and answered by itself,
+/// exchanges that took the long way through the firmware, and the [`LongWay`] of the last of those.
+pub const COUNTERS_WAYS: u32 = COUNTERS_CALLS + 8;
+
+/// Why an exchange took the long way through the firmware.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u32)]
+pub enum LongWay {
+    /// None did.
+    #[default]
+    None = 0,
+    /// The board had not judged it in advance: the first one, arming, a stop, or it came too soon.
+    NoPass = 1,
+    /// Another sequence number than the next: a frame before it was lost.
+    Sequence = 2,
+    /// Other flags than those of the exchange before.
+    Flags = 3,
+    /// It has a time to be applied at, and the one before was still waiting for its own.
+    Timed = 4,
+    /// Its frame or the gate differed from what was judged: TOS, TTL, checksum, length.
+    Frame = 5,
+}
+
+impl LongWay {
+    /// All of them, in the order of their codes.
+    pub const ALL: [LongWay; 6] = [
+        LongWay::None,
+        LongWay::NoPass,
+        LongWay::Sequence,
+        LongWay::Flags,
+        LongWay::Timed,
+        LongWay::Frame,
+    ];
+
+    /// The reason with this code.
+    pub fn from_code(code: u32) -> Option<Self> {
+        Self::ALL.get(code as usize).copied()
+    }
+
+    /// One sentence for people.
+    pub const fn text(self) -> &'static str {
+        match self {
+            LongWay::None => "no exchange took it",
+            LongWay::NoPass => "the board had not judged the exchange in advance",
+            LongWay::Sequence => "an exchange before it was lost",
+            LongWay::Flags => "its flags are new",
+            LongWay::Timed => "a timed command was still waiting",
+            LongWay::Frame => "its frame or the gate was not as expected",
+        }
+    }
+}
+
 impl Refusal {
     /// How many reasons there are: the number of refusal counters.
     pub const COUNT: usize = Self::ALL.len();

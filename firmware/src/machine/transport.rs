@@ -2,11 +2,9 @@
 //! directly. All of them are inlined, because the image's fast path runs through them.
 
 use super::Machine;
-use crate::block::{Reply, Request, Shape};
+use crate::block::Shape;
 use crate::cores::Board;
-use crate::exchange::SlotReply;
-use crate::net::Slot;
-use crate::session::{Peer, Session};
+use crate::session::Session;
 use wire::Refusal;
 use wire::describe::JobsState;
 
@@ -49,40 +47,16 @@ impl<B: Board> Machine<B> {
         self.server.safety().at_rest()
     }
 
-    /// Writes what all answers to exchanges have in common: [`SlotReply::prepare`].
+    /// The number of this start.
     #[inline(always)]
-    pub fn prepare<S: Slot>(&self, slot: &mut S, headers: impl FnOnce(&mut S)) {
-        SlotReply::prepare(slot, headers, &self.server);
-    }
-
-    /// Executes an exchange of `peer`: [`Server::exchange`](crate::server::Server::exchange).
-    #[inline(always)]
-    pub fn exchange(
-        &mut self,
-        peer: Peer,
-        command: &mut impl Request,
-        reply: &mut impl Reply,
-    ) -> Result<(), Refusal> {
-        self.server.exchange(&mut self.board, peer, command, reply)
-    }
-
-    /// Its answer has been sent; `flags` are the command's:
-    /// [`Server::exchanged`](crate::server::Server::exchanged).
-    #[inline(always)]
-    pub fn exchanged(&mut self, flags: u32) {
-        self.server.exchanged(flags);
+    pub fn boot_id(&self) -> u32 {
+        self.server.boot().id
     }
 
     /// Is [`Machine::hold_path`] due?
     #[inline(always)]
     pub fn owes_path(&self) -> bool {
         self.server.owes_path()
-    }
-
-    /// May the fast path be warmed up? [`Server::may_warm_up`](crate::server::Server::may_warm_up).
-    #[inline(always)]
-    pub fn may_warm_up(&self) -> bool {
-        self.server.may_warm_up()
     }
 
     /// A client with the right to do so has requested a restart.

@@ -365,6 +365,8 @@ fn our_answers_satisfy_our_own_checks_seen_from_the_other_side() {
         mac: (0x10e2, 0xd500_0001),
         length: 8,
         options: 0,
+        service: 0,
+        ttl: 64,
     };
     assert_eq!(seen, Class::Ours(expected));
     assert_eq!(

@@ -1,14 +1,12 @@
 //! Ties the lib to the hardware: one loop, no heap, and no interrupt but the one that ends services
 //! which do not come back.
 
-use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc, TxSlot};
+use crate::soc::{self, Loader, Mac, Parts, RxFrame, Soc};
 use core::arch::global_asm;
 use core::ffi::c_void;
 use core::sync::atomic::{AtomicPtr, Ordering::Relaxed};
-use firmware::cores::Board as _;
-use firmware::exchange::{FRAME_FLAGS, SlotReply};
-use firmware::machine::{IDLE, Lease, Machine, VISIT_WORDS, Verb, Verdict};
-use firmware::net::{self, Class, Datagram, FastPath, Frame as _, UdpPorts, Us};
+use firmware::machine::{IDLE, Lease, Machine, Shared, VISIT_WORDS, Verb, Verdict};
+use firmware::net::{self, Class, Datagram, UdpPorts, Us};
 use firmware::reserve;
 use firmware::services::abi;
 use wire::describe::JobsState;
@@ -32,11 +30,10 @@ const RELOADS: u8 = 3;
 
 /// Everything that runs on the board.
 pub struct App {
-    machine: Machine<Soc>,
+    machine: Shared<Soc>,
     mac: Mac,
-    fast_path: Option<FastPath>,
-    /// Code outside the fast path ran and may have pushed it out of the instruction cache.
-    cold: bool,
+    /// The host whose next exchange can be judged in advance, and its token.
+    owner: Option<(Datagram, u32)>,
     /// Housekeepings until the next turn of the services.
     turn_in: u8,
     /// The services, if they run.
@@ -73,11 +70,10 @@ impl App {
             ident,
         } = parts;
         let mut app = App {
-            machine: Machine::asleep(soc, ident, soc::ABI, boot),
+            machine: Shared::new(Machine::asleep(soc, ident, soc::ABI, boot)),
             turn_in: HOUSEKEEPING_PER_TURN,
             mac,
-            fast_path: None,
-            cold: false,
+            owner: None,
             services: None,
             ports: [0; 8],
             patrol: abi::Patrol::new(),
@@ -86,7 +82,7 @@ impl App {
             coming: Some(Coming::Loading(Loader::new())),
             reloads: RELOADS,
         };
-        app.machine.wake();
+        app.machine.alone().wake();
         defmt::info!("boot {=u32:x}, reset {=u8}", boot.id, boot.reset.code());
         if ident.abi != soc::ABI {
             defmt::error!(
@@ -96,115 +92,59 @@ impl App {
             );
         }
         soc::watch_services();
-        app.machine.jobs(JobsState::Loading);
+        app.machine.alone().jobs(JobsState::Loading);
         app.load();
         app.mac.address(net::to_mac(app.machine.us.mac));
         app
     }
 
     /// The loop.
-    #[unsafe(link_section = ".trap.hot.run")]
     pub fn run(mut self) -> ! {
         loop {
-            // A tight loop: every other instruction in it adds to the turnaround of a frame.
-            let pending = (0..POLLS).any(|_| self.mac.pending());
-            if pending || self.cold {
-                // There is one call of `exchange`, so that a warm-up runs the same instructions as
-                // a real exchange.
-                let (frame, length, slot) = if pending {
-                    let (frame, length) = self.mac.frame();
-                    (frame, length, self.mac.fast_path_slot())
-                } else {
-                    let length = self.warm_up();
-                    let (frame, slot) = self.mac.warm_up_frame();
-                    (frame, length, slot)
-                };
-                let done = self.exchange(frame, length, slot);
-                // A failed warm-up is not a received frame. Either there is no frame, or it has not
-                // been looked at.
-                let owners = frame.genuine() && (done || self.frame());
-                if self.machine.owes_path() {
-                    hold_path(&mut self.machine);
-                    // It may have pushed a line of the fast path out of the cache.
-                    self.cold = true;
-                }
-                self.housekeeping_if(self.machine.patience(owners));
-            } else {
-                // While a host exchanges, housekeeping runs right after an answer; wait for that
-                // for some periods.
-                self.housekeeping_if(IDLE);
+            let something = (0..POLLS).any(|_| self.mac.pending() || self.machine.executed());
+            let mut owners = self.machine.executed();
+            if owners {
+                self.machine.alone();
             }
+            if self.mac.pending() {
+                owners |= self.frame();
+            }
+            if self.machine.owes_path() {
+                hold_path(self.machine.alone());
+            }
+            // While a host exchanges, housekeeping runs right after an answer; without one it waits
+            // for some periods.
+            let patience = match something {
+                true => self.machine.patience(owners),
+                false => IDLE,
+            };
+            if self.machine.due(patience) {
+                self.housekeeping();
+            }
+            self.offer();
             // The services run here only while there is no exchange that they could delay.
             let something = self.services.is_some() || self.coming.is_some();
-            if self.fast_path.is_none() && something {
+            if self.owner.is_none() && something {
                 self.leisure();
             }
         }
     }
 
-    /// The fast path. True if the frame was an exchange and is dealt with.
-    #[inline(always)]
-    fn exchange(&mut self, frame: RxFrame, length: usize, mut slot: TxSlot) -> bool {
-        let Some(fast_path) = &self.fast_path else {
-            return false;
-        };
-        let Some(mut command) = fast_path.open(&frame, length) else {
-            return false;
-        };
-        if !self.mac.fast_path_idle() {
-            // The last answer has not left yet, so the host does not wait for an answer to this
-            // frame.
-            return false;
+    /// The next exchange of the owner may be executed without the CPU.
+    fn offer(&mut self) {
+        if self.owner.is_some() {
+            self.machine.offer();
         }
-        let mut reply = SlotReply::resume(&mut slot);
-        let peer = fast_path.datagram.peer;
-        let served = self.machine.exchange(peer, &mut command, &mut reply);
-        if !frame.genuine() {
-            return true;
-        }
-        match served {
-            Ok(()) => {
-                self.mac.send_fast_path();
-                // Read again: a copy held in a register would push another value out of its
-                // register.
-                let flags = frame.word(FRAME_FLAGS);
-                self.machine.exchanged(flags);
-                self.machine.sent(1);
-            }
-            Err(why) => self.machine.refuse(why),
-        }
-        self.mac.release();
-        self.machine.received();
-        true
     }
 
-    /// After other code ran: builds an exchange that runs through the fast path and has no effect,
-    /// so that the next exchange finds its instructions in the cache. From a cold cache an exchange
-    /// takes about 1500 clocks longer. Returns the frame's length; 0 if there is nothing to warm
-    /// up. The linker places this function beside the fast path. Elsewhere its own cache lines
-    /// could push out lines that only a real exchange uses.
-    #[inline(never)]
-    #[unsafe(link_section = ".trap.hot.warm_up")]
-    fn warm_up(&mut self) -> usize {
-        self.cold = false;
-        let Some(fast_path) = &self.fast_path else {
-            return 0;
-        };
-        let session = self.machine.session();
-        let token = session.token_for(fast_path.datagram.peer);
-        let sequence = session.last_sequence().wrapping_add(1);
-        match self.mac.warm_up_words() {
-            Some(words) if self.machine.may_warm_up() => {
-                fast_path.warm_up_frame(token, sequence, words)
-            }
-            Some(_) | None => 0,
-        }
+    /// A host moves the machine.
+    fn moving(&self) -> bool {
+        self.owner.is_some() && !self.machine.at_rest()
     }
 
     /// Any frame, the long way. True if it was the owner's.
     #[inline(never)]
     fn frame(&mut self) -> bool {
-        self.cold = true;
         let (frame, length) = self.mac.frame();
         self.machine.received();
         match net::classify(&frame, length, &self.machine.us, &self.ports) {
@@ -234,8 +174,7 @@ impl App {
             }
             Class::Services
                 if length > net::longest_in_motion(&frame, self.services.is_some())
-                    && self.fast_path.is_some()
-                    && !self.machine.at_rest() =>
+                    && self.moving() =>
             {
                 self.mac.dismiss();
                 self.machine.refuse(Refusal::Oversized);
@@ -282,7 +221,12 @@ impl App {
     fn datagram(&mut self, datagram: &Datagram, count: usize) {
         let Mac { input, output, .. } = &mut self.mac;
         let words = input.words().get(..count).unwrap_or(&[]);
-        let served = self.machine.datagram(words, datagram.peer, output.words());
+        let owner = self.machine.session().is_owner(datagram.peer);
+        let (served, output) = (output.words(), datagram.peer);
+        let served = match owner {
+            true => self.machine.alone().datagram(words, output, served),
+            false => self.machine.guest().datagram(words, output, served),
+        };
         let Ok(reply) = served else {
             return;
         };
@@ -296,11 +240,16 @@ impl App {
             self.mac.send(length);
             self.machine.sent(1);
         }
-        let opened = self
-            .fast_path
-            .is_some_and(|fast_path| fast_path.datagram.peer == datagram.peer);
-        if !opened && datagram.options == 0 && self.machine.session().is_owner(datagram.peer) {
-            self.open_fast_path(*datagram);
+        let session = self.machine.session();
+        if datagram.options == 0 && session.is_owner(datagram.peer) {
+            let datagram = Datagram {
+                length: 0,
+                ..*datagram
+            };
+            let owner = (datagram, session.token_for(datagram.peer));
+            if self.owner != Some(owner) {
+                self.open_fast_path(owner);
+            }
         }
         self.restart_if();
     }
@@ -309,7 +258,7 @@ impl App {
         if self.machine.wants_restart() {
             defmt::warn!("restart on request");
             // The last answer should leave first, if the wire takes it.
-            let _ = self.mac.wait_fast_path();
+            let _ = self.mac.drained();
             soc::restart();
         }
     }
@@ -318,7 +267,8 @@ impl App {
     fn discover(&mut self, count: usize, port: u16) {
         let Mac { input, output, .. } = &mut self.mac;
         let words = input.words().get(..count).unwrap_or(&[]);
-        let reply = self.machine.discover(words, port, output.words()).len();
+        let reply = self.machine.guest().discover(words, port, output.words());
+        let reply = reply.len();
         if reply != 0 {
             let us = Us {
                 port: wire::DISCOVERY_PORT,
@@ -332,8 +282,8 @@ impl App {
     #[cold]
     #[inline(never)]
     fn send_broadcasts(&mut self) {
-        self.cold = true;
-        if let Some(broadcast) = self.machine.next_broadcast(self.mac.output.words()) {
+        let words = self.mac.output.words();
+        if let Some(broadcast) = self.machine.alone().next_broadcast(words) {
             let us = Us {
                 mac: self.machine.us.mac,
                 ip: broadcast.from_ip,
@@ -342,7 +292,7 @@ impl App {
             self.broadcast(&us, broadcast.to_port, broadcast.words);
         }
         self.restart_if();
-        if self.machine.moved() {
+        if self.machine.alone().moved() {
             defmt::info!("address {=u32:x}", self.machine.us.ip);
             // The session has no owner, or the change of address would have waited.
             self.close_fast_path();
@@ -361,46 +311,31 @@ impl App {
         self.machine.sent(1);
     }
 
-    /// The owner's exchanges take the fast path from now on.
-    fn open_fast_path(&mut self, datagram: Datagram) {
-        let shape = *self.machine.shape();
-        if !self.mac.wait_fast_path() {
+    /// This owner's exchanges can be judged in advance from now on.
+    fn open_fast_path(&mut self, owner: (Datagram, u32)) {
+        let (datagram, token) = owner;
+        let machine = self.machine.alone();
+        if !self.mac.drained() {
             return;
         }
-        let length = SlotReply::<TxSlot>::frame_length(&shape);
-        let payload = length - net::HEADERS;
-        let us = self.machine.us;
-        let mut slot = self.mac.fast_path_slot();
-        self.machine.prepare(&mut slot, |slot| {
-            net::emit_headers(slot, &us, &datagram, payload)
-        });
-        self.mac.aim(length);
-        let fast_path = FastPath::new(&us, datagram, shape.command);
-        self.mac.guard(&fast_path);
-        self.fast_path = Some(fast_path);
+        let boot_id = machine.boot_id();
+        self.mac
+            .guard(&datagram, token, &machine.us, machine.shape(), boot_id);
+        self.owner = Some(owner);
     }
 
     /// The session has no owner: the MAC admits every sender again.
     #[cold]
     #[inline(never)]
     fn close_fast_path(&mut self) {
-        self.fast_path = None;
+        self.machine.alone();
+        self.owner = None;
         self.mac.open();
     }
 
-    /// Runs the housekeeping if `periods` of its periods have passed.
-    #[inline(always)]
-    fn housekeeping_if(&mut self, periods: u32) {
-        if self.machine.due(periods) {
-            self.housekeeping();
-        }
-    }
-
     #[inline(never)]
-    #[unsafe(link_section = ".trap.hot.housekeeping")]
     fn housekeeping(&mut self) {
-        if let Some((state, reason)) = self.machine.housekeeping() {
-            self.cold = true;
+        if let Some((state, reason)) = self.machine.alone().housekeeping() {
             defmt::info!("state {=u8}, reason {=u8}", state.code(), reason.code());
         }
         if self.machine.has_broadcast() {
@@ -416,24 +351,23 @@ impl App {
         }
         let session = self.machine.session();
         if self
-            .fast_path
-            .is_some_and(|fast_path| !session.is_owner(fast_path.datagram.peer))
+            .owner
+            .is_some_and(|(datagram, _)| !session.is_owner(datagram.peer))
         {
             self.close_fast_path();
         }
+        // A turn of the services does not delay an exchange that has a pass.
+        self.offer();
         self.turn_in = self.turn_in.wrapping_sub(1);
         let due = self.turn_in == 0;
         if due {
             self.turn_in = HOUSEKEEPING_PER_TURN;
         }
-        // The check is here because the call alone may push lines of the fast path out of the
-        // cache. Without services no warm-up follows it.
         if self.services.is_some() {
             if due || self.restless {
                 self.services(core::ptr::null(), abi::POLL);
-                let moving = self.fast_path.is_some() && !self.machine.at_rest();
-                self.crowded = moving && self.mac.pending();
-            } else if self.fast_path.is_some() && self.machine.at_rest() {
+                self.crowded = self.moving() && self.mac.pending();
+            } else if self.owner.is_some() && self.machine.at_rest() {
                 self.patrol();
             }
         }
@@ -443,7 +377,6 @@ impl App {
     #[cold]
     #[inline(never)]
     fn patrol(&mut self) {
-        self.cold = true;
         if !soc::patrol(&mut self.patrol) {
             defmt::error!("services failed: their code has changed in the SDRAM");
             self.ended();
@@ -471,7 +404,7 @@ impl App {
     fn load(&mut self) {
         let state = match &mut self.coming {
             None => return,
-            Some(Coming::Loading(loader)) => match loader.step(&mut self.machine) {
+            Some(Coming::Loading(loader)) => match loader.step(self.machine.alone()) {
                 None => return,
                 Some(Ok((header, patrol))) => {
                     self.patrol = patrol;
@@ -494,7 +427,7 @@ impl App {
             }
         };
         self.coming = None;
-        self.machine.jobs(state);
+        self.machine.alone().jobs(state);
     }
 
     /// Calls the services. If they fail, the machine goes on without them.
@@ -507,8 +440,7 @@ impl App {
     #[cold]
     #[inline(never)]
     fn call(&mut self, entry: abi::Entry, frame: *const u8, length: usize) -> u32 {
-        self.cold = true;
-        let moving = self.fast_path.is_some() && !self.machine.at_rest();
+        let moving = self.moving();
         let rom = abi::Rom {
             datagram: services_datagram,
             send: services_send,
@@ -520,17 +452,17 @@ impl App {
             context: core::ptr::null_mut(),
         };
         CALLER.store(self, Relaxed);
-        let clocks = match &self.fast_path {
+        let clocks = match &self.owner {
             None => LEISURE,
-            Some(_) if self.machine.at_rest() => AT_REST,
+            Some(_) if !moving => AT_REST,
             Some(_) => MOVING,
         };
-        let begun = self.machine.board.now_lo();
+        let begun = self.machine.now_lo();
         let answer = soc::call_services(entry, &rom, frame, length, clocks);
-        let clocks = self.machine.board.now_lo().wrapping_sub(begun);
+        let clocks = self.machine.now_lo().wrapping_sub(begun);
         // Not the beginning, when there is nothing to delay.
         if self.services.is_some() {
-            self.machine.called(clocks, moving);
+            self.machine.guest().called(clocks, moving);
         }
         self.restless = answer == abi::RESTLESS;
         if answer == abi::DEAD {
@@ -560,11 +492,11 @@ impl App {
             None => {
                 self.coming = None;
                 // A lease that is not renewed is over some day.
-                self.machine.leased(None);
+                self.machine.guest().leased(None);
                 JobsState::GivenUp
             }
         };
-        self.machine.jobs(state);
+        self.machine.alone().jobs(state);
     }
 
     /// Where there are no services: answers a frame of `length` bytes from `input`.
@@ -582,7 +514,6 @@ impl App {
 
 /// The answer is on its way: now there is time to adapt the axes' decelerations.
 #[inline(never)]
-#[unsafe(link_section = ".trap.hot.path")]
 fn hold_path(machine: &mut Machine<Soc>) {
     machine.hold_path();
 }
@@ -651,10 +582,12 @@ extern "C" fn datagram(
     }
     // SAFETY: both lie in the SDRAM, where every word may be read and written; the program waits.
     let (request, reply) = unsafe { (core::slice::from_raw_parts(request, words), &mut *reply) };
-    caller(|app| match app.machine.inside(request, reply, hold_path) {
-        Ok(reply) => reply.len() as isize,
-        Err(why) => -1 - why as isize,
-    })
+    caller(
+        |app| match app.machine.guest().inside(request, reply, hold_path) {
+            Ok(reply) => reply.len() as isize,
+            Err(why) => -1 - why as isize,
+        },
+    )
     .unwrap_or(REFUSED)
 }
 
@@ -677,7 +610,7 @@ extern "C" fn console(
         Some(verb) if soc::theirs(words.addr(), size_of::<[u32; VISIT_WORDS]>()) => {
             // SAFETY: as above.
             let words = unsafe { &mut *words };
-            caller(|app| app.machine.visit(visitor, verb, words))
+            caller(|app| app.machine.guest().visit(visitor, verb, words))
         }
         Some(_) | None => None,
     };
@@ -692,5 +625,5 @@ extern "C" fn leased(_context: *mut c_void, ip: u32, prefix: u32, gateway: u32) 
         prefix,
         gateway,
     };
-    caller(|app| app.machine.leased((prefix != 0).then_some(lease)));
+    caller(|app| app.machine.guest().leased((prefix != 0).then_some(lease)));
 }

@@ -9,13 +9,14 @@ mod postmortem;
 mod services;
 mod stack;
 
-pub use mac::{Mac, RxFrame, TxSlot};
+pub use mac::{Mac, RxFrame};
 pub use postmortem::{last_trap, restart};
 pub use services::{Loader, call as call_services, patrol, theirs, watch as watch_services};
 pub use stack::{check as check_stack, used as stack_used};
 
 use core::ptr::{read_volatile, write_volatile};
 use firmware::cores::{self, Board, Control, Gate, Ident, Led, Setting};
+use firmware::pass::Pass;
 use firmware::{log, postmortem as record};
 use litex_pac::Peripherals;
 use wire::describe::Channels;
@@ -52,6 +53,8 @@ pub fn start() -> Parts {
         spi: hal::FlashSpi::new(unsafe { litex_pac::Flash::steal() }),
     };
     soc.control(Control::Close);
+    // A pass that a crash left behind.
+    soc.revoke();
     stack::paint();
     let boot = postmortem::boot(soc.now_lo());
     let ident = soc.ident();
@@ -198,6 +201,23 @@ impl Board for Soc {
     #[inline(always)]
     fn feed(&mut self, token: u32) {
         self.p.watchdog.token().write(|w| unsafe { w.bits(token) });
+    }
+
+    fn hand_out(&mut self, pass: &Pass) {
+        mac::hand_out(pass);
+    }
+
+    fn revoke(&mut self) -> bool {
+        mac::revoke()
+    }
+
+    #[inline(always)]
+    fn executed(&mut self) -> bool {
+        mac::executed()
+    }
+
+    fn sending(&mut self) -> bool {
+        mac::sending()
     }
 
     #[inline(always)]

@@ -4,8 +4,8 @@
 //! big-endian word, and everything after the Ethernet header is aligned, so the exchange swaps and
 //! shifts nothing. The services work on bytes and gets its frames copied.
 //!
-//! Transmit slot 0 belongs to the fast path alone, and its headers stay in it. All other frames
-//! use slot 1.
+//! Transmit slot 0 belongs to the gateware's fast path alone ([`firmware::pass`]), and its headers
+//! stay in it. All other frames use slot 1.
 //!
 //! The filter `rx_admission.sv` is in front of the receive slots. Without a session owner the board
 //! admits all frames addressed to it alone, and of all others one at a time. With an owner it
@@ -13,10 +13,12 @@
 
 use core::mem::MaybeUninit;
 use core::ptr::{read_volatile, write_volatile};
-use firmware::net::{FastPath, Frame, Slot, WARM_UP_WORDS};
+use firmware::block::Shape;
+use firmware::net::{Datagram, Frame, Slot, Us};
+use firmware::pass::{self, Expected, FLAGS_PLACE, Pass, SEQUENCE_PLACE};
 use litex_pac::{Ethmac, RxAdmission};
 use wire::MAX_WORDS;
-use wire::regmap::{self, rx_admission};
+use wire::regmap::{self, fast_path, rx_admission};
 
 /// Longest frame, without FCS.
 const FRAME_MAX: usize = firmware::reserve::ROOM;
@@ -36,15 +38,7 @@ impl Frame for RxFrame {
         // word beyond; a slot has 512 words, a frame 379.
         unsafe { read_volatile(self.0.add(index)) }
     }
-
-    #[inline(always)]
-    fn genuine(&self) -> bool {
-        // The MAC's slots lie in the upper half of the address space, RAM in the lower.
-        (self.0 as isize) < 0
-    }
 }
-
-const _: () = assert!(regmap::ETHMAC_BASE >> 31 == 1 && regmap::RAM_BASE >> 31 == 0);
 
 /// A frame being written, in its slot.
 pub struct TxSlot(*mut u32);
@@ -121,14 +115,65 @@ fn aim(regs: &Ethmac, slot: u32, length: u32) {
         .write(|w| unsafe { w.bits(length) });
 }
 
-/// Sends the common slot, then selects the fast path's slot again, which the fast path has no time
-/// for.
+/// Sends the common slot.
 fn start_common(regs: &Ethmac, length: usize) {
-    let slot = regs.sram_reader_slot().read().bits();
-    let previous = regs.sram_reader_length().read().bits();
     aim(regs, COMMON as u32, (length + PAD) as u32);
     regs.sram_reader_start().write(|w| unsafe { w.bits(1) });
-    aim(regs, slot, previous);
+}
+
+/// Writes a register of the fast path.
+#[inline(always)]
+fn write_fast_path(word: usize, value: u32) {
+    // SAFETY: a register of the map; the words are those of `regmap`.
+    unsafe { write_volatile((fast_path::BASE as *mut u32).add(word), value) }
+}
+
+/// Writes an expected word of the owner's frames.
+#[inline(always)]
+fn expect(place: usize, word: u32) {
+    // SAFETY: this page begins with 16 words of a header, and no place is higher.
+    unsafe {
+        write_volatile(
+            (rx_admission::BASE as *mut u32).add(rx_admission::HEADER0 + place),
+            word,
+        )
+    }
+}
+
+/// What has become of the pass.
+#[inline(always)]
+fn progress() -> u32 {
+    // SAFETY: a register of the map; a read has no side effect.
+    unsafe { read_volatile((fast_path::BASE as *const u32).add(fast_path::STATUS)) }
+}
+
+/// Writes what differs from pass to pass, and hands it out.
+pub fn hand_out(pass: &Pass) {
+    expect(SEQUENCE_PLACE, pass.sequence);
+    expect(FLAGS_PLACE, pass.flags);
+    let mut slot = Mac::tx(FAST_PATH);
+    for (index, word) in pass.answer() {
+        slot.put(index, word);
+    }
+    write_fast_path(fast_path::GATE, pass.condition());
+    write_fast_path(fast_path::PASS, 1);
+}
+
+/// Takes the pass back. True if a command was executed with it.
+pub fn revoke() -> bool {
+    write_fast_path(fast_path::REVOKE, 1);
+    executed()
+}
+
+/// Has a command been executed since the last pass?
+#[inline(always)]
+pub fn executed() -> bool {
+    progress() & fast_path::STATUS_EXECUTED != 0
+}
+
+/// Is the answer being sent?
+pub fn sending() -> bool {
+    progress() & fast_path::STATUS_SENDING != 0
 }
 
 /// The MAC.
@@ -180,13 +225,27 @@ impl Mac {
     /// Sets our address. A frame that is not for it needs a ticket, now and whenever the session
     /// has no owner.
     pub fn address(&mut self, ours: [u32; 2]) {
-        self.expect([(0, ours[0]), (1, ours[1])]);
+        let [high, low] = ours;
+        expect(0, high);
+        expect(1, low);
         self.open();
     }
 
-    /// A frame that is not the owner's needs a ticket.
-    pub fn guard(&mut self, fast_path: &FastPath) {
-        self.expect(fast_path.expected_words());
+    /// A frame that is not the owner's needs a ticket. The owner's frames are as expected, and are
+    /// answered as prepared here; a pass can be handed out. None is out now.
+    pub fn guard(&mut self, owner: &Datagram, token: u32, us: &Us, shape: &Shape, boot_id: u32) {
+        let expected = Expected::new(us, owner, shape.command, token);
+        for (place, word) in expected.words.into_iter().enumerate() {
+            expect(place, word);
+        }
+        for (number, run) in pass::runs(shape).into_iter().enumerate() {
+            write_fast_path(fast_path::RUN0 + number, run);
+        }
+        write_fast_path(fast_path::IP_SUM, expected.ip_sum);
+        write_fast_path(fast_path::UDP_SUM, expected.udp_sum);
+        let length = pass::answer_length(shape) + PAD;
+        write_fast_path(fast_path::LENGTH, length as u32);
+        pass::prepare(&mut Self::tx(FAST_PATH), us, owner, shape, boot_id);
         self.admission.mode().write(|w| w.select().owner());
         self.open = false;
     }
@@ -196,21 +255,6 @@ impl Mac {
         self.admission.mode().write(|w| w.select().ours());
         self.open = true;
         self.admit();
-    }
-
-    fn expect<const N: usize>(&mut self, header: [(usize, u32); N]) {
-        for (index, word) in header {
-            // Words 5 and 12 of a frame are not compared and have no register.
-            let place = index - usize::from(index > 5) - usize::from(index > 12);
-            // SAFETY: this page begins with 16 words of a header, up to word 17 of a frame, and no
-            // word has a higher number.
-            unsafe {
-                write_volatile(
-                    (rx_admission::BASE as *mut u32).add(rx_admission::HEADER0 + place),
-                    word,
-                )
-            }
-        }
     }
 
     /// Issues a ticket for one more guest, if the last one is used up.
@@ -234,20 +278,6 @@ impl Mac {
         (RxFrame(base as *const u32), length)
     }
 
-    /// The frame in `input`, made up by [`firmware::net::FastPath::warm_up_frame`], and a slot that
-    /// is not sent.
-    pub fn warm_up_frame(&mut self) -> (RxFrame, TxSlot) {
-        (
-            RxFrame(self.input.0.as_ptr()),
-            TxSlot(self.output.0.as_mut_ptr()),
-        )
-    }
-
-    /// The place for a warm-up frame.
-    pub fn warm_up_words(&mut self) -> Option<&mut [u32; WARM_UP_WORDS]> {
-        self.input.0.first_chunk_mut()
-    }
-
     /// Gives the frame's slot back.
     #[inline(always)]
     pub fn release(&mut self) {
@@ -264,40 +294,15 @@ impl Mac {
         }
     }
 
-    /// Have all frames been sent, the fast path's slot included?
-    #[inline(always)]
-    pub fn fast_path_idle(&self) -> bool {
-        self.regs.sram_reader_level().read().bits() == 0
-    }
-
-    /// Waits until the fast path's slot may be written: 12 us for the longest frame on the wire,
-    /// 1.2 ms at 10 Mbit/s. False if no frame leaves the board.
-    pub fn wait_fast_path(&self) -> bool {
+    /// Waits until all frames have been sent: 12 us for the longest frame on the wire, 1.2 ms at
+    /// 10 Mbit/s. False if no frame leaves the board.
+    pub fn drained(&self) -> bool {
         drained(&self.regs)
-    }
-
-    /// The fast path's slot.
-    #[inline(always)]
-    pub fn fast_path_slot(&self) -> TxSlot {
-        Self::tx(FAST_PATH)
-    }
-
-    /// From now on [`Mac::send_fast_path`] sends this many bytes.
-    pub fn aim(&mut self, length: usize) {
-        aim(&self.regs, FAST_PATH as u32, (length + PAD) as u32);
-    }
-
-    /// Sends the fast path's slot, which is still selected.
-    #[inline(always)]
-    pub fn send_fast_path(&mut self) {
-        self.regs
-            .sram_reader_start()
-            .write(|w| unsafe { w.bits(1) });
     }
 
     /// The common slot, as soon as it may be written; `None` if no frame leaves the board.
     pub fn slot(&self) -> Option<TxSlot> {
-        self.wait_fast_path().then(|| Self::tx(COMMON))
+        self.drained().then(|| Self::tx(COMMON))
     }
 
     /// Sends the common slot.
