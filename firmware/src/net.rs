@@ -204,7 +204,7 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) ->
             ip: source,
             port: (words >> 16) as u16,
         },
-        mac: ((w2 >> 16) as u16, w2 << 16 | w3 >> 16),
+        mac: sender(frame),
         length: udp_length - UDP_HEADER,
         options,
     })
@@ -223,6 +223,12 @@ pub fn longest_in_motion(frame: &impl Frame, services: bool) -> usize {
 /// Is this frame of [`Class::Services`] ARP?
 pub fn is_arp(frame: &impl Frame) -> bool {
     frame.word(3) & 0xffff == ETHERTYPE_ARP
+}
+
+/// The MAC address a frame comes from: upper 16, lower 32 bits.
+pub fn sender(frame: &impl Frame) -> (u16, u32) {
+    let (w2, w3) = (frame.word(2), frame.word(3));
+    ((w2 >> 16) as u16, w2 << 16 | w3 >> 16)
 }
 
 /// Does this frame of [`Class::Services`] come to a DHCP client?

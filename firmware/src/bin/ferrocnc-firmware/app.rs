@@ -241,13 +241,13 @@ impl App {
                 self.machine.refuse(Refusal::Oversized);
             }
             Class::Services => {
-                // ARP may be the owner's. An exchange behind it alone took 9345 clocks.
-                let arp = net::is_arp(&frame);
+                // Behind a turn the ROM answers the owner's ARP, because the services take longer.
+                let owners = net::is_arp(&frame) && self.from_owner(&frame);
                 let length = self.mac.take_bytes();
-                if !arp && self.yields() {
-                    return false;
-                }
-                if self.services.is_some() {
+                let late = self.behind_a_turn();
+                if late && !owners {
+                    self.machine.refuse(Refusal::Busy);
+                } else if self.services.is_some() && !late {
                     let at = self.mac.input.bytes().as_ptr();
                     self.services(at, length);
                 } else {
@@ -259,15 +259,26 @@ impl App {
         false
     }
 
-    /// A guest's frame came during a turn of the services or in front of it, and the owner's frame
-    /// is behind it. The owner has waited for the turn: it does not wait for the guest, too, whose
-    /// frame is refused.
+    /// Did the frame that is being served come during a turn of the services or in front of it, and
+    /// is another one behind it, which may be the owner's next exchange?
+    fn behind_a_turn(&mut self) -> bool {
+        core::mem::take(&mut self.crowded) && self.mac.pending()
+    }
+
+    /// As [`App::behind_a_turn`], for a guest's frame. The owner has waited for the turn: it does
+    /// not wait for the guest, too, whose frame is refused.
     fn yields(&mut self) -> bool {
-        let yields = core::mem::take(&mut self.crowded) && self.mac.pending();
+        let yields = self.behind_a_turn();
         if yields {
             self.machine.refuse(Refusal::Busy);
         }
         yields
+    }
+
+    /// Does the frame come from the host that owns the machine?
+    fn from_owner(&self, frame: &RxFrame) -> bool {
+        self.fast_path
+            .is_some_and(|fast_path| net::sender(frame) == fast_path.datagram.mac)
     }
 
     fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
