@@ -47,7 +47,7 @@ pub struct App {
     patrol: abi::Patrol,
     /// They want to be called in every turn.
     restless: bool,
-    /// A turn of theirs has ended with a frame pending while the machine moves.
+    /// A call of theirs has ended with a frame pending while the machine moves.
     crowded: bool,
     /// They are about to run.
     coming: Option<Coming>,
@@ -259,10 +259,11 @@ impl App {
         false
     }
 
-    /// Did the frame that is being served come during a turn of the services or in front of it, and
+    /// Did the frame that is being served come during a call of the services or in front of it, and
     /// is another one behind it, which may be the owner's next exchange?
     fn behind_a_turn(&mut self) -> bool {
-        core::mem::take(&mut self.crowded) && self.mac.pending()
+        self.crowded &= self.mac.pending();
+        self.crowded
     }
 
     /// As [`App::behind_a_turn`], for a guest's frame. The owner has waited for the turn: it does
@@ -442,8 +443,6 @@ impl App {
         if self.services.is_some() {
             if due || self.restless {
                 self.services(core::ptr::null(), abi::POLL);
-                let moving = self.fast_path.is_some() && !self.machine.at_rest();
-                self.crowded = moving && self.mac.pending();
             } else if self.fast_path.is_some() && self.machine.at_rest() {
                 self.patrol();
             }
@@ -512,6 +511,8 @@ impl App {
     fn services(&mut self, frame: *const u8, length: usize) {
         if let Some(entry) = self.services {
             self.call(entry, frame, length);
+            let moving = self.fast_path.is_some() && !self.machine.at_rest();
+            self.crowded = moving && self.mac.pending();
         }
     }
 
