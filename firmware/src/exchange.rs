@@ -2,48 +2,30 @@
 //! is moved once.
 //!
 //! ```text
-//!   parse    net::FastPath or the server    its peer, whole, one record, our block's length
+//!   parse    the server                      its peer, whole, one record, our block's length
 //!   judge    session, sequence, gate         a refusal here has touched nothing
 //!   stage    command page, word by word      nothing takes effect before the commit
 //!   commit   one strobe: every channel on one clock; the same strobe samples every channel
 //!   copy     status page into the answer
 //! ```
 //!
-//! The five stages work on contiguous windows, so each of them can move into gateware without a
-//! change to the others. The request is read through [`Request`] and answered through [`Reply`]; so
-//! the same code runs on MAC slots and on slices.
+//! This is the long way: of the first exchange, of arming and stopping, and behind a lost frame.
+//! With a pass ([`crate::pass`]) the gateware stages, commits, samples and answers.
 
-use crate::block::{REPLY_OVERHEAD, Reply, Request, Shape, reply_head};
 use crate::cores::{Board, Control, Gate};
 use crate::safety::Event;
 use crate::server::Server;
 use crate::session::Peer;
 use wire::exchange::{
     COMMAND_HEAD, COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE,
-    FLAG_ENABLE_REQUEST, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, command_word,
-    judge_sequence, status_word,
+    FLAG_ENABLE_REQUEST, STATUS_ENCODER, STATUS_STEPGEN, command_word, judge_sequence,
 };
 use wire::regmap::{command, status, timebase};
+use wire::etherbone::ReplyWriter;
 use wire::{Refusal, State};
 
 const FLAGS_KNOWN: u32 =
     FLAG_ENABLE | FLAG_ENABLE_REQUEST | FLAG_APPLY_TIME | u32::MAX << FLAG_ALONE_SHIFT;
-
-/// Number of the flags' word in a frame on the fast path.
-pub const FRAME_FLAGS: usize = crate::net::PAYLOAD_WORD + REQUEST_OVERHEAD + command_word::FLAGS;
-
-/// Number of the first word of an answer's frame after its headers and [`reply_head`].
-const RESUME: usize = crate::net::PAYLOAD_WORD + REPLY_OVERHEAD - 1;
-/// Number of the boot id's word in an answer's frame.
-const KEPT: usize = crate::net::PAYLOAD_WORD + REPLY_OVERHEAD + status_word::BOOT_ID;
-
-/// Loads words of the status page into names, then puts them: [`Request`] says why.
-macro_rules! copy {
-    ($board:ident, $reply:ident, $at:expr, $($name:ident $word:literal)+) => {
-        $(let $name = $board.latched($at + $word);)+
-        $($reply.put($name);)+
-    };
-}
 
 /// The words of a command before those of its channels.
 struct Head {
@@ -58,9 +40,11 @@ struct Head {
 }
 
 impl Head {
-    #[inline(always)]
-    fn take(request: &mut impl Request) -> Self {
-        let words: [u32; COMMAND_HEAD] = request.take9();
+    fn of(block: &[u32]) -> Self {
+        let mut words = [0; COMMAND_HEAD];
+        for (word, sent) in words.iter_mut().zip(block) {
+            *word = *sent;
+        }
         Head {
             token: words[command_word::TOKEN],
             sequence: words[command_word::SEQUENCE],
@@ -81,69 +65,60 @@ impl Head {
 }
 
 impl Server {
-    /// Executes one exchange. `request` delivers the command block; the sequence number and the
-    /// status block go into `reply`. A refused exchange has no effect, even if words were already
-    /// put into `reply`.
-    #[inline(always)]
-    pub fn exchange<B: Board>(
+    /// Executes one exchange: a command block of this board's length. The status block goes into
+    /// `reply`. A refused exchange has no effect.
+    pub(crate) fn exchange<B: Board>(
         &mut self,
         board: &mut B,
         peer: Peer,
-        request: &mut impl Request,
-        reply: &mut impl Reply,
+        block: &[u32],
+        reply: &mut ReplyWriter,
     ) -> Result<(), Refusal> {
-        let head = Head::take(request);
+        let head = Head::of(block);
         self.judge(peer, &head)?;
         if peer != Peer::INSIDE {
             self.took_long_way(head.sequence, head.flags);
         }
-        let mut gate = board.gate();
+        let gate = board.gate();
         let left = board.watchdog_left();
-        self.stage(board, &head, request)?;
-        // A damaged command continues to the answer, which is not sent, and has no other effect: so
-        // a warm-up runs through the same code.
-        let whole = request.intact();
-        if whole {
-            gate = self.commit(board, &head, gate)?;
-        }
-
-        // Answer with the sampled status page. The compiler would build a function of its own
-        // twice, once for damaged commands, and a warm-up would load the wrong one. `session_yours`
-        // and `accepted` are true here, because anything else was refused above.
-        let [arrival_lo, arrival_hi] = [board.arrival_lo(), board.arrival_hi()];
-        let [sample_lo, sample_hi] = [
+        self.stage(board, block);
+        let gate = self.commit(board, &head, gate)?;
+        // `session_yours` and `accepted` are true here, because anything else was refused above.
+        let words = [
+            head.sequence,
+            self.state_word(gate) | STATE_ANSWER,
+            head.sequence,
+            board.arrival_lo(),
+            board.arrival_hi(),
             board.latched(status::SAMPLE_LO),
             board.latched(status::SAMPLE_HI),
+            left,
+            self.counters.refused_total,
+            self.boot.id,
+            board.latched(status::ESTOP),
+            board.latched(status::GPIO_IN),
+            board.latched(status::FLAGS0),
+            board.latched(status::FLAGS1),
+            board.latched(status::FLAGS2),
+            board.latched(status::ENCODER0_LATCH + head.latch() as usize),
         ];
-        let [estop, inputs] = [board.latched(status::ESTOP), board.latched(status::GPIO_IN)];
-        let state = self.state_word(gate) | STATE_ANSWER;
-        reply.put(head.sequence);
-        reply.put(state);
-        reply.put(head.sequence);
-        reply.put(arrival_lo);
-        reply.put(arrival_hi);
-        reply.put(sample_lo);
-        reply.put(sample_hi);
-        reply.put(left);
-        reply.put(self.counters.refused_total);
-        reply.keep(self.boot.id);
-        reply.put(estop);
-        reply.put(inputs);
-        let latch = board.latched(status::ENCODER0_LATCH + head.latch() as usize);
-        copy!(board, reply, status::FLAGS0, a 0 b 1 c 2);
-        reply.put(latch);
-        // Read again: values held in registers would push others out of theirs.
-        copy_stepgens(board, reply, self.shape.stepgens);
-        copy_encoders(board, reply, self.shape.encoders);
-        if whole {
-            Ok(())
-        } else {
-            Err(Refusal::Checksum)
+        // The caller provides a buffer for the longest answer.
+        reply.extend(&words);
+        let stepgens = STATUS_STEPGEN * self.shape.stepgens;
+        let encoders = STATUS_ENCODER * self.shape.encoders;
+        for (first, count) in [
+            (status::STEPGEN0_POSITION_LO, stepgens),
+            (status::ENCODER0_COUNT, encoders),
+        ] {
+            for word in first..first + count {
+                reply.push(board.latched(word));
+            }
         }
+        self.exchanged(head.flags);
+        Ok(())
     }
 
     /// Refuses a command by its head alone: session, sequence number, bits without a meaning.
-    #[inline(always)]
     fn judge(&self, peer: Peer, head: &Head) -> Result<(), Refusal> {
         self.session.check(peer, head.token)?;
         let last = self.session.last_sequence();
@@ -157,35 +132,28 @@ impl Server {
     }
 
     /// Writes the command page. Nothing of it takes effect before the commit.
-    #[inline(always)]
-    fn stage<B: Board>(
-        &mut self,
-        board: &mut B,
-        head: &Head,
-        request: &mut impl Request,
-    ) -> Result<(), Refusal> {
-        let shape = self.shape;
+    fn stage<B: Board>(&mut self, board: &mut B, block: &[u32]) {
         if self.commit_pending {
-            // A timed commit must not fire while half a block is staged, and a damaged block must
-            // not replace it. From here on the new command counts.
-            if !request.sound(shape.command - COMMAND_HEAD) {
-                return Err(Refusal::Checksum);
-            }
+            // A timed commit must not fire while half a block is staged. From here on the new
+            // command counts.
             board.commit_at(u64::MAX);
             self.commit_pending = false;
         }
-        board.stage(command::ENABLES, head.enables);
-        board.stage(command::GPIO_OUT, head.outputs);
-        board.stage(command::ARMS, head.arms);
-        // The register ignores the selection in the bits above the arms.
-        board.stage(command::PROBE_ARMS, head.probe_arms);
-        stage_stepgens(board, request, shape.stepgens);
-        stage_pwms(board, request, shape.pwms);
-        Ok(())
+        // The registers have the order of the block, but for the channels that this board lacks.
+        let stepgens = COMMAND_STEPGEN * self.shape.stepgens;
+        let runs = [
+            (command::ENABLES, command_word::ENABLES, COMMAND_HEAD - command_word::ENABLES),
+            (command::STEPGEN0_VELOCITY, COMMAND_HEAD, stepgens),
+            (command::PWM0_WIDTH, COMMAND_HEAD + stepgens, self.shape.pwms),
+        ];
+        for (register, at, count) in runs {
+            for (n, word) in block.iter().skip(at).take(count).enumerate() {
+                board.stage(register + n, *word);
+            }
+        }
     }
 
     /// Makes the staged command take effect and samples every channel; returns the gate after that.
-    #[inline(always)]
     fn commit<B: Board>(
         &mut self,
         board: &mut B,
@@ -209,10 +177,8 @@ impl Server {
         Ok(gate)
     }
 
-    /// Records what is left to do after the answer to an executed exchange with these flags is
-    /// sent.
-    #[inline]
-    pub fn exchanged(&mut self, flags: u32) {
+    /// Records what is left to do after an executed exchange with these flags.
+    pub(crate) fn exchanged(&mut self, flags: u32) {
         self.spoke = true;
         self.flags = flags;
         if self.safety.state() == State::Armed {
@@ -281,88 +247,6 @@ impl Server {
     }
 }
 
-/// Stages the two words of each of `count` stepgens, up to two stepgens at a time.
-#[inline(always)]
-fn stage_stepgens(board: &mut impl Board, request: &mut impl Request, count: usize) {
-    let mut at = command::STEPGEN0_VELOCITY;
-    for _ in 0..count / 2 {
-        stage4(board, at, request.take4());
-        at += 2 * COMMAND_STEPGEN;
-    }
-    if count & 1 != 0 {
-        stage2(board, at, request.take2());
-    }
-}
-
-/// Stages the word of each of `count` PWMs, up to four at a time.
-#[inline(always)]
-fn stage_pwms(board: &mut impl Board, request: &mut impl Request, count: usize) {
-    let mut at = command::PWM0_WIDTH;
-    for _ in 0..count / 4 {
-        stage4(board, at, request.take4());
-        at += 4;
-    }
-    if count & 2 != 0 {
-        stage2(board, at, request.take2());
-        at += 2;
-    }
-    if count & 1 != 0 {
-        let [a] = request.take1();
-        board.stage(at, a);
-    }
-}
-
-#[inline(always)]
-fn stage4(board: &mut impl Board, at: usize, [a, b, c, d]: [u32; 4]) {
-    board.stage(at, a);
-    board.stage(at + 1, b);
-    board.stage(at + 2, c);
-    board.stage(at + 3, d);
-}
-
-#[inline(always)]
-fn stage2(board: &mut impl Board, at: usize, [a, b]: [u32; 2]) {
-    board.stage(at, a);
-    board.stage(at + 1, b);
-}
-
-/// Copies the three words of each of `count` stepgens into the answer, up to four stepgens at a
-/// time.
-#[inline(always)]
-fn copy_stepgens(board: &mut impl Board, reply: &mut impl Reply, count: usize) {
-    let mut at = status::STEPGEN0_POSITION_LO;
-    for _ in 0..count / 4 {
-        copy!(board, reply, at, a 0 b 1 c 2 d 3 e 4 f 5 g 6 h 7 i 8 j 9 k 10 l 11);
-        at += 4 * STATUS_STEPGEN;
-    }
-    if count & 2 != 0 {
-        copy!(board, reply, at, a 0 b 1 c 2 d 3 e 4 f 5);
-        at += 2 * STATUS_STEPGEN;
-    }
-    if count & 1 != 0 {
-        copy!(board, reply, at, a 0 b 1 c 2);
-    }
-}
-
-/// Copies the two words of each of `count` encoders into the answer, up to four encoders at a time.
-#[inline(always)]
-fn copy_encoders(board: &mut impl Board, reply: &mut impl Reply, count: usize) {
-    let mut at = status::ENCODER0_COUNT;
-    for _ in 0..count / 4 {
-        copy!(board, reply, at, a 0 b 1 c 2 d 3 e 4 f 5 g 6 h 7);
-        at += 4 * STATUS_ENCODER;
-    }
-    if count & 2 != 0 {
-        copy!(board, reply, at, a 0 b 1 c 2 d 3);
-        at += 2 * STATUS_ENCODER;
-    }
-    if count & 1 != 0 {
-        copy!(board, reply, at, a 0 b 1);
-    }
-}
-
-const _: () = assert!(STATUS_STEPGEN == 3 && STATUS_ENCODER == 2);
-
 /// Tells which of two reasons a sequence number is refused for. A function of its own keeps it out
 /// of the fast path.
 #[cold]
@@ -376,47 +260,3 @@ fn not_ahead(sequence: u32, last: u32) -> Refusal {
 
 /// Bits of a state word that are set only in the answer to an accepted command.
 pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;
-
-/// An answer that is written directly into a transmit slot, after the headers and [`reply_head`].
-#[derive(Debug)]
-pub struct SlotReply<'s, S> {
-    slot: &'s mut S,
-    index: usize,
-}
-
-impl<'s, S: crate::net::Slot> SlotReply<'s, S> {
-    /// Writes all words of the frame that are the same in every answer on this fast path.
-    pub fn prepare(slot: &mut S, headers: impl FnOnce(&mut S), server: &Server) {
-        headers(slot);
-        crate::net::emit_payload(slot, &reply_head(&server.shape));
-        slot.put(KEPT, server.boot.id);
-    }
-
-    /// Continues after what [`SlotReply::prepare`] wrote.
-    #[inline(always)]
-    pub fn resume(slot: &'s mut S) -> Self {
-        SlotReply {
-            slot,
-            index: RESUME,
-        }
-    }
-
-    /// Length of the answer's frame in bytes.
-    pub const fn frame_length(shape: &Shape) -> usize {
-        crate::net::HEADERS + (REPLY_OVERHEAD + shape.status) * 4
-    }
-}
-
-impl<S: crate::net::Slot> Reply for SlotReply<'_, S> {
-    #[inline(always)]
-    fn put(&mut self, word: u32) {
-        self.slot.put(self.index, word);
-        self.index += 1;
-    }
-
-    /// Only the boot id is kept, and it is already in the slot.
-    #[inline(always)]
-    fn keep(&mut self, _word: u32) {
-        self.index += 1;
-    }
-}

@@ -1,6 +1,7 @@
 //! A board in memory for tests: it records what was written, and answers what the test prepared.
 
 use crate::cores::*;
+use crate::pass::Pass;
 use crate::postmortem::Boot;
 use crate::server::Server;
 use crate::session::Peer;
@@ -9,7 +10,9 @@ use std::collections::HashMap;
 use std::vec::Vec;
 use wire::describe::{Channels, FEATURE_JOBS};
 use wire::etherbone::{HEADER, record};
-use wire::exchange::{Command, REQUEST_OVERHEAD, STATUS_MAX, Status};
+use wire::exchange::{
+    COMMAND_HEAD, Command, REQUEST_OVERHEAD, STATUS_MAX, Status, command_word,
+};
 use wire::regmap::{self, command, segments, status, timebase, watchdog};
 use wire::{MAX_WORDS, Refusal, ResetReason, map};
 
@@ -71,6 +74,12 @@ pub struct Notebook {
     pub link: Link,
     /// Parts of its stack that were never used.
     pub free_stack: u32,
+    /// The pass that is out.
+    pub pass: Option<Pass>,
+    /// A command was executed since the last pass.
+    pub used: bool,
+    /// The fast path's answer is on its way.
+    pub sending: bool,
 }
 
 impl Notebook {
@@ -100,6 +109,9 @@ impl Notebook {
                 errors: 0,
             },
             free_stack: 0,
+            pass: None,
+            used: false,
+            sending: false,
         }
     }
 
@@ -109,6 +121,33 @@ impl Notebook {
             .iter()
             .filter(|change| **change != Change::Strobe(timebase::STROBE_SAMPLE))
             .count()
+    }
+
+    /// A command of the owner comes to the gateware. True if it is executed with the pass, as
+    /// `fast_path.sv` does; if not, it is the firmware's.
+    pub fn comes(&mut self, command: &Command) -> bool {
+        let gate = self.gate();
+        let mut buffer = [0; MAX_WORDS];
+        let request = command.emit_request(SIX, &mut buffer).unwrap();
+        let block = &request[REQUEST_OVERHEAD..];
+        let (sequence, flags) = (block[command_word::SEQUENCE], block[command_word::FLAGS]);
+        let like = |pass: &Pass| (pass.sequence, pass.flags, pass.gate) == (sequence, flags, gate);
+        let Some(pass) = self.pass.filter(like) else {
+            return false;
+        };
+        self.commit_at = u64::from(block[command_word::APPLY_HI]) << 32
+            | u64::from(block[command_word::APPLY_LO]);
+        self.staged[..4].copy_from_slice(&block[command_word::ENABLES..][..4]);
+        self.staged[command::STEPGEN0_VELOCITY..][..12].copy_from_slice(&block[COMMAND_HEAD..][..12]);
+        self.staged[command::PWM0_WIDTH..][..6].copy_from_slice(&block[COMMAND_HEAD + 12..][..6]);
+        self.strobe(match (pass.executes, pass.timed()) {
+            (false, _) => timebase::STROBE_SAMPLE,
+            (true, false) => timebase::STROBE_COMMIT | timebase::STROBE_SAMPLE,
+            (true, true) => timebase::STROBE_COMMIT_AT | timebase::STROBE_SAMPLE,
+        });
+        self.done.push(Change::Feed(sequence));
+        (self.pass, self.used) = (None, true);
+        true
     }
 
     pub fn bite(&mut self) {
@@ -172,6 +211,19 @@ impl Board for Notebook {
     }
     fn feed(&mut self, token: u32) {
         self.done.push(Change::Feed(token));
+    }
+    fn hand_out(&mut self, pass: &Pass) {
+        (self.pass, self.used) = (Some(*pass), false);
+    }
+    fn revoke(&mut self) -> bool {
+        self.pass = None;
+        self.used
+    }
+    fn executed(&mut self) -> bool {
+        self.used
+    }
+    fn sending(&mut self) -> bool {
+        self.sending
     }
     fn gate(&mut self) -> Gate {
         // A pin closes the gate and latches; while it is active its second bit is up.

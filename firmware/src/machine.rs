@@ -525,5 +525,11 @@ mod visitors;
 pub use shared::{Guest, Shared};
 pub use visitors::{Verb, Verdict, WORDS as VISIT_WORDS};
 
+/// The identity of a board with six axes.
+#[cfg(test)]
+pub(crate) fn ident_of_six() -> Ident {
+    *crate::fake::Rig::new().server.ident()
+}
+
 #[cfg(test)]
 mod tests;

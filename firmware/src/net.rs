@@ -24,10 +24,6 @@ pub const FRAME_MIN: usize = 60;
 /// Word the payload begins at.
 pub const PAYLOAD_WORD: usize = 11;
 
-/// Words of a warm-up frame: the longest command there is.
-pub const WARM_UP_WORDS: usize =
-    PAYLOAD_WORD + wire::exchange::REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX;
-
 pub(crate) const ETHERTYPE_IPV4: u32 = 0x0800;
 const ETHERTYPE_ARP: u32 = 0x0806;
 /// Word that holds the address an ARP request asks for.
@@ -62,13 +58,6 @@ const GUEST_FRAME_DHCP: usize = 350;
 pub trait Frame {
     /// Bytes `4 * index - 2 ..` of the frame.
     fn word(&self, index: usize) -> u32;
-
-    /// Did the frame come over the wire? A frame made up for a warm-up is not genuine, and its
-    /// checksum is never right.
-    #[inline(always)]
-    fn genuine(&self) -> bool {
-        true
-    }
 }
 
 /// A frame to be sent, as big-endian words, two bytes in.
@@ -142,7 +131,7 @@ impl Datagram {
 
 /// Looks at a frame of `length` bytes. `ports`: where the services listen.
 pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) -> Class {
-    let [w0, w1, w2, w3, w4, w5, w6, source, destination] =
+    let [w0, w1, _, w3, w4, w5, w6, source, destination] =
         core::array::from_fn(|index| frame.word(index));
     let options = (w4 >> 24 & 0xf).wrapping_sub(5) as usize;
     let to = Destination::of(w0, w1, us);
@@ -210,7 +199,7 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) ->
             ip: source,
             port: (words >> 16) as u16,
         },
-        mac: ((w2 >> 16) as u16, w2 << 16 | w3 >> 16),
+        mac: sender(frame),
         length: udp_length - UDP_HEADER,
         options,
         service: (w4 >> 16) as u8,
@@ -231,6 +220,12 @@ pub fn longest_in_motion(frame: &impl Frame, services: bool) -> usize {
 /// Is this frame of [`Class::Services`] ARP?
 pub fn is_arp(frame: &impl Frame) -> bool {
     frame.word(3) & 0xffff == ETHERTYPE_ARP
+}
+
+/// The MAC address a frame comes from: upper 16, lower 32 bits.
+pub fn sender(frame: &impl Frame) -> (u16, u32) {
+    let (w2, w3) = (frame.word(2), frame.word(3));
+    ((w2 >> 16) as u16, w2 << 16 | w3 >> 16)
 }
 
 /// Does this frame of [`Class::Services`] come to a DHCP client?
@@ -320,240 +315,6 @@ pub fn emit_payload(slot: &mut impl Slot, payload: &[u32]) -> usize {
     }
     HEADERS + payload.len() * 4
 }
-
-/// The fast path: the headers of the last exchange. The next exchange of the same host is
-/// recognised by comparing words, and its answer's headers are already in the slot.
-#[derive(Clone, Copy, Debug)]
-pub struct FastPath {
-    /// Frame length, and the values that words 0..=4 and 7..=10 must have, as far as they matter.
-    length: usize,
-    macs: [u32; 4],
-    version: u32,
-    peers: [u32; 3],
-    udp_length: u32,
-    /// Ones' complement sum of the IP header without service class, id, flags, TTL and checksum.
-    ip_sum: u32,
-    /// Ones' complement sum of pseudo header and UDP header without its checksum.
-    udp_sum: u32,
-    /// The third Etherbone word.
-    record: u32,
-    /// The datagram the fast path was opened for.
-    pub datagram: Datagram,
-}
-
-impl FastPath {
-    /// A fast path for exchanges of `command_words` words from the sender of `datagram`.
-    pub fn new(us: &Us, datagram: Datagram, command_words: usize) -> Self {
-        let payload = (wire::exchange::REQUEST_OVERHEAD + command_words) * 4;
-        let udp_length = (UDP_HEADER + payload) as u32;
-        let version = IPV4_IHL5 | (udp_length + IP_HEADER as u32);
-        let (theirs, ours) = (datagram.peer.ip, us.ip);
-        let ports = u32::from(datagram.peer.port) << 16 | u32::from(us.port);
-        let (ours_high, ours_low) = mac_halves(us.mac);
-        let (theirs_high, theirs_low) = datagram.mac;
-        let peers = add(theirs, ours);
-        let lengths = add(udp_length << 16, PROTOCOL_UDP + udp_length);
-        FastPath {
-            length: HEADERS + payload,
-            macs: [
-                u32::from(ours_high),
-                ours_low,
-                u32::from(theirs_high) << 16 | theirs_low >> 16,
-                theirs_low << 16 | ETHERTYPE_IPV4,
-            ],
-            version,
-            peers: [theirs, ours, ports],
-            udp_length,
-            ip_sum: fold(add(add(version, PROTOCOL_UDP), peers)),
-            udp_sum: fold(add(add(lengths, peers), ports)),
-            record: wire::etherbone::record(command_words, 0),
-            datagram,
-        }
-    }
-
-    /// Words of a frame, by number, that tell the owner's frames to us from all others.
-    pub fn expected_words(&self) -> [(usize, u32); 4] {
-        let [_, _, m2, m3] = self.macs;
-        let [source, _, ports] = self.peers;
-        [(2, m2), (3, m3), (7, source), (9, ports)]
-    }
-
-    /// Makes up a frame that runs through this fast path to its end without being executed: the
-    /// owner's next command, all zeros, for a [`Frame`] that is not genuine. A warm-up with it
-    /// brings the whole path back into the instruction cache after other code ran.
-    pub fn warm_up_frame(
-        &self,
-        token: u32,
-        sequence: u32,
-        frame: &mut [u32; WARM_UP_WORDS],
-    ) -> usize {
-        let [m0, m1, m2, m3] = self.macs;
-        let [source, destination, ports] = self.peers;
-        *frame = [0; WARM_UP_WORDS];
-        let checksum = !fold(self.ip_sum) & 0xffff;
-        let head = [
-            m0,
-            m1,
-            m2,
-            m3,
-            self.version,
-            0,
-            PROTOCOL_UDP << 16 | checksum,
-            source,
-            destination,
-            ports,
-            self.udp_length << 16,
-            wire::etherbone::HEADER,
-            0,
-            self.record,
-            wire::map::COMMAND,
-            token,
-            sequence,
-        ];
-        for (place, word) in frame.iter_mut().zip(head) {
-            *place = word;
-        }
-        self.length
-    }
-
-    /// Returns the command block of the frame if the frame is an exchange for this fast path. The
-    /// UDP checksum is known to be right or wrong once the block has been read to its end. `None`
-    /// does not refuse the frame: [`classify`] then finds out what it is.
-    #[inline(always)]
-    pub fn open<'f, F: Frame>(&self, frame: &'f F, length: usize) -> Option<CommandReader<'f, F>> {
-        let (w0, w1, w2, w3) = (frame.word(0), frame.word(1), frame.word(2), frame.word(3));
-        let (w4, w5, w6, w7) = (frame.word(4), frame.word(5), frame.word(6), frame.word(7));
-        let (w8, w9, w10) = (frame.word(8), frame.word(9), frame.word(10));
-        let [m0, m1, m2, m3] = self.macs;
-        let [source, destination, ports] = self.peers;
-        let macs = w0 & 0xffff ^ m0 | w1 ^ m1 | w2 ^ m2 | w3 ^ m3;
-        // The service class may differ, and of the flags only those that make a fragment count.
-        let shape =
-            w4 & !0x00ff_0000 ^ self.version | w5 & FRAGMENT | w6 >> 16 & 0xff ^ PROTOCOL_UDP;
-        let peers = w7 ^ source | w8 ^ destination | w9 ^ ports | w10 >> 16 ^ self.udp_length;
-        if length != self.length || macs | shape | peers != 0 {
-            return None;
-        }
-        // Sums of a few 16-bit numbers: no carry is lost.
-        let class_and_id = (w4 >> 16 & 0xff) + (w5 >> 16) + (w5 & 0xffff);
-        let ttl_and_sum = (w6 >> 16 & 0xff00) + (w6 & 0xffff);
-        if fold(self.ip_sum + class_and_id + ttl_and_sum) != 0xffff {
-            return None;
-        }
-        let mut command = CommandReader {
-            frame,
-            index: PAYLOAD_WORD,
-            sum: self.udp_sum,
-            carries: 0,
-            checksum: w10 & 0xffff,
-        };
-        let [header, _padding, record, base] = command.take4();
-        let difference =
-            header ^ wire::etherbone::HEADER | record ^ self.record | base ^ wire::map::COMMAND;
-        (difference == 0).then_some(command)
-    }
-}
-
-/// The command block of a frame on the fast path, read word by word, each word once. Reading sums
-/// the UDP checksum, 32 bits at a time: 2^16 is 1 in ones' complement arithmetic, so the halves and
-/// the carries can be folded at the end.
-#[derive(Debug)]
-pub struct CommandReader<'f, F> {
-    frame: &'f F,
-    index: usize,
-    sum: u32,
-    carries: u32,
-    checksum: u32,
-}
-
-impl<F: Frame> CommandReader<'_, F> {
-    #[inline(always)]
-    fn load(&mut self) -> u32 {
-        let word = self.frame.word(self.index);
-        self.index += 1;
-        word
-    }
-
-    #[inline(always)]
-    fn add(&mut self, word: u32) -> u32 {
-        let (sum, carry) = self.sum.overflowing_add(word);
-        self.sum = sum;
-        self.carries += u32::from(carry);
-        word
-    }
-}
-
-/// Loads first, uses later: see [`crate::block::Request`].
-macro_rules! take {
-    ($self:ident, $($word:ident),+) => {{
-        $(let $word = $self.load();)+
-        [$($self.add($word)),+]
-    }};
-}
-
-impl<F: Frame> crate::block::Request for CommandReader<'_, F> {
-    #[inline(always)]
-    fn take1(&mut self) -> [u32; 1] {
-        take!(self, a)
-    }
-
-    #[inline(always)]
-    fn take2(&mut self) -> [u32; 2] {
-        take!(self, a, b)
-    }
-
-    #[inline(always)]
-    fn take4(&mut self) -> [u32; 4] {
-        take!(self, a, b, c, d)
-    }
-
-    #[inline(always)]
-    fn take9(&mut self) -> [u32; 9] {
-        take!(self, a, b, c, d, e, f, g, h, i)
-    }
-
-    #[inline(always)]
-    fn intact(&mut self) -> bool {
-        let fits = || fold(add(add(self.sum, self.carries), self.checksum)) == 0xffff;
-        self.frame.genuine() && (self.checksum == 0 || fits())
-    }
-
-    #[inline(always)]
-    fn sound(&self, rest: usize) -> bool {
-        let at = self.index;
-        sums_up(
-            self.frame,
-            at,
-            at + rest,
-            self.sum,
-            self.carries,
-            self.checksum,
-        )
-    }
-}
-
-/// Will the sum be right at this end? No part of [`CommandReader`] is passed by reference: that
-/// would keep the whole struct in memory.
-#[cold]
-#[inline(never)]
-fn sums_up(
-    frame: &impl Frame,
-    mut at: usize,
-    end: usize,
-    mut sum: u32,
-    carries: u32,
-    said: u32,
-) -> bool {
-    sum = add(add(sum, carries), said);
-    while at != end {
-        sum = add(sum, frame.word(at));
-        at += 1;
-    }
-    // [`fold`] turns these into 0xffff; a sum that includes a header is not 0.
-    said == 0 || sum.is_multiple_of(0xffff)
-}
-
-use crate::block::Request as _;
 
 /// Ones' complement sum of `count` words.
 fn sum_words(frame: &impl Frame, start: usize, count: usize) -> u32 {

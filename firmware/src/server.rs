@@ -1,7 +1,7 @@
 //! The Etherbone server: a datagram is checked completely, then executed completely or not at all.
 //!
-//! [`Server::datagram`] takes every datagram. The servo-period exchange has a fast path into
-//! [`Server::exchange`] that ends in the same code. Checks run against a copy of the session and
+//! [`Server::datagram`] takes every datagram that the gateware has not executed
+//! ([`crate::pass`]). Checks run against a copy of the session and
 //! the state machine, so that one datagram can acquire the session and configure the board.
 //!
 //! The server answers probes, reads and the exchange, but not a plain write. A refused datagram is
@@ -12,7 +12,7 @@ mod judge;
 
 use self::judge::{COMMAND_END, FLASH_END, Judge, PANIC_END, check_read, writes_of};
 use crate::auth::Auth;
-use crate::block::{REPLY_OVERHEAD, Shape, SliceRequest, reply_head};
+use crate::block::{REPLY_OVERHEAD, Shape, reply_head};
 use crate::cores::{Board, Control, Gate, Ident, Led, Setting};
 use crate::flash::Flash;
 use crate::link::Link;
@@ -25,7 +25,7 @@ use crate::{config, describe, log};
 use wire::describe::{FEATURE_KEY, JobsState, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
 use wire::exchange::{
-    STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, command_word, status_word,
+    STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, status_word,
 };
 use wire::map::BoardConfig;
 use wire::refusal::{COUNTERS_CALLS, COUNTERS_CUTS, COUNTERS_WAYS};
@@ -233,11 +233,6 @@ impl Server {
     /// Firmware's ABI number.
     pub fn abi(&self) -> u32 {
         self.abi
-    }
-
-    /// May the fast path be warmed up? A timed commit must not find a warm-up's zeros staged.
-    pub fn may_warm_up(&self) -> bool {
-        !self.commit_pending
     }
 
     /// A client with the right to do so has requested a restart.
@@ -491,9 +486,7 @@ impl Server {
             let mut writer = ReplyWriter::new(reply, etherbone::HEADER);
             let [_, _, record] = reply_head(&self.shape);
             writer.push(record);
-            self.exchange(board, peer, &mut SliceRequest(block), &mut writer)?;
-            let flags = block.get(command_word::FLAGS).copied();
-            self.exchanged(flags.unwrap_or(0));
+            self.exchange(board, peer, block, &mut writer)?;
             debug_assert_eq!(writer.words().len(), REPLY_OVERHEAD + self.shape.status);
             return Ok(if packet.no_reads() {
                 0

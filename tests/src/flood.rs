@@ -9,7 +9,7 @@ use rand::seq::IndexedRandom;
 use rand_pcg::Pcg64Mcg;
 use sim::gmii;
 use sim::rig::RIG_PORT;
-use sim::segment::{BOARD_IP, BOARD_PORT, CONSOLE_PORT, Endpoint, HOST_IP, HOST_MAC};
+use sim::segment::{BOARD_IP, BOARD_PORT, CONSOLE_PORT, Connection, Endpoint, HOST_IP, HOST_MAC};
 use std::net::Ipv4Addr;
 use wire::board::crc32;
 use wire::exchange::{Command, Status};
@@ -31,6 +31,11 @@ const TCP_ARMED: [usize; 2] = [74, 202];
 const HANDSHAKE: usize = 20;
 /// More than the pieces of the longest answer of a console, with their acknowledgements.
 const PIECES: usize = 200;
+/// Clocks between the owner's answer and the next frames, so that they come during the turn behind
+/// that answer.
+const IN_A_TURN: [u64; 2] = [300, 5_000];
+/// Turns with a frame at each of these moments.
+const TURNS: usize = 4;
 /// Bytes a gigabit wire takes in a servo period of a millisecond, gaps and preambles included.
 const WIRE_BYTES: u64 = 125_000;
 
@@ -561,12 +566,7 @@ impl BenchMachine {
         command: &mut Command,
         lines: &[&'l str],
     ) -> Vec<(&'l str, Option<u64>)> {
-        // The owner goes on meanwhile: the services take some servo periods for a handshake.
-        let connection = self.rig.segment.connect(CONSOLE_PORT);
-        for _ in 0..HANDSHAKE {
-            self.period_with(command, &[], 0);
-        }
-        assert!(self.rig.segment.established(connection), "no console");
+        let connection = self.console_beside(command);
         let settle = |machine: &mut Self, command: &mut Command| {
             for _ in 0..6 {
                 machine.period_with(command, &[], 0);
@@ -604,6 +604,50 @@ impl BenchMachine {
         settle(self, command);
         self.rig.segment.close(connection);
         costs
+    }
+}
+
+/// Frames that come while the services have a turn.
+impl BenchMachine {
+    /// Opens a connection to the console; the owner goes on meanwhile.
+    pub fn console_beside(&mut self, command: &mut Command) -> Connection {
+        let connection = self.rig.segment.connect(CONSOLE_PORT);
+        for _ in 0..HANDSHAKE {
+            self.period_with(command, &[], 0);
+        }
+        assert!(self.rig.segment.established(connection), "no console");
+        connection
+    }
+
+    /// The longest time of an exchange that comes with such a frame in front of it while the
+    /// services have their turn, in clocks; `None` if one was not answered. They send pieces of
+    /// this console's answer meanwhile.
+    pub fn costs_in_a_turn(
+        &mut self,
+        command: &mut Command,
+        console: Connection,
+        frame: impl Fn(&mut Self) -> Vec<u8>,
+    ) -> Option<u64> {
+        let mut worst = 0;
+        for after in IN_A_TURN {
+            self.rig.segment.send(console, b"help\n");
+            for _ in 0..TURNS {
+                self.exchange(command);
+                self.rig.run(after);
+                let wire = frame(self);
+                let answer = self.period_with(command, &[wire], 1)?;
+                worst = worst.max(answer.turnaround);
+            }
+            let mut heard = Vec::new();
+            for _ in 0..PIECES {
+                heard.extend(self.rig.segment.recv(console));
+                if heard.ends_with(b"ferrocnc> ") {
+                    break;
+                }
+                self.period_with(command, &[], 0);
+            }
+        }
+        Some(worst)
     }
 }
 

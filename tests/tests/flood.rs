@@ -11,10 +11,11 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde_json::{Map, Value, json};
 use sim::exchange::Spread;
+use std::cell::Cell;
 use wire::exchange::Command;
 use wire::state::State;
 use wire::units::{Accel, Velocity};
-use wire::{GUEST_READS, map};
+use wire::{GUEST_READS, Refusal, map};
 
 /// 300 us at 60 MHz: a guest's slowest frame, an exchange with a cold cache, and the housekeeping
 /// between the two. Less than a third of a servo period of 1 kHz, a sixteenth of the watchdog's
@@ -240,6 +241,49 @@ fn dearest(machine: &mut BenchMachine, command: &mut Command, lines: &[&str]) ->
         .iter()
         .map(|(name, cost)| (name.clone(), json!(cost)))
         .collect()
+}
+
+/// An exchange that comes while the services have their turn is answered so many clocks behind the
+/// longest turn at most: a guest's frame that came before it is refused. Measured are 6297, of
+/// which the cold cache is the larger part. At an ordinary servo period the turn is over long
+/// before, and [`BOUND`] holds.
+const BEHIND_A_TURN: u64 = 9_000;
+
+#[test]
+fn an_exchange_that_comes_in_a_turn_of_the_services_waits_for_no_guest_behind_that_turn() {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed());
+    let (mut machine, mut command) = moving();
+    let mut costs = Map::new();
+    let mut bounded = |name: String, cost: Option<u64>, machine: &mut BenchMachine| {
+        let [turn, _] = machine.longest_calls();
+        println!("{name} in a turn: {cost:?}, longest turn {turn}");
+        let bound = u64::from(turn) + BEHIND_A_TURN;
+        assert!(cost.is_some_and(|cost| cost <= bound), "{name}: {cost:?}");
+        costs.insert(name, json!(cost));
+    };
+    let refused = machine.refusals(Refusal::Busy);
+    let console = machine.console_beside(&mut command);
+    for kind in [Kind::Arp, Kind::PingArmed, Kind::ShortRead] {
+        let frames: Vec<_> = (0..3).map(|_| machine.frame(kind, &mut rng)).collect();
+        let next = Cell::new(0);
+        let cost = machine.costs_in_a_turn(&mut command, console, |_| {
+            next.set(next.get() + 1);
+            frames[next.get() % frames.len()].clone()
+        });
+        bounded(format!("{kind:?}"), cost, &mut machine);
+    }
+    assert!(
+        machine.refusals(Refusal::Busy) > refused,
+        "no frame came in a turn"
+    );
+    machine.capture();
+    let cost = machine.costs_in_a_turn(&mut command, console, BenchMachine::owners_arp);
+    assert!(machine.told_the_owner_its_address());
+    // It is the owner's own frame that its exchange waits for: measured, not bounded.
+    println!("the owner's ARP in a turn: {cost:?}");
+    costs.insert("the owner's ARP".to_owned(), json!(cost));
+    report("in_a_turn", costs.into());
+    comes_to_rest(&mut machine, &mut command);
 }
 
 #[test]

@@ -3,9 +3,7 @@ use crate::fake::*;
 use wire::GateClose;
 use wire::describe::JobsState;
 
-fn ident() -> Ident {
-    *Rig::new().server.ident()
-}
+use super::ident_of_six as ident;
 
 fn machine(board: Notebook) -> Machine<Notebook> {
     Machine::start(board, ident(), ABI, BOOT)

@@ -1,10 +1,6 @@
 use super::*;
-use crate::block::Reply as _;
-use crate::exchange::{FRAME_FLAGS, SlotReply};
-use crate::fake::{ALICE, Notebook, Rig, SIX};
+use crate::fake::ALICE;
 use proptest::prelude::*;
-use wire::exchange::{Command as Block, Status, command_word};
-use wire::units::{Accel, Clocks, Velocity};
 
 const US: Us = Us {
     mac: [0x10, 0xe2, 0xd5, 0, 0, 1],
@@ -123,6 +119,8 @@ fn plain_udp_to_our_port_is_ours_with_and_without_checksum() {
                 mac: (0x0203, 0x0405_0607),
                 length: length as usize,
                 options: 0,
+                service: 0,
+                ttl: 63,
             };
             assert_eq!(look(&frame), Class::Ours(expected), "{length}");
         }
@@ -375,241 +373,7 @@ fn our_answers_satisfy_our_own_checks_seen_from_the_other_side() {
     );
 }
 
-// ---- The fast path ------------------------------------------------------------------------------
-
-fn block(rig: &mut Rig) -> Block {
-    let mut command = rig.command(true, true);
-    command.stepgen[3] = (Velocity(-12_345), Accel(0xffff_ffff));
-    command.pwm[5] = 0x4000_1234;
-    command
-}
-
-fn request(command: &Block) -> Vec<u8> {
-    let mut words = [0; 64];
-    let words = command.emit_request(SIX, &mut words).unwrap();
-    words.iter().flat_map(|word| word.to_be_bytes()).collect()
-}
-
-fn fast_path() -> FastPath {
-    let Class::Ours(datagram) = look(&udp_frame(&[0; 116], true)) else {
-        panic!()
-    };
-    FastPath::new(&US, datagram, 27)
-}
-
-/// Takes a frame over the fast path as the firmware does; returns the answer's payload, if there is
-/// one.
-fn on_the_fast_path(rig: &mut Rig, frame: Vec<u8>) -> Option<Result<Vec<u32>, Refusal>> {
-    let fast_path = fast_path();
-    let length = frame.len();
-    let frame = Bytes(frame);
-    let mut command = fast_path.open(&frame, length)?;
-    let shape = *rig.server.shape();
-    let mut slot = Words::default();
-    let payload = (4 + shape.status) * 4;
-    SlotReply::prepare(
-        &mut slot,
-        |slot| emit_headers(slot, &US, &fast_path.datagram, payload),
-        &rig.server,
-    );
-    let mut reply = SlotReply::resume(&mut slot);
-    if let Err(why) = rig.server.exchange(
-        &mut rig.board,
-        fast_path.datagram.peer,
-        &mut command,
-        &mut reply,
-    ) {
-        return Some(Err(why));
-    }
-    rig.server.exchanged(0);
-    let frame = Bytes(slot.bytes());
-    let length = SlotReply::<Words>::frame_length(&shape);
-    assert_eq!(length, frame.0.len());
-    Some(Ok((0..(length - HEADERS) / 4)
-        .map(|index| payload_word(&frame, 0, index))
-        .collect()))
-}
-
-#[test]
-fn the_fast_path_and_the_long_way_do_and_say_the_same() {
-    for with_checksum in [false, true] {
-        let mut fast = Rig::armed();
-        let command = block(&mut fast);
-        let mut slow = fast.clone();
-        let payload = request(&command);
-        let answer = on_the_fast_path(&mut fast, udp_frame(&payload, with_checksum))
-            .unwrap()
-            .unwrap();
-        let words: Vec<u32> = payload
-            .chunks(4)
-            .map(|c| u32::from_be_bytes(c.try_into().unwrap()))
-            .collect();
-        assert_eq!(answer, slow.send(&words).unwrap());
-        assert_eq!(fast.board.done, slow.board.done);
-        assert_eq!(fast.board.live, slow.board.live);
-        assert_eq!(fast.server.session(), slow.server.session());
-        assert_eq!(
-            Status::parse_reply(&answer, SIX).unwrap().sequence,
-            command.sequence
-        );
-    }
-}
-
-#[test]
-fn a_damaged_exchange_is_refused_before_anything_takes_effect() {
-    let mut rig = Rig::armed();
-    let command = block(&mut rig);
-    let before = rig.board.changes();
-    let frame = udp_frame(&request(&command), true);
-    // Token, sequence, flags and the bits above the latch's number are judged before the checksum
-    // is known.
-    for at in (58 + 12..frame.len()).filter(|at| *at != 58 + 32) {
-        let mut bad = frame.clone();
-        bad[at] ^= 0x10;
-        let why = on_the_fast_path(&mut rig, bad).expect("still the fast path's");
-        assert_eq!(why, Err(Refusal::Checksum), "byte {at}");
-    }
-    assert_eq!(rig.board.changes(), before);
-    assert!(on_the_fast_path(&mut rig, frame).unwrap().is_ok());
-}
-
-#[test]
-fn a_damaged_exchange_leaves_a_command_that_waits_for_its_time() {
-    let mut rig = Rig::armed();
-    let timed = Block {
-        apply_at: Some(Clocks(0x5_0000_0007)),
-        ..block(&mut rig)
-    };
-    assert!(
-        on_the_fast_path(&mut rig, udp_frame(&request(&timed), true)).is_some_and(|r| r.is_ok())
-    );
-    assert_eq!(rig.board.commit_at, 0x5_0000_0007);
-    let waits = rig.board.staged;
-    let mut command = rig.command(true, true);
-    command.stepgen[3] = (Velocity(99), Accel(99));
-    let frame = udp_frame(&request(&command), true);
-    for at in 58..frame.len() {
-        let mut bad = frame.clone();
-        bad[at] ^= 0x10;
-        let refused = on_the_fast_path(&mut rig, bad).is_none_or(|answer| answer.is_err());
-        assert!(refused, "byte {at}");
-        assert_eq!(rig.board.commit_at, 0x5_0000_0007, "byte {at}");
-        assert_eq!(rig.board.staged, waits, "byte {at}");
-    }
-    // An intact command replaces it.
-    assert!(on_the_fast_path(&mut rig, frame).unwrap().is_ok());
-    assert_eq!(rig.board.commit_at, u64::MAX);
-    assert_ne!(rig.board.live, waits);
-}
-
-#[test]
-fn whatever_is_not_exactly_an_exchange_of_this_host_goes_the_long_way() {
-    let mut rig = Rig::armed();
-    let command = block(&mut rig);
-    let frame = udp_frame(&request(&command), true);
-    // TOS, IP identification and TTL may differ, and with them the checksums: see the next test.
-    let free = [15, 18, 19, 22, 24, 25, 40, 41];
-    for at in (0..58).filter(|at| !free.contains(at) && !(46..50).contains(at)) {
-        let mut other = frame.clone();
-        other[at] ^= if at == 20 { 0x20 } else { 1 };
-        assert!(
-            on_the_fast_path(&mut rig, rechecked(other)).is_none(),
-            "byte {at}"
-        );
-    }
-    assert!(on_the_fast_path(&mut rig, frame[..157].to_vec()).is_none());
-}
-
-#[test]
-fn service_class_identification_and_ttl_are_the_senders_business() {
-    for (at, value) in [(15, 0xb8), (18, 0xff), (19, 0xff), (20, 0), (22, 1)] {
-        let mut rig = Rig::armed();
-        let command = block(&mut rig);
-        let mut frame = udp_frame(&request(&command), true);
-        frame[at] = value;
-        assert!(
-            on_the_fast_path(&mut rig, frame.clone()).is_none(),
-            "IP checksum not looked at"
-        );
-        assert!(
-            on_the_fast_path(&mut rig, rechecked(frame))
-                .unwrap()
-                .is_ok(),
-            "byte {at}"
-        );
-    }
-}
-
-#[test]
-fn the_flags_of_an_exchange_lie_where_the_image_looks_for_them() {
-    let command = Block {
-        enable_request: true,
-        stepgen_alone: 0x8001,
-        ..Block::default()
-    };
-    let mut buffer = [0; 64];
-    let request = command.emit_request(SIX, &mut buffer).unwrap();
-    let bytes: Vec<u8> = request.iter().flat_map(|word| word.to_be_bytes()).collect();
-    let frame = Bytes(udp_frame(&bytes, true));
-    assert_eq!(frame.word(FRAME_FLAGS), 0x8001_0002);
-    assert_eq!(request[4 + command_word::FLAGS], 0x8001_0002);
-}
-
-/// A frame that was never sent.
-struct MadeUp([u32; WARM_UP_WORDS]);
-
-impl Frame for MadeUp {
-    fn word(&self, index: usize) -> u32 {
-        self.0[index]
-    }
-
-    fn genuine(&self) -> bool {
-        false
-    }
-}
-
-#[test]
-fn a_warm_up_runs_to_the_end_and_does_nothing() {
-    let mut rig = Rig::armed();
-    let fast_path = fast_path();
-    let (session, before) = (*rig.server.session(), rig.board.changes());
-    let mut frame = MadeUp([0; WARM_UP_WORDS]);
-    let token = session.token_for(ALICE);
-    let length = fast_path.warm_up_frame(token, session.last_sequence() + 1, &mut frame.0);
-    let mut command = fast_path.open(&frame, length).expect("it is recognised");
-    let mut slot = Words::default();
-    let mut reply = SlotReply::resume(&mut slot);
-    let outcome = rig
-        .server
-        .exchange(&mut rig.board, ALICE, &mut command, &mut reply);
-    assert_eq!(outcome, Err(Refusal::Checksum));
-    assert_eq!(
-        slot.0.len(),
-        PAYLOAD_WORD + 4 + 45,
-        "it did not run to the end"
-    );
-    assert_eq!(rig.board.changes(), before);
-    assert_eq!(*rig.server.session(), session);
-    assert!(rig.exchange(true, true).unwrap().state.enabled);
-}
-
 proptest! {
-    #[test]
-    fn the_fast_path_agrees_with_the_textbook_on_every_checksum(
-        words in proptest::collection::vec(prop_oneof![any::<u32>(), Just(0u32), Just(u32::MAX)], 27)
-    ) {
-        let mut payload = [0x4e6f_1044u32, 0, 0x000f_1b00, 0x0003_0000].to_vec();
-        payload.extend(words);
-        let bytes: Vec<u8> = payload.iter().flat_map(|word| word.to_be_bytes()).collect();
-        let frame = Bytes(udp_frame(&bytes, true));
-        let fast_path = fast_path();
-        let mut command = fast_path.open(&frame, frame.0.len()).unwrap();
-        for word in &payload[4..] {
-            prop_assert_eq!(command.take1(), [*word]);
-        }
-        prop_assert!(command.intact());
-    }
-
     #[test]
     fn no_bytes_whatever_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200), at in 0usize..60) {
         let _ = look(&bytes);
@@ -619,8 +383,5 @@ proptest! {
             frame[at..end].copy_from_slice(&bytes[..end - at]);
         }
         let _ = look(&frame);
-        let mut words = Words::default();
-        SlotReply::resume(&mut words).put(1);
-        let _ = Notebook::new();
     }
 }

@@ -44,7 +44,7 @@ pub struct App {
     patrol: abi::Patrol,
     /// They want to be called in every turn.
     restless: bool,
-    /// A turn of theirs has ended with a frame pending while the machine moves.
+    /// A call of theirs has ended with a frame pending while the machine moves.
     crowded: bool,
     /// They are about to run.
     coming: Option<Coming>,
@@ -180,13 +180,13 @@ impl App {
                 self.machine.refuse(Refusal::Oversized);
             }
             Class::Services => {
-                // ARP may be the owner's. An exchange behind it alone took 9345 clocks.
-                let arp = net::is_arp(&frame);
+                // Behind a turn the ROM answers the owner's ARP, because the services take longer.
+                let owners = net::is_arp(&frame) && self.from_owner(&frame);
                 let length = self.mac.take_bytes();
-                if !arp && self.yields() {
-                    return false;
-                }
-                if self.services.is_some() {
+                let late = self.behind_a_turn();
+                if late && !owners {
+                    self.machine.refuse(Refusal::Busy);
+                } else if self.services.is_some() && !late {
                     let at = self.mac.input.bytes().as_ptr();
                     self.services(at, length);
                 } else {
@@ -198,15 +198,27 @@ impl App {
         false
     }
 
-    /// A guest's frame came during a turn of the services or in front of it, and the owner's frame
-    /// is behind it. The owner has waited for the turn: it does not wait for the guest, too, whose
-    /// frame is refused.
+    /// Did the frame that is being served come during a call of the services or in front of it, and
+    /// is another one behind it, which may be the owner's next exchange?
+    fn behind_a_turn(&mut self) -> bool {
+        self.crowded &= self.mac.pending();
+        self.crowded
+    }
+
+    /// As [`App::behind_a_turn`], for a guest's frame. The owner has waited for the turn: it does
+    /// not wait for the guest, too, whose frame is refused.
     fn yields(&mut self) -> bool {
-        let yields = core::mem::take(&mut self.crowded) && self.mac.pending();
+        let yields = self.behind_a_turn();
         if yields {
             self.machine.refuse(Refusal::Busy);
         }
         yields
+    }
+
+    /// Does the frame come from the host that owns the machine?
+    fn from_owner(&self, frame: &RxFrame) -> bool {
+        self.owner
+            .is_some_and(|(datagram, _)| net::sender(frame) == datagram.mac)
     }
 
     fn copy_payload(&mut self, datagram: &Datagram) -> Result<usize, Refusal> {
@@ -221,11 +233,10 @@ impl App {
     fn datagram(&mut self, datagram: &Datagram, count: usize) {
         let Mac { input, output, .. } = &mut self.mac;
         let words = input.words().get(..count).unwrap_or(&[]);
-        let owner = self.machine.session().is_owner(datagram.peer);
-        let (served, output) = (output.words(), datagram.peer);
-        let served = match owner {
-            true => self.machine.alone().datagram(words, output, served),
-            false => self.machine.guest().datagram(words, output, served),
+        let peer = datagram.peer;
+        let served = match self.machine.session().is_owner(peer) {
+            true => self.machine.alone().datagram(words, peer, output.words()),
+            false => self.machine.guest().datagram(words, peer, output.words()),
         };
         let Ok(reply) = served else {
             return;
@@ -366,7 +377,6 @@ impl App {
         if self.services.is_some() {
             if due || self.restless {
                 self.services(core::ptr::null(), abi::POLL);
-                self.crowded = self.moving() && self.mac.pending();
             } else if self.owner.is_some() && self.machine.at_rest() {
                 self.patrol();
             }
@@ -434,6 +444,7 @@ impl App {
     fn services(&mut self, frame: *const u8, length: usize) {
         if let Some(entry) = self.services {
             self.call(entry, frame, length);
+            self.crowded = self.moving() && self.mac.pending();
         }
     }
 

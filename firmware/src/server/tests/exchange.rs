@@ -316,20 +316,6 @@ fn an_apply_time_is_set_before_the_strobe_and_the_next_command_replaces_it() {
 }
 
 #[test]
-fn nothing_is_warmed_up_while_a_timed_commit_waits() {
-    let mut rig = Rig::armed();
-    assert!(rig.server.may_warm_up());
-    let command = Command {
-        apply_at: Some(Clocks(0x5_0000_0007)),
-        ..rig.command(true, true)
-    };
-    rig.exchange_as(ALICE, &command).unwrap();
-    assert!(!rig.server.may_warm_up());
-    rig.exchange(true, true).unwrap();
-    assert!(rig.server.may_warm_up());
-}
-
-#[test]
 fn a_setting_that_may_change_while_armed_leaves_the_command_as_it_is() {
     let mut rig = Rig::armed();
     let mut command = rig.command(true, true);

@@ -75,14 +75,17 @@ fn the_counters_window_has_a_word_for_each_counter_and_zeros_behind() {
         refused_total: 14,
         cuts: 77,
         calls: [78, 79],
+        ways: [80, 81],
+        long_way: LongWay::Flags,
         refused: core::array::from_fn(|reason| 100 + reason as u32),
     };
     let count = 3 + Refusal::COUNT as u32;
-    for word in 0..count + 6 {
+    for word in 0..count + 9 {
         let wanted = match word {
             0..3 => 11 + word,
             _ if word < count => 100 + word - 3,
-            _ if word < count + 3 => 77 + word - count,
+            _ if word < count + 5 => 77 + word - count,
+            _ if word == count + 5 => LongWay::Flags as u32,
             _ => 0,
         };
         assert_eq!(rig.read_as(BOB, map::COUNTERS + 4 * word), Ok(wanted));
