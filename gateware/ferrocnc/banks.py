@@ -68,11 +68,13 @@ class FabricBus(LiteXModule):
 
         # # #
 
+        # The fast path writes staged words between the CPU's accesses; pages 8 to 15.
+        self.stages, self.stage_to, self.stage_data = Signal(), Signal(10), Signal(32)
         self.sync += [
-            self.we.eq(self.bus.we),
-            self.data.eq(self.bus.dat_w),
-            self.we_word.eq(self.word),
-            self.we_page.eq(self.page),
+            self.we.eq(self.bus.we | self.stages),
+            self.data.eq(Mux(self.stages, self.stage_data, self.bus.dat_w)),
+            self.we_word.eq(Mux(self.stages, Cat(self.stage_to[:7], Constant(0, 2)), self.word)),
+            self.we_page.eq(Mux(self.stages, Cat(self.stage_to[7:], Constant(1, 4)), self.page)),
         ]
 
     def _is(self, kind, value, number):
@@ -242,6 +244,8 @@ class Cores(LiteXModule):
         self.frame_pending = Signal()    # MAC: presents the frame in `pending_slot`
         self.pending_slot = Signal(max=rm.ETHMAC_RX_SLOTS)
         self.eth_beat = Signal()         # PHY: a clock per 4 clocks of its receive clock
+        # The fast path has executed a command: sample and feed, and commit now or at its time.
+        self.taken, self.fast_commit, self.fast_timed = Signal(), Signal(), Signal()
         self.fabric = fabric = FabricBus()
         self.bus = fabric.bus
         self.jobs = jobs                 # axes of a job: step generators 0 and up; 0: no segments
@@ -259,6 +263,7 @@ class Cores(LiteXModule):
         self.job = self._segments(fabric, jobs, channels) if jobs else None
         self._gpio(fabric, channels, estop, estop_mask, estop_level, safe_mask, invert_mask)
         arms = {name: self._committed(fabric, name) for name in ("enables", "arms", "probe_arms")}
+        self.probe_arms, _ = arms["probe_arms"]
         self._stepgens(fabric, channels.stepgen, arms)
         self._encoders(fabric, channels.encoder, arms)
         for n in range(channels.pwm):
@@ -290,9 +295,9 @@ class Cores(LiteXModule):
         at_hi = fabric.storage(b, "commit_at_hi")
         self.specials += Instance("timebase",
             i_clk=self.clk, i_rst=self.rst, o_now=now,
-            i_commit_now=strobe & fabric.data[0],
-            i_sample_now=strobe & fabric.data[1],
-            i_commit_timed=strobe & fabric.data[2],
+            i_commit_now=strobe & fabric.data[0] | self.fast_commit,
+            i_sample_now=strobe & fabric.data[1] | self.taken,
+            i_commit_timed=strobe & fabric.data[2] | self.fast_timed,
             i_commit_at=Cat(at_lo, at_hi),
             o_commit=self.commit, o_sample=self.sample, o_pending=pending)
         snapshot, beats = fabric.pulse(b, "snapshot"), Signal(32)
@@ -317,6 +322,7 @@ class Cores(LiteXModule):
             fabric.live(b, f"{name}_lo", value[:32])
             fabric.live(b, f"{name}_hi", value[32:])
         fabric.live(b, "status", pending)
+        self.timed_waits = pending
         self._sampled(fabric, "sample_lo", now[:32])
         self._sampled(fabric, "sample_hi", now[32:])
 
@@ -353,15 +359,16 @@ class Cores(LiteXModule):
             Instance("extreset", p_ACTIVE_LOW=int(active_low), i_clk=self.clk, i_pin=self.pads.ext_reset, o_active=pin),
             Instance("watchdog",
                 i_clk=self.clk, i_rst=self.rst, i_ext_reset=pin, i_estop=estop,
-                i_token_we=fabric.pulse(b, "token"), i_token=fabric.data, i_feed=0,
+                i_token_we=fabric.pulse(b, "token"), i_token=fabric.data, i_feed=self.taken,
                 i_arm=keys["arm"], i_soft_stop=keys["soft"], i_shut=keys["stop"], i_clear=keys["clear"],
                 i_timeout=timeout, i_grace=grace, i_all_stopped=self.all_stopped,
                 o_gate=self.gate, o_stop=self.stop, o_bitten=bitten, o_reset_latched=latched, o_estop_latched=estop_latched,
                 o_armed=armed, o_cleared=self.cleared, o_last_close=last_close,
                 o_remaining=remaining, o_last_token=last, o_bites=bites),
         ]
+        self.gate_word = gate_word = Cat(self.gate, self.stop, bitten, latched, pin, armed, estop_latched, estop)
         for name, value in (("timeout", timeout), ("grace", grace), ("remaining", remaining), ("last_token", last), ("bites", bites),
-                            ("status", Cat(self.gate, self.stop, bitten, latched, pin, armed, estop_latched, estop)),
+                            ("status", gate_word),
                             ("last_close", last_close)):
             fabric.live(b, name, value)
         self._sampled(fabric, "left", remaining)

@@ -16,8 +16,8 @@ two. The end needs care: if the shifted frame has bytes left over after its last
 follows.
 """
 
-from migen import Cat, ClockSignal, If, Instance, Mux, Replicate, Signal
-from migen.genlib.fsm import NextState
+from migen import Cat, ClockSignal, If, Instance, Mux, Replicate, ResetSignal, Signal
+from migen.genlib.fsm import NextState, NextValue
 from litex.gen import LiteXModule
 from litex.soc.interconnect import stream, wishbone
 from liteeth import mac as liteeth_mac
@@ -88,16 +88,17 @@ class WordStore(LiteXModule):
     def __init__(self, memory):
         self.bus = bus = wishbone.Interface(data_width=32)
         port = memory.get_port(write_capable=True)
+        self.puts, self.put_at, self.put = Signal(), Signal(7), Signal(32)  # the fast path's words
 
         # # #
 
         self.specials += memory, port
         self.comb += [
-            port.adr.eq(bus.adr[:len(port.adr)]),
-            port.dat_w.eq(bus.dat_w),
-            port.we.eq(bus.cyc & bus.stb & bus.we & (bus.sel == 0b1111)),
+            port.adr.eq(Mux(self.puts, self.put_at, bus.adr[:len(port.adr)])),
+            port.dat_w.eq(Mux(self.puts, self.put, bus.dat_w)),
+            port.we.eq(self.puts | bus.cyc & bus.stb & bus.we & (bus.sel == 0b1111)),
         ]
-        self.sync += bus.ack.eq(bus.cyc & bus.stb & ~bus.ack)
+        self.sync += bus.ack.eq(bus.cyc & bus.stb & ~bus.ack & ~self.puts)
 
 
 class Checker(mac_crc.LiteEthMACCRC32Checker):
@@ -118,8 +119,25 @@ class Writer(mac_sram.LiteEthMACSRAMWriter):
         super().__init__(*args, **kwargs)
         free = self.stat_fifo.sink.ready
         self.fsm.act("WRITE", If(self.sink.valid & ~free & self.sink.last, NextState("DISCARD")))
+        self.take = Signal()
+        (slot,) = (done.target for done in self.fsm.actions["TERMINATE"] if isinstance(done, NextValue) and done.target is not None and len(done.target) == 2)
+        self.fsm.act("TERMINATE", If(self.take, self.stat_fifo.sink.valid.eq(0), NextValue(slot, slot)))
         self.room = Signal()
         self.comb += self.room.eq(free & ~self.fsm.ongoing("DISCARD-ALL"))
+
+
+class Reader(mac_sram.LiteEthMACSRAMReader):
+    """LiteEth's way out of the slots; `send` sends `length` bytes of slot 0 for the fast path."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.send, self.length, self.sending, self.free = Signal(), Signal(len(self._length.storage)), Signal(), Signal()
+        (fifo,) = (module for _, module in self._submodules if hasattr(module, "sink") and hasattr(module.sink, "length"))
+        self.comb += [
+            If(self.send, fifo.sink.valid.eq(1), fifo.sink.slot.eq(0), fifo.sink.length.eq(self.length)),
+            self.free.eq(~self.sending & fifo.sink.ready),
+        ]
+        self.sync += If(self.send, self.sending.eq(1)).Elif(self.fsm.ongoing("TERMINATE") & (fifo.source.slot == 0), self.sending.eq(0))
 
 
 class AlignedInterface(LiteEthMACWishboneInterface):
@@ -150,25 +168,48 @@ class AlignedInterface(LiteEthMACWishboneInterface):
         assert nslots == 2
         stores = [WordStore(memory) for memory in mems]
         self.submodules += stores
+        self.answer = stores[0]
         which = (mems[0].depth - 1).bit_length()
         self.submodules += wishbone.Decoder(bus, [(lambda a, n=n: a[which] == n, store.bus) for n, store in enumerate(stores)], register=True)
 
 
 class RxAdmission(LiteXModule):
-    """The core `gateware/rtl/rx_admission.sv` and its registers, between the aligned stream and the
-    slots."""
+    """The cores `gateware/rtl/rx_admission.sv` and `fast_path.sv` and their registers, between the
+    aligned stream and the slots."""
 
-    def __init__(self, interface, fabric):
+    def __init__(self, interface, fabric, cores):
+        at, like_high, like_low, data = Signal(5), Signal(), Signal(), Signal(32)
+        self.comb += data.eq(reverse_bytes(interface.into.data))
         bank, words, mode, refused = rm.RX_ADMISSION, interface.into, fabric.storage(rm.RX_ADMISSION, "mode", 2), Signal(32)
         # As with the debounce: the low bits of the word's address are the header's word.
         self.specials += Instance("rx_admission",
             i_clk=ClockSignal("sys"), i_header_we=fabric.write_page(bank.page, bank.offset("mode") // 4), i_header_at=fabric.we_word[:4],
             i_header=fabric.data, i_mode=mode, i_admit=fabric.pulse(bank, "admit"),
             i_valid=words.valid, i_last=words.last, i_bad=interface.bad, i_room=interface.sram.writer.room,
-            i_data=reverse_bytes(words.data), o_refuse=interface.refuse, o_refused=refused,
-            o_at=Signal(5), o_like_high=Signal(), o_like_low=Signal())
+            i_data=data, o_refuse=interface.refuse, o_refused=refused,
+            o_at=at, o_like_high=like_high, o_like_low=like_low)
         fabric.live(bank, "mode", mode)
         fabric.live(bank, "refused", refused)
+
+        bank, writer, reader, answer = rm.FAST_PATH, interface.sram.writer, interface.sram.reader, interface.answer
+        gate, length = fabric.storage(bank, "gate", 10), fabric.storage(bank, "length", 11)
+        out, executed = Signal(), Signal()
+        self.hold, self.gathers, self.source = Signal(), Signal(), Signal(10)
+        self.specials += Instance("fast_path",
+            i_clk=ClockSignal("sys"), i_rst=ResetSignal("sys"), i_run_we=fabric.write_page(bank.page, 16), i_run_at=fabric.we_word[:4], i_run=fabric.data[:19],
+            i_ip_sum=fabric.storage(bank, "ip_sum", 16), i_udp_sum=fabric.storage(bank, "udp_sum", 16),
+            i_gate_as=gate[:8], i_executes=gate[8], i_timed=gate[9], **{"i_pass": fabric.pulse(bank, "pass")}, i_revoke=fabric.pulse(bank, "revoke"),
+            i_valid=words.valid, i_last=words.last, i_whole=words.last_be[3], i_bad=interface.bad, i_data=data,
+            i_at=at, i_like_high=like_high, i_like_low=like_low,
+            i_gate_now=cores.gate_word, i_waiting=cores.timed_waits, i_select=cores.probe_arms[16:21], i_free=reader.free,
+            o_stages=fabric.stages, o_to=fabric.stage_to, o_take=writer.take, o_taken=cores.taken,
+            o_commit=cores.fast_commit, o_commit_timed=cores.fast_timed, o_gathers=self.gathers, **{"o_from": self.source},
+            o_puts=answer.puts, o_put_at=answer.put_at, o_hold=self.hold, o_out=out, o_executed=executed)
+        fabric.live(bank, "status", Cat(executed, out, reader.sending))
+        self.comb += [
+            fabric.stage_data.eq(data), answer.put.eq(fabric.bus.dat_r),
+            reader.send.eq(cores.taken), reader.length.eq(length),
+        ]
 
 
 def align():
@@ -176,3 +217,4 @@ def align():
     liteeth_mac.LiteEthMACWishboneInterface = AlignedInterface
     mac_crc.LiteEthMACCRC32Checker = Checker
     mac_sram.LiteEthMACSRAMWriter = Writer
+    mac_sram.LiteEthMACSRAMReader = Reader

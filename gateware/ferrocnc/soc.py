@@ -10,7 +10,9 @@ from functools import partial, reduce
 from operator import or_
 from pathlib import Path
 
-from migen import Memory, Signal
+from migen import Cat, Constant, If, Memory, Mux, Signal
+from migen.genlib.fsm import FSM, NextState, NextValue
+from litex.gen import LiteXModule
 from litex.soc.integration import soc as litex_soc
 from litex.soc.integration.soc import SoCRegion
 from litex.soc.integration.soc_core import SoCCore
@@ -32,7 +34,27 @@ class _BankArray(csr_bus.CSRBankArray):
         return super().get_buses() + self.source.fabric_buses
 
 
+class _Bridge(LiteXModule):
+    """LiteX's bridge to the registers with its address in flip-flops. Its master waits while
+    `hold`."""
+
+    def __init__(self, bus_wishbone=None, bus_csr=None, register=True):
+        self.wishbone, self.csr = bus_wishbone or wishbone.Interface(), bus_csr or csr_bus.Interface()
+        self.hold, self.adr = Signal(), Signal(len(self.csr.adr))
+        bus, csr, we, data = self.wishbone, self.csr, Signal(), Signal(32)
+        shift = {"word": 0, "byte": 2}[bus.addressing]
+        self.fsm = fsm = FSM(reset_state="IDLE")
+        fsm.act("IDLE",
+            NextValue(self.adr, bus.adr[shift:]), NextValue(data, bus.dat_w), NextValue(we, bus.we & (bus.sel != 0)),
+            If(bus.cyc & bus.stb, NextState("ACCESS")))
+        fsm.act("ACCESS",
+            csr.adr.eq(self.adr), csr.dat_w.eq(data), csr.we.eq(we & ~self.hold), csr.re.eq(~we & ~self.hold),
+            If(~self.hold, NextState("ACK")))
+        fsm.act("ACK", bus.ack.eq(1), bus.dat_r.eq(csr.dat_r), NextState("IDLE"))
+
+
 litex_soc.csr_bus.CSRBankArray = _BankArray
+litex_soc.wishbone.Wishbone2CSR = _Bridge
 slots.align()
 
 # LiteEth's clock crossings are 32 deep: two LUT RAMs and a multiplexer in the longest path of the
@@ -112,7 +134,7 @@ class FerroSoC(SoCCore):
             self.cpu.interrupt[rm.LEASH_IRQ].eq(cores.leash | cores.guard.irq),
         ]
         self._add_guard(cores.guard)
-        self.rx_admission = slots.RxAdmission(self.ethmac.interface, cores.fabric)
+        self.rx_admission = slots.RxAdmission(self.ethmac.interface, cores.fabric, cores)
 
     def _add_guard(self, guard):
         """A store the guard keeps back leaves as a read, so its answer is the interconnect's, and
@@ -130,7 +152,9 @@ class FerroSoC(SoCCore):
         check_map(self)
         self.comb += [
             self.cores.abi.eq(abi_number(self)),
-            self.cores.fabric.adr.eq(self.csr_bridge.wishbone.adr),
+            self.csr_bridge.hold.eq(self.rx_admission.hold),
+            self.cores.fabric.adr.eq(Mux(self.rx_admission.gathers,
+                Cat(self.rx_admission.source[:7], Constant(0, 2), self.rx_admission.source[7:], Constant(1, 4)), self.csr_bridge.adr)),
         ]
         SoCCore.do_finalize(self)
 

@@ -1,0 +1,322 @@
+// fast_path: executes the owner's next command without the CPU, and answers it. Firmware judges in
+// advance: it writes what the frame of the next command must look like up to its 18th word
+// (rx_admission.sv compares), where the words behind go, and of what the answer consists. Then it
+// hands out a pass for one command.
+//
+// A frame that is like that to the last bit, whole, with right checksums, while the gate reads as
+// firmware said, is executed: its words have been staged as they passed, all channels commit and
+// are sampled on one clock, the watchdog is fed, and the answer leaves. Such a frame takes no
+// receive slot, uses up the pass and sets `executed`. Every other frame lies in its slot for
+// firmware, and has changed nothing but staged words, which do nothing without a commit.
+//
+//   valid    _/‾\_ .. _/‾\___/‾\______________________     a word passes; `last` with the frame's last
+//   stages   __________/‾\___/‾\______________________     word 18 and up: written to register `to`
+//   take     ___________________/‾\___________________     the slot's writer forgets the frame
+//   taken    ______________________/‾\________________     commit, sample, feed, send
+//   gathers  _______________________________/‾‾\_/‾‾‾‾     a word of the answer is read from register `from`
+//   puts     __________________________________/‾\_/‾‾     a clock later: written to word `put_at` of the slot
+//   hold     __________/‾\___/‾‾‾‾‾‾‾\______/‾‾\_/‾‾‾‾     the CPU's access to registers waits
+//
+// A run is {end, select, skip, count - 1, address}. Runs 0 to 3 say to which registers the received
+// words go, in order, runs 4 to 15 from which registers the answer comes. With `skip` nothing is
+// read for `count` clocks, and the answer goes on at word `address` of its slot. `end` marks the
+// last run of either kind. Run 15 is the last whatever it says, so the bus is always given back.
+//
+// Two conditions are firmware's, both on the first run of the answer, `skip`: it takes at least 5
+// clocks, so that the sampled words are complete when they are read, and at most 15, so that they
+// are written before the slot's reader needs them.
+//
+`default_nettype none
+module fast_path #(
+    parameter COUNT_BITS = 6  // of a run's count; fewer only in proofs
+) (
+    input  wire         clk,
+    input  wire         rst,           // takes the pass back and ends an answer
+    input  wire         run_we,        // firmware, with no pass out
+    input  wire  [3:0]  run_at,
+    input  wire  [COUNT_BITS + 12:0] run,
+    input  wire  [15:0] ip_sum,        // of the words of the IP header that do not change
+    input  wire  [15:0] udp_sum,       // of pseudo header and ports
+    input  wire  [7:0]  gate_as,       // how the gate must read
+    input  wire         executes,      // 1: commit; 0: only sample and answer
+    input  wire         timed,         // commit at its time
+    input  wire         pass,          // pulses
+    input  wire         revoke,
+
+    input  wire         valid,         // a word on its way into the slots
+    input  wire         last,
+    input  wire         whole,         // with the last: all four bytes are the frame's
+    input  wire         bad,           // with the last: the FCS is wrong
+    input  wire  [31:0] data,
+    input  wire  [4:0]  at,            // rx_admission.sv: number of this word, 24 stays
+    input  wire         like_high,     // and how its halves compare
+    input  wire         like_low,
+
+    input  wire  [7:0]  gate_now,
+    input  wire         waiting,       // a timed commit is pending
+    input  wire  [4:0]  select,        // whose latch was asked for, as staged
+    input  wire         free,          // the answer's slot can be sent
+
+    output wire         stages,
+    output wire  [9:0]  to,
+    output wire         take,
+    output logic        taken,
+    output wire         commit,
+    output wire         commit_timed,
+    output wire         gathers,
+    output wire  [9:0]  from,
+    output logic        puts,
+    output logic [6:0]  put_at,
+    output wire         hold,
+    output logic        out,           // a pass is
+    output logic        executed
+);
+    logic [COUNT_BITS + 12:0] runs [0:15];
+    logic [3:0]  next    = 4'd0;    // number of the run to come
+    logic [9:0]  address = 10'd0;   // where the present one is
+    logic [COUNT_BITS - 1:0] left = '0;  // words or clocks of it behind this one
+    logic        ends    = 1'b0;    // no run follows it
+    logic        skips   = 1'b0;
+    logic        mine    = 1'b0;    // a pass has been out since the frame's first word
+    logic        alike   = 1'b0;    // no word so far differs
+    logic        complete = 1'b0;   // the frame ended with the last word of the last run
+    logic        gathering = 1'b0;
+    logic [6:0]  index   = 7'd0;    // word of the answer
+    initial {taken, puts, out, executed} = 4'd0;
+    initial put_at = 7'd0;
+
+    wire [COUNT_BITS + 12:0] coming = runs[next];
+    wire        turns  = left == '0;
+
+    // ---- is it like the pass? -------------------------------------------------------------------
+    // Words 5, 6 and 10 have a half that changes from frame to frame (number, checksums); word 12
+    // is padding.
+    wire free_word = (at == 5'd5) | (at == 5'd12);
+    wire free_low  = (at == 5'd6) | (at == 5'd10);
+    wire head      = at < 5'd18;
+    wire fragment  = (at == 5'd5) & ((data[13:0] != 14'd0) | data[15]);
+    wire unknown   = (at == 5'd23) & (data[31:21] != 11'd0);  // above the selection of a latch
+    wire differs   = (head & ((~free_word & (~like_high | (~free_low & ~like_low))) | fragment)) | unknown;
+
+    // ---- the checksums: ones' complement, 32 bits at a time, a carry is added a word later --------
+    logic [31:0] sum = 32'd0;
+    logic        carry = 1'b0, unsummed = 1'b0;  // the sender has made no checksum
+    wire         begins = (at == 5'd4) | (at == 5'd9);
+    wire         adds   = (at == 5'd5) | (at == 5'd6) | at[4] | (at[3] & (at[2] | at[1]));  // 10 and up
+    wire  [32:0] more   = {1'b0, sum} + {1'b0, data} + {32'd0, carry};
+    wire  [16:0] folded = {1'b0, sum[31:16]} + {1'b0, sum[15:0]} + {16'd0, carry};
+    wire         right  = (folded[15:1] == 15'h7fff) & (folded[0] != folded[16]);
+    wire         ip_wrong = (at == 5'd8) & ~right;
+
+    // ---- the frame's end --------------------------------------------------------------------------
+    assign take = complete & (right | unsummed) & out & (gate_now == gate_as) & free;
+    assign commit       = taken & executes & ~timed;
+    assign commit_timed = taken & executes & timed;
+
+    // A word 23 that differs is staged, too, like those before it.
+    assign stages  = valid & mine & out & alike & ~head;
+    assign to      = address;
+    assign gathers = gathering & ~skips;
+    assign from    = address;
+    assign hold    = stages | complete | taken | gathers;
+
+    always_ff @(posedge clk) begin
+        if (run_we) runs[run_at] <= run;
+
+        out      <= ~rst & (pass | (out & ~revoke & ~take));
+        executed <= ~rst & (take | (executed & ~pass));
+        taken    <= ~rst & take;
+        complete <= ~rst & valid & last & whole & ~bad & mine & out & alike & ~head & ~unknown & turns & ends;
+
+        mine <= mine & out;
+        if (valid) begin
+            if (at == 5'd0) mine <= out & ~waiting & ~gathering & ~complete;
+            alike <= (alike | (at == 5'd0)) & ~differs & ~ip_wrong & ~(~head & turns & ends);
+            if (begins) begin
+                sum   <= {16'd0, at[0] ? udp_sum : ip_sum};
+                carry <= 1'b0;
+            end else if (adds) {carry, sum} <= more;
+            if (at == 5'd10) unsummed <= data[15:0] == 16'd0;
+        end
+
+        // ---- the runs: a word as it comes, then a word or a clock of the answer every clock -------
+        if (gathering ? turns : valid & (at == 5'd17 | (~head & turns))) begin
+            ends    <= coming[COUNT_BITS + 12] | (&next);
+            skips   <= coming[COUNT_BITS + 10];
+            left    <= coming[COUNT_BITS + 9:10];
+            address <= coming[9:0] | {5'd0, select & {5{coming[COUNT_BITS + 11]}}};
+            next    <= next + 4'd1;
+        end else if (gathering | stages) begin
+            left    <= left - 1'd1;
+            address <= address + {9'd0, ~skips};
+        end
+        if (valid & ~gathering & at == 5'd0) next <= 4'd0;
+        if (take) begin
+            {gathering, skips, ends} <= 3'b110;  // behind a run of no words: runs from 4 on
+            left <= '0;
+            next <= 4'd4;
+        end else if (gathering & turns & ends) gathering <= 1'b0;
+        if (rst) gathering <= 1'b0;
+
+        index  <= skips ? address[6:0] : index + {6'd0, gathers};
+        puts   <= gathers;
+        put_at <= index;
+    end
+
+`ifdef FORMAL  // what gateware/formal proves, for a host and a firmware that do what they like
+    logic [6:0]  f_at = 7'd0;        // number of this word
+    logic        f_alike = 1'b1;     // all words so far were as they should be
+    logic        f_out = 1'b0;       // a pass is out
+    logic        f_had = 1'b0;       // and has been since the frame's first word, when nothing waited
+    // The sum in all its bits, and how many carries were added again: 2^32 is 1 modulo 65535, so a
+    // carry may be added below.
+    logic [41:0] f_total = 42'd0, f_last_total = 42'd0;
+    logic [6:0]  f_again = 7'd0;
+    logic        f_none = 1'b0;      // no checksum
+    logic        f_ip_ok = 1'b0;
+    logic        f_ended = 1'b0, f_whole = 1'b0;
+    logic        f_staged = 1'b0;    // a word in the clock before
+
+    wire f_must_high = f_at < 7'd18 & f_at != 7'd5 & f_at != 7'd12;
+    wire f_must_low  = f_must_high & f_at != 7'd6 & f_at != 7'd10;
+    wire f_this = (~f_must_high | like_high) & (~f_must_low | like_low)
+        & (f_at != 7'd5 | {data[15], data[13:0]} == 15'd0) & (f_at != 7'd23 | data[31:21] == 11'd0);
+    always_comb assume (at == (f_at > 7'd24 ? 5'd24 : f_at[4:0]));  // rx_admission.sv proves it
+    // No longer frame here; one of 2 KiB has 512 words, which do nothing else.
+    always_comb assume (~(valid & ~last & f_at == 7'd126));
+    always_ff @(posedge clk) begin
+        f_ended  <= valid & last;
+        f_whole  <= whole & ~bad;
+        f_staged <= stages;
+        f_had    <= f_had & f_out;
+        if (valid) begin
+            f_at    <= last ? 7'd0 : f_at + 7'd1;
+            f_alike <= last | (f_alike & f_this);
+            if (f_at == 7'd0) f_had <= f_out & ~waiting & ~gathering & ~complete;
+            if (f_at == 7'd8) f_ip_ok <= right;  // of which words: the_sum_is_of_every_word
+            if (f_at == 7'd4) {f_total, f_again} <= {26'd0, ip_sum, 7'd0};
+            if (f_at == 7'd9) {f_total, f_again} <= {26'd0, udp_sum, 7'd0};
+            if (f_at == 7'd5 | f_at == 7'd6 | f_at >= 7'd10) {f_total, f_again} <= {f_total + {10'd0, data}, f_again + {6'd0, carry}};
+            if (f_at == 7'd10) f_none <= data[15:0] == 16'd0;
+        end
+        f_out <= ~rst & (pass | (f_out & ~revoke & ~take));
+    end
+    wire [41:0] f_summed = {9'd0, carry, sum} + {3'd0, f_again, 32'd0};
+    // Of the frame that has just ended, all of it.
+    logic f_last_alike = 1'b0, f_last_had = 1'b0, f_last_none = 1'b0, f_last_ip = 1'b0;
+    always_ff @(posedge clk) if (valid & last) begin
+        f_last_alike <= f_alike & f_this & f_at >= 7'd18;
+        f_last_had   <= f_had & f_out;
+        f_last_none  <= f_none;
+        f_last_ip    <= f_ip_ok;
+        f_last_total <= f_total + {10'd0, data};
+    end
+    // Any word of the head, and what firmware wrote for it; it leaves that alone while a pass is out.
+    // rx_admission.sv proves that `like_high` and `like_low` say this.
+    (* anyconst *) logic [6:0]  f_word;
+    (* anyconst *) logic [31:0] f_wrote;
+    wire  [31:0] f_compared = {16'hffff, {16{f_word != 7'd6 & f_word != 7'd10}}};
+    always_comb assume (f_word < 7'd18 & f_word != 7'd5 & f_word != 7'd12);
+    wire         f_is_it = valid & f_at == f_word;
+    always_comb assume (~f_is_it | (like_high == (data[31:16] == f_wrote[31:16]) & like_low == (data[15:0] == f_wrote[15:0])));
+    logic        f_differs = 1'b0, f_differed = 1'b1, f_differed_then = 1'b1;
+    always_ff @(posedge clk) begin
+        if (valid) begin
+            f_differs <= ~last & (f_differs | (f_is_it & ((data ^ f_wrote) & f_compared) != 32'd0));
+            if (last) f_differed <= f_differs | f_at <= f_word;
+        end
+        f_differed_then <= f_differed;
+    end
+    // Passes handed out, commands executed, and whether there was one. No more than fit are counted.
+    logic [7:0] f_passes = 8'd0, f_takes = 8'd0;
+    logic       f_taken = 1'b0;
+    logic       f_handed = 1'b0;  // in the clock before
+    logic       f_was_out = 1'b0;
+    always_comb assume (f_passes != 8'd255);
+    always_ff @(posedge clk) begin
+        // A second pass beside one that is out is the same one.
+        if (pass & ~rst & ~(out & ~take)) f_passes <= f_passes + 8'd1;
+        if (take) f_takes <= f_takes + 8'd1;
+        f_taken   <= f_taken | take;
+        f_handed  <= pass & ~rst;
+        f_was_out <= out;
+    end
+    // At most so many clocks of an answer are to come: less in every clock, whatever else happens.
+    localparam F_RUNS = 12;
+    wire  [11:0] f_to_come = ends ? 12'(left) : ((12'd16 - 12'(next)) << COUNT_BITS) + 12'(left);
+    logic [11:0] f_came = 12'd0, f_gathered = 12'd0;
+    logic        f_was_gathering = 1'b0;
+    always_ff @(posedge clk) begin
+        f_was_gathering <= gathering & ~rst;
+        f_came     <= f_to_come;
+        f_gathered <= gathering ? f_gathered + 12'd1 : 12'd0;
+    end
+    always_comb begin
+`ifdef PROVE_only_a_frame_like_the_pass_is_executed
+        if (take) assert (f_ended & f_whole & f_last_alike & f_last_had & f_last_ip);
+        if (take) assert (f_out & gate_now == gate_as & free);
+`endif
+`ifdef PROVE_the_sum_is_of_every_word
+        if (f_at == 7'd7 | f_at == 7'd8 | f_at >= 7'd11) assert (f_summed == f_total + {35'd0, f_again});
+        if (take) assert (f_last_none | right);
+        if (take) assert (f_summed == f_last_total + {35'd0, f_again});
+`endif
+`ifdef PROVE_a_pass_is_for_one_command
+        assert (f_takes <= f_passes & (f_takes < f_passes | ~out));
+`endif
+`ifdef PROVE_nothing_is_committed_that_differs_from_what_firmware_wrote
+        if (take) assert (~f_differed);
+        if (taken | commit | commit_timed) assert (~f_differed_then);
+`endif
+`ifdef PROVE_a_pass_is_never_handed_out_by_itself
+        if (out & ~f_was_out) assert (f_handed);
+`endif
+`ifdef PROVE_only_an_executed_command_writes_its_answer
+        if (puts) assert (f_taken);
+`endif
+`ifdef PROVE_only_the_owners_words_are_staged
+        if (stages) assert (f_out & f_had & f_alike & f_ip_ok & f_at >= 7'd18);
+`endif
+`ifdef PROVE_the_commit_comes_behind_the_last_staged_word
+        if (commit | commit_timed) assert (~f_staged & ~stages);
+`endif
+`ifdef PROVE_what_the_answer_gathers_comes_to_an_end
+        if (gathering & f_was_gathering) assert (f_to_come < f_came);
+        assert (f_gathered <= 12'((F_RUNS << COUNT_BITS) + 1));
+`endif
+`ifdef PROVE_the_bus_is_never_held_for_the_wire
+        if (hold & ~valid) assert (complete | taken | (gathering & (~f_was_gathering | f_to_come < f_came)));
+        if (complete | taken) assert (f_ended | f_taken);
+`endif
+`ifndef BROKEN
+        assert (f_out == out);
+        assert (f_takes <= f_passes & (f_takes < f_passes | ~out));
+        if (taken | gathering | puts) assert (f_taken);
+        assert (f_at <= 7'd126);
+        assert (mine == f_had);
+        if (f_at > 7'd8) assert (~alike | (f_alike & f_ip_ok));
+        assert (f_at == 7'd0 | ~alike | f_alike);
+        if (f_at == 7'd0) assert (f_alike & ~f_differs);
+        assert (f_at == 7'd0 | ~alike | ~f_differs);
+        if (complete) assert (~f_differed);
+        if (taken) assert (~f_differed_then);
+`ifdef PROVE_the_sum_is_of_every_word
+        if (f_at >= 7'd5 & f_at <= 7'd8 | f_at >= 7'd10) assert (f_summed == f_total + {35'd0, f_again});
+        if (complete) assert (f_summed == f_last_total + {35'd0, f_again});
+        assert (f_total <= {f_at, 32'hffff_ffff} & {1'b0, f_again} <= {1'b0, f_at} | f_at < 7'd5);
+`endif
+        if (f_at > 7'd10) assert (f_none == unsummed);
+        if (complete) assert (f_ended & f_whole & f_last_alike & f_last_had & f_last_ip & f_last_none == unsummed);
+        assert (~gathering | ~complete);
+        if (taken) assert (gathering);
+        if (taken) assert (~f_staged);
+        if (gathering) assert (f_at == 7'd0 | ~mine);
+        if (complete) assert (f_at == 7'd0);
+        assert (f_gathered <= 12'((F_RUNS << COUNT_BITS) + 1));
+        if (gathering) assert (next >= 4'd4 | ends);
+        if (gathering) assert (f_gathered + f_to_come <= 12'(F_RUNS << COUNT_BITS));
+`endif
+    end
+`endif
+endmodule
+`default_nettype wire
