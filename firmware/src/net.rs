@@ -136,7 +136,7 @@ impl Datagram {
 
 /// Looks at a frame of `length` bytes. `ports`: where the services listen.
 pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) -> Class {
-    let [w0, w1, w2, w3, w4, w5, w6, source, destination] =
+    let [w0, w1, _, w3, w4, w5, w6, source, destination] =
         core::array::from_fn(|index| frame.word(index));
     let options = (w4 >> 24 & 0xf).wrapping_sub(5) as usize;
     let to = Destination::of(w0, w1, us);
