@@ -234,8 +234,7 @@ impl App {
             }
             Class::Services
                 if length > net::longest_in_motion(&frame, self.services.is_some())
-                    && self.fast_path.is_some()
-                    && !self.machine.at_rest() =>
+                    && self.moving() =>
             {
                 self.mac.dismiss();
                 self.machine.refuse(Refusal::Oversized);
@@ -274,6 +273,11 @@ impl App {
             self.machine.refuse(Refusal::Busy);
         }
         yields
+    }
+
+    /// Does a host move the machine?
+    fn moving(&self) -> bool {
+        self.fast_path.is_some() && !self.machine.at_rest()
     }
 
     /// Does the frame come from the host that owns the machine?
@@ -511,8 +515,7 @@ impl App {
     fn services(&mut self, frame: *const u8, length: usize) {
         if let Some(entry) = self.services {
             self.call(entry, frame, length);
-            let moving = self.fast_path.is_some() && !self.machine.at_rest();
-            self.crowded = moving && self.mac.pending();
+            self.crowded = self.moving() && self.mac.pending();
         }
     }
 
@@ -520,7 +523,7 @@ impl App {
     #[inline(never)]
     fn call(&mut self, entry: abi::Entry, frame: *const u8, length: usize) -> u32 {
         self.cold = true;
-        let moving = self.fast_path.is_some() && !self.machine.at_rest();
+        let moving = self.moving();
         let rom = abi::Rom {
             datagram: services_datagram,
             send: services_send,
