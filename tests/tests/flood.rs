@@ -244,9 +244,8 @@ fn dearest(machine: &mut BenchMachine, command: &mut Command, lines: &[&str]) ->
 }
 
 /// An exchange that comes while the services have their turn is answered so many clocks behind the
-/// longest turn at most: a guest's frame that came before it is refused. Measured are 6297, of
-/// which the cold cache is the larger part. At an ordinary servo period the turn is over long
-/// before, and [`BOUND`] holds.
+/// longest turn at most. Measured are 6297, behind a guest's read. At an ordinary servo period the
+/// turn is over long before, and [`BOUND`] holds.
 const BEHIND_A_TURN: u64 = 9_000;
 
 #[test]

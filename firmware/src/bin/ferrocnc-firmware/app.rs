@@ -215,6 +215,11 @@ impl App {
         yields
     }
 
+    /// Does a host move the machine?
+    fn moving(&self) -> bool {
+        self.owner.is_some() && !self.machine.at_rest()
+    }
+
     /// Does the frame come from the host that owns the machine?
     fn from_owner(&self, frame: &RxFrame) -> bool {
         self.owner
