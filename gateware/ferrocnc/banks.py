@@ -19,6 +19,7 @@ carries pages 8 and up:
 * Words that change every clock and must belong to one clock for all channels (fraction and velocity
   of a step generator) are stored in flip-flops by the sample strobe.
 * Registers of absent channels are never created: they read 0 and ignore writes.
+* The fast path writes and reads pages 8 to 15 between the accesses of the CPU, which waits.
 """
 
 from functools import reduce
@@ -33,6 +34,8 @@ from . import VERSION, regmap as rm
 
 _WORD_BITS = (rm.CSR_PAGE // 4).bit_length() - 1
 _LOW = 4  # an address is decoded in two halves, so that a register costs one LUT
+# Bits of a register's number in the fast path: pages 8 to 15, of each the first 128 words.
+_FAST_BITS = 10
 _GATE = 8  # words behind one gate: two to a LUT, and one LUT more to join four of those
 
 
@@ -54,8 +57,12 @@ class FabricBus(LiteXModule):
         # the same one after the bridge's state, and half a clock later. A read has no side effect,
         # so an unintended one does no harm.
         self.adr = Signal(rm.CSR_ADDRESS_WIDTH)
-        self.word = self.adr[:_WORD_BITS]
-        self.page = self.adr[_WORD_BITS:]
+        # A word that the fast path stages, and one that it gathers. The CPU waits meanwhile.
+        self.stages, self.to, self.staged = Signal(), Signal(_FAST_BITS), Signal(32)
+        self.gathers, self.source = Signal(), Signal(_FAST_BITS)
+        address = Signal(rm.CSR_ADDRESS_WIDTH)
+        self.word = address[:_WORD_BITS]
+        self.page = address[_WORD_BITS:]
         self.we = Signal()
         self.data = Signal(32, reset_less=True)
         self.we_word = Signal(_WORD_BITS, reset_less=True)
@@ -68,13 +75,12 @@ class FabricBus(LiteXModule):
 
         # # #
 
-        # The fast path writes staged words between the CPU's accesses; pages 8 to 15.
-        self.stages, self.stage_to, self.stage_data = Signal(), Signal(10), Signal(32)
+        written = Mux(self.stages, _fast_address(self.to), self.adr)
+        self.comb += address.eq(Mux(self.gathers, _fast_address(self.source), self.adr))
         self.sync += [
             self.we.eq(self.bus.we | self.stages),
-            self.data.eq(Mux(self.stages, self.stage_data, self.bus.dat_w)),
-            self.we_word.eq(Mux(self.stages, Cat(self.stage_to[:7], Constant(0, 2)), self.word)),
-            self.we_page.eq(Mux(self.stages, Cat(self.stage_to[7:], Constant(1, 4)), self.page)),
+            self.data.eq(Mux(self.stages, self.staged, self.bus.dat_w)),
+            Cat(self.we_word, self.we_page).eq(written),
         ]
 
     def _is(self, kind, value, number):
@@ -186,6 +192,11 @@ class FabricBus(LiteXModule):
         self.comb += self.bus.dat_r.eq(reduce(or_, self._gates))
 
 
+def _fast_address(number):
+    """The word address of a register that the fast path calls by this number."""
+    return Cat(number[:7], Constant(0, _WORD_BITS - 7), number[7:], Constant(1, 1))
+
+
 def guard_places():
     """Where the services may write: (word address, words less 1) of each."""
     snapshot, guard = (rm.TIMEBASE.base + rm.TIMEBASE.offset(name) for name in ("snapshot", "guard"))
@@ -233,7 +244,8 @@ class Pads:
 
 class Cores(LiteXModule):
     """All cores of one board and their banks. `arrival` is the wall clock of the frame the MAC
-    presents."""
+    presents. `words` is the stream into the receive slots, `answer` the way to transmit slot 0.
+    While `hold`, the bus master must not access the registers."""
 
     def __init__(self, channels, sys_clk_hz, rom_words, ext_reset_active_low=False, estop_mask=0, estop_level=0,
                  safe_mask=0, invert_mask=0, jobs=0):
@@ -244,8 +256,18 @@ class Cores(LiteXModule):
         self.frame_pending = Signal()    # MAC: presents the frame in `pending_slot`
         self.pending_slot = Signal(max=rm.ETHMAC_RX_SLOTS)
         self.eth_beat = Signal()         # PHY: a clock per 4 clocks of its receive clock
-        # The fast path has executed a command: sample and feed, and commit now or at its time.
-        self.taken, self.fast_commit, self.fast_timed = Signal(), Signal(), Signal()
+        # A word on its way into the receive slots, as a slot reads. With the last one: all four
+        # bytes are the frame's, the FCS is wrong. `room`: the frame has found a slot free.
+        self.words = SimpleNamespace(
+            **{name: Signal(name=f"words_{name}") for name in ("valid", "last", "whole", "bad", "room")}, data=Signal(32, name="words_data"))
+        self.refuse = Signal()           # with the last word: discard the frame
+        self.take = Signal()             # a clock later: the frame has been executed, discard it
+        # Transmit slot 0: it can be sent now; it is waiting or being sent. Send `length` bytes of
+        # it. Write `put` to its word `put_at`.
+        self.answer = SimpleNamespace(
+            **{name: Signal(name=f"answer_{name}") for name in ("free", "sending", "send", "puts")},
+            length=Signal(11, name="answer_length"), put_at=Signal(7, name="answer_put_at"), put=Signal(32, name="answer_put"))
+        self.hold = Signal()
         self.fabric = fabric = FabricBus()
         self.bus = fabric.bus
         self.jobs = jobs                 # axes of a job: step generators 0 and up; 0: no segments
@@ -253,6 +275,8 @@ class Cores(LiteXModule):
         # # #
 
         self.clk, self.rst = _clock()
+        # The fast path executes a command: it is sampled, and committed now or at its time.
+        self.executes = SimpleNamespace(**{name: Signal(name=f"executes_{name}") for name in ("taken", "commit", "timed")})
         estop, self.cleared = Signal(), Signal()
         self._timebase(fabric)
         self._watchdog(fabric, estop, ext_reset_active_low)
@@ -263,7 +287,6 @@ class Cores(LiteXModule):
         self.job = self._segments(fabric, jobs, channels) if jobs else None
         self._gpio(fabric, channels, estop, estop_mask, estop_level, safe_mask, invert_mask)
         arms = {name: self._committed(fabric, name) for name in ("enables", "arms", "probe_arms")}
-        self.probe_arms, _ = arms["probe_arms"]
         self._stepgens(fabric, channels.stepgen, arms)
         self._encoders(fabric, channels.encoder, arms)
         for n in range(channels.pwm):
@@ -271,6 +294,42 @@ class Cores(LiteXModule):
         self._flags(fabric)
         self._mirrors(fabric, channels)
         self._pads(fabric, channels)
+        self._frames(fabric, select=arms["probe_arms"][0][16:21])
+
+    def _frames(self, fabric, select):
+        """What is done with a frame before it lies in a slot: rx_admission may discard it, the fast
+        path may execute it. Both compare it with the same words."""
+        admission, b, words, answer = rm.RX_ADMISSION, rm.FAST_PATH, self.words, self.answer
+        mode, refused = fabric.storage(admission, "mode", 2), Signal(32)
+        at, like_high, like_low, out, executed = Signal(5), Signal(), Signal(), Signal(), Signal()
+        # As with the debounce: the low bits of the word's address are the place of the word.
+        self.specials += Instance("rx_admission",
+            i_clk=self.clk, i_header_we=fabric.write_page(admission.page, rm.HEADER_PLACES), i_header_at=fabric.we_word[:4],
+            i_header=fabric.data, i_mode=mode, i_admit=fabric.pulse(admission, "admit"),
+            **{f"i_{name}": getattr(words, name) for name in ("valid", "last", "bad", "room", "data")},
+            o_refuse=self.refuse, o_refused=refused, o_at=at, o_like_high=like_high, o_like_low=like_low)
+        fabric.live(admission, "mode", mode)
+        fabric.live(admission, "refused", refused)
+
+        gate = fabric.storage(b, "gate", 10)
+        self.specials += Instance("fast_path",
+            i_clk=self.clk, i_rst=self.rst, i_run_we=fabric.write_page(b.page, 16), i_run_at=fabric.we_word[:4], i_run=fabric.data[:19],
+            i_ip_sum=fabric.storage(b, "ip_sum", 16), i_udp_sum=fabric.storage(b, "udp_sum", 16),
+            i_gate_as=gate[:8], i_executes=gate[8], i_timed=gate[9], **{f"i_{name}": fabric.pulse(b, name) for name in ("pass", "revoke")},
+            **{f"i_{name}": getattr(words, name) for name in ("valid", "last", "whole", "bad", "data")},
+            i_at=at, i_like_high=like_high, i_like_low=like_low,
+            i_gate_now=self.gate_word, i_waiting=self.timed_waits, i_select=select, i_free=answer.free,
+            o_stages=fabric.stages, o_to=fabric.to, o_take=self.take, o_taken=self.executes.taken,
+            o_commit=self.executes.commit, o_commit_timed=self.executes.timed,
+            o_gathers=fabric.gathers, **{"o_from": fabric.source}, o_puts=answer.puts, o_put_at=answer.put_at, o_hold=self.hold,
+            o_out=out, o_executed=executed)
+        fabric.live(b, "status", Cat(executed, out, answer.sending))
+        self.comb += [
+            fabric.staged.eq(words.data),
+            answer.send.eq(self.executes.taken),
+            answer.length.eq(fabric.storage(b, "length", len(answer.length))),
+            answer.put.eq(fabric.bus.dat_r),
+        ]
 
     def _committed(self, fabric, name):
         """A word of single bits: (as staged, as committed)."""
@@ -295,9 +354,9 @@ class Cores(LiteXModule):
         at_hi = fabric.storage(b, "commit_at_hi")
         self.specials += Instance("timebase",
             i_clk=self.clk, i_rst=self.rst, o_now=now,
-            i_commit_now=strobe & fabric.data[0] | self.fast_commit,
-            i_sample_now=strobe & fabric.data[1] | self.taken,
-            i_commit_timed=strobe & fabric.data[2] | self.fast_timed,
+            i_commit_now=strobe & fabric.data[0] | self.executes.commit,
+            i_sample_now=strobe & fabric.data[1] | self.executes.taken,
+            i_commit_timed=strobe & fabric.data[2] | self.executes.timed,
             i_commit_at=Cat(at_lo, at_hi),
             o_commit=self.commit, o_sample=self.sample, o_pending=pending)
         snapshot, beats = fabric.pulse(b, "snapshot"), Signal(32)
@@ -359,17 +418,16 @@ class Cores(LiteXModule):
             Instance("extreset", p_ACTIVE_LOW=int(active_low), i_clk=self.clk, i_pin=self.pads.ext_reset, o_active=pin),
             Instance("watchdog",
                 i_clk=self.clk, i_rst=self.rst, i_ext_reset=pin, i_estop=estop,
-                i_token_we=fabric.pulse(b, "token"), i_token=fabric.data, i_feed=self.taken,
+                i_token_we=fabric.pulse(b, "token"), i_token=fabric.data, i_feed=self.executes.taken,
                 i_arm=keys["arm"], i_soft_stop=keys["soft"], i_shut=keys["stop"], i_clear=keys["clear"],
                 i_timeout=timeout, i_grace=grace, i_all_stopped=self.all_stopped,
                 o_gate=self.gate, o_stop=self.stop, o_bitten=bitten, o_reset_latched=latched, o_estop_latched=estop_latched,
                 o_armed=armed, o_cleared=self.cleared, o_last_close=last_close,
                 o_remaining=remaining, o_last_token=last, o_bites=bites),
         ]
-        self.gate_word = gate_word = Cat(self.gate, self.stop, bitten, latched, pin, armed, estop_latched, estop)
+        self.gate_word = Cat(self.gate, self.stop, bitten, latched, pin, armed, estop_latched, estop)
         for name, value in (("timeout", timeout), ("grace", grace), ("remaining", remaining), ("last_token", last), ("bites", bites),
-                            ("status", gate_word),
-                            ("last_close", last_close)):
+                            ("status", self.gate_word), ("last_close", last_close)):
             fabric.live(b, name, value)
         self._sampled(fabric, "left", remaining)
 

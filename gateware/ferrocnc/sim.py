@@ -228,8 +228,8 @@ def _self_contained(top):
 
 def elaborate_cores(board, out):
     """Writes cores.v, the cores and their banks with the CSR bus as ports, and the map as
-    cores.map: for `tests/cores.cpp`. The receive filter and the SDRAM's controller are not
-    included."""
+    cores.map: for `tests/cores.cpp`. The stream into the receive slots and the way into transmit
+    slot 0 are ports, too. The SDRAM's controller is not included."""
     out = Path(out).resolve()
     out.mkdir(parents=True, exist_ok=True)
     cores = banks.Cores(board.channels, board.sys_clk_hz, len(blob(board)) // 4, estop_mask=board.estop_mask, estop_level=board.estop_level,
@@ -242,11 +242,14 @@ def elaborate_cores(board, out):
         "frame_done": cores.frame_done, "frame_slot": cores.frame_slot,
         "frame_pending": cores.frame_pending, "pending_slot": cores.pending_slot, "eth_beat": cores.eth_beat,
         **{name: getattr(pads, name) for name in vars(pads)},
+        "hold": cores.hold, "refuse": cores.refuse, "take": cores.take, "taken": cores.executes.taken,
+        **{f"words_{name}": signal for name, signal in vars(cores.words).items()},
+        **{f"answer_{name}": signal for name, signal in vars(cores.answer).items()},
     }
     for name, signal in ports.items():
         signal.name_override = name
     top = verilog.convert(cores, set(ports.values()), name="cores")
     (out / "cores.v").write_text(_self_contained(top))
     names = [f"{bank.name}.{reg.name} 0x{bank.page * rm.CSR_PAGE // 4 + i:x} {reg.access} 0x{rm.mask(reg):x}"
-             for bank in rm.BANKS if bank not in (rm.RX_ADMISSION, rm.SDRAM) for i, reg in enumerate(bank.regs)]
+             for bank in rm.BANKS if bank is not rm.SDRAM for i, reg in enumerate(bank.regs)]
     (out / "cores.map").write_text("\n".join(names) + "\n")

@@ -1,5 +1,5 @@
-"""LiteEth's MAC in this SoC: aligned slots, a filter for guests, and frames that cannot damage the
-next one.
+"""LiteEth's MAC in this SoC: aligned slots, cores that look at each frame before it lies in one,
+and frames that cannot damage the next one.
 
 Slots have an offset of two bytes, so that everything after the 14 bytes of an Ethernet header is
 aligned.
@@ -16,7 +16,7 @@ two. The end needs care: if the shifted frame has bytes left over after its last
 follows.
 """
 
-from migen import Cat, ClockSignal, If, Instance, Mux, Replicate, ResetSignal, Signal
+from migen import Cat, If, Mux, Replicate, Signal
 from migen.genlib.fsm import NextState, NextValue
 from litex.gen import LiteXModule
 from litex.soc.interconnect import stream, wishbone
@@ -24,8 +24,6 @@ from liteeth import mac as liteeth_mac
 from liteeth.mac import crc as mac_crc, sram as mac_sram
 from liteeth.common import eth_phy_description, reverse_bytes
 from liteeth.mac.wishbone import LiteEthMACWishboneInterface
-
-from . import regmap as rm
 
 
 class Shift(LiteXModule):
@@ -81,14 +79,14 @@ class Shift(LiteXModule):
 
 
 class WordStore(LiteXModule):
-    """The CPU's side of a transmit slot: it writes whole words and reads nothing. With byte lanes,
+    """The way into a transmit slot: the CPU writes whole words and reads nothing. With byte lanes,
     or with a second port that reads, a slot of 2 KiB would take two block RAMs instead of one. A
-    store of less than a word is lost."""
+    store of less than a word is lost. While the fast path `puts` a word, the CPU waits."""
 
     def __init__(self, memory):
         self.bus = bus = wishbone.Interface(data_width=32)
+        self.puts, self.put_at, self.put = Signal(), Signal(7), Signal(32)
         port = memory.get_port(write_capable=True)
-        self.puts, self.put_at, self.put = Signal(), Signal(7), Signal(32)  # the fast path's words
 
         # # #
 
@@ -113,31 +111,51 @@ class Checker(mac_crc.LiteEthMACCRC32Checker):
 
 class Writer(mac_sram.LiteEthMACSRAMWriter):
     """LiteEth's way into the slots, with the same fix: a frame of one word that found no free slot
-    took the next one with it. `room` is high while a frame passes that found a slot."""
+    took the next one with it. `room` is high while a frame passes that found a slot. With `take`, a
+    clock after its last word, a frame is forgotten: it leaves its slot free, and one that found
+    none is not counted, as all others are."""
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
-        free = self.stat_fifo.sink.ready
-        self.fsm.act("WRITE", If(self.sink.valid & ~free & self.sink.last, NextState("DISCARD")))
-        self.take = Signal()
-        (slot,) = (done.target for done in self.fsm.actions["TERMINATE"] if isinstance(done, NextValue) and done.target is not None and len(done.target) == 2)
+        self.room, self.take = Signal(), Signal()
+
+        # # #
+
+        free, errors = self.stat_fifo.sink.ready, self._errors.status
+        lost = Signal()  # the frame has found no slot
+        self.fsm.act("WRITE", If(self.sink.valid & ~free,
+            NextValue(errors, errors),  # not yet
+            NextValue(lost, 1),
+            If(self.sink.last, NextState("DISCARD")),
+        ))
+        self.fsm.act("DISCARD", NextValue(lost, 0), If(lost & ~self.take, NextValue(errors, errors + 1)))
+        (slot,) = (done.target for done in self.fsm.actions["TERMINATE"] if isinstance(done, NextValue) and len(done.target) == len(self._slot.status))
         self.fsm.act("TERMINATE", If(self.take, self.stat_fifo.sink.valid.eq(0), NextValue(slot, slot)))
-        self.room = Signal()
         self.comb += self.room.eq(free & ~self.fsm.ongoing("DISCARD-ALL"))
 
 
 class Reader(mac_sram.LiteEthMACSRAMReader):
-    """LiteEth's way out of the slots; `send` sends `length` bytes of slot 0 for the fast path."""
+    """LiteEth's way out of the slots. With `send`, which takes the place of the CPU's start, it
+    sends `bytes` bytes of slot 0; only a clock after `free`, and the CPU must not start a frame in
+    between. `sending`: slot 0 is queued or being sent, whoever started it."""
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
-        self.send, self.length, self.sending, self.free = Signal(), Signal(len(self._length.storage)), Signal(), Signal()
-        (fifo,) = (module for _, module in self._submodules if hasattr(module, "sink") and hasattr(module.sink, "length"))
+        self.send, self.bytes = Signal(), Signal(len(self._length.storage))
+        self.free, self.sending = Signal(), Signal()
+
+        # # #
+
+        (fifo,) = (module for _, module in self._submodules if isinstance(module, stream.SyncFIFO))
         self.comb += [
-            If(self.send, fifo.sink.valid.eq(1), fifo.sink.slot.eq(0), fifo.sink.length.eq(self.length)),
+            If(self.send, fifo.sink.valid.eq(1), fifo.sink.slot.eq(0), fifo.sink.length.eq(self.bytes)),
             self.free.eq(~self.sending & fifo.sink.ready),
         ]
-        self.sync += If(self.send, self.sending.eq(1)).Elif(self.fsm.ongoing("TERMINATE") & (fifo.source.slot == 0), self.sending.eq(0))
+        self.sync += If(fifo.sink.valid & fifo.sink.ready & (fifo.sink.slot == 0),
+            self.sending.eq(1),
+        ).Elif(fifo.source.ready & (fifo.source.slot == 0),
+            self.sending.eq(0),
+        )
 
 
 class AlignedInterface(LiteEthMACWishboneInterface):
@@ -166,50 +184,25 @@ class AlignedInterface(LiteEthMACWishboneInterface):
             LiteEthMACWishboneInterface._expose_wishbone_sram_interfaces(self, bus, dw, mems, nslots, read_only, write_only)
             return
         assert nslots == 2
-        stores = [WordStore(memory) for memory in mems]
+        self.stores = stores = [WordStore(memory) for memory in mems]
         self.submodules += stores
-        self.answer = stores[0]
         which = (mems[0].depth - 1).bit_length()
         self.submodules += wishbone.Decoder(bus, [(lambda a, n=n: a[which] == n, store.bus) for n, store in enumerate(stores)], register=True)
 
 
-class RxAdmission(LiteXModule):
-    """The cores `gateware/rtl/rx_admission.sv` and `fast_path.sv` and their registers, between the
-    aligned stream and the slots."""
-
-    def __init__(self, interface, fabric, cores):
-        at, like_high, like_low, data = Signal(5), Signal(), Signal(), Signal(32)
-        self.comb += data.eq(reverse_bytes(interface.into.data))
-        bank, words, mode, refused = rm.RX_ADMISSION, interface.into, fabric.storage(rm.RX_ADMISSION, "mode", 2), Signal(32)
-        # As with the debounce: the low bits of the word's address are the header's word.
-        self.specials += Instance("rx_admission",
-            i_clk=ClockSignal("sys"), i_header_we=fabric.write_page(bank.page, bank.offset("mode") // 4), i_header_at=fabric.we_word[:4],
-            i_header=fabric.data, i_mode=mode, i_admit=fabric.pulse(bank, "admit"),
-            i_valid=words.valid, i_last=words.last, i_bad=interface.bad, i_room=interface.sram.writer.room,
-            i_data=data, o_refuse=interface.refuse, o_refused=refused,
-            o_at=at, o_like_high=like_high, o_like_low=like_low)
-        fabric.live(bank, "mode", mode)
-        fabric.live(bank, "refused", refused)
-
-        bank, writer, reader, answer = rm.FAST_PATH, interface.sram.writer, interface.sram.reader, interface.answer
-        gate, length = fabric.storage(bank, "gate", 10), fabric.storage(bank, "length", 11)
-        out, executed = Signal(), Signal()
-        self.hold, self.gathers, self.source = Signal(), Signal(), Signal(10)
-        self.specials += Instance("fast_path",
-            i_clk=ClockSignal("sys"), i_rst=ResetSignal("sys"), i_run_we=fabric.write_page(bank.page, 16), i_run_at=fabric.we_word[:4], i_run=fabric.data[:19],
-            i_ip_sum=fabric.storage(bank, "ip_sum", 16), i_udp_sum=fabric.storage(bank, "udp_sum", 16),
-            i_gate_as=gate[:8], i_executes=gate[8], i_timed=gate[9], **{"i_pass": fabric.pulse(bank, "pass")}, i_revoke=fabric.pulse(bank, "revoke"),
-            i_valid=words.valid, i_last=words.last, i_whole=words.last_be[3], i_bad=interface.bad, i_data=data,
-            i_at=at, i_like_high=like_high, i_like_low=like_low,
-            i_gate_now=cores.gate_word, i_waiting=cores.timed_waits, i_select=cores.probe_arms[16:21], i_free=reader.free,
-            o_stages=fabric.stages, o_to=fabric.stage_to, o_take=writer.take, o_taken=cores.taken,
-            o_commit=cores.fast_commit, o_commit_timed=cores.fast_timed, o_gathers=self.gathers, **{"o_from": self.source},
-            o_puts=answer.puts, o_put_at=answer.put_at, o_hold=self.hold, o_out=out, o_executed=executed)
-        fabric.live(bank, "status", Cat(executed, out, reader.sending))
-        self.comb += [
-            fabric.stage_data.eq(data), answer.put.eq(fabric.bus.dat_r),
-            reader.send.eq(cores.taken), reader.length.eq(length),
-        ]
+def connect(interface, cores):
+    """Connects the slots of this interface with the cores that look at each frame before it lies in
+    one (`banks.Cores`: `rx_admission` and `fast_path`)."""
+    stream, words, answer = interface.into, cores.words, cores.answer
+    writer, reader, store = interface.sram.writer, interface.sram.reader, interface.stores[0]
+    return [
+        words.valid.eq(stream.valid), words.last.eq(stream.last), words.data.eq(reverse_bytes(stream.data)),
+        words.whole.eq(stream.last_be[3]), words.bad.eq(interface.bad), words.room.eq(writer.room),
+        interface.refuse.eq(cores.refuse), writer.take.eq(cores.take),
+        answer.free.eq(reader.free), answer.sending.eq(reader.sending),
+        reader.send.eq(answer.send), reader.bytes.eq(answer.length),
+        store.puts.eq(answer.puts), store.put_at.eq(answer.put_at), store.put.eq(answer.put),
+    ]
 
 
 def align():

@@ -10,7 +10,7 @@ from functools import partial, reduce
 from operator import or_
 from pathlib import Path
 
-from migen import Cat, Constant, If, Memory, Mux, Signal
+from migen import If, Memory, Signal
 from migen.genlib.fsm import FSM, NextState, NextValue
 from litex.gen import LiteXModule
 from litex.soc.integration import soc as litex_soc
@@ -35,21 +35,26 @@ class _BankArray(csr_bus.CSRBankArray):
 
 
 class _Bridge(LiteXModule):
-    """LiteX's bridge to the registers with its address in flip-flops. Its master waits while
-    `hold`."""
+    """LiteX's bridge from the bus to the registers, with its address in flip-flops: the fast path's
+    addresses join behind them. While `hold` its master waits."""
 
-    def __init__(self, bus_wishbone=None, bus_csr=None, register=True):
-        self.wishbone, self.csr = bus_wishbone or wishbone.Interface(), bus_csr or csr_bus.Interface()
-        self.hold, self.adr = Signal(), Signal(len(self.csr.adr))
-        bus, csr, we, data = self.wishbone, self.csr, Signal(), Signal(32)
-        shift = {"word": 0, "byte": 2}[bus.addressing]
+    def __init__(self, bus_wishbone, bus_csr, register):
+        self.wishbone, self.csr = bus_wishbone, bus_csr
+        self.hold, self.adr = Signal(), Signal(len(bus_csr.adr))
+
+        # # #
+
+        bus, csr, data, we = self.wishbone, self.csr, Signal(32), Signal()
+        assert bus.addressing == "word" and bus.data_width == csr.data_width
         self.fsm = fsm = FSM(reset_state="IDLE")
         fsm.act("IDLE",
-            NextValue(self.adr, bus.adr[shift:]), NextValue(data, bus.dat_w), NextValue(we, bus.we & (bus.sel != 0)),
-            If(bus.cyc & bus.stb, NextState("ACCESS")))
+            NextValue(self.adr, bus.adr), NextValue(data, bus.dat_w), NextValue(we, bus.we & (bus.sel != 0)),
+            If(bus.cyc & bus.stb, NextState("ACCESS")),
+        )
         fsm.act("ACCESS",
             csr.adr.eq(self.adr), csr.dat_w.eq(data), csr.we.eq(we & ~self.hold), csr.re.eq(~we & ~self.hold),
-            If(~self.hold, NextState("ACK")))
+            If(~self.hold, NextState("ACK")),
+        )
         fsm.act("ACK", bus.ack.eq(1), bus.dat_r.eq(csr.dat_r), NextState("IDLE"))
 
 
@@ -66,6 +71,7 @@ liteeth_mac.LiteEthMAC = partial(liteeth_mac.LiteEthMAC, tx_cdc_depth=16, rx_cdc
 class FerroSoC(SoCCore):
     """`phy` is called with the SoC after the CPU exists, and returns a PHY for LiteEth."""
 
+    processor = "vexriscv"
     packed = False  # True: the board ROM holds random words, too, until `image` puts the blob there
     csr_map = {**rm.LITEX_PAGES, rm.SDRAM.name: rm.SDRAM.page}
     mem_map = {"ethmac": rm.ETHMAC[0]}
@@ -78,7 +84,7 @@ class FerroSoC(SoCCore):
         SoCCore.__init__(
             self, platform, board.sys_clk_hz,
             ident="FerroCNC {}.{}.{} ".format(*VERSION) + board.name,
-            cpu_type="vexriscv", cpu_variant="standard",
+            cpu_type=self.processor, cpu_variant="standard",
             integrated_rom_size=rm.ROM[1],
             # Random words: a constant ROM is optimised away, and ecpbram finds the image's place by
             # this pattern.
@@ -101,11 +107,6 @@ class FerroSoC(SoCCore):
         if sdram_pads:
             sdram.add(self, sdram_pads)
         self._add_cores()
-
-    def add_csr_bridge(self, name="csr", origin=None, register=False):
-        """LiteX registers the bridge of a SoC that has an `sdram`, which costs each access to a
-        core a clock, and an exchange 55 of them."""
-        SoCCore.add_csr_bridge(self, name, origin, register=False)
 
     def _jobs(self):
         """Axes of a job."""
@@ -131,14 +132,14 @@ class FerroSoC(SoCCore):
             cores.frame_pending.eq(fifo.source.valid),
             cores.pending_slot.eq(fifo.source.payload.slot),
             cores.eth_beat.eq(self.ethphy.beat),
-            self.cpu.interrupt[rm.LEASH_IRQ].eq(cores.leash | cores.guard.irq),
         ]
+        self.comb += slots.connect(self.ethmac.interface, cores)
         self._add_guard(cores.guard)
-        self.rx_admission = slots.RxAdmission(self.ethmac.interface, cores.fabric, cores)
 
     def _add_guard(self, guard):
         """A store the guard keeps back leaves as a read, so its answer is the interconnect's, and
-        no access takes a clock more."""
+        no access takes a clock more. Guard and leash share an interrupt."""
+        self.comb += self.cpu.interrupt[rm.LEASH_IRQ].eq(self.cores.leash | guard.irq)
         dbus, we, nothing = self.cpu.dbus, Signal(), wishbone.Interface(data_width=32, address_width=32, addressing="word")
         self.cpu.cpu_params["o_dBusWishbone_WE"] = we
         self.bus.add_slave("nothing", nothing, Elsewhere(self.bus))
@@ -152,9 +153,8 @@ class FerroSoC(SoCCore):
         check_map(self)
         self.comb += [
             self.cores.abi.eq(abi_number(self)),
-            self.csr_bridge.hold.eq(self.rx_admission.hold),
-            self.cores.fabric.adr.eq(Mux(self.rx_admission.gathers,
-                Cat(self.rx_admission.source[:7], Constant(0, 2), self.rx_admission.source[7:], Constant(1, 4)), self.csr_bridge.adr)),
+            self.csr_bridge.hold.eq(self.cores.hold),
+            self.cores.fabric.adr.eq(self.csr_bridge.adr),
         ]
         SoCCore.do_finalize(self)
 
@@ -234,7 +234,7 @@ LITEX_PROSE = {
     ("ctrl", "bus_errors"): "Bus errors since reset, a count.",
     ("ethmac", "sram_writer_slot"): "Receive slot of the frame now presented, a number.",
     ("ethmac", "sram_writer_length"): "Length of the frame now presented, in bytes without FCS.",
-    ("ethmac", "sram_writer_errors"): "Frames dropped because no receive slot was free, a count.",
+    ("ethmac", "sram_writer_errors"): "Frames dropped because no receive slot was free, a count. A frame that `fast_path` executes needs none.",
     ("ethmac", "sram_writer_ev_status"): "Level: a frame is presented, one bit.",
     ("ethmac", "sram_writer_ev_pending"): "A frame is presented; write 1 to free its slot, one bit.",
     ("ethmac", "sram_writer_ev_enable"): "1 lets a received frame interrupt the CPU, one bit.",

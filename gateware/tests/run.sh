@@ -32,7 +32,7 @@ for bench in "$here"/*.cpp; do
     mkdir -p "$dir"
     top=$rtl/$core.sv
     [ -e "$top" ] || top=$here/$core.sv
-    flags="" parameters="" lint="" more=""
+    flags="" parameters="" lint="" more="" module=$core
     case $core in
         safety) lint=-Wno-UNUSEDSIGNAL ;;  # it wires two inputs of 32
         # a board with e-stop inputs: gpio.cpp names the same ones
@@ -55,6 +55,15 @@ for bench in "$here"/*.cpp; do
         top=$dir/rgmii.v more=$here/ecp5_models.v lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP -Wno-UNOPTFLAT"
         "$root/target/venv/bin/python" "$here/rgmii_top.py" "$dir"
     fi
+    # a whole board without its CPU, whose place the bench takes
+    if [ "$core" = fast_path ]; then
+        board=${BOARD:-mill6}
+        file=$root/boards/$board.toml
+        [ -e "$file" ] || file=$root/tests/boards/$board.toml
+        top=$dir/fast_path_board.v module=fast_path_board lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP"
+        flags="-DMAP='\"$dir/board.map\"'" more=$root/sim/verilator/copper.sv
+        "$root/target/venv/bin/python" "$here/fast_path_top.py" "$file" "$dir"
+    fi
     if [ "$core" = sdram_bridge ]; then  # the bridge from the bus to the SDRAM
         top=$dir/sdram_bridge.v lint="-Wno-lint -Wno-style -Wno-COMBDLY"
         "$root/target/venv/bin/python" "$here/sdram_bridge_top.py" "$dir"
@@ -66,7 +75,7 @@ for bench in "$here"/*.cpp; do
         # precompiled header.
         if ! nice "$VERILATOR" --cc --exe --build -O3 -Wall -Wno-PROCASSINIT -Wno-DECLFILENAME --x-assign fast $parameters \
             $lint -CFLAGS "-O2 -std=c++17 -I$here $flags" -MAKEFLAGS CFG_CXXFLAGS_PCH_I=-include -MAKEFLAGS OPT_FAST=-O2 \
-            --Mdir "$dir" -j 1 --top-module "$core" -y "$rtl" "$top" $more "$bench" >"$dir/build.log" 2>&1; then
+            --Mdir "$dir" -j 1 --top-module "$module" --prefix "V$core" -y "$rtl" "$top" $more "$bench" >"$dir/build.log" 2>&1; then
             tail -20 "$dir/build.log"
             # Half-built files would be taken for good ones the next time.
             find "$dir" -type f ! -name build.log -delete
@@ -76,6 +85,6 @@ for bench in "$here"/*.cpp; do
         fi
         echo "$stamp" >"$dir/stamp"
     fi
-    nice "$dir/V$core" ${2:+"$2"} || failed=1
+    nice "$dir/V$core" ${2:+"$2"} ${3:+"$3"} || failed=1
 done
 exit $failed

@@ -137,7 +137,7 @@ impl App {
         }
     }
 
-    /// A host moves the machine.
+    /// Does a host move the machine?
     fn moving(&self) -> bool {
         self.owner.is_some() && !self.machine.at_rest()
     }
@@ -213,11 +213,6 @@ impl App {
             self.machine.refuse(Refusal::Busy);
         }
         yields
-    }
-
-    /// Does a host move the machine?
-    fn moving(&self) -> bool {
-        self.owner.is_some() && !self.machine.at_rest()
     }
 
     /// Does the frame come from the host that owns the machine?

@@ -1,0 +1,55 @@
+#!/usr/bin/env python3
+"""Writes the bench of the fast path: `python fast_path_top.py BOARD.toml DIR` makes
+DIR/fast_path_board.v, a board as it is simulated, but with the CPU's bus as pins instead of a CPU;
+and DIR/board.map, the address of every register."""
+
+import logging
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from litex.soc.integration.soc import SoCRegion  # noqa: E402
+from litex.soc.interconnect import wishbone  # noqa: E402
+
+from ferrocnc import regmap as rm, sim, soc as ferro  # noqa: E402
+from ferrocnc.board import read_board  # noqa: E402
+
+BUS = (("bus_adr", 30), ("bus_dat_w", 32), ("bus_dat_r", 32), ("bus_stb", 1), ("bus_we", 1), ("bus_ack", 1))
+# Looked at, besides the pins: the frame's last word, a command executed, a commit, registers held.
+SEEN = (("see_last", 1), ("see_taken", 1), ("see_commit", 1), ("see_hold", 1))
+
+
+class Board(sim.SimSoC):
+    processor = None
+    mem_map = {"ethmac": rm.ETHMAC[0], "csr": rm.CSR_BASE, "sram": rm.RAM[0]}
+
+    def _add_guard(self, guard):
+        self.bus.add_region("rom", SoCRegion(origin=rm.ROM[0], size=rm.ROM[1], mode="r"))  # where it is looked for
+
+    def _freeze(self, freeze):
+        bus, pin = wishbone.Interface(data_width=32, address_width=32, addressing="word"), self.platform.request
+        self.bus.add_master(name="bench", master=bus)
+        stb, stream, cores = pin("bus_stb"), self.ethmac.interface.into, self.cores
+        self.comb += [
+            bus.adr.eq(pin("bus_adr")), bus.dat_w.eq(pin("bus_dat_w")), pin("bus_dat_r").eq(bus.dat_r), bus.sel.eq(0b1111),
+            bus.cyc.eq(stb), bus.stb.eq(stb), bus.we.eq(pin("bus_we")), pin("bus_ack").eq(bus.ack),
+            pin("see_last").eq(stream.valid & stream.last), pin("see_taken").eq(cores.executes.taken),
+            pin("see_commit").eq(cores.commit), pin("see_hold").eq(cores.hold),
+        ]
+
+
+def main():
+    logging.disable(logging.WARNING)
+    sim.PORTS += BUS + SEEN
+    out = Path(sys.argv[2])
+    out.mkdir(parents=True, exist_ok=True)
+    board = Board(read_board(sys.argv[1]))
+    board.finalize()
+    text = board.platform.get_verilog(board, name="fast_path_board")
+    (out / "fast_path_board.v").write_text(sim._self_contained(text))
+    names = [f"{bank.name}.{reg.name} {bank.base + 4 * i:08x}" for bank in ferro.all_banks(board) for i, reg in enumerate(bank.regs)]
+    (out / "board.map").write_text("\n".join(names) + "\n")
+
+
+main()
