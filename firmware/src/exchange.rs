@@ -16,12 +16,12 @@ use crate::cores::{Board, Control, Gate};
 use crate::safety::Event;
 use crate::server::Server;
 use crate::session::Peer;
+use wire::etherbone::ReplyWriter;
 use wire::exchange::{
     COMMAND_HEAD, COMMAND_STEPGEN, FLAG_ALONE_SHIFT, FLAG_APPLY_TIME, FLAG_ENABLE,
     FLAG_ENABLE_REQUEST, STATUS_ENCODER, STATUS_STEPGEN, command_word, judge_sequence,
 };
 use wire::regmap::{command, status, timebase};
-use wire::etherbone::ReplyWriter;
 use wire::{Refusal, State};
 
 const FLAGS_KNOWN: u32 =
@@ -33,9 +33,6 @@ struct Head {
     sequence: u32,
     flags: u32,
     apply: [u32; 2],
-    enables: u32,
-    outputs: u32,
-    arms: u32,
     probe_arms: u32,
 }
 
@@ -50,9 +47,6 @@ impl Head {
             sequence: words[command_word::SEQUENCE],
             flags: words[command_word::FLAGS],
             apply: [words[command_word::APPLY_LO], words[command_word::APPLY_HI]],
-            enables: words[command_word::ENABLES],
-            outputs: words[command_word::GPIO_OUT],
-            arms: words[command_word::ARMS],
             probe_arms: words[command_word::PROBE_ARMS],
         }
     }
@@ -142,9 +136,17 @@ impl Server {
         // The registers have the order of the block, but for the channels that this board lacks.
         let stepgens = COMMAND_STEPGEN * self.shape.stepgens;
         let runs = [
-            (command::ENABLES, command_word::ENABLES, COMMAND_HEAD - command_word::ENABLES),
+            (
+                command::ENABLES,
+                command_word::ENABLES,
+                COMMAND_HEAD - command_word::ENABLES,
+            ),
             (command::STEPGEN0_VELOCITY, COMMAND_HEAD, stepgens),
-            (command::PWM0_WIDTH, COMMAND_HEAD + stepgens, self.shape.pwms),
+            (
+                command::PWM0_WIDTH,
+                COMMAND_HEAD + stepgens,
+                self.shape.pwms,
+            ),
         ];
         for (register, at, count) in runs {
             for (n, word) in block.iter().skip(at).take(count).enumerate() {

@@ -10,9 +10,7 @@ use std::collections::HashMap;
 use std::vec::Vec;
 use wire::describe::{Channels, FEATURE_JOBS};
 use wire::etherbone::{HEADER, record};
-use wire::exchange::{
-    COMMAND_HEAD, Command, REQUEST_OVERHEAD, STATUS_MAX, Status, command_word,
-};
+use wire::exchange::{COMMAND_HEAD, Command, REQUEST_OVERHEAD, STATUS_MAX, Status, command_word};
 use wire::regmap::{self, command, segments, status, timebase, watchdog};
 use wire::{MAX_WORDS, Refusal, ResetReason, map};
 
@@ -138,7 +136,8 @@ impl Notebook {
         self.commit_at = u64::from(block[command_word::APPLY_HI]) << 32
             | u64::from(block[command_word::APPLY_LO]);
         self.staged[..4].copy_from_slice(&block[command_word::ENABLES..][..4]);
-        self.staged[command::STEPGEN0_VELOCITY..][..12].copy_from_slice(&block[COMMAND_HEAD..][..12]);
+        self.staged[command::STEPGEN0_VELOCITY..][..12]
+            .copy_from_slice(&block[COMMAND_HEAD..][..12]);
         self.staged[command::PWM0_WIDTH..][..6].copy_from_slice(&block[COMMAND_HEAD + 12..][..6]);
         self.strobe(match (pass.executes, pass.timed()) {
             (false, _) => timebase::STROBE_SAMPLE,

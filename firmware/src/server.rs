@@ -24,9 +24,7 @@ use crate::session::{Peer, Session};
 use crate::{config, describe, log};
 use wire::describe::{FEATURE_KEY, JobsState, OBSTACLE_FLASH};
 use wire::etherbone::{self, Packet, Record, ReplyWriter};
-use wire::exchange::{
-    STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, status_word,
-};
+use wire::exchange::{STATUS_ENCODER, STATUS_HEAD, STATUS_STEPGEN, StateWord, status_word};
 use wire::map::BoardConfig;
 use wire::refusal::{COUNTERS_CALLS, COUNTERS_CUTS, COUNTERS_WAYS};
 use wire::regmap::{self, command, segments, status, timebase};

@@ -535,9 +535,12 @@ struct Board {
         Odd wrong;
         wrong.bad_fcs = true;
         send(frame(words, wrong)), quiet();
-        send(Bytes{1}), quiet();
+        send(with_fcs(Bytes{1})), quiet();
         CHECK(*this, read("ethmac.sram_writer_errors") == dropped + 3, "%u counted as lost", read("ethmac.sram_writer_errors") - dropped);
-        for (unsigned n = 0; n < RX_SLOTS; n++) CHECK(*this, pending(), "%u of the frames are there", n), release();
+        for (unsigned n = 0; n < RX_SLOTS; n++) {
+            CHECK(*this, pending(), "%u of the frames are there", n);
+            release();
+        }
         CHECK(*this, !pending(), "one frame too many");
         exchange();
     }

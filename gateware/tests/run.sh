@@ -60,8 +60,8 @@ for bench in "$here"/*.cpp; do
         board=${BOARD:-mill6}
         file=$root/boards/$board.toml
         [ -e "$file" ] || file=$root/tests/boards/$board.toml
-        top=$dir/fast_path_board.v module=fast_path_board lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP"
-        flags="-DMAP='\"$dir/board.map\"'" more=$root/sim/verilator/copper.sv
+        top=$dir/fast_path_board.v module=fast_path_board lint="-Wno-lint -Wno-style -Wno-COMBDLY -Wno-MULTITOP -Wno-UNOPTFLAT"
+        flags="-DMAP='\"$dir/board.map\"'" more="$root/sim/verilator/copper.sv $root/sim/verilator/sdram_chip.sv"
         "$root/target/venv/bin/python" "$here/fast_path_top.py" "$file" "$dir"
     fi
     if [ "$core" = sdram_bridge ]; then  # the bridge from the bus to the SDRAM

@@ -20,7 +20,10 @@ impl Bench {
             machine: Shared::new(machine),
             sequence: 0,
         };
-        bench.send(ALICE, &[0x4e6f_1044, 0, 0x000f_0100, map::SESSION_ACQUIRE, 7]);
+        bench.send(
+            ALICE,
+            &[0x4e6f_1044, 0, 0x000f_0100, map::SESSION_ACQUIRE, 7],
+        );
         for request in [false, true, true] {
             let command = bench.command(request);
             bench.long_way(&command);
@@ -44,8 +47,16 @@ impl Bench {
     fn send(&mut self, peer: Peer, words: &[u32]) -> bool {
         let mut reply = [0; MAX_WORDS];
         let served = match self.machine.session().is_owner(peer) {
-            true => self.machine.alone().datagram(words, peer, &mut reply).is_ok(),
-            false => self.machine.guest().datagram(words, peer, &mut reply).is_ok(),
+            true => self
+                .machine
+                .alone()
+                .datagram(words, peer, &mut reply)
+                .is_ok(),
+            false => self
+                .machine
+                .guest()
+                .datagram(words, peer, &mut reply)
+                .is_ok(),
         };
         if self.machine.owes_path() {
             self.machine.alone().hold_path();
@@ -110,7 +121,10 @@ fn a_pass_is_for_one_command() {
     assert!(!bench.machine.machine.board.comes(&command));
     assert!(!bench.long_way(&command), "it is a duplicate");
     bench.machine.offer();
-    assert!(!bench.machine.machine.board.comes(&command), "and stays one");
+    assert!(
+        !bench.machine.machine.board.comes(&command),
+        "and stays one"
+    );
 }
 
 #[test]
@@ -160,11 +174,17 @@ fn where_something_has_to_be_decided_there_is_no_pass() {
     stop.enable = false;
     assert!(!bench.comes(&stop));
     bench.machine.offer();
-    assert_eq!(bench.machine.machine.board.pass, None, "the stop is still running");
+    assert_eq!(
+        bench.machine.machine.board.pass, None,
+        "the stop is still running"
+    );
     let mut bench = Bench::armed();
     bench.machine.machine.board.bite();
     bench.machine.offer();
-    assert_eq!(bench.machine.machine.board.pass, None, "the watchdog has bitten");
+    assert_eq!(
+        bench.machine.machine.board.pass, None,
+        "the watchdog has bitten"
+    );
 }
 
 #[test]
