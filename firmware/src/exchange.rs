@@ -249,10 +249,7 @@ impl Server {
     }
 }
 
-/// Tells which of two reasons a sequence number is refused for. A function of its own keeps it out
-/// of the fast path.
-#[cold]
-#[inline(never)]
+/// Tells which of two reasons a sequence number is refused for.
 fn not_ahead(sequence: u32, last: u32) -> Refusal {
     match judge_sequence(sequence, last) {
         Err(why) => why,

@@ -31,9 +31,9 @@ const TRIES: usize = 10;
 /// let in.
 const PERIODS_WITH_JOBS: usize = 6;
 /// Clocks the watchdog has left when a command comes: five periods, less the two there may be
-/// between an exchange at the beginning of one period and one at the end of the next, less the
-/// bound.
-const MARGIN: u32 = 3 * 60_000 - BOUND as u32;
+/// between an exchange at the beginning of one period and one at the end of the next, less what a
+/// period may be longer for frames that have begun.
+const MARGIN: u32 = 3 * 60_000 - LONGEST_CALL;
 
 /// A machine with six moving axes, each at its own rate.
 fn moving() -> (BenchMachine, Command) {

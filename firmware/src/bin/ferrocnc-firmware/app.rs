@@ -104,10 +104,10 @@ impl App {
             let something = (0..POLLS).any(|_| self.mac.pending() || self.machine.executed());
             let mut owners = self.machine.executed();
             if owners {
-                self.machine.alone();
-            }
-            if self.mac.pending() {
-                owners |= self.frame();
+                // Before any guest's frame, so that the owner's next exchange does not wait for it.
+                self.settle();
+            } else if self.mac.pending() {
+                owners = self.frame();
             }
             if self.machine.owes_path() {
                 hold_path(self.machine.alone());
@@ -127,6 +127,18 @@ impl App {
             if self.owner.is_none() && something {
                 self.leisure();
             }
+        }
+    }
+
+    /// The gateware has executed a command. What is left to do takes longer than its answer takes
+    /// on the wire, but for slow links.
+    fn settle(&mut self) {
+        self.machine.alone();
+        if self.machine.owes_path() {
+            hold_path(self.machine.alone());
+        }
+        if soc::answered() {
+            self.offer();
         }
     }
 

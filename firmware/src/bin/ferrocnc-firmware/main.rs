@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!   forever
-//!     a frame?   fast path      answer it, then the housekeeping that is due
-//!                plain UDP      Etherbone server
+//!     a command was executed by the gateware?  what is left to do, and the next pass
+//!     a frame?   plain UDP      Etherbone server
 //!                discovery      found, gets settings
 //!                anything else  ARP, ping, TCP, UDP ports of the services in SDRAM; without them
 //!                               ARP and ping from here
@@ -11,8 +11,8 @@
 //! ```
 //!
 //! Housekeeping (looks at the gate, LED, services) runs right after an answer, when the next
-//! request is a whole servo period away. While a host exchanges, it never runs between a request
-//! and its answer.
+//! request is a whole servo period away. While a host exchanges without a pass, it never runs
+//! between a request and its answer.
 #![no_std]
 #![no_main]
 

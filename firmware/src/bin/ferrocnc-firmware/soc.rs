@@ -9,7 +9,7 @@ mod postmortem;
 mod services;
 mod stack;
 
-pub use mac::{Mac, RxFrame};
+pub use mac::{Mac, RxFrame, answered};
 pub use postmortem::{last_trap, restart};
 pub use services::{Loader, call as call_services, patrol, theirs, watch as watch_services};
 pub use stack::{check as check_stack, used as stack_used};

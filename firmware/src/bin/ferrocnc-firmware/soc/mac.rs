@@ -103,6 +103,10 @@ impl Buffer {
 /// the loop must go on and detect that.
 const DRAIN_LOOKS: u32 = 60_000;
 
+/// Looks at the fast path's answer before it counts as late: 1500 clocks or more, in which the
+/// longest one is sent at 100 Mbit/s.
+const ANSWER_LOOKS: u32 = 150;
+
 /// Waits until the transmit queue is empty. False if it does not shrink.
 fn drained(regs: &Ethmac) -> bool {
     (0..DRAIN_LOOKS).any(|_| regs.sram_reader_level().read().bits() == 0)
@@ -174,6 +178,11 @@ pub fn executed() -> bool {
 /// Is the answer being sent?
 pub fn sending() -> bool {
     progress() & fast_path::STATUS_SENDING != 0
+}
+
+/// Waits until the fast path's answer has left. False if it does not.
+pub fn answered() -> bool {
+    (0..ANSWER_LOOKS).any(|_| !sending())
 }
 
 /// The MAC.
