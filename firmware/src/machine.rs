@@ -269,6 +269,18 @@ impl<B: Board> Machine<B> {
         due
     }
 
+    /// Housekeeping while a host moves the machine undisturbed. False if there is more to do than
+    /// that: then [`Machine::housekeeping`] does it all. It changes nothing that the fast path
+    /// shares ([`shared`]).
+    fn glance(&mut self) -> bool {
+        let Machine { board, server, .. } = self;
+        let undisturbed = server.runs(board) && server.safety().state() == self.told;
+        if undisturbed {
+            self.seconds();
+        }
+        undisturbed
+    }
+
     /// Does what is due without a datagram. Returns a change of state, to be logged.
     #[inline]
     pub fn housekeeping(&mut self) -> Option<(State, FaultReason)> {
@@ -278,13 +290,17 @@ impl<B: Board> Machine<B> {
             self.server.look_at_link(&mut self.board);
         }
         self.server.poll(&mut self.board);
+        self.seconds();
+        let state = self.server.safety().state();
+        let changed = state != core::mem::replace(&mut self.told, state);
+        changed.then(|| (state, self.server.safety().reason()))
+    }
+
+    fn seconds(&mut self) {
         let clock_hz = self.server.ident.clock_hz;
         if self.housekeeping_at.wrapping_sub(self.second_at) >= clock_hz {
             self.second_passed(clock_hz);
         }
-        let state = self.server.safety().state();
-        let changed = state != core::mem::replace(&mut self.told, state);
-        changed.then(|| (state, self.server.safety().reason()))
     }
 
     /// One slice of the flash operation. While an operation runs, housekeeping runs without a

@@ -330,8 +330,18 @@ impl Server {
         }
     }
 
-    /// What [`Server::poll`] does unless the machine runs undisturbed. A function of its own keeps
-    /// the exchange in the instruction cache while the machine runs.
+    /// Does the machine run undisturbed, with the link as it was and no operation of the flash?
+    /// Then [`Server::poll`] and [`Server::look_at_link`] need not be called.
+    pub(crate) fn runs<B: Board>(&mut self, board: &mut B) -> bool {
+        let gate = board.gate();
+        let runs = !self.flash.busy() && self.safety.running(gate) && self.link.same(board.link());
+        if runs {
+            self.safety.seen(board.now_lo());
+        }
+        runs
+    }
+
+    /// What [`Server::poll`] does unless the machine runs undisturbed.
     #[inline(never)]
     fn look_after<B: Board>(&mut self, board: &mut B, gate: Gate) {
         self.event(board, Event::Gate(gate));

@@ -13,7 +13,7 @@ use crate::pass::Pass;
 use crate::safety::Safety;
 use crate::session::{Peer, Session};
 use core::ops::{Deref, DerefMut};
-use wire::Refusal;
+use wire::{FaultReason, Refusal, State};
 
 /// A machine, and the pass that is out.
 #[derive(Debug)]
@@ -61,6 +61,14 @@ impl<B: Board> Shared<B> {
             board.hand_out(&pass);
             self.pass = Some(pass);
         }
+    }
+
+    /// [`Machine::housekeeping`]. While a host moves the machine undisturbed, the pass stays out.
+    pub fn housekeeping(&mut self) -> Option<(State, FaultReason)> {
+        if self.pass.is_some() && self.machine.glance() {
+            return None;
+        }
+        self.alone().housekeeping()
     }
 
     /// The machine for clients that do not own it. While a host moves it, the pass stays out.

@@ -5,3 +5,4 @@
 mod datagrams;
 mod exchange;
 mod faults;
+mod passes;

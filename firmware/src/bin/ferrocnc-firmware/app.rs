@@ -358,7 +358,7 @@ impl App {
 
     #[inline(never)]
     fn housekeeping(&mut self) {
-        if let Some((state, reason)) = self.machine.alone().housekeeping() {
+        if let Some((state, reason)) = self.machine.housekeeping() {
             defmt::info!("state {=u8}, reason {=u8}", state.code(), reason.code());
         }
         if self.machine.has_broadcast() {

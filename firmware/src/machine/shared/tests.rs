@@ -156,6 +156,19 @@ fn a_guest_of_a_moving_machine_leaves_the_pass_out_and_one_at_rest_does_not() {
 }
 
 #[test]
+fn housekeeping_takes_the_pass_back_only_if_something_has_happened() {
+    let mut bench = Bench::armed();
+    bench.machine.housekeeping();
+    bench.machine.offer();
+    bench.machine.machine.board.now += 120_000;
+    assert_eq!(bench.machine.housekeeping(), None);
+    assert!(bench.machine.machine.board.pass.is_some());
+    bench.machine.machine.board.bite();
+    assert!(bench.machine.housekeeping().is_some(), "a fault");
+    assert_eq!(bench.machine.machine.board.pass, None);
+}
+
+#[test]
 fn there_is_no_pass_without_an_owner_for_a_job_or_while_an_answer_leaves() {
     let start = Machine::start(Notebook::new(), ident(), ABI, BOOT);
     let mut free = Shared::new(start);
@@ -212,7 +225,7 @@ fn every_reason_for_the_long_way_is_told() {
 #[test]
 fn a_timed_command_with_a_pass_waits_for_its_time_and_the_next_long_way_takes_it_back() {
     let mut bench = Bench::armed();
-    let mut timed = |bench: &mut Bench| Command {
+    let timed = |bench: &mut Bench| Command {
         apply_at: Some(Clocks(0x5_0000_0007)),
         ..bench.command(true)
     };
