@@ -31,9 +31,6 @@ const TCP_ARMED: [usize; 2] = [74, 202];
 const HANDSHAKE: usize = 20;
 /// More than the pieces of the longest answer of a console, with their acknowledgements.
 const PIECES: usize = 200;
-/// Clocks between the owner's answer and the next frames, so that they come during the turn behind
-/// that answer.
-const IN_A_TURN: [u64; 2] = [300, 5_000];
 /// Turns with a frame at each of these moments.
 const TURNS: usize = 4;
 /// Bytes a gigabit wire takes in a servo period of a millisecond, gaps and preambles included.
@@ -626,26 +623,25 @@ impl BenchMachine {
         &mut self,
         command: &mut Command,
         console: Connection,
+        after: u64,
         frame: impl Fn(&mut Self) -> Vec<u8>,
     ) -> Option<u64> {
         let mut worst = 0;
-        for after in IN_A_TURN {
-            self.rig.segment.send(console, b"help\n");
-            for _ in 0..TURNS {
-                self.exchange(command);
-                self.rig.run(after);
-                let wire = frame(self);
-                let answer = self.period_with(command, &[wire], 1)?;
-                worst = worst.max(answer.turnaround);
+        self.rig.segment.send(console, b"help\n");
+        for _ in 0..TURNS {
+            self.exchange(command);
+            self.rig.run(after);
+            let wire = frame(self);
+            let answer = self.period_with(command, &[wire], 1)?;
+            worst = worst.max(answer.turnaround);
+        }
+        let mut heard = Vec::new();
+        for _ in 0..PIECES {
+            heard.extend(self.rig.segment.recv(console));
+            if heard.ends_with(b"ferrocnc> ") {
+                break;
             }
-            let mut heard = Vec::new();
-            for _ in 0..PIECES {
-                heard.extend(self.rig.segment.recv(console));
-                if heard.ends_with(b"ferrocnc> ") {
-                    break;
-                }
-                self.period_with(command, &[], 0);
-            }
+            self.period_with(command, &[], 0);
         }
         Some(worst)
     }

@@ -107,6 +107,11 @@ impl<B: Board> Shared<B> {
         self.machine.due(periods)
     }
 
+    /// The board, for a simulated gateware.
+    pub fn board(&mut self) -> &mut B {
+        &mut self.machine.board
+    }
+
     /// Low word of the wall clock.
     pub fn now_lo(&mut self) -> u32 {
         self.machine.board.now_lo()

@@ -4,16 +4,18 @@
 //! The input is a script of frames: raw ones, and ones with corrected check sums, which a fuzzer
 //! does not guess. The board's frames are checked as a neighbour's stack would: lengths, check
 //! sums, addresses. Frames that are not a datagram of ours do not change the board. A frame that
-//! the fast path takes as an exchange is an exchange for the full check, too.
+//! the gateware executes with a pass is an exchange of the owner for the full check, too.
 
 use crate::byte_reader::ByteReader;
-use crate::server::Bench;
-use crate::watched::Inside;
-use firmware::block::Request;
-use firmware::exchange::{FRAME_FLAGS, SlotReply};
-use firmware::net::{self, Class, Datagram, FastPath, Frame, HEADERS, PAYLOAD_WORD, Slot, Us};
+use crate::watched::{self, Inside, Watched};
+use firmware::block::Shape;
+use firmware::cores::Board;
+use firmware::machine::{IDLE, Shared};
+use firmware::net::{self, Class, Datagram, Frame, HEADERS, PAYLOAD_WORD, Slot, Us};
+use firmware::pass::{Expected, FLAGS_PLACE, Pass, SEQUENCE_PLACE};
 use firmware::services::port::Place;
 use firmware::services::{self, PORTS, Program};
+use wire::exchange::{REQUEST_OVERHEAD, command_word};
 use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
 
 /// Longest frame without its FCS.
@@ -66,9 +68,10 @@ impl Sent {
 
 /// The board's end of the wire.
 struct Station<'p> {
-    bench: Bench,
+    machine: Shared<Watched>,
     services: Program<'p>,
-    fast_path: Option<FastPath>,
+    /// The owner, its token, and what its frames look like.
+    owner: Option<(Datagram, u32, Expected)>,
     /// The board's last TCP numbers: the next sequence number it expects, and its own next one.
     expected: u32,
     next: u32,
@@ -80,8 +83,8 @@ struct Station<'p> {
 pub struct Outcome {
     /// Frames the board sent.
     pub sent: u32,
-    /// Exchanges the fast path executed, and those it refused.
-    pub fast_path: [u32; 2],
+    /// Exchanges that the gateware executed, and those that took the long way.
+    pub ways: [u32; 2],
     /// A client is connected to the console.
     pub visited: bool,
 }
@@ -95,17 +98,17 @@ pub fn frames(data: &[u8]) {
 pub fn script(data: &[u8]) -> Outcome {
     let mut place = Place::new();
     let mut log = [0; firmware::services::journal::BYTES];
-    let mut bench = Bench::new();
+    let mut machine = watched::start();
     let mut inside = Inside {
-        machine: &mut bench.machine,
+        machine: &mut machine,
         sent: Vec::new(),
     };
     let services =
         Program::new(&mut [], &mut log, &mut place, 1, &mut inside).expect("a board that answers");
     let mut station = Station {
-        bench,
+        machine: Shared::new(machine),
         services,
-        fast_path: None,
+        owner: None,
         expected: 0,
         next: 0,
         outcome: Outcome::default(),
@@ -119,6 +122,7 @@ pub fn script(data: &[u8]) -> Outcome {
     }
     Outcome {
         visited: station.services.visited(),
+        ways: station.machine.server.counters().ways,
         ..station.outcome
     }
 }
@@ -207,7 +211,7 @@ fn packet(us: &Us, protocol: u8, body: &[u8], odd: &Oddities, input: &mut ByteRe
 
 impl Station<'_> {
     fn step(&mut self, input: &mut ByteReader) {
-        let us = self.bench.machine.us;
+        let us = self.machine.us;
         let step = input.byte();
         match step & 7 {
             0 => {
@@ -282,7 +286,7 @@ impl Station<'_> {
             }
             _ => {
                 let ms = 1u32 << (step >> 3 & 15);
-                crate::watched::pass(&mut self.bench.machine, u64::from(ms.min(200)) * 60_000, 2);
+                self.pass(u64::from(ms.min(200)) * 60_000);
                 self.talk(None);
             }
         }
@@ -290,9 +294,9 @@ impl Station<'_> {
 
     /// The payload of the owner's next command, with different errors.
     fn exchange(&self, input: &mut ByteReader) -> Vec<u8> {
-        use wire::exchange::{COMMAND_MAX, Command, REQUEST_OVERHEAD};
+        use wire::exchange::{COMMAND_MAX, Command};
         let flags = input.byte();
-        let session = self.bench.machine.server.session();
+        let session = self.machine.session();
         let peer = session.owner().unwrap_or_default();
         let command = Command {
             token: session.token_for(peer),
@@ -301,7 +305,7 @@ impl Station<'_> {
             enable_request: flags & 2 != 0,
             ..Command::default()
         };
-        let channels = crate::watched::ident(&self.bench.machine).channels;
+        let channels = watched::ident(&self.machine).channels;
         let mut buffer = [0; REQUEST_OVERHEAD + COMMAND_MAX];
         let request = command
             .emit_request(channels, &mut buffer)
@@ -314,18 +318,57 @@ impl Station<'_> {
         payload
     }
 
-    /// Handles a frame as `firmware::app` does.
+    /// Lets clocks pass, with housekeeping before and behind them.
+    fn pass(&mut self, clocks: u64) {
+        for part in [clocks / 2, clocks - clocks / 2] {
+            let board = &mut self.machine.board().model_board;
+            let until = board.clock() + part;
+            board.pass(until);
+            if self.machine.due(IDLE) {
+                self.machine.housekeeping();
+                let session = self.machine.session();
+                if self
+                    .owner
+                    .is_some_and(|(datagram, ..)| !session.is_owner(datagram.peer))
+                {
+                    self.machine.alone();
+                    self.owner = None;
+                }
+            }
+            self.offer();
+        }
+    }
+
+    /// The next exchange of the owner may be executed by the gateware.
+    fn offer(&mut self) {
+        if self.machine.owes_path() {
+            self.machine.alone().hold_path();
+        }
+        if self.owner.is_some() {
+            self.machine.offer();
+        }
+    }
+
+    /// Handles a frame as the gateware and `firmware::app` do.
     fn receive(&mut self, bytes: &[u8]) {
         let frame = Received(bytes);
         let length = bytes.len();
-        let us = self.bench.machine.us;
+        let us = self.machine.us;
         let class = net::classify(&frame, length, &us, &PORTS);
-        if self.fast_path(&frame, length, class) {
-            return;
+        self.machine.board().take();
+        if self.gateware(bytes, class) {
+            self.machine.alone();
+        } else {
+            self.machine.received();
+            self.long_way(bytes, class);
         }
-        let counters = self.bench.machine.server.counters_mut();
-        counters.frames_rx = counters.frames_rx.wrapping_add(1);
-        self.bench.machine.board.take();
+        self.offer();
+    }
+
+    /// The firmware's part.
+    fn long_way(&mut self, bytes: &[u8], class: Class) {
+        let frame = Received(bytes);
+        let us = self.machine.us;
         match class {
             Class::Ours(datagram) => {
                 let words = payload(&frame, &datagram, bytes);
@@ -336,22 +379,23 @@ impl Station<'_> {
             Class::Discovery(datagram) => {
                 let words = payload(&frame, &datagram, bytes);
                 let mut buffer = [0; MAX_WORDS];
+                let port = datagram.peer.port;
                 let answer = self
-                    .bench
                     .machine
-                    .discover(&words, datagram.peer.port, &mut buffer);
+                    .guest()
+                    .discover(&words, port, &mut buffer)
+                    .to_vec();
                 let us = Us {
                     port: wire::DISCOVERY_PORT,
                     ..us
                 };
-                let answer = answer.to_vec();
                 self.outcome.sent += u32::from(!answer.is_empty());
                 if !answer.is_empty() {
-                    send(&us, &Datagram::broadcast(datagram.peer.port), &answer);
+                    send(&us, &Datagram::broadcast(port), &answer);
                 }
             }
             Class::Refused(why) => {
-                self.bench.machine.server.refuse(why);
+                self.machine.refuse(why);
                 self.untouched("a refused frame");
             }
             Class::Services => {
@@ -363,94 +407,42 @@ impl Station<'_> {
     }
 
     fn untouched(&mut self, what: &str) {
-        let deeds = self.bench.machine.board.take();
+        let deeds = self.machine.board().take();
         assert_eq!(deeds, Default::default(), "{what} did that");
     }
 
-    /// The fast path: true if it took the frame.
-    fn fast_path(&mut self, frame: &Received, length: usize, class: Class) -> bool {
-        let Some(fast_path) = &self.fast_path else {
+    /// The fast path: true if it executed the frame.
+    fn gateware(&mut self, bytes: &[u8], class: Class) -> bool {
+        let board = self.machine.board();
+        let (Some(pass), Some((owner, _, expected))) = (board.pass(), &self.owner) else {
             return false;
         };
-        let Some(mut command) = fast_path.open(frame, length) else {
+        let ready = board.gate() == pass.gate && !board.waits();
+        let shape = *self.machine.shape();
+        if !ready || !is_like(bytes, &pass, expected, &shape) {
             return false;
+        }
+        let Class::Ours(datagram) = class else {
+            panic!("the gateware executes {class:?}");
         };
-        let shape = *self.bench.machine.server.shape();
-        let mut words = Vec::new();
-        while words.len() < shape.command {
-            words.extend(command.take1());
-        }
-        let whole = command.intact();
-        match class {
-            Class::Ours(datagram) => {
-                assert!(
-                    whole,
-                    "the fast path finds damage where the full check finds none"
-                );
-                assert_eq!(
-                    (datagram.peer, datagram.options),
-                    (fast_path.datagram.peer, 0)
-                );
-                let long: Vec<u32> = (4..4 + shape.command)
-                    .map(|index| net::payload_word(frame, 0, index))
-                    .collect();
-                assert_eq!(words, long);
-            }
-            Class::Refused(_) => {
-                assert!(
-                    !whole,
-                    "the fast path takes a frame that is refused: {class:?}"
-                )
-            }
-            Class::Discovery(_) | Class::Services | Class::Nothing => {
-                panic!("the fast path takes {class:?}")
-            }
-        }
-        let Some(mut command) = fast_path.open(frame, length) else {
-            unreachable!("it was open");
-        };
-        let machine = &mut self.bench.machine;
-        let us = machine.us;
-        let mut slot = Sent::default();
-        let bytes = SlotReply::<Sent>::frame_length(&shape);
-        let datagram = fast_path.datagram;
-        SlotReply::prepare(
-            &mut slot,
-            |slot| net::emit_headers(slot, &us, &datagram, bytes - HEADERS),
-            &machine.server,
-        );
-        let mut reply = SlotReply::resume(&mut slot);
-        machine.board.take();
-        let served =
-            machine
-                .server
-                .exchange(&mut machine.board, datagram.peer, &mut command, &mut reply);
-        match served {
-            Ok(()) => {
-                assert!(whole, "a damaged command was executed");
-                machine.server.exchanged(frame.word(FRAME_FLAGS));
-                check(&slot.frame(bytes), &us);
-                self.outcome.fast_path[0] += 1;
-            }
-            Err(why) => {
-                machine.server.refuse(why);
-                let deeds = machine.board.take();
-                assert!(!deeds.took_effect(), "refused for {why:?}, and {deeds:?}");
-                self.outcome.fast_path[1] += 1;
-            }
-        }
+        assert_eq!((datagram.peer, datagram.options), (owner.peer, 0));
+        let block = |index| net::payload_word(&Received(bytes), 0, REQUEST_OVERHEAD + index);
+        let block: Vec<_> = (0..shape.command).map(block).collect();
+        let channels = watched::ident(&self.machine).channels;
+        self.machine.board().executes(&block, &channels);
         true
     }
 
     fn datagram(&mut self, datagram: &Datagram, words: &[u32]) {
-        let us = self.bench.machine.us;
+        let us = self.machine.us;
         let mut buffer = [0; MAX_WORDS];
-        let machine = &mut self.bench.machine;
-        machine.board.take();
-        let served = machine
-            .datagram(words, datagram.peer, &mut buffer)
-            .map(<[u32]>::to_vec);
-        let deeds = machine.board.take();
+        let peer = datagram.peer;
+        let served = match self.machine.session().is_owner(peer) {
+            true => self.machine.alone().datagram(words, peer, &mut buffer),
+            false => self.machine.guest().datagram(words, peer, &mut buffer),
+        };
+        let served = served.map(<[u32]>::to_vec);
+        let deeds = self.machine.board().take();
         match served {
             Ok(reply) if !reply.is_empty() => {
                 self.outcome.sent += 1;
@@ -459,18 +451,21 @@ impl Station<'_> {
             Ok(_) => {}
             Err(why) => assert!(!deeds.took_effect(), "refused for {why:?}, and {deeds:?}"),
         }
-        let machine = &self.bench.machine;
-        if datagram.options == 0 && machine.server.session().is_owner(datagram.peer) {
-            let command = machine.server.shape().command;
-            self.fast_path = Some(FastPath::new(&us, *datagram, command));
+        let session = self.machine.session();
+        if datagram.options == 0 && session.is_owner(peer) {
+            let token = session.token_for(peer);
+            let command = self.machine.shape().command;
+            let expected = Expected::new(&us, datagram, command, token);
+            self.owner = Some((*datagram, token, expected));
         }
     }
 
     /// A call of the services with a frame, and the turns that it leads to.
     fn talk(&mut self, frame: Option<&[u8]>) {
-        let us = self.bench.machine.us;
+        let us = self.machine.us;
+        let mut guest = self.machine.guest();
         let mut inside = Inside {
-            machine: &mut self.bench.machine,
+            machine: &mut guest,
             sent: Vec::new(),
         };
         if let Some(frame) = frame {
@@ -503,6 +498,31 @@ impl Station<'_> {
             }
         }
     }
+}
+
+/// Does this pass execute the frame? What `fast_path.sv` compares and sums, said once more.
+fn is_like(bytes: &[u8], pass: &Pass, expected: &Expected, shape: &Shape) -> bool {
+    if bytes.len() != HEADERS + 4 * (REQUEST_OVERHEAD + shape.command) {
+        return false;
+    }
+    let mut expected = expected.words;
+    (expected[SEQUENCE_PLACE], expected[FLAGS_PLACE]) = (pass.sequence, pass.flags);
+    let frame = Received(bytes);
+    let compared = (0..18).filter(|n| ![5, 12].contains(n));
+    let alike = compared.zip(expected).all(|(n, word)| {
+        let mask = match n {
+            0 => 0xffff, // the two bytes in front are the slot's
+            6 | 10 => 0xffff_0000,
+            _ => u32::MAX,
+        };
+        (frame.word(n) ^ word) & mask == 0
+    });
+    let (header, body) = (&bytes[14..34], &bytes[34..]);
+    let address = |at: usize| -> [u8; 4] { std::array::from_fn(|n| bytes[at + n]) };
+    let summed = body[6..8] == [0, 0] || segment_sum(address(26), address(30), 17, body) == 0xffff;
+    let latch = net::payload_word(&frame, 0, REQUEST_OVERHEAD + command_word::PROBE_ARMS);
+    let known = latch >> (command_word::LATCH_SHIFT + command_word::LATCH_BITS) == 0;
+    alike && frame.word(5) & 0xbfff == 0 && ones(header, 0) == 0xffff && summed && known
 }
 
 /// The words of a datagram's payload, which lies inside its frame.

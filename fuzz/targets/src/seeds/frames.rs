@@ -42,6 +42,8 @@ fn frame(payload: &[u32]) -> Vec<u8> {
         mac: (0x10e2, 0xd500_0001),
         length: 0,
         options: 0,
+        service: 0,
+        ttl: 64,
     };
     let mut slot = Bytes::default();
     emit_headers(&mut slot, &us, &to, 4 * payload.len());
@@ -76,7 +78,7 @@ fn datagrams() -> Vec<Seed> {
     ]
 }
 
-/// Exchanges, which the fast path takes.
+/// Exchanges; the gateware executes one that is like the one before.
 fn fast_path() -> Vec<Seed> {
     let acquire = [etherbone::HEADER, 0, 0x000f_0100, map::SESSION_ACQUIRE, 7];
     let acquire = udp(1, 0x80, &bytes(&acquire));
@@ -86,7 +88,10 @@ fn fast_path() -> Vec<Seed> {
             "on_the_fast_path",
             [
                 acquire.clone(),
+                exchange(0),
                 exchange(1),
+                exchange(1),
+                exchange(3),
                 exchange(3),
                 exchange(3),
                 later(4),
@@ -95,7 +100,7 @@ fn fast_path() -> Vec<Seed> {
         ),
         script(
             "the_fast_path_and_damage",
-            [acquire, exchange(1), vec![2, 0xa0, 1, 0, 90, 1]],
+            [acquire, exchange(1), exchange(1), vec![2, 0xa0, 1, 0, 90, 1], exchange(1)],
         ),
     ]
 }
