@@ -2,14 +2,19 @@
 //! of the cores, the pins with their wiring, the flash, and the memory that a restart keeps. It
 //! handles no datagrams and no clients; [`crate::twin`] does.
 
+use firmware::block::Shape;
 use firmware::cores::{self, Control, Gate, Ident, Led, Setting};
 use firmware::log;
+use firmware::net::{Datagram, Slot, Us};
+use firmware::pass::{self, Expected, FLAGS_PLACE, Pass, SEQUENCE_PLACE};
 use firmware::postmortem::Record;
 use wire::ResetReason;
 use wire::flash::Layout;
 use wire::images::{Meta, Role, Trailer};
 use wire::map::{StepType, StepgenConfig};
-use wire::regmap::{self, command, encoder, led, stepgen, timebase, watchdog};
+use wire::regmap::{
+    self, command, encoder, fast_path, led, rx_admission, stepgen, timebase, watchdog,
+};
 
 use crate::board::{Clockwork, ETH_CLK_HZ};
 use crate::board_facts::BoardFacts;
@@ -17,12 +22,18 @@ use crate::edges::Timing;
 use crate::environment::PinEnvironment;
 use crate::loader;
 use crate::model;
+use crate::model::rx_admission::Word;
 use crate::nor::spi::Shared;
 use crate::nor::{Nor, Part};
 use crate::plant::Plant;
 
 /// Clocks after a strobe until every word of a sample can be read: `wide_counter.sv`.
 const SAMPLED: u64 = 20;
+/// Clocks from the last byte of a frame at the PHY to its last word at the fast path: the commit is
+/// 7 clocks behind the byte (`fast_path.sv` on the Verilated board), and 2 behind the word.
+pub(crate) const RECEIVING: u64 = 5;
+/// Bytes in front of a frame in its slot.
+const PAD: usize = 2;
 /// Clocks until a CPU reaches the firmware's first instruction.
 const FIRST: u64 = 64;
 /// Clocks of a register access of the CPU.
@@ -265,6 +276,73 @@ impl ModelBoard {
         self.model.snapshot((self.eth.passed / beat) as u32);
     }
 
+    /// The frames of this owner's exchanges can be judged in advance from now on, and are answered
+    /// as prepared here, as the image's `Mac::guard` has it. No pass is out. No frame is refused
+    /// here.
+    pub(crate) fn guard(
+        &mut self,
+        owner: &Datagram,
+        token: u32,
+        us: &Us,
+        shape: &Shape,
+        boot_id: u32,
+    ) {
+        let expected = Expected::new(us, owner, shape.command, token);
+        for (place, word) in expected.words.into_iter().enumerate() {
+            self.expect(place, word);
+        }
+        for (number, run) in pass::runs(shape).into_iter().enumerate() {
+            self.order(fast_path::PAGE, fast_path::RUN0 + number, run);
+        }
+        let length = pass::answer_length(shape) + PAD;
+        for (word, value) in [
+            (fast_path::IP_SUM, expected.ip_sum),
+            (fast_path::UDP_SUM, expected.udp_sum),
+            (fast_path::LENGTH, length as u32),
+        ] {
+            self.order(fast_path::PAGE, word, value);
+        }
+        pass::prepare(&mut Answer(self.model.answer()), us, owner, shape, boot_id);
+    }
+
+    fn expect(&mut self, place: usize, word: u32) {
+        self.order(rx_admission::PAGE, rx_admission::HEADER0 + place, word);
+    }
+
+    /// A frame of so many bytes without FCS has come, in slot words. True if the gateware executes
+    /// it: then the answer is there as soon as [`Self::hears`] again.
+    pub(crate) fn hear(&mut self, words: &[u32], bytes: usize) -> bool {
+        let executed = self.model.hear(Word::of_frame(words, bytes + PAD));
+        if executed {
+            // As with a token on the bus, which takes effect a clock later.
+            self.fed = self.clock() + 1;
+        }
+        executed
+    }
+
+    /// The fast path is done with the last frame.
+    pub(crate) fn hears(&self) -> bool {
+        self.model.hears()
+    }
+
+    /// The clock by which the answer's slot has been sent.
+    pub(crate) fn sent_at(&self) -> u64 {
+        self.before.wrapping_add(self.model.sent_at())
+    }
+
+    /// The frame in the answer's slot, without FCS.
+    pub(crate) fn answer(&mut self) -> Vec<u8> {
+        let length = self.model.answer_length();
+        let words = self.model.answer().iter();
+        let bytes: Vec<u8> = words.flat_map(|word| word.to_be_bytes()).collect();
+        bytes.get(PAD..length).unwrap_or_default().to_vec()
+    }
+
+    /// What has become of the pass.
+    fn progress(&mut self) -> u32 {
+        self.read(fast_path::PAGE, fast_path::STATUS)
+    }
+
     fn order(&mut self, page: u32, word: usize, data: u32) {
         self.model.order(page, word as u32, data);
         self.pass(self.clock() + ACCESS);
@@ -307,6 +385,15 @@ impl ModelBoard {
         edges.set_kind(n.into(), kind);
         edges.set_polarity(self.step_inverted, self.dir_inverted);
         self.environment.look_again();
+    }
+}
+
+/// The fast path's transmit slot.
+struct Answer<'m>(&'m mut [u32]);
+
+impl Slot for Answer<'_> {
+    fn put(&mut self, index: usize, word: u32) {
+        self.0[index] = word;
     }
 }
 
@@ -374,6 +461,25 @@ impl cores::Board for ModelBoard {
     fn feed(&mut self, token: u32) {
         self.fed = self.clock();
         self.order(watchdog::PAGE, watchdog::TOKEN, token);
+    }
+    fn hand_out(&mut self, pass: &Pass) {
+        self.expect(SEQUENCE_PLACE, pass.sequence);
+        self.expect(FLAGS_PLACE, pass.flags);
+        for (index, word) in pass.answer() {
+            Answer(self.model.answer()).put(index, word);
+        }
+        self.order(fast_path::PAGE, fast_path::GATE, pass.condition());
+        self.order(fast_path::PAGE, fast_path::PASS, 1);
+    }
+    fn revoke(&mut self) -> bool {
+        self.order(fast_path::PAGE, fast_path::REVOKE, 1);
+        self.executed()
+    }
+    fn executed(&mut self) -> bool {
+        self.progress() & fast_path::STATUS_EXECUTED != 0
+    }
+    fn sending(&mut self) -> bool {
+        self.progress() & fast_path::STATUS_SENDING != 0
     }
     fn gate(&mut self) -> Gate {
         Gate(self.read(watchdog::PAGE, watchdog::STATUS))

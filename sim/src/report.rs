@@ -119,6 +119,12 @@ pub struct Counters {
     pub frames_tx: u32,
     /// Exchanges executed.
     pub exchanges: u32,
+    /// Of these, the ones that the gateware executed and answered by itself, ...
+    pub fast: u32,
+    /// ... and those that took the long way through the firmware.
+    pub long: u32,
+    /// Why the last of those did.
+    pub long_way: &'static str,
     /// Refused datagrams by reason.
     pub refused: BTreeMap<&'static str, u32>,
     /// Pulses emitted per stepgen, from the last sample (the STATUS window).
@@ -132,10 +138,16 @@ impl Counters {
         let describe = read(wire::map::DESCRIBE, 9)?;
         let stepgens = describe.get(7)? & 0xff;
         let status = read(wire::map::STATUS, status_words(stepgens));
-        Some(Self::from_words(&counters, &status.unwrap_or_default()))
+        let ways = read(wire::refusal::COUNTERS_WAYS, 3)?;
+        let ways = *ways.first_chunk()?;
+        Some(Self::from_words(
+            &counters,
+            ways,
+            &status.unwrap_or_default(),
+        ))
     }
 
-    fn from_words(counters: &[u32], status: &[u32]) -> Self {
+    fn from_words(counters: &[u32], [fast, long, why]: [u32; 3], status: &[u32]) -> Self {
         let head = wire::exchange::STATUS_HEAD;
         // s32.32 starting at half a step: the integer part is the pulses emitted.
         let positions = status
@@ -148,6 +160,9 @@ impl Counters {
             frames_rx: counters[0],
             frames_tx: counters[1],
             exchanges: counters[2],
+            fast,
+            long,
+            long_way: wire::LongWay::from_code(why).map_or("for an unknown reason", |w| w.text()),
             refused: wire::Refusal::ALL
                 .iter()
                 .map(|r| r.key())

@@ -11,12 +11,14 @@
 //! Time passes from event to event, so an idle board takes almost no computing time.
 
 mod ethernet;
+mod fast_path;
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use ::jobs::inside::Inside;
-use firmware::machine::{IDLE, Machine};
+use firmware::machine::{IDLE, Machine, Shared};
+use firmware::net::Datagram;
 use firmware::postmortem::Record;
 use firmware::services;
 use firmware::services::console::{Console, Reader, Visit};
@@ -36,7 +38,7 @@ use crate::faults::{Act, Cargo, Direction, OneWay, Plan, Script};
 use crate::gmii;
 use crate::jobs;
 use crate::lease::DhcpClient;
-use crate::model_board::{ACCESS, ModelBoard, Setup, ident};
+use crate::model_board::{ACCESS, ModelBoard, RECEIVING, Setup, ident};
 use crate::plant::Plant;
 use crate::report::{Counters, FrameCounts, Report, Seen};
 use crate::segment::CONSOLE_PORT;
@@ -119,10 +121,20 @@ struct Request {
 /// A twin and the hosts that talk to it.
 #[derive(Debug)]
 pub struct Twin {
-    machine: Machine<ModelBoard>,
+    machine: Shared<ModelBoard>,
     facts: BoardFacts,
     sdram: bool,
     clockwork: Clockwork,
+    /// What comes over the wire, and when its last word is there.
+    arriving: VecDeque<(u64, Letter)>,
+    /// When the last one was.
+    arrived: u64,
+    /// What the gateware is answering by itself.
+    executing: Option<Letter>,
+    /// The host whose next exchange can be judged in advance, and its token.
+    owner: Option<(Datagram, u32)>,
+    /// When the next pass can be handed out, if that is only a matter of time.
+    offer_at: u64,
     requests: VecDeque<Request>,
     replies: Vec<Reply>,
     visitors: Vec<Visitor>,
@@ -208,10 +220,15 @@ impl Twin {
             dhcp,
             cable: false,
             services: None,
-            machine,
+            machine: Shared::new(machine),
             facts,
             sdram,
             clockwork,
+            arriving: VecDeque::new(),
+            arrived: 0,
+            executing: None,
+            owner: None,
+            offer_at: u64::MAX,
             requests: VecDeque::new(),
             replies: Vec::new(),
             visitors: Vec::new(),
@@ -234,12 +251,12 @@ impl Twin {
 
     /// Sets the counts of stepgen and encoder n; see [`crate::model::Board::preset`].
     pub fn preset(&mut self, n: usize, pulses: i32, count: i32) {
-        self.machine.board.model.preset(n, pulses, count);
+        self.machine.board().model.preset(n, pulses, count);
     }
 
     /// Pins, edges and plant.
     pub fn environment(&mut self) -> &mut PinEnvironment {
-        &mut self.machine.board.environment
+        &mut self.machine.board().environment
     }
 
     /// Stream every step into a file; [`Self::finish`] closes it.
@@ -265,7 +282,7 @@ impl Twin {
     fn send_broadcasts(&mut self) {
         while self.machine.has_broadcast() {
             let mut buffer = [0; MAX_WORDS];
-            let Some(broadcast) = self.machine.next_broadcast(&mut buffer) else {
+            let Some(broadcast) = self.machine.alone().next_broadcast(&mut buffer) else {
                 return;
             };
             self.frames.from_board += 1;
@@ -305,10 +322,25 @@ impl Twin {
         self.frames.dropped = self.script.counts.lost;
     }
 
+    /// A datagram is on the wire; frames come one after the other.
     fn take_in(&mut self, letter: Letter) {
         self.frames.to_board += 1;
         let now = self.machine.board.clock();
-        if self.frozen || now < self.starting {
+        if now < self.starting {
+            return;
+        }
+        let behind = self.arrived + self.on_wire(letter.wire_bytes());
+        self.arrived = behind.max(now + RECEIVING);
+        self.arriving.push_back((self.arrived, letter));
+    }
+
+    /// Its last word is there: the gateware executes it, or it waits for the CPU.
+    fn arrive(&mut self, letter: Letter) {
+        if self.executes(&letter) {
+            self.executing = Some(letter);
+            return;
+        }
+        if self.frozen {
             return;
         }
         let last = self.requests.back();
@@ -317,7 +349,7 @@ impl Twin {
             port: letter.port,
             service: letter.service,
             payload: letter.payload,
-            due: now.max(free) + ANSWER[0],
+            due: self.machine.board.clock().max(free) + ANSWER[0],
             answered: 0,
             reply: None,
         });
@@ -337,7 +369,7 @@ impl Twin {
     /// The whole board restarts, as its reset pin makes it; with `power` the memory of its last
     /// start is lost as well.
     pub fn reboot(&mut self, power: bool) {
-        let board = &mut self.machine.board;
+        let board = self.machine.board();
         let before = board.clock();
         board.restart();
         if power {
@@ -345,6 +377,8 @@ impl Twin {
             board.flash.chip().power_up();
         }
         self.requests.clear();
+        self.arriving.clear();
+        self.executing = None;
         for visitor in &mut self.visitors {
             *visitor = Visitor {
                 said_goodbye: true,
@@ -359,7 +393,8 @@ impl Twin {
 
     /// The firmware starts on the board as it stands.
     fn begin(&mut self) {
-        let board = &mut self.machine.board;
+        (self.owner, self.offer_at) = (None, u64::MAX);
+        let board = &mut self.machine.alone().board;
         let boot = board.record.boot(board.model.clocks() as u32);
         let (flash, trailer) = (board.flash.clone(), board.trailer);
         let (gateware, readback) = {
@@ -371,38 +406,35 @@ impl Twin {
             ..Setup::new(self.facts.clone(), Plant::default())
         };
         let spare = ModelBoard::new(spare, trailer);
-        let model_board = std::mem::replace(&mut self.machine.board, spare);
-        self.machine = Machine::start(
-            model_board,
-            ident(&self.facts, gateware, readback),
-            regmap::ABI,
-            boot,
-        );
+        let model_board = std::mem::replace(self.machine.board(), spare);
+        let ident = ident(&self.facts, gateware, readback);
+        let machine = Machine::start(model_board, ident, regmap::ABI, boot);
+        self.machine = Shared::new(machine);
         self.start_services();
     }
 
     /// Starts what runs in the SDRAM.
     fn start_services(&mut self) {
         let programs = |machine: &mut _| programs(machine, &self.facts, self.sdram);
-        (self.jobs, self.dhcp, self.reader) = programs(&mut self.machine);
+        (self.jobs, self.dhcp, self.reader) = programs(self.machine.alone());
         if self.cable {
             // The services have all of them.
             let there = self.reader.is_some();
             (self.jobs, self.dhcp, self.reader) = (None, None, None);
-            let start = || Services::start(&mut self.machine, self.facts.clock_hz);
+            let start = || Services::start(self.machine.alone(), self.facts.clock_hz);
             self.services = there.then(start).flatten();
         }
     }
 
     fn housekeeping(&mut self) {
-        if let Some((state, reason)) = self.machine.housekeeping() {
+        if let Some((state, reason)) = self.machine.alone().housekeeping() {
             // The image logs this for `ferrocnc log`, which needs the image's strings; here it is
             // printed.
             eprintln!("sim: {state}, reason {reason}");
         }
         self.send_broadcasts();
         let client = self.dhcp.as_mut();
-        if let Some(payload) = client.and_then(|client| client.turn(&mut self.machine)) {
+        if let Some(payload) = client.and_then(|client| client.turn(&mut self.machine.guest())) {
             self.frames.from_board += 1;
             self.send(Reply {
                 service: Service::Dhcp,
@@ -411,11 +443,13 @@ impl Twin {
             });
         }
         // Nothing is told: the services and the server ask for the address.
-        self.machine.moved();
+        self.machine.alone().moved();
+        self.forget_owner();
         if self.machine.server.wants_restart() {
-            self.machine.board.record.part(ResetReason::Requested);
+            self.machine.board().record.part(ResetReason::Requested);
             self.begin();
         }
+        self.offer();
     }
 
     fn execute(&mut self, mut request: Request) {
@@ -423,7 +457,7 @@ impl Twin {
             ip: HOST,
             port: request.port,
         };
-        self.machine.board.model.arrive();
+        self.machine.board().model.arrive();
         let (mut buffer, mut owners) = ([0; MAX_WORDS], false);
         let words = || {
             let mut words = [0; MAX_WORDS];
@@ -433,18 +467,25 @@ impl Twin {
         };
         let reply = match request.service {
             Service::Etherbone => {
-                let reply = self.machine.payload(&request.payload, peer, &mut buffer);
+                let bytes = &request.payload;
+                let reply = match self.machine.session().is_owner(peer) {
+                    true => self.machine.alone().payload(bytes, peer, &mut buffer),
+                    false => self.machine.guest().payload(bytes, peer, &mut buffer),
+                };
                 owners = self.machine.session().is_owner(peer);
+                self.judge_ahead_for(&Self::sender(peer));
                 reply.unwrap_or(&[])
             }
             Service::Discovery => {
                 let (words, count) = words();
                 let words = &words[..count];
-                self.machine.discover(words, request.port, &mut buffer)
+                self.machine
+                    .guest()
+                    .discover(words, request.port, &mut buffer)
             }
             Service::Dhcp => {
                 if let Some(dhcp) = &mut self.dhcp {
-                    dhcp.take(&request.payload, &mut self.machine);
+                    dhcp.take(&request.payload, &mut self.machine.guest());
                 }
                 &[]
             }
@@ -456,9 +497,7 @@ impl Twin {
         if !reply.is_empty() {
             request.reply = Some(payload(reply));
         }
-        if self.machine.server.owes_path() {
-            self.machine.hold_path();
-        }
+        self.hold_path();
         self.send_broadcasts();
         request.answered = self.machine.board.clock() + ANSWER[1];
         if self.machine.due(self.machine.patience(owners)) {
@@ -477,8 +516,9 @@ impl Twin {
             self.jobs_at = u64::MAX;
             return false;
         };
-        let (said, due) = program.turn(&mut self.machine);
+        let (said, due) = program.turn(&mut self.machine.guest());
         self.jobs_at = now + due;
+        self.offer();
         let Some(said) = said else {
             return false;
         };
@@ -497,34 +537,43 @@ impl Twin {
         if visitor.said_goodbye {
             return;
         }
+        let mut guest = self.machine.guest();
         let mut visit = Visit {
             visitor: number,
             reader,
             jobs: self.jobs.as_mut().and_then(jobs::Program::jobs),
-            out: &mut jobs::Outer(&mut self.machine),
+            out: &mut jobs::Outer(&mut guest),
         };
         let (said, close) = jobs::converse(&mut visitor.console, bytes, &mut visit);
+        drop(guest);
         visitor.out.extend(said);
         visitor.said_goodbye = close;
+        self.offer();
         // A line may have started a job.
         self.jobs_at = self.jobs_at.min(self.machine.board.clock() + ACCESS);
     }
 
+    /// The CPU is done with a request.
     fn answer(&mut self, request: Request) -> bool {
-        let Some(payload) = request.reply else {
-            return false;
-        };
+        let (port, service, asked) = (request.port, request.service, request.payload);
+        if let Some(payload) = request.reply {
+            self.reply(port, service, &asked, payload);
+        }
+        self.offer();
+        !self.replies.is_empty()
+    }
+
+    /// The board answers what was asked.
+    fn reply(&mut self, port: u16, service: Service, asked: &[u8], payload: Vec<u8>) {
         self.frames.from_board += 1;
-        if let Some(head) = sequence(&request.payload).and_then(|s| StatusHead::parse(&payload, s))
-        {
+        if let Some(head) = sequence(asked).and_then(|s| StatusHead::parse(&payload, s)) {
             self.meter.answer(head);
         }
         self.send(Reply {
-            service: request.service,
-            port: request.port,
+            service,
+            port,
             payload,
         });
-        !self.replies.is_empty()
     }
 
     fn report_now(&mut self) -> Report {
@@ -535,7 +584,8 @@ impl Twin {
             let mut word = |address| {
                 let (mut words, mut buffer) = ([0; 5], [0; MAX_WORDS]);
                 let request = wire::Request::new(&mut words).read(0, &[address]).words()?;
-                let reply = self.machine.datagram(request, peer, &mut buffer).ok()?;
+                let mut guest = self.machine.guest();
+                let reply = guest.datagram(request, peer, &mut buffer).ok()?;
                 reply.get(4).copied()
             };
             Counters::gather(|base, words| (0..words).map(|n| word(base + 4 * n)).collect())
@@ -579,7 +629,7 @@ impl Device for Twin {
             self.script.cut(to, now, &mut letter.payload);
         }
         self.to_board.enter(&mut self.script, now, letter);
-        self.machine.board.spoilt = self.to_board.spoilt();
+        self.machine.board().spoilt = self.to_board.spoilt();
         self.heard_of(now);
     }
 
@@ -599,18 +649,37 @@ impl Device for Twin {
             };
             let cable = self.to_board.next().min(self.from_board.next());
             let trouble = self.script.next(self.clock()).min(cable);
-            let board = &mut self.machine.board;
+            let arrival = self.arriving.front().map_or(u64::MAX, |(due, _)| *due);
+            let board = self.machine.board();
+            let answer = match self.executing {
+                Some(_) => board.clock() + 1,
+                None => u64::MAX,
+            };
             let stop = until
                 .min(next)
                 .min(housekeeping)
                 .min(trouble)
-                .min(self.jobs_at);
+                .min(self.jobs_at)
+                .min(arrival)
+                .min(answer)
+                .min(self.offer_at);
             board.pass(stop.max(board.clock() + 1));
             if self.clock() >= trouble {
                 self.suffer();
                 self.heard_of(self.clock());
                 told |= !self.replies.is_empty();
                 continue;
+            }
+            if self.executing.is_some() && self.machine.board.hears() {
+                told |= self.executed();
+            }
+            if self.clock() >= arrival
+                && let Some((_, letter)) = self.arriving.pop_front()
+            {
+                self.arrive(letter);
+            }
+            if self.clock() >= self.offer_at {
+                self.offer();
             }
             if self.clock() >= self.jobs_at {
                 told |= self.do_jobs();
@@ -658,7 +727,7 @@ impl Device for Twin {
         if service == Service::Discovery || wants_reply(payload) {
             2000
         } else {
-            ANSWER[0] + 100
+            RECEIVING + ANSWER[0] + 100
         }
     }
 
@@ -675,7 +744,7 @@ impl Device for Twin {
         } else {
             let number = self.visitors.len();
             let program = self.jobs.as_mut();
-            match program.map(|program| program.open(number, &mut self.machine)) {
+            match program.map(|program| program.open(number, &mut self.machine.guest())) {
                 Some(None) => self.jobs_at = self.jobs_at.min(self.clock() + ACCESS),
                 Some(Some(busy)) => visitor.out.extend(busy),
                 // No service listens there.
@@ -738,7 +807,7 @@ impl Device for Twin {
     }
 
     fn environment_mut(&mut self) -> &mut PinEnvironment {
-        &mut self.machine.board.environment
+        &mut self.machine.board().environment
     }
 
     fn freeze_cpu(&mut self, frozen: bool) {
@@ -746,6 +815,8 @@ impl Device for Twin {
         self.jobs_at = self.jobs_at.min(self.clock());
         if frozen {
             self.requests.clear();
+        } else {
+            self.settle();
         }
     }
 

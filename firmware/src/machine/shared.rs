@@ -86,6 +86,12 @@ impl<B: Board> Shared<B> {
         }
     }
 
+    /// The board, for who lets its time pass and carries its frames: a simulator. Firmware asks the
+    /// machine.
+    pub fn board(&mut self) -> &mut B {
+        &mut self.machine.board
+    }
+
     /// Counts a frame that came.
     pub fn received(&mut self) {
         self.machine.received();

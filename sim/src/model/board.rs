@@ -8,13 +8,17 @@
 
 mod edge;
 mod events;
+mod frames;
 mod lanes;
 mod registers;
 
+use super::fast_path::FastPath;
+use super::rx_admission::{RxAdmission, Word};
 use super::segments::{Segments, Told};
 use super::timebase::Timebase;
 use crate::pads;
 use crate::soc::Pins;
+use frames::Line;
 use lanes::{EncoderLane, Hub, PwmLane, StepLane};
 use registers::Regs;
 use wire::describe::Channels;
@@ -25,11 +29,13 @@ pub mod pages {
     pub use wire::regmap::command::PAGE as COMMAND;
     pub use wire::regmap::debounce::PAGE as DEBOUNCE;
     pub use wire::regmap::encoder::PAGE as ENCODER;
+    pub use wire::regmap::fast_path::PAGE as FAST_PATH;
     pub use wire::regmap::gpio::PAGE as GPIO;
     pub use wire::regmap::ident::PAGE as IDENT;
     pub use wire::regmap::led::PAGE as LED;
     pub use wire::regmap::pads::PAGE as PADS;
     pub use wire::regmap::pwm::PAGE as PWM;
+    pub use wire::regmap::rx_admission::PAGE as RX_ADMISSION;
     pub use wire::regmap::segments::PAGE as SEGMENTS;
     pub use wire::regmap::status::PAGE as STATUS;
     pub use wire::regmap::stepgen::PAGE as STEPGEN;
@@ -75,6 +81,8 @@ pub struct Bus {
     pub frame_pending: Option<u8>,
     /// The PHY's clock has made another beat.
     pub beat: bool,
+    /// A word of a frame on its way into a slot.
+    pub word: Option<Word>,
 }
 
 /// What all lanes see alike.
@@ -111,6 +119,13 @@ pub struct Board {
     hub: Hub,
     segments: Option<Segments>,
     segments_at: u64,
+    admission: RxAdmission,
+    fast_path: FastPath,
+    /// The way into the answer's slot, and the slot.
+    line: Line,
+    answer: Vec<u32>,
+    /// The word that the fast path read a clock ago.
+    gathered: u32,
     steps: Vec<StepLane>,
     encoders: Vec<EncoderLane>,
     pwms: Vec<PwmLane>,
@@ -193,6 +208,11 @@ impl Board {
             hub: Hub::new(&build),
             segments: (build.jobs != 0).then(|| Segments::new(build.jobs.into())),
             segments_at: 0,
+            admission: RxAdmission::default(),
+            fast_path: FastPath::default(),
+            line: Line::Until(0),
+            answer: vec![0; frames::SLOT],
+            gathered: 0,
             steps: vec![StepLane::default(); c.stepgens.into()],
             encoders: vec![EncoderLane::default(); c.encoders.into()],
             pwms: vec![PwmLane::default(); c.pwms.into()],

@@ -12,7 +12,7 @@ use firmware::{reserve, services};
 use wire::{MAX_WORDS, Refusal};
 
 /// A received frame, as words.
-struct Received<'f>(&'f [u8]);
+pub(super) struct Received<'f>(pub(super) &'f [u8]);
 
 impl Frame for Received<'_> {
     fn word(&self, index: usize) -> u32 {
@@ -35,7 +35,7 @@ impl Slot for Written {
 }
 
 /// A datagram of these words from `us`.
-fn framed(us: &Us, to: &Datagram, words: &[u32]) -> Vec<u8> {
+pub(super) fn framed(us: &Us, to: &Datagram, words: &[u32]) -> Vec<u8> {
     let mut slot = Written::default();
     net::emit_headers(&mut slot, us, to, words.len() * 4);
     let length = net::emit_payload(&mut slot, words);
@@ -95,7 +95,12 @@ impl Twin {
     fn datagram(&mut self, frame: &Received, datagram: &Datagram) -> Option<Vec<u8>> {
         let words = self.words(frame, datagram)?;
         let mut buffer = [0; MAX_WORDS];
-        let reply = self.machine.datagram(&words, datagram.peer, &mut buffer);
+        let peer = datagram.peer;
+        let reply = match self.machine.session().is_owner(peer) {
+            true => self.machine.alone().datagram(&words, peer, &mut buffer),
+            false => self.machine.guest().datagram(&words, peer, &mut buffer),
+        };
+        self.judge_ahead_for(datagram);
         let reply = reply.ok().filter(|reply| !reply.is_empty())?;
         self.machine.sent(1);
         Some(framed(&self.machine.us, datagram, reply))
@@ -104,7 +109,7 @@ impl Twin {
     fn discover(&mut self, frame: &Received, datagram: &Datagram) -> Option<Vec<u8>> {
         let words = self.words(frame, datagram)?;
         let (port, mut buffer) = (datagram.peer.port, [0; MAX_WORDS]);
-        let reply = self.machine.discover(&words, port, &mut buffer);
+        let reply = self.machine.guest().discover(&words, port, &mut buffer);
         (!reply.is_empty()).then(|| {
             self.machine.sent(1);
             let us = Us {
@@ -123,7 +128,7 @@ impl Twin {
             self.machine.sent(1);
             return Some(room[..length].to_vec());
         };
-        let sent = services.frame(frame, &mut self.machine);
+        let sent = services.frame(frame, &mut self.machine.guest());
         self.send_frames(sent);
         self.jobs_at = self.clock();
         None
@@ -136,8 +141,9 @@ impl Twin {
             self.jobs_at = u64::MAX;
             return false;
         };
-        let (sent, due) = services.turn(&mut self.machine);
+        let (sent, due) = services.turn(&mut self.machine.guest());
         self.jobs_at = now + due;
+        self.offer();
         self.send_frames(sent);
         !self.replies.is_empty()
     }

@@ -309,3 +309,122 @@ fn a_frozen_cpu_answers_nothing_and_the_watchdog_bites_all_the_same() {
     }
     assert_eq!(bench.twin.environment().pins().gate, 0);
 }
+
+/// Exchanges that the gateware executed, and those that took the long way.
+fn ways(bench: &mut Bench) -> [u32; 2] {
+    [0, 4].map(|at| bench.read(wire::refusal::COUNTERS_WAYS + at))
+}
+
+#[test]
+fn the_gateware_executes_what_follows_an_exchange_of_an_armed_machine() {
+    let mut bench = Bench::armed(Plant::direct(6));
+    let [fast, long] = ways(&mut bench);
+    bench.velocity(0, 50_000.0);
+    bench.periods(50);
+    assert_eq!(ways(&mut bench), [fast + 50, long]);
+    let report = Device::report(&mut bench.twin).board.expect("it answers");
+    assert_eq!((report.fast, report.long), (fast + 50, long));
+    assert_eq!(bench.twin.environment().edges.violations(), []);
+}
+
+#[test]
+fn an_answer_of_the_gateware_says_what_the_firmware_s_would() {
+    // The same exchange, with a pass and without one: another datagram of the owner's right in
+    // front of it takes the pass back.
+    let answers = [false, true].map(|long| {
+        let mut bench = Bench::armed(Plant::direct(6));
+        bench.velocity(0, 0.0);
+        bench.command.latch = Latch::Stepgen(2);
+        bench.periods(20);
+        let before = ways(&mut bench);
+        if long {
+            let skipped = bench.command.sequence + 1;
+            bench.command.sequence = skipped;
+        }
+        let status = bench.exchange();
+        let after = ways(&mut bench);
+        assert_eq!(after[usize::from(long)], before[usize::from(long)] + 1);
+        assert_eq!(after[usize::from(!long)], before[usize::from(!long)]);
+        status
+    });
+    let [fast, long] = answers;
+    assert_eq!((fast.state, fast.boot_id), (long.state, long.boot_id));
+    assert_eq!((fast.latch, fast.refused), (long.latch, long.refused));
+    for n in 0..6 {
+        assert_eq!(fast.stepgen[n], long.stepgen[n]);
+        assert_eq!(fast.encoder[n].count, long.encoder[n].count);
+    }
+}
+
+#[test]
+fn the_gateware_answers_sooner_than_the_firmware_could() {
+    let mut bench = Bench::armed(Plant::default());
+    let asked = bench.twin.clock();
+    bench.command.sequence += 1;
+    let mut buffer = [0; REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX];
+    let request = bench
+        .command
+        .emit_request(SIX, &mut buffer)
+        .expect("it fits");
+    let bytes = payload(request);
+    bench.twin.post(40_000, Service::Etherbone, &bytes);
+    while !bench.twin.pass(asked + 3000) {}
+    assert!(
+        bench.twin.clock() - asked < 120,
+        "{}",
+        bench.twin.clock() - asked
+    );
+    // The token is on the bus a clock before it takes effect.
+    assert_eq!(bench.twin.fed() - asked, 7 - 1);
+}
+
+#[test]
+fn an_exchange_behind_a_lost_one_takes_the_long_way_and_the_next_does_not() {
+    let mut bench = Bench::armed(Plant::default());
+    bench.exchange();
+    let [fast, long] = ways(&mut bench);
+    bench.command.sequence += 1;
+    bench.exchange();
+    assert_eq!(ways(&mut bench), [fast, long + 1]);
+    let why = bench.read(wire::refusal::COUNTERS_WAYS + 8);
+    assert_eq!(why, wire::LongWay::Sequence as u32);
+    bench.exchange();
+    assert_eq!(ways(&mut bench), [fast + 1, long + 1]);
+}
+
+#[test]
+fn a_guest_s_question_leaves_the_pass_out() {
+    let mut bench = Bench::armed(Plant::default());
+    bench.exchange();
+    let [fast, _] = ways(&mut bench);
+    for _ in 0..10 {
+        let words = [HEADER, 0, record(0, 1), 0, map::SESSION_TOKEN];
+        bench
+            .twin
+            .post(40_001, Service::Etherbone, &payload(&words));
+        // The owner's exchange is on the wire when the guest is served.
+        bench.exchange();
+    }
+    assert_eq!(ways(&mut bench)[0], fast + 10);
+}
+
+#[test]
+fn a_frozen_cpu_s_pass_is_good_for_one_command() {
+    let mut bench = Bench::armed(Plant::default());
+    bench.exchange();
+    let [fast, _] = ways(&mut bench);
+    bench.twin.freeze_cpu(true);
+    bench.exchange();
+    let fed = bench.twin.fed();
+    let mut buffer = [0; REQUEST_OVERHEAD + wire::exchange::COMMAND_MAX];
+    bench.command.sequence += 1;
+    let request = bench
+        .command
+        .emit_request(SIX, &mut buffer)
+        .expect("it fits");
+    let request = request.to_vec();
+    assert_eq!(bench.ask(&request), None);
+    assert_eq!(bench.twin.fed(), fed);
+    bench.twin.freeze_cpu(false);
+    assert_eq!(ways(&mut bench)[0], fast + 1);
+}

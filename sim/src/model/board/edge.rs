@@ -1,6 +1,7 @@
 //! One rising edge of all parts, in the order of the hardware: bus writes, samples, cores,
 //! registers, pins.
 
+use super::frames::Executes;
 use super::registers::place;
 use super::{Board, Bus, Strobes, pages, put};
 use crate::model::segments::{self, Order};
@@ -16,11 +17,19 @@ pub(super) struct Pulses {
     /// A debounce limit, and its input.
     limit: Option<(usize, u16)>,
     snapshot: bool,
+    /// An expected word of the owner's frames, and a run of the fast path.
+    pub(super) header: Option<(usize, u32)>,
+    pub(super) run: Option<(usize, u32)>,
+    pub(super) admit: bool,
+    pub(super) pass: bool,
+    pub(super) revoke: bool,
+    /// What the fast path executes.
+    pub(super) executes: Executes,
 }
 
 impl Pulses {
     fn commit_at(&self) -> bool {
-        self.strobe & regmap::timebase::STROBE_COMMIT_AT != 0
+        self.strobe & regmap::timebase::STROBE_COMMIT_AT != 0 || self.executes.commit_timed
     }
 }
 
@@ -32,12 +41,14 @@ impl Board {
         if let Some(segments) = &self.segments {
             self.common.job = segments.tells(&job);
         }
-        let pulses = self.pulses();
+        let mut pulses = self.pulses();
+        let staged = self.frames_clock(bus, &mut pulses);
         let (strobe, timebase) = (pulses.strobe, &self.hub.timebase);
         let strobes = Strobes {
             commit: strobe & regmap::timebase::STROBE_COMMIT != 0
+                || pulses.executes.commit
                 || timebase.due(pulses.commit_at()),
-            sample: strobe & regmap::timebase::STROBE_SAMPLE != 0,
+            sample: strobe & regmap::timebase::STROBE_SAMPLE != 0 || pulses.executes.taken,
             now: timebase.now(),
         };
         // What is caught stands before the edge.
@@ -56,15 +67,24 @@ impl Board {
         }
         self.regs.guarded &= !bus.rst;
         self.shine();
-        self.write = bus.write.filter(|_| !bus.rst);
+        self.write = staged.or(bus.write).filter(|_| !bus.rst);
         self.show_all();
         self.settle();
     }
 
-    fn pulses(&self) -> Pulses {
+    pub(super) fn pulses(&self) -> Pulses {
         let mut pulses = Pulses::default();
         if let Some((address, data)) = self.write {
             match place(address) {
+                (pages::RX_ADMISSION, at) if at < regmap::rx_admission::MODE => {
+                    pulses.header = Some((at, data));
+                }
+                (pages::RX_ADMISSION, regmap::rx_admission::ADMIT) => pulses.admit = true,
+                (pages::FAST_PATH, at) if at < regmap::fast_path::IP_SUM => {
+                    pulses.run = Some((at, data));
+                }
+                (pages::FAST_PATH, regmap::fast_path::PASS) => pulses.pass = true,
+                (pages::FAST_PATH, regmap::fast_path::REVOKE) => pulses.revoke = true,
                 (pages::TIMEBASE, regmap::timebase::SNAPSHOT) => pulses.snapshot = true,
                 (pages::TIMEBASE, regmap::timebase::STROBE) => pulses.strobe = data,
                 (pages::WATCHDOG, regmap::watchdog::TOKEN) => pulses.token = Some(data),
@@ -140,7 +160,7 @@ impl Board {
             ext_reset: common.reset_pin,
             estop: common.estop,
             token: pulses.token,
-            feed: false,
+            feed: pulses.executes.taken,
             arm: pulses.control == regmap::watchdog::CONTROL_KEY_ARM,
             soft_stop: pulses.control == regmap::watchdog::CONTROL_KEY_SOFT,
             shut: pulses.control == regmap::watchdog::CONTROL_KEY_STOP,

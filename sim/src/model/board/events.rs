@@ -21,7 +21,7 @@ impl Board {
                 self.common.job = now.job;
             }
         }
-        let changed = now != self.common;
+        let changed = now != self.common || !self.fast_path.quiet();
         self.full = if changed || plays == 0 || self.write.is_some() {
             self.clock + 1
         } else {

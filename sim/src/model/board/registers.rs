@@ -8,7 +8,7 @@ use wire::map::{DIR_CLOCKS_MAX, PROBE_ENABLE, PROBE_INPUT_MASK, PROBE_INVERT, ST
 use wire::regmap::{self, command, status};
 
 /// Bits of a word's number in the address of a bus cycle.
-const WORD_BITS: u32 = (regmap::CSR_PAGE / 4).trailing_zeros();
+pub(super) const WORD_BITS: u32 = (regmap::CSR_PAGE / 4).trailing_zeros();
 
 /// Page and word of the address of a bus cycle.
 pub(super) fn place(address: u32) -> (u32, usize) {
@@ -34,6 +34,10 @@ const PWM_MODE: u32 = regmap::pwm::MODE_INVERT
     | regmap::pwm::MODE_KIND
     | regmap::pwm::MODE_DITHER
     | regmap::pwm::MODE_SWAP;
+
+const CONDITION: u32 = regmap::fast_path::GATE_STATUS
+    | regmap::fast_path::GATE_EXECUTES
+    | regmap::fast_path::GATE_TIMED;
 
 /// Which stepgen a word of the command page is for, and which of its words it is: 0 velocity, 1
 /// acceleration.
@@ -76,6 +80,12 @@ pub(super) struct Regs {
     pub(super) slew: u32,
     pub(super) beam: u16,
     pub(super) mask: u32,
+    /// Of the fast path, and of the filter.
+    pub(super) ip_sum: u16,
+    pub(super) udp_sum: u16,
+    pub(super) condition: u32,
+    pub(super) length: u32,
+    pub(super) mode: u32,
     /// The outputs of the segments.
     pub(super) aux: u32,
 }
@@ -112,6 +122,11 @@ impl Regs {
             slew: 0,
             beam: 0,
             mask: 0,
+            ip_sum: 0,
+            udp_sum: 0,
+            condition: 0,
+            length: 0,
+            mode: 0,
             aux: 0,
         }
     }
@@ -197,6 +212,15 @@ impl Board {
             (pages::SEGMENTS, regmap::segments::BEAM) if regs.jobs != 0 => regs.beam = data as u16,
             (pages::SEGMENTS, regmap::segments::MASK) if regs.jobs != 0 => {
                 regs.mask = data & outputs
+            }
+            (pages::FAST_PATH, regmap::fast_path::IP_SUM) => regs.ip_sum = data as u16,
+            (pages::FAST_PATH, regmap::fast_path::UDP_SUM) => regs.udp_sum = data as u16,
+            (pages::FAST_PATH, regmap::fast_path::LENGTH) => {
+                regs.length = data & regmap::fast_path::LENGTH_BYTES;
+            }
+            (pages::FAST_PATH, regmap::fast_path::GATE) => regs.condition = data & CONDITION,
+            (pages::RX_ADMISSION, regmap::rx_admission::MODE) => {
+                regs.mode = data & regmap::rx_admission::MODE_SELECT;
             }
             (pages::COMMAND, PWMS..command::WORDS) if word - PWMS < usize::from(c.pwms) => {
                 regs.pwm[word - PWMS] = data;
@@ -301,6 +325,9 @@ impl Board {
                 (n, _) => regs.accel[n],
             },
             (pages::COMMAND, PWMS..command::WORDS) => regs.pwm[at - PWMS],
+            (pages::RX_ADMISSION, regmap::rx_admission::MODE) => regs.mode,
+            (pages::RX_ADMISSION, regmap::rx_admission::REFUSED) => self.admission.refused(),
+            (pages::FAST_PATH, regmap::fast_path::STATUS) => self.pass_status(),
             (pages::SEGMENTS, _) => self.job_word(at),
             (pages::STATUS, _) => self.status(at),
             _ => {
