@@ -17,8 +17,8 @@ use wire::refusal::COUNTERS_WAYS;
 /// second, and one datagram in a thousand for the board.
 const EVERY_NS: i64 = 1_000_000_000;
 
-/// In the board's order.
-const WORDS: [u32; 3] = [COUNTERS_WAYS, COUNTERS_WAYS + 4, COUNTERS_WAYS + 8];
+/// Where they are, in the pins' order.
+pub const WORDS: [u32; 3] = [COUNTERS_WAYS, COUNTERS_WAYS + 4, COUNTERS_WAYS + 8];
 
 /// The pins, and the question on its way.
 #[derive(Debug)]
