@@ -12,6 +12,7 @@ pub mod pwm;
 pub mod stepgen;
 pub mod wallclock;
 pub mod watchdog;
+pub mod ways;
 
 use wire::units::Clocks;
 

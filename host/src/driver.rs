@@ -251,6 +251,7 @@ impl Driver {
             Phase::Online { token } => {
                 let settled = self.send_settings(period.clock_hz);
                 self.send_command(token, settled, period);
+                self.ask_for_ways(period_ns);
             }
             Phase::Acquiring { wait: 0, tag } => {
                 // Keeps following its pins, so that nothing jumps later.
@@ -367,6 +368,8 @@ impl Driver {
                     }
                     second_best = Some(status);
                 }
+            } else if self.blocks.ways.answered(base, payload) {
+                // Its pins have it.
             } else if let [token, ip, port] = *payload {
                 if let Phase::Acquiring { tag, .. } = self.session.phase
                     && base == tag

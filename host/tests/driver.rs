@@ -663,6 +663,33 @@ fn the_link_is_shown_as_the_board_sees_it_and_is_down_when_the_board_is_silent()
 }
 
 #[test]
+fn the_ways_of_the_exchanges_are_asked_for_once_a_second_and_cost_no_exchange() {
+    let mut rig = Rig::armed();
+    let reason = wire::LongWay::Frame as u32;
+    let shown = |rig: &Rig| {
+        ["fast-way", "long-way", "long-way-reason"]
+            .map(|name| rig.hal.get::<u32>(&format!("ferrocnc.0.exchange.{name}")))
+    };
+    rig.board.look().knobs.ways = [100, 7, reason];
+    let before = rig.board.look().datagrams;
+    rig.run(2_000);
+    let board = rig.board.look();
+    assert!(
+        (2_001..=2_002).contains(&(board.datagrams - before)),
+        "{} datagrams in 2000 periods",
+        board.datagrams - before
+    );
+    drop(board);
+    assert_eq!(shown(&rig), [100, 7, reason]);
+    assert_eq!(rig.hal.get::<u32>("ferrocnc.0.packet-error-total"), 0);
+    assert!(rig.enabled());
+    // They are those of the last answer.
+    rig.board.look().knobs.ways = [u32::MAX, 8, 2];
+    rig.run(1_001);
+    assert_eq!(shown(&rig), [u32::MAX, 8, 2]);
+}
+
+#[test]
 fn services_that_fail_while_armed_are_shown_and_the_machine_stays_armed() {
     use wire::describe::JobsState;
     let mut rig = Rig::new();

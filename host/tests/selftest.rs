@@ -14,6 +14,7 @@ const SHORT: [&str; 4] = ["--seconds", "0.5", "--questions", "5"];
 #[test]
 fn a_report_is_written_as_text_and_as_json_and_a_bad_finding_ends_in_an_error() {
     let board = FakeBoard::mill6(Time::Wall);
+    board.look().knobs.ways = [10, 1000, wire::LongWay::Frame as u32];
     let folder = std::env::temp_dir().join(format!("ferrocnc-selftest-{}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("a folder");
     for ending in ["txt", "json"] {
@@ -30,6 +31,7 @@ fn a_report_is_written_as_text_and_as_json_and_a_bad_finding_ends_in_an_error() 
             "{error}"
         );
         assert!(said.contains("system clock"), "{said}");
+        assert!(said.contains("TOS or TTL from frame to frame"), "{said}");
         let report = std::fs::read_to_string(&file).expect("the report");
         match ending {
             "txt" => assert_eq!(report, said),

@@ -26,9 +26,17 @@ fn describe_tells_names_versions_and_state() {
     ] {
         assert!(text.contains(part), "{part} missing in:\n{text}");
     }
+    assert!(text.contains("exchanges  0 the fast way, 0 the long way\n"));
+    board.look().knobs.ways = [3, 4, 2];
     let json = answer(&["--json", "describe", &board.text()]);
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["clock_hz"], 60_000_000);
+    assert_eq!(json["exchanges"]["fast"], 3);
+    assert_eq!(json["exchanges"]["long"], 4);
+    assert_eq!(
+        json["exchanges"]["last_long"],
+        "an exchange before it was lost"
+    );
     assert_eq!(json["stepgen"].as_array().unwrap().len(), 6);
     assert_eq!(json["stepgen"][0]["name"], "x");
     assert_eq!(json["stepgen"][0]["pins"], "step=j1:0 dir=j1:1");
@@ -44,9 +52,15 @@ fn watch_shows_the_status_without_taking_the_session() {
         text.contains("link 1000 Mbit/s, 0 frames thrown away"),
         "{text}"
     );
+    board.look().knobs.ways = [70, 80, 5];
+    let text = answer(&["watch", "--once", &board.text()]);
+    let ways = "70 the fast way, 80 the long way (the last: its frame or";
+    assert!(text.contains(ways), "{text}");
     let json = answer(&["watch", "--once", "--json", &board.text()]);
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["state"], "boot");
+    assert_eq!(json["ways"]["fast"], 70);
+    assert_eq!(json["ways"]["long"], 80);
     assert!(board.look().owner.is_none());
     assert_eq!(board.look().exchanges, 0);
 }

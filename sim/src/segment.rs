@@ -128,6 +128,8 @@ pub struct LanSegment {
     datagrams: VecDeque<Datagram>,
     echoes: VecDeque<Echo>,
     next_local_port: u16,
+    /// The time to live of the datagrams of every host from now on.
+    pub ttl: u8,
     /// Frames from the board that were nothing the segment understands.
     pub odd_frames: u64,
 }
@@ -163,6 +165,7 @@ impl LanSegment {
             datagrams: VecDeque::new(),
             echoes: VecDeque::new(),
             next_local_port: 49152,
+            ttl: 64,
             odd_frames: 0,
         }
     }
@@ -235,7 +238,7 @@ impl LanSegment {
             dst_addr: to.0,
             next_header: IpProtocol::Udp,
             payload_len: udp.header_len() + payload.len(),
-            hop_limit: 64,
+            hop_limit: self.ttl,
         };
         let (mut frame, at) = self.ip_frame(from.0, &ip);
         udp.emit(

@@ -33,10 +33,11 @@ use sim::{Rig, exchange::Spread};
 use std::path::PathBuf;
 use wire::describe::{Channels, Describe, FEATURES_AT, JobsState};
 use wire::exchange::{Command, Status};
+use wire::refusal::COUNTERS_WAYS;
 use wire::regmap::command;
 use wire::state::State;
 use wire::units::{Accel, Clocks, Velocity};
-use wire::{Refusal, map, regmap};
+use wire::{LongWay, Refusal, map, regmap};
 
 /// UDP port of a host that owns nothing.
 pub const STRANGER: u16 = 50_505;
@@ -65,6 +66,17 @@ pub struct BenchMachine {
     token: u32,
     sequence: u32,
     image: Image,
+}
+
+/// Exchanges since the start of a board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ways {
+    /// Executed and answered by the gateware.
+    pub fast: u32,
+    /// By the firmware.
+    pub long: u32,
+    /// Why the last of these.
+    pub why: LongWay,
 }
 
 /// A board and an image to run it with, from the environment.
@@ -394,6 +406,25 @@ impl BenchMachine {
     /// How many datagrams were refused for this reason.
     pub fn refusals(&mut self, reason: Refusal) -> u32 {
         self.read(map::COUNTERS_REFUSED + 4 * reason.index() as u32)
+    }
+
+    /// Exchanges since the start by the way they took, read in one datagram.
+    ///
+    /// # Panics
+    ///
+    /// If there are more or fewer of them than the board says there were exchanges.
+    pub fn ways(&mut self) -> Ways {
+        let at = COUNTERS_WAYS;
+        let words = self
+            .rig
+            .read_words(&[map::COUNTERS + 8, at, at + 4, at + 8])
+            .expect("the counters");
+        let [exchanges, fast, long, why] = words[..] else {
+            panic!("four words were asked for");
+        };
+        assert_eq!(fast + long, exchanges, "{fast} fast, {long} long");
+        let why = LongWay::from_code(why).expect("a known reason");
+        Ways { fast, long, why }
     }
 
     /// Text of the last panic.

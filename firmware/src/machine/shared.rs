@@ -36,6 +36,8 @@ impl<B: Board> Shared<B> {
     #[inline(never)]
     pub fn alone(&mut self) -> &mut Machine<B> {
         let Machine { board, server, .. } = &mut self.machine;
+        // One that came back earlier is not why this command takes the long way.
+        server.returned = None;
         if let Some(pass) = self.pass.take() {
             let executed = board.revoke();
             server.settle(board, &pass, executed);

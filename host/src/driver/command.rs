@@ -114,6 +114,21 @@ impl Driver {
         self.exchange.request_seen = false;
     }
 
+    /// Asks now and then which way the exchanges take, behind the command of this period.
+    pub(super) fn ask_for_ways(&mut self, period_ns: i64) {
+        if !self.blocks.ways.due(period_ns) {
+            return;
+        }
+        let tag = self.next_tag();
+        let mut words = [0; 8];
+        let request = self.blocks.ways.ask(tag, &mut words);
+        debug_assert!(request.is_some(), "a question is 7 words");
+        if let Some(request) = request {
+            // Unsent is unanswered; the next one is due in a second.
+            let _ = self.link.send(request);
+        }
+    }
+
     /// Sends a command; `false` if the network would not take it.
     pub(super) fn transmit(&mut self, command: &Command) -> bool {
         let mut words = [0; REQUEST_OVERHEAD + COMMAND_MAX];

@@ -12,6 +12,7 @@ use crate::blocks::pwm::Pwm;
 use crate::blocks::stepgen::Stepgen;
 use crate::blocks::wallclock::Wallclock;
 use crate::blocks::watchdog::Watchdog;
+use crate::blocks::ways::Ways;
 use crate::client::Identity;
 use crate::glue::Glue;
 use crate::hal::checked::{Checked, Rule, Watch};
@@ -132,6 +133,7 @@ impl Blocks {
         let wallclock = Wallclock::export(hal)?;
         let mut ethernet = Ethernet::export(hal)?;
         ethernet.sampled(&describe.state);
+        let ways = Ways::export(hal)?;
         let stepgens = each(
             hal,
             "stepgen",
@@ -178,6 +180,7 @@ impl Blocks {
             watchdog,
             wallclock,
             ethernet,
+            ways,
             stepgens,
             encoders,
             pwms,

@@ -9,6 +9,7 @@ use crate::blocks::pwm::Pwm;
 use crate::blocks::stepgen::Stepgen;
 use crate::blocks::wallclock::Wallclock;
 use crate::blocks::watchdog::Watchdog;
+use crate::blocks::ways::Ways;
 use crate::clock::{BoardClock, Timebase};
 use crate::group::Group;
 use crate::keys::Key;
@@ -25,6 +26,7 @@ pub(super) struct Blocks {
     pub(super) watchdog: Watchdog,
     pub(super) wallclock: Wallclock,
     pub(super) ethernet: Ethernet,
+    pub(super) ways: Ways,
     pub(super) stepgens: Vec<Stepgen>,
     pub(super) encoders: Vec<Encoder>,
     pub(super) pwms: Vec<Pwm>,

@@ -1,7 +1,7 @@
 //! Reads the facts from a board and changes nothing. It takes a session only to compute the CRCs of
 //! the flash of a board with a key.
 
-use super::{Time, board, clock, flash, link};
+use super::{Time, board, clock, flash, link, ways};
 use crate::client::{Client, ClientError, Identity};
 use crate::flash::{FlashError, Flasher, Overview, PATIENCE};
 use std::collections::HashMap;
@@ -204,6 +204,12 @@ pub fn link(
             trip(trips.len().saturating_sub(1)),
         ],
     })
+}
+
+/// Which way the exchanges took since the board started.
+pub fn ways(client: &mut Client) -> Result<ways::Facts, ClientError> {
+    let words = client.read(&crate::blocks::ways::WORDS)?;
+    Ok(ways::Facts::from_words([words[0], words[1], words[2]]))
 }
 
 /// The general outputs with the gate closed: what drives them, and their pads.

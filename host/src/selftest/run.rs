@@ -3,7 +3,7 @@
 
 use super::drive::{DriveError, Driven, Pins};
 use super::loops::{Loop, Sink, Source, judge_counts, judge_levels, judge_output, judge_rest};
-use super::{Finding, Report, Time, board, clock, flash, gather, link};
+use super::{Finding, Report, Time, board, clock, flash, gather, link, ways};
 use crate::client::{Client, ClientError, Identity, Owner};
 use std::net::SocketAddrV4;
 use std::time::Duration;
@@ -163,6 +163,7 @@ fn look(
     (bench.tell)("link");
     let facts = gather::link(&mut client, identity, plan.questions, bench.time)?;
     findings.extend(link::judge(&facts));
+    findings.push(ways::judge(&gather::ways(&mut client)?));
     (bench.tell)("clock");
     let (speed, readback) = (facts.after.speed, readback(identity));
     let samples = gather::clock(&mut client, readback, plan.look, bench.time)?;

@@ -46,6 +46,8 @@ pub struct Knobs {
     pub link: Option<(wire::LinkSpeed, u8)>,
     /// What became of its services.
     pub services: Option<wire::describe::JobsState>,
+    /// Exchanges of the fast and the long way, and why the last of those took it.
+    pub ways: [u32; 3],
     /// Say this instead of our wire version.
     pub wire_version: Option<u32>,
     /// Say this as the gateware's ABI.

@@ -3,10 +3,12 @@
 use super::Mind;
 use std::net::SocketAddr;
 use wire::exchange::{self, Command, EncoderStatus, Latch, Status};
+use wire::refusal::COUNTERS_WAYS;
 use wire::units::{Clocks, Count, Position, Velocity};
 use wire::{FaultReason, MAX_WORDS, Packet, Refusal, ReplyWriter, State, etherbone, map};
 
 const RESPONSE_END: u32 = map::SESSION_RESPONSE + 16;
+const WAYS_END: u32 = COUNTERS_WAYS + 12;
 
 impl Mind {
     pub(super) fn serve(
@@ -167,6 +169,7 @@ impl Mind {
                 let at = (address - map::STATUS) as usize / 4;
                 words.get(at).copied().unwrap_or(0)
             }
+            COUNTERS_WAYS..WAYS_END => self.knobs.ways[(address - COUNTERS_WAYS) as usize / 4],
             _ => 0,
         }
     }

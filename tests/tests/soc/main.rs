@@ -1,4 +1,5 @@
-//! The release image on the Verilated board: boot, exchange, malformed frames, faults at the pins.
+//! The release image on the Verilated board: boot, exchange and its two ways, malformed frames,
+//! faults at the pins.
 //!
 //! All input goes through Ethernet frames; all checks are at the pins.
 
@@ -6,3 +7,4 @@ mod datagrams;
 mod exchange;
 mod faults;
 mod passes;
+mod ways;

@@ -223,6 +223,26 @@ fn every_reason_for_the_long_way_is_told() {
 }
 
 #[test]
+fn an_exchange_before_the_next_pass_is_out_has_no_pass_whatever_came_back_before() {
+    let mut bench = Bench::armed();
+    bench.machine.offer();
+    let read = [0x4e6f_1044, 0, 0x000f_0001, 9, map::COUNTERS];
+    assert!(bench.send(ALICE, &read), "it takes the pass back");
+    let command = bench.command(true);
+    assert!(!bench.comes(&command));
+    assert_eq!(bench.why(), LongWay::NoPass);
+    // One that came back behind a read long ago, and one that was executed since.
+    bench.machine.offer();
+    assert!(bench.send(ALICE, &read));
+    bench.machine.offer();
+    let executed = bench.command(true);
+    assert!(bench.comes(&executed));
+    let command = bench.command(true);
+    assert!(!bench.comes(&command));
+    assert_eq!(bench.why(), LongWay::NoPass);
+}
+
+#[test]
 fn a_timed_command_with_a_pass_waits_for_its_time_and_the_next_long_way_takes_it_back() {
     let mut bench = Bench::armed();
     let timed = |bench: &mut Bench| Command {

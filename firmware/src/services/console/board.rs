@@ -9,10 +9,10 @@ use wire::exchange::{StateWord, status_word};
 use wire::flash::{OpWord, Running, Slot};
 use wire::map::{self, BoardConfig};
 use wire::regmap::{self, watchdog};
-use wire::{GateClose, ResetReason};
+use wire::{GateClose, LongWay, ResetReason};
 
 /// The step of `status` that is not read from a window.
-pub(super) const STACK: u16 = 6;
+pub(super) const STACK: u16 = 7;
 
 /// The address of a word of the status block's head.
 pub(super) const fn status_at(word: usize) -> u32 {
@@ -98,6 +98,13 @@ pub(super) fn status(
             out.text(", longest call ").number(moving);
             out.text(" clocks while a host moved the machine, ");
             out.number(other).text(" else").end();
+        }
+        6 => {
+            let at = wire::refusal::COUNTERS_WAYS;
+            let [fast, long, why] = reader.words([at, at + 4, at + 8], from)?;
+            out.text("exchange ").number(fast).text(" the fast way, ");
+            out.number(long).text(" the long way, why last: ");
+            out.text(LongWay::from_code(why)?.text()).end();
         }
         _ => return Some(More::No),
     }

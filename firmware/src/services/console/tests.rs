@@ -164,7 +164,7 @@ fn the_board_states_its_name_its_image_and_its_link_speed() {
 fn status_says_what_the_board_is_doing() {
     let text = said("status");
     let lines: Vec<&str> = text.lines().collect();
-    assert_eq!(lines.len(), 9, "{text}");
+    assert_eq!(lines.len(), 10, "{text}");
     assert!(lines[0].starts_with("state    disarmed, reason "));
     assert_eq!(lines[1], "gate     closed, positions trusted");
     assert_eq!(lines[2], "session  free");
@@ -177,7 +177,12 @@ fn status_says_what_the_board_is_doing() {
         lines[7],
         format!("services none: no SDRAM is used, {calls}")
     );
-    assert_eq!(lines[8], "stack    100 of 100 bytes");
+    let why = "why last: no exchange took it";
+    assert_eq!(
+        lines[8],
+        format!("exchange 0 the fast way, 0 the long way, {why}")
+    );
+    assert_eq!(lines[9], "stack    100 of 100 bytes");
     let mut rig = Rig::new();
     rig.acquire();
     let text = Bench::of(rig).say("status");
@@ -185,6 +190,22 @@ fn status_says_what_the_board_is_doing() {
         text.contains("session  192.168.2.1:40000, last sequence 0\r\n"),
         "{text}"
     );
+}
+
+#[test]
+fn status_says_which_way_the_exchanges_took_and_why_the_last_one_was_long() {
+    let mut bench = Bench::new();
+    for why in wire::LongWay::ALL {
+        let counters = bench.rom.machine.server.counters_mut();
+        (counters.ways, counters.long_way) = ([u32::MAX, 12], why);
+        let text = bench.say("status");
+        let line = text.lines().find(|line| line.starts_with("exchange "));
+        let wanted = format!(
+            "exchange 4294967295 the fast way, 12 the long way, why last: {}",
+            why.text()
+        );
+        assert_eq!(line, Some(wanted.as_str()));
+    }
 }
 
 #[test]

@@ -4,6 +4,7 @@ use crate::text::{mac_text, version};
 use anyhow::{Result, bail};
 use ferrocnc::client::{Client, Identity};
 use ferrocnc::flash::Overview;
+use ferrocnc::selftest::{gather, ways};
 use ferrocnc::uid::uid_text;
 use serde_json::{Value, json};
 use std::io::Write;
@@ -17,13 +18,15 @@ pub(crate) fn run(client: &mut Client, as_json: bool) -> Result<()> {
     let identity = client.identify()?;
     let overview = Overview::read(client)?;
     let calls = Calls::read(client)?;
+    let ways = gather::ways(client)?;
     let mut out = std::io::stdout().lock();
     if as_json {
         let mut value = to_json(&identity, &overview);
         value["services_longest_call"] = calls.to_json();
+        value["exchanges"] = ways_to_json(&ways);
         writeln!(out, "{value:#}")?;
     } else {
-        write!(out, "{}", to_text(&identity, &overview, calls))?;
+        write!(out, "{}", to_text(&identity, &overview, calls, &ways))?;
     }
     Ok(())
 }
@@ -49,6 +52,11 @@ impl Calls {
     fn to_json(self) -> Value {
         json!({ "moving": self.moving, "else": self.other })
     }
+}
+
+/// Exchanges since the board's start, by the way they took.
+pub(crate) fn ways_to_json(ways: &ways::Facts) -> Value {
+    json!({ "fast": ways.fast, "long": ways.long, "last_long": ways.text() })
 }
 
 /// Names of one kind's channels, with their header pins.
@@ -283,7 +291,7 @@ fn to_json(identity: &Identity, overview: &Overview) -> Value {
     value
 }
 
-fn to_text(identity: &Identity, overview: &Overview, calls: Calls) -> String {
+fn to_text(identity: &Identity, overview: &Overview, calls: Calls, ways: &ways::Facts) -> String {
     use std::fmt::Write;
     let describe = &identity.describe;
     let blob = identity.blob();
@@ -352,6 +360,7 @@ fn to_text(identity: &Identity, overview: &Overview, calls: Calls) -> String {
             calls.moving, calls.other
         ),
     );
+    line("exchanges", ways.to_string());
     if let (Some(mac), Some(ip), Some(port)) = network(identity) {
         line("default", format!("{ip}:{port}, MAC {mac}"));
     }

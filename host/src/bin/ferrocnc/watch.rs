@@ -1,8 +1,11 @@
 //! `ferrocnc watch`: reads and shows the status window repeatedly. Reading it changes nothing on
 //! the board.
 
+use crate::describe::ways_to_json;
 use anyhow::{Context, Result};
+use ferrocnc::blocks::ways::WORDS;
 use ferrocnc::client::{Client, Identity};
+use ferrocnc::selftest::ways;
 use serde_json::{Value, json};
 use std::fmt::{self, Write as _};
 use std::io::Write;
@@ -43,6 +46,7 @@ struct Look {
     counters: Vec<u32>,
     owner: Option<std::net::SocketAddrV4>,
     link: LinkWord,
+    ways: ways::Facts,
 }
 
 impl Look {
@@ -57,18 +61,19 @@ impl Look {
             map::SESSION_OWNER_PORT,
             map::FLASH_LINK,
         ];
-        let now = client.read(&now)?;
+        let now = client.read(&[&now[..], &WORDS].concat())?;
         let owner = match now[..] {
-            [ip, port, _] if ip != 0 => Some(std::net::SocketAddrV4::new(ip.into(), port as u16)),
+            [ip, port, ..] if ip != 0 => Some(std::net::SocketAddrV4::new(ip.into(), port as u16)),
             _ => None,
         };
-        let link = LinkWord::from_word(now.last().copied().unwrap_or(0));
+        let link = LinkWord::from_word(now[2]);
         Ok(Look {
             clock_hz: identity.describe.clock_hz.into(),
             status,
             counters,
             owner,
             link,
+            ways: ways::Facts::from_words([now[3], now[4], now[5]]),
         })
     }
 
@@ -137,6 +142,7 @@ impl Look {
             "frames_rx": self.counters.first(),
             "frames_tx": self.counters.get(1),
             "exchanges": self.counters.get(2),
+            "ways": ways_to_json(&self.ways),
             "refused": self.refusals().map(|(key, count)| (key.to_owned(), count.into())).collect::<serde_json::Map<_, _>>(),
         })
     }
@@ -190,7 +196,7 @@ impl Look {
         for (key, count) in self.refusals() {
             write!(text, ", refused {key} {count}")?;
         }
-        writeln!(text)
+        writeln!(text, "\nexchanges since its start: {}", self.ways)
     }
 
     fn write_stepgens(&self, text: &mut String, identity: &Identity) -> fmt::Result {
