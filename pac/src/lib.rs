@@ -1052,7 +1052,7 @@ pub mod ethmac {
         pub const fn sram_writer_length(&self) -> &SramWriterLength {
             &self.sram_writer_length
         }
-        #[doc = "0x08 - Frames dropped because no receive slot was free, a count."]
+        #[doc = "0x08 - Frames dropped because no receive slot was free, a count. A frame that `fast_path` executes needs none."]
         #[inline(always)]
         pub const fn sram_writer_errors(&self) -> &SramWriterErrors {
             &self.sram_writer_errors
@@ -1172,10 +1172,10 @@ pub mod ethmac {
         #[doc = "`reset()` method sets SRAM_WRITER_LENGTH to value 0"]
         impl crate::Resettable for SramWriterLengthSpec {}
     }
-    #[doc = "SRAM_WRITER_ERRORS (r) register accessor: Frames dropped because no receive slot was free, a count.\n\nYou can [`read`](crate::Reg::read) this register and get [`sram_writer_errors::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@sram_writer_errors`] module"]
+    #[doc = "SRAM_WRITER_ERRORS (r) register accessor: Frames dropped because no receive slot was free, a count. A frame that `fast_path` executes needs none.\n\nYou can [`read`](crate::Reg::read) this register and get [`sram_writer_errors::R`]. See [API](https://docs.rs/svd2rust/#read--modify--write-api).\n\nFor information about available fields see [`mod@sram_writer_errors`] module"]
     #[doc(alias = "SRAM_WRITER_ERRORS")]
     pub type SramWriterErrors = crate::Reg<sram_writer_errors::SramWriterErrorsSpec>;
-    #[doc = "Frames dropped because no receive slot was free, a count."]
+    #[doc = "Frames dropped because no receive slot was free, a count. A frame that `fast_path` executes needs none."]
     pub mod sram_writer_errors {
         #[doc = "Register `SRAM_WRITER_ERRORS` reader"]
         pub type R = crate::R<SramWriterErrorsSpec>;
@@ -1184,7 +1184,7 @@ pub mod ethmac {
                 write!(f, "{}", self.bits())
             }
         }
-        #[doc = "Frames dropped because no receive slot was free, a count.\n\nYou can [`read`](crate::Reg::read) this register and get [`sram_writer_errors::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
+        #[doc = "Frames dropped because no receive slot was free, a count. A frame that `fast_path` executes needs none.\n\nYou can [`read`](crate::Reg::read) this register and get [`sram_writer_errors::R`](R). See [API](https://docs.rs/svd2rust/#read--modify--write-api)."]
         pub struct SramWriterErrorsSpec;
         impl crate::RegisterSpec for SramWriterErrorsSpec {
             type Ux = u32;

@@ -124,7 +124,8 @@ pub mod ethmac {
     pub const SRAM_WRITER_SLOT: usize = 0;
     /// Length of the frame now presented, in bytes without FCS. (ro)
     pub const SRAM_WRITER_LENGTH: usize = 1;
-    /// Frames dropped because no receive slot was free, a count. (ro)
+    /// Frames dropped because no receive slot was free, a count. A frame that `fast_path` executes
+    /// needs none. (ro)
     pub const SRAM_WRITER_ERRORS: usize = 2;
     /// Level: a frame is presented, one bit. (ro)
     pub const SRAM_WRITER_EV_STATUS: usize = 3;

@@ -81,15 +81,14 @@ impl<B: Board> Shared<B> {
             self.alone();
         }
         let before = (moved_by_host && cfg!(debug_assertions))
-            .then(|| (self.machine.server.session, self.machine.server.safety));
+            .then_some((self.machine.server.session, self.machine.server.safety));
         Guest {
             machine: &mut self.machine,
             before,
         }
     }
 
-    /// The board, for who lets its time pass and carries its frames: a simulator. Firmware asks the
-    /// machine.
+    /// The board, for a simulator that lets its time pass and carries its frames.
     pub fn board(&mut self) -> &mut B {
         &mut self.machine.board
     }
@@ -113,11 +112,6 @@ impl<B: Board> Shared<B> {
     #[inline(always)]
     pub fn due(&mut self, periods: u32) -> bool {
         self.machine.due(periods)
-    }
-
-    /// The board, for a simulated gateware.
-    pub fn board(&mut self) -> &mut B {
-        &mut self.machine.board
     }
 
     /// Low word of the wall clock.

@@ -184,7 +184,7 @@ fn scripts_of_frames_do_what_they_are_called() {
         assert_eq!(script(name).sent, 0, "{name}");
     }
     assert_eq!(script("on_the_fast_path").ways, [2, 4]);
-    assert_eq!(script("the_fast_path_and_damage").ways, [1, 1]);
+    assert_eq!(script("the_fast_path_and_damage").ways, [2, 1]);
     assert!(script("console_says_hello").sent >= 3);
     assert!(script("console_dies").visited);
     assert!(!script("console_is_reset").visited);

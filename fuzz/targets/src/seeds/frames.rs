@@ -100,7 +100,13 @@ fn fast_path() -> Vec<Seed> {
         ),
         script(
             "the_fast_path_and_damage",
-            [acquire, exchange(1), exchange(1), vec![2, 0xa0, 1, 0, 90, 1], exchange(1)],
+            [
+                acquire,
+                exchange(1),
+                exchange(1),
+                vec![2, 0xa0, 1, 0, 90, 1],
+                exchange(1),
+            ],
         ),
     ]
 }
