@@ -144,6 +144,8 @@ pub struct Meter {
     pending: HashMap<Endpoint, Vec<Pending>>,
     /// Turnaround of every answered exchange in order, sys clocks.
     pub turnarounds: Vec<u32>,
+    /// The same exchanges from the first byte in to the last byte out, sys clocks.
+    pub totals: Vec<u32>,
     /// Exchanges fed to the board.
     pub requested: u64,
     /// Exchanges answered.
@@ -212,6 +214,7 @@ impl Meter {
         };
         if let Some(head) = request.sequence.and_then(|s| StatusHead::parse(payload, s)) {
             self.turnarounds.push(timing.turnaround as u32);
+            self.totals.push(timing.total as u32);
             self.answer(head);
         }
         Some(timing)

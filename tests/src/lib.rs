@@ -490,6 +490,13 @@ impl BenchMachine {
         Spread::of(&self.turnarounds(last)).unwrap_or_default()
     }
 
+    /// Smallest, median and largest of the last exchanges from their first byte in to the last byte
+    /// of the answer out, clocks.
+    pub fn total_spread(&self, last: usize) -> Spread {
+        let all = &self.rig.meter.totals;
+        Spread::of(&all[all.len().saturating_sub(last)..]).unwrap_or_default()
+    }
+
     // ---- time, pins, faults ---------------------------------------------------------------------
 
     /// Clocks since power-up.

@@ -224,7 +224,11 @@ impl Source {
     }
 
     fn value(&self, report: &Value, path: &str) -> Result<Value> {
-        let (word, path) = path.split_once(' ').unwrap_or(("", path));
+        // A name may have spaces; a path begins with a slash, a word does not.
+        let (word, path) = match path.starts_with('/') {
+            true => ("", path),
+            false => path.split_once(' ').unwrap_or(("", path)),
+        };
         let mut found = vec![report];
         for segment in path.split('/').skip(1) {
             found = found.iter().flat_map(|at| children(at, segment)).collect();
@@ -506,6 +510,15 @@ mod tests {
         source.when.clear();
         source.paths.push("/nothing".to_owned());
         assert!(source.values(&report).is_err(), "a path that is not there");
+    }
+
+    #[test]
+    fn a_name_in_a_path_may_have_spaces() {
+        let report =
+            json!({"cases": [{"name": "at rest", "n": 5}, {"name": "a, at rest", "n": 6}]});
+        let paths = ["/cases/name=a, at rest/n", "max /cases/name=at rest/n"];
+        let source = source("x.json", &paths);
+        assert_eq!(source.values(&report).unwrap(), [json!(6), json!(5)]);
     }
 
     #[test]

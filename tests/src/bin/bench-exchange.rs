@@ -1,11 +1,13 @@
-//! Turnaround of the exchange on the simulated board, in clock cycles, and the size of the image
-//! that does it.
+//! The exchange on the simulated board, on its fast way through the gateware and on the long one
+//! through the firmware: turnaround in clock cycles, the whole exchange with its time on the wire in
+//! microseconds; and the size of the image.
 
 use anyhow::{Context, Result};
 use clap::Parser;
 use ferrocnc_tests::{BenchMachine, parts, wired};
 use object::{Object, ObjectSection, SectionKind};
 use rand::{Rng, SeedableRng};
+use sim::exchange::Spread;
 use std::path::{Path, PathBuf};
 use wire::exchange::{self, Command};
 use wire::units::{Accel, Velocity};
@@ -30,12 +32,20 @@ fn main() -> Result<()> {
         bytes(exchange::REQUEST_OVERHEAD + exchange::command_words(channels)),
         bytes(exchange::REQUEST_OVERHEAD + exchange::status_words(channels)),
     );
+    let mut cases = vec![first(&mut machine)];
     machine.make_ready();
-    let mut cases = Vec::new();
-    for (name, reach) in [("at rest", 0.0), ("all axes moving", 200e3)] {
+    for (name, reach, long) in [
+        ("at rest", 0.0, false),
+        ("all axes moving", 200e3, false),
+        ("the long way, at rest", 0.0, true),
+        ("the long way, all axes moving", 200e3, true),
+    ] {
         let mut random = rand_pcg::Pcg32::seed_from_u64(7);
         let mut command = machine.enabled_command();
-        for _ in 0..options.periods {
+        // The pass behind the reading of the counters is out.
+        let before = machine.ways();
+        machine.run_millis(1);
+        for n in 0..options.periods {
             for (rate, accel) in command.stepgen.iter_mut().take(channels.stepgens.into()) {
                 *rate = Velocity::from_hz(
                     reach * (2.0 * random.random::<f64>() - 1.0),
@@ -43,9 +53,19 @@ fn main() -> Result<()> {
                 );
                 *accel = Accel::from_steps(1e8, machine.clock_hz());
             }
+            // No frame is like the one before it.
+            machine.rig().segment.ttl = if long { 63 - (n % 2) as u8 } else { 64 };
             machine.exchange_and_wait(&mut command);
         }
-        cases.push((name, machine.turnaround_spread(options.periods)));
+        machine.rig().segment.ttl = 64;
+        let after = machine.ways();
+        cases.push(Case {
+            name,
+            fast: after.fast - before.fast,
+            long: after.long - before.long,
+            turnaround: machine.turnaround_spread(options.periods),
+            total: machine.total_spread(options.periods),
+        });
         command.stepgen = Command::default().stepgen;
         for _ in 0..5 {
             machine.exchange_and_wait(&mut command);
@@ -57,18 +77,19 @@ fn main() -> Result<()> {
     let services = wired::program().len();
     let image = image_sizes(&parts().1)?;
 
+    let clock_hz = machine.clock_hz();
     println!(
-        "| exchange, {} axes, {rx} bytes in, {tx} out | min | median | max | clocks |",
-        channels.stepgens
+        "| exchange, {} axes, {rx} bytes in, {tx} out | fast way, long way | turnaround min / median / max, clocks at {} MHz | whole exchange min / median / max, us |",
+        channels.stepgens,
+        clock_hz / 1e6
     );
-    println!("|---|---|---|---|---|");
-    for (name, spread) in &cases {
+    println!("|---|---|---|---|");
+    for case in &cases {
+        let Spread { min, median, max } = case.turnaround;
+        let [least, middle, most] = case.micros(clock_hz);
         println!(
-            "| {name} | {} | {} | {} | at {} MHz |",
-            spread.min,
-            spread.median,
-            spread.max,
-            machine.clock_hz() / 1e6
+            "| {} | {}, {} | {min} / {median} / {max} | {least:.2} / {middle:.2} / {most:.2} |",
+            case.name, case.fast, case.long
         );
     }
     println!(
@@ -78,17 +99,64 @@ fn main() -> Result<()> {
 
     let cases: Vec<_> = cases
         .iter()
-        .map(|(name, spread)| {
-            serde_json::json!({ "name": name, "rx_bytes": rx, "tx_bytes": tx, "turnaround_cycles": spread })
+        .map(|case| {
+            let [min, median, max] = case.micros(clock_hz);
+            serde_json::json!({
+                "name": case.name,
+                "rx_bytes": rx,
+                "tx_bytes": tx,
+                "fast": case.fast,
+                "long": case.long,
+                "turnaround_cycles": case.turnaround,
+                "total_us": { "min": min, "median": median, "max": max },
+            })
         })
         .collect();
     let report = serde_json::json!({
-        "sys_clk_hz": machine.clock_hz(),
+        "sys_clk_hz": clock_hz,
         "cases": cases,
         "image": { "text": image.text, "data": image.data, "bss": image.bss, "stack_max": stack, "services": services },
     });
     std::fs::write(&options.report, serde_json::to_string_pretty(&report)?)
         .with_context(|| format!("cannot write {}", options.report.display()))
+}
+
+/// What was measured of some exchanges.
+struct Case {
+    name: &'static str,
+    /// How many took the fast and the long way, by the board's own counters.
+    fast: u32,
+    long: u32,
+    /// Last byte in to first byte out.
+    turnaround: Spread,
+    /// First byte in to last byte out.
+    total: Spread,
+}
+
+impl Case {
+    /// The whole exchanges.
+    fn micros(&self, clock_hz: f64) -> [f64; 3] {
+        let Spread { min, median, max } = self.total;
+        [min, median, max].map(|clocks| clocks as f64 * 1e6 / clock_hz)
+    }
+}
+
+/// The first exchange since power-up, for which the firmware has handed out no pass.
+fn first(machine: &mut BenchMachine) -> Case {
+    let before = machine.ways();
+    machine.acquire();
+    machine.run_millis(1);
+    let mut command = machine.enabled_command();
+    machine.exchange_and_wait(&mut command);
+    let (turnaround, total) = (machine.turnaround_spread(1), machine.total_spread(1));
+    let after = machine.ways();
+    Case {
+        name: "the first since power-up",
+        fast: after.fast - before.fast,
+        long: after.long - before.long,
+        turnaround,
+        total,
+    }
 }
 
 struct Sizes {
