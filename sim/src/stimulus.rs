@@ -1,6 +1,8 @@
 //! What tests of the cores share: the seed of a run, random numbers as a stimulus needs them, and
 //! the bus writes that bring the cores to where a job can begin.
 
+pub mod frames;
+
 use crate::model::board::pages;
 use rand::Rng;
 use wire::regmap::{timebase, watchdog};

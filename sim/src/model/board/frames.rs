@@ -92,6 +92,11 @@ impl Board {
         &mut self.answer
     }
 
+    /// The word that the fast path read in the clock before.
+    pub fn gathered(&self) -> u32 {
+        self.gathered
+    }
+
     /// Length of the answer in its slot, bytes.
     pub fn answer_length(&self) -> usize {
         self.regs.length as usize

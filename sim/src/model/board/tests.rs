@@ -1,5 +1,9 @@
 use super::*;
+use crate::stimulus::Chance;
+use crate::stimulus::frames::Owner;
 use proptest::prelude::*;
+use rand::SeedableRng;
+use rand_pcg::Pcg32;
 
 const BUILD: Build = Build {
     channels: Channels {
@@ -29,6 +33,8 @@ enum Deed {
     Reset(bool),
     /// A whole segment.
     Segment([u32; 6]),
+    /// A pass and an owner's frame, of this seed.
+    Frame(u64),
 }
 
 fn word() -> impl Strategy<Value = u32> {
@@ -89,6 +95,8 @@ fn deed() -> impl Strategy<Value = Deed> {
         8 => (0..2usize, 0..4u16).prop_map(|(n, phase)| Deed::Shaft(n, phase)),
         2 => (0..4u16, 0..4u16, 0..8u16).prop_map(|(i, m, s)| Deed::Marks(i, m, s)),
         1 => prop_oneof![9 => Just(false), 1 => Just(true)].prop_map(Deed::Reset),
+        4 => any::<u64>().prop_map(Deed::Frame),
+        1 => Just(Deed::Write(pages::FAST_PATH, 21, 1)),
     ]
 }
 
@@ -96,7 +104,95 @@ fn registers() -> impl Iterator<Item = (u32, u32)> {
     let wide = (8..16).flat_map(|page| (0..120).map(move |word| (page, word)));
     let wide = wide.chain((0..30).map(|word| (pages::SEGMENTS, word)));
     let wide = wide.chain((0..4).map(|word| (pages::PADS, word)));
+    let wide = wide.chain((0..23).map(|word| (pages::FAST_PATH, word)));
+    let wide = wide.chain((0..19).map(|word| (pages::RX_ADMISSION, word)));
     wide.chain((16..64).flat_map(|page| (0..6).map(move |word| (page, word))))
+}
+
+/// A write on the bus of both, and the two clocks that it takes.
+fn write_both(slow: &mut Board, fast: &mut Board, page: u32, word: u32, data: u32) {
+    for board in [&mut *slow, &mut *fast] {
+        board.order(page, word, data);
+    }
+    let until = slow.clocks() + 2;
+    while slow.clocks() < until {
+        slow.clock(&Bus::default());
+    }
+    while fast.clocks() < until {
+        fast.run(until);
+    }
+}
+
+#[test]
+fn a_frame_with_a_pass_is_committed_sampled_and_fed_in_one_clock_and_answered_from_that_sample() {
+    let mut board = Board::new(Build {
+        estop_mask: 0,
+        ..BUILD
+    });
+    let mut owner = Owner::new(BUILD.channels);
+    let random = &mut Pcg32::seed_from_u64(1);
+    let spend = |board: &mut Board, clocks| {
+        let until = board.clocks() + clocks;
+        while board.clocks() < until {
+            board.run(until);
+        }
+    };
+    let (page, word) = (pages::WATCHDOG, regmap::watchdog::TIMEOUT as u32);
+    board.set(page, word, 10_000);
+    for key in [
+        regmap::watchdog::CONTROL_KEY_CLEAR,
+        regmap::watchdog::CONTROL_KEY_ARM,
+    ] {
+        spend(&mut board, 10);
+        board.order(page, regmap::watchdog::CONTROL as u32, key);
+    }
+    spend(&mut board, 2);
+    let mut executed = 0;
+    for (page, word, data) in owner.prepare(0) {
+        board.order(page, word, data);
+        spend(&mut board, 2);
+    }
+    for _ in 0..40 {
+        let status = regmap::watchdog::STATUS as u32;
+        let gate = board.read(page, status);
+        for (page, word, data) in owner.hand_out(random, gate) {
+            board.order(page, word, data);
+            spend(&mut board, 2);
+        }
+        // Done with before the next frame.
+        let at = board.clocks() + 100;
+        let frame = owner.frame(random, at);
+        let (words, before) = (frame.clone(), board.clocks());
+        if !board.hear(frame) {
+            spend(&mut board, 200);
+            continue;
+        }
+        executed += 1;
+        spend(&mut board, 2);
+        // Taken in the clock that begins one behind the last word's.
+        assert_eq!(board.sample, before + 1);
+        assert_eq!(board.read(page, regmap::watchdog::REMAINING as u32), 10_000);
+        let commits = board.regs.condition >> 8 == 1;
+        if commits {
+            assert_eq!(board.regs.enables_now, words[20].data);
+        }
+        spend(&mut board, 200);
+        let first = 11 + 4;
+        let answer = board.answer()[first..].to_vec();
+        assert_eq!(answer[4], (before + 1) as u32);
+        assert_eq!(answer[6], board.left_caught);
+        assert_eq!(answer[10], board.gpio_caught);
+        // Nothing is sampled meanwhile.
+        let words = [
+            regmap::status::STEPGEN0_POSITION_LO,
+            regmap::status::ENCODER0_COUNT,
+        ];
+        assert_eq!(
+            [answer[15], answer[24]],
+            words.map(|word| board.status(word))
+        );
+    }
+    assert!(executed > 10, "{executed}");
 }
 
 proptest! {
@@ -108,6 +204,10 @@ proptest! {
     ) {
         let (mut slow, mut fast) = (Board::new(BUILD), Board::new(BUILD));
         let mut pins = Pins::default();
+        let mut owner = Owner::new(BUILD.channels);
+        for (page, word, data) in owner.prepare(3) {
+            write_both(&mut slow, &mut fast, page, word, data);
+        }
         let mut made = 0;
         for (wait, deed) in &story {
             // Two clocks at least, as the bus has them between two writes.
@@ -139,22 +239,30 @@ proptest! {
                 Deed::Reset(on) => pins.ext_reset = on.into(),
                 Deed::Segment(words) => {
                     for (at, data) in (0..).zip(words).chain([(16, 0)]) {
-                        for board in [&mut slow, &mut fast] {
-                            board.order(pages::SEGMENTS, at, data);
+                        write_both(&mut slow, &mut fast, pages::SEGMENTS, at, data);
+                    }
+                }
+                Deed::Frame(seed) => {
+                    let random = &mut Pcg32::seed_from_u64(seed);
+                    if !random.one_in(8) {
+                        let gate = slow.read(pages::WATCHDOG, regmap::watchdog::STATUS as u32);
+                        for (page, word, data) in owner.hand_out(random, gate) {
+                            write_both(&mut slow, &mut fast, page, word, data);
                         }
-                        let until = slow.clocks() + 2;
-                        while slow.clocks() < until {
-                            slow.clock(&Bus::default());
-                        }
-                        while fast.clocks() < until {
-                            fast.run(until);
-                        }
+                    }
+                    let at = slow.clocks() + u64::from(random.below(300));
+                    let frame = owner.frame(random, at);
+                    prop_assert_eq!(slow.hears(), fast.hears());
+                    if slow.hears() {
+                        let executed = slow.hear(frame.iter().copied());
+                        prop_assert_eq!(executed, fast.hear(frame));
                     }
                 }
             }
             slow.drive(&pins);
             fast.drive(&pins);
         }
+        prop_assert_eq!(slow.answer(), fast.answer());
         for (page, word) in registers() {
             prop_assert_eq!(slow.read(page, word), fast.read(page, word), "page {} word {} after {} clocks", page, word, made);
         }
