@@ -7,8 +7,8 @@ use wire::LongWay;
 use wire::exchange::{self, Command};
 use wire::units::{Accel, Clocks, Velocity};
 
-/// Last byte in to first byte out, clocks: the gateware's own 16 or 17, and some for the crossing to
-/// the MAC's clock.
+/// Last byte in to first byte out, clocks: the gateware's own 16 or 17, and some for the crossing
+/// to the MAC's clock.
 const FAST: u64 = 20;
 /// The same through the firmware.
 const LONG: u64 = 5_000;
