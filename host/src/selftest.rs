@@ -1,9 +1,9 @@
 //! The self-test for the first power-up: tests a board and its wiring before they drive a machine.
 //!
-//! Two halves. The checks ([`board`], [`flash`], [`link`], [`ways`], [`clock`], [`loops`]) are pure:
-//! facts go in, [`Finding`]s come out, each with the fact, a verdict, its reason and a remedy.
-//! [`gather`] asks a board for the facts and changes nothing; [`drive`] arms it, and drives only what
-//! was asked for.
+//! Two halves. The checks ([`board`], [`flash`], [`link`], [`ways`], [`clock`], [`loops`]) are
+//! pure: facts go in, [`Finding`]s come out, each with the fact, a verdict, its reason and a
+//! remedy. [`gather`] asks a board for the facts and changes nothing; [`drive`] arms it, and drives
+//! only what was asked for.
 //!
 //! A report is meant to be sent to others, so it holds nothing that identifies a single board: no
 //! unique id (a MAC address is made from it), no MAC address, no key, no IP address, no name.

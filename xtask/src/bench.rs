@@ -8,8 +8,8 @@ use std::process::Command;
 /// What can be measured.
 #[derive(Clone, Copy, ValueEnum)]
 pub enum What {
-    /// The exchange on the simulated board, fast and long way: turnaround in clock cycles, the whole
-    /// in microseconds; size of the image.
+    /// The exchange on the simulated board, fast and long way: turnaround in clock cycles, all of
+    /// it in microseconds; size of the image.
     Exchange,
     /// LUTs, flip-flops and memories per core and per board, beside the peers'; writes
     /// docs/size.md.

@@ -13,8 +13,8 @@ use crate::hal::{ExportError, Exporter, Out};
 use wire::Request;
 use wire::refusal::COUNTERS_WAYS;
 
-/// 1 s between two questions: for people, who look at a number that moves a thousand times a
-/// second, and one datagram in a thousand for the board.
+/// 1 s between two questions: soon enough for a person at a meter, and one datagram in a thousand
+/// for the board.
 const EVERY_NS: i64 = 1_000_000_000;
 
 /// Where they are, in the pins' order.

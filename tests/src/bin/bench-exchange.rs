@@ -1,6 +1,6 @@
 //! The exchange on the simulated board, on its fast way through the gateware and on the long one
-//! through the firmware: turnaround in clock cycles, the whole exchange with its time on the wire in
-//! microseconds; and the size of the image.
+//! through the firmware: turnaround in clock cycles, the whole exchange with its time on the wire
+//! in microseconds; and the size of the image.
 
 use anyhow::{Context, Result};
 use clap::Parser;

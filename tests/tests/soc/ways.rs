@@ -7,9 +7,11 @@ use wire::LongWay;
 use wire::exchange::{self, Command};
 use wire::units::{Accel, Clocks, Velocity};
 
-/// Last byte in to first byte out, clocks: the gateware's own 16 or 17, and some for the crossing to
-/// the MAC's clock.
+/// Last byte in to first byte out, clocks: the gateware's own 16 or 17, and some for the crossing
+/// to the MAC's clock.
 const FAST: u64 = 20;
+/// The same through the firmware.
+const LONG: u64 = 5_000;
 
 /// All six axes move.
 fn moving(machine: &BenchMachine) -> Command {
@@ -49,6 +51,30 @@ fn the_six_axis_exchange_turns_around_within_20_clocks_after_the_second() {
     let after = ways(&mut machine);
     assert!(after.long - before.long <= 2, "{before:?} {after:?}");
     assert_eq!(machine.timing_violations(), 0);
+}
+
+#[test]
+fn an_exchange_of_the_long_way_turns_around_within_5000_clocks_from_the_first_of_a_session_on() {
+    let mut machine = BenchMachine::start();
+    machine.acquire();
+    machine.configure();
+    let mut command = machine.enabled_command();
+    machine.exchange_and_wait(&mut command);
+    let first = spread(&machine, 1).max;
+    assert!((FAST + 1..=LONG).contains(&first), "{first} clocks");
+    machine.rearm(&mut command);
+    let arming = spread(&machine, 6).max;
+    assert!((FAST + 1..=LONG).contains(&arming), "{arming} clocks");
+    let mut command = moving(&machine);
+    for n in 0..100 {
+        machine.rig().segment.ttl = 63 - n % 2;
+        machine.exchange_and_wait(&mut command);
+    }
+    let others = spread(&machine, 100);
+    assert!(
+        others.min > FAST && others.max <= LONG,
+        "{others:?}: none has the TTL of the one before"
+    );
 }
 
 #[test]
