@@ -7,6 +7,9 @@ use wire::exchange::{command_words, status_words};
 /// Words of an answer before its status block.
 pub const REPLY_OVERHEAD: usize = 4;
 
+/// Bits of a state word that are set only in the answer to an accepted command.
+pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;
+
 /// The lengths of this board's blocks, computed once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {

@@ -12,6 +12,7 @@
 //! This is the long way: of the first exchange, of arming and stopping, and behind a lost frame.
 //! With a pass ([`crate::pass`]) the gateware stages, commits, samples and answers.
 
+use crate::block::STATE_ANSWER;
 use crate::cores::{Board, Control, Gate};
 use crate::safety::Event;
 use crate::server::Server;
@@ -256,6 +257,3 @@ fn not_ahead(sequence: u32, last: u32) -> Refusal {
         Ok(()) => Refusal::Stale,
     }
 }
-
-/// Bits of a state word that are set only in the answer to an accepted command.
-pub const STATE_ANSWER: u32 = 1 << 18 | 1 << 21;

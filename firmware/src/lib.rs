@@ -53,6 +53,7 @@ pub mod describe;
 pub mod discovery;
 pub mod exchange;
 pub mod flash;
+pub mod gate;
 pub mod images;
 pub mod link;
 pub mod log;

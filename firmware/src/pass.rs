@@ -15,7 +15,7 @@
 //! [`crate::machine::Shared`] holds the rule that makes this safe.
 
 use crate::block::{REPLY_OVERHEAD, Shape, reply_head};
-use crate::cores::Gate;
+use crate::gate::Gate;
 use crate::net::{self, Datagram, HEADERS, PAYLOAD_WORD, Slot, Us};
 use wire::exchange::{
     COMMAND_STEPGEN, FLAG_APPLY_TIME, REQUEST_OVERHEAD, STATUS_ENCODER, STATUS_STEPGEN, status_word,

@@ -389,7 +389,7 @@ impl Server {
     }
 
     /// The state word without the bits that depend on the reader
-    /// ([`crate::exchange::STATE_ANSWER`]).
+    /// ([`crate::block::STATE_ANSWER`]).
     #[inline]
     pub fn state_word(&self, gate: Gate) -> u32 {
         let gate = if gate.0 == Gate::LIVE.0 {

@@ -137,7 +137,7 @@ class Writer(mac_sram.LiteEthMACSRAMWriter):
 class Reader(mac_sram.LiteEthMACSRAMReader):
     """LiteEth's way out of the slots. With `send`, which takes the place of the CPU's start, it
     sends `bytes` bytes of slot 0; only a clock after `free`, and the CPU must not start a frame in
-    between. `sending`: slot 0 is queued or being sent, whoever started it."""
+    between. `sending`: slot 0 is queued or being sent, by either of them."""
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)

@@ -98,7 +98,7 @@ module fast_path #(
     wire unknown   = (at == 5'd23) & (data[31:21] != 11'd0);  // above the selection of a latch
     wire differs   = (head & ((~free_word & (~like_high | (~free_low & ~like_low))) | fragment)) | unknown;
 
-    // ---- the checksums: ones' complement, 32 bits at a time, a carry is added a word later --------
+    // ---- the checksums: ones' complement, 32 bits at a time, a carry is added a word later ------
     logic [31:0] sum = 32'd0;
     logic        carry = 1'b0, unsummed = 1'b0;  // the sender has made no checksum
     wire         begins = (at == 5'd4) | (at == 5'd9);
@@ -108,7 +108,7 @@ module fast_path #(
     wire         right  = (folded[15:1] == 15'h7fff) & (folded[0] != folded[16]);
     wire         ip_wrong = (at == 5'd8) & ~right;
 
-    // ---- the frame's end --------------------------------------------------------------------------
+    // ---- the frame's end ------------------------------------------------------------------------
     assign take = complete & (right | unsummed) & out & (gate_now == gate_as) & free;
     assign commit       = taken & executes & ~timed;
     assign commit_timed = taken & executes & timed;
@@ -139,7 +139,7 @@ module fast_path #(
             if (at == 5'd10) unsummed <= data[15:0] == 16'd0;
         end
 
-        // ---- the runs: a word as it comes, then a word or a clock of the answer every clock -------
+        // ---- the runs: a word as it comes, then a word or a clock of the answer every clock -----
         if (gathering ? turns : valid & (at == 5'd17 | (~head & turns))) begin
             ends    <= coming[COUNT_BITS + 12] | (&next);
             skips   <= coming[COUNT_BITS + 10];
@@ -211,7 +211,7 @@ module fast_path #(
         f_last_ip    <= f_ip_ok;
         f_last_total <= f_total + {10'd0, data};
     end
-    // Any word of the head, and what firmware wrote for it; it leaves that alone while a pass is out.
+    // Any word of the head, and what firmware wrote for it, which stays while a pass is out.
     // rx_admission.sv proves that `like_high` and `like_low` say this.
     (* anyconst *) logic [6:0]  f_word;
     (* anyconst *) logic [31:0] f_wrote;
@@ -227,7 +227,7 @@ module fast_path #(
         end
         f_differed_then <= f_differed;
     end
-    // Passes handed out, commands executed, and whether there was one. No more than fit are counted.
+    // Passes handed out, commands executed, and whether there was one. As many as fit are counted.
     logic [7:0] f_passes = 8'd0, f_takes = 8'd0;
     logic       f_taken = 1'b0;
     logic       f_handed = 1'b0;  // in the clock before

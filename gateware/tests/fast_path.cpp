@@ -175,7 +175,7 @@ struct Board {
         wire.clear(), sent = 0;
     }
 
-    // ---- the CPU's bus ---------------------------------------------------------------------------
+    // ---- the CPU's bus --------------------------------------------------------------------------
     uint32_t access(uint32_t address, bool store, uint32_t data) {
         const uint64_t before = clocks;
         pins->bus_adr = address >> 2, pins->bus_we = store, pins->bus_dat_w = data, pins->bus_stb = 1;
@@ -205,7 +205,7 @@ struct Board {
         CHECK(*this, read("watchdog.status") == ARMED, "does not arm: %x", read("watchdog.status"));
     }
 
-    // ---- the exchange ----------------------------------------------------------------------------
+    // ---- the exchange ---------------------------------------------------------------------------
     unsigned command_words() const { return 9 + 2 * stepgens + pwms; }
     unsigned status_words() const { return 15 + 3 * stepgens + 2 * encoders; }
     Words command(uint32_t token, uint32_t number, uint32_t flags, uint64_t apply, const std::function<uint32_t(unsigned)> &word) {
@@ -328,7 +328,7 @@ struct Board {
         for (unsigned n = 0; n < 2 * stepgens; n++) same("command.stepgen0_velocity", n, words[4 + n]);
         for (unsigned n = 0; n < pwms; n++) same("command.pwm0_width", n, words[4 + 2 * stepgens + n]);
     }
-    // A good command with a pass, to its end. Returns clocks from the last byte in to the first out.
+    // A good command with a pass, to its end. Returns clocks from last byte in to first out.
     unsigned exchange(const Odd &odd = {}) {
         const Words words = any(++sequence);
         hand_out(sequence);
@@ -357,7 +357,7 @@ struct Board {
         while (pending()) release();
     }
 
-    // ---- the tests --------------------------------------------------------------------------------
+    // ---- the tests ------------------------------------------------------------------------------
     unsigned turnaround(unsigned count) {
         unsigned longest = 0;
         for (unsigned n = 0; n < count; n++) {
@@ -511,7 +511,7 @@ struct Board {
             send(frame(words));
             while (to_send() > 30) step();
             write("ethmac.sram_reader_start", 1);
-            if (!slot) CHECK(*this, read("fast_path.status") & SENDING, "slot 0 is being sent, and nobody says so");
+            if (!slot) CHECK(*this, read("fast_path.status") & SENDING, "slot 0 is being sent, and no register says so");
             quiet(), run(1000), quiet();
             CHECK(*this, taken == slot && answers.size() == 1 + slot, "with slot %u being sent: executed %u times, %zu frames", slot, taken, answers.size());
             if (slot) CHECK(*this, answers[0].size() == 1010 && answers[1].size() == 8 + 42 + 16 + 4 * status_words() + 4, "answers of %zu and %zu bytes", answers[0].size(), answers[1].size());

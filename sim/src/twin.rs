@@ -12,11 +12,15 @@
 
 mod ethernet;
 mod fast_path;
+mod letters;
+mod programs;
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use ::jobs::inside::Inside;
+use letters::{Letter, Request};
+use programs::programs;
+
 use firmware::machine::{IDLE, Machine, Shared};
 use firmware::net::Datagram;
 use firmware::postmortem::Record;
@@ -24,7 +28,6 @@ use firmware::services;
 use firmware::services::console::{Console, Reader, Visit};
 use firmware::services::port::CONSOLES;
 use firmware::session::Peer;
-use wire::describe::JobsState;
 use wire::regmap;
 use wire::{MAX_WORDS, ResetReason};
 
@@ -34,8 +37,7 @@ use crate::edges::Recorder;
 use crate::environment::PinEnvironment;
 use crate::error::Error;
 use crate::exchange::{Meter, StatusHead, is_request, sequence, wants_reply};
-use crate::faults::{Act, Cargo, Direction, OneWay, Plan, Script};
-use crate::gmii;
+use crate::faults::{Act, Cargo as _, Direction, OneWay, Plan, Script};
 use crate::jobs;
 use crate::lease::DhcpClient;
 use crate::model_board::{ACCESS, ModelBoard, RECEIVING, Setup, ident};
@@ -56,8 +58,6 @@ const SLICE: u64 = 12_000;
 /// Clocks from a start to the first frame that is looked at: what the image takes on the Verilated
 /// board (`ferrocnc-sim --backend rtl` prints 198 662 from power-up with the first question).
 pub const STARTING: u64 = 190_000;
-/// Bytes around a UDP payload on the wire: preamble, Ethernet, IPv4, UDP, FCS.
-const ENVELOPE: usize = 8 + 14 + 20 + 8 + 4;
 /// The host's address on the board's cable, as the Verilated board sees it.
 const HOST: u32 = 0xc0a8_0201;
 
@@ -70,52 +70,6 @@ struct Visitor {
     out: Vec<u8>,
     said_goodbye: bool,
     gone: bool,
-}
-
-/// A datagram on its way to the board.
-#[derive(Clone, Debug)]
-struct Letter {
-    port: u16,
-    service: Service,
-    payload: Vec<u8>,
-}
-
-fn on_the_wire(service: Service, payload: &[u8]) -> usize {
-    match service {
-        Service::Cable => gmii::encode(payload).len(),
-        _ => (payload.len() + ENVELOPE).max(gmii::MIN_FRAME + 12),
-    }
-}
-
-impl Cargo for Letter {
-    fn wire_bytes(&self) -> usize {
-        on_the_wire(self.service, &self.payload)
-    }
-    /// The MAC drops what its checksum does not fit.
-    fn damage(&mut self, _: u64) -> bool {
-        false
-    }
-}
-
-impl Cargo for Reply {
-    fn wire_bytes(&self) -> usize {
-        on_the_wire(self.service, &self.payload)
-    }
-    /// So does the host's.
-    fn damage(&mut self, _: u64) -> bool {
-        false
-    }
-}
-
-#[derive(Debug)]
-struct Request {
-    port: u16,
-    service: Service,
-    payload: Vec<u8>,
-    /// The clocks of execution and answer.
-    due: u64,
-    answered: u64,
-    reply: Option<Vec<u8>>,
 }
 
 /// A twin and the hosts that talk to it.
@@ -164,38 +118,6 @@ pub struct Twin {
 
 fn payload(words: &[u32]) -> Vec<u8> {
     words.iter().flat_map(|word| word.to_be_bytes()).collect()
-}
-
-/// The services of a board: jobs where there are segments, what asks DHCP servers, and what the
-/// consoles read with.
-fn programs(
-    machine: &mut Machine<ModelBoard>,
-    facts: &BoardFacts,
-    sdram: bool,
-) -> (Option<jobs::Program>, Option<DhcpClient>, Option<Reader>) {
-    if !facts.sdram {
-        machine.server.jobs(match facts.jobs {
-            0 => JobsState::None,
-            _ => JobsState::Streamed,
-        });
-        return (None, None, None);
-    }
-    if !sdram {
-        machine.server.jobs(JobsState::Sdram);
-        return (None, None, None);
-    }
-    let program = match facts.jobs {
-        0 => None,
-        _ => jobs::Program::start(machine, facts.clock_hz),
-    };
-    machine.server.jobs(JobsState::Alive);
-    let dhcp = DhcpClient::start(machine, facts.clock_hz);
-    let board = Inside::new(&mut jobs::Outer(machine));
-    (
-        program,
-        dhcp,
-        board.map(|(_, board)| Reader::new(board.channels, board.clock_hz)),
-    )
 }
 
 impl Twin {

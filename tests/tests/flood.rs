@@ -245,8 +245,8 @@ fn dearest(machine: &mut BenchMachine, command: &mut Command, lines: &[&str]) ->
 }
 
 /// An exchange that comes so soon behind the one before that its pass is not out yet waits for the
-/// turn of the services, and is answered so many clocks behind the longest one at most. Measured are
-/// 12 308, of which a good part is the long way with a cold cache.
+/// turn of the services, and is answered so many clocks behind the longest one at most. Measured
+/// are 12 308, of which the long way takes up to 9550.
 const BEHIND_A_TURN: u64 = 14_000;
 /// Such an exchange, in clocks behind the answer before; [`BOUND`] holds for one that comes later.
 const TOO_SOON: u64 = 300;

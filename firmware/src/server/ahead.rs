@@ -1,8 +1,8 @@
 //! Judges the owner's next command before it comes, and settles what the gateware has executed.
 
 use super::Server;
+use crate::block::STATE_ANSWER;
 use crate::cores::Board;
-use crate::exchange::STATE_ANSWER;
 use crate::pass::Pass;
 use crate::session::Peer;
 use wire::LongWay;

@@ -7,7 +7,8 @@
 //! question; on a board its first byte leaves long before that, and its last one later.
 
 use super::ethernet::{Received, framed};
-use super::{HOST, Letter, Service, Twin};
+use super::letters::Letter;
+use super::{HOST, Service, Twin};
 use crate::gmii::MIN_FRAME;
 use firmware::cores::Board as _;
 use firmware::net::{Datagram, Frame as _, HEADERS, Us};

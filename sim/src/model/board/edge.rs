@@ -1,12 +1,19 @@
 //! One rising edge of all parts, in the order of the hardware: bus writes, samples, cores,
 //! registers, pins.
 
-use super::frames::Executes;
 use super::registers::place;
 use super::{Board, Bus, Strobes, pages, put};
 use crate::model::segments::{self, Order};
 use crate::model::{timebase, watchdog};
 use wire::regmap;
+
+/// What the fast path has executed, in the clock in which it happens.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Executes {
+    pub(super) taken: bool,
+    pub(super) commit: bool,
+    pub(super) commit_timed: bool,
+}
 
 /// What the bus write of one clock ago asks of the cores in this clock.
 #[derive(Clone, Copy, Debug, Default)]

@@ -4,7 +4,7 @@
 //! Clock by clock a word comes with the bus ([`Bus::word`]). The twin has no wire: there all words
 //! of a frame come in one moment ([`Board::hear`]), and what follows takes its clocks.
 
-use super::edge::Pulses;
+use super::edge::{Executes, Pulses};
 use super::registers::{WORD_BITS, place};
 use super::{Board, Bus, pages};
 use crate::model::fast_path::{Input, Output};
@@ -25,16 +25,8 @@ const AROUND: u64 = 8 + 4 - 2;
 pub(super) enum Line {
     /// Something is being sent until this clock.
     Until(u64),
-    /// Who clocks the board says: the slot can be sent, it is being sent.
+    /// As the test that clocks the board says: the slot can be sent, it is being sent.
     Told { free: bool, sending: bool },
-}
-
-/// What the fast path has executed, in the clock in which it happens.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Executes {
-    pub(super) taken: bool,
-    pub(super) commit: bool,
-    pub(super) commit_timed: bool,
 }
 
 /// The word address of a register that the fast path calls by this number.
