@@ -25,7 +25,7 @@ static const uint8_t OURS[6] = {0x12, 0xe2, 0xd5, 0, 0, 1}, THEIRS[6] = {2, 0xfc
 static const uint32_t OUR_IP = 0xc0a80232, THEIR_IP = 0xc0a80201, OUR_PORT = 1234, THEIR_PORT = 40000;
 static const uint32_t ARM = 0x41524d31, STOP = 0x53544f50, CLEAR = 0x434c5231, TOKEN = 0xabcd1234;
 static const uint32_t RX_SLOTS = 4, TX_SLOT = 0x80002000, OTHER_TX_SLOT = 0x80002800;
-static const uint32_t EXECUTED = 1, OUT = 2, SENDING = 4, ARMED = 0x21;
+static const uint32_t EXECUTED = 1, OUT = 2, SENDING = 4, ARMED = 0x21, BITTEN = 4;
 
 static uint32_t crc32(const Bytes &bytes) {
     uint32_t c = ~0u;
@@ -620,6 +620,34 @@ struct Board {
             exchange(words);
         }
     }
+    // Firmware hangs with a pass out: one more command is executed, then none, and the watchdog bites
+    // at its time.
+    void hangs(unsigned rounds) {
+        const unsigned timeout = 1500;
+        write("watchdog.timeout", timeout);
+        for (unsigned n = 0; n < rounds; n++) {
+            arm();
+            const Words words = any(++sequence);
+            forget(), hand_out(sequence), run(random.below(timeout / 2)), send(frame(words));
+            uint64_t fed = 0;
+            for (unsigned k = 0; k < 4000 && !fed; k++) {
+                step();
+                if (taken) fed = clocks;
+            }
+            CHECK(*this, fed, "the command was not executed");
+            // The host goes on, by this number and the next.
+            send(frame(any(sequence))), send(frame(any(sequence + 1)));
+            uint64_t bitten = 0;
+            for (unsigned k = 0; k < 1000 && !bitten; k++)
+                if (read("watchdog.status") & BITTEN) bitten = clocks;
+            CHECK(*this, bitten > fed + timeout && bitten < fed + timeout + 20, "bitten %llu clocks behind the last command", (unsigned long long)(bitten - fed));
+            quiet();
+            CHECK(*this, taken == 1 && commits == 1 && answers.size() == 1, "%u executed, %u committed, %zu answers", taken, commits, answers.size());
+            while (pending()) release();
+        }
+        write("watchdog.timeout", 300000);
+        arm();
+    }
     void cut_and_reset() {
         // The receive clock stops in mid-frame: the bus is free, and the frame goes on with it.
         for (unsigned n = 0; n < 20; n++) {
@@ -671,9 +699,10 @@ struct Board {
         revoked(back[0], back[1]);
         CHECK(*this, closed[0] && closed[1] && back[0] && back[1], "not around the end: %u %u %u %u", closed[0], closed[1], back[0], back[1]);
         cut_and_reset();
+        hangs(1000);
         const unsigned bits = each_bit();
         const unsigned executed = random_frames();
-        printf("PASS fast_path: turnaround %u clocks; %u bits turned over; gate closed around the end %u, revoked %u times, executed %u and %u; "
+        printf("PASS fast_path: turnaround %u clocks; %u bits turned over; gate closed around the end %u, revoked %u times, executed %u and %u; hung 1000 times; "
                "%llu random frames, %u like the pass; %u+%u+%u channels, %.1f Mclk in %.1f s, seed %llu\n",
                longest, bits, closed[0] + closed[1], back[0] + back[1], closed[0], back[0], (unsigned long long)frames, executed, stepgens, encoders, pwms, clocks / 1e6,
                double(clock() - began) / CLOCKS_PER_SEC, (unsigned long long)seed);
