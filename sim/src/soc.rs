@@ -442,7 +442,7 @@ impl Drop for Soc {
 }
 
 /// Version of [`CoresPins`]; equal to `ABI_VERSION` in `verilator/cores.cpp`.
-const CORES_ABI: u32 = 2;
+const CORES_ABI: u32 = 3;
 
 /// Pins and register bus of the bare cores, as `struct CoresPins` in `verilator/cores.cpp`.
 #[repr(C)]
@@ -456,6 +456,8 @@ pub struct CoresPins {
     pub abi: u32,
     /// In: general inputs.
     pub gpio_in: u32,
+    /// In: a word of a frame.
+    pub word: u32,
     /// In: encoder phase A.
     pub enc_a: u16,
     /// In: encoder phase B.
@@ -488,12 +490,18 @@ pub struct CoresPins {
     pub pad_to: u8,
     /// In: the PHY's clock has made another beat.
     pub eth_beat: u8,
-    #[doc(hidden)]
-    pub reserved_in: [u8; 3],
+    /// In: from bit 0 the word passes, is the last, is whole, has a wrong FCS, has a slot.
+    pub word_is: u8,
+    /// In: the answer's slot can be sent.
+    pub answer_free: u8,
+    /// In: it is being sent.
+    pub answer_sending: u8,
     /// Out: what was read.
     pub dat_r: u32,
     /// Out: general outputs.
     pub gpio_out: u32,
+    /// Out, in front of the edge: a word of the answer.
+    pub put: u32,
     /// Out: STEP.
     pub step: u16,
     /// Out: DIR.
@@ -506,15 +514,22 @@ pub struct CoresPins {
     pub pwm_out: u16,
     /// Out: second PWM pins.
     pub pwm_dir: u16,
+    /// Out: length of the answer.
+    pub length: u16,
     /// Out: the LED.
     pub led: u8,
     /// Out: the gate.
     pub gate: u8,
+    /// Out, in front of the edge, from bit 0: the bus must wait, the frame is refused, it is
+    /// executed; in the next clock it is executed, and the answer is sent; a word is put into it.
+    pub frame: u8,
+    /// Out: the number of that word.
+    pub put_at: u8,
     #[doc(hidden)]
     pub reserved_out: [u8; 2],
 }
 
-const _: () = assert!(size_of::<CoresPins>() == 64);
+const _: () = assert!(size_of::<CoresPins>() == 76);
 
 type CoresRiseFn = unsafe extern "C" fn(*mut c_void, *mut CoresPins);
 

@@ -10,19 +10,19 @@
 #include "verilated.h"
 
 namespace {
-constexpr uint32_t ABI_VERSION = 2;
+constexpr uint32_t ABI_VERSION = 3;
 
 struct CoresPins {
     // in
-    uint32_t adr, dat_w, abi, gpio_in;
+    uint32_t adr, dat_w, abi, gpio_in, word;
     uint16_t enc_a, enc_b, enc_i, step_index, enc_mask;
-    uint8_t we, rst, ext_reset, frame_done, frame_slot, frame_pending, pending_slot, pad_fault, pad_at, pad_to, eth_beat, reserved_in[3];
+    uint8_t we, rst, ext_reset, frame_done, frame_slot, frame_pending, pending_slot, pad_fault, pad_at, pad_to, eth_beat, word_is, answer_free, answer_sending;
     // out
-    uint32_t dat_r, gpio_out;
-    uint16_t step, dir, step_n, dir_n, pwm_out, pwm_dir;
-    uint8_t led, gate, reserved_out[2];
+    uint32_t dat_r, gpio_out, put;
+    uint16_t step, dir, step_n, dir_n, pwm_out, pwm_dir, length;
+    uint8_t led, gate, frame, put_at, reserved_out[2];
 };
-static_assert(sizeof(CoresPins) == 64, "mirrored in sim/src/soc.rs");
+static_assert(sizeof(CoresPins) == 76, "mirrored in sim/src/soc.rs");
 
 struct Cores {
     VerilatedContext context;
@@ -91,6 +91,20 @@ void fc_cores_rise(void* handle, CoresPins* p) {
     m.frame_slot = p->frame_slot;
     m.frame_pending = p->frame_pending;
     m.pending_slot = p->pending_slot;
+    m.words_valid = p->word_is & 1;
+    m.words_last = p->word_is >> 1 & 1;
+    m.words_whole = p->word_is >> 2 & 1;
+    m.words_bad = p->word_is >> 3 & 1;
+    m.words_room = p->word_is >> 4 & 1;
+    m.words_data = p->word;
+    m.answer_free = p->answer_free;
+    m.answer_sending = p->answer_sending;
+    // What is said to the MAC in front of the edge.
+    m.eval();
+    p->frame = m.hold | m.refuse << 1 | m.take << 2 | m.taken << 3 | m.answer_send << 4 | m.answer_puts << 5;
+    p->put_at = m.answer_put_at;
+    p->put = m.answer_put;
+    p->length = m.answer_length;
     m.clk = 1;
     m.eval();
     m.clk = 0;

@@ -1,5 +1,6 @@
 //! The cores in Verilog against their models in Rust, clock by clock, under random stimulus: every
-//! output pin, and every register as the bus reads it.
+//! output pin, every register as the bus reads it, and what is said to the MAC. Firmware's writes
+//! and an owner's frames let the fast path execute commands.
 //!
 //! Run as `cargo test --release -p ferrocnc-tests --features board --test lockstep` after
 //! `sim/verilator/cores.sh mill6`.
@@ -20,13 +21,16 @@ use rand_pcg::Pcg32;
 use sim::board_facts::BoardFacts;
 use sim::model::Board;
 use sim::model::board::{Build, Bus, pages};
+use sim::model::fast_path::Output;
+use sim::model::rx_admission::Word;
 use sim::pads::Pad;
 use sim::soc::{Cores, CoresPins, Pins};
+use sim::stimulus::frames::Owner;
 use sim::stimulus::{Chance, Write};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use wire::describe::Channels;
-use wire::regmap::{timebase, watchdog};
+use wire::regmap::{fast_path, rx_admission, timebase, watchdog};
 
 const ARM: u32 = watchdog::CONTROL_KEY_ARM;
 const SOFT: u32 = watchdog::CONTROL_KEY_SOFT;
@@ -67,6 +71,12 @@ struct Stimulus {
     marks: u32,
     /// Clocks for which they flap.
     flap: u32,
+    owner: Owner,
+    /// Words of its frame that are to come, and clocks to the next frame.
+    frame: VecDeque<Word>,
+    frame_in: u32,
+    /// Clocks for which an answer is still being sent.
+    sending: u32,
 }
 
 impl Stimulus {
@@ -83,6 +93,8 @@ impl Stimulus {
             (pages::COMMAND, 52),
             (pages::STATUS, 128),
             (pages::PADS, 4),
+            (pages::RX_ADMISSION, 19),
+            (pages::FAST_PATH, 23),
         ] {
             registers.extend((0..words).map(|word| (page, word)));
         }
@@ -110,6 +122,10 @@ impl Stimulus {
             noise: 20_000,
             marks: 40,
             flap: 0,
+            owner: Owner::new(c),
+            frame: VecDeque::new(),
+            frame_in: 0,
+            sending: 0,
         }
     }
 
@@ -409,6 +425,53 @@ impl Stimulus {
         self.rst = self.random.one_in(self.noise * 5);
     }
 
+    /// The owner's next frame, and what firmware writes in front of it.
+    fn next_frame(&mut self, gate: u32) {
+        if self.random.one_in(40) || self.chapter < 1000 {
+            let mode = self.random.below(4);
+            self.writes.extend(self.owner.prepare(mode));
+        }
+        let pass = !self.random.one_in(8);
+        if pass {
+            let writes = self.owner.hand_out(&mut self.random, gate);
+            self.writes.extend(writes);
+        }
+        let at = match self.random.below(5) {
+            0 => u64::MAX,
+            1 => 0,
+            _ => u64::from(self.chapter_clock() + self.random.below(600)),
+        };
+        self.frame = self.owner.frame(&mut self.random, at).into();
+        if self.random.one_in(10) {
+            self.write(pages::FAST_PATH, fast_path::REVOKE as u32, 1);
+        }
+        if self.random.one_in(12) {
+            self.write(pages::RX_ADMISSION, rx_admission::ADMIT as u32, 1);
+        }
+        self.frame_in = 20 + self.random.below(1200);
+    }
+
+    /// A word of it in this clock. Most frames begin when firmware is done with its writes.
+    fn word(&mut self, gate: u32) -> Option<Word> {
+        self.frame_in = self.frame_in.saturating_sub(1);
+        if self.frame.is_empty() && self.frame_in == 0 && self.writes.is_empty() {
+            self.next_frame(gate);
+        }
+        let comes = self.writes.is_empty() || self.random.one_in(40);
+        if comes && self.random.one_in(2) {
+            self.frame.pop_front()
+        } else {
+            None
+        }
+    }
+
+    /// The answer's slot can be sent, is being sent.
+    fn line(&mut self) -> (bool, bool) {
+        self.sending = self.sending.saturating_sub(1);
+        let sending = self.sending != 0;
+        (!sending && !self.random.one_in(30), sending)
+    }
+
     /// A pad that there is, by number.
     fn pad(&mut self) -> u8 {
         let c = self.channels;
@@ -425,8 +488,8 @@ impl Stimulus {
         pads.get(n).map_or(0, |pad| pad.number())
     }
 
-    /// The bus and the MAC in this clock.
-    fn bus(&mut self) -> (u32, Bus) {
+    /// The MAC in this clock.
+    fn mac(&mut self, gate: u32) -> Bus {
         self.chapter = self.chapter.wrapping_add(1);
         if self.chapter % 30_000 == 1 {
             self.settings();
@@ -450,12 +513,18 @@ impl Stimulus {
         if self.random.one_in(300) {
             bus.frame_pending = Some(self.random.below(4) as u8);
         }
+        bus.word = self.word(gate);
+        bus
+    }
+
+    /// The address on the bus in this clock, and what is written. The bus master waits while the
+    /// fast path has the registers.
+    fn access(&mut self, hold: bool) -> (u32, Option<(u32, u32)>) {
         // Writes as close as the bus can carry them, and with the CPU's pauses.
         let writes = if self.busy { 1 } else { 3 };
-        if !self.writes.is_empty() && self.random.one_in(writes) {
+        if !hold && !self.writes.is_empty() && self.random.one_in(writes) {
             let (page, word, data) = self.writes.pop_front().expect("not empty");
-            bus.write = Some((page << 9 | word, data));
-            return (page << 9 | word, bus);
+            return (page << 9 | word, Some((page << 9 | word, data)));
         }
         let address = if self.random.one_in(60) {
             self.random.below(1 << 15)
@@ -464,7 +533,7 @@ impl Stimulus {
             let (page, word) = self.registers[at];
             page << 9 | word
         };
-        (address, bus)
+        (address, None)
     }
 }
 
@@ -501,6 +570,25 @@ impl EventCounts {
         self.add("led: edges", u32::from(pins.led != was.led));
         self.add("watchdog: openings", u32::from(pins.gate > was.gate));
         self.was = *pins;
+    }
+
+    fn frames(&mut self, does: &Output, bus: &Bus, refuses: bool) {
+        let (commit, timed) = (does.commit, does.commit_timed);
+        let last = bus.word.is_some_and(|word| word.last);
+        for (what, happens) in [
+            ("fast path: words staged", does.stages.is_some()),
+            ("fast path: frames", last),
+            ("fast path: commands committed", commit),
+            ("fast path: commands committed at their time", timed),
+            (
+                "fast path: commands only answered",
+                does.taken && !commit && !timed,
+            ),
+            ("fast path: words of answers", does.puts.is_some()),
+            ("rx_admission: frames refused", last && refuses),
+        ] {
+            self.add(what, happens.into());
+        }
     }
 
     /// Seldom: what only registers show.
@@ -547,6 +635,28 @@ impl EventCounts {
     }
 }
 
+/// As `cores.cpp` numbers them.
+fn told_to_the_mac(does: &Output, refuses: bool) -> u8 {
+    let all = [
+        does.hold,
+        refuses,
+        does.take,
+        does.taken,
+        does.taken,
+        does.puts.is_some(),
+    ];
+    all.iter()
+        .rev()
+        .fold(0, |bits, on| bits << 1 | u8::from(*on))
+}
+
+fn flags(word: &Word) -> u8 {
+    let all = [true, word.last, word.whole, word.bad, word.room];
+    all.iter()
+        .rev()
+        .fold(0, |bits, on| bits << 1 | u8::from(*on))
+}
+
 struct Run {
     seed: u64,
     clocks: u64,
@@ -583,12 +693,28 @@ fn run(seed: u64, clocks: u64) -> Run {
     let mut counts_were = [0i32; 32];
     for clock in 0..clocks {
         stimulus.move_pins();
-        let (address, bus) = stimulus.bus();
+        let (free, sending) = stimulus.line();
+        board.line(free, sending);
+        let mut bus = stimulus.mac(board.peek(pages::WATCHDOG, watchdog::STATUS as u32));
+        let (does, refuses) = board.frames(&bus);
+        let (address, write) = stimulus.access(does.hold);
+        bus.write = write;
+        if does.taken {
+            stimulus.sending = 100;
+        }
+        // What the fast path reads, the bus master reads.
+        let address = match does.gathers {
+            Some(from) => (8 + (from >> 7)) << 9 | from & 0x7f,
+            None => address,
+        };
+        let told = told_to_the_mac(&does, refuses);
         let s = &stimulus.pins;
         pins.adr = address;
         pins.we = bus.write.is_some().into();
         pins.dat_w = bus.write.map_or(0, |(_, data)| data);
         pins.rst = bus.rst.into();
+        (pins.word, pins.word_is) = bus.word.map_or((0, 0), |word| (word.data, flags(&word)));
+        (pins.answer_free, pins.answer_sending) = (free.into(), sending.into());
         pins.eth_beat = bus.beat.into();
         (pins.pad_fault, pins.pad_at, pins.pad_to) = (s.pad_fault, s.pad_at, s.pad_to);
         (pins.frame_done, pins.frame_slot) = bus.frame_done.map_or((0, 0), |slot| (1, slot));
@@ -599,6 +725,7 @@ fn run(seed: u64, clocks: u64) -> Run {
         (pins.step_index, pins.enc_mask) = (s.step_index, s.enc_mask);
 
         let expected = board.peek(address >> 9, address & 0x1ff);
+        let (put, length) = (board.gathered(), board.answer_length());
         board.drive(s);
         board.clock(&bus);
         cores.rise(&mut pins);
@@ -631,6 +758,22 @@ fn run(seed: u64, clocks: u64) -> Run {
             address & 0x1ff,
             pins.dat_r
         );
+        assert!(
+            pins.frame == told && usize::from(pins.length) == length,
+            "clock {clock}, seed {seed}: to the MAC (hold, refuse, take, taken, send, puts): \
+             gateware {:06b}, model {told:06b}; length {} and {length}",
+            pins.frame,
+            pins.length
+        );
+        if let Some(at) = does.puts {
+            assert!(
+                (usize::from(pins.put_at), pins.put) == (at, put),
+                "clock {clock}, seed {seed}: word {} of the answer: gateware {:#x}, model {put:#x} at {at}",
+                pins.put_at,
+                pins.put
+            );
+        }
+        events.frames(&does, &bus, refuses);
         events.clock(m);
         events.add("pads: clocks with a short", u32::from(s.pad_fault != 0));
         if clock % 256 == 0 {
@@ -672,6 +815,11 @@ const LEAST_PER_MILLION: &[(&str, u64)] = &[
     ("timebase: timed commits seen waiting", 5),
     ("watchdog: openings", 10),
     ("watchdog: bites", 3),
+    ("fast path: words staged", 2_000),
+    ("fast path: commands committed", 40),
+    ("fast path: commands committed at their time", 20),
+    ("fast path: commands only answered", 20),
+    ("rx_admission: frames refused", 20),
 ];
 
 #[test]

@@ -125,7 +125,7 @@ impl Owner {
             1 => 3,
             _ => 1,
         };
-        let condition = gate | executes * fast_path::GATE_EXECUTES;
+        let condition = gate | (executes * fast_path::GATE_EXECUTES);
         [
             write(pages::RX_ADMISSION, header + SEQUENCE_PLACE, self.sequence),
             write(pages::RX_ADMISSION, header + FLAGS_PLACE, self.flags),
