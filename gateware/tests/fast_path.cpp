@@ -620,8 +620,8 @@ struct Board {
             exchange(words);
         }
     }
-    // Firmware hangs with a pass out: one more command is executed, then none, and the watchdog bites
-    // at its time.
+    // Firmware hangs with a pass out: one more command is executed, then none, and the watchdog
+    // bites at its time.
     void hangs(unsigned rounds) {
         const unsigned timeout = 1500;
         write("watchdog.timeout", timeout);
