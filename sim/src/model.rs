@@ -5,7 +5,7 @@
 //! clocks change no pin and no visible register, `skip` makes that many at once. [`board::Board`]
 //! connects the cores to the register map, as `gateware/ferrocnc/banks.py` does.
 //!
-//! Two tests check them: `tests/tests/lockstep.rs` compares every pin and register with the
+//! Two tests check them: `tests/tests/lockstep` compares every pin and register with the
 //! Verilated gateware for millions of clocks, and the tests here compare `skip` with as many calls
 //! of `clock`.
 

@@ -1,34 +1,15 @@
-//! The cores in Verilog against their models in Rust, clock by clock, under random stimulus: every
-//! output pin, every register as the bus reads it, and what is said to the MAC. Firmware's writes
-//! and an owner's frames let the fast path execute commands.
-//!
-//! Run as `cargo test --release -p ferrocnc-tests --features board --test lockstep` after
-//! `sim/verilator/cores.sh mill6`.
-//!
-//! | variable | meaning | default |
-//! |---|---|---|
-//! | `FERROCNC_CORES` | folder of `libferrocnc_cores.so`, as `sim/verilator/cores.sh` leaves it | `target/sim/cores-mill6` |
-//! | `FERROCNC_CORES_BOARD` | the board it was made of | `mill6` |
-//! | `FERROCNC_CLOCKS` | clocks to compare, in all | 12000000 |
-//! | `FERROCNC_SEED` | seed; printed | from the clock |
-//!
-//! The clocks are split over two threads with a seed each. The events of each core are counted, and
-//! a run with too few of them fails. `target/reports/lockstep.json` has the figures.
+//! What is done to the cores and the models alike.
 
-use ferrocnc_tests::{from_environment, root, seed};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg32;
 use sim::board_facts::BoardFacts;
-use sim::model::Board;
-use sim::model::board::{Build, Bus, pages};
-use sim::model::fast_path::Output;
+use sim::model::board::{Bus, pages};
 use sim::model::rx_admission::Word;
 use sim::pads::Pad;
-use sim::soc::{Cores, CoresPins, Pins};
+use sim::soc::Pins;
 use sim::stimulus::frames::Owner;
 use sim::stimulus::{Chance, Write};
-use std::collections::{BTreeMap, VecDeque};
-use std::path::PathBuf;
+use std::collections::VecDeque;
 use wire::describe::Channels;
 use wire::regmap::{fast_path, rx_admission, timebase, watchdog};
 
@@ -48,11 +29,11 @@ struct Shaft {
 }
 
 /// What is done to the cores in a clock, and to the models alike.
-struct Stimulus {
+pub struct Stimulus {
     random: Pcg32,
     channels: Channels,
     estop_mask: u32,
-    pins: Pins,
+    pub pins: Pins,
     rst: bool,
     /// Bus writes that wait, by page and word.
     writes: VecDeque<Write>,
@@ -76,11 +57,11 @@ struct Stimulus {
     frame: VecDeque<Word>,
     frame_in: u32,
     /// Clocks for which an answer is still being sent.
-    sending: u32,
+    pub sending: u32,
 }
 
 impl Stimulus {
-    fn new(seed: u64, facts: &BoardFacts) -> Self {
+    pub fn new(seed: u64, facts: &BoardFacts) -> Self {
         let c = facts.channels;
         let mut registers: Vec<(u32, u32)> = Vec::new();
         for (page, words) in [
@@ -348,7 +329,7 @@ impl Stimulus {
         self.chapter
     }
 
-    fn move_pins(&mut self) {
+    pub fn move_pins(&mut self) {
         for n in 0..self.shafts.len() {
             let bit = 1u16 << n;
             if self.shafts[n].left > 0 {
@@ -466,7 +447,7 @@ impl Stimulus {
     }
 
     /// The answer's slot can be sent, is being sent.
-    fn line(&mut self) -> (bool, bool) {
+    pub fn line(&mut self) -> (bool, bool) {
         self.sending = self.sending.saturating_sub(1);
         let sending = self.sending != 0;
         (!sending && !self.random.one_in(30), sending)
@@ -489,7 +470,7 @@ impl Stimulus {
     }
 
     /// The MAC in this clock.
-    fn mac(&mut self, gate: u32) -> Bus {
+    pub fn mac(&mut self, gate: u32) -> Bus {
         self.chapter = self.chapter.wrapping_add(1);
         if self.chapter % 30_000 == 1 {
             self.settings();
@@ -519,7 +500,7 @@ impl Stimulus {
 
     /// The address on the bus in this clock, and what is written. The bus master waits while the
     /// fast path has the registers.
-    fn access(&mut self, hold: bool) -> (u32, Option<(u32, u32)>) {
+    pub fn access(&mut self, hold: bool) -> (u32, Option<(u32, u32)>) {
         // Writes as close as the bus can carry them, and with the CPU's pauses.
         let writes = if self.busy { 1 } else { 3 };
         if !hold && !self.writes.is_empty() && self.random.one_in(writes) {
@@ -534,342 +515,5 @@ impl Stimulus {
             page << 9 | word
         };
         (address, None)
-    }
-}
-
-/// What happened, by core.
-#[derive(Default)]
-struct EventCounts {
-    counts: BTreeMap<&'static str, u64>,
-    was: Pins,
-    status_was: [u32; 8],
-    bites: u32,
-}
-
-impl EventCounts {
-    fn add(&mut self, what: &'static str, n: u32) {
-        *self.counts.entry(what).or_default() += u64::from(n);
-    }
-
-    fn clock(&mut self, pins: &Pins) {
-        let was = self.was;
-        self.add(
-            "stepgen: edges of STEP",
-            (pins.step ^ was.step).count_ones(),
-        );
-        self.add("stepgen: edges of DIR", (pins.dir ^ was.dir).count_ones());
-        self.add("pwm: edges", (pins.pwm_out ^ was.pwm_out).count_ones());
-        self.add(
-            "pwm: edges of the second pin",
-            (pins.pwm_dir ^ was.pwm_dir).count_ones(),
-        );
-        self.add(
-            "gpio: edges of outputs",
-            (pins.gpio_out ^ was.gpio_out).count_ones(),
-        );
-        self.add("led: edges", u32::from(pins.led != was.led));
-        self.add("watchdog: openings", u32::from(pins.gate > was.gate));
-        self.was = *pins;
-    }
-
-    fn frames(&mut self, does: &Output, bus: &Bus, refuses: bool) {
-        let (commit, timed) = (does.commit, does.commit_timed);
-        let last = bus.word.is_some_and(|word| word.last);
-        for (what, happens) in [
-            ("fast path: words staged", does.stages.is_some()),
-            ("fast path: frames", last),
-            ("fast path: commands committed", commit),
-            ("fast path: commands committed at their time", timed),
-            (
-                "fast path: commands only answered",
-                does.taken && !commit && !timed,
-            ),
-            ("fast path: words of answers", does.puts.is_some()),
-            ("rx_admission: frames refused", last && refuses),
-        ] {
-            self.add(what, happens.into());
-        }
-    }
-
-    /// Seldom: what only registers show.
-    fn look(&mut self, board: &Board) {
-        let status: [u32; 8] = std::array::from_fn(|word| board.status(word));
-        let was = self.status_was;
-        let risen = |word: usize| status[word] & !was[word];
-        let half = |word: u32| ((word & 0xffff).count_ones(), (word >> 16).count_ones());
-        let (encoder_index, limited) = half(risen(3));
-        let (stepgen_index, encoder_probe) = half(risen(4));
-        let (stepgen_probe, illegal) = half(risen(5));
-        self.add("gpio: debounced changes", (status[2] ^ was[2]).count_ones());
-        self.add("encoder: index latches", encoder_index);
-        self.add("encoder: probe latches", encoder_probe);
-        self.add("encoder: illegal transitions", illegal);
-        self.add("stepgen: index latches", stepgen_index);
-        self.add("stepgen: probe latches", stepgen_probe);
-        self.add("stepgen: channels that had to wait", limited);
-        self.add("gpio: e-stops latched", risen(6).count_ones());
-        self.add("timebase: samples", u32::from(status[0] != was[0]));
-        self.status_was = status;
-        let bites = board.peek(pages::WATCHDOG, 7);
-        self.add("watchdog: bites", bites.wrapping_sub(self.bites));
-        self.bites = bites;
-        let why = board.peek(pages::WATCHDOG, 8);
-        let reason = match why {
-            1 => "watchdog: looks after a bite",
-            2 => "watchdog: looks after an external reset",
-            3 => "watchdog: looks after the stop key",
-            4 => "watchdog: looks after a soft stop",
-            5 => "watchdog: looks after an e-stop",
-            6 => "watchdog: looks after a system reset",
-            _ => "watchdog: looks before the first opening",
-        };
-        self.add(reason, 1);
-        self.add(
-            "timebase: timed commits seen waiting",
-            board.peek(pages::TIMEBASE, 8),
-        );
-        self.add(
-            "guard: looks while it is closed",
-            board.peek(pages::TIMEBASE, timebase::GUARD_STATUS as u32),
-        );
-    }
-}
-
-/// As `cores.cpp` numbers them.
-fn told_to_the_mac(does: &Output, refuses: bool) -> u8 {
-    let all = [
-        does.hold,
-        refuses,
-        does.take,
-        does.taken,
-        does.taken,
-        does.puts.is_some(),
-    ];
-    all.iter()
-        .rev()
-        .fold(0, |bits, on| bits << 1 | u8::from(*on))
-}
-
-fn flags(word: &Word) -> u8 {
-    let all = [true, word.last, word.whole, word.bad, word.room];
-    all.iter()
-        .rev()
-        .fold(0, |bits, on| bits << 1 | u8::from(*on))
-}
-
-struct Run {
-    seed: u64,
-    clocks: u64,
-    reads: u64,
-    seconds: f64,
-    events: EventCounts,
-    counts: [u64; 2],
-}
-
-fn run(seed: u64, clocks: u64) -> Run {
-    let folder: PathBuf = from_environment("FERROCNC_CORES", root().join("target/sim/cores-mill6"));
-    let name: String = from_environment("FERROCNC_CORES_BOARD", "mill6".into());
-    let facts = BoardFacts::named(&name).unwrap_or_else(|error| panic!("{error}"));
-    let mut cores = Cores::load(&folder).unwrap_or_else(|error| panic!("{error}"));
-    let mut board = Board::new(Build {
-        channels: facts.channels,
-        clock_hz: facts.clock_hz,
-        estop_mask: facts.estop_mask,
-        estop_level: facts.estop_level,
-        abi: 0x1234_5678,
-        version: 0x00_0100,
-        rom_words: facts.words().len() as u32,
-        jobs: 0,
-        readback: true,
-    });
-    let started = std::time::Instant::now();
-    let mut stimulus = Stimulus::new(seed, &facts);
-    let mut pins = CoresPins {
-        abi: 0x1234_5678,
-        ..CoresPins::default()
-    };
-    let mut events = EventCounts::default();
-    let (mut reads, mut travelled) = (0, [0u64; 2]);
-    let mut counts_were = [0i32; 32];
-    for clock in 0..clocks {
-        stimulus.move_pins();
-        let (free, sending) = stimulus.line();
-        board.line(free, sending);
-        let mut bus = stimulus.mac(board.peek(pages::WATCHDOG, watchdog::STATUS as u32));
-        let (does, refuses) = board.frames(&bus);
-        let (address, write) = stimulus.access(does.hold);
-        bus.write = write;
-        if does.taken {
-            stimulus.sending = 100;
-        }
-        // What the fast path reads, the bus master reads.
-        let address = match does.gathers {
-            Some(from) => (8 + (from >> 7)) << 9 | from & 0x7f,
-            None => address,
-        };
-        let told = told_to_the_mac(&does, refuses);
-        let s = &stimulus.pins;
-        pins.adr = address;
-        pins.we = bus.write.is_some().into();
-        pins.dat_w = bus.write.map_or(0, |(_, data)| data);
-        pins.rst = bus.rst.into();
-        (pins.word, pins.word_is) = bus.word.map_or((0, 0), |word| (word.data, flags(&word)));
-        (pins.answer_free, pins.answer_sending) = (free.into(), sending.into());
-        pins.eth_beat = bus.beat.into();
-        (pins.pad_fault, pins.pad_at, pins.pad_to) = (s.pad_fault, s.pad_at, s.pad_to);
-        (pins.frame_done, pins.frame_slot) = bus.frame_done.map_or((0, 0), |slot| (1, slot));
-        (pins.frame_pending, pins.pending_slot) =
-            bus.frame_pending.map_or((0, 0), |slot| (1, slot));
-        (pins.gpio_in, pins.ext_reset) = (s.gpio_in, s.ext_reset);
-        (pins.enc_a, pins.enc_b, pins.enc_i) = (s.enc_a, s.enc_b, s.enc_i);
-        (pins.step_index, pins.enc_mask) = (s.step_index, s.enc_mask);
-
-        let expected = board.peek(address >> 9, address & 0x1ff);
-        let (put, length) = (board.gathered(), board.answer_length());
-        board.drive(s);
-        board.clock(&bus);
-        cores.rise(&mut pins);
-        reads += 1;
-
-        let m = board.driven();
-        let theirs = (
-            pins.step,
-            pins.dir,
-            pins.step_n,
-            pins.dir_n,
-            pins.pwm_out,
-            pins.pwm_dir,
-            pins.gpio_out,
-            pins.led,
-            pins.gate,
-        );
-        let ours = (
-            m.step, m.dir, m.step_n, m.dir_n, m.pwm_out, m.pwm_dir, m.gpio_out, m.led, m.gate,
-        );
-        assert!(
-            theirs == ours,
-            "clock {clock}, seed {seed}: pins (step, dir, step_n, dir_n, pwm, pwm_dir, gpio, led, gate)\n  \
-             gateware {theirs:x?}\n  model    {ours:x?}"
-        );
-        assert!(
-            pins.dat_r == expected,
-            "clock {clock}, seed {seed}: register page {} word {}: gateware {:#x}, model {expected:#x}",
-            address >> 9,
-            address & 0x1ff,
-            pins.dat_r
-        );
-        assert!(
-            pins.frame == told && usize::from(pins.length) == length,
-            "clock {clock}, seed {seed}: to the MAC (hold, refuse, take, taken, send, puts): \
-             gateware {:06b}, model {told:06b}; length {} and {length}",
-            pins.frame,
-            pins.length
-        );
-        if let Some(at) = does.puts {
-            assert!(
-                (usize::from(pins.put_at), pins.put) == (at, put),
-                "clock {clock}, seed {seed}: word {} of the answer: gateware {:#x}, model {put:#x} at {at}",
-                pins.put_at,
-                pins.put
-            );
-        }
-        events.frames(&does, &bus, refuses);
-        events.clock(m);
-        events.add("pads: clocks with a short", u32::from(s.pad_fault != 0));
-        if clock % 256 == 0 {
-            events.look(&board);
-            for (n, was) in counts_were.iter_mut().enumerate() {
-                let word = if n < 16 { 9 + 3 * n } else { 56 + 2 * (n - 16) };
-                let now = board.status(word) as i32;
-                travelled[n / 16] += u64::from(now.wrapping_sub(*was).unsigned_abs());
-                *was = now;
-            }
-        }
-    }
-    Run {
-        seed,
-        clocks,
-        reads,
-        seconds: started.elapsed().as_secs_f64(),
-        events,
-        counts: travelled,
-    }
-}
-
-/// The least number of each event per million clocks; with fewer the run proves nothing about it.
-const LEAST_PER_MILLION: &[(&str, u64)] = &[
-    ("stepgen: edges of STEP", 10_000),
-    ("stepgen: edges of DIR", 2_000),
-    ("stepgen: index latches", 20),
-    ("stepgen: probe latches", 20),
-    ("stepgen: channels that had to wait", 50),
-    ("encoder: index latches", 20),
-    ("encoder: probe latches", 20),
-    ("encoder: illegal transitions", 50),
-    ("pwm: edges", 5_000),
-    ("pwm: edges of the second pin", 2_000),
-    ("gpio: edges of outputs", 500),
-    ("gpio: debounced changes", 100),
-    ("pads: clocks with a short", 100_000),
-    ("timebase: samples", 200),
-    ("timebase: timed commits seen waiting", 5),
-    ("watchdog: openings", 10),
-    ("watchdog: bites", 3),
-    ("fast path: words staged", 2_000),
-    ("fast path: commands committed", 40),
-    ("fast path: commands committed at their time", 20),
-    ("fast path: commands only answered", 20),
-    ("rx_admission: frames refused", 20),
-];
-
-#[test]
-fn gateware_and_models_agree_on_every_pin_and_register_in_every_clock() {
-    let clocks: u64 = from_environment("FERROCNC_CLOCKS", 12_000_000);
-    let seed = seed();
-    // Verilated models and ours are one-threaded: two of each use two cores.
-    let halves = [seed, seed ^ 0x5eed_0000_0001]
-        .map(|seed| std::thread::spawn(move || run(seed, clocks / 2)));
-    let runs = halves.map(|half| match half.join() {
-        Ok(run) => run,
-        Err(panic) => std::panic::resume_unwind(panic),
-    });
-    let mut happened: BTreeMap<&str, u64> = BTreeMap::new();
-    for run in &runs {
-        for (what, n) in &run.events.counts {
-            *happened.entry(what).or_default() += n;
-        }
-        *happened.entry("stepgen: pulses counted").or_default() += run.counts[0];
-        *happened.entry("encoder: counts").or_default() += run.counts[1];
-        println!(
-            "seed {}: {} clocks, {} registers read, {:.0} kclk/s, no difference",
-            run.seed,
-            run.clocks,
-            run.reads,
-            run.clocks as f64 / run.seconds / 1e3
-        );
-    }
-    for (what, n) in &happened {
-        println!("  {what}: {n}");
-    }
-    let report = serde_json::json!({
-        "clocks": runs.iter().map(|run| run.clocks).sum::<u64>(),
-        "registers_read": runs.iter().map(|run| run.reads).sum::<u64>(),
-        "differences": 0,
-        "seeds": runs.iter().map(|run| run.seed).collect::<Vec<_>>(),
-        "kclocks_per_second": runs.iter().map(|run| run.clocks as f64 / run.seconds / 1e3).sum::<f64>().round(),
-        "happened": happened,
-    });
-    let folder = root().join("target/reports");
-    std::fs::create_dir_all(&folder).expect("a folder for the report");
-    let text = serde_json::to_string_pretty(&report).expect("JSON");
-    std::fs::write(folder.join("lockstep.json"), text + "\n").expect("the report");
-    let millions = clocks / 1_000_000;
-    for (what, least) in LEAST_PER_MILLION {
-        let n = happened.get(what).copied().unwrap_or(0);
-        assert!(
-            n >= least * millions,
-            "{what}: {n} in {clocks} clocks, wanted {}",
-            least * millions
-        );
     }
 }
