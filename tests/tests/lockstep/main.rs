@@ -101,12 +101,9 @@ struct Run {
     counts: [u64; 2],
 }
 
-fn run(seed: u64, clocks: u64) -> Run {
-    let folder: PathBuf = from_environment("FERROCNC_CORES", root().join("target/sim/cores-mill6"));
-    let name: String = from_environment("FERROCNC_CORES_BOARD", "mill6".into());
-    let facts = BoardFacts::named(&name).unwrap_or_else(|error| panic!("{error}"));
-    let mut cores = Cores::load(&folder).unwrap_or_else(|error| panic!("{error}"));
-    let mut board = Board::new(Build {
+/// The board that the cores were made of.
+fn build(facts: &BoardFacts) -> Build {
+    Build {
         channels: facts.channels,
         clock_hz: facts.clock_hz,
         estop_mask: facts.estop_mask,
@@ -116,7 +113,15 @@ fn run(seed: u64, clocks: u64) -> Run {
         rom_words: facts.words().len() as u32,
         jobs: 0,
         readback: true,
-    });
+    }
+}
+
+fn run(seed: u64, clocks: u64) -> Run {
+    let folder: PathBuf = from_environment("FERROCNC_CORES", root().join("target/sim/cores-mill6"));
+    let name: String = from_environment("FERROCNC_CORES_BOARD", "mill6".into());
+    let facts = BoardFacts::named(&name).unwrap_or_else(|error| panic!("{error}"));
+    let mut cores = Cores::load(&folder).unwrap_or_else(|error| panic!("{error}"));
+    let mut board = Board::new(build(&facts));
     let started = std::time::Instant::now();
     let mut stimulus = Stimulus::new(seed, &facts);
     let mut pins = CoresPins {
