@@ -101,7 +101,12 @@ impl App {
     /// The loop.
     pub fn run(mut self) -> ! {
         loop {
-            let something = (0..POLLS).any(|_| self.mac.pending() || self.machine.executed());
+            // Services that want their turn without an owner to wait for get it at once.
+            let polls = match self.restless && self.owner.is_none() {
+                true => 1,
+                false => POLLS,
+            };
+            let something = (0..polls).any(|_| self.mac.pending() || self.machine.executed());
             let mut owners = self.machine.executed();
             if owners {
                 // Before any guest's frame, so that the owner's next exchange does not wait for it.
@@ -113,8 +118,8 @@ impl App {
                 hold_path(self.machine.alone());
             }
             // While a host exchanges, housekeeping runs right after an answer; without one it waits
-            // for some periods.
-            let patience = match something {
+            // for some periods. Without a host it waits for nothing.
+            let patience = match something || self.owner.is_none() {
                 true => self.machine.patience(owners),
                 false => IDLE,
             };
