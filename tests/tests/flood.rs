@@ -250,8 +250,9 @@ fn dearest(machine: &mut BenchMachine, command: &mut Command, lines: &[&str]) ->
 const BEHIND_A_TURN: u64 = 14_000;
 /// Such an exchange, in clocks behind the answer before; [`BOUND`] holds for one that comes later.
 const TOO_SOON: u64 = 300;
-/// Ones that come in a turn of the services, but with a pass.
-const IN_A_TURN: [u64; 2] = [2_500, 5_000];
+/// Ones that come in a turn of the services, but with a pass: it is out some 3000 clocks behind an
+/// answer if the cache is cold.
+const IN_A_TURN: [u64; 2] = [5_000, 8_000];
 
 #[test]
 fn an_exchange_that_comes_in_a_turn_of_the_services_waits_neither_for_it_nor_for_a_guest() {
