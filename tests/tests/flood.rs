@@ -250,8 +250,8 @@ fn dearest(machine: &mut BenchMachine, command: &mut Command, lines: &[&str]) ->
 const BEHIND_A_TURN: u64 = 14_000;
 /// Such an exchange, in clocks behind the answer before; [`BOUND`] holds for one that comes later.
 const TOO_SOON: u64 = 300;
-/// Ones that come in a turn of the services, but with a pass. With a cold cache it is not always out
-/// 2500 clocks behind an answer.
+/// Ones that come in a turn of the services, but with a pass. With a cold cache it is not always
+/// out 2500 clocks behind an answer.
 const IN_A_TURN: [u64; 2] = [5_000, 8_000];
 
 #[test]
