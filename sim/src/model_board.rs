@@ -279,14 +279,7 @@ impl ModelBoard {
     /// The frames of this owner's exchanges can be judged in advance from now on, and are answered
     /// as prepared here, as the image's `Mac::guard` has it. No pass is out. No frame is refused
     /// here.
-    pub(crate) fn guard(
-        &mut self,
-        owner: &Datagram,
-        token: u32,
-        us: &Us,
-        shape: &Shape,
-        boot_id: u32,
-    ) {
+    pub fn guard(&mut self, owner: &Datagram, token: u32, us: &Us, shape: &Shape, boot_id: u32) {
         let expected = Expected::new(us, owner, shape.command, token);
         for (place, word) in expected.words.into_iter().enumerate() {
             self.expect(place, word);
@@ -311,7 +304,7 @@ impl ModelBoard {
 
     /// A frame of so many bytes without FCS has come, in slot words. True if the gateware executes
     /// it: then the answer is there as soon as [`Self::hears`] again.
-    pub(crate) fn hear(&mut self, words: &[u32], bytes: usize) -> bool {
+    pub fn hear(&mut self, words: &[u32], bytes: usize) -> bool {
         let executed = self.model.hear(Word::of_frame(words, bytes + PAD));
         if executed {
             // As with a token on the bus, which takes effect a clock later.
@@ -321,7 +314,7 @@ impl ModelBoard {
     }
 
     /// The fast path is done with the last frame.
-    pub(crate) fn hears(&self) -> bool {
+    pub fn hears(&self) -> bool {
         self.model.hears()
     }
 
@@ -331,7 +324,7 @@ impl ModelBoard {
     }
 
     /// The frame in the answer's slot, without FCS.
-    pub(crate) fn answer(&mut self) -> Vec<u8> {
+    pub fn answer(&mut self) -> Vec<u8> {
         let length = self.model.answer_length();
         let words = self.model.answer().iter();
         let bytes: Vec<u8> = words.flat_map(|word| word.to_be_bytes()).collect();

@@ -8,18 +8,18 @@
 
 use crate::byte_reader::ByteReader;
 use crate::watched::{self, Inside, Watched};
-use firmware::block::Shape;
-use firmware::cores::Board;
 use firmware::machine::{IDLE, Shared};
 use firmware::net::{self, Class, Datagram, Frame, HEADERS, PAYLOAD_WORD, Slot, Us};
-use firmware::pass::{Expected, FLAGS_PLACE, Pass, SEQUENCE_PLACE};
 use firmware::services::port::Place;
 use firmware::services::{self, PORTS, Program};
-use wire::exchange::{REQUEST_OVERHEAD, command_word};
 use wire::{CONSOLE_PORT, MAX_PAYLOAD, MAX_WORDS};
 
 /// Longest frame without its FCS.
 const FRAME_MAX: usize = 1514;
+/// Bytes in front of a frame in its slot.
+const PAD: usize = 2;
+/// Clocks in which the longest answer has been sent.
+const ANSWER: u64 = 1_000;
 /// Calls of the services after a frame.
 const TURNS: usize = 16;
 /// Longer scripts add nothing.
@@ -70,8 +70,8 @@ impl Sent {
 struct Station<'p> {
     machine: Shared<Watched>,
     services: Program<'p>,
-    /// The owner, its token, and what its frames look like.
-    owner: Option<(Datagram, u32, Expected)>,
+    /// The host whose next exchange can be judged in advance, and its token.
+    owner: Option<(Datagram, u32)>,
     /// The board's last TCP numbers: the next sequence number it expects, and its own next one.
     expected: u32,
     next: u32,
@@ -294,7 +294,7 @@ impl Station<'_> {
 
     /// The payload of the owner's next command, with different errors.
     fn exchange(&self, input: &mut ByteReader) -> Vec<u8> {
-        use wire::exchange::{COMMAND_MAX, Command};
+        use wire::exchange::{COMMAND_MAX, Command, REQUEST_OVERHEAD};
         let flags = input.byte();
         let session = self.machine.session();
         let peer = session.owner().unwrap_or_default();
@@ -329,7 +329,7 @@ impl Station<'_> {
                 let session = self.machine.session();
                 if self
                     .owner
-                    .is_some_and(|(datagram, ..)| !session.is_owner(datagram.peer))
+                    .is_some_and(|(datagram, _)| !session.is_owner(datagram.peer))
                 {
                     self.machine.alone();
                     self.owner = None;
@@ -411,25 +411,27 @@ impl Station<'_> {
         assert_eq!(deeds, Default::default(), "{what} did that");
     }
 
-    /// The fast path: true if it executed the frame.
+    /// The fast path: true if it executed the frame, and its answer has left.
     fn gateware(&mut self, bytes: &[u8], class: Class) -> bool {
-        let board = self.machine.board();
-        let (Some(pass), Some((owner, _, expected))) = (board.pass(), &self.owner) else {
+        let Some((owner, _)) = self.owner else {
             return false;
         };
-        let ready = board.gate() == pass.gate && !board.waits();
-        let shape = *self.machine.shape();
-        if !ready || !is_like(bytes, &pass, expected, &shape) {
+        let frame = Received(bytes);
+        let words = 0..(bytes.len() + PAD).div_ceil(4);
+        let mut words: Vec<_> = words.map(|n| frame.word(n)).collect();
+        words[0] &= 0xffff; // a slot begins with zeros
+        let us = self.machine.us;
+        let board = &mut self.machine.board().model_board;
+        if !board.hear(&words, bytes.len()) {
             return false;
         }
         let Class::Ours(datagram) = class else {
             panic!("the gateware executes {class:?}");
         };
         assert_eq!((datagram.peer, datagram.options), (owner.peer, 0));
-        let block = |index| net::payload_word(&Received(bytes), 0, REQUEST_OVERHEAD + index);
-        let block: Vec<_> = (0..shape.command).map(block).collect();
-        let channels = watched::ident(&self.machine).channels;
-        self.machine.board().executes(&block, &channels);
+        board.pass(board.clock() + ANSWER);
+        assert!(board.hears(), "the answer is not written");
+        check(&board.answer(), &us);
         true
     }
 
@@ -453,11 +455,24 @@ impl Station<'_> {
         }
         let session = self.machine.session();
         if datagram.options == 0 && session.is_owner(peer) {
-            let token = session.token_for(peer);
-            let command = self.machine.shape().command;
-            let expected = Expected::new(&us, datagram, command, token);
-            self.owner = Some((*datagram, token, expected));
+            let whole = Datagram {
+                length: 0,
+                ..*datagram
+            };
+            let owner = (whole, session.token_for(peer));
+            if self.owner != Some(owner) {
+                self.open_fast_path(owner);
+            }
         }
+    }
+
+    /// This owner's exchanges can be judged in advance from now on.
+    fn open_fast_path(&mut self, owner: (Datagram, u32)) {
+        let machine = self.machine.alone();
+        let (us, shape, boot_id) = (machine.us, *machine.shape(), machine.boot_id());
+        let board = &mut machine.board.model_board;
+        board.guard(&owner.0, owner.1, &us, &shape, boot_id);
+        self.owner = Some(owner);
     }
 
     /// A call of the services with a frame, and the turns that it leads to.
@@ -498,31 +513,6 @@ impl Station<'_> {
             }
         }
     }
-}
-
-/// Does this pass execute the frame? What `fast_path.sv` compares and sums, said once more.
-fn is_like(bytes: &[u8], pass: &Pass, expected: &Expected, shape: &Shape) -> bool {
-    if bytes.len() != HEADERS + 4 * (REQUEST_OVERHEAD + shape.command) {
-        return false;
-    }
-    let mut expected = expected.words;
-    (expected[SEQUENCE_PLACE], expected[FLAGS_PLACE]) = (pass.sequence, pass.flags);
-    let frame = Received(bytes);
-    let compared = (0..18).filter(|n| ![5, 12].contains(n));
-    let alike = compared.zip(expected).all(|(n, word)| {
-        let mask = match n {
-            0 => 0xffff, // the two bytes in front are the slot's
-            6 | 10 => 0xffff_0000,
-            _ => u32::MAX,
-        };
-        (frame.word(n) ^ word) & mask == 0
-    });
-    let (header, body) = (&bytes[14..34], &bytes[34..]);
-    let address = |at: usize| -> [u8; 4] { std::array::from_fn(|n| bytes[at + n]) };
-    let summed = body[6..8] == [0, 0] || segment_sum(address(26), address(30), 17, body) == 0xffff;
-    let latch = net::payload_word(&frame, 0, REQUEST_OVERHEAD + command_word::PROBE_ARMS);
-    let known = latch >> (command_word::LATCH_SHIFT + command_word::LATCH_BITS) == 0;
-    alike && frame.word(5) & 0xbfff == 0 && ones(header, 0) == 0xffff && summed && known
 }
 
 /// The words of a datagram's payload, which lies inside its frame.

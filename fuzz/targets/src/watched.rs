@@ -15,9 +15,7 @@ use sim::nor::{Nor, Part, Times};
 use sim::plant::Plant;
 use std::cell::RefCell;
 use wire::MAX_WORDS;
-use wire::describe::Channels;
-use wire::exchange::{COMMAND_HEAD, COMMAND_STEPGEN, command_word};
-use wire::regmap::{self, command, segments, timebase};
+use wire::regmap::{self, segments, timebase};
 
 /// The segments core's mask of outputs.
 const OUTPUTS_OF_A_JOB: u32 = regmap::address(segments::BASE, segments::MASK);
@@ -67,58 +65,12 @@ pub struct Watched {
     pub model_board: ModelBoard,
     /// Since the last [`Watched::take`].
     pub deeds: Deeds,
-    /// The pass that is out.
-    pass: Option<Pass>,
-    /// A command was executed with the last one.
-    used: bool,
 }
 
 impl Watched {
     /// The effects since the last call.
     pub fn take(&mut self) -> Deeds {
         std::mem::take(&mut self.deeds)
-    }
-
-    /// The pass that is out.
-    pub fn pass(&self) -> Option<Pass> {
-        self.pass
-    }
-
-    /// Does a command wait for its time?
-    pub fn waits(&mut self) -> bool {
-        let status = regmap::address(timebase::BASE, timebase::STATUS);
-        self.model_board.csr_read(status) & timebase::STATUS_PENDING != 0
-    }
-
-    /// The gateware executes this command with the pass.
-    pub fn executes(&mut self, block: &[u32], channels: &Channels) {
-        let pass = self.pass.take().expect("a pass is out");
-        self.used = true;
-        let [lo, hi] = [command_word::APPLY_LO, command_word::APPLY_HI].map(|at| block[at]);
-        self.model_board
-            .commit_at(u64::from(hi) << 32 | u64::from(lo));
-        let stepgens = COMMAND_STEPGEN * usize::from(channels.stepgens);
-        let head = COMMAND_HEAD - command_word::ENABLES;
-        let runs = [
-            (command::ENABLES, command_word::ENABLES, head),
-            (command::STEPGEN0_VELOCITY, COMMAND_HEAD, stepgens),
-            (
-                command::PWM0_WIDTH,
-                COMMAND_HEAD + stepgens,
-                channels.pwms.into(),
-            ),
-        ];
-        for (register, at, count) in runs {
-            for n in 0..count {
-                self.stage(register + n, block[at + n]);
-            }
-        }
-        self.strobe(match (pass.executes, pass.timed()) {
-            (false, _) => timebase::STROBE_SAMPLE,
-            (true, false) => timebase::STROBE_COMMIT | timebase::STROBE_SAMPLE,
-            (true, true) => timebase::STROBE_COMMIT_AT | timebase::STROBE_SAMPLE,
-        });
-        self.feed(pass.sequence);
     }
 }
 
@@ -179,17 +131,16 @@ impl Board for Watched {
         self.model_board.feed(token);
     }
     fn hand_out(&mut self, pass: &Pass) {
-        (self.pass, self.used) = (Some(*pass), false);
+        self.model_board.hand_out(pass);
     }
     fn revoke(&mut self) -> bool {
-        self.pass = None;
-        self.used
+        self.model_board.revoke()
     }
     fn executed(&mut self) -> bool {
-        self.used
+        self.model_board.executed()
     }
     fn sending(&mut self) -> bool {
-        false
+        self.model_board.sending()
     }
     fn gate(&mut self) -> Gate {
         self.model_board.gate()
@@ -274,8 +225,6 @@ pub fn start_on(flash: Shared) -> Machine<Watched> {
     let watched = Watched {
         model_board,
         deeds: Deeds::default(),
-        pass: None,
-        used: false,
     };
     let mut machine = Machine::start(watched, ident, regmap::ABI, boot);
     machine.board.take();

@@ -15,13 +15,16 @@ use wire::exchange::PWM_ENABLE;
 use wire::map;
 use wire::regmap::{fast_path, rx_admission};
 
-const TOKEN: u32 = 0x1234_5678;
-const US: Us = Us {
+/// The owner's token.
+pub(crate) const TOKEN: u32 = 0x1234_5678;
+/// The board.
+pub(crate) const US: Us = Us {
     mac: [0x10, 0xe2, 0xd5, 0, 0, 1],
     ip: 0xc0a8_0232,
     port: 1234,
 };
-const HOST: Us = Us {
+/// The owner.
+pub(crate) const HOST: Us = Us {
     mac: [2, 0, 0, 0, 0, 1],
     ip: 0xc0a8_0201,
     port: 40_000,
@@ -43,8 +46,8 @@ impl Slot for Words {
     }
 }
 
-/// A host as the other end of a datagram.
-fn datagram(of: &Us) -> Datagram {
+/// The other end of a datagram.
+pub(crate) fn datagram(of: &Us) -> Datagram {
     let [high, low] = net::to_mac(of.mac);
     let peer = Peer {
         ip: of.ip,
@@ -65,6 +68,20 @@ fn checksum(words: impl Iterator<Item = u32>) -> u32 {
         sum = (sum >> 16) + (sum & 0xffff);
     }
     !sum as u32 & 0xffff
+}
+
+/// The checksum of a frame's datagram, as slot words, whose own checksum is 0.
+pub(crate) fn udp_checksum(frame: &[u32]) -> u32 {
+    let pseudo = [frame[7], frame[8], 17, frame[10] >> 16];
+    checksum(pseudo.into_iter().chain(frame[9..].iter().copied()))
+}
+
+/// A datagram of the owner's as slot words, without a checksum.
+pub(crate) fn from_owner(payload: &[u32]) -> Vec<u32> {
+    let mut words = Words::default();
+    net::emit_headers(&mut words, &HOST, &datagram(&US), payload.len() * 4);
+    net::emit_payload(&mut words, payload);
+    words.0
 }
 
 /// A host that owns a board, and the firmware of that.
@@ -141,8 +158,7 @@ impl Owner {
         words[IP_SUM] &= 0xffff_0000;
         words[IP_SUM] |= checksum(words[4..9].iter().copied());
         if random.one_in(2) {
-            let pseudo = [words[7], words[8], 17, words[10] >> 16];
-            words[UDP_SUM] |= checksum(pseudo.into_iter().chain(words[9..].iter().copied()));
+            words[UDP_SUM] |= udp_checksum(&words);
         }
         let (mut bytes, mut bad) = (words.len() * 4, false);
         match random.below(20) {
@@ -170,7 +186,7 @@ impl Owner {
 
     fn words(&self, random: &mut impl Rng, at: u64) -> Vec<u32> {
         let c = self.channels;
-        let (count, mut words) = (self.shape().command, Words::default());
+        let count = self.shape().command;
         let mostly = random.random::<u32>() | random.random::<u32>();
         let probe_arms = random.random::<u32>() & if random.one_in(20) { !0 } else { 0x1f_ffff };
         let mut payload = vec![
@@ -199,8 +215,6 @@ impl Owner {
             payload.push(random.spread() | 1 << 16);
         }
         payload.extend((0..c.pwms).map(|_| random.below(400 << 8) | PWM_ENABLE));
-        net::emit_headers(&mut words, &HOST, &datagram(&US), payload.len() * 4);
-        net::emit_payload(&mut words, &payload);
-        words.0
+        from_owner(&payload)
     }
 }

@@ -1,29 +1,18 @@
 use super::*;
 use crate::model::rx_admission::{self, RxAdmission};
+use crate::stimulus::frames::{HOST, TOKEN, US, datagram, from_owner, udp_checksum};
 use firmware::block::Shape;
-use firmware::net::{self, Datagram, Slot, Us};
+use firmware::net;
 use firmware::pass::{self, Expected};
-use firmware::session::Peer;
 use wire::describe::Channels;
 use wire::etherbone::{HEADER, record};
 use wire::map;
 use wire::regmap::{command, status, timebase};
 
-const TOKEN: u32 = 0x1234_5678;
 const SEQUENCE: u32 = 41;
 const FLAGS: u32 = 3;
 /// Gate open, watchdog awake.
 const LIVE: u32 = 0b10_0001;
-const US: Us = Us {
-    mac: [0x10, 0xe2, 0xd5, 0, 0, 1],
-    ip: 0xc0a8_0232,
-    port: 1234,
-};
-const HOST: Us = Us {
-    mac: [2, 0, 0, 0, 0, 1],
-    ip: 0xc0a8_0201,
-    port: 40_000,
-};
 
 fn shape() -> Shape {
     Shape::new(Channels {
@@ -33,31 +22,6 @@ fn shape() -> Shape {
         inputs: 4,
         outputs: 4,
     })
-}
-
-/// The other end, as a datagram's sender.
-fn datagram(of: &Us) -> Datagram {
-    let [high, low] = net::to_mac(of.mac);
-    Datagram {
-        peer: Peer {
-            ip: of.ip,
-            port: of.port,
-        },
-        mac: (high as u16, low),
-        length: 0,
-        options: 0,
-        service: 0,
-        ttl: 64,
-    }
-}
-
-struct Words(Vec<u32>);
-
-impl Slot for Words {
-    fn put(&mut self, index: usize, word: u32) {
-        self.0.resize(self.0.len().max(index + 1), 0);
-        self.0[index] = word;
-    }
 }
 
 /// The owner's next frame, without a UDP checksum. Its words from 18 on are their numbers.
@@ -74,25 +38,13 @@ fn frame() -> Vec<u32> {
     ];
     let rest = (18..).take(count - 3);
     let payload: Vec<u32> = head.into_iter().chain(rest).collect();
-    let mut words = Words(Vec::new());
-    net::emit_headers(&mut words, &HOST, &datagram(&US), payload.len() * 4);
-    net::emit_payload(&mut words, &payload);
-    words.0
+    from_owner(&payload)
 }
 
 /// With a right checksum.
 fn summed(mut frame: Vec<u32>) -> Vec<u32> {
     frame[10] &= 0xffff_0000;
-    let pseudo = [frame[7], frame[8], 17, frame[10] >> 16];
-    let mut sum: u64 = pseudo
-        .into_iter()
-        .chain(frame[9..].iter().copied())
-        .map(u64::from)
-        .sum();
-    while sum >> 16 != 0 {
-        sum = (sum >> 16) + (sum & 0xffff);
-    }
-    frame[10] |= !sum as u32 & 0xffff;
+    frame[10] |= udp_checksum(&frame);
     frame
 }
 
