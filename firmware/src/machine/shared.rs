@@ -5,7 +5,7 @@
 //! **what changes session, state, staged words or that slot takes the pass back first, and settles
 //! what was executed with it.** [`Shared::alone`] does both, and is the only way to change the
 //! machine, but for [`Shared::guest`]: it serves other clients while a host moves the machine. They
-//! can change none of the four, which every debug build checks.
+//! can change none of the four. Every debug build checks that for session and state.
 
 use super::Machine;
 use crate::cores::Board;

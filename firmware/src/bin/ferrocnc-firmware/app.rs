@@ -107,15 +107,20 @@ impl App {
                 false => POLLS,
             };
             let something = (0..polls).any(|_| self.mac.pending() || self.machine.executed());
-            let mut owners = self.machine.executed();
-            if owners {
-                // Before any guest's frame, so that the owner's next exchange does not wait for it.
-                self.settle();
+            let executed = self.machine.executed();
+            let mut owners = executed;
+            if executed {
+                self.machine.alone();
             } else if self.mac.pending() {
                 owners = self.frame();
             }
             if self.machine.owes_path() {
                 hold_path(self.machine.alone());
+            }
+            // Before any guest's frame, so that the owner's next exchange does not wait for it. All
+            // that took longer than the answer takes on the wire, but for slow links.
+            if executed && soc::answered() {
+                self.offer();
             }
             // While a host exchanges, housekeeping runs right after an answer; without one it waits
             // for some periods. Without a host it waits for nothing.
@@ -132,18 +137,6 @@ impl App {
             if self.owner.is_none() && something {
                 self.leisure();
             }
-        }
-    }
-
-    /// The gateware has executed a command. What is left to do takes longer than its answer takes
-    /// on the wire, but for slow links.
-    fn settle(&mut self) {
-        self.machine.alone();
-        if self.machine.owes_path() {
-            hold_path(self.machine.alone());
-        }
-        if soc::answered() {
-            self.offer();
         }
     }
 
