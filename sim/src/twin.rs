@@ -349,7 +349,7 @@ impl Twin {
     }
 
     fn housekeeping(&mut self) {
-        if let Some((state, reason)) = self.machine.alone().housekeeping() {
+        if let Some((state, reason)) = self.machine.housekeeping() {
             // The image logs this for `ferrocnc log`, which needs the image's strings; here it is
             // printed.
             eprintln!("sim: {state}, reason {reason}");
