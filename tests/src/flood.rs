@@ -629,11 +629,7 @@ impl BenchMachine {
         let mut worst = 0;
         self.rig.segment.send(console, b"help\n");
         for _ in 0..TURNS {
-            self.exchange(command);
-            self.rig.run(after);
-            let wire = frame(self);
-            let answer = self.period_with(command, &[wire], 1)?;
-            worst = worst.max(answer.turnaround);
+            worst = worst.max(self.cost_behind(command, after, &frame)?);
         }
         let mut heard = Vec::new();
         for _ in 0..PIECES {
@@ -644,6 +640,21 @@ impl BenchMachine {
             self.period_with(command, &[], 0);
         }
         Some(worst)
+    }
+
+    /// The time of an exchange that comes so many clocks behind the answer before, with such a
+    /// frame in front of it.
+    pub fn cost_behind(
+        &mut self,
+        command: &mut Command,
+        after: u64,
+        frame: impl Fn(&mut Self) -> Vec<u8>,
+    ) -> Option<u64> {
+        self.exchange(command);
+        self.rig.run(after);
+        let wire = frame(self);
+        let answer = self.period_with(command, &[wire], 1)?;
+        Some(answer.turnaround)
     }
 }
 

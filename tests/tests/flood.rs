@@ -2,8 +2,9 @@
 //! board: the delay for the host that owns the machine, in clocks.
 //!
 //! The bound is [`BOUND`]: an exchange is answered within so many clocks of its last byte, for any
-//! frames of the others, because the gateware executes it without the CPU. The figures are printed
-//! and stand in `target/reports/flood.json`.
+//! frames of the others, because the gateware executes it without the CPU. One that comes sooner
+//! than [`NEXT_PASS`] may have to wait for the CPU, up to [`LATE`]. The figures are printed and
+//! stand in `target/reports/flood.json`.
 
 use ferrocnc_tests::flood::{Answer, KINDS, Kind};
 use ferrocnc_tests::wired::{mill, program, setup};
@@ -20,6 +21,13 @@ use wire::{GUEST_READS, Refusal, map};
 
 /// A third of a microsecond at 60 MHz.
 const BOUND: u64 = 20;
+/// Clocks behind an exchange from which on there is a pass for the next one: a call of the services
+/// is ended after 20 000, and what is left to do behind the exchange takes some 4000 with a cold
+/// cache.
+const NEXT_PASS: u64 = 25_000;
+/// Without a pass, 300 us at 60 MHz: a guest's slowest frame, an exchange with a cold cache, and
+/// the housekeeping between the two.
+const LATE: u64 = 18_000;
 /// The longest call of the services: less than a third of a servo period of 1 kHz.
 const LONGEST_CALL: u32 = 18_000;
 /// Servo periods under each kind of flood.
@@ -34,6 +42,10 @@ const PERIODS_WITH_JOBS: usize = 6;
 /// between an exchange at the beginning of one period and one at the end of the next, less what a
 /// period may be longer for frames that have begun.
 const MARGIN: u32 = 3 * 60_000 - LONGEST_CALL;
+
+/// Milliseconds in which a free board answers what lies in its four slots behind a flood: each of
+/// the longest reads takes it 0.82 ms.
+const WORKED_OFF: u64 = 5;
 
 /// A machine with six moving axes, each at its own rate.
 fn moving() -> (BenchMachine, Command) {
@@ -118,9 +130,12 @@ fn a_board_that_executes_jobs_keeps_the_bound_under_floods_and_behind_every_fram
 fn floods(machine: &mut BenchMachine, command: &mut Command, periods: usize) -> Value {
     let mut rng = Pcg64Mcg::seed_from_u64(seed());
     let mut kinds = Map::new();
+    let (mut last, mut soon) = (0, 0);
     for kind in KINDS {
         let (mut turnarounds, mut frames) = (Vec::new(), 0);
         let before = machine.mail();
+        // That was a datagram of the owner, too. It takes the pass back.
+        machine.period_with(command, &[], 0);
         for n in 0..periods {
             let wireful = machine.wireful(kind, &mut rng);
             frames += wireful.len();
@@ -138,6 +153,13 @@ fn floods(machine: &mut BenchMachine, command: &mut Command, periods: usize) -> 
                 "{kind:?}: {} clocks to the bite",
                 status.watchdog_left
             );
+            let gap = status.arrival.0.wrapping_sub(last);
+            last = status.arrival.0;
+            if gap < NEXT_PASS {
+                assert!(turnaround <= LATE, "{kind:?}: {turnaround} clocks");
+                soon += 1;
+                continue;
+            }
             assert!(turnaround <= BOUND, "{kind:?}: {turnaround} clocks");
             turnarounds.push(turnaround as u32);
         }
@@ -152,9 +174,11 @@ fn floods(machine: &mut BenchMachine, command: &mut Command, periods: usize) -> 
             json!({"exchanges": periods, "frames": frames, "taken": mail.taken, "turned_away": mail.guests, "no_slot": mail.no_slot, "turnaround_clocks": spread}),
         );
         // The exchanges, and the frame that asked for the counts, too.
-        let sent = (frames + periods + 1) as u64;
+        let sent = (frames + 1 + periods + 1) as u64;
         assert!(mail.accounts_for(sent), "{kind:?}: {sent} sent, {mail:?}");
     }
+    println!("{soon} exchanges came within {NEXT_PASS} clocks of the one before");
+    assert!(soon * 4 < periods * KINDS.len(), "{soon} came too soon");
     kinds.into()
 }
 
@@ -250,6 +274,8 @@ fn dearest(machine: &mut BenchMachine, command: &mut Command, lines: &[&str]) ->
 const BEHIND_A_TURN: u64 = 14_000;
 /// Such an exchange, in clocks behind the answer before; [`BOUND`] holds for one that comes later.
 const TOO_SOON: u64 = 300;
+/// More than it takes for one of them to come in a turn.
+const TRIES_TOO_SOON: usize = 40;
 /// Ones that come in a turn of the services, but with a pass. With a cold cache it is not always
 /// out 2500 clocks behind an answer.
 const IN_A_TURN: [u64; 2] = [5_000, 8_000];
@@ -259,7 +285,6 @@ fn an_exchange_that_comes_in_a_turn_of_the_services_waits_neither_for_it_nor_for
     let mut rng = Pcg64Mcg::seed_from_u64(seed());
     let (mut machine, mut command) = moving();
     let mut costs = Map::new();
-    let refused = machine.refusals(Refusal::Busy);
     let console = machine.console_beside(&mut command);
     for kind in [Kind::Arp, Kind::PingArmed, Kind::ShortRead] {
         let frames: Vec<_> = (0..3).map(|_| machine.frame(kind, &mut rng)).collect();
@@ -273,17 +298,24 @@ fn an_exchange_that_comes_in_a_turn_of_the_services_waits_neither_for_it_nor_for
             println!("{kind:?} {after} clocks behind an answer: {cost:?}");
             assert!(cost.is_some_and(|cost| cost <= BOUND), "{kind:?}: {cost:?}");
         }
-        let cost = machine.costs_in_a_turn(&mut command, console, TOO_SOON, frame);
-        let [turn, _] = machine.longest_calls();
-        println!("{kind:?} in a turn, too soon: {cost:?}, longest turn {turn}");
-        let bound = u64::from(turn) + BEHIND_A_TURN;
-        assert!(cost.is_some_and(|cost| cost <= bound), "{kind:?}: {cost:?}");
-        costs.insert(format!("{kind:?}, too soon"), json!(cost));
+        let refused = machine.refusals(Refusal::Busy);
+        let mut worst = 0;
+        let met = (0..TRIES_TOO_SOON).any(|_| {
+            // Three periods a try, and a turn in every tenth at least; the first two are for what
+            // the console has to say, and for the guest's ticket.
+            machine.period_with(&mut command, &[], 0);
+            machine.period_with(&mut command, &[], 0);
+            let cost = machine.cost_behind(&mut command, TOO_SOON, frame);
+            let [turn, _] = machine.longest_calls();
+            let bound = u64::from(turn) + BEHIND_A_TURN;
+            assert!(cost.is_some_and(|cost| cost <= bound), "{kind:?}: {cost:?}");
+            worst = worst.max(cost.unwrap_or(0));
+            machine.refusals(Refusal::Busy) > refused
+        });
+        println!("{kind:?} in a turn, too soon: {worst}");
+        assert!(met, "no {kind:?} came in a turn");
+        costs.insert(format!("{kind:?}, too soon"), json!(worst));
     }
-    assert!(
-        machine.refusals(Refusal::Busy) > refused,
-        "no frame came in a turn"
-    );
     machine.capture();
     for after in IN_A_TURN {
         let cost = machine.costs_in_a_turn(&mut command, console, after, BenchMachine::owners_arp);
@@ -338,7 +370,7 @@ fn a_free_board_is_acquired_through_a_storm_and_after_any_flood() {
         if storm {
             assert!(tries.is_some_and(|tries| tries <= 3), "{kind:?}: {tries:?}");
         }
-        machine.run_millis(1);
+        machine.run_millis(WORKED_OFF);
         machine.make_ready();
         let mut command = machine.enabled_command();
         command.stepgen[0].0 = Velocity::from_hz(50e3, machine.clock_hz());
