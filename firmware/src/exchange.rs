@@ -38,18 +38,16 @@ struct Head {
 }
 
 impl Head {
-    fn of(block: &[u32]) -> Self {
-        let mut words = [0; COMMAND_HEAD];
-        for (word, sent) in words.iter_mut().zip(block) {
-            *word = *sent;
-        }
-        Head {
+    /// `None` if the block has fewer words.
+    fn of(block: &[u32]) -> Option<Self> {
+        let words: &[u32; COMMAND_HEAD] = block.first_chunk()?;
+        Some(Head {
             token: words[command_word::TOKEN],
             sequence: words[command_word::SEQUENCE],
             flags: words[command_word::FLAGS],
             apply: [words[command_word::APPLY_LO], words[command_word::APPLY_HI]],
             probe_arms: words[command_word::PROBE_ARMS],
-        }
+        })
     }
 
     /// Number of the latch whose position goes into the answer.
@@ -69,7 +67,7 @@ impl Server {
         block: &[u32],
         reply: &mut ReplyWriter,
     ) -> Result<(), Refusal> {
-        let head = Head::of(block);
+        let head = Head::of(block).ok_or(Refusal::BlockLength)?;
         self.judge(peer, &head)?;
         if peer != Peer::INSIDE {
             self.took_long_way(head.sequence, head.flags);
@@ -105,9 +103,7 @@ impl Server {
             (status::STEPGEN0_POSITION_LO, stepgens),
             (status::ENCODER0_COUNT, encoders),
         ] {
-            for word in first..first + count {
-                reply.push(board.latched(word));
-            }
+            reply.append((first..first + count).map(|word| board.latched(word)));
         }
         self.exchanged(head.flags);
         Ok(())
@@ -150,8 +146,9 @@ impl Server {
             ),
         ];
         for (register, at, count) in runs {
-            for (n, word) in block.iter().skip(at).take(count).enumerate() {
-                board.stage(register + n, *word);
+            let words = block.get(at..at + count).unwrap_or(&[]);
+            for (register, word) in (register..).zip(words) {
+                board.stage(register, *word);
             }
         }
     }

@@ -162,10 +162,10 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) ->
     }
     let words = frame.word(9 + options);
     let lengths = frame.word(10 + options);
-    let class: fn(Datagram) -> Class = match words as u16 {
-        port if port == us.port && destination == us.ip && to == Destination::Us => Class::Ours,
+    let ours = match words as u16 {
+        port if port == us.port && destination == us.ip && to == Destination::Us => true,
         // A host that looks for boards does not know their addresses.
-        wire::DISCOVERY_PORT if to != Destination::Group => Class::Discovery,
+        wire::DISCOVERY_PORT if to != Destination::Group => false,
         // A board that waits for an address has none.
         port if port != 0 && ports.contains(&port) => return Class::Services,
         _ => return Class::Nothing,
@@ -194,7 +194,7 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) ->
             return Class::Refused(Refusal::Checksum);
         }
     }
-    class(Datagram {
+    let datagram = Datagram {
         peer: Peer {
             ip: source,
             port: (words >> 16) as u16,
@@ -204,7 +204,11 @@ pub fn classify(frame: &impl Frame, length: usize, us: &Us, ports: &UdpPorts) ->
         options,
         service: (w4 >> 16) as u8,
         ttl: (w6 >> 24) as u8,
-    })
+    };
+    match ours {
+        true => Class::Ours(datagram),
+        false => Class::Discovery(datagram),
+    }
 }
 
 /// Bytes of the longest frame of [`Class::Services`] that is taken while a host moves the machine;

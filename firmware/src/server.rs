@@ -534,13 +534,15 @@ impl Server {
                 .saturating_add(4 * record.writes.len() as u32);
             !record.writes.is_empty() && record.write_base < COMMAND_END && last > map::COMMAND
         };
-        if !packet.records().any(|record| touches(&record)) {
+        let Some(record) = packet.sole() else {
+            return match packet.records().any(|record| touches(&record)) {
+                true => Err(Refusal::NotAlone),
+                false => Ok(None),
+            };
+        };
+        if !touches(&record) {
             return Ok(None);
         }
-        let mut records = packet.records();
-        let (Some(record), None) = (records.next(), records.next()) else {
-            return Err(Refusal::NotAlone);
-        };
         if !record.reads.is_empty() {
             return Err(Refusal::NotAlone);
         }

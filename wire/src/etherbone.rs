@@ -49,6 +49,8 @@ const FORBIDDEN_RECORD_FLAGS: u32 = 0b1110_1110 << 24;
 pub struct Packet<'w> {
     header: u32,
     body: &'w [u32],
+    /// The only record, if there is one.
+    sole: Option<Record<'w>>,
 }
 
 /// One record: the words to write and where, the addresses to read and what to echo.
@@ -75,9 +77,10 @@ impl<'w> Packet<'w> {
                 _ => Refusal::Short,
             });
         };
-        let packet = Packet {
+        let mut packet = Packet {
             header: *header,
             body,
+            sole: None,
         };
         if header >> 16 != MAGIC {
             return Err(Refusal::Magic);
@@ -106,11 +109,13 @@ impl<'w> Packet<'w> {
         if rest.is_empty() {
             return Err(Refusal::Short);
         }
+        let whole = rest.len();
         while !rest.is_empty() {
             let (record, after) = split_record(rest)?;
             if !record.reads.is_empty() {
                 reply += 2 + record.reads.len();
             }
+            packet.sole = (rest.len() == whole).then_some(record);
             rest = after;
         }
         if reply > MAX_WORDS {
@@ -132,6 +137,11 @@ impl<'w> Packet<'w> {
     /// The words after the header: a probe's payload, or the records.
     pub fn body(&self) -> &'w [u32] {
         self.body
+    }
+
+    /// The packet's record, if it has no other.
+    pub fn sole(&self) -> Option<Record<'w>> {
+        self.sole
     }
 
     /// The records in order; none for a probe.
@@ -229,6 +239,19 @@ impl<'b> ReplyWriter<'b> {
         };
         room.copy_from_slice(words);
         self.used += words.len();
+        true
+    }
+
+    /// Appends the words of an iterator of known length.
+    pub fn append(&mut self, words: impl ExactSizeIterator<Item = u32>) -> bool {
+        let count = words.len();
+        let Some(room) = self.buffer.get_mut(self.used..self.used + count) else {
+            return false;
+        };
+        for (place, word) in room.iter_mut().zip(words) {
+            *place = word;
+        }
+        self.used += count;
         true
     }
 

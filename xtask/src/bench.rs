@@ -3,12 +3,13 @@
 use crate::{build, cargo_tests, faults, python, root, setup, step, target};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use std::path::Path;
 use std::process::Command;
 
 /// What can be measured.
 #[derive(Clone, Copy, ValueEnum)]
 pub enum What {
-    /// The exchange on the simulated board, fast and long way: turnaround in clock cycles, all of
+    /// The exchange on simulated boards, fast and long way: turnaround in clock cycles, all of
     /// it in microseconds; size of the image.
     Exchange,
     /// LUTs, flip-flops and memories per core and per board, beside the peers'; writes
@@ -31,7 +32,8 @@ pub fn run(what: What, exchanges: u64, hours: u64) -> Result<()> {
     match what {
         What::Exchange => {
             let parts = build::everything(build::driver)?;
-            exchange(&parts)
+            let largest = build::simulated_board(build::LARGEST_BOARD)?;
+            exchange(&parts, &largest)
         }
         What::Gateware => gateware(),
         What::Jobs => jobs(),
@@ -52,8 +54,8 @@ pub fn run(what: What, exchanges: u64, hours: u64) -> Result<()> {
     }
 }
 
-/// The exchange bench on parts already built.
-pub fn exchange(parts: &build::Parts) -> Result<()> {
+/// The exchange bench on parts already built, and on the simulated board with the most channels.
+fn exchange(parts: &build::Parts, largest: &Path) -> Result<()> {
     step::heading("bench: exchange");
     std::fs::create_dir_all(target("reports"))?;
     let mut bench = Command::new(build::bench_exchange()?);
@@ -61,11 +63,13 @@ pub fn exchange(parts: &build::Parts) -> Result<()> {
         .env("FERROCNC_SOC", &parts.soc)
         .env("FERROCNC_FIRMWARE", &parts.firmware)
         .arg("--report")
-        .arg(target("reports/exchange.json"));
+        .arg(target("reports/exchange.json"))
+        .arg("--largest")
+        .arg(largest);
     let printed = step::run_quietly(
         "bench-exchange",
-        "exchange with the simulated board",
-        "1 min",
+        "exchange with the simulated boards",
+        "3 min",
         &mut bench,
     )?;
     println!("{}", printed.trim_end());

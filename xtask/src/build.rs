@@ -10,6 +10,8 @@ pub const BOARD: &str = "mill6";
 
 /// The board with jobs, and so with SDRAM, that the tests use.
 pub const JOBS_BOARD: &str = "plotter";
+/// The board with the most channels there can be.
+pub const LARGEST_BOARD: &str = "max";
 
 /// Where LinuxCNC looks for realtime modules; compiled into its loader.
 const MODULES: &str = "/usr/lib/linuxcnc/modules";

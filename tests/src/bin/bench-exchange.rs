@@ -7,6 +7,7 @@ use clap::Parser;
 use ferrocnc_tests::{BenchMachine, parts, wired};
 use object::{Object, ObjectSection, SectionKind};
 use rand::{Rng, SeedableRng};
+use serde_json::{Value, json};
 use sim::exchange::Spread;
 use std::path::{Path, PathBuf};
 use wire::exchange::{self, Command};
@@ -21,18 +22,44 @@ struct Options {
     /// Servo periods measured per case.
     #[arg(long, default_value_t = 300)]
     periods: usize,
+    /// The folder of the simulated board with the most channels, to be measured, too.
+    #[arg(long)]
+    largest: Option<PathBuf>,
 }
 
 fn main() -> Result<()> {
     let options = Options::parse();
     let mut machine = BenchMachine::boot(wired::mill());
+    let mill = measure(&mut machine, options.periods);
+    mill.print();
+    // The console is shut while the machine is armed: silence until the watchdog has disarmed it.
+    machine.run_millis(100);
+    let stack = machine.stack_used();
+    let services = wired::program().len();
+    let image = image_sizes(&parts().1)?;
+    println!(
+        "image: text {} data {} bss {} stack {stack}, services {services} bytes",
+        image.text, image.data, image.bss
+    );
+    let mut report = mill.report();
+    report["image"] = json!({ "text": image.text, "data": image.data, "bss": image.bss, "stack_max": stack, "services": services });
+
+    if let Some(largest) = options.largest {
+        let mut setup = wired::mill();
+        setup.soc_dir = largest;
+        let largest = measure(&mut BenchMachine::boot(setup), options.periods);
+        largest.print();
+        report["largest"] = largest.report();
+    }
+    std::fs::write(&options.report, serde_json::to_string_pretty(&report)?)
+        .with_context(|| format!("cannot write {}", options.report.display()))
+}
+
+/// The exchanges of a board that has just started.
+fn measure(machine: &mut BenchMachine, periods: usize) -> Measured {
     let channels = machine.channels();
     let bytes = |words: usize| 4 * words + 42 + 12; // UDP/IP/Ethernet headers, preamble and FCS
-    let (rx, tx) = (
-        bytes(exchange::REQUEST_OVERHEAD + exchange::command_words(channels)),
-        bytes(exchange::REQUEST_OVERHEAD + exchange::status_words(channels)),
-    );
-    let mut cases = vec![first(&mut machine)];
+    let mut cases = vec![first(machine)];
     machine.make_ready();
     for (name, reach, long) in [
         ("at rest", 0.0, false),
@@ -45,7 +72,7 @@ fn main() -> Result<()> {
         // The pass behind the reading of the counters is out.
         let before = machine.ways();
         machine.run_millis(1);
-        for n in 0..options.periods {
+        for n in 0..periods {
             for (rate, accel) in command.stepgen.iter_mut().take(channels.stepgens.into()) {
                 *rate = Velocity::from_hz(
                     reach * (2.0 * random.random::<f64>() - 1.0),
@@ -63,62 +90,70 @@ fn main() -> Result<()> {
             name,
             fast: after.fast - before.fast,
             long: after.long - before.long,
-            turnaround: machine.turnaround_spread(options.periods),
-            total: machine.total_spread(options.periods),
+            turnaround: machine.turnaround_spread(periods),
+            total: machine.total_spread(periods),
         });
         command.stepgen = Command::default().stepgen;
         for _ in 0..5 {
             machine.exchange_and_wait(&mut command);
         }
     }
-    // The console is shut while the machine is armed: silence until the watchdog has disarmed it.
-    machine.run_millis(100);
-    let stack = machine.stack_used();
-    let services = wired::program().len();
-    let image = image_sizes(&parts().1)?;
-
-    let clock_hz = machine.clock_hz();
-    println!(
-        "| exchange, {} axes, {rx} bytes in, {tx} out | fast way, long way | turnaround min / median / max, clocks at {} MHz | whole exchange min / median / max, us |",
-        channels.stepgens,
-        clock_hz / 1e6
-    );
-    println!("|---|---|---|---|");
-    for case in &cases {
-        let Spread { min, median, max } = case.turnaround;
-        let [least, middle, most] = case.micros(clock_hz);
-        println!(
-            "| {} | {}, {} | {min} / {median} / {max} | {least:.2} / {middle:.2} / {most:.2} |",
-            case.name, case.fast, case.long
-        );
+    Measured {
+        axes: channels.stepgens,
+        clock_hz: machine.clock_hz(),
+        rx: bytes(exchange::REQUEST_OVERHEAD + exchange::command_words(channels)),
+        tx: bytes(exchange::REQUEST_OVERHEAD + exchange::status_words(channels)),
+        cases,
     }
-    println!(
-        "image: text {} data {} bss {} stack {stack}, services {services} bytes",
-        image.text, image.data, image.bss
-    );
+}
 
-    let cases: Vec<_> = cases
-        .iter()
-        .map(|case| {
-            let [min, median, max] = case.micros(clock_hz);
-            serde_json::json!({
+/// The exchanges of a board.
+struct Measured {
+    axes: u8,
+    clock_hz: f64,
+    /// Bytes of a request on the wire.
+    rx: usize,
+    /// Bytes of an answer.
+    tx: usize,
+    cases: Vec<Case>,
+}
+
+impl Measured {
+    fn print(&self) {
+        println!(
+            "| exchange, {} axes, {} bytes in, {} out | fast way, long way | turnaround min / median / max, clocks at {} MHz | whole exchange min / median / max, us |",
+            self.axes,
+            self.rx,
+            self.tx,
+            self.clock_hz / 1e6
+        );
+        println!("|---|---|---|---|");
+        for case in &self.cases {
+            let Spread { min, median, max } = case.turnaround;
+            let [least, middle, most] = case.micros(self.clock_hz);
+            println!(
+                "| {} | {}, {} | {min} / {median} / {max} | {least:.2} / {middle:.2} / {most:.2} |",
+                case.name, case.fast, case.long
+            );
+        }
+    }
+
+    fn report(&self) -> Value {
+        let case = |case: &Case| {
+            let [min, median, max] = case.micros(self.clock_hz);
+            json!({
                 "name": case.name,
-                "rx_bytes": rx,
-                "tx_bytes": tx,
+                "rx_bytes": self.rx,
+                "tx_bytes": self.tx,
                 "fast": case.fast,
                 "long": case.long,
                 "turnaround_cycles": case.turnaround,
                 "total_us": { "min": min, "median": median, "max": max },
             })
-        })
-        .collect();
-    let report = serde_json::json!({
-        "sys_clk_hz": clock_hz,
-        "cases": cases,
-        "image": { "text": image.text, "data": image.data, "bss": image.bss, "stack_max": stack, "services": services },
-    });
-    std::fs::write(&options.report, serde_json::to_string_pretty(&report)?)
-        .with_context(|| format!("cannot write {}", options.report.display()))
+        };
+        let cases: Vec<_> = self.cases.iter().map(case).collect();
+        json!({ "sys_clk_hz": self.clock_hz, "cases": cases })
+    }
 }
 
 /// What was measured of some exchanges.

@@ -158,13 +158,13 @@ impl App {
         let (frame, length) = self.mac.frame();
         self.machine.received();
         match net::classify(&frame, length, &self.machine.us, &self.ports) {
-            Class::Ours(datagram) => {
-                let words = self.copy_payload(&datagram);
+            Class::Ours(ref datagram) => {
+                let words = self.copy_payload(datagram);
                 self.mac.dismiss();
                 let owner = self.machine.session().is_owner(datagram.peer);
                 match words {
                     Ok(_) if !owner && self.yields() => {}
-                    Ok(count) => self.datagram(&datagram, count),
+                    Ok(count) => self.datagram(datagram, count),
                     Err(why) => self.machine.refuse(why),
                 }
                 return self.machine.session().is_owner(datagram.peer);
